@@ -45,13 +45,16 @@ from roomfit.io.inputs import campaign_room, identify_arguments
 from roomfit.io.inputs import check_campaign as check_campaign
 from roomfit.io.inputs import check_room as check_room
 from roomfit.io.project import project_details
+from roomfit.io.responses import read_response
+from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.results import read_result, write_result
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.io.workbook import workbook_bytes
 from roomfit.measurement import Measurement
 from roomfit.prediction.campaign import WantedPairs, predict_arguments
 from roomfit.prediction.changes import Change
-from roomfit.prediction.output import write_predicted
+from roomfit.prediction.listen import convolved, listen
+from roomfit.prediction.output import listen_content, write_predicted
 from roomfit.prediction.predict import Predicted, predict
 from roomfit.report.comparison import (
     Comparison,
@@ -383,6 +386,81 @@ def predict_to_folder(
             if progress is not None:
                 progress(0.95 + 0.05 * number / len(shown))
     return predicted
+
+
+def listen_to_folder(
+    campaign_file: Path,
+    absorption_file: Path,
+    out: Path,
+    changes: Sequence[Change] = (),
+    *,
+    state: str = "",
+    dry: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Write measured responses before and after a change, as WAV files of floats, and listen.json.
+
+    Nothing is normalised. With `dry`, a recording of one channel, its convolutions stand beside
+    them, all scaled by one factor so that the loudest has a peak of half.
+
+    Returns
+    -------
+    dict
+        What listen.json contains.
+
+    Raises
+    ------
+    InputError
+        See `roomfit.prediction.listen.listen`; or the recording has another sampling rate.
+    StoreError
+        The disk refuses.
+    """
+    import soundfile
+
+    check_output_folder(out, overwrite=overwrite)
+    campaign = read_campaign(campaign_file, to_fit=False)
+    arguments = predict_arguments(
+        campaign, read_result(absorption_file), changes, "campaign", state
+    )
+    measured = [m for m in arguments["measurements"] if isinstance(m, Measurement)]
+    known, settings = arguments["absorption"], arguments["settings"]
+    with located(str(campaign_file)):
+        made, findings = listen(
+            arguments["scene"], known, changes, measured, settings=settings, progress=progress
+        )
+    rate_hz = round(made[0].measurement.response.sampling_rate_hz)
+    recording = None if dry is None else read_response(ResponseSpec(dry))[0]
+    if recording is not None and recording.sampling_rate_hz != rate_hz:
+        raise InputError(
+            "the dry recording has another sampling rate than the responses",
+            where=str(dry),
+            found=f"{recording.sampling_rate_hz:g} Hz",
+            needed=f"{rate_hz} Hz",
+        )
+    sounds = [{"before": c.measurement.response.pressure, "after": c.samples} for c in made]
+    factor = None
+    if recording is not None:
+        for sound in sounds:
+            for name in ("before", "after"):
+                sound[f"dry_{name}"] = convolved(recording.pressure, sound[name])
+        wet = [x for s in sounds for name, x in s.items() if name.startswith("dry")]
+        factor = 0.5 / max(max(float(np.abs(x).max()) for x in wet), 1e-300)
+    rows = []
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        for number, (c, sound) in enumerate(zip(made, sounds, strict=True), start=1):
+            m = c.measurement
+            files = {
+                name: f"{number:02d}_{in_file_name(m.source, m.receiver)}_{name}.wav"
+                for name in sound
+            }
+            for name, samples in sound.items():
+                scale = factor if factor is not None and name.startswith("dry") else 1.0
+                soundfile.write(folder / files[name], scale * samples, rate_hz, subtype="FLOAT")
+            rows.append((m.source, m.receiver, files, c.noise_from_s))
+        content = listen_content((known.bands, changes, rows, factor), findings, files_read())
+        write_json_atomically(folder / "listen.json", content)
+    return content
 
 
 def estimate_coverage_to_folder(

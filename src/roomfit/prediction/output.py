@@ -1,4 +1,4 @@
-"""A prediction as predicted.json and predicted.csv (format_version 1), as text, and as a figure."""
+"""A prediction as predicted.json and predicted.csv (format_version 1), as text, page and figure."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from roomfit.bands import Bands
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.errors import InputError
+from roomfit.findings import Finding
 from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
+from roomfit.prediction.changes import Change, change_text
 from roomfit.report.figures import (
     LOWEST_DB,
     OKABE_ITO,
@@ -443,3 +446,54 @@ def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
         title += " with " + literal("; ".join(predicted.changes), 80)
     figure_legend(figure, panels[0], 3, title)
     return figure
+
+
+def listen_content(
+    made: tuple[
+        Bands, Sequence[Change], Sequence[tuple[str, str, dict[str, str], FloatArray]], Any
+    ],
+    findings: Sequence[Finding],
+    inputs: Iterable[Path],
+) -> dict[str, Any]:
+    """Return what listen.json holds.
+
+    Parameters
+    ----------
+    made : tuple
+        Bands; changes; of every response its source, its receiver, names of files and, (n_bands,),
+        since when noise carries the tail; and the factor of convolutions, None without any.
+    """
+    bands, changes, rows, factor = made
+    return {
+        "format": "roomfit-listen",
+        "format_version": 1,
+        "bands_hz": bands.centres_hz,
+        "changes": [change_text(c) for c in changes],
+        "responses": [
+            {
+                "source": source,
+                "receiver": receiver,
+                "files": files,
+                "noise_from_s": numbers_or_null(from_s),
+            }
+            for source, receiver, files, from_s in rows
+        ],
+        "dry_factor": factor,
+        "findings": [finding_content(f) for f in findings],
+        "provenance": provenance(inputs),
+    }
+
+
+def listen_text(content: Mapping[str, Any]) -> str:
+    """Return what was changed, and from when on noise carries what is predicted of the tail."""
+    lines = ["Changed: " + ("; ".join(content["changes"]) or "nothing: every response as it was")]
+    lines.append(
+        "From these times after emission the measured noise carries the predicted tail, s:"
+    )
+    lines.append(_justified(["Hz", *(f"{f:g}" for f in content["bands_hz"])]))
+    for r in content["responses"]:
+        cells = ["-" if t is None else f"{t:.2f}" for t in r["noise_from_s"]]
+        lines.append(_justified([f"{r['source']} to {r['receiver']}", *cells]))
+    low, high = content["bands_hz"][0], content["bands_hz"][-1]
+    lines.append(f"Below {low:g} and above {high:g} Hz the nearest band stands for all.")
+    return "\n".join(lines)

@@ -252,7 +252,7 @@ def predict(
     expected, drawn, clipped = changed_draws(absorption, found, changes, rng)
     states = [(expected, drawn)]
     changed = [room.materials.index(c.material) for c in changes]
-    if changes and not _is_unknown(absorption)[changed].any():
+    if changes and not is_unknown(absorption)[changed].any():
         states.append((absorption.absorption, found))
         areas_m2 = material_areas_m2(room, int(pair_states(scene)[0]))
         clipped += prior_dominated(absorption, found, changes, areas_m2, rng)
@@ -424,7 +424,7 @@ def _longest_s(observed: Sequence[_ObservedPair]) -> float:
     return max((float(k.max()) for k in known if k.size), default=0.0)
 
 
-def _is_unknown(absorption: AbsorptionPosterior) -> BoolArray:
+def is_unknown(absorption: AbsorptionPosterior) -> BoolArray:
     """Return of which materials nothing is known before a change, (n_materials,)."""
     variance = np.diagonal(absorption.logit_covariance, axis1=1, axis2=2).T
     return np.asarray(((variance <= 0.0) & (absorption.lower95 < absorption.upper95)).any(axis=1))
