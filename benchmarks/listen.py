@@ -33,7 +33,7 @@ from roomfit.prediction.predict import Predicted, predict
 from roomfit.results import absorption_posterior
 from roomfit.scene import Scene
 from roomfit.signals.decay import PARAMETER_NAMES, ParameterName
-from roomfit.typing import FloatArray
+from roomfit.typing import BoolArray, FloatArray
 
 SHOWN: tuple[ParameterName, ...] = ("EDT_s", "T20_s", "T30_s", "C50_dB")
 
@@ -50,7 +50,7 @@ def parameters_of(
 
 
 def error_lines(
-    found: FloatArray, carried: Predicted, truth: Predicted, judged: FloatArray
+    found: FloatArray, carried: Predicted, truth: Predicted, judged: BoolArray
 ) -> list[str]:
     """Return the errors of every parameter in the mean and pair by pair."""
     lines = []

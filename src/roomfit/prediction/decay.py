@@ -301,8 +301,9 @@ def _draws(
         for band in range(len(bands)):
             values[i, :, band] = value_gradients(curve, band, VALUE_NAMES, derivative=False)[0]
         shapes[i] = levels_at(curve, times)
-        transfers.append(modulation_transfer(curve, 0.0))
-    return values, shapes, np.stack(transfers)
+        if not sti_missing(bands):
+            transfers.append(modulation_transfer(curve, 0.0))
+    return values, shapes, np.array(transfers)
 
 
 def levels_at(curve: DecayCurve, times: FloatArray) -> FloatArray:

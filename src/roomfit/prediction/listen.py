@@ -250,7 +250,7 @@ def listen(
 
 
 def convolved(dry: FloatArray, response: FloatArray) -> FloatArray:
-    """Return a recording as heard through a response, shape (n_dry + n_response - 1,)."""
+    """Return a recording as it sounds through a response, shape (n_dry + n_response - 1,)."""
     n = len(dry) + len(response) - 1
     length = fft.next_fast_len(n, real=True)
     return np.asarray(fft.irfft(fft.rfft(dry, length) * fft.rfft(response, length), length)[:n])
