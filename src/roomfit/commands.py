@@ -425,42 +425,42 @@ def listen_to_folder(
     )
     measured = [m for m in arguments["measurements"] if isinstance(m, Measurement)]
     known, settings = arguments["absorption"], arguments["settings"]
+    recording = None if dry is None else read_response(ResponseSpec(dry))[0]
+    if recording is not None and measured:
+        _check_rate(recording.sampling_rate_hz, measured[0].response.sampling_rate_hz, str(dry))
     with located(str(campaign_file)):
         made, findings = listen(
             arguments["scene"], known, changes, measured, settings=settings, progress=progress
         )
-    rate_hz = round(made[0].measurement.response.sampling_rate_hz)
-    recording = None if dry is None else read_response(ResponseSpec(dry))[0]
-    if recording is not None and recording.sampling_rate_hz != rate_hz:
-        raise InputError(
-            "the dry recording has another sampling rate than the responses",
-            where=str(dry),
-            found=f"{recording.sampling_rate_hz:g} Hz",
-            needed=f"{rate_hz} Hz",
-        )
     sounds = [{"before": c.measurement.response.pressure, "after": c.samples} for c in made]
     factor = None
     if recording is not None:
-        for sound in sounds:
-            for name in ("before", "after"):
-                sound[f"dry_{name}"] = convolved(recording.pressure, sound[name])
-        wet = [x for s in sounds for name, x in s.items() if name.startswith("dry")]
-        factor = 0.5 / max(max(float(np.abs(x).max()) for x in wet), 1e-300)
-    rows = []
+        wet = [{f"dry_{k}": convolved(recording.pressure, x) for k, x in s.items()} for s in sounds]
+        factor = 0.5 / max(float(np.abs(x).max()) for s in wet for x in s.values())
+        scaled = [{k: factor * x for k, x in s.items()} for s in wet]
+        sounds = [s | w for s, w in zip(sounds, scaled, strict=True)]
+    content = listen_content(known.bands, changes, made, findings, files_read())
+    content["dry_factor"] = factor
     with whole_output_folder(out, overwrite=overwrite) as folder:
-        for number, (c, sound) in enumerate(zip(made, sounds, strict=True), start=1):
+        for i, (c, sound) in enumerate(zip(made, sounds, strict=True)):
             m = c.measurement
-            files = {
-                name: f"{number:02d}_{in_file_name(m.source, m.receiver)}_{name}.wav"
-                for name in sound
-            }
-            for name, samples in sound.items():
-                scale = factor if factor is not None and name.startswith("dry") else 1.0
-                soundfile.write(folder / files[name], scale * samples, rate_hz, subtype="FLOAT")
-            rows.append((m.source, m.receiver, files, c.noise_from_s))
-        content = listen_content((known.bands, changes, rows, factor), findings, files_read())
+            stem = f"{i + 1:02d}_{in_file_name(m.source, m.receiver)}"
+            content["responses"][i]["files"] = {kind: f"{stem}_{kind}.wav" for kind in sound}
+            rate_hz = round(m.response.sampling_rate_hz)
+            for kind, x in sound.items():
+                soundfile.write(folder / f"{stem}_{kind}.wav", x, rate_hz, subtype="FLOAT")
         write_json_atomically(folder / "listen.json", content)
     return content
+
+
+def _check_rate(found_hz: float, needed_hz: float, where: str) -> None:
+    if found_hz != needed_hz:
+        raise InputError(
+            "the dry recording has another sampling rate than the responses",
+            where=where,
+            found=f"{found_hz:g} Hz",
+            needed=f"{needed_hz:g} Hz",
+        )
 
 
 def estimate_coverage_to_folder(

@@ -200,7 +200,7 @@ def test_a_convolution_is_the_sum_of_shifted_responses():
     np.testing.assert_allclose(convolved(dry, response), [1.0, 0.5, -2.0, -1.0], atol=1e-15)
 
 
-def test_the_command_writes_comparable_files(tmp_path, monkeypatch):
+def test_the_command_writes_comparable_files(tmp_path, monkeypatch, capsys):
     """Same rate, length and level; without a change the file before is the file after."""
     campaign = write_campaign(tmp_path / "campaign")
     table = "material,band_hz,absorption,lower95,upper95,identifiable\n" + "".join(
@@ -231,6 +231,12 @@ def test_the_command_writes_comparable_files(tmp_path, monkeypatch):
         peaks += [np.abs(read[k]).max() for k in ("dry_before", "dry_after")]
         assert len(row["noise_from_s"]) == len(content["bands_hz"])
     assert max(peaks) == pytest.approx(0.5, rel=1e-6)
+    assert content["dry_factor"] > 0.0
+    soundfile.write(
+        dry, np.random.default_rng(1).normal(size=rate) * 0.1, 2 * rate, subtype="FLOAT"
+    )
+    assert run_command(monkeypatch, *call, tmp_path / "other", "--dry", dry) == 2
+    assert "another sampling rate" in capsys.readouterr().err
 
 
 DATA = Path(os.environ.get("ROOMFIT_DATA", "/work/shared/data"))

@@ -44,6 +44,7 @@ from roomfit.signals.speech import sti_missing
 from roomfit.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
+    from roomfit.prediction.listen import ChangedResponse
     from roomfit.prediction.predict import Predicted, PredictedPair, PredictedValue
 
 COLUMNS = (
@@ -449,21 +450,13 @@ def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
 
 
 def listen_content(
-    made: tuple[
-        Bands, Sequence[Change], Sequence[tuple[str, str, dict[str, str], FloatArray]], Any
-    ],
+    bands: Bands,
+    changes: Sequence[Change],
+    made: Sequence[ChangedResponse],
     findings: Sequence[Finding],
     inputs: Iterable[Path],
 ) -> dict[str, Any]:
-    """Return what listen.json holds.
-
-    Parameters
-    ----------
-    made : tuple
-        Bands; changes; of every response its source, its receiver, names of files and, (n_bands,),
-        since when noise carries the tail; and the factor of convolutions, None without any.
-    """
-    bands, changes, rows, factor = made
+    """Return what listen.json holds, apart from the names of the sound files."""
     return {
         "format": "roomfit-listen",
         "format_version": 1,
@@ -471,14 +464,12 @@ def listen_content(
         "changes": [change_text(c) for c in changes],
         "responses": [
             {
-                "source": source,
-                "receiver": receiver,
-                "files": files,
-                "noise_from_s": numbers_or_null(from_s),
+                "source": c.measurement.source,
+                "receiver": c.measurement.receiver,
+                "noise_from_s": numbers_or_null(c.noise_from_s),
             }
-            for source, receiver, files, from_s in rows
+            for c in made
         ],
-        "dry_factor": factor,
         "findings": [finding_content(f) for f in findings],
         "provenance": provenance(inputs),
     }
