@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -239,13 +237,11 @@ def test_the_command_writes_comparable_files(tmp_path, monkeypatch, capsys):
     assert "another sampling rate" in capsys.readouterr().err
 
 
-DATA = Path(os.environ.get("ROOMFIT_DATA", "/work/shared/data"))
 AFTER = (0.12, 0.2, 0.25, 0.35, 0.45, 0.5)
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not (DATA / "r3vival").is_dir(), reason="the measured room is not here")
-def test_measured_responses_become_what_is_predicted_of_them():
+def test_measured_responses_become_what_is_predicted_of_them(real_data):
     """Six of R3VIVAL's, whose reflecting walls get the absorption of its panels, or about that.
 
     `benchmarks/listen.py` fits both states; what is made must follow whatever is predicted. In the
@@ -256,7 +252,7 @@ def test_measured_responses_become_what_is_predicted_of_them():
     from known_changes import BANDS as OCTAVES
     from known_changes import r3vival
 
-    scene, measured, _ = r3vival(DATA, "000", 60, ["200"])
+    scene, measured, _ = r3vival(real_data, "000", 60, ["200"])
     materials = scene.room.materials
     a = np.full((len(materials), len(OCTAVES)), 0.2)
     none = np.zeros((len(OCTAVES), len(materials), len(materials)))

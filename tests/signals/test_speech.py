@@ -13,7 +13,7 @@ from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.signals.decay import decay_curve, echogram_decay_curve
 from roomfit.signals.filters import FilterBank
-from roomfit.signals.response import ImpulseResponse
+from roomfit.signals.response import ImpulseResponse, find_onset
 from roomfit.signals.speech import (
     MODULATIONS_HZ,
     SPEECH_BANDS_HZ,
@@ -212,3 +212,18 @@ def test_what_is_missing_is_said_and_nothing_is_extrapolated():
     short = echogram(np.array([1.0]), 0.2)
     assert short.usable_db[0] < 20.0
     assert np.isnan(modulation_transfer(short)).all()
+
+
+def test_pyrato_finds_nearly_the_same_of_measured_responses(real_data):
+    """R3VIVAL's first ring in two states, noise in pyrato's: within a third of a jnd."""
+    pyrato, pyfar = pytest.importorskip("pyrato.parameters"), pytest.importorskip("pyfar")
+    soundfile = pytest.importorskip("soundfile")
+    for name in ("000_S000_200", "000_S120_200", "100_S000_200", "100_S240_200"):
+        samples, rate_hz = soundfile.read(real_data / "r3vival" / f"{name}.wav")
+        response = ImpulseResponse(samples[:, 0], rate_hz)
+        curve = decay_curve(FilterBank(OCTAVES), response, find_onset(response))
+        found = float(speech_transmission(modulation_transfer(curve)))
+        # pyrato asks for 1.6 s
+        padded = pyfar.Signal(np.pad(samples[:, 0], (0, rate_hz)), rate_hz)
+        theirs = pyrato.speech_transmission_index_indirect(padded)
+        assert found == pytest.approx(float(theirs[0]), abs=0.01), name
