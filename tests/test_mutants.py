@@ -18,6 +18,8 @@ AREAS = {
     "prediction intervals",
     "identifiability",
     "room parameters",
+    "speech transmission",
+    "responses after a change",
     "air",
     "scattering weights",
     "seeds",

@@ -46,13 +46,16 @@ from roomfit.io.inputs import campaign_room, identify_arguments
 from roomfit.io.inputs import check_campaign as check_campaign
 from roomfit.io.inputs import check_room as check_room
 from roomfit.io.project import project_details
+from roomfit.io.responses import read_response
+from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.results import read_result, write_result
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.io.workbook import workbook_bytes
 from roomfit.measurement import Measurement
 from roomfit.prediction.campaign import WantedPairs, predict_arguments
 from roomfit.prediction.changes import Change
-from roomfit.prediction.output import write_predicted
+from roomfit.prediction.listen import convolved, listen
+from roomfit.prediction.output import listen_content, write_predicted
 from roomfit.prediction.predict import Predicted, predict
 from roomfit.report.comparison import (
     Comparison,
@@ -367,7 +370,7 @@ def predict_to_folder(
     use_cache: bool = True,
     progress: Progress | None = None,
 ) -> Predicted:
-    """Predict a campaign and write predicted.json, predicted.csv and pictures into a folder.
+    """Predict a campaign; write predicted.json, .csv, .html and pictures into a folder.
 
     Pictures of the first 24 pairs; the files contain all. A run that was interrupted continues from
     its last finished step, unless `use_cache` is false.
@@ -399,6 +402,81 @@ def predict_to_folder(
             if progress is not None:
                 progress(0.95 + 0.05 * number / len(shown))
     return predicted
+
+
+def listen_to_folder(
+    campaign_file: Path,
+    absorption_file: Path,
+    out: Path,
+    changes: Sequence[Change] = (),
+    *,
+    state: str = "",
+    dry: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Write measured responses before and after a change, as WAV files of floats, and listen.json.
+
+    Nothing is normalised. With `dry`, a recording of one channel, its convolutions stand beside
+    them, all scaled by one factor so that the loudest has a peak of half.
+
+    Returns
+    -------
+    dict
+        What listen.json contains.
+
+    Raises
+    ------
+    InputError
+        See `roomfit.prediction.listen.listen`; or the recording has another sampling rate.
+    StoreError
+        The disk refuses.
+    """
+    import soundfile
+
+    check_output_folder(out, overwrite=overwrite)
+    campaign = read_campaign(campaign_file, to_fit=False)
+    arguments = predict_arguments(
+        campaign, read_result(absorption_file), changes, "campaign", state
+    )
+    measured = [m for m in arguments["measurements"] if isinstance(m, Measurement)]
+    known, settings = arguments["absorption"], arguments["settings"]
+    recording = None if dry is None else read_response(ResponseSpec(dry))[0]
+    if recording is not None and measured:
+        _check_rate(recording.sampling_rate_hz, measured[0].response.sampling_rate_hz, str(dry))
+    with located(str(campaign_file)):
+        made, findings = listen(
+            arguments["scene"], known, changes, measured, settings=settings, progress=progress
+        )
+    sounds = [{"before": c.measurement.response.pressure, "after": c.samples} for c in made]
+    factor = None
+    if recording is not None:
+        wet = [{f"dry_{k}": convolved(recording.pressure, x) for k, x in s.items()} for s in sounds]
+        factor = 0.5 / max(float(np.abs(x).max()) for s in wet for x in s.values())
+        scaled = [{k: factor * x for k, x in s.items()} for s in wet]
+        sounds = [s | w for s, w in zip(sounds, scaled, strict=True)]
+    content = listen_content(known.bands, changes, made, findings, files_read())
+    content["dry_factor"] = factor
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        for i, (c, sound) in enumerate(zip(made, sounds, strict=True)):
+            m = c.measurement
+            stem = f"{i + 1:02d}_{in_file_name(m.source, m.receiver)}"
+            content["responses"][i]["files"] = {kind: f"{stem}_{kind}.wav" for kind in sound}
+            rate_hz = round(m.response.sampling_rate_hz)
+            for kind, x in sound.items():
+                soundfile.write(folder / f"{stem}_{kind}.wav", x, rate_hz, subtype="FLOAT")
+        write_json_atomically(folder / "listen.json", content)
+    return content
+
+
+def _check_rate(found_hz: float, needed_hz: float, where: str) -> None:
+    if found_hz != needed_hz:
+        raise InputError(
+            "the dry recording has another sampling rate than the responses",
+            where=where,
+            found=f"{found_hz:g} Hz",
+            needed=f"{needed_hz:g} Hz",
+        )
 
 
 def estimate_coverage_to_folder(

@@ -25,11 +25,11 @@ from roomfit.objective.problem import Objective
 from roomfit.objective.room_parameters import (
     ValuesTerm,
     approximated,
+    curve_by_pressures,
     predicted_values,
     value_covariances,
     value_terms,
     values_alone,
-    values_by_pressures,
 )
 from roomfit.objective.windows import band_spreading, before_spreading, spread_energy
 from roomfit.response.binned import bin_paths
@@ -537,7 +537,8 @@ def test_pressures_in_a_smooth_box_give_what_is_measured_there():
         true = room_parameters(curve).of("T20_s")[0]
         k = at + o.names.index("T20_s")
         energy = weigh(term.rows[i], truth[:, None], np.zeros(1), derivative=False).energy
-        by_pressures = values_by_pressures(term, i, truth, energy)[k - at]
+        curve = curve_by_pressures(term, i, truth, energy)
+        by_pressures = value_gradients(curve, 0, o.names)[0][k - at]
         errors.append((model[k] / true - 1.0, by_pressures / true - 1.0))
         # the difference stands in the variance, a standard deviation as large as itself
         assert value_covariances(term, truth)[i][k - at, k - at] > (by_pressures - model[k]) ** 2

@@ -56,7 +56,7 @@ def test_what_is_carried_over_has_both_noises_and_the_spread_of_the_measured_val
     before = numbers(2.0, 0.06, 2.0 * np.exp(shared))
     after = numbers(1.0, 0.05, 1.0 * np.exp(shared))
     row = VALUE_NAMES.index("T20_s")
-    found = _change(row, before, after, np.array([2.2]), np.array([0.11]))
+    found = _change("T20_s", row, (after, before), np.array([2.2]), np.array([0.11]))
     assert found.change[0] == pytest.approx(0.5)
     assert found.change_lower95[0] == pytest.approx(0.5) == found.change_upper95[0]
     relative = np.sqrt(0.03**2 + 0.05**2 + 0.05**2)
@@ -65,12 +65,13 @@ def test_what_is_carried_over_has_both_noises_and_the_spread_of_the_measured_val
     assert width == pytest.approx(2 * 1.96 * 1.1 * relative, rel=0.08)
     assert found.carried[0] == pytest.approx(1.1)
     # what is not shared moves the change, draw by draw
-    apart = _change(row, before, numbers(1.0, 0.05, np.exp(-shared)), np.ones(1), np.zeros(1))
+    moved = numbers(1.0, 0.05, np.exp(-shared))
+    apart = _change("T20_s", row, (moved, before), np.ones(1), np.zeros(1))
     ends = np.quantile(0.5 * np.exp(-2.0 * shared), (0.025, 0.975))
     np.testing.assert_allclose((apart.change_lower95[0], apart.change_upper95[0]), ends)
     level = VALUE_NAMES.index("C80_dB")
     before, after = numbers(2.0, 0.6, 2.0 + shared), numbers(1.0, 0.5, 1.0 + shared)
-    found = _change(level, before, after, np.array([2.2]), np.array([0.4]))
+    found = _change("C80_dB", level, (after, before), np.array([2.2]), np.array([0.4]))
     assert found.carried[0] == pytest.approx(1.2)
     width = found.carried_upper95[0] - found.carried_lower95[0]
     assert width == pytest.approx(2 * 1.96 * np.sqrt(0.36 + 0.25 + 0.16), rel=0.08)

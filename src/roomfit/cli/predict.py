@@ -59,4 +59,4 @@ def run(options: argparse.Namespace) -> None:
             progress=progress,
         )
     say(str(predicted))
-    say(f"\npredicted.json, predicted.csv and pictures are in {options.out}")
+    say(f"\npredicted.json, predicted.csv, predicted.html and pictures are in {options.out}")

@@ -43,6 +43,7 @@ from roomfit.io.schema import (
     SharedDirectivity,
     SourceDirectivity,
     SourceTable,
+    SpeechTable,
 )
 from roomfit.measurement import Level, Use
 from roomfit.scene import Point, PointGroup, check_groups
@@ -354,6 +355,8 @@ class Campaign:
         Decay times without positions.
     has_room : bool
         Whether it describes one; only decay times may do without.
+    speech : SpeechTable or None
+        Levels of speech and noise.
     """
 
     path: Path
@@ -378,6 +381,7 @@ class Campaign:
     findings: tuple[Finding, ...] = ()
     reverberation: ReverberationTable | None = None
     has_room: bool = True
+    speech: SpeechTable | None = None
 
 
 # stands where decay times come with a volume and a surface alone, and is not looked at
@@ -482,6 +486,7 @@ def read_campaign(path: Path, *, to_fit: bool = True, decay_times: bool = False)
         findings,
         table.reverberation,
         has_room,
+        table.speech,
     )
 
 

@@ -468,6 +468,18 @@ class ReverberationTable(Table):
     """Where there is no [room]."""
 
 
+Decibels = Annotated[float, _limited(-60.0, 140.0, "dB; quieter is nothing, louder hurts")]
+
+
+class SpeechTable(Table):
+    """``[speech]``: levels with which ``roomfit predict`` finds the speech transmission index."""
+
+    level_dba: Decibels
+    """A-weighted level of the talker at 1 m in the free field, in dB; 60 is a normal voice."""
+    noise_db: Annotated[list[Decibels], Field(min_length=7, max_length=7)] | None = None
+    """Levels of noise at the listeners in the octaves from 125 Hz to 8 kHz, in dB."""
+
+
 class CampaignTable(Table):
     """The whole file."""
 
@@ -509,6 +521,8 @@ class CampaignTable(Table):
     """How `roomfit impedance` fits."""
     design: DesignTable = DesignTable()
     """Where `roomfit design` may measure."""
+    speech: SpeechTable | None = None
+    """Levels of speech and noise."""
 
 
 def campaign_schema() -> dict[str, Any]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar, cast
 
 import numpy as np
@@ -225,21 +226,51 @@ def value_covariances(term: ValuesTerm, absorption: FloatArray) -> tuple[FloatAr
     """
     covariances = []
     for i, observed in enumerate(term.observations):
-        energy = weigh(
-            term.rows[i],
-            absorption[:, None],
-            np.array([term.attenuation_per_m]),
-            derivative=False,
-        ).energy
-        predicted, gradients, spread_over_time = _values(term, i, energy)
+        read = partial(value_gradients, band=0, names=observed.names)
+        predicted, interference, added, tracing = scatter_parts(term, i, absorption, read)
         spread = np.diag(observed.spread**2)
-        interference = _interference(term, i, absorption, gradients, spread_over_time)
-        if term.rows[i].length_m.any():
-            added = values_by_pressures(term, i, absorption, energy) - predicted
-            interference += np.outer(added, added)
-        tracing = _tracing(term, i, absorption, gradients)
-        covariances.append(spread + interference + tracing + _model(term, observed, predicted))
+        scatter = spread + (interference + np.outer(added, added)) + tracing
+        covariances.append(scatter + _model(term, observed, predicted))
     return tuple(covariances)
+
+
+def scatter_parts(
+    term: ValuesTerm,
+    i: int,
+    absorption: FloatArray,
+    read: Callable[..., tuple[FloatArray, FloatArray]],
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return numbers read from the decay of a pair, and how measured ones scatter about them.
+
+    Parameters
+    ----------
+    i : int
+        Index of the pair's observation; nothing of what was measured is read.
+    read : callable
+        From a decay curve of the one band to n numbers and their derivatives by the energies of its
+        bins, (n, n_bins); with ``derivative=False`` the latter are not looked at.
+
+    Returns
+    -------
+    values : float array, shape (n,)
+    interference : float array, shape (n, n)
+        Covariance, see `value_covariances`.
+    added : float array, shape (n,)
+        By how much more the pressures of images add up to; 0 but in a box of smooth walls.
+    tracing : float array, shape (n, n)
+        Monte-Carlo covariance.
+    """
+    energy = weigh(
+        term.rows[i], absorption[:, None], np.array([term.attenuation_per_m]), derivative=False
+    ).energy
+    curve, spread_over_time = _curve(term, i, energy)
+    values, gradients = read(curve)
+    interference = _interference(term, i, absorption, gradients, spread_over_time)
+    added = np.zeros_like(values)
+    if term.rows[i].length_m.any():
+        by_pressures = curve_by_pressures(term, i, absorption, energy)
+        added = read(by_pressures, derivative=False)[0] - values
+    return values, interference, added, _tracing(term, i, absorption, gradients)
 
 
 def _values(
@@ -275,10 +306,10 @@ def _interference(
     return np.asarray((gradients * variance) @ gradients.T)
 
 
-def values_by_pressures(
+def curve_by_pressures(
     term: ValuesTerm, i: int, absorption: FloatArray, energy: FloatArray
-) -> FloatArray:
-    """Return the values of a pair if the images in a box of smooth walls add as pressures.
+) -> DecayCurve:
+    """Return the decay curve of a pair if the images in a box of smooth walls add as pressures.
 
     Images on a lattice keep their order: between walls that differ much their pressures leave 3 to
     7 dB less than their energies 15 to 30 dB down the decay, at all positions alike.
@@ -307,9 +338,7 @@ def values_by_pressures(
     together *= n / (2.0 * energy_bandwidth_hz(bank)[0] * bin_s)
     alone = np.bincount(window_of_rows(rows)[image], root**2, edges.size - 1)
     rest = spread_energy(term.spreading, np.maximum(energy - alone, 0.0))
-    energy = rest + together
-    curve = echogram_decay_curve(term.bands, energy, edges, observed.direct_s)
-    return value_gradients(curve, 0, observed.names, derivative=False)[0]
+    return echogram_decay_curve(term.bands, rest + together, edges, observed.direct_s)
 
 
 def _tracing(term: ValuesTerm, i: int, absorption: FloatArray, gradients: FloatArray) -> FloatArray:

@@ -33,6 +33,7 @@ from roomfit.response.directivity import (
 from roomfit.scene import Scene
 from roomfit.settings import Settings
 from roomfit.signals.iso3382 import MeasuredValues
+from roomfit.signals.speech import speech_levels
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
@@ -54,6 +55,7 @@ class PredictArguments(TypedDict):
     changes: tuple[Change, ...]
     measurements: tuple[Measurement | MeasuredValues, ...]
     settings: Settings
+    speech_db: FloatArray | None
 
 
 def predict_arguments(
@@ -159,6 +161,9 @@ def predict_arguments(
         "changes": tuple(changes),
         "measurements": measurements,
         "settings": campaign.settings,
+        "speech_db": speech_levels(campaign.speech.level_dba, campaign.speech.noise_db)
+        if campaign.speech
+        else None,
     }
 
 

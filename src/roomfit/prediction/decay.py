@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from roomfit.inversion.compare import predicted_curve
 from roomfit.inversion.scattering import band_factors, specified_scattering
 from roomfit.inversion.trace_plan import cached_trace, plan_trace
 from roomfit.materials.priors import MaterialPrior, unknown_material
-from roomfit.objective.room_parameters import predicted_values, value_covariances, value_terms
+from roomfit.objective.room_parameters import predicted_values, scatter_parts, value_terms
 from roomfit.response.binned import BinnedPaths, bin_paths, pair_energies, regrouped
 from roomfit.response.directivity import known_directivities
 from roomfit.response.energy import regrouped_rows, thinned_rows
@@ -30,9 +31,23 @@ from roomfit.scene import (
     select_pairs,
 )
 from roomfit.settings import Settings
-from roomfit.signals.decay import DecayCurve, decay_curve_db, echogram_decay_curve, room_parameters
+from roomfit.signals.decay import (
+    FIT_RANGES_DB,
+    DecayCurve,
+    decay_curve_db,
+    echogram_decay_curve,
+    room_parameters,
+)
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, value_gradients
-from roomfit.typing import BoolArray, FloatArray, Progress, part
+from roomfit.signals.speech import (
+    SPEECH_BANDS_HZ,
+    modulation_gradients,
+    modulation_transfer,
+    speech_transmission,
+    sti_gradients,
+    sti_missing,
+)
+from roomfit.typing import FloatArray, IntArray, Progress, part
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 # T30 is read from 5 to 35 dB below the start of the decay.
@@ -152,7 +167,7 @@ _BINS_TOGETHER = 10
 _PICTURE_POINTS = 160
 _LOWEST_DB = -200.0
 # Times are compared by their ratio, all else by the difference.
-RELATIVE: BoolArray = np.array([name in ("EDT_s", "T20_s", "T30_s") for name in VALUE_NAMES])
+_RELATIVE = np.array([name in FIT_RANGES_DB for name in VALUE_NAMES])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,6 +190,8 @@ class PairNumbers:
     draws: FloatArray  # (n_draws, n_names, n_bands), under each draw of the absorption
     noise_sd: FloatArray  # (n_names, n_bands), of interfering reflections and the number of rays
     decay: PredictedDecay
+    # the speech transmission index as one name in one band, where the bands give it
+    sti: PairNumbers | None = None
 
 
 def pair_numbers(
@@ -184,6 +201,7 @@ def pair_numbers(
     pair: int,
     absorption: FloatArray,
     draws: FloatArray,
+    speech_db: FloatArray | None = None,
 ) -> PairNumbers:
     """Return the predictions for one pair of the scene.
 
@@ -191,6 +209,8 @@ def pair_numbers(
     ----------
     absorption : float array, shape (n_materials, n_bands)
     draws : float array, shape (n_draws, n_materials, n_bands)
+    speech_db : float array, shape (2, 7), optional
+        As of `roomfit.predict`.
     """
     alone = select_pairs(scene, slice(pair, pair + 1))
     bands_of = {f: (rows[pair],) for f, rows in binned.by_band.items()}
@@ -205,17 +225,54 @@ def pair_numbers(
         ]
     )
     times = np.linspace(0.0, float(curve.time_s[-1]), _PICTURE_POINTS)
-    moved, shapes = _draws(bands, own, direct_s, np.stack([absorption, *draws]), attenuation, times)
+    absorptions = np.stack([absorption, *draws])
+    moved, shapes, transfers = _draws(bands, own, direct_s, absorptions, attenuation, times)
     ratio = np.divide(moved[1:], moved[0], out=np.ones_like(moved[1:]), where=moved[0] != 0.0)
-    drawn = np.where(RELATIVE[:, None], values * ratio, values + (moved[1:] - moved[0]))
+    drawn = np.where(_RELATIVE[:, None], values * ratio, values + (moved[1:] - moved[0]))
     decay_db = levels_at(curve, times)
     low, high = np.quantile(shapes[1:] - shapes[0], (0.025, 0.975), axis=0)
-    return PairNumbers(
-        values,
-        drawn,
-        _noise_sd(alone, bands, own, absorption),
-        PredictedDecay(times, decay_db, decay_db + low, decay_db + high),
+    decay = PredictedDecay(times, decay_db, decay_db + low, decay_db + high)
+    if sti_missing(bands):
+        noise_sd = _noise_sd(alone, bands, own, absorption, None)[:-1]
+        return PairNumbers(values, drawn, noise_sd, decay)
+    speech = speech_bands(bands)
+    transfer = modulation_transfer(curve)[speech]
+    levels_db = levels_at_listener(speech_db, values[-1, speech])
+    index = speech_transmission(transfer, levels_db)
+    moved_db = levels_at_listener(speech_db, moved[:, -1, speech])
+    of_draws = speech_transmission(transfers[:, speech], moved_db)
+    by_transfer, by_level = np.zeros((len(bands), len(transfer[0]))), np.zeros(len(bands))
+    by_transfer[speech], by_level[speech] = sti_gradients(transfer, levels_db)
+    weights = np.column_stack([by_transfer, by_level])
+    noise_sd = _noise_sd(alone, bands, own, absorption, weights)
+    # bands scatter by themselves; one trace serves all
+    sti = PairNumbers(
+        index.reshape(1, 1),
+        np.clip(index + of_draws[1:] - of_draws[0], 0.0, 1.0).reshape(-1, 1, 1),
+        np.sqrt(np.sum(noise_sd[-1] ** 2, keepdims=True))[:, None],
+        decay,
     )
+    return PairNumbers(values, drawn, noise_sd[:-1], decay, sti)
+
+
+def speech_bands(bands: Bands) -> IntArray:
+    """Return where the octaves from 125 Hz to 8 kHz stand among bands that have them, (7,)."""
+    return np.searchsorted(bands.centres_hz, SPEECH_BANDS_HZ)
+
+
+def levels_at_listener(speech_db: FloatArray | None, strength_db: FloatArray) -> FloatArray | None:
+    """Return levels of speech and noise where the strength G is known, shape (..., 2, 7).
+
+    Parameters
+    ----------
+    speech_db : float array, shape (2, 7), or None
+        Speech at 1 m in the free field, 20 dB above what G refers to, and noise at the listener.
+    strength_db : float array, shape (..., 7)
+    """
+    if speech_db is None:
+        return None
+    speech = speech_db[0] - 20.0 + strength_db
+    return np.stack([speech, np.broadcast_to(speech_db[1], speech.shape)], axis=-2)
 
 
 def _draws(
@@ -225,13 +282,17 @@ def _draws(
     absorptions: FloatArray,
     attenuation: FloatArray,
     times: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return values and decay levels under several absorptions, from fewer rows and wider bins."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return values, decay levels and modulation transfer under several absorptions.
+
+    From fewer rows and wider bins.
+    """
     edges_s = np.append(own.edges_s[:-1][::_BINS_TOGETHER], own.edges_s[-1])
     first = np.arange(0, own.edges_s.size - 1, _BINS_TOGETHER)
     few = regrouped(own, edges_s, lambda r: regrouped_rows(thinned_rows(r, _ROWS_OF_A_DRAW), first))
     values = np.empty((len(absorptions), len(VALUE_NAMES), len(bands)))
     shapes = np.empty((len(absorptions), len(bands), times.size))
+    transfers = []
     for i, absorption in enumerate(absorptions):
         energy = pair_energies(few, bands, 0, absorption, attenuation)
         # a wall that absorbs all leaves later bins empty: too little to matter, but not nothing
@@ -240,7 +301,9 @@ def _draws(
         for band in range(len(bands)):
             values[i, :, band] = value_gradients(curve, band, VALUE_NAMES, derivative=False)[0]
         shapes[i] = levels_at(curve, times)
-    return values, shapes
+        if not sti_missing(bands):
+            transfers.append(modulation_transfer(curve, 0.0))
+    return values, shapes, np.array(transfers)
 
 
 def levels_at(curve: DecayCurve, times: FloatArray) -> FloatArray:
@@ -249,10 +312,23 @@ def levels_at(curve: DecayCurve, times: FloatArray) -> FloatArray:
     return np.stack([np.interp(times, curve.time_s, row) for row in levels])
 
 
-def _noise_sd(alone: Scene, bands: Bands, own: BinnedPaths, absorption: FloatArray) -> FloatArray:
-    """Return by how much values scatter though the absorption is known, (n_names, n_bands)."""
+def _noise_sd(
+    alone: Scene,
+    bands: Bands,
+    own: BinnedPaths,
+    absorption: FloatArray,
+    weights: FloatArray | None,
+) -> FloatArray:
+    """Return by how much values scatter though the absorption is known, (n_names + 1, n_bands).
+
+    Last stands the weighted sum of modulation transfers and level, zero without `weights`.
+
+    Parameters
+    ----------
+    weights : float array, shape (n_bands, 14 + 1), or None
+    """
     source, receiver = alone.pairs[0]
-    sd = np.empty((len(VALUE_NAMES), len(bands)))
+    sd = np.zeros((len(VALUE_NAMES) + 1, len(bands)))
     for band in range(len(bands)):
         one = Bands(bands.kind, bands.centres_hz[band : band + 1])
         chosen = absorption[:, band : band + 1]
@@ -268,6 +344,23 @@ def _noise_sd(alone: Scene, bands: Bands, own: BinnedPaths, absorption: FloatArr
         if term is None or term.observations[0].names != VALUE_NAMES:
             sd[:, band] = np.nan
             continue
-        (covariance,) = value_covariances(replace(term, model_error_jnd=0.0), chosen[:, 0])
-        sd[:, band] = np.sqrt(np.diag(covariance))
+        read = partial(_read, None if weights is None else weights[band])
+        _, interference, added, tracing = scatter_parts(term, 0, chosen[:, 0], read)
+        scatter = np.diag(interference + np.outer(added, added) + tracing)
+        sd[: scatter.size, band] = np.sqrt(scatter)
     return sd
+
+
+def _read(
+    weights: FloatArray | None, curve: DecayCurve, *, derivative: bool = True
+) -> tuple[FloatArray, FloatArray]:
+    """Return the values of a band and their derivatives; below them the weighted sum, if any."""
+    values, gradients = value_gradients(curve, 0, VALUE_NAMES, derivative=derivative)
+    if weights is None:
+        return values, gradients
+    transfer, by_energy = modulation_gradients(curve, 0)
+    together = float(weights[:-1] @ transfer + weights[-1] * values[-1])
+    if derivative:
+        row = weights[:-1] @ by_energy + weights[-1] * gradients[-1]
+        gradients = np.vstack([gradients, row])
+    return np.append(values, together), gradients

@@ -1,19 +1,23 @@
-"""A prediction as predicted.json and predicted.csv (format_version 1), as text, and as a figure."""
+"""A prediction as predicted.json and predicted.csv (format_version 1), as text, page and figure."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from roomfit.bands import Bands
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.errors import InputError
+from roomfit.findings import Finding
 from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
-from roomfit.prediction.decay import RELATIVE
+from roomfit.prediction.changes import Change, change_text
 from roomfit.report.figures import (
     LOWEST_DB,
     OKABE_ITO,
@@ -22,12 +26,25 @@ from roomfit.report.figures import (
     literal,
     new_figure,
 )
+from roomfit.report.html import tables_page
 from roomfit.report.text import findings_text
-from roomfit.report.wording import decay_time_key, html_findings, html_table, parameter
-from roomfit.signals.iso3382 import VALUE_NAMES, ValueName
-from roomfit.typing import FloatArray
+from roomfit.report.wording import (
+    Cell,
+    Row,
+    Table,
+    band_tables,
+    decay_time_key,
+    html_findings,
+    html_table,
+    parameter,
+)
+from roomfit.signals.decay import FIT_RANGES_DB
+from roomfit.signals.iso3382 import ValueName
+from roomfit.signals.speech import sti_missing
+from roomfit.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
+    from roomfit.prediction.listen import ChangedResponse
     from roomfit.prediction.predict import Predicted, PredictedPair, PredictedValue
 
 COLUMNS = (
@@ -40,7 +57,7 @@ _OF_A_CHANGE = COLUMNS[11:]
 
 
 def write_predicted(folder: Path, predicted: Predicted, inputs: Iterable[Path]) -> None:
-    """Write ``predicted.json`` and ``predicted.csv`` into a folder.
+    """Write ``predicted.json``, ``predicted.csv`` and ``predicted.html`` into a folder.
 
     Raises
     ------
@@ -49,6 +66,7 @@ def write_predicted(folder: Path, predicted: Predicted, inputs: Iterable[Path]) 
     """
     content = predicted_content(predicted, inputs)
     write_text_atomically(folder / "predicted.csv", predicted_csv(predicted))
+    write_text_atomically(folder / "predicted.html", predicted_page(predicted))
     write_json_atomically(folder / "predicted.json", content)
 
 
@@ -76,10 +94,13 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
                 "receiver": p.receiver,
                 "use": p.use,
                 "parameters": _parameters(p.parameters),
+                "sti": _one_number(p.sti),
             }
             for p in predicted.pairs
         ],
         "mean": _parameters(predicted.mean),
+        "sti": _one_number(predicted.sti),
+        "sti_missing": sti_missing(predicted.bands) or None,
         "findings": [finding_content(f) for f in predicted.findings],
         "prediction": {
             "draws": predicted.n_draws,
@@ -93,13 +114,17 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
 def predicted_rows(
     predicted: Predicted,
 ) -> Iterator[tuple[tuple[str, str, str, str], tuple[float, ...]]]:
-    """Yield one row a pair, parameter and band: its texts and its numbers, NaN where unknown."""
+    """Yield one row a pair, parameter and band: its texts and its numbers, NaN where unknown.
+
+    The speech transmission index has one row a pair, and no band.
+    """
     for pair in predicted.pairs:
-        for name, v in pair.parameters.items():
+        for name, v in _with_sti(pair.parameters, pair.sti).items():
             numbers_of = [v.predicted, v.lower95, v.upper95, v.measured, v.jnd, v.mean_of_others]
-            unknown = np.full(len(predicted.bands), np.nan)
+            unknown = np.full(v.predicted.size, np.nan)
             numbers_of += [getattr(v.change, c, unknown) for c in _OF_A_CHANGE]
-            for band, centre in enumerate(predicted.bands.centres_hz):
+            centres_hz = predicted.bands.centres_hz if name != "STI" else [np.nan]
+            for band, centre in enumerate(centres_hz):
                 values = (float(centre), *(float(n[band]) for n in numbers_of))
                 yield (pair.source, pair.receiver, pair.use or "", name), values
 
@@ -109,20 +134,33 @@ def predicted_csv(predicted: Predicted) -> str:
     rows = []
     for texts, (centre_hz, *values) in predicted_rows(predicted):
         cells = [f"{v:.4f}" if np.isfinite(v) else "" for v in values]
-        rows.append([*texts, f"{centre_hz:g}", *cells])
+        rows.append([*texts, f"{centre_hz:g}" if np.isfinite(centre_hz) else "", *cells])
     return csv_text(COLUMNS, rows)
 
 
+def _with_sti(
+    table: Mapping[ValueName, PredictedValue], sti: PredictedValue | None
+) -> dict[str, PredictedValue]:
+    """Return parameters by name, the speech transmission index last."""
+    named: dict[str, PredictedValue] = {str(name): v for name, v in table.items()}
+    return named | ({} if sti is None else {"STI": sti})
+
+
 def _parameters(table: Mapping[ValueName, PredictedValue]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, v in table.items():
-        rows = asdict(v)
-        rows |= rows.pop("change") or {}
-        found[name] = {key: numbers_or_null(row) for key, row in rows.items()}
-    return found
+    return {name: _rows_of(v) for name, v in table.items()}
 
 
-_SHOWN: tuple[tuple[ValueName, str, str], ...] = (
+def _rows_of(value: PredictedValue) -> dict[str, list[float | None]]:
+    rows = asdict(value)
+    rows |= rows.pop("change") or {}
+    return {key: numbers_or_null(row) for key, row in rows.items()}
+
+
+def _one_number(value: PredictedValue | None) -> dict[str, float | None] | None:
+    return None if value is None else {key: row[0] for key, row in _rows_of(value).items()}
+
+
+_SHOWN: tuple[tuple[str, str, str], ...] = (
     ("T20_s", "T20 s", "{:.2f}"),
     ("T30_s", "T30 s", "{:.2f}"),
     ("EDT_s", "EDT s", "{:.2f}"),
@@ -131,8 +169,10 @@ _SHOWN: tuple[tuple[ValueName, str, str], ...] = (
     ("D50_percent", "D50 %", "{:.0f}"),
     ("TS_ms", "TS ms", "{:.0f}"),
     ("G_dB", "G dB", "{:.1f}"),
+    ("STI", "STI", "{:.2f}"),
 )
 _MEAN = "Mean over the pairs (over those measured, where some are): predicted, 95 % interval"
+_STI = "Speech transmission index (IEC 60268-16), mean over the pairs, 95 % interval"
 _USES = {None: "not measured", "fit": "measured", "validate": "measured, kept for validation"}
 _PAIRS_SHOWN = 12
 # Of every pair one decay time and one measure of early against late: the first that is known.
@@ -147,7 +187,8 @@ def predict_text(predicted: Predicted) -> str:
     parts = []
     if predicted.changes:
         parts.append("Changed: " + "; ".join(predicted.changes))
-    parts += [mean_table(predicted), pairs_text(predicted), findings_text(predicted.findings)]
+    parts += [mean_table(predicted), sti_text(predicted), pairs_text(predicted)]
+    parts.append(findings_text(predicted.findings))
     return "\n\n".join(p for p in parts if p).replace("result.json)", "predicted.json)")
 
 
@@ -155,23 +196,33 @@ def predicted_html(predicted: Predicted) -> str:
     """Return the mean over the pairs, and all findings, in HTML."""
     caption = "; ".join((_MEAN, *(f"changed: {c}" for c in predicted.changes)))
     columns = ("Hz", *(f"{f:g}" for f in predicted.bands.centres_hz))
-    table = html_table(caption, columns, _lines(predicted.mean))
+    table = html_table(caption, columns, _text_lines(predicted, _with_sti(predicted.mean, None)))
+    if predicted.sti is not None:
+        table += html_table(_STI, ("", "mean"), _text_lines(predicted, {"STI": predicted.sti}))
     return table + html_findings(predicted.findings)
 
 
 def mean_table(predicted: Predicted) -> str:
     """Return the mean of every parameter with its interval, and the measured mean below it."""
-    return "\n".join([_MEAN, _head(predicted), *map(_justified, _lines(predicted.mean))])
+    lines = _text_lines(predicted, _with_sti(predicted.mean, None))
+    return "\n".join([_MEAN, _head(predicted), *map(_justified, lines)])
+
+
+def sti_text(predicted: Predicted) -> str:
+    """Return the speech transmission index of the mean, or why there is none."""
+    if predicted.sti is None:
+        return f"STI is not predicted: {sti_missing(predicted.bands)}."
+    return "\n".join([_STI, *map(_justified, _text_lines(predicted, {"STI": predicted.sti}))])
 
 
 def pairs_text(predicted: Predicted) -> str:
-    """Return T20 and C80, or what is nearest to them, of every pair, a dozen at most."""
+    """Return T20 and C80, or what is nearest to them, and STI of every pair, a dozen at most."""
     lines = ["By pair", _head(predicted)]
     for pair in predicted.pairs[:_PAIRS_SHOWN]:
         lines.append(f"{pair.source} to {pair.receiver}, {_USES[pair.use]}")
         chosen = [next((n for n in names if n in pair.parameters), None) for names in _OF_A_PAIR]
         shown = {name: value for name, value in pair.parameters.items() if name in chosen}
-        lines += map(_justified, _lines(shown))
+        lines += map(_justified, _text_lines(predicted, _with_sti(shown, pair.sti)))
     left = len(predicted.pairs) - _PAIRS_SHOWN
     if left > 0:
         lines.append(f"... and {left} more in predicted.csv")
@@ -187,36 +238,105 @@ def _justified(cells: Sequence[str]) -> str:
     return f"{first:<17}  " + "  ".join(f"{c:>20}" for c in others)
 
 
-def _lines(table: Mapping[ValueName, PredictedValue]) -> list[list[str]]:
-    """Return the cells of a line a parameter, and of further ones: measured, before a change."""
+def _lines(
+    table: Mapping[str, PredictedValue], changes: Sequence[str]
+) -> list[tuple[str, str, list[str]]]:
+    """Return name, what is said of it, and cells of every line of a table.
+
+    What was measured is set against the model of the room as it was measured, never against a
+    changed one.
+    """
     lines = []
     for name, label, form in _SHOWN:
         if name not in table:
             continue
-        v = table[name]
-        lines.append([label, *_with_bounds(form, v.predicted, v.lower95, v.upper95)])
+        v, c = table[name], table[name].change
+        after = _with_bounds(form, v.predicted, v.lower95, v.upper95)
         is_measured = np.isfinite(v.measured).any()
-        c = v.change
-        if c is None:
+        if not changes:
+            lines.append((label, "predicted", after))
             if is_measured:
-                lines.append(["  measured", *_measured_cells(v, form)])
+                lines.append((label, "measured", _measured_cells(v, form)))
             continue
+        lines.append((label, "model after", after))
         if is_measured:
             cells = [form.format(m) if np.isfinite(m) else "-" for m in v.measured]
-            lines.append(["  measured before", *cells])
+            lines.append((label, "measured before", cells))
+        if c is None:
+            continue
         before = _with_bounds(form, c.before, c.before_lower95, c.before_upper95)
-        lines.append(["  model before", *before])
+        lines.append((label, "model before", before))
         if is_measured:
             carried = _with_bounds(form, c.carried, c.carried_lower95, c.carried_upper95)
-            lines.append(["  carried over", *carried])
+            lines.append((label, "carried over", carried))
         rows = (c.change, c.change_lower95, c.change_upper95)
-        if RELATIVE[VALUE_NAMES.index(name)]:
-            lines.append(["  change %", *_with_bounds("{:+.0f}", *(100 * (r - 1) for r in rows))])
+        if name in FIT_RANGES_DB:
+            percent = _with_bounds("{:+.0f}", *(100 * (r - 1) for r in rows))
+            lines.append((label, "change %", percent))
         else:
-            signed = form.replace(":", ":+")
-            unit = label.split()[1].replace("%", "points")
-            lines.append([f"  change {unit}", *_with_bounds(signed, *rows)])
+            unit = label.partition(" ")[2].replace("%", "points")
+            signed = _with_bounds(form.replace(":", ":+"), *rows)
+            lines.append((label, f"change {unit}".rstrip(), signed))
     return lines
+
+
+def _text_lines(predicted: Predicted, table: Mapping[str, PredictedValue]) -> list[list[str]]:
+    """Return the cells of a table as text: the name of a parameter stands above its other lines."""
+    return [
+        [{"predicted": label, "model after": f"{label} after"}.get(what, f"  {what}"), *cells]
+        for label, what, cells in _lines(table, predicted.changes)
+    ]
+
+
+# Of a change, in the order of time.
+_IN_A_PAGE = ("predicted", "measured", "measured before", "model before", "model after")
+
+
+def predicted_page(predicted: Predicted) -> str:
+    """Return the mean and every pair as a page of tables, under the policy of the report.
+
+    Of a change each parameter has what was measured before, the model before and after, what was
+    measured carried over by the change, and the change, with their intervals.
+    """
+
+    def tables(title: str, values: Mapping[ValueName, PredictedValue]) -> tuple[Table, ...]:
+        lines = _lines(_with_sti(values, None), predicted.changes)
+        return band_tables(
+            title, "parameter", predicted.bands.centres_hz, lambda at: _rows(lines, at)
+        )
+
+    shown = [*tables(_MEAN, predicted.mean)]
+    for p in predicted.pairs:
+        shown += tables(f"{p.source} to {p.receiver}, {_USES[p.use]}", p.parameters)
+    rows = []
+    for title, sti in (
+        ("mean over the pairs", predicted.sti),
+        *((f"{p.source} to {p.receiver}", p.sti) for p in predicted.pairs),
+    ):
+        if sti is not None:
+            lines = [(title, *rest) for _, *rest in _lines({"STI": sti}, predicted.changes)]
+            rows += _rows(lines, np.zeros(1, dtype=np.int64))
+    if rows:
+        shown.insert(1, Table(_STI, "pair", ("125 Hz to 8 kHz",), tuple(rows)))
+    lead = [f"Changed: {'; '.join(predicted.changes)}."] if predicted.changes else []
+    lead += [] if rows else [f"STI is not predicted: {sti_missing(predicted.bands)}."]
+    lead += [f.sentence for f in predicted.findings if f.severity != "info"]
+    title = "Before and after" if predicted.compares_states else "Predicted"
+    return tables_page(title, " ".join(lead), shown)
+
+
+def _rows(lines: Sequence[Sequence[Any]], at: IntArray) -> list[Row]:
+    """Return lines in the order of time, values above their intervals; each name stands once."""
+    rows = []
+    for label, own in groupby(lines, key=itemgetter(0)):
+        ordered = sorted(
+            own, key=lambda r: _IN_A_PAGE.index(r[1]) if r[1] in _IN_A_PAGE else len(_IN_A_PAGE)
+        )
+        for i, (_, what, cells) in enumerate(ordered):
+            parts = [str(cells[j]).partition(" (") for j in at]
+            shown = tuple(Cell(v, (low.rstrip(")"),) if low else ()) for v, _, low in parts)
+            rows.append(Row(label if i == 0 else "", shown, what))
+    return rows
 
 
 def _with_bounds(
@@ -248,7 +368,8 @@ def change_figure(predicted: Predicted) -> Figure:
     InputError
         Nothing was changed, or what is replaced was not known.
     """
-    compared = [(v.change, name) for name, v in predicted.mean.items() if v.change is not None]
+    means = _with_sti(predicted.mean, predicted.sti)
+    compared = [(v.change, name) for name, v in means.items() if v.change is not None]
     if not compared:
         raise InputError(
             "a picture of a change needs the room before and after it",
@@ -257,13 +378,13 @@ def change_figure(predicted: Predicted) -> Figure:
         )
     shown = [(c, n, label) for n, label, _ in _SHOWN for c, m in compared if m == n]
     shown = [row for row in shown if np.isfinite(row[0].change).any()]
+    heads = [f"{f:g}" for f in predicted.bands.centres_hz]
     figure = new_figure(9.0, 2.2 * -(-len(shown) // 2) + 0.8)
-    panels = figure.subplots(-(-len(shown) // 2), 2, sharex=True, squeeze=False).ravel()
-    at = np.arange(len(predicted.bands))
+    panels = figure.subplots(-(-len(shown) // 2), 2, squeeze=False).ravel()
     for unused in panels[len(shown) :]:
         unused.set_visible(False)
     for axes, (c, name, label) in zip(panels, shown, strict=False):
-        v = predicted.mean[name]
+        v, at = means[name], np.arange(means[name].predicted.size)
         series = (
             ("measured before", "black", v.measured, v.measured, v.measured),
             ("model before", OKABE_ITO[0], c.before, c.before_lower95, c.before_upper95),
@@ -276,8 +397,8 @@ def change_figure(predicted: Predicted) -> Figure:
             axes.vlines(x, low, high, color=color, lw=1.6)
             axes.plot(x, middle, "o", color=color, ms=4, label=text)
         axes.set_title(label, fontsize=9)
-        axes.set_xticks(at, [f"{f:g}" for f in predicted.bands.centres_hz])
-        axes.tick_params(labelbottom=True)
+        axes.set_xticks(at, ["125 to 8000"] if name == "STI" else heads)
+        axes.set_xlim(-0.6, at.size - 0.4)
         axes.grid(alpha=0.25, axis="y")
     figure.supxlabel("frequency (Hz)", fontsize=10)
     figure_legend(figure, panels[0], 4, "mean with " + literal("; ".join(predicted.changes), 80))
@@ -297,7 +418,11 @@ def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
             lw=0.0, label="95 % of the absorptions that are possible",
         )  # fmt: skip
         axes.plot(
-            decay.time_s, decay.predicted_db[j], color=OKABE_ITO[1], lw=1.6, label="predicted"
+            decay.time_s,
+            decay.predicted_db[j],
+            color=OKABE_ITO[1],
+            lw=1.6,
+            label="predicted after the change" if predicted.changes else "predicted",
         )
         if decay.before_db is not None:
             axes.plot(
@@ -305,7 +430,8 @@ def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
                 label="predicted before the change",
             )  # fmt: skip
         if decay.measured_db is not None:
-            axes.plot(decay.time_s, decay.measured_db[j], color="black", lw=1.4, label="measured")
+            label = "measured before the change" if predicted.changes else "measured"
+            axes.plot(decay.time_s, decay.measured_db[j], color="black", lw=1.4, label=label)
         known = decay.predicted_db[j] > LOWEST_DB
         shown_s = max(shown_s, float(decay.time_s[known].max(initial=0.0)))
         label = f"{predicted.bands.centres_hz[j]:g} Hz"
@@ -321,3 +447,44 @@ def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
         title += " with " + literal("; ".join(predicted.changes), 80)
     figure_legend(figure, panels[0], 3, title)
     return figure
+
+
+def listen_content(
+    bands: Bands,
+    changes: Sequence[Change],
+    made: Sequence[ChangedResponse],
+    findings: Sequence[Finding],
+    inputs: Iterable[Path],
+) -> dict[str, Any]:
+    """Return what listen.json holds, apart from the names of the sound files."""
+    return {
+        "format": "roomfit-listen",
+        "format_version": 1,
+        "bands_hz": bands.centres_hz,
+        "changes": [change_text(c) for c in changes],
+        "responses": [
+            {
+                "source": c.measurement.source,
+                "receiver": c.measurement.receiver,
+                "noise_from_s": numbers_or_null(c.noise_from_s),
+            }
+            for c in made
+        ],
+        "findings": [finding_content(f) for f in findings],
+        "provenance": provenance(inputs),
+    }
+
+
+def listen_text(content: Mapping[str, Any]) -> str:
+    """Return what was changed, and from when on noise carries what is predicted of the tail."""
+    lines = ["Changed: " + ("; ".join(content["changes"]) or "nothing: every response as it was")]
+    lines.append(
+        "From these times after emission the measured noise carries the predicted tail, s:"
+    )
+    lines.append(_justified(["Hz", *(f"{f:g}" for f in content["bands_hz"])]))
+    for r in content["responses"]:
+        cells = ["-" if t is None else f"{t:.2f}" for t in r["noise_from_s"]]
+        lines.append(_justified([f"{r['source']} to {r['receiver']}", *cells]))
+    low, high = content["bands_hz"][0], content["bands_hz"][-1]
+    lines.append(f"Below {low:g} and above {high:g} Hz the nearest band stands for all.")
+    return "\n".join(lines)

@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from scipy.special import ndtri
@@ -22,12 +22,13 @@ from roomfit.measurement import Measurement, Use
 from roomfit.objective.room_parameters import MODEL_ERROR_JND, values_at
 from roomfit.prediction.changes import Change, change_text, changed_draws, prior_dominated
 from roomfit.prediction.decay import (
-    RELATIVE,
     PairNumbers,
     PredictedDecay,
     follow_decay,
     levels_at,
+    levels_at_listener,
     pair_numbers,
+    speech_bands,
 )
 from roomfit.scene import (
     Scene,
@@ -37,8 +38,9 @@ from roomfit.scene import (
     position_findings,
 )
 from roomfit.settings import Settings
-from roomfit.signals.decay import DecayCurve, in_jnd, jnd_of
+from roomfit.signals.decay import FIT_RANGES_DB, DecayCurve, in_jnd, jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
+from roomfit.signals.speech import modulation_transfer, speech_transmission, sti_missing
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
 
@@ -82,7 +84,9 @@ class PredictedValue:
     # error that the model is granted
     sd_rest: FloatArray
     measured: FloatArray
-    jnd: FloatArray  # predicted minus measured in just noticeable differences
+    # predicted minus measured in just noticeable differences; of a changed room what was predicted
+    # before the change, NaN where that is not known
+    jnd: FloatArray
     mean_of_others: FloatArray  # over the other fitted measurements: a baseline
     change: ValueChange | None = None  # where materials were changed
 
@@ -96,6 +100,7 @@ class PredictedPair:
     use: Use | None  # of its measurement; None where there is none
     parameters: Mapping[ValueName, PredictedValue]
     decay: PredictedDecay
+    sti: PredictedValue | None = None  # shape (1,), where the bands give it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,6 +120,7 @@ class Predicted:
     n_draws: int
     seed: int
     seconds: float
+    sti: PredictedValue | None = None  # as `mean`, of shape (1,), where the bands give it
 
     @property
     def compares_states(self) -> bool:
@@ -167,6 +173,7 @@ def predict(
     changes: Sequence[Change] = (),
     measurements: Sequence[Measurement | MeasuredValues] = (),
     *,
+    speech_db: FloatArray | None = None,
     settings: Settings | None = None,
     cache: Cache | None = None,
     progress: Progress | None = None,
@@ -195,6 +202,10 @@ def predict(
         What if: materials with another absorption, from `roomfit.prediction.changes.read_change`.
     measurements : sequence of Measurement or MeasuredValues, optional
         Of pairs of the scene, to stand beside the prediction; nothing is fitted to them.
+    speech_db : float array, shape (2, 7), optional
+        Octave levels from 125 Hz to 8 kHz of speech at 1 m in the free field, and of noise at the
+        listeners, from `roomfit.signals.speech.speech_levels`; left out: the speech transmission
+        index is that of the room, without noise, masking and threshold.
     settings : Settings, optional
         `Settings.n_draws` draws of the absorption stand behind the intervals.
     cache : Cache, optional
@@ -216,7 +227,8 @@ def predict(
 
     Notes
     -----
-    Parameters are those of ISO 3382-1:2009.
+    Parameters are those of ISO 3382-1:2009, and the speech transmission index of IEC
+    60268-16:2020 where the bands are the octaves from 125 Hz to 8 kHz.
 
     Examples
     --------
@@ -243,7 +255,7 @@ def predict(
     expected, drawn, clipped = changed_draws(absorption, found, changes, rng)
     states = [(expected, drawn)]
     changed = [room.materials.index(c.material) for c in changes]
-    if changes and not _is_unknown(absorption)[changed].any():
+    if changes and not is_unknown(absorption)[changed].any():
         states.append((absorption.absorption, found))
         areas_m2 = material_areas_m2(room, int(pair_states(scene)[0]))
         clipped += prior_dominated(absorption, found, changes, areas_m2, rng)
@@ -266,15 +278,26 @@ def predict(
             one = cached(
                 cache,
                 "pair",
-                (scene, weighed_by, bands, i, a, d),
-                lambda i=i, a=a, d=d: pair_numbers(scene, bands, binned, i, a, d),  # type: ignore[misc]
+                (scene, weighed_by, bands, i, a, d, speech_db),
+                lambda i=i, a=a, d=d: pair_numbers(  # type: ignore[misc]
+                    scene, bands, binned, i, a, d, speech_db
+                ),
                 (PairNumbers, PredictedDecay),
             )
             of_state.append(one.value)
             cache_findings += one.findings
         if progress is not None:
             progress(0.5 + 0.5 * (i + 1) / len(scene.pairs))
-    means = _predicted_means(scene, bands, numbers, observed)
+    observed = _with_sti(scene, bands, observed, numbers[-1], speech_db)
+    means, sti = _predicted_means(scene, numbers, observed)
+    pairs = _predicted_pairs(scene, bands, numbers, observed)
+    if changes and len(states) == 1:
+        # the room as it was measured is not known: nothing stands beside the measurement
+        pairs = tuple(
+            replace(p, parameters=_without_jnd(p.parameters), sti=_without_jnd({0: p.sti})[0])
+            for p in pairs
+        )
+        means, sti = _without_jnd(means), _without_jnd({0: sti})[0]
     lower, upper = absorption.lower95.copy(), absorption.upper95.copy()
     lower[changed], upper[changed] = np.quantile(drawn[:, changed], (0.025, 0.975), axis=0)
     return Predicted(
@@ -284,7 +307,7 @@ def predict(
         lower,
         upper,
         tuple(change_text(c) for c in changes),
-        _predicted_pairs(scene, bands, numbers, observed),
+        pairs,
         means,
         (
             *room.findings,
@@ -298,6 +321,7 @@ def predict(
         len(drawn),
         settings.seed,
         time.perf_counter() - began,
+        sti,
     )
 
 
@@ -347,6 +371,7 @@ class _ObservedPair:
     values: FloatArray  # (n_names, n_bands), in the order of VALUE_NAMES, NaN where unknown
     sd: FloatArray  # (n_names, n_bands), stated with the values; 0 where none is
     curve: DecayCurve | None  # None where room parameters were measured and no response
+    sti: float = np.nan
 
 
 def _observed_pairs(
@@ -374,6 +399,28 @@ def _observed_pairs(
     return tuple(found), findings
 
 
+def _with_sti(
+    scene: Scene,
+    bands: Bands,
+    observed: Sequence[_ObservedPair],
+    numbers: Sequence[PairNumbers],
+    speech_db: FloatArray | None,
+) -> tuple[_ObservedPair, ...]:
+    """Return what was measured with its speech transmission index, at the levels predicted."""
+    if sti_missing(bands):
+        return tuple(observed)
+    at, pairs = speech_bands(bands), [p[:2] for p in pair_names(scene)]
+    found = []
+    for o in observed:
+        if o.curve is not None:
+            strength_db = numbers[pairs.index((o.source, o.receiver))].values[-1, at]
+            levels_db = levels_at_listener(speech_db, strength_db)
+            index = speech_transmission(modulation_transfer(o.curve)[at], levels_db)
+            o = replace(o, sti=float(index))
+        found.append(o)
+    return tuple(found)
+
+
 def _longest_s(observed: Sequence[_ObservedPair]) -> float:
     """Return the longest measured decay time, T20 or T30, 0 where none is known."""
     rows = [VALUE_NAMES.index("T20_s"), VALUE_NAMES.index("T30_s")]
@@ -381,7 +428,7 @@ def _longest_s(observed: Sequence[_ObservedPair]) -> float:
     return max((float(k.max()) for k in known if k.size), default=0.0)
 
 
-def _is_unknown(absorption: AbsorptionPosterior) -> BoolArray:
+def is_unknown(absorption: AbsorptionPosterior) -> BoolArray:
     """Return of which materials nothing is known before a change, (n_materials,)."""
     variance = np.diagonal(absorption.logit_covariance, axis1=1, axis2=2).T
     return np.asarray(((variance <= 0.0) & (absorption.lower95 < absorption.upper95)).any(axis=1))
@@ -421,7 +468,7 @@ def _what_if(
 
 def _directions(bands: Bands, change: ValueChange, name: ValueName) -> dict[str, list[float]]:
     """Return in which bands a value rises and falls at 95 %, and in which none of it is known."""
-    none = 1.0 if RELATIVE[VALUE_NAMES.index(name)] else 0.0
+    none = 1.0 if name in FIT_RANGES_DB else 0.0
     rises, falls = change.change_lower95 > none, change.change_upper95 < none
     ways = {"rises": rises, "falls": falls, "has no determined direction": ~(rises | falls)}
     known = np.isfinite(change.change)
@@ -438,37 +485,63 @@ def _predicted_pairs(
     """Return every pair of the scene, once for each of its measurements, or once without."""
     found = []
     nothing = np.full((len(VALUE_NAMES), len(bands)), np.nan)
+    unknown = np.full((1, 1), np.nan)
     for i, (source, receiver, _) in enumerate(pair_names(scene)):
         states = [of_state[i] for of_state in numbers]
         measured = [m for m in observed_pairs if (m.source, m.receiver) == (source, receiver)]
         rows: list[_ObservedPair | None] = [*measured] or [None]
         for m in rows:
-            values, sd, mean = nothing, nothing, nothing
+            values, sd, mean, index, mean_index = nothing, nothing, nothing, unknown, unknown
             if m is not None:
-                others = [o.values for o in observed_pairs if o.use == "fit" and o is not m]
-                values, sd, mean = m.values, m.sd, _mean(others, len(bands))
+                others = [o for o in observed_pairs if o.use == "fit" and o is not m]
+                values, sd, mean = m.values, m.sd, _mean([o.values for o in others], nothing.shape)
+                index = np.full((1, 1), m.sti)
+                mean_index = _mean([np.array(o.sti) for o in others], (1, 1))
             use = None if m is None else m.use
             decay = _decay(states[0], m)
             if len(states) > 1:
                 decay = replace(decay, before_db=states[1].decay.predicted_db)
-            found.append(
-                PredictedPair(source, receiver, use, _table(states, values, sd, mean), decay)
-            )
+            table = _table(VALUE_NAMES, states, values, sd, mean)
+            of_speech = [n.sti for n in states if n.sti is not None]
+            sti = None
+            if of_speech:
+                sti = _table(("STI",), of_speech, index, 0.0 * unknown, mean_index)["STI"]
+            found.append(PredictedPair(source, receiver, use, table, decay, sti))
     return tuple(found)
 
 
 def _predicted_means(
     scene: Scene,
-    bands: Bands,
     numbers: Sequence[Sequence[PairNumbers]],
     observed_pairs: Sequence[_ObservedPair],
-) -> dict[ValueName, PredictedValue]:
+) -> tuple[dict[ValueName, PredictedValue], PredictedValue | None]:
     """Return means over the measured pairs of each band, over all where none was measured."""
     of_pairs = [
         [m for m in observed_pairs if (m.source, m.receiver) == p[:2]] for p in pair_names(scene)
     ]
-    measured = np.array([_mean([m.values for m in own], len(bands)) for own in of_pairs])
-    sd = np.nan_to_num([_mean([m.sd for m in own], len(bands)) for own in of_pairs])
+    shape = numbers[0][0].values.shape
+    measured = np.array([_mean([m.values for m in own], shape) for own in of_pairs])
+    sd = np.nan_to_num([_mean([m.sd for m in own], shape) for own in of_pairs])
+    means = _mean_table(VALUE_NAMES, numbers, measured, sd)
+    of_speech = [[n.sti for n in of_state if n.sti is not None] for of_state in numbers]
+    if not of_speech[0]:
+        return means, None
+    index = np.array([_mean([np.array(m.sti) for m in own], (1, 1)) for own in of_pairs])
+    return means, _mean_table(("STI",), of_speech, index, np.zeros_like(index))["STI"]
+
+
+def _mean_table(
+    names: Sequence[N],
+    numbers: Sequence[Sequence[PairNumbers]],
+    measured: FloatArray,
+    measured_sd: FloatArray,
+) -> dict[N, PredictedValue]:
+    """Return the means of some parameters.
+
+    Parameters
+    ----------
+    measured, measured_sd : float arrays, shape (n_pairs, n_names, n_bands)
+    """
     chosen = np.isfinite(measured)
     for of_state in numbers:
         chosen &= np.isfinite([n.values for n in of_state])
@@ -484,8 +557,8 @@ def _predicted_means(
         )
         for of_state in numbers
     ]
-    sd = np.sqrt(_weighted(weights**2, sd**2))
-    return _table(states, observed, sd, np.full_like(observed, np.nan))
+    sd = np.sqrt(_weighted(weights**2, measured_sd**2))
+    return _table(names, states, observed, sd, np.full_like(observed, np.nan))
 
 
 def _weighted(weights: FloatArray, values: FloatArray) -> FloatArray:
@@ -493,16 +566,22 @@ def _weighted(weights: FloatArray, values: FloatArray) -> FloatArray:
     return np.asarray(np.where(weights > 0.0, weights * values, 0.0).sum(axis=0))
 
 
-def _model_sd(own: PairNumbers, row: int) -> FloatArray:
-    return MODEL_ERROR_JND * jnd_of(VALUE_NAMES[row], own.values[row])
+def _model_sd(own: PairNumbers, row: int, name: str) -> FloatArray:
+    return MODEL_ERROR_JND * jnd_of(name, own.values[row])
+
+
+N = TypeVar("N", bound=str)
+K = TypeVar("K")
+V = TypeVar("V", PredictedValue, PredictedValue | None)
 
 
 def _table(
+    names: Sequence[N],
     states: Sequence[PairNumbers],
     measured: FloatArray,
     measured_sd: FloatArray,
     mean_of_others: FloatArray,
-) -> dict[ValueName, PredictedValue]:
+) -> dict[N, PredictedValue]:
     """Return predictions with their intervals, and what a change does where there are two states.
 
     Parameters
@@ -513,9 +592,9 @@ def _table(
     """
     after = states[0]
     table = {}
-    for row, name in enumerate(VALUE_NAMES):
+    for row, name in enumerate(names):
         # the model is wrong in the same way everywhere
-        rest_sd = np.hypot(after.noise_sd[row], _model_sd(after, row))
+        rest_sd = np.hypot(after.noise_sd[row], _model_sd(after, row, name))
         low, high = _interval(name, after.draws[:, row], rest_sd)
         table[name] = PredictedValue(
             after.values[row],
@@ -525,19 +604,26 @@ def _table(
             np.std(after.draws[:, row], axis=0),
             rest_sd,
             measured[row],
-            in_jnd(name, measured[row], after.values[row]),
+            in_jnd(name, measured[row], states[-1].values[row]),
             mean_of_others[row],
-            _change(row, states[1], after, measured[row], measured_sd[row])
+            _change(name, row, states, measured[row], measured_sd[row])
             if len(states) > 1
             else None,
         )
     return table
 
 
+def _without_jnd(table: Mapping[K, V]) -> dict[K, V]:
+    return {
+        name: v if v is None else replace(v, jnd=np.full_like(v.jnd, np.nan))
+        for name, v in table.items()
+    }
+
+
 def _change(
+    name: str,
     row: int,
-    before: PairNumbers,
-    after: PairNumbers,
+    states: Sequence[PairNumbers],
     measured: FloatArray,
     measured_sd: FloatArray,
 ) -> ValueChange:
@@ -546,12 +632,12 @@ def _change(
     What is carried over scatters as two measurements do, each with its own interference; the error
     of the model, common to both states, is left out.
     """
-    name = VALUE_NAMES[row]
+    after, before = states
     old, new, drawn_old, drawn_new = (
         before.values[row], after.values[row], before.draws[:, row], after.draws[:, row]
     )  # fmt: skip
     scatter = (before.noise_sd[row], after.noise_sd[row])
-    if RELATIVE[row]:
+    if name in FIT_RANGES_DB:
         with np.errstate(divide="ignore", invalid="ignore"):  # unknown values
             change, drawn = new / old, drawn_new / drawn_old
             relative = np.hypot(scatter[0] / old, scatter[1] / new)
@@ -565,7 +651,7 @@ def _change(
     low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
     return ValueChange(
         old,
-        *_interval(name, drawn_old, np.hypot(scatter[0], _model_sd(before, row))),
+        *_interval(name, drawn_old, np.hypot(scatter[0], _model_sd(before, row, name))),
         change,
         # no direction is said to be determined that the likeliest absorption contradicts
         np.minimum(low, change),
@@ -575,22 +661,21 @@ def _change(
     )
 
 
-def _interval(
-    name: ValueName, draws: FloatArray, rest_sd: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _interval(name: str, draws: FloatArray, rest_sd: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the quantiles of all draws, each widened by noise, of shape (n_bands,) each."""
     wide = draws[:, None, :] + _STEPS[:, None] * rest_sd / np.std(_STEPS)
     low, high = np.quantile(wide.reshape(-1, rest_sd.size), (0.025, 0.975), axis=0)
-    if RELATIVE[VALUE_NAMES.index(name)]:
+    if name in FIT_RANGES_DB:
         low = np.maximum(low, 0.0)
-    if name == "D50_percent":
-        low, high = np.clip(low, 0.0, 100.0), np.clip(high, 0.0, 100.0)
+    if name in ("D50_percent", "STI"):
+        most = 1.0 if name == "STI" else 100.0
+        low, high = np.clip(low, 0.0, most), np.clip(high, 0.0, most)
     return low, high
 
 
-def _mean(rows: Sequence[FloatArray], n_bands: int) -> FloatArray:
+def _mean(rows: Sequence[FloatArray], shape: tuple[int, ...]) -> FloatArray:
     """Return the mean of what is known, NaN where nothing is."""
-    stacked = np.ma.masked_invalid(np.array(rows).reshape(-1, len(VALUE_NAMES), n_bands))
+    stacked = np.ma.masked_invalid(np.array(rows).reshape(-1, *shape))
     return np.asarray(np.ma.filled(stacked.mean(axis=0), np.nan), dtype=np.float64)
 
 

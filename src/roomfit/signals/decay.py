@@ -241,9 +241,17 @@ def _tail(
 
 
 # ISO 3382-1:2009, table A.1: 5 % of EDT (taken for T20 and T30 as well), 1 dB of C80 (and C50) and
-# G, 0.05 of D50, 10 ms of TS.
+# G, 0.05 of D50, 10 ms of TS; Bradley, Reich and Norcross, Applied Acoustics 58, 99-108 (1999):
+# 0.03 of STI.
 _RELATIVE = {"T20_s": 0.05, "T30_s": 0.05, "EDT_s": 0.05}
-_ABSOLUTE = {"C50_dB": 1.0, "C80_dB": 1.0, "D50_percent": 5.0, "TS_ms": 10.0, "G_dB": 1.0}
+_ABSOLUTE = {
+    "C50_dB": 1.0,
+    "C80_dB": 1.0,
+    "G_dB": 1.0,
+    "D50_percent": 5.0,
+    "TS_ms": 10.0,
+    "STI": 0.03,
+}
 
 
 def in_jnd(parameter: str, measured: FloatArray, predicted: FloatArray) -> FloatArray:
@@ -266,7 +274,7 @@ def jnd_of(parameter: str, values: FloatArray) -> FloatArray:
     Parameters
     ----------
     parameter : str
-        "EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms" or "G_dB".
+        "EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms", "G_dB" or "STI".
 
     Raises
     ------

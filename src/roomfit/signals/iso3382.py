@@ -86,7 +86,7 @@ def value_gradients(
             )
     if not derivative:
         return values, np.zeros((len(names), 0))
-    tail, tail_moment_s = _tail_gradients(curve, band)
+    tail, tail_moment_s = tail_gradients(curve, band)
     # a bin counts at every boundary before it, and a little in what comes after the echogram
     gradients = np.cumsum(by_left, axis=1)[:, :-1]
     gradients += by_left.sum(axis=1)[:, None] * tail
@@ -302,7 +302,7 @@ def _centre_time_ms(curve: DecayCurve, band: int) -> tuple[float, FloatArray]:
     return 1000.0 * (moment / total - (curve.onset_s - float(time_s[0]))), by_left
 
 
-def _tail_gradients(curve: DecayCurve, band: int) -> tuple[FloatArray, FloatArray]:
+def tail_gradients(curve: DecayCurve, band: int) -> tuple[FloatArray, FloatArray]:
     """Return the derivatives of the tail's energy and of its moment by the energies of the bins.
 
     The tail is ``last**2 / (before - last)`` of two equal stretches at the end of the echogram,

@@ -1,0 +1,56 @@
+"""``roomfit listen``: measured responses as they would be after a change."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from roomfit.cli.arguments import Commands, add_command
+from roomfit.cli.terminal import progress_line, say
+
+
+def add(commands: Commands) -> None:
+    about = (
+        "Make the measured responses what they would be after a change of materials, as WAV files."
+        "\n\nEvery band is scaled over time by the ratio of the predicted energies after to before."
+    )
+    parser = add_command(commands, "listen", about, run)
+    parser.add_argument("campaign", type=Path, help="Campaign file (TOML) of the measured room.")
+    parser.add_option(
+        "--absorption", "result.json or absorption.csv of its fit.", type=Path, required=True
+    )
+    parser.add_out()
+    parser.add_option(
+        "--set",
+        "The change, as of roomfit predict. May be given several times.",
+        dest="changes",
+        metavar="CHANGE",
+        action="append",
+    )
+    parser.add_option(
+        "--state", "State of the room among the campaign's [[states]]; left out: as described."
+    )
+    parser.add_option(
+        "--dry", "A WAV file of one channel, at the responses' rate, to convolve.", type=Path
+    )
+    parser.add_overwrite()
+
+
+def run(options: argparse.Namespace) -> None:
+    from roomfit.commands import listen_to_folder
+    from roomfit.prediction.changes import read_change
+    from roomfit.prediction.output import listen_text
+
+    with progress_line("listening") as progress:
+        content = listen_to_folder(
+            options.campaign,
+            options.absorption,
+            options.out,
+            [read_change(text) for text in options.changes or []],
+            state=options.state or "",
+            dry=options.dry,
+            overwrite=options.overwrite,
+            progress=progress,
+        )
+    say(listen_text(content))
+    say(f"\nWAV files and listen.json are in {options.out}")

@@ -1,0 +1,252 @@
+"""The speech transmission index of IEC 60268-16 from decay curves, with derivatives.
+
+The indirect method: modulation transfer by Schroeder's formula from the energy of an impulse
+response, the same function for measured and predicted energies.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from roomfit._checks import float_array
+from roomfit.bands import Bands
+from roomfit.errors import InputError
+from roomfit.signals.decay import DecayCurve
+from roomfit.signals.iso3382 import tail_gradients
+from roomfit.typing import FloatArray
+
+SPEECH_BANDS_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
+MODULATIONS_HZ = np.array(
+    [0.63, 0.8, 1.0, 1.25, 1.6, 2.0, 2.5, 3.15, 4.0, 5.0, 6.3, 8.0, 10.0, 12.5]
+)
+# IEC 60268-16:2020, table A.1: weights of bands, and of what neighbours have in common
+_WEIGHT = np.array([0.085, 0.127, 0.230, 0.233, 0.309, 0.224, 0.173])
+_REDUNDANCY = np.array([0.085, 0.078, 0.065, 0.011, 0.047, 0.095])
+# A.4.3, dB: absolute reception threshold of speech
+_THRESHOLD = 10.0 ** (0.1 * np.array([46.0, 27.0, 12.0, 6.5, 7.5, 8.0, 12.0]))
+# A.4.2: level of the lower band from which a line holds, its slope and its height, all in dB
+_MASKING = np.array(
+    [[-np.inf, 0.5, -65.0], [63.0, 1.8, -146.9], [67.0, 0.5, -59.8], [100.0, 0.0, -10.0]]
+)
+# The fifth edition's one spectrum, dB relative to the A-weighted level
+_SPECTRUM_DB = np.array([-2.5, 0.5, 0.0, -6.0, -12.0, -18.0, -24.0])
+_MOST_DB = 15.0  # a modulation index counts between signal-to-noise ratios of -15 and 15 dB
+_DB = 10.0 / np.log(10.0)
+
+
+def sti_missing(bands: Bands) -> str:
+    """Return why bands give no speech transmission index, "" where they do.
+
+    Examples
+    --------
+    >>> sti_missing(Bands("octave", np.array([500.0, 1000.0])))
+    'it needs the octave bands from 125 Hz to 8 kHz, and 125, 250, 2000, 4000, 8000 Hz are missing'
+    """
+    needed = "it needs the octave bands from 125 Hz to 8 kHz, and "
+    if bands.kind != "octave":
+        return f"{needed}the bands are third octaves"
+    missing = [f for f in SPEECH_BANDS_HZ if f not in bands.centres_hz]
+    if not missing:
+        return ""
+    verb = "is" if len(missing) == 1 else "are"
+    return f"{needed}{', '.join(f'{f:g}' for f in missing)} Hz {verb} missing"
+
+
+def speech_levels(level_dba: float, noise_db: ArrayLike | None = None) -> FloatArray:
+    """Return octave levels of speech, and those of noise below them, in dB, shape (2, 7).
+
+    Parameters
+    ----------
+    level_dba : float
+        A-weighted level of speech; 60 dB at 1 m is a normal vocal effort.
+    noise_db : array_like, shape (7,), optional
+        Octave levels of noise, 125 Hz to 8 kHz; left out: none.
+
+    Raises
+    ------
+    InputError
+        Not seven levels, or one that is none.
+    """
+    noise: FloatArray = np.full(7, -np.inf)
+    if noise_db is not None:
+        noise = float_array("noise levels", noise_db, (7,), unit="dB")
+    return np.stack([level_dba + _SPECTRUM_DB, noise])
+
+
+def modulation_transfer(curve: DecayCurve, least_range_db: float = 20.0) -> FloatArray:
+    """Return the modulation transfer in every band, 0 to 1, shape (n_bands, 14).
+
+    From `curve` to its usable end; what follows is the exponential that it is extrapolated by. NaN
+    in bands whose curve is reliable over a smaller range: as of D50, a hundredth of the energy is
+    extrapolated at most.
+
+    Notes
+    -----
+    ``m(F) = |integral of p^2(t) exp(-2 pi i F t)| / integral of p^2(t)`` [1]_, at the 14 modulation
+    frequencies of IEC 60268-16.
+
+    References
+    ----------
+    .. [1] M. R. Schroeder, "Modulation transfer functions: definition and measurement", Acustica
+           49, 179-182 (1981).
+
+    Examples
+    --------
+    An exponential decay, 1 s for 60 dB: ``(1 + (2 pi F T / 13.8)^2)^-1/2``.
+
+    >>> from roomfit.signals.decay import echogram_decay_curve
+    >>> edges_s = np.linspace(0.0, 3.0, 3001)
+    >>> energies = -np.diff(10.0 ** (-6.0 * edges_s))[None, :]
+    >>> octave = Bands("octave", np.array([1000.0]))
+    >>> curve = echogram_decay_curve(octave, energies, edges_s, onset_s=0.0)
+    >>> modulation_transfer(curve)[0, [0, -1]].round(3)
+    array([0.961, 0.173])
+    """
+    found = np.full((len(curve.bands), len(MODULATIONS_HZ)), np.nan)
+    for band in np.flatnonzero(curve.usable_db >= least_range_db):
+        z, total, *_ = _spectrum(curve, int(band))
+        found[band] = np.abs(z) / total
+    return found
+
+
+def modulation_gradients(curve: DecayCurve, band: int) -> tuple[FloatArray, FloatArray]:
+    """Return the modulation transfer of an echogram, and its derivatives by its energies.
+
+    Parameters
+    ----------
+    curve : DecayCurve
+        From `roomfit.signals.decay.echogram_decay_curve`.
+
+    Returns
+    -------
+    values : float array, shape (14,)
+    gradients : float array, shape (14, n_bins)
+        Exact, including the energy that is added for the time after the echogram.
+    """
+    z, total, phase, end, lag = _spectrum(curve, band)
+    by_tail, by_moment = tail_gradients(curve, band)
+    # the moment of the tail is its energy times its time constant
+    by_constant = by_moment - curve.tail_time_constant_s[band] * by_tail
+    omega = 2.0 * np.pi * MODULATIONS_HZ[:, None]
+    by_energy = phase + (end / lag)[:, None] * by_tail
+    by_energy -= 1j * omega * (end / lag**2)[:, None] * by_constant
+    m = np.abs(z) / total
+    turned = np.real(np.conj(z)[:, None] * by_energy) / np.maximum(np.abs(z), 1e-300)[:, None]
+    return m, (turned - m[:, None] * (1.0 + by_tail)) / total
+
+
+def _spectrum(
+    curve: DecayCurve, band: int
+) -> tuple[FloatArray, float, FloatArray, FloatArray, FloatArray]:
+    """Return the spectrum of the energy, the whole energy, and phases of the bins.
+
+    Of the tail follow its phase at the beginning, and what divides it.
+    """
+    left = curve.energy_left[band]
+    last = int(np.flatnonzero(left)[-1]) if left[-1] == 0.0 and left.any() else len(left) - 1
+    time_s = curve.time_s[: last + 1]
+    if not left[0] > 0.0:
+        raise InputError("a response without energy has no modulation transfer")
+    omega = 2.0 * np.pi * MODULATIONS_HZ[:, None]
+    phase = np.exp(-1j * omega * 0.5 * (time_s[1:] + time_s[:-1]))
+    end = np.exp(-1j * omega[:, 0] * time_s[-1])
+    lag = 1.0 + 1j * omega[:, 0] * curve.tail_time_constant_s[band]
+    z = phase @ -np.diff(left[: last + 1]) + left[last] * end / lag
+    return z, float(left[0]), phase, end, lag
+
+
+def speech_transmission(transfer: FloatArray, levels_db: FloatArray | None = None) -> FloatArray:
+    """Return the speech transmission index, 0 to 1, of the shape (...).
+
+    Parameters
+    ----------
+    transfer : float array, shape (..., 7, 14)
+        Modulation transfer of the octave bands from 125 Hz to 8 kHz, without noise; NaN gives NaN.
+    levels_db : float array, shape (..., 2, 7), optional
+        At the listener: of speech and of noise, as of `speech_levels`. Left out: no noise, and
+        neither auditory masking nor the threshold of reception.
+
+    Notes
+    -----
+    IEC 60268-16:2020, annex A: each modulation index is multiplied by the intensity of the speech
+    over that of speech, noise, masking by the next lower band and the threshold of reception
+    together; masking depends on the level, noise included, of that lower band. As the standard
+    subtracts what bands have in common, the index of one band may rise and the whole fall, where
+    its neighbours' are far larger; and of seven indices it may exceed 1, which is then taken.
+
+    Examples
+    --------
+    A signal-to-noise ratio of 0 dB in every band halves the modulation, the middle of the scale:
+
+    >>> round(float(speech_transmission(np.full((7, 14), 0.5))), 6)
+    0.5
+    """
+    return _by_band(transfer, levels_db)[0]
+
+
+def sti_gradients(
+    transfer: FloatArray, levels_db: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the derivatives of `speech_transmission` by the transfer and by the speech's levels.
+
+    Returns
+    -------
+    by_transfer : float array, shape (7, 14)
+    by_level : float array, shape (7,)
+        Per dB, 0 without levels.
+    """
+    _, m, mti, inside = _by_band(transfer, levels_db)
+    root = np.sqrt(np.maximum(mti, 1e-12))
+    by_mti = _WEIGHT.copy()
+    by_mti[:-1] -= 0.5 * _REDUNDANCY * root[1:] / root[:-1]
+    by_mti[1:] -= 0.5 * _REDUNDANCY * root[:-1] / root[1:]
+    slope = _DB / (2.0 * _MOST_DB * len(MODULATIONS_HZ)) / (m * (1.0 - m))
+    by_index = by_mti[:, None] * np.where(inside, slope, 0.0)
+    if levels_db is None:
+        return by_index, np.zeros(7)
+    share, by_own, by_lower = _speech_shares(levels_db)
+    by_share = np.sum(by_index * transfer, axis=1)
+    by_level = by_share * by_own
+    by_level[:-1] += by_share[1:] * by_lower[1:]
+    return by_index * share[:, None], by_level
+
+
+def _by_band(
+    transfer: FloatArray, levels_db: FloatArray | None
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the index, modulation indices, their mean by band, and which count as they are."""
+    m = np.asarray(transfer, dtype=np.float64)
+    if m.shape[-2:] != (7, 14):
+        raise InputError(
+            "a speech transmission index needs seven octaves and 14 modulation frequencies",
+            found=f"a transfer of shape {m.shape}",
+            needed="(..., 7, 14)",
+        )
+    if levels_db is not None:
+        m = m * _speech_shares(levels_db)[0][..., None]
+    m = np.clip(m, 1e-9, 1.0 - 1e-9)
+    level = _DB * np.log(m / (1.0 - m))
+    mti = np.mean((np.clip(level, -_MOST_DB, _MOST_DB) + _MOST_DB) / (2.0 * _MOST_DB), axis=-1)
+    common = np.sqrt(mti[..., :-1] * mti[..., 1:]) @ _REDUNDANCY
+    found = np.minimum(mti @ _WEIGHT - common, 1.0)
+    return np.asarray(found), m, mti, np.asarray(np.abs(level) < _MOST_DB)
+
+
+def _speech_shares(levels_db: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the share of the speech in what is audible, and its derivatives per dB.
+
+    By the level of the speech in the own band, and in the next lower one; (..., 7) each.
+    """
+    speech, noise = np.moveaxis(10.0 ** (0.1 * np.asarray(levels_db)), -2, 0)
+    lower = np.maximum((speech + noise)[..., :-1], 1e-30)
+    level = _DB * np.log(lower)
+    piece = np.searchsorted(_MASKING[:, 0], level, side="right") - 1
+    slope, height = _MASKING[piece, 1], _MASKING[piece, 2]
+    factor = 10.0 ** (0.1 * (slope * level + height))
+    nothing = np.zeros_like(speech[..., :1])
+    masking = np.concatenate([nothing, lower * factor], axis=-1)
+    audible = speech + noise + masking + _THRESHOLD
+    share = speech / audible
+    by_lower = np.concatenate([nothing, (1.0 + slope) * factor * speech[..., :-1]], axis=-1)
+    return share, share * (1.0 - share) / _DB, -share / audible * by_lower / _DB

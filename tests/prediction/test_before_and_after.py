@@ -1,0 +1,100 @@
+"""Before and after: side by side, and never the changed room against the old measurement."""
+
+from __future__ import annotations
+
+import re
+from html import unescape
+
+import numpy as np
+import pytest
+
+import roomfit
+from roomfit.bands import bands_between
+from roomfit.logit import logit
+from roomfit.prediction.changes import Change
+from roomfit.prediction.output import change_figure, predict_text, predicted_page
+from roomfit.prediction.predict import predict
+from roomfit.signals.decay import in_jnd
+from roomfit.signals.iso3382 import MeasuredValues
+from roomfit.uncertainty.posterior import AbsorptionPosterior
+
+BANDS = bands_between("octave", 125, 8000)
+FEW = roomfit.Settings(n_rays=2000, n_draws=8)
+SIDES = ("west", "east", "south", "north", "ceiling")
+MEASURED = MeasuredValues("S", "R", BANDS.centres_hz, {"T20_s": [0.8] * 7, "C80_dB": [4.0] * 7})
+ORDER = ["measured before", "model before", "model after", "carried over"]
+
+
+def foreseen(changes, known_walls: bool = True):
+    room = roomfit.shoebox_room((6.0, 5.0, 3.0), dict.fromkeys(SIDES, "walls") | {"floor": "floor"})
+    scene = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+    a, sd = np.full((2, 7), 0.15), np.array([0.1, 0.1 if known_walls else 0.0])[:, None]
+    low, high = (1.0 / (1.0 + np.exp(-(logit(a) + s * 1.96 * sd))) for s in (-1, 1))
+    if not known_walls:
+        # as of a material that the result does not name
+        low[1], high[1] = 0.0, 1.0
+    covariance = np.tile(np.diag(sd[:, 0] ** 2), (7, 1, 1))
+    known = AbsorptionPosterior(
+        room.materials, BANDS, a, low, high, covariance, scattering=np.full(a.shape, 0.4)
+    )
+    return predict(scene, known, changes, [MEASURED], settings=FEW)
+
+
+CHANGE = Change("floor", "value", (0.5,) * 7, (0.05,) * 7)
+
+
+@pytest.fixture(scope="module")
+def compared():
+    return foreseen([CHANGE])
+
+
+def test_what_was_measured_is_judged_by_the_model_of_the_room_as_it_was(compared):
+    for table in (compared.mean, compared.pairs[0].parameters):
+        v = table["T20_s"]
+        np.testing.assert_allclose(v.jnd, in_jnd("T20_s", v.measured, v.change.before))
+        assert np.all(np.abs(v.jnd - in_jnd("T20_s", v.measured, v.predicted)) > 1.0)
+
+
+def test_where_the_room_before_is_not_known_nothing_stands_against_the_measurement():
+    found = foreseen([CHANGE], known_walls=False)
+    assert not found.compares_states
+    for v in (found.mean["T20_s"], found.pairs[0].parameters["C80_dB"]):
+        assert np.isnan(v.jnd).all()
+        assert np.isfinite(v.measured).all()
+    assert "jnd" not in predict_text(found)
+    assert "measured before" in predict_text(found)
+
+
+def test_the_page_has_all_parameters_in_the_order_of_time_per_pair_and_mean(compared):
+    page = predicted_page(compared)
+    tables = re.findall(r"<caption>(.*?)</caption>(.*?)</table>", page, flags=re.DOTALL)
+    captions = [unescape(c) for c, _ in tables]
+    assert captions[0].startswith("Mean over the pairs")
+    assert captions[1].startswith("Speech transmission index")
+    assert captions[2] == "S to R, measured"
+    rows = re.findall(r'<th scope="row">(.*?)</th>', tables[2][1])
+    heads = [re.sub(r"<small>.*", "", r).strip() for r in rows]
+    kinds = [re.search(r"<small>(.*?)</small>", r).group(1) for r in rows]
+    assert [h for h in heads if h] == [
+        "T20 s", "T30 s", "EDT s", "C50 dB", "C80 dB", "D50 %", "TS ms", "G dB",
+    ]  # fmt: skip
+    first = kinds[: kinds.index("change %") + 1]
+    assert first == [*ORDER, "change %"]
+    # without a measurement there is nothing to carry over
+    strength = kinds[heads.index("G dB") :]
+    assert strength == ["model before", "model after", "change dB"]
+    v = compared.pairs[0].parameters["T20_s"]
+    for number in (v.change.before_lower95[0], v.change.carried[0], v.upper95[0]):
+        assert f"{number:.2f}" in tables[2][1]
+
+
+def test_the_picture_has_a_panel_for_every_parameter_and_for_sti(compared):
+    titles = [axes.get_title() for axes in change_figure(compared).axes if axes.get_visible()]
+    assert titles[-1] == "STI"
+    assert len(titles) == 9
+
+
+def test_without_a_change_the_page_says_predicted_and_measured():
+    page = predicted_page(foreseen([]))
+    assert "before" not in re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL)
+    assert "<small>measured</small>" in page

@@ -1,0 +1,229 @@
+"""The speech transmission index: closed forms, laws, derivatives, and another program."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roomfit.bands import Bands
+from roomfit.errors import InputError
+from roomfit.signals.decay import decay_curve, echogram_decay_curve
+from roomfit.signals.filters import FilterBank
+from roomfit.signals.response import ImpulseResponse, find_onset
+from roomfit.signals.speech import (
+    MODULATIONS_HZ,
+    SPEECH_BANDS_HZ,
+    modulation_gradients,
+    modulation_transfer,
+    speech_levels,
+    speech_transmission,
+    sti_gradients,
+    sti_missing,
+)
+
+OCTAVES = Bands("octave", np.array(SPEECH_BANDS_HZ))
+indices = st.lists(st.floats(0.0, 1.0), min_size=98, max_size=98).map(
+    lambda v: np.array(v).reshape(7, 14)
+)
+levels = st.lists(st.floats(-20.0, 110.0), min_size=14, max_size=14).map(
+    lambda v: np.array(v).reshape(2, 7)
+)
+
+
+def exponential(decay_s: float) -> np.ndarray:
+    """Return the closed form: 13.8 is 6 ln 10."""
+    m = 1.0 / np.hypot(1.0, 2.0 * np.pi * MODULATIONS_HZ * decay_s / (6.0 * np.log(10.0)))
+    return np.tile(m, (7, 1))
+
+
+def echogram(decay_s: np.ndarray, length: float = 1.2, bin_s: float = 1e-3):
+    edges_s = np.arange(0.0, length * float(np.max(decay_s)), bin_s)
+    energy = -np.diff(10.0 ** (-6.0 * edges_s / np.asarray(decay_s)[:, None]), axis=1)
+    return echogram_decay_curve(Bands("octave", OCTAVES.centres_hz[: len(decay_s)]), energy,
+                                edges_s, 0.0)  # fmt: skip
+
+
+@pytest.mark.parametrize("length", [0.6, 1.5])
+def test_exponential_decays_have_schroeders_transfer(length):
+    """Short echograms too, since the rest is extrapolated; bins of 1 ms blur by (pi F 1 ms)^2/6."""
+    decay_s = np.array([0.2, 0.5, 1.0, 2.0, 4.0, 0.3, 0.8])
+    found = modulation_transfer(echogram(decay_s, length))
+    expected = np.stack([exponential(t)[0] for t in decay_s])
+    # bins that hold the end of a stretch in part move the tail by less than a thousandth
+    np.testing.assert_allclose(found, expected, rtol=1.5e-3)
+
+
+def test_noise_divides_the_modulation_as_the_signal_to_noise_ratio_says():
+    """Loud enough that no threshold counts, and bands so that none masks the next."""
+    m = exponential(1.0)
+    own = np.array([90.0, 30.0, 90.0, 30.0, 90.0, 30.0, 90.0])
+    snr = 3.0
+    found = speech_transmission(m, np.stack([own, own - snr]))
+    loud = np.array([True, False] * 3 + [True])
+    expected = m / (1.0 + 10.0 ** (-0.1 * snr))
+    # masking at 90 dB is 14.8 dB below its band: 75 dB, of which the quiet bands hold nothing
+    expected[~loud] = 0.0
+    assert found == pytest.approx(float(speech_transmission(expected)), abs=1e-3)
+
+
+def test_equal_bands_give_the_mean_transmission_index():
+    """The weights less what is common add up to one."""
+    m = exponential(1.3)
+    level = 10.0 * np.log10(m[0] / (1.0 - m[0]))
+    expected = np.mean((np.clip(level, -15.0, 15.0) + 15.0) / 30.0)
+    assert float(speech_transmission(m)) == pytest.approx(expected, abs=1e-12)
+
+
+@given(indices)
+def test_the_index_lies_between_0_and_1(m):
+    assert -1e-12 <= float(speech_transmission(m)) <= 1.0
+
+
+@given(st.floats(0.1, 10.0), st.floats(0.1, 10.0), st.floats(-10.0, 60.0), st.floats(-10.0, 60.0))
+def test_shorter_decays_and_less_noise_never_lower_it(one_s, other_s, noise, more):
+    """All bands alike; a single band may, see `speech_transmission`."""
+    short, long = sorted((one_s, other_s))
+    assert speech_transmission(exponential(short)) >= speech_transmission(exponential(long)) - 1e-12
+    speech = np.full(7, 75.0)
+    quiet, loud = (np.stack([speech, np.full(7, n)]) for n in sorted((noise, more)))
+    m = exponential(short)
+    # masking rises with the noise of the lower band: no band gains
+    assert speech_transmission(m, quiet) >= speech_transmission(m, loud) - 2e-3
+
+
+@given(levels, st.integers(0, 6), st.floats(0.0, 40.0))
+def test_noise_in_any_band_raises_no_band(at_listener, band, by_db):
+    """Each band by itself: the transfer of the others is nothing."""
+    more = at_listener.copy()
+    more[1, band] += by_db
+    for own in range(7):
+        m = np.zeros((7, 14))
+        m[own] = exponential(1.0)[own]
+        quiet, loud = (float(speech_transmission(m, x)) for x in (at_listener, more))
+        # at 100 dB the standard's masking falls by 0.2 dB
+        assert loud <= quiet + 2e-3
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 10_000))
+def test_the_derivatives_are_those_of_finite_differences(seed):
+    rng = np.random.default_rng(seed)
+    m = rng.uniform(0.1, 0.9, (7, 14))
+    at_listener = np.stack([rng.uniform(40.0, 80.0, 7), rng.uniform(20.0, 60.0, 7)])
+    for given_levels in (None, at_listener):
+        by_transfer, by_level = sti_gradients(m, given_levels)
+        toward, step = rng.normal(size=m.shape), 1e-6
+        both = [speech_transmission(m + s * step * toward, given_levels) for s in (-1, 1)]
+        assert np.sum(by_transfer * toward) == pytest.approx(
+            (both[1] - both[0]) / (2 * step), rel=1e-5, abs=1e-8
+        )
+    for k in range(7):
+        moved = np.zeros((2, 7))
+        moved[0, k] = 1e-5
+        both = [speech_transmission(m, at_listener + s * moved) for s in (-1, 1)]
+        assert by_level[k] == pytest.approx((both[1] - both[0]) / 2e-5, rel=1e-4, abs=1e-9)
+
+
+def test_the_transfers_derivatives_by_energies_are_exact():
+    """An echogram of 30 bins that ends 25 dB down, the tail's derivative in it."""
+    rng = np.random.default_rng(3)
+    edges_s = np.linspace(0.0, 0.4, 31)
+    energy = -np.diff(10.0 ** (-6.0 * edges_s / 0.9)) * rng.uniform(0.8, 1.2, 30)
+    octave = Bands("octave", np.array([1000.0]))
+
+    def transfer(e):
+        return modulation_gradients(echogram_decay_curve(octave, e[None], edges_s, 0.0), 0)
+
+    _, gradients = transfer(energy)
+    step = 1e-6 * energy
+    for j in range(30):
+        moved = np.zeros(30)
+        moved[j] = step[j]
+        numeric = (transfer(energy + moved)[0] - transfer(energy - moved)[0]) / (2.0 * step[j])
+        np.testing.assert_allclose(gradients[:, j], numeric, rtol=1e-4, atol=1e-5)
+
+
+def decaying_noise(decay_s: float, seed: int = 1) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    t = np.arange(2 * 44100) / 44100
+    return rng.normal(size=t.size) * 10.0 ** (-3.0 * t / decay_s)
+
+
+@pytest.mark.parametrize("decay_s", [0.5, 1.5])
+def test_pyrato_finds_the_same_of_a_response(decay_s):
+    """Its filters are others: within a tenth of a just noticeable difference."""
+    pyrato, pyfar = pytest.importorskip("pyrato.parameters"), pytest.importorskip("pyfar")
+    pressure = decaying_noise(decay_s)
+    response = ImpulseResponse(np.concatenate([np.zeros(4410), pressure]), 44100, 0.1)
+    found = speech_transmission(
+        modulation_transfer(decay_curve(FilterBank(OCTAVES), response, 0.0))
+    )
+    theirs = pyrato.speech_transmission_index_indirect(pyfar.Signal(pressure, 44100))
+    assert float(found) == pytest.approx(float(theirs[0]), abs=0.003)
+
+
+def test_pyrato_has_the_same_constants():
+    """A level of 50 dB in every band: masking is 40 dB below whichever band's level it follows."""
+    pyrato = pytest.importorskip("pyrato.parameters")
+    m = exponential(0.8)
+    own = np.full(7, 50.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        snr = np.linspace(5.0, 20.0, 7)
+        theirs = pyrato._ambient_noise_correction(
+            m / (1.0 + 10.0 ** (-0.1 * snr[:, None])), own, snr, "acoustical"
+        )
+        expected = pyrato._sti_calc(theirs)
+    found = speech_transmission(m, np.stack([own, own - snr]))
+    # theirs takes the masking's slope from the speech without noise: 0.5 dB of a 1e-4
+    assert float(found) == pytest.approx(float(np.squeeze(expected)), abs=2e-5)
+    assert float(speech_transmission(m)) == pytest.approx(float(pyrato._sti_calc(m)), abs=1e-9)
+
+
+def test_the_spectrum_has_the_level_that_it_is_given():
+    """A-weighted, by the weights of IEC 61672-1 at the octaves: 60 within a tenth."""
+    a_weights = np.array([-16.1, -8.6, -3.2, 0.0, 1.2, 1.0, -1.1])
+    speech, noise = speech_levels(60.0)
+    total = 10.0 * np.log10(np.sum(10.0 ** (0.1 * (speech + a_weights))))
+    assert total == pytest.approx(60.0, abs=0.1)
+    assert np.all(np.isneginf(noise))
+    with pytest.raises(InputError, match="noise levels"):
+        speech_levels(60.0, [40.0, 40.0])
+
+
+def test_quiet_speech_drowns_in_the_threshold_and_loud_speech_masks_itself():
+    m = exponential(0.4)
+    found = [float(speech_transmission(m, speech_levels(x))) for x in (0.0, 30.0, 65.0, 100.0)]
+    assert found[0] < found[1] < found[2] > found[3]
+    assert found[2] <= float(speech_transmission(m))
+
+
+def test_what_is_missing_is_said_and_nothing_is_extrapolated():
+    assert sti_missing(OCTAVES) == ""
+    assert "8000 Hz is missing" in sti_missing(Bands("octave", OCTAVES.centres_hz[:-1]))
+    assert "third" in sti_missing(Bands("third-octave", np.array([500.0, 630.0])))
+    with pytest.raises(InputError, match="seven octaves"):
+        speech_transmission(exponential(1.0)[:6])
+    # a band that falls by 12 dB only
+    short = echogram(np.array([1.0]), 0.2)
+    assert short.usable_db[0] < 20.0
+    assert np.isnan(modulation_transfer(short)).all()
+
+
+def test_pyrato_finds_nearly_the_same_of_measured_responses(real_data):
+    """R3VIVAL's first ring in two states, noise in pyrato's: within a third of a jnd."""
+    pyrato, pyfar = pytest.importorskip("pyrato.parameters"), pytest.importorskip("pyfar")
+    soundfile = pytest.importorskip("soundfile")
+    for name in ("000_S000_200", "000_S120_200", "100_S000_200", "100_S240_200"):
+        samples, rate_hz = soundfile.read(real_data / "r3vival" / f"{name}.wav")
+        response = ImpulseResponse(samples[:, 0], rate_hz)
+        curve = decay_curve(FilterBank(OCTAVES), response, find_onset(response))
+        found = float(speech_transmission(modulation_transfer(curve)))
+        # pyrato asks for 1.6 s
+        padded = pyfar.Signal(np.pad(samples[:, 0], (0, rate_hz)), rate_hz)
+        theirs = pyrato.speech_transmission_index_indirect(padded)
+        assert found == pytest.approx(float(theirs[0]), abs=0.01), name
