@@ -55,8 +55,8 @@ def test_a_check_of_a_room_loads_no_pictures_and_no_statistics(tmp_path):
 
 
 COMMANDS = ("batch", "cache", "catalogue", "check", "compare", "coverage", "demo", "design",
-            "export", "identify", "impedance", "init", "listen", "paper", "predict", "reverberation",
-            "schema")  # fmt: skip
+            "export", "identify", "impedance", "init", "listen", "paper", "predict",
+            "reverberation", "schema")  # fmt: skip
 
 
 @pytest.mark.parametrize("command", COMMANDS)
