@@ -34,6 +34,7 @@ from roomfit.cli import (
     predict,
     reverberation,
     schema,
+    treat,
 )
 from roomfit.cli.arguments import Commands, Parser, call_error
 from roomfit.cli.terminal import warn
@@ -55,6 +56,7 @@ _COMMANDS = (
     predict,
     reverberation,
     schema,
+    treat,
 )
 _RENAMED = {"calibrate": "coverage"}
 _INTERRUPTED = 130

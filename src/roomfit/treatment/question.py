@@ -14,7 +14,7 @@ from roomfit.logit import expit
 from roomfit.materials.priors import logit_prior
 from roomfit.prediction.decay import RELATIVE
 from roomfit.prediction.predict import PreparedRoom
-from roomfit.scene import material_areas_m2, pair_states
+from roomfit.scene import Scene, material_areas_m2, pair_states
 from roomfit.signals.iso3382 import VALUE_NAMES, ValueName
 from roomfit.typing import FloatArray
 
@@ -127,8 +127,38 @@ def question_of(
         A surface, product or band that there is not, more free area than the surface has, or
         nothing that fits anywhere.
     """
-    materials, bands = room.absorption.materials, room.absorption.bands
+    bands = room.absorption.bands
     areas = material_areas_m2(room.scene.room, int(pair_states(room.scene)[0]))
+    columns, free = columns_of(room.scene, surfaces, products)
+    piece = np.array([products[p].piece_m2 for _, p, _ in columns])
+    cost = piece * [products[p].cost_per_m2 for _, p, _ in columns]
+    of_row, weights = [], []
+    for t, target in enumerate(targets):
+        rows = _weights(target, bands)
+        of_row += [t] * len(rows)
+        weights += list(rows)
+    if not weights:
+        raise InputError("no target is given", needed="[[targets]] in the treatment file")
+    return Question(
+        room, tuple(products), tuple(targets), tuple(m for m, _, _ in columns),
+        tuple(p for _, p, _ in columns), piece, np.array([n for _, _, n in columns]), cost, areas,
+        free, tuple(of_row), np.array(weights), _product_draws(room, products),
+    )  # fmt: skip
+
+
+def columns_of(
+    scene: Scene, surfaces: Sequence[Surface], products: Sequence[Product]
+) -> tuple[list[tuple[int, int, float]], dict[int, float]]:
+    """Return material, product and most pieces of what may hang where, and the free areas in m2.
+
+    Raises
+    ------
+    InputError
+        A surface or product that there is not, more free area than the surface has, or nothing
+        that fits anywhere.
+    """
+    materials = scene.room.materials
+    areas = material_areas_m2(scene.room, int(pair_states(scene)[0]))
     names = [p.name for p in products]
     columns: list[tuple[int, int, float]] = []
     free: dict[int, float] = {}
@@ -156,20 +186,7 @@ def question_of(
             found=f"{len(surfaces)} surfaces, {len(products)} products",
             needed="a product no deeper than the surface allows, and a piece that fits in",
         )
-    piece = np.array([products[p].piece_m2 for _, p, _ in columns])
-    cost = piece * [products[p].cost_per_m2 for _, p, _ in columns]
-    of_row, weights = [], []
-    for t, target in enumerate(targets):
-        rows = _weights(target, bands)
-        of_row += [t] * len(rows)
-        weights += list(rows)
-    if not weights:
-        raise InputError("no target is given", needed="[[targets]] in the treatment file")
-    return Question(
-        room, tuple(products), tuple(targets), tuple(m for m, _, _ in columns),
-        tuple(p for _, p, _ in columns), piece, np.array([n for _, _, n in columns]), cost, areas,
-        free, tuple(of_row), np.array(weights), _product_draws(room, products),
-    )  # fmt: skip
+    return columns, free
 
 
 def _index(kind: str, name: str, known: Sequence[str]) -> int:

@@ -142,7 +142,7 @@ def _programme(
     excluded: Sequence[BoolArray],
     most_cost: float,
 ) -> FloatArray | None:
-    """Return the pieces that solve the linear problem; unknowns are pieces, whether used, misses."""
+    """Return the pieces that solve the linear problem."""
     n, k = len(question.cost), len(question.target)
     low, high = limits_of(question)
     low, high = low + margin, high - margin
@@ -228,7 +228,7 @@ def _exchanged(
 def _moves(question: Question, here: FloatArray) -> FloatArray:
     """Return changes by pieces: one or a quarter less, one more, and one or all of it exchanged."""
     n = len(here)
-    moves = [row for row in np.eye(n)]
+    moves = list(np.eye(n))
     for i in np.flatnonzero(here):
         for less in {1.0, float(np.ceil(here[i] / 4.0)), float(here[i])}:
             away = -less * np.eye(n)[i]

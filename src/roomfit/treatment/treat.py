@@ -186,12 +186,14 @@ def _outcome(
 def _rest_sd(question: Question, means: Mapping[ValueName, PredictedValue]) -> FloatArray:
     """Return of each row the spread that is not the absorption's, alike in all its bands."""
     own = [means[question.targets[t].parameter].sd_rest for t in question.target]
-    return np.maximum(np.nan_to_num((question.weights * np.nan_to_num(own)).sum(axis=1)), 1e-9)
+    found = (question.weights * np.nan_to_num(own)).sum(axis=1)
+    return np.asarray(np.maximum(found, 1e-9))
 
 
 def _row_sd(question: Question, pieces: FloatArray) -> FloatArray:
     means, _, rows, _ = _outcome(question, pieces)
-    return np.hypot(_rest_sd(question, means), np.nan_to_num(np.nanstd(rows, axis=0)))
+    spread = np.nan_to_num(np.std(rows, axis=0))
+    return np.asarray(np.hypot(_rest_sd(question, means), spread))
 
 
 def _arrangement(
@@ -237,7 +239,7 @@ def _missed(question: Question, numbers: FloatArray, margin: FloatArray) -> tupl
 def _decisive(
     question: Question, pieces: FloatArray, rows: FloatArray
 ) -> tuple[tuple[str, float], ...]:
-    """Return whose absorption goes with the draws of some rows: squared correlations, largest first."""
+    """Return whose absorption goes with the draws of some rows: largest squared correlations."""
     room = question.room
     used = sorted({question.product[c] for c in np.flatnonzero(pieces)})
     names = [*room.absorption.materials, *(question.products[p].name for p in used)]
@@ -282,9 +284,9 @@ def _findings(
     ]
     if partly:
         sentence = (
-            f"Covered in part, as {', '.join(dict.fromkeys(partly))}: predicted with the mean of its "
-            "absorption by area, wherever on it the pieces hang. Pieces near a source or a receiver "
-            "do more early on than this says; divide the surface in the model to see it."
+            f"Covered in part, as {', '.join(dict.fromkeys(partly))}: predicted with the mean of "
+            "its absorption by area, wherever on it the pieces hang. Pieces near a source or a "
+            "receiver may do more early on; divide the surface in the model to see it."
         )
         found.append(Finding(Code.SURFACE_COVERED_IN_PART, sentence, {"surfaces": partly}))
     return tuple(found)
