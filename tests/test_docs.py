@@ -27,8 +27,8 @@ from roomfit.materials.priors import DEFAULT_LOGIT_SD, DEFAULT_MEAN
 from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.settings import Settings
-from roomfit.treatment.campaign import read_treatment
 from roomfit.synthetic.boxes import demo_plan, write_measured_box
+from roomfit.treatment.campaign import read_treatment
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE
 
 ROOT = Path(__file__).resolve().parents[1]
