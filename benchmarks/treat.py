@@ -37,7 +37,7 @@ from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.treatment.question import Product, Surface, Target, question_of, treated
 from roomfit.treatment.search import mean_values
 from roomfit.treatment.treat import as_measured, treat
-from roomfit.typing import FloatArray
+from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 MIDDLE_HZ = (500.0, 1000.0, 2000.0)
@@ -96,18 +96,18 @@ def turned_walls(data: Path, result_file: Path | None, at_most_s: float) -> None
     print(
         "\nThe right wall alone      " + "".join(f"{f:>8g}" for f in BANDS.centres_hz) + "  middle"
     )
-    for label, row in (
+    for label, times in (
         ("as it is, measured", before),
         ("right turned, predicted", predicted),
         ("right turned, Sabine", sabine),
         ("right turned, measured", truth),
     ):
-        cells = "".join(f"{x:>8.3f}" for x in row)
-        print(f"{label:<26}{cells}{row[middle].mean():>8.3f}")
-    for label, row in (("predicted", predicted), ("Sabine", sabine)):
-        error = 100.0 * (row / truth - 1.0)
+        cells = "".join(f"{x:>8.3f}" for x in times)
+        print(f"{label:<26}{cells}{times[middle].mean():>8.3f}")
+    for label, times in (("predicted", predicted), ("Sabine", sabine)):
+        error = 100.0 * (times / truth - 1.0)
         cells = "".join(f"{x:>8.1f}" for x in error)
-        own_error = 100.0 * (row[middle].mean() / truth[middle].mean() - 1.0)
+        own_error = 100.0 * (times[middle].mean() / truth[middle].mean() - 1.0)
         print(f"{'error of ' + label + ', %':<26}{cells}{own_error:>8.1f}")
     sabine_choice(at_most_s, areas, before, after, middle)
 
@@ -117,7 +117,7 @@ def sabine_choice(
     areas: dict[str, float],
     before: FloatArray,
     after: FloatArray,
-    middle: FloatArray,
+    middle: BoolArray,
 ) -> None:
     """Print which walls Sabine's formula would turn: each counts by its area."""
     whole = sum(areas[f"{w}, reflecting"] for w in WALLS[:4])
