@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import to_hex, to_rgb
 from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
@@ -195,10 +195,13 @@ def _draw_room(axes: Axes, treatment: Treatment, a: Arrangement) -> None:
         by_surface.setdefault(h.surface, []).append(text)
         covered[h.surface] = covered.get(h.surface, 0.0) + h.share
     # the less of a surface is covered the paler it is
-    colour = {
-        name: to_hex(1.0 - (0.3 + 0.7 * min(share, 1.0)) * (1.0 - np.array(to_rgb(COLOURS[i]))))
-        for i, (name, share) in enumerate(list(covered.items())[: len(COLOURS)])
-    }
+    colour = {}
+    for i, (name, share) in enumerate(covered.items()):
+        red, green, blue = (
+            1.0 - (0.3 + 0.7 * min(share, 1.0)) * (1.0 - part)
+            for part in to_rgb(COLOURS[i % len(COLOURS)])
+        )
+        colour[name] = to_hex((red, green, blue))
     faces, _ = drawn_faces(room)
     owner = [room.materials[int(i)] for i in triangle_material(room)[faces]]
     colours = [colour.get(name, "#EEEEEE") for name in owner]
