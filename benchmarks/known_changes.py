@@ -42,7 +42,8 @@ from roomfit.inversion.reflections import isolated_reflections, wall_returns
 from roomfit.logit import Z95, logit
 from roomfit.materials.priors import MaterialPrior, complete_priors, unknown_material
 from roomfit.prediction.changes import Change
-from roomfit.prediction.predict import Predicted, PredictedValue, ValueChange, predict
+from roomfit.prediction.predict import Predicted, predict
+from roomfit.prediction.tables import PredictedValue, ValueChange
 from roomfit.response.directivity import UnknownDirectivity
 from roomfit.results import Result, absorption_posterior
 from roomfit.scene import Point, Scene, material_areas_m2, with_states

@@ -23,7 +23,8 @@ from roomfit.io.campaign import input_files, read_campaign
 from roomfit.io.inputs import identify_arguments
 from roomfit.io.results import read_result, write_result
 from roomfit.prediction.campaign import predict_arguments
-from roomfit.prediction.predict import PredictedPair, predict
+from roomfit.prediction.predict import predict
+from roomfit.prediction.tables import PredictedPair
 from roomfit.signals.iso3382 import ValueName
 from roomfit.synthetic.boxes import SyntheticBox, add_noise, pressure_response
 from roomfit.uncertainty.posterior import AbsorptionPosterior

@@ -22,7 +22,8 @@ from roomfit.prediction.campaign import predict_arguments
 from roomfit.prediction.changes import Change, prior_dominated, read_change
 from roomfit.prediction.decay import PairNumbers, PredictedDecay
 from roomfit.prediction.output import COLUMNS, change_figure, predicted_content, predicted_csv
-from roomfit.prediction.predict import _change, predict
+from roomfit.prediction.predict import predict
+from roomfit.prediction.tables import _change
 from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
 from small_campaign import ABSORPTION, write_campaign

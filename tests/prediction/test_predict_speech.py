@@ -18,11 +18,15 @@ from roomfit.measurement import Measurement
 from roomfit.prediction.campaign import predict_arguments
 from roomfit.prediction.changes import Change
 from roomfit.prediction.output import predict_text, predicted_content, predicted_csv
-from roomfit.prediction.predict import predict
+from roomfit.prediction.predict import numbers_at, predict, predict_change, prepare_prediction
 from roomfit.signals.decay import decay_curve
 from roomfit.signals.filters import FilterBank, filter_pressure
 from roomfit.signals.response import ImpulseResponse
 from roomfit.signals.speech import modulation_transfer, speech_levels, speech_transmission
+from roomfit.treatment.output import treatment_content
+from roomfit.treatment.question import Product, Surface, Target, question_of
+from roomfit.treatment.search import numbers_of
+from roomfit.treatment.treat import as_measured, treat
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 from small_campaign import ABSORPTION, write_campaign
 
@@ -114,6 +118,57 @@ def test_absorption_raises_the_index_and_noise_lowers_it(scene, plain):
     assert "model before" in text.split("Speech transmission index")[1].split("By pair")[0]
 
 
+@pytest.mark.parametrize("levels", [None, [50.0, 48.0, 45.0, 42.0, 40.0, 38.0, 35.0]])
+def test_a_prepared_room_predicts_the_index_after_a_change_as_predict_does(scene, levels):
+    """Within a third of a just noticeable difference, at every pair and over them."""
+    speech_db = None if levels is None else speech_levels(60.0, levels)
+    known = posterior(0.2)
+    room = prepare_prediction(scene, known, settings=FEW, speech_db=speech_db)
+    for text, values in (("value", (0.4,) * 7), ("factor", (0.7,) * 7)):
+        change = [Change("walls", text, values, (0.0,) * 7)]
+        found = predict_change(room, change)
+        exact = predict(scene, known, change, settings=FEW, speech_db=speech_db)
+        for own, one in ((found, exact), *zip(found.pairs, exact.pairs, strict=True)):
+            assert abs(one.sti.predicted[0] - one.sti.change.before[0]) > 0.02
+            assert own.sti.change.before[0] == one.sti.change.before[0]
+            for row in ("predicted", "lower95", "upper95"):
+                assert getattr(own.sti, row)[0] == pytest.approx(getattr(one.sti, row)[0], abs=0.01)
+            assert own.sti.change.change_lower95[0] == pytest.approx(
+                one.sti.change.change_lower95[0], abs=0.01
+            )
+
+
+def test_an_index_is_reached_with_the_fewest_pieces(scene):
+    """Pieces of one product, counted."""
+    room = prepare_prediction(scene, posterior(0.2), settings=FEW)
+    hung, whole = Product("foam", np.full(7, 0.8), np.full(7, 0.05)), (Surface("walls"),)
+    question = question_of(room, whole, [hung], [Target("STI", low=0.75)])
+    every = np.arange(question.most[0] + 1)[:, None]
+    numbers = numbers_of(question, every)[:, 0]
+    assert 0.3 < numbers[0] < 0.7
+    found = treat(room, whole, [hung], [Target("STI", low=0.75)], number=1)
+    (one,) = found.arrangements
+    fewest = int(np.flatnonzero(numbers >= 0.75 - 0.003)[0])
+    assert one.hung[0].area_m2 == pytest.approx(fewest)
+    assert one.sti.predicted[0] == pytest.approx(numbers[fewest], abs=1e-9)
+    assert one.sti.change.before[0] == pytest.approx(numbers[0], abs=1e-9)
+    assert one.before[0] < 0.1 < one.probability[0]
+    assert "STI at least 0.75" in str(found)
+    assert found.plot() is not None
+    content = treatment_content(found, ())
+    assert content["arrangements"][0]["sti"]["predicted"] == one.sti.predicted[0]
+
+
+def test_a_target_of_the_index_needs_all_octaves(scene):
+    few = bands_between("octave", 125, 4000)
+    room = prepare_prediction(scene, posterior(0.05, few), settings=FEW)
+    hung = Product("foam", np.full(6, 0.8), np.full(6, 0.05))
+    with pytest.raises(InputError, match="8000 Hz is missing"):
+        question_of(room, [Surface("walls")], [hung], [Target("STI", low=0.6)])
+    with pytest.raises(InputError, match="no bands"):
+        Target("STI", low=0.6, bands_hz=(1000.0,))
+
+
 def test_a_measured_response_stands_beside_its_prediction(scene, plain):
     pressure = gaussian_response(plain.pairs[0].decay, np.random.default_rng(3))
     measured = Measurement("S", "R", pressure, RATE_HZ, time_zero="emission")
@@ -127,6 +182,11 @@ def test_a_measured_response_stands_beside_its_prediction(scene, plain):
     assert np.isnan(other.sti.measured[0])
     # the mean is that over the measured pair
     assert found.sti.measured[0] == one.sti.measured[0]
+    room = prepare_prediction(scene, posterior(0.05), [], [measured], settings=FEW)
+    carried = as_measured(room)
+    assert carried.before[0].sti.values[0, 0] == one.sti.measured[0]
+    after = numbers_at(carried, found.absorption, room.draws)[0].sti
+    assert after.values[0, 0] == pytest.approx(one.sti.change.carried[0], abs=0.01)
 
 
 def test_files_hold_the_index_once_a_pair(plain):

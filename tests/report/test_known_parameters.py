@@ -12,7 +12,8 @@ import pytest
 from report_cases import answer_of, read_page, scene_of
 from roomfit.prediction.decay import PredictedDecay
 from roomfit.prediction.output import predict_text, predicted_decay_figure
-from roomfit.prediction.predict import Predicted, PredictedPair, PredictedValue
+from roomfit.prediction.predict import Predicted
+from roomfit.prediction.tables import PredictedPair, PredictedValue
 from roomfit.report.figures import decay_figure
 from roomfit.report.html import report_html, summary_sentences
 from roomfit.report.html_tables import error_tables, overview_table, pair_sections

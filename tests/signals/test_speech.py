@@ -23,6 +23,7 @@ from roomfit.signals.speech import (
     speech_transmission,
     sti_gradients,
     sti_missing,
+    transfer_of_bins,
 )
 
 OCTAVES = Bands("octave", np.array(SPEECH_BANDS_HZ))
@@ -55,6 +56,18 @@ def test_exponential_decays_have_schroeders_transfer(length):
     expected = np.stack([exponential(t)[0] for t in decay_s])
     # bins that hold the end of a stretch in part move the tail by less than a thousandth
     np.testing.assert_allclose(found, expected, rtol=1.5e-3)
+
+
+@pytest.mark.parametrize("length", [0.6, 1.5])
+def test_many_echograms_have_the_transfer_of_their_curves(length):
+    decay_s = np.array([[0.2, 0.5, 1.0], [2.0, 0.3, 0.8]])
+    edges_s = np.arange(0.0, length * 2.0, 1e-3)
+    energies = -np.diff(10.0 ** (-6.0 * edges_s / decay_s[..., None]), axis=-1)
+    three = Bands("octave", OCTAVES.centres_hz[:3])
+    one_by_one = [
+        modulation_transfer(echogram_decay_curve(three, e, edges_s, 0.0), 0.0) for e in energies
+    ]
+    np.testing.assert_allclose(transfer_of_bins(energies, edges_s), one_by_one, rtol=1e-9)
 
 
 def test_noise_divides_the_modulation_as_the_signal_to_noise_ratio_says():

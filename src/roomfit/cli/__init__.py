@@ -37,6 +37,7 @@ from roomfit.cli import (
     predict,
     reverberation,
     schema,
+    treat,
 )
 from roomfit.cli.arguments import Commands, Parser, call_error
 from roomfit.cli.terminal import warn
@@ -60,6 +61,7 @@ _COMMANDS = (
     predict,
     reverberation,
     schema,
+    treat,
 )
 _RENAMED = {"calibrate": "coverage"}
 _INTERRUPTED = 130

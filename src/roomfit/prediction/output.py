@@ -18,6 +18,7 @@ from roomfit.errors import InputError
 from roomfit.findings import Finding
 from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
 from roomfit.prediction.changes import Change, change_text
+from roomfit.prediction.tables import PredictedPair, PredictedValue, named_values
 from roomfit.report.figures import (
     LOWEST_DB,
     OKABE_ITO,
@@ -45,7 +46,7 @@ from roomfit.typing import FloatArray, IntArray
 
 if TYPE_CHECKING:
     from roomfit.prediction.listen import ChangedResponse
-    from roomfit.prediction.predict import Predicted, PredictedPair, PredictedValue
+    from roomfit.prediction.predict import Predicted
 
 COLUMNS = (
     *("source", "receiver", "use", "parameter", "band_hz"),
@@ -93,13 +94,13 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
                 "source": p.source,
                 "receiver": p.receiver,
                 "use": p.use,
-                "parameters": _parameters(p.parameters),
-                "sti": _one_number(p.sti),
+                "parameters": parameters_content(p.parameters),
+                "sti": one_number(p.sti),
             }
             for p in predicted.pairs
         ],
-        "mean": _parameters(predicted.mean),
-        "sti": _one_number(predicted.sti),
+        "mean": parameters_content(predicted.mean),
+        "sti": one_number(predicted.sti),
         "sti_missing": sti_missing(predicted.bands) or None,
         "findings": [finding_content(f) for f in predicted.findings],
         "prediction": {
@@ -119,7 +120,7 @@ def predicted_rows(
     The speech transmission index has one row a pair, and no band.
     """
     for pair in predicted.pairs:
-        for name, v in _with_sti(pair.parameters, pair.sti).items():
+        for name, v in named_values(pair.parameters, pair.sti).items():
             numbers_of = [v.predicted, v.lower95, v.upper95, v.measured, v.jnd, v.mean_of_others]
             unknown = np.full(v.predicted.size, np.nan)
             numbers_of += [getattr(v.change, c, unknown) for c in _OF_A_CHANGE]
@@ -138,15 +139,8 @@ def predicted_csv(predicted: Predicted) -> str:
     return csv_text(COLUMNS, rows)
 
 
-def _with_sti(
-    table: Mapping[ValueName, PredictedValue], sti: PredictedValue | None
-) -> dict[str, PredictedValue]:
-    """Return parameters by name, the speech transmission index last."""
-    named: dict[str, PredictedValue] = {str(name): v for name, v in table.items()}
-    return named | ({} if sti is None else {"STI": sti})
-
-
-def _parameters(table: Mapping[ValueName, PredictedValue]) -> dict[str, Any]:
+def parameters_content(table: Mapping[ValueName, PredictedValue]) -> dict[str, Any]:
+    """Return every parameter of a table with all its rows."""
     return {name: _rows_of(v) for name, v in table.items()}
 
 
@@ -156,7 +150,8 @@ def _rows_of(value: PredictedValue) -> dict[str, list[float | None]]:
     return {key: numbers_or_null(row) for key, row in rows.items()}
 
 
-def _one_number(value: PredictedValue | None) -> dict[str, float | None] | None:
+def one_number(value: PredictedValue | None) -> dict[str, float | None] | None:
+    """Return all rows of the speech transmission index, None where there is none."""
     return None if value is None else {key: row[0] for key, row in _rows_of(value).items()}
 
 
@@ -196,15 +191,23 @@ def predicted_html(predicted: Predicted) -> str:
     """Return the mean over the pairs, and all findings, in HTML."""
     caption = "; ".join((_MEAN, *(f"changed: {c}" for c in predicted.changes)))
     columns = ("Hz", *(f"{f:g}" for f in predicted.bands.centres_hz))
-    table = html_table(caption, columns, _text_lines(predicted, _with_sti(predicted.mean, None)))
+    table = html_table(
+        caption,
+        columns,
+        text_lines(named_values(predicted.mean, None), is_changed=bool(predicted.changes)),
+    )
     if predicted.sti is not None:
-        table += html_table(_STI, ("", "mean"), _text_lines(predicted, {"STI": predicted.sti}))
+        table += html_table(
+            _STI,
+            ("", "mean"),
+            text_lines({"STI": predicted.sti}, is_changed=bool(predicted.changes)),
+        )
     return table + html_findings(predicted.findings)
 
 
 def mean_table(predicted: Predicted) -> str:
     """Return the mean of every parameter with its interval, and the measured mean below it."""
-    lines = _text_lines(predicted, _with_sti(predicted.mean, None))
+    lines = text_lines(named_values(predicted.mean, None), is_changed=bool(predicted.changes))
     return "\n".join([_MEAN, _head(predicted), *map(_justified, lines)])
 
 
@@ -212,7 +215,14 @@ def sti_text(predicted: Predicted) -> str:
     """Return the speech transmission index of the mean, or why there is none."""
     if predicted.sti is None:
         return f"STI is not predicted: {sti_missing(predicted.bands)}."
-    return "\n".join([_STI, *map(_justified, _text_lines(predicted, {"STI": predicted.sti}))])
+    return "\n".join(
+        [
+            _STI,
+            *map(
+                _justified, text_lines({"STI": predicted.sti}, is_changed=bool(predicted.changes))
+            ),
+        ]
+    )
 
 
 def pairs_text(predicted: Predicted) -> str:
@@ -222,7 +232,10 @@ def pairs_text(predicted: Predicted) -> str:
         lines.append(f"{pair.source} to {pair.receiver}, {_USES[pair.use]}")
         chosen = [next((n for n in names if n in pair.parameters), None) for names in _OF_A_PAIR]
         shown = {name: value for name, value in pair.parameters.items() if name in chosen}
-        lines += map(_justified, _text_lines(predicted, _with_sti(shown, pair.sti)))
+        lines += map(
+            _justified,
+            text_lines(named_values(shown, pair.sti), is_changed=bool(predicted.changes)),
+        )
     left = len(predicted.pairs) - _PAIRS_SHOWN
     if left > 0:
         lines.append(f"... and {left} more in predicted.csv")
@@ -239,7 +252,7 @@ def _justified(cells: Sequence[str]) -> str:
 
 
 def _lines(
-    table: Mapping[str, PredictedValue], changes: Sequence[str]
+    table: Mapping[str, PredictedValue], *, is_changed: bool
 ) -> list[tuple[str, str, list[str]]]:
     """Return name, what is said of it, and cells of every line of a table.
 
@@ -253,7 +266,7 @@ def _lines(
         v, c = table[name], table[name].change
         after = _with_bounds(form, v.predicted, v.lower95, v.upper95)
         is_measured = np.isfinite(v.measured).any()
-        if not changes:
+        if not is_changed:
             lines.append((label, "predicted", after))
             if is_measured:
                 lines.append((label, "measured", _measured_cells(v, form)))
@@ -280,11 +293,11 @@ def _lines(
     return lines
 
 
-def _text_lines(predicted: Predicted, table: Mapping[str, PredictedValue]) -> list[list[str]]:
+def text_lines(table: Mapping[str, PredictedValue], *, is_changed: bool) -> list[list[str]]:
     """Return the cells of a table as text: the name of a parameter stands above its other lines."""
     return [
         [{"predicted": label, "model after": f"{label} after"}.get(what, f"  {what}"), *cells]
-        for label, what, cells in _lines(table, predicted.changes)
+        for label, what, cells in _lines(table, is_changed=is_changed)
     ]
 
 
@@ -300,7 +313,7 @@ def predicted_page(predicted: Predicted) -> str:
     """
 
     def tables(title: str, values: Mapping[ValueName, PredictedValue]) -> tuple[Table, ...]:
-        lines = _lines(_with_sti(values, None), predicted.changes)
+        lines = _lines(named_values(values, None), is_changed=bool(predicted.changes))
         return band_tables(
             title, "parameter", predicted.bands.centres_hz, lambda at: _rows(lines, at)
         )
@@ -314,7 +327,10 @@ def predicted_page(predicted: Predicted) -> str:
         *((f"{p.source} to {p.receiver}", p.sti) for p in predicted.pairs),
     ):
         if sti is not None:
-            lines = [(title, *rest) for _, *rest in _lines({"STI": sti}, predicted.changes)]
+            lines = [
+                (title, *rest)
+                for _, *rest in _lines({"STI": sti}, is_changed=bool(predicted.changes))
+            ]
             rows += _rows(lines, np.zeros(1, dtype=np.int64))
     if rows:
         shown.insert(1, Table(_STI, "pair", ("125 Hz to 8 kHz",), tuple(rows)))
@@ -368,7 +384,7 @@ def change_figure(predicted: Predicted) -> Figure:
     InputError
         Nothing was changed, or what is replaced was not known.
     """
-    means = _with_sti(predicted.mean, predicted.sti)
+    means = named_values(predicted.mean, predicted.sti)
     compared = [(v.change, name) for name, v in means.items() if v.change is not None]
     if not compared:
         raise InputError(

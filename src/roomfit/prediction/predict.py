@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import logging
+import os
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from copy import deepcopy
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import ndtri
 
 from roomfit._numba import one_blas_thread
 from roomfit.bands import Bands
@@ -17,19 +19,32 @@ from roomfit.cache import Cache, cached
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import refuse
-from roomfit.inversion.measurements import observe
-from roomfit.measurement import Measurement, Use
-from roomfit.objective.room_parameters import MODEL_ERROR_JND, values_at
+from roomfit.measurement import Measurement
 from roomfit.prediction.changes import Change, change_text, changed_draws, prior_dominated
 from roomfit.prediction.decay import (
+    FewRows,
     PairNumbers,
     PredictedDecay,
+    changed_numbers,
+    few_energies,
+    few_rows,
+    few_sti,
+    few_values,
     follow_decay,
-    levels_at,
-    levels_at_listener,
     pair_numbers,
-    speech_bands,
 )
+from roomfit.prediction.tables import (
+    ObservedPair,
+    PredictedPair,
+    PredictedValue,
+    ValueChange,
+    observed_pairs,
+    predicted_means,
+    predicted_pairs,
+    with_sti,
+    without_jnd,
+)
+from roomfit.response.binned import BinnedPaths
 from roomfit.scene import (
     Scene,
     material_areas_m2,
@@ -38,9 +53,8 @@ from roomfit.scene import (
     position_findings,
 )
 from roomfit.settings import Settings
-from roomfit.signals.decay import FIT_RANGES_DB, DecayCurve, in_jnd, jnd_of
+from roomfit.signals.decay import FIT_RANGES_DB
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
-from roomfit.signals.speech import modulation_transfer, speech_transmission, sti_missing
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
 
@@ -48,59 +62,6 @@ _LOG = logging.getLogger("roomfit")
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-# Steps of equal probability by which noise widens every draw.
-_STEPS = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ValueChange:
-    """One room parameter before a change, and what the change does; all of shape (n_bands,)."""
-
-    before: FloatArray  # at the most likely absorption as it was found
-    before_lower95: FloatArray  # where a measurement before the change is expected
-    before_upper95: FloatArray
-    # after over before of EDT, T20 and T30, after minus before of all else; the interval is that of
-    # the absorption alone, in which what is common to both cancels
-    change: FloatArray
-    change_lower95: FloatArray
-    change_upper95: FloatArray
-    # what was measured before, carried over by the change; a measurement after it is expected
-    # between the two, NaN where nothing was measured
-    carried: FloatArray
-    carried_lower95: FloatArray
-    carried_upper95: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PredictedValue:
-    """One room parameter in every band; all arrays of shape (n_bands,), NaN where unknown."""
-
-    predicted: FloatArray  # at the most likely absorption; the interval reaches to it at least
-    lower95: FloatArray  # a measurement is expected between these two, 95 of 100 times
-    upper95: FloatArray
-    sd_absorption: FloatArray  # part of the spread, from what is not known of the absorption
-    # part of the spread, from reflections that interfere, from the number of rays, and from the
-    # error that the model is granted
-    sd_rest: FloatArray
-    measured: FloatArray
-    # predicted minus measured in just noticeable differences; of a changed room what was predicted
-    # before the change, NaN where that is not known
-    jnd: FloatArray
-    mean_of_others: FloatArray  # over the other fitted measurements: a baseline
-    change: ValueChange | None = None  # where materials were changed
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PredictedPair:
-    """What is predicted between one source and one receiver; twice where it was measured twice."""
-
-    source: str
-    receiver: str
-    use: Use | None  # of its measurement; None where there is none
-    parameters: Mapping[ValueName, PredictedValue]
-    decay: PredictedDecay
-    sti: PredictedValue | None = None  # shape (1,), where the bands give it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,6 +174,10 @@ def predict(
     progress : callable, optional
         Called with the share of the work that is done, 0 to 1.
 
+    See Also
+    --------
+    prepare_prediction, predict_change : the same in two steps, the second in a tenth of a second.
+
     Returns
     -------
     Predicted
@@ -247,62 +212,230 @@ def predict(
     command line does.
     """
     began = time.perf_counter()
+    prepared = prepare_prediction(
+        scene,
+        absorption,
+        (changes,),
+        measurements,
+        speech_db=speech_db,
+        settings=settings,
+        cache=cache,
+        progress=part(progress, 0.0, 0.75 if changes else 1.0),
+    )
+    done = part(progress, 0.75, 1.0)
+    found = predict_change(prepared, changes, exact=True, cache=cache, progress=done)
+    return replace(found, seconds=time.perf_counter() - began)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedRoom:
+    """A room whose walls may change: all that a prediction needs and no change touches."""
+
+    scene: Scene
+    absorption: AbsorptionPosterior
+    draws: FloatArray  # (n_draws, n_materials, n_bands), common to all changes
+    rng: np.random.Generator  # to be copied: equal changes are drawn alike
+    observed: tuple[ObservedPair, ...]
+    binned: BinnedPaths
+    weighed_by: tuple[object, ...]  # what decided `binned`, for keys
+    # of every pair, as it was found; none where some absorption is known after a change only
+    before: tuple[PairNumbers, ...]
+    few: tuple[FewRows, ...]  # of every pair
+    base: FloatArray  # (n_pairs, n_names, n_bands), values of `few` at the absorption found
+    base_sti: FloatArray  # (n_pairs,), likewise
+    findings: tuple[Finding, ...]
+    seed: int
+    speech_db: FloatArray | None  # as of `predict`
+
+
+@one_blas_thread
+def prepare_prediction(
+    scene: Scene,
+    absorption: AbsorptionPosterior,
+    alternatives: Sequence[Sequence[Change]] = (),
+    measurements: Sequence[Measurement | MeasuredValues] = (),
+    *,
+    speech_db: FloatArray | None = None,
+    settings: Settings | None = None,
+    cache: Cache | None = None,
+    progress: Progress | None = None,
+) -> PreparedRoom:
+    """Trace and predict a room as it was found, ready for many changes by `predict_change`.
+
+    Parameters
+    ----------
+    scene, absorption, measurements, speech_db, settings, cache, progress
+        As of `predict`.
+    alternatives : sequence of sequences of Change
+        Changes that may be asked for: decays are followed as long as with the hardest of them.
+
+    Raises
+    ------
+    InputError
+        As of `predict`.
+    """
     settings = Settings() if settings is None else settings
-    bands, room = absorption.bands, scene.room
     _check(scene, absorption, measurements)
     rng = np.random.default_rng(settings.seed)
-    found = draw_absorption(absorption, settings.n_draws, rng)
-    expected, drawn, clipped = changed_draws(absorption, found, changes, rng)
-    states = [(expected, drawn)]
-    changed = [room.materials.index(c.material) for c in changes]
-    if changes and not is_unknown(absorption)[changed].any():
-        states.append((absorption.absorption, found))
-        areas_m2 = material_areas_m2(room, int(pair_states(scene)[0]))
-        clipped += prior_dominated(absorption, found, changes, areas_m2, rng)
-    observed, measured_findings = _observed_pairs(scene, measurements, bands)
+    draws = draw_absorption(absorption, settings.n_draws, rng)
+    changed = [scene.room.materials.index(c.material) for one in alternatives for c in one
+               if c.material in scene.room.materials]  # fmt: skip
+    is_known = not is_unknown(absorption)[changed].any()
+    followed = [changed_draws(absorption, draws, c, deepcopy(rng))[0] for c in alternatives]
+    followed += [absorption.absorption] if is_known or not followed else []
+    observed, measured_findings = observed_pairs(scene, measurements, absorption.bands)
     binned, weighed_by, decay_findings = follow_decay(
         scene,
         absorption,
-        np.min([a for a, _ in states], axis=0),
+        np.min(followed, axis=0),
         _longest_s(observed),
         settings,
         cache,
-        part(progress, 0.02, 0.5),
+        part(progress, 0.02, 0.6),
     )
+    bands, found = absorption.bands, absorption.absorption
+    few = tuple(few_rows(scene, bands, binned, i, found) for i in range(len(scene.pairs)))
+    energies = [few_energies(f, found[None]) for f in few]
+    base = [few_values(f, e) for f, e in zip(few, energies, strict=True)]
+    base_sti = [
+        few_sti(f, bands, e, v, speech_db) for f, e, v in zip(few, energies, base, strict=True)
+    ]
+    room = PreparedRoom(
+        scene, absorption, draws, rng, observed, binned, weighed_by, (), few,
+        np.concatenate(base), np.concatenate(base_sti), (*measured_findings, *decay_findings),
+        settings.seed, speech_db,
+    )  # fmt: skip
+    if not is_known:
+        return room
+    before, cache_findings = _exact_numbers(room, found, draws, cache, part(progress, 0.6, 1.0))
+    return replace(
+        room,
+        before=before,
+        observed=with_sti(scene, bands, observed, before, speech_db),
+        findings=(*room.findings, *cache_findings),
+    )
+
+
+def _exact_numbers(
+    room: PreparedRoom,
+    absorption: FloatArray,
+    draws: FloatArray,
+    cache: Cache | None,
+    progress: Progress | None,
+) -> tuple[tuple[PairNumbers, ...], tuple[Finding, ...]]:
+    """Return the numbers of every pair from all paths, and what happened to the cache."""
+    scene, bands, numbers = room.scene, room.absorption.bands, []
+    findings: list[Finding] = []
     _LOG.info("predicting")
-    # of each state, the changed one first
-    numbers: list[list[PairNumbers]] = [[] for _ in states]
-    cache_findings: list[Finding] = []
     for i in range(len(scene.pairs)):
-        for (a, d), of_state in zip(states, numbers, strict=True):
-            one = cached(
-                cache,
-                "pair",
-                (scene, weighed_by, bands, i, a, d, speech_db),
-                lambda i=i, a=a, d=d: pair_numbers(  # type: ignore[misc]
-                    scene, bands, binned, i, a, d, speech_db
-                ),
-                (PairNumbers, PredictedDecay),
-            )
-            of_state.append(one.value)
-            cache_findings += one.findings
+        one = cached(
+            cache,
+            "pair",
+            (scene, room.weighed_by, bands, i, absorption, draws, room.speech_db),
+            lambda i=i: pair_numbers(  # type: ignore[misc]
+                scene, bands, room.binned, i, room.few[i], absorption, draws, room.speech_db
+            ),
+            (PairNumbers, PredictedDecay),
+        )
+        numbers.append(one.value)
+        findings += one.findings
         if progress is not None:
-            progress(0.5 + 0.5 * (i + 1) / len(scene.pairs))
-    observed = _with_sti(scene, bands, observed, numbers[-1], speech_db)
-    means, sti = _predicted_means(scene, numbers, observed)
-    pairs = _predicted_pairs(scene, bands, numbers, observed)
-    if changes and len(states) == 1:
+            progress((i + 1) / len(scene.pairs))
+    return tuple(numbers), tuple(findings)
+
+
+def numbers_at(
+    room: PreparedRoom, absorption: FloatArray, draws: FloatArray
+) -> tuple[PairNumbers, ...]:
+    """Return the numbers of every pair under another absorption, from few paths.
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials, n_bands)
+    draws : float array, shape (n_draws, n_materials, n_bands)
+        Of the same draws as `room.draws` in all that stays; none where intervals are not wanted.
+
+    Raises
+    ------
+    InputError
+        The absorption of the room before is not known.
+    """
+    if not room.before:
+        raise InputError(
+            "what would be changed is not known before the change",
+            needed="an absorption of every material of the room",
+            hint="predict the change with roomfit.predict",
+        )
+    absorptions, bands = np.concatenate((absorption[None], draws)), room.absorption.bands
+
+    def numbers(i: int) -> PairNumbers:
+        base = room.base[i], room.base_sti[i]
+        return changed_numbers(
+            room.before[i], room.few[i], bands, absorptions, base, room.speech_db
+        )
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return tuple(pool.map(numbers, range(len(room.few))))
+
+
+@one_blas_thread
+def predict_change(
+    room: PreparedRoom,
+    changes: Sequence[Change] = (),
+    *,
+    exact: bool = False,
+    cache: Cache | None = None,
+    progress: Progress | None = None,
+) -> Predicted:
+    """Predict a prepared room with changes, as `predict` does.
+
+    Parameters
+    ----------
+    room : PreparedRoom
+        From `prepare_prediction`.
+    changes : sequence of Change
+    exact : bool
+        From all paths, in seconds; else carried over from the room as it was found by few of them,
+        in a tenth of a second: pictures of decays are then those before.
+    cache, progress
+        For what is exact.
+
+    Raises
+    ------
+    InputError
+        A change that cannot be made, or one of what is not known that is not exact.
+    """
+    absorption, scene = room.absorption, room.scene
+    began, bands, rng = time.perf_counter(), absorption.bands, deepcopy(room.rng)
+    expected, drawn, doubts = changed_draws(absorption, room.draws, changes, rng)
+    changed = [scene.room.materials.index(c.material) for c in changes]
+    numbers: list[tuple[PairNumbers, ...]] = [room.before]
+    if changes and exact:
+        after, cache_findings = _exact_numbers(room, expected, drawn, cache, progress)
+        doubts += cache_findings
+        numbers = [after, room.before] if room.before else [after]
+    elif changes:
+        numbers = [numbers_at(room, expected, drawn), room.before]
+    if len(numbers) > 1:
+        areas_m2 = material_areas_m2(scene.room, int(pair_states(scene)[0]))
+        doubts += prior_dominated(absorption, room.draws, changes, areas_m2, rng)
+    observed = room.observed
+    if not room.before:
+        observed = with_sti(scene, bands, observed, numbers[-1], room.speech_db)
+    means, sti = predicted_means(scene, numbers, observed)
+    pairs = predicted_pairs(scene, bands, numbers, observed)
+    if not room.before:
         # the room as it was measured is not known: nothing stands beside the measurement
         pairs = tuple(
-            replace(p, parameters=_without_jnd(p.parameters), sti=_without_jnd({0: p.sti})[0])
+            replace(p, parameters=without_jnd(p.parameters), sti=without_jnd({0: p.sti})[0])
             for p in pairs
         )
-        means, sti = _without_jnd(means), _without_jnd({0: sti})[0]
+        means, sti = without_jnd(means), without_jnd({0: sti})[0]
     lower, upper = absorption.lower95.copy(), absorption.upper95.copy()
     lower[changed], upper[changed] = np.quantile(drawn[:, changed], (0.025, 0.975), axis=0)
     return Predicted(
         bands,
-        room.materials,
+        scene.room.materials,
         expected,
         lower,
         upper,
@@ -310,16 +443,14 @@ def predict(
         pairs,
         means,
         (
-            *room.findings,
+            *scene.room.findings,
             *absorption.findings,
-            *clipped,
-            *measured_findings,
-            *decay_findings,
-            *cache_findings,
+            *doubts,
+            *room.findings,
             *_what_if(changes, observed, bands, means),
         ),
         len(drawn),
-        settings.seed,
+        room.seed,
         time.perf_counter() - began,
         sti,
     )
@@ -361,67 +492,7 @@ def _check(
             )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _ObservedPair:
-    """What was measured of a pair."""
-
-    source: str
-    receiver: str
-    use: Use
-    values: FloatArray  # (n_names, n_bands), in the order of VALUE_NAMES, NaN where unknown
-    sd: FloatArray  # (n_names, n_bands), stated with the values; 0 where none is
-    curve: DecayCurve | None  # None where room parameters were measured and no response
-    sti: float = np.nan
-
-
-def _observed_pairs(
-    scene: Scene, measurements: Sequence[Measurement | MeasuredValues], bands: Bands
-) -> tuple[tuple[_ObservedPair, ...], tuple[Finding, ...]]:
-    """Return what was measured, responses before tables of values."""
-    measured, findings = observe(
-        scene, [m for m in measurements if isinstance(m, Measurement)], bands
-    )
-    found = []
-    for m in measured:
-        # the level of a measurement is a question of its calibration: G is not read from responses
-        values = np.vstack([m.parameters.values, np.full(len(bands), np.nan)])
-        own = m.measurement
-        found.append(
-            _ObservedPair(own.source, own.receiver, own.use, values, 0.0 * values, m.curve)
-        )
-    for t in measurements:
-        if isinstance(t, MeasuredValues):
-            findings += t.findings
-            values = np.stack([values_at(t, name, bands) for name in VALUE_NAMES])
-            stated = replace(t, values=t.spread, spread={})
-            sds = np.nan_to_num([values_at(stated, name, bands) for name in VALUE_NAMES])
-            found.append(_ObservedPair(t.source, t.receiver, t.use, values, sds, None))
-    return tuple(found), findings
-
-
-def _with_sti(
-    scene: Scene,
-    bands: Bands,
-    observed: Sequence[_ObservedPair],
-    numbers: Sequence[PairNumbers],
-    speech_db: FloatArray | None,
-) -> tuple[_ObservedPair, ...]:
-    """Return what was measured with its speech transmission index, at the levels predicted."""
-    if sti_missing(bands):
-        return tuple(observed)
-    at, pairs = speech_bands(bands), [p[:2] for p in pair_names(scene)]
-    found = []
-    for o in observed:
-        if o.curve is not None:
-            strength_db = numbers[pairs.index((o.source, o.receiver))].values[-1, at]
-            levels_db = levels_at_listener(speech_db, strength_db)
-            index = speech_transmission(modulation_transfer(o.curve)[at], levels_db)
-            o = replace(o, sti=float(index))
-        found.append(o)
-    return tuple(found)
-
-
-def _longest_s(observed: Sequence[_ObservedPair]) -> float:
+def _longest_s(observed: Sequence[ObservedPair]) -> float:
     """Return the longest measured decay time, T20 or T30, 0 where none is known."""
     rows = [VALUE_NAMES.index("T20_s"), VALUE_NAMES.index("T30_s")]
     known = [o.values[rows][np.isfinite(o.values[rows])] for o in observed]
@@ -440,7 +511,7 @@ _SUMMARY: tuple[tuple[ValueName, ...], ...] = (("T30_s", "T20_s", "EDT_s"), ("C8
 
 def _what_if(
     changes: Sequence[Change],
-    observed: Sequence[_ObservedPair],
+    observed: Sequence[ObservedPair],
     bands: Bands,
     means: Mapping[ValueName, PredictedValue],
 ) -> tuple[Finding, ...]:
@@ -474,214 +545,3 @@ def _directions(bands: Bands, change: ValueChange, name: ValueName) -> dict[str,
     known = np.isfinite(change.change)
     found = {way: bands.centres_hz[at & known].tolist() for way, at in ways.items()}
     return {way: at for way, at in found.items() if at}
-
-
-def _predicted_pairs(
-    scene: Scene,
-    bands: Bands,
-    numbers: Sequence[Sequence[PairNumbers]],
-    observed_pairs: Sequence[_ObservedPair],
-) -> tuple[PredictedPair, ...]:
-    """Return every pair of the scene, once for each of its measurements, or once without."""
-    found = []
-    nothing = np.full((len(VALUE_NAMES), len(bands)), np.nan)
-    unknown = np.full((1, 1), np.nan)
-    for i, (source, receiver, _) in enumerate(pair_names(scene)):
-        states = [of_state[i] for of_state in numbers]
-        measured = [m for m in observed_pairs if (m.source, m.receiver) == (source, receiver)]
-        rows: list[_ObservedPair | None] = [*measured] or [None]
-        for m in rows:
-            values, sd, mean, index, mean_index = nothing, nothing, nothing, unknown, unknown
-            if m is not None:
-                others = [o for o in observed_pairs if o.use == "fit" and o is not m]
-                values, sd, mean = m.values, m.sd, _mean([o.values for o in others], nothing.shape)
-                index = np.full((1, 1), m.sti)
-                mean_index = _mean([np.array(o.sti) for o in others], (1, 1))
-            use = None if m is None else m.use
-            decay = _decay(states[0], m)
-            if len(states) > 1:
-                decay = replace(decay, before_db=states[1].decay.predicted_db)
-            table = _table(VALUE_NAMES, states, values, sd, mean)
-            of_speech = [n.sti for n in states if n.sti is not None]
-            sti = None
-            if of_speech:
-                sti = _table(("STI",), of_speech, index, 0.0 * unknown, mean_index)["STI"]
-            found.append(PredictedPair(source, receiver, use, table, decay, sti))
-    return tuple(found)
-
-
-def _predicted_means(
-    scene: Scene,
-    numbers: Sequence[Sequence[PairNumbers]],
-    observed_pairs: Sequence[_ObservedPair],
-) -> tuple[dict[ValueName, PredictedValue], PredictedValue | None]:
-    """Return means over the measured pairs of each band, over all where none was measured."""
-    of_pairs = [
-        [m for m in observed_pairs if (m.source, m.receiver) == p[:2]] for p in pair_names(scene)
-    ]
-    shape = numbers[0][0].values.shape
-    measured = np.array([_mean([m.values for m in own], shape) for own in of_pairs])
-    sd = np.nan_to_num([_mean([m.sd for m in own], shape) for own in of_pairs])
-    means = _mean_table(VALUE_NAMES, numbers, measured, sd)
-    of_speech = [[n.sti for n in of_state if n.sti is not None] for of_state in numbers]
-    if not of_speech[0]:
-        return means, None
-    index = np.array([_mean([np.array(m.sti) for m in own], (1, 1)) for own in of_pairs])
-    return means, _mean_table(("STI",), of_speech, index, np.zeros_like(index))["STI"]
-
-
-def _mean_table(
-    names: Sequence[N],
-    numbers: Sequence[Sequence[PairNumbers]],
-    measured: FloatArray,
-    measured_sd: FloatArray,
-) -> dict[N, PredictedValue]:
-    """Return the means of some parameters.
-
-    Parameters
-    ----------
-    measured, measured_sd : float arrays, shape (n_pairs, n_names, n_bands)
-    """
-    chosen = np.isfinite(measured)
-    for of_state in numbers:
-        chosen &= np.isfinite([n.values for n in of_state])
-    chosen |= ~chosen.any(axis=0)
-    weights = chosen / chosen.sum(axis=0)
-    observed = np.where(np.isfinite(measured).any(axis=0), _weighted(weights, measured), np.nan)
-    states = [
-        PairNumbers(
-            _weighted(weights, np.array([n.values for n in of_state])),
-            _weighted(weights[:, None], np.array([n.draws for n in of_state])),
-            np.sqrt(_weighted(weights**2, np.array([n.noise_sd for n in of_state]) ** 2)),
-            of_state[0].decay,
-        )
-        for of_state in numbers
-    ]
-    sd = np.sqrt(_weighted(weights**2, measured_sd**2))
-    return _table(names, states, observed, sd, np.full_like(observed, np.nan))
-
-
-def _weighted(weights: FloatArray, values: FloatArray) -> FloatArray:
-    """Sum over the first axis; what has no weight may be unknown."""
-    return np.asarray(np.where(weights > 0.0, weights * values, 0.0).sum(axis=0))
-
-
-def _model_sd(own: PairNumbers, row: int, name: str) -> FloatArray:
-    return MODEL_ERROR_JND * jnd_of(name, own.values[row])
-
-
-N = TypeVar("N", bound=str)
-K = TypeVar("K")
-V = TypeVar("V", PredictedValue, PredictedValue | None)
-
-
-def _table(
-    names: Sequence[N],
-    states: Sequence[PairNumbers],
-    measured: FloatArray,
-    measured_sd: FloatArray,
-    mean_of_others: FloatArray,
-) -> dict[N, PredictedValue]:
-    """Return predictions with their intervals, and what a change does where there are two states.
-
-    Parameters
-    ----------
-    states : sequence of PairNumbers
-        With the changes, and without where they are compared.
-    measured, measured_sd, mean_of_others : float arrays, shape (n_names, n_bands)
-    """
-    after = states[0]
-    table = {}
-    for row, name in enumerate(names):
-        # the model is wrong in the same way everywhere
-        rest_sd = np.hypot(after.noise_sd[row], _model_sd(after, row, name))
-        low, high = _interval(name, after.draws[:, row], rest_sd)
-        table[name] = PredictedValue(
-            after.values[row],
-            # of several answers that explain the data alike the likeliest may lie aside of most
-            np.fmin(low, after.values[row]),
-            np.fmax(high, after.values[row]),
-            np.std(after.draws[:, row], axis=0),
-            rest_sd,
-            measured[row],
-            in_jnd(name, measured[row], states[-1].values[row]),
-            mean_of_others[row],
-            _change(name, row, states, measured[row], measured_sd[row])
-            if len(states) > 1
-            else None,
-        )
-    return table
-
-
-def _without_jnd(table: Mapping[K, V]) -> dict[K, V]:
-    return {
-        name: v if v is None else replace(v, jnd=np.full_like(v.jnd, np.nan))
-        for name, v in table.items()
-    }
-
-
-def _change(
-    name: str,
-    row: int,
-    states: Sequence[PairNumbers],
-    measured: FloatArray,
-    measured_sd: FloatArray,
-) -> ValueChange:
-    """Return what a change does, draw by draw: the error that both states share is in neither.
-
-    What is carried over scatters as two measurements do, each with its own interference; the error
-    of the model, common to both states, is left out.
-    """
-    after, before = states
-    old, new, drawn_old, drawn_new = (
-        before.values[row], after.values[row], before.draws[:, row], after.draws[:, row]
-    )  # fmt: skip
-    scatter = (before.noise_sd[row], after.noise_sd[row])
-    if name in FIT_RANGES_DB:
-        with np.errstate(divide="ignore", invalid="ignore"):  # unknown values
-            change, drawn = new / old, drawn_new / drawn_old
-            relative = np.hypot(scatter[0] / old, scatter[1] / new)
-            relative = np.hypot(relative, measured_sd / measured)
-        carried, carried_draws = measured * change, measured * drawn
-        scatter_sd = carried * relative
-    else:
-        change, drawn = new - old, drawn_new - drawn_old
-        carried, carried_draws = measured + change, measured + drawn
-        scatter_sd = np.hypot(np.hypot(*scatter), measured_sd)
-    low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
-    return ValueChange(
-        old,
-        *_interval(name, drawn_old, np.hypot(scatter[0], _model_sd(before, row, name))),
-        change,
-        # no direction is said to be determined that the likeliest absorption contradicts
-        np.minimum(low, change),
-        np.maximum(high, change),
-        carried,
-        *_interval(name, carried_draws, scatter_sd),
-    )
-
-
-def _interval(name: str, draws: FloatArray, rest_sd: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the quantiles of all draws, each widened by noise, of shape (n_bands,) each."""
-    wide = draws[:, None, :] + _STEPS[:, None] * rest_sd / np.std(_STEPS)
-    low, high = np.quantile(wide.reshape(-1, rest_sd.size), (0.025, 0.975), axis=0)
-    if name in FIT_RANGES_DB:
-        low = np.maximum(low, 0.0)
-    if name in ("D50_percent", "STI"):
-        most = 1.0 if name == "STI" else 100.0
-        low, high = np.clip(low, 0.0, most), np.clip(high, 0.0, most)
-    return low, high
-
-
-def _mean(rows: Sequence[FloatArray], shape: tuple[int, ...]) -> FloatArray:
-    """Return the mean of what is known, NaN where nothing is."""
-    stacked = np.ma.masked_invalid(np.array(rows).reshape(-1, *shape))
-    return np.asarray(np.ma.filled(stacked.mean(axis=0), np.nan), dtype=np.float64)
-
-
-def _decay(own: PairNumbers, m: _ObservedPair | None) -> PredictedDecay:
-    if m is None or m.curve is None:
-        return own.decay
-    usable = own.decay.time_s <= m.curve.usable_end_s[:, None]
-    measured = np.where(usable, levels_at(m.curve, own.decay.time_s), np.nan)
-    return replace(own.decay, measured_db=measured)

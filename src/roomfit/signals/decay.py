@@ -134,7 +134,7 @@ def echogram_decay_curve(
         raise InputError("time edges must rise", found=f"{len(edges)} edges", needed="two or more")
     energy = float_array("energies", energies, (len(bands), len(edges) - 1), low=0.0)
     energy_left = np.stack([_backward_sum(row) for row in energy])
-    tail, unsure, constant_s = _tail(energy_left, edges)
+    tail, unsure, constant_s = tail_of(energy_left, edges)
     energy_left += tail[:, None]
     usable_db = _fall_db(energy_left[:, 0], unsure)
     ends_s = np.full(len(bands), edges[-1])
@@ -221,7 +221,7 @@ def _fall_db(total: FloatArray, tail: FloatArray) -> FloatArray:
     return np.asarray(10.0 * np.log10(ratio))
 
 
-def _tail(
+def tail_of(
     energy_left: FloatArray, edges_s: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return energy after the last edge, uncertain energy, and the tail's time constant.

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from roomfit._checks import float_array
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.signals.decay import DecayCurve
+from roomfit.signals.decay import DecayCurve, tail_of
 from roomfit.signals.iso3382 import tail_gradients
 from roomfit.typing import FloatArray
 
@@ -108,6 +108,28 @@ def modulation_transfer(curve: DecayCurve, least_range_db: float = 20.0) -> Floa
         z, total, *_ = _spectrum(curve, int(band))
         found[band] = np.abs(z) / total
     return found
+
+
+def transfer_of_bins(energies: FloatArray, edges_s: FloatArray) -> FloatArray:
+    """Return the modulation transfer of many echograms, shape (..., 14).
+
+    As `modulation_transfer` of their decay curves, at any range.
+
+    Parameters
+    ----------
+    energies : float array, shape (..., n_bins)
+        Some energy in each row.
+    edges_s : float array, shape (n_bins + 1,)
+    """
+    rows = energies.reshape(-1, energies.shape[-1])
+    left = np.cumsum(rows[:, ::-1], axis=1)[:, ::-1]
+    tail, _, constant_s = tail_of(np.pad(left, ((0, 0), (0, 1))), edges_s)
+    omega = 2.0 * np.pi * MODULATIONS_HZ
+    angle = 0.5 * (edges_s[1:] + edges_s[:-1])[:, None] * omega
+    z = rows @ np.cos(angle) - 1j * (rows @ np.sin(angle))
+    end = np.exp(-1j * omega * edges_s[-1]) / (1.0 + 1j * omega * constant_s[:, None])
+    found = np.abs(z + tail[:, None] * end) / (left[:, :1] + tail[:, None])
+    return np.asarray(found.reshape(*energies.shape[:-1], len(omega)))
 
 
 def modulation_gradients(curve: DecayCurve, band: int) -> tuple[FloatArray, FloatArray]:

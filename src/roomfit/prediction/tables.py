@@ -1,0 +1,358 @@
+"""Tables of a prediction: intervals, means, what a change does, what is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from scipy.special import ndtri
+
+from roomfit.bands import Bands
+from roomfit.findings import Finding
+from roomfit.inversion.measurements import observe
+from roomfit.measurement import Measurement, Use
+from roomfit.objective.room_parameters import MODEL_ERROR_JND, values_at
+from roomfit.prediction.decay import (
+    PairNumbers,
+    PredictedDecay,
+    levels_at,
+    levels_at_listener,
+    speech_bands,
+)
+from roomfit.scene import Scene, pair_names
+from roomfit.signals.decay import FIT_RANGES_DB, DecayCurve, in_jnd, jnd_of
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
+from roomfit.signals.speech import modulation_transfer, speech_transmission, sti_missing
+from roomfit.typing import FloatArray
+
+# Steps of equal probability by which noise widens every draw.
+_STEPS = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ValueChange:
+    """One room parameter before a change, and what the change does; all of shape (n_bands,)."""
+
+    before: FloatArray  # at the most likely absorption as it was found
+    before_lower95: FloatArray  # where a measurement before the change is expected
+    before_upper95: FloatArray
+    # after over before of EDT, T20 and T30, after minus before of all else; the interval is that of
+    # the absorption alone, in which what is common to both cancels
+    change: FloatArray
+    change_lower95: FloatArray
+    change_upper95: FloatArray
+    # what was measured before, carried over by the change; a measurement after it is expected
+    # between the two, NaN where nothing was measured
+    carried: FloatArray
+    carried_lower95: FloatArray
+    carried_upper95: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedValue:
+    """One room parameter in every band; all arrays of shape (n_bands,), NaN where unknown."""
+
+    predicted: FloatArray  # at the most likely absorption; the interval reaches to it at least
+    lower95: FloatArray  # a measurement is expected between these two, 95 of 100 times
+    upper95: FloatArray
+    sd_absorption: FloatArray  # part of the spread, from what is not known of the absorption
+    # part of the spread, from reflections that interfere, from the number of rays, and from the
+    # error that the model is granted
+    sd_rest: FloatArray
+    measured: FloatArray
+    # predicted minus measured in just noticeable differences; of a changed room what was predicted
+    # before the change, NaN where that is not known
+    jnd: FloatArray
+    mean_of_others: FloatArray  # over the other fitted measurements: a baseline
+    change: ValueChange | None = None  # where materials were changed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedPair:
+    """What is predicted between one source and one receiver; twice where it was measured twice."""
+
+    source: str
+    receiver: str
+    use: Use | None  # of its measurement; None where there is none
+    parameters: Mapping[ValueName, PredictedValue]
+    decay: PredictedDecay
+    sti: PredictedValue | None = None  # shape (1,), where the bands give it
+
+
+def named_values(
+    table: Mapping[ValueName, PredictedValue], sti: PredictedValue | None
+) -> dict[str, PredictedValue]:
+    """Return parameters by name, the speech transmission index last."""
+    named: dict[str, PredictedValue] = {str(name): v for name, v in table.items()}
+    return named | ({} if sti is None else {"STI": sti})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObservedPair:
+    """What was measured of a pair."""
+
+    source: str
+    receiver: str
+    use: Use
+    values: FloatArray  # (n_names, n_bands), in the order of VALUE_NAMES, NaN where unknown
+    sd: FloatArray  # (n_names, n_bands), stated with the values; 0 where none is
+    curve: DecayCurve | None  # None where room parameters were measured and no response
+    sti: float = np.nan
+
+
+def observed_pairs(
+    scene: Scene, measurements: Sequence[Measurement | MeasuredValues], bands: Bands
+) -> tuple[tuple[ObservedPair, ...], tuple[Finding, ...]]:
+    """Return what was measured, responses before tables of values."""
+    measured, findings = observe(
+        scene, [m for m in measurements if isinstance(m, Measurement)], bands
+    )
+    found = []
+    for m in measured:
+        # the level of a measurement is a question of its calibration: G is not read from responses
+        values = np.vstack([m.parameters.values, np.full(len(bands), np.nan)])
+        own = m.measurement
+        found.append(ObservedPair(own.source, own.receiver, own.use, values, 0.0 * values, m.curve))
+    for t in measurements:
+        if isinstance(t, MeasuredValues):
+            findings += t.findings
+            values = np.stack([values_at(t, name, bands) for name in VALUE_NAMES])
+            stated = replace(t, values=t.spread, spread={})
+            sds = np.nan_to_num([values_at(stated, name, bands) for name in VALUE_NAMES])
+            found.append(ObservedPair(t.source, t.receiver, t.use, values, sds, None))
+    return tuple(found), findings
+
+
+def with_sti(
+    scene: Scene,
+    bands: Bands,
+    observed: Sequence[ObservedPair],
+    numbers: Sequence[PairNumbers],
+    speech_db: FloatArray | None,
+) -> tuple[ObservedPair, ...]:
+    """Return what was measured with its speech transmission index, at the levels predicted."""
+    if sti_missing(bands):
+        return tuple(observed)
+    at, pairs = speech_bands(bands), [p[:2] for p in pair_names(scene)]
+    found = []
+    for o in observed:
+        if o.curve is not None:
+            strength_db = numbers[pairs.index((o.source, o.receiver))].values[-1, at]
+            levels_db = levels_at_listener(speech_db, strength_db)
+            index = speech_transmission(modulation_transfer(o.curve)[at], levels_db)
+            o = replace(o, sti=float(index))
+        found.append(o)
+    return tuple(found)
+
+
+def predicted_pairs(
+    scene: Scene,
+    bands: Bands,
+    numbers: Sequence[Sequence[PairNumbers]],
+    observed_pairs: Sequence[ObservedPair],
+) -> tuple[PredictedPair, ...]:
+    """Return every pair of the scene, once for each of its measurements, or once without."""
+    found = []
+    nothing = np.full((len(VALUE_NAMES), len(bands)), np.nan)
+    unknown = np.full((1, 1), np.nan)
+    for i, (source, receiver, _) in enumerate(pair_names(scene)):
+        states = [of_state[i] for of_state in numbers]
+        measured = [m for m in observed_pairs if (m.source, m.receiver) == (source, receiver)]
+        rows: list[ObservedPair | None] = [*measured] or [None]
+        for m in rows:
+            values, sd, mean, index, mean_index = nothing, nothing, nothing, unknown, unknown
+            if m is not None:
+                others = [o for o in observed_pairs if o.use == "fit" and o is not m]
+                values, sd, mean = m.values, m.sd, _mean([o.values for o in others], nothing.shape)
+                index = np.full((1, 1), m.sti)
+                mean_index = _mean([np.array(o.sti) for o in others], (1, 1))
+            use = None if m is None else m.use
+            decay = _decay(states[0], m)
+            if len(states) > 1:
+                decay = replace(decay, before_db=states[1].decay.predicted_db)
+            table = _table(VALUE_NAMES, states, values, sd, mean)
+            of_speech = [n.sti for n in states if n.sti is not None]
+            sti = None
+            if of_speech:
+                sti = _table(("STI",), of_speech, index, 0.0 * unknown, mean_index)["STI"]
+            found.append(PredictedPair(source, receiver, use, table, decay, sti))
+    return tuple(found)
+
+
+def predicted_means(
+    scene: Scene,
+    numbers: Sequence[Sequence[PairNumbers]],
+    observed_pairs: Sequence[ObservedPair],
+) -> tuple[dict[ValueName, PredictedValue], PredictedValue | None]:
+    """Return means over the measured pairs of each band, over all where none was measured."""
+    of_pairs = [
+        [m for m in observed_pairs if (m.source, m.receiver) == p[:2]] for p in pair_names(scene)
+    ]
+    shape = numbers[0][0].values.shape
+    measured = np.array([_mean([m.values for m in own], shape) for own in of_pairs])
+    sd = np.nan_to_num([_mean([m.sd for m in own], shape) for own in of_pairs])
+    means = _mean_table(VALUE_NAMES, numbers, measured, sd)
+    of_speech = [[n.sti for n in of_state if n.sti is not None] for of_state in numbers]
+    if not of_speech[0]:
+        return means, None
+    index = np.array([_mean([np.array(m.sti) for m in own], (1, 1)) for own in of_pairs])
+    return means, _mean_table(("STI",), of_speech, index, np.zeros_like(index))["STI"]
+
+
+def _mean_table(
+    names: Sequence[N],
+    numbers: Sequence[Sequence[PairNumbers]],
+    measured: FloatArray,
+    measured_sd: FloatArray,
+) -> dict[N, PredictedValue]:
+    """Return the means of some parameters.
+
+    Parameters
+    ----------
+    measured, measured_sd : float arrays, shape (n_pairs, n_names, n_bands)
+    """
+    chosen = np.isfinite(measured)
+    for of_state in numbers:
+        chosen &= np.isfinite([n.values for n in of_state])
+    chosen |= ~chosen.any(axis=0)
+    weights = chosen / chosen.sum(axis=0)
+    observed = np.where(np.isfinite(measured).any(axis=0), _weighted(weights, measured), np.nan)
+    states = [
+        PairNumbers(
+            _weighted(weights, np.array([n.values for n in of_state])),
+            _weighted(weights[:, None], np.array([n.draws for n in of_state])),
+            np.sqrt(_weighted(weights**2, np.array([n.noise_sd for n in of_state]) ** 2)),
+            of_state[0].decay,
+        )
+        for of_state in numbers
+    ]
+    sd = np.sqrt(_weighted(weights**2, measured_sd**2))
+    return _table(names, states, observed, sd, np.full_like(observed, np.nan))
+
+
+def _weighted(weights: FloatArray, values: FloatArray) -> FloatArray:
+    """Sum over the first axis; what has no weight may be unknown."""
+    return np.asarray(np.where(weights > 0.0, weights * values, 0.0).sum(axis=0))
+
+
+def _model_sd(own: PairNumbers, row: int, name: str) -> FloatArray:
+    return MODEL_ERROR_JND * jnd_of(name, own.values[row])
+
+
+N = TypeVar("N", bound=str)
+K = TypeVar("K")
+V = TypeVar("V", PredictedValue, PredictedValue | None)
+
+
+def _table(
+    names: Sequence[N],
+    states: Sequence[PairNumbers],
+    measured: FloatArray,
+    measured_sd: FloatArray,
+    mean_of_others: FloatArray,
+) -> dict[N, PredictedValue]:
+    """Return predictions with their intervals, and what a change does where there are two states.
+
+    Parameters
+    ----------
+    states : sequence of PairNumbers
+        With the changes, and without where they are compared.
+    measured, measured_sd, mean_of_others : float arrays, shape (n_names, n_bands)
+    """
+    after = states[0]
+    table = {}
+    for row, name in enumerate(names):
+        # the model is wrong in the same way everywhere
+        rest_sd = np.hypot(after.noise_sd[row], _model_sd(after, row, name))
+        low, high = _interval(name, after.draws[:, row], rest_sd)
+        table[name] = PredictedValue(
+            after.values[row],
+            # of several answers that explain the data alike the likeliest may lie aside of most
+            np.fmin(low, after.values[row]),
+            np.fmax(high, after.values[row]),
+            np.std(after.draws[:, row], axis=0),
+            rest_sd,
+            measured[row],
+            in_jnd(name, measured[row], states[-1].values[row]),
+            mean_of_others[row],
+            _change(name, row, states, measured[row], measured_sd[row])
+            if len(states) > 1
+            else None,
+        )
+    return table
+
+
+def without_jnd(table: Mapping[K, V]) -> dict[K, V]:
+    return {
+        name: v if v is None else replace(v, jnd=np.full_like(v.jnd, np.nan))
+        for name, v in table.items()
+    }
+
+
+def _change(
+    name: str,
+    row: int,
+    states: Sequence[PairNumbers],
+    measured: FloatArray,
+    measured_sd: FloatArray,
+) -> ValueChange:
+    """Return what a change does, draw by draw: the error that both states share is in neither.
+
+    What is carried over scatters as two measurements do, each with its own interference; the error
+    of the model, common to both states, is left out.
+    """
+    after, before = states
+    old, new, drawn_old, drawn_new = (
+        before.values[row], after.values[row], before.draws[:, row], after.draws[:, row]
+    )  # fmt: skip
+    scatter = (before.noise_sd[row], after.noise_sd[row])
+    if name in FIT_RANGES_DB:
+        with np.errstate(divide="ignore", invalid="ignore"):  # unknown values
+            change, drawn = new / old, drawn_new / drawn_old
+            relative = np.hypot(scatter[0] / old, scatter[1] / new)
+            relative = np.hypot(relative, measured_sd / measured)
+        carried, carried_draws = measured * change, measured * drawn
+        scatter_sd = carried * relative
+    else:
+        change, drawn = new - old, drawn_new - drawn_old
+        carried, carried_draws = measured + change, measured + drawn
+        scatter_sd = np.hypot(np.hypot(*scatter), measured_sd)
+    low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
+    return ValueChange(
+        old,
+        *_interval(name, drawn_old, np.hypot(scatter[0], _model_sd(before, row, name))),
+        change,
+        # no direction is said to be determined that the likeliest absorption contradicts
+        np.minimum(low, change),
+        np.maximum(high, change),
+        carried,
+        *_interval(name, carried_draws, scatter_sd),
+    )
+
+
+def _interval(name: str, draws: FloatArray, rest_sd: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the quantiles of all draws, each widened by noise, of shape (n_bands,) each."""
+    wide = draws[:, None, :] + _STEPS[:, None] * rest_sd / np.std(_STEPS)
+    low, high = np.quantile(wide.reshape(-1, rest_sd.size), (0.025, 0.975), axis=0)
+    if name in FIT_RANGES_DB:
+        low = np.maximum(low, 0.0)
+    if name in ("D50_percent", "STI"):
+        most = 1.0 if name == "STI" else 100.0
+        low, high = np.clip(low, 0.0, most), np.clip(high, 0.0, most)
+    return low, high
+
+
+def _mean(rows: Sequence[FloatArray], shape: tuple[int, ...]) -> FloatArray:
+    """Return the mean of what is known, NaN where nothing is."""
+    stacked = np.ma.masked_invalid(np.array(rows).reshape(-1, *shape))
+    return np.asarray(np.ma.filled(stacked.mean(axis=0), np.nan), dtype=np.float64)
+
+
+def _decay(own: PairNumbers, m: ObservedPair | None) -> PredictedDecay:
+    if m is None or m.curve is None:
+        return own.decay
+    usable = own.decay.time_s <= m.curve.usable_end_s[:, None]
+    measured = np.where(usable, levels_at(m.curve, own.decay.time_s), np.nan)
+    return replace(own.decay, measured_db=measured)
