@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 
 from roomfit.cli.arguments import Commands, add_command
-from roomfit.cli.terminal import progress_line, say
+from roomfit.cli.terminal import say
+from roomfit.report.progress import shown_progress
 
 
 def add(commands: Commands) -> None:
@@ -41,7 +42,7 @@ def run(options: argparse.Namespace) -> None:
     from roomfit.prediction.changes import read_change
     from roomfit.prediction.output import listen_text
 
-    with progress_line("listening") as progress:
+    with shown_progress("listening") as progress:
         content = listen_to_folder(
             options.campaign,
             options.absorption,
