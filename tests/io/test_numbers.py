@@ -53,6 +53,7 @@ GOOD: dict[str, Any] = {
     "settings": {},
     "impedance": {},
     "design": {},
+    "speech": {"level_dba": 60.0},
 }
 # places that need something beside them
 INSTEAD: dict[str, Any] = {
@@ -78,6 +79,7 @@ LISTS = {
     "sources.NAME.directivity.up": [0.0, 0.0, 1.0],
     "identify.bands": [500.0, 1000.0],
     "room.polygons.drop": [3],
+    "speech.noise_db": [40.0] * 7,
 }
 
 

@@ -146,7 +146,8 @@ def predicted_with(names):
 def test_predictions_show_the_parameters_that_are_there():
     for names in SUBSETS:
         predicted = predicted_with(names)
-        means, pairs = predict_text(predicted).split("\n\n")
+        means, speech, pairs = predict_text(predicted).split("\n\n")
+        assert speech.startswith("STI is not predicted: it needs the octave bands")
         shown = [line.split()[0] for line in means.splitlines()[2:] if "measured" not in line]
         assert sorted(shown) == sorted(SYMBOLS[n] for n in names)
         of_pair = [x.split()[0] for x in pairs.splitlines()[3:] if "measured" not in x]

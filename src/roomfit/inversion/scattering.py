@@ -62,9 +62,9 @@ _ASSUMED_BANDS, _ASSUMED_RAYS = 2, 8_000
 
 # Walls specified as smooth are tried with this coefficient ...
 _TRIAL = 0.15
-# ... which must gain more than this in log likelihood, and lose less in every band: of six boxes
-# that scatter so one lost 2 in a band; a smooth one of another program lost 5, and gained 22.
-_LEAST_GAIN, _LARGEST_LOSS = 5.0, 3.0
+# ... which must gain more than this in log likelihood, and lose less in every band: of nine boxes
+# that scatter by .08 or .15 one lost 3.7 in a band; a smooth one lost 5, and gained 22.
+_LEAST_GAIN, _LARGEST_LOSS = 5.0, 4.0
 # The higher a band, the less its energies fluctuate by interference, and the better they determine
 # whether anything arrives between the image sources; higher still, sources are directional.
 _TRIAL_BANDS, _HIGHEST_TRIAL_HZ = 3, 4500.0
@@ -211,7 +211,7 @@ def suspected_scattering(
     -------
     tuple of Finding
         `Code.SCATTERING_UNDERESTIMATED` where the trial gains more than 5 in log likelihood, all
-        bands together, and no band loses 3, which indicates something else than scattering: a
+        bands together, and no band loses 4, which indicates something else than scattering: a
         loudspeaker that rings, for instance, or sound that runs along hard walls. Empty otherwise,
         and where no wall is smooth.
     """
