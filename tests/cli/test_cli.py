@@ -56,7 +56,7 @@ def test_a_check_of_a_room_loads_no_pictures_and_no_statistics(tmp_path):
 
 COMMANDS = ("batch", "cache", "catalogue", "check", "compare", "coverage", "demo", "design",
             "export", "identify", "impedance", "init", "listen", "paper", "predict",
-            "reverberation", "schema")  # fmt: skip
+            "reverberation", "schema", "treat")  # fmt: skip
 
 
 @pytest.mark.parametrize("command", COMMANDS)
