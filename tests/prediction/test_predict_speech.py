@@ -130,7 +130,8 @@ def test_a_prepared_room_predicts_the_index_after_a_change_as_predict_does(scene
         exact = predict(scene, known, change, settings=FEW, speech_db=speech_db)
         for own, one in ((found, exact), *zip(found.pairs, exact.pairs, strict=True)):
             assert abs(one.sti.predicted[0] - one.sti.change.before[0]) > 0.02
-            assert own.sti.change.before[0] == one.sti.change.before[0]
+            # decays are followed as far as each needs
+            assert own.sti.change.before[0] == pytest.approx(one.sti.change.before[0], abs=1e-4)
             for row in ("predicted", "lower95", "upper95"):
                 assert getattr(own.sti, row)[0] == pytest.approx(getattr(one.sti, row)[0], abs=0.01)
             assert own.sti.change.change_lower95[0] == pytest.approx(

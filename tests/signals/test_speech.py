@@ -160,6 +160,25 @@ def test_the_transfers_derivatives_by_energies_are_exact():
         np.testing.assert_allclose(gradients[:, j], numeric, rtol=1e-4, atol=1e-5)
 
 
+def test_an_echogram_whose_last_bins_are_empty_has_derivatives_by_all_of_them():
+    """As a room of walls that absorb nearly all; one-sided differences where nothing is."""
+    edges_s = np.linspace(0.0, 0.4, 31)
+    energy = -np.diff(10.0 ** (-6.0 * edges_s / 0.9))
+    energy[22:] = 0.0
+    octave = Bands("octave", np.array([1000.0]))
+
+    def transfer(e):
+        return modulation_gradients(echogram_decay_curve(octave, e[None], edges_s, 0.0), 0)
+
+    values, gradients = transfer(energy)
+    assert gradients.shape == (14, 30)
+    for j in (3, 21, 24, 29):
+        moved = np.zeros(30)
+        moved[j] = 1e-7 * energy[0]
+        numeric = (transfer(energy + moved)[0] - values) / moved[j]
+        np.testing.assert_allclose(gradients[:, j], numeric, rtol=1e-4, atol=1e-4)
+
+
 def decaying_noise(decay_s: float, seed: int = 1) -> np.ndarray:
     rng = np.random.default_rng(seed)
     t = np.arange(2 * 44100) / 44100

@@ -146,7 +146,7 @@ def modulation_gradients(curve: DecayCurve, band: int) -> tuple[FloatArray, Floa
     gradients : float array, shape (14, n_bins)
         Exact, including the energy that is added for the time after the echogram.
     """
-    z, total, phase, end, lag = _spectrum(curve, band)
+    z, total, phase, end, lag = _spectrum(curve, band, is_echogram=True)
     by_tail, by_moment = tail_gradients(curve, band)
     # the moment of the tail is its energy times its time constant
     by_constant = by_moment - curve.tail_time_constant_s[band] * by_tail
@@ -159,14 +159,16 @@ def modulation_gradients(curve: DecayCurve, band: int) -> tuple[FloatArray, Floa
 
 
 def _spectrum(
-    curve: DecayCurve, band: int
+    curve: DecayCurve, band: int, *, is_echogram: bool = False
 ) -> tuple[FloatArray, float, FloatArray, FloatArray, FloatArray]:
     """Return the spectrum of the energy, the whole energy, and phases of the bins.
 
-    Of the tail follow its phase at the beginning, and what divides it.
+    Of the tail follow its phase at the beginning, and what divides it. That of an echogram follows
+    its last bin, empty or not; that of a response where nothing is left of it.
     """
     left = curve.energy_left[band]
-    last = int(np.flatnonzero(left)[-1]) if left[-1] == 0.0 and left.any() else len(left) - 1
+    is_cut = not is_echogram and left[-1] == 0.0 and left.any()
+    last = int(np.flatnonzero(left)[-1]) if is_cut else len(left) - 1
     time_s = curve.time_s[: last + 1]
     if not left[0] > 0.0:
         raise InputError("a response without energy has no modulation transfer")
