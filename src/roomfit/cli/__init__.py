@@ -19,6 +19,7 @@ from contextlib import contextmanager
 
 import roomfit
 from roomfit.cli import (
+    app,
     batch,
     catalogue,
     check,
@@ -40,6 +41,7 @@ from roomfit.cli.terminal import warn
 from roomfit.errors import InputError, RoomfitError, StoreError
 
 _COMMANDS = (
+    app,
     batch,
     catalogue,
     check,
