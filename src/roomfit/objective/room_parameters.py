@@ -33,6 +33,7 @@ from roomfit.response.energy import (
     rows_in_air,
     thinned_rows,
     weigh,
+    weigh_points,
     window_of_rows,
 )
 from roomfit.scene import Scene, distances_m, pair_names
@@ -47,8 +48,8 @@ from roomfit.signals.iso3382 import (
     VALUE_NAMES,
     MeasuredValues,
     ValueName,
-    approximate_values,
     value_gradients,
+    values_of_bins,
 )
 from roomfit.typing import FloatArray
 
@@ -177,17 +178,9 @@ def approximated(term: ValuesTerm, absorption: FloatArray) -> Callable[[FloatArr
         for _ in points:
             count_evaluation()
         for rows, own, observed in zip(few, chosen, term.observations, strict=True):
-            found.append(
-                approximate_values(
-                    window_of_rows(rows),
-                    rows.weight_per_m2,
-                    rows.hits,
-                    1.0 - points,
-                    shares,
-                    term.edges_s,
-                    observed.direct_s,
-                )[:, own]
-            )
+            energies = weigh_points(rows, points)
+            every = values_of_bins(energies, shares, term.edges_s, observed.direct_s)
+            found.append(every[:, own])
         return np.concatenate(found, axis=1)
 
     exact, there = term.expected({"absorption": absorption}), plain(absorption[None])[0]

@@ -18,9 +18,16 @@ from roomfit.inversion.scattering import band_factors, specified_scattering
 from roomfit.inversion.trace_plan import cached_trace, plan_trace
 from roomfit.materials.priors import MaterialPrior, unknown_material
 from roomfit.objective.room_parameters import predicted_values, value_covariances, value_terms
-from roomfit.response.binned import BinnedPaths, bin_paths, pair_energies, regrouped
+from roomfit.response.binned import BinnedPaths, bin_paths, rows_at
 from roomfit.response.directivity import known_directivities
-from roomfit.response.energy import regrouped_rows, thinned_rows
+from roomfit.response.energy import (
+    EnergyRows,
+    merge_equal_rows,
+    regrouped_rows,
+    rows_in_air,
+    thinned_rows,
+    weigh_points,
+)
 from roomfit.scene import (
     Scene,
     distances_m,
@@ -31,7 +38,7 @@ from roomfit.scene import (
 )
 from roomfit.settings import Settings
 from roomfit.signals.decay import DecayCurve, decay_curve_db, echogram_decay_curve, room_parameters
-from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, value_gradients
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, values_of_bins
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
@@ -147,7 +154,7 @@ def _short_finding(bands: Bands, short: Sequence[int]) -> tuple[Finding, ...]:
 
 
 # Differences between absorptions are read from so many rows, in bins of a millisecond.
-_ROWS_OF_A_DRAW = 30_000
+ROWS_OF_A_DRAW = 30_000
 _BINS_TOGETHER = 10
 _PICTURE_POINTS = 160
 _LOWEST_DB = -200.0
@@ -177,11 +184,71 @@ class PairNumbers:
     decay: PredictedDecay
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FewRows:
+    """Paths of one pair, fewer and in wide bins: for differences between many absorptions."""
+
+    edges_s: FloatArray  # (n_bins + 1,)
+    direct_s: float
+    by_band: tuple[EnergyRows, ...]  # with the air in their weights
+
+
+def few_rows(
+    scene: Scene, bands: Bands, binned: BinnedPaths, pair: int, most: int = ROWS_OF_A_DRAW
+) -> FewRows:
+    """Return at most about so many rows of one pair; those of one bin and equal hits are joined."""
+    edges_s = np.append(binned.edges_s[:-1][::_BINS_TOGETHER], binned.edges_s[-1])
+    first = np.arange(0, binned.edges_s.size - 1, _BINS_TOGETHER)
+    by_band = [
+        merge_equal_rows(
+            rows_in_air(regrouped_rows(thinned_rows(rows_at(binned, f)[pair], most), first), m)
+        )
+        for f, m in zip(
+            bands.centres_hz.tolist(), attenuation_per_m(scene.air, bands).tolist(), strict=True
+        )
+    ]
+    direct_s = float(distances_m(scene)[pair] / speed_of_sound_m_s(scene.air))
+    return FewRows(edges_s, direct_s, tuple(by_band))
+
+
+def few_energies(few: FewRows, absorptions: FloatArray) -> FloatArray:
+    """Return the energies of a pair under several absorptions, (n_points, n_bands, n_bins).
+
+    Parameters
+    ----------
+    absorptions : float array, shape (n_points, n_materials, n_bands)
+    """
+    energies = np.stack(
+        [weigh_points(rows, absorptions[:, :, b]) for b, rows in enumerate(few.by_band)], axis=1
+    )
+    # a wall that absorbs all leaves later bins empty: too little to matter, but not nothing
+    return np.asarray(np.maximum(energies, 1e-30 * energies.sum(axis=2, keepdims=True)))
+
+
+def few_values(few: FewRows, energies: FloatArray) -> FloatArray:
+    """Return the room parameters of such energies, shape (n_points, n_names, n_bands)."""
+    rows = [
+        values_of_bins(np.ascontiguousarray(own), np.ones(1), few.edges_s, few.direct_s)
+        for own in energies.transpose(1, 0, 2)
+    ]
+    return np.stack(rows, axis=2)
+
+
+def moved(values: FloatArray, there: FloatArray, base: FloatArray) -> FloatArray:
+    """Return values carried over from one absorption to others as few rows tell.
+
+    Times by their ratio, all else by the difference. Shapes (..., n_names, n_bands).
+    """
+    ratio = np.divide(there, base, out=np.ones_like(there), where=base != 0.0)
+    return np.asarray(np.where(RELATIVE[:, None], values * ratio, values + (there - base)))
+
+
 def pair_numbers(
     scene: Scene,
     bands: Bands,
     binned: BinnedPaths,
     pair: int,
+    few: FewRows,
     absorption: FloatArray,
     draws: FloatArray,
 ) -> PairNumbers:
@@ -189,15 +256,16 @@ def pair_numbers(
 
     Parameters
     ----------
+    few : FewRows
+        Of the pair, for the draws.
     absorption : float array, shape (n_materials, n_bands)
     draws : float array, shape (n_draws, n_materials, n_bands)
     """
     alone = select_pairs(scene, slice(pair, pair + 1))
     bands_of = {f: (rows[pair],) for f, rows in binned.by_band.items()}
     own = BinnedPaths(binned.edges_s, (binned.rows[pair],), bands_of)
-    direct_s = float(distances_m(alone)[0] / speed_of_sound_m_s(scene.air))
     attenuation = attenuation_per_m(scene.air, bands)
-    curve = predicted_curve(bands, own, 0, absorption, attenuation, direct_s)
+    curve = predicted_curve(bands, own, 0, absorption, attenuation, few.direct_s)
     values = np.vstack(
         [
             room_parameters(curve).values,
@@ -205,42 +273,46 @@ def pair_numbers(
         ]
     )
     times = np.linspace(0.0, float(curve.time_s[-1]), _PICTURE_POINTS)
-    moved, shapes = _draws(bands, own, direct_s, np.stack([absorption, *draws]), attenuation, times)
-    ratio = np.divide(moved[1:], moved[0], out=np.ones_like(moved[1:]), where=moved[0] != 0.0)
-    drawn = np.where(RELATIVE[:, None], values * ratio, values + (moved[1:] - moved[0]))
+    energies = few_energies(few, np.stack([absorption, *draws]))
+    found = few_values(few, energies)
+    shapes = np.stack(
+        [
+            levels_at(echogram_decay_curve(bands, energy, few.edges_s, few.direct_s), times)
+            for energy in energies
+        ]
+    )
     decay_db = levels_at(curve, times)
     low, high = np.quantile(shapes[1:] - shapes[0], (0.025, 0.975), axis=0)
     return PairNumbers(
         values,
-        drawn,
+        moved(values, found[1:], found[0]),
         _noise_sd(alone, bands, own, absorption),
         PredictedDecay(times, decay_db, decay_db + low, decay_db + high),
     )
 
 
-def _draws(
-    bands: Bands,
-    own: BinnedPaths,
-    direct_s: float,
-    absorptions: FloatArray,
-    attenuation: FloatArray,
-    times: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return values and decay levels under several absorptions, from fewer rows and wider bins."""
-    edges_s = np.append(own.edges_s[:-1][::_BINS_TOGETHER], own.edges_s[-1])
-    first = np.arange(0, own.edges_s.size - 1, _BINS_TOGETHER)
-    few = regrouped(own, edges_s, lambda r: regrouped_rows(thinned_rows(r, _ROWS_OF_A_DRAW), first))
-    values = np.empty((len(absorptions), len(VALUE_NAMES), len(bands)))
-    shapes = np.empty((len(absorptions), len(bands), times.size))
-    for i, absorption in enumerate(absorptions):
-        energy = pair_energies(few, bands, 0, absorption, attenuation)
-        # a wall that absorbs all leaves later bins empty: too little to matter, but not nothing
-        energy = np.maximum(energy, 1e-30 * energy.sum(axis=1, keepdims=True))
-        curve = echogram_decay_curve(bands, energy, edges_s, direct_s)
-        for band in range(len(bands)):
-            values[i, :, band] = value_gradients(curve, band, VALUE_NAMES, derivative=False)[0]
-        shapes[i] = levels_at(curve, times)
-    return values, shapes
+def changed_numbers(
+    before: PairNumbers, few: FewRows, absorptions: FloatArray, base: FloatArray
+) -> PairNumbers:
+    """Return the predictions for one pair after its walls have changed, in milliseconds.
+
+    Carried over from those before by what fewer paths tell, as draws are: for times by their ratio,
+    for all else by the difference. Interference goes with the number of its independent parts: the
+    standard deviation of a time as its square root, see `value_covariances`, all else stays. The
+    picture of the decay is that before.
+
+    Parameters
+    ----------
+    absorptions : float array, shape (1 + n_draws, n_materials, n_bands)
+        The most likely one first.
+    base : float array, shape (n_names, n_bands)
+        `few_values` at the absorption of `before`.
+    """
+    values = moved(before.values, few_values(few, few_energies(few, absorptions)), base)
+    with np.errstate(divide="ignore", invalid="ignore"):  # unknown values
+        longer = np.sqrt(values[0] / before.values)
+    noise_sd = before.noise_sd * np.where(RELATIVE[:, None], longer, 1.0)
+    return PairNumbers(values[0], values[1:], noise_sd, before.decay)
 
 
 def levels_at(curve: DecayCurve, times: FloatArray) -> FloatArray:

@@ -559,6 +559,45 @@ def weigh(
     return EnergyResponse(energy, by_absorption if derivative else None)
 
 
+@kernel()
+def _weigh_points(
+    offsets: IntArray, weight: FloatArray, hits: IntArray, powers: FloatArray, energy: FloatArray
+) -> None:
+    """Add rows to energy (n_windows, n_points); powers (n_materials, max_hits + 1, n_points)."""
+    e = np.empty(energy.shape[1])
+    for w in range(len(offsets) - 1):
+        for r in range(offsets[w], offsets[w + 1]):
+            e[:] = weight[r]
+            for m in range(hits.shape[1]):
+                h = hits[r, m]
+                if h > 0:
+                    for p in range(len(e)):
+                        e[p] *= powers[m, h, p]
+            for p in range(len(e)):
+                energy[w, p] += e[p]
+
+
+def weigh_points(rows: EnergyRows, absorption: FloatArray) -> FloatArray:
+    """Return the window energies under many absorptions of one band, (n_points, n_windows).
+
+    A pass over the rows serves all points, side by side in vectors: a tenth of `weigh`'s time each.
+
+    Parameters
+    ----------
+    rows : EnergyRows
+        With the air in their weights, see `rows_in_air`.
+    absorption : float array, shape (n_points, n_materials)
+        0 to 1.
+    """
+    powers = np.ones((len(rows.materials), rows.max_hits + 1, len(absorption)))
+    powers[:, 1:] = np.cumprod(
+        np.broadcast_to((1.0 - absorption.T)[:, None], powers[:, 1:].shape), axis=1
+    )
+    energy = np.zeros((rows.n_windows, len(absorption)))
+    _weigh_points(rows.offsets, rows.weight_per_m2, rows.hits, powers, energy)
+    return np.ascontiguousarray(energy.T)
+
+
 def batch_energies(
     rows: EnergyRows, coefficients: FloatArray, attenuation_per_m: FloatArray
 ) -> FloatArray:

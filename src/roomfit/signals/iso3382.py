@@ -20,7 +20,7 @@ from roomfit._numba import kernel
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding, Severity
 from roomfit.signals.decay import FIT_RANGES_DB, POINTS_OF_A_FIT, DecayCurve, ParameterName, jnd_of
-from roomfit.typing import FloatArray, IntArray
+from roomfit.typing import FloatArray
 
 ValueName = Literal[ParameterName, "G_dB"]
 VALUE_NAMES: tuple[ValueName, ...] = (*get_args(ParameterName), "G_dB")
@@ -95,64 +95,43 @@ def value_gradients(
     return values, gradients
 
 
-# Of a decay range, at which `approximate_values` puts its line through the levels.
+# Of a decay range, at which `values_of_bins` puts its line through the levels.
 _POINTS_OF_A_LINE = 64
 
 
 @kernel()
-def approximate_values(
-    windows: IntArray,
-    weight: FloatArray,
-    hits: IntArray,
-    reflected: FloatArray,
-    shares: FloatArray,
-    edges_s: FloatArray,
-    onset_s: float,
+def _level_db(left: float, total: float) -> float:
+    return 10.0 * math.log10(max(left / total, 1e-30))
+
+
+@kernel()
+def values_of_bins(
+    energies: FloatArray, shares: FloatArray, edges_s: FloatArray, onset_s: float
 ) -> FloatArray:
-    """Return all values of a pair at many absorptions, shape (n_points, 8), by `VALUE_NAMES`.
+    """Return all values of many echograms of a pair, shape (n_points, 8), by `VALUE_NAMES`.
 
     For differences between absorptions: a line goes through fewer levels than that of
     `value_gradients`.
 
     Parameters
     ----------
-    windows : int array, shape (n_rows,)
-        Bin of each path, in no order.
-    weight : float array, shape (n_rows,)
-    hits : int array, shape (n_rows, n_materials)
-    reflected : float array, shape (n_points, n_materials)
-        1 less the absorption.
+    energies : float array, shape (n_points, n_bins)
+        Some energy in each row.
     shares : float array, shape (2 n + 1,)
         Of an energy that the filter carries from n bins before its own to n after it.
     edges_s : float array, shape (n_bins + 1,)
         Uniform.
     onset_s : float
     """
-    n_bins, n_materials = len(edges_s) - 1, hits.shape[1]
-    step_s, most = edges_s[1] - edges_s[0], 0
-    for r in range(len(hits)):
-        for m in range(n_materials):
-            most = max(most, int(hits[r, m]))
-    out = np.empty((len(reflected), 8))
-    powers = np.empty((n_materials, most + 1))
-    left, level, plain = np.empty(n_bins + 1), np.empty(n_bins + 1), np.empty(n_bins)
-    reach = len(shares) // 2
-    for p in range(len(reflected)):
-        for m in range(n_materials):
-            powers[m, 0] = 1.0
-            for h in range(most):
-                powers[m, h + 1] = powers[m, h] * reflected[p, m]
-        plain[:] = 0.0
-        for r in range(len(weight)):
-            e = weight[r]
-            for m in range(n_materials):
-                e *= powers[m, hits[r, m]]
-            plain[windows[r]] += e
-        left[:] = 0.0
+    n_bins = len(edges_s) - 1
+    step_s, reach = edges_s[1] - edges_s[0], len(shares) // 2
+    out = np.empty((len(energies), 8))
+    for p in range(len(energies)):
+        left = np.zeros(n_bins + 1)
         for i in range(n_bins):
-            if plain[i] > 0.0:
+            if energies[p, i] > 0.0:
                 for k in range(max(i - reach, 0), min(i + reach + 1, n_bins)):
-                    left[k] += plain[i] * shares[k - i + reach]
+                    left[k] += energies[p, i] * shares[k - i + reach]
         for i in range(n_bins - 1, -1, -1):
             left[i] += left[i + 1]
         # after the last bin as over the last third of the time
@@ -166,19 +145,21 @@ def approximate_values(
         for i in range(n_bins + 1):
             left[i] += tail
             moment += left[i] * step_s * (0.5 if i in (0, n_bins) else 1.0)
-            level[i] = 10.0 * math.log10(max(left[i] / total, 1e-30))
         if ratio > 0.0:
             moment += tail * third * step_s / -math.log(ratio)
         for row in range(3):
             high = 0.0 if row == 0 else 5.0
             low = (10.0, 25.0, 35.0)[row]
+            above, below = total * 10.0 ** (-0.1 * high), total * 10.0 ** (-0.1 * low)
             begin, end = onset_s, edges_s[n_bins]
             for i in range(1, n_bins + 1):
-                share = (level[i - 1] + high) / max(level[i - 1] - level[i], 1e-12)
-                if level[i] < -high and begin == onset_s:
+                if left[i] < above and begin == onset_s:
+                    level = _level_db(left[i - 1], total)
+                    share = (level + high) / max(level - _level_db(left[i], total), 1e-12)
                     begin = max(edges_s[i - 1] + share * step_s, onset_s + 1e-9)
-                if level[i] < -low:
-                    share = (level[i - 1] + low) / max(level[i - 1] - level[i], 1e-12)
+                if left[i] < below:
+                    level = _level_db(left[i - 1], total)
+                    share = (level + low) / max(level - _level_db(left[i], total), 1e-12)
                     end = edges_s[i - 1] + share * step_s
                     break
             slope, squares = 0.0, 0.0
@@ -186,7 +167,9 @@ def approximate_values(
                 u = k / (_POINTS_OF_A_LINE - 1.0)
                 at = (begin + (end - begin) * u - edges_s[0]) / step_s
                 i = min(int(at), n_bins - 1)
-                slope += (u - 0.5) * (level[i] + (at - i) * (level[i + 1] - level[i]))
+                level = _level_db(left[i], total)
+                level += (at - i) * (_level_db(left[i + 1], total) - level)
+                slope += (u - 0.5) * level
                 squares += (u - 0.5) ** 2
             slope /= squares * max(end - begin, 1e-9)
             out[p, row] = -60.0 / slope if slope < 0.0 else 60.0 * (edges_s[n_bins] - edges_s[0])
