@@ -15,6 +15,7 @@ import numpy as np
 
 from roomfit import commands
 from roomfit.app import project
+from roomfit.app.what_if import what_if, what_if_prepare
 from roomfit.errors import InputError, RoomfitError
 from roomfit.findings import Finding
 from roomfit.geometry.mesh import Mesh, triangle_areas_m2
@@ -282,6 +283,9 @@ def echo(_: Progress, text: str) -> str:
 
 TASKS: dict[str, Callable[..., Any]] = {
     f.__name__: f
-    for f in (room_view, recordings_view, result_view, identify, demo, set_room, export, echo)
+    for f in (
+        *(room_view, recordings_view, result_view, identify, demo, set_room, export, echo),
+        *(what_if_prepare, what_if),
+    )
 }
 """What the worker can be asked for, by name."""
