@@ -235,6 +235,8 @@ class Guard:
                 own = {k.decode(): v.decode("latin-1") for k, v in message["headers"]}
                 # a file may be more strictly sealed than the page
                 sealing = {k: own.get(k, v) for k, v in _HEADERS.items()}
+                if "sandbox" in sealing["content-security-policy"]:
+                    del sealing["cross-origin-opener-policy"]  # browsers show only one of the two
                 message["headers"] = [*named, *_encoded(sealing)]
             await send(message)
 

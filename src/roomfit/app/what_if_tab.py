@@ -16,7 +16,7 @@ from roomfit.materials.catalogue import catalogue
 from roomfit.report.wording import short_hertz
 
 _LABELS = {
-    **{"T20_s": "T20 in s", "EDT_s": "EDT in s", "C80_dB": "C80 in dB", "D50": "D50"},
+    **{"T20_s": "T20 in s", "EDT_s": "EDT in s", "C80_dB": "C80 in dB", "D50_percent": "D50 in %"},
     **{"STI": "STI"},
 }
 _PREPARE_S, _CHANGE_S = 900.0, 60.0
