@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -22,11 +23,10 @@ from roomfit.response.binned import BinnedPaths, bin_paths, rows_at
 from roomfit.response.directivity import known_directivities
 from roomfit.response.energy import (
     EnergyRows,
-    merge_equal_rows,
     regrouped_rows,
     rows_in_air,
-    thinned_rows,
     weigh_points,
+    window_of_rows,
 )
 from roomfit.scene import (
     Scene,
@@ -154,7 +154,9 @@ def _short_finding(bands: Bands, short: Sequence[int]) -> tuple[Finding, ...]:
 
 
 # Differences between absorptions are read from so many rows, in bins of a millisecond.
-ROWS_OF_A_DRAW = 30_000
+ROWS_OF_A_DRAW = 5_000
+# What comes after this fall of the decay is extrapolated.
+_FOLLOWED_DB = 55.0
 _BINS_TOGETHER = 10
 _PICTURE_POINTS = 160
 _LOWEST_DB = -200.0
@@ -194,21 +196,87 @@ class FewRows:
 
 
 def few_rows(
-    scene: Scene, bands: Bands, binned: BinnedPaths, pair: int, most: int = ROWS_OF_A_DRAW
+    scene: Scene,
+    bands: Bands,
+    binned: BinnedPaths,
+    pair: int,
+    absorption: FloatArray,
+    most: int = ROWS_OF_A_DRAW,
 ) -> FewRows:
-    """Return at most about so many rows of one pair; those of one bin and equal hits are joined."""
+    """Return at most about so many rows of one pair, for absorptions near and far from one.
+
+    5,000 of 290,000 tell a change of T30 by 45 just noticeable differences within a quarter of one.
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials, n_bands)
+    """
     edges_s = np.append(binned.edges_s[:-1][::_BINS_TOGETHER], binned.edges_s[-1])
     first = np.arange(0, binned.edges_s.size - 1, _BINS_TOGETHER)
-    by_band = [
-        merge_equal_rows(
-            rows_in_air(regrouped_rows(thinned_rows(rows_at(binned, f)[pair], most), first), m)
+    attenuation = attenuation_per_m(scene.air, bands)
+    rows = [
+        _few(
+            rows_in_air(regrouped_rows(rows_at(binned, f)[pair], first), float(attenuation[band])),
+            absorption[:, band],
+            most,
         )
-        for f, m in zip(
-            bands.centres_hz.tolist(), attenuation_per_m(scene.air, bands).tolist(), strict=True
-        )
+        for band, f in enumerate(bands.centres_hz)
     ]
     direct_s = float(distances_m(scene)[pair] / speed_of_sound_m_s(scene.air))
-    return FewRows(edges_s, direct_s, tuple(by_band))
+    return FewRows(edges_s, direct_s, tuple(rows))
+
+
+def _few(rows: EnergyRows, absorption: FloatArray, most: int) -> EnergyRows:
+    """Return few rows that bring the energies of all of them in several cases.
+
+    The cases are an absorption, each of its walls changed, and all of them. In every stretch of ten
+    bins rows are drawn with the largest share that they have of the energy in any case, and are
+    weighed accordingly; then weights move as little as it takes to bring the energies of all rows.
+
+    Notes
+    -----
+    Systematic sampling with unequal probabilities, and the regression estimator: J.-C. Deville,
+    C.-E. Sarndal, "Calibration estimators in survey sampling", J. Am. Stat. Assoc. 87, 376-382
+    (1992).
+    """
+    if len(rows) <= most:
+        return rows
+    far = np.where(absorption < 0.4, 0.6, 0.15)
+    cases = np.vstack(
+        [absorption, np.where(np.eye(len(far), dtype=np.bool_), far, absorption), far]
+    )
+    energy = np.exp(rows.hits @ np.log(np.maximum(1.0 - cases.T, 1e-9)))
+    energy *= rows.weight_per_m2[:, None]
+    after = np.cumsum(energy[::-1], axis=0)[::-1]
+    is_low = np.all(after < 10.0 ** (-0.1 * _FOLLOWED_DB) * after[0], axis=1)
+    last = int(window_of_rows(rows)[np.argmax(is_low)]) if is_low.any() else rows.n_windows
+    ends = rows.offsets[np.append(np.arange(0, last, _BINS_TOGETHER), last)]
+    weight, n_each = np.zeros(len(rows)), most / (ends.size - 1)
+    for begin, end in pairwise(ends.tolist()):
+        total = energy[begin:end].sum(axis=0)
+        share = energy[begin:end] * np.divide(1.0, total, out=0.0 * total, where=total > 0.0)
+        size = share.max(axis=1, initial=0.0)
+        chance = np.zeros(size.size)
+        for _ in range(4):  # what is certain leaves more for the others
+            is_sure, left = chance >= 1.0, max(n_each - np.sum(chance >= 1.0), 1.0)
+            rest = np.where(is_sure, 0.0, size)
+            chance = np.where(is_sure, 1.0, left * rest / max(rest.sum(), 1e-300))
+        chance = np.minimum(chance, 1.0)
+        taken = np.diff(np.floor(np.cumsum(chance) + 0.5), prepend=0.0) > 0.0
+        z, c = share[taken], 1.0 / chance[taken]
+        shift = np.linalg.lstsq(z.T @ (c[:, None] * z), (total > 0.0) - c @ z, rcond=1e-6)[0]
+        weight[begin:end][taken] = c * np.clip(1.0 + z @ shift, 0.2, 5.0)
+    kept = np.flatnonzero(weight)
+    counts = np.bincount(window_of_rows(rows)[kept], minlength=rows.n_windows)
+    return EnergyRows(
+        rows.materials,
+        rows.n_windows,
+        np.concatenate(([0], np.cumsum(counts))),
+        rows.weight_per_m2[kept] * weight[kept],
+        rows.hits[kept],
+        rows.length_m[kept],
+        rows.batch[kept],
+    )
 
 
 def few_energies(few: FewRows, absorptions: FloatArray) -> FloatArray:
@@ -227,11 +295,15 @@ def few_energies(few: FewRows, absorptions: FloatArray) -> FloatArray:
 
 def few_values(few: FewRows, energies: FloatArray) -> FloatArray:
     """Return the room parameters of such energies, shape (n_points, n_names, n_bands)."""
-    rows = [
-        values_of_bins(np.ascontiguousarray(own), np.ones(1), few.edges_s, few.direct_s)
-        for own in energies.transpose(1, 0, 2)
-    ]
-    return np.stack(rows, axis=2)
+    found = []
+    for rows, own in zip(few.by_band, energies.transpose(1, 0, 2), strict=True):
+        n = int(np.searchsorted(rows.offsets, len(rows)))  # bins with a row
+        found.append(
+            values_of_bins(
+                np.ascontiguousarray(own[:, :n]), np.ones(1), few.edges_s[: n + 1], few.direct_s
+            )
+        )
+    return np.stack(found, axis=2)
 
 
 def moved(values: FloatArray, there: FloatArray, base: FloatArray) -> FloatArray:

@@ -25,7 +25,6 @@ from roomfit.objective.room_parameters import MODEL_ERROR_JND, values_at
 from roomfit.prediction.changes import Change, change_text, changed_draws, prior_dominated
 from roomfit.prediction.decay import (
     RELATIVE,
-    ROWS_OF_A_DRAW,
     FewRows,
     PairNumbers,
     PredictedDecay,
@@ -277,7 +276,6 @@ class PreparedRoom:
     base: FloatArray  # (n_pairs, n_names, n_bands), values of `few` at the absorption found
     findings: tuple[Finding, ...]
     seed: int
-    rows_of_a_pair: int
 
 
 @one_blas_thread
@@ -288,7 +286,6 @@ def prepare_prediction(
     measurements: Sequence[Measurement | MeasuredValues] = (),
     *,
     settings: Settings | None = None,
-    rows_of_a_pair: int = ROWS_OF_A_DRAW,
     cache: Cache | None = None,
     progress: Progress | None = None,
 ) -> PreparedRoom:
@@ -300,9 +297,6 @@ def prepare_prediction(
         As of `predict`.
     alternatives : sequence of sequences of Change
         Changes that may be asked for: decays are followed as long as with the hardest of them.
-    rows_of_a_pair : int
-        By how many paths of each pair changes are told: 10,000 in a third of the time, within a
-        tenth of a just noticeable difference of `predict` where a change is five.
 
     Raises
     ------
@@ -329,13 +323,13 @@ def prepare_prediction(
         part(progress, 0.02, 0.6),
     )
     few = tuple(
-        few_rows(scene, absorption.bands, binned, i, rows_of_a_pair)
+        few_rows(scene, absorption.bands, binned, i, absorption.absorption)
         for i in range(len(scene.pairs))
     )
     base = [few_values(f, few_energies(f, absorption.absorption[None]))[0] for f in few]
     found = PreparedRoom(
         scene, absorption, draws, rng, observed, binned, weighed_by, (), few, np.array(base),
-        (*measured_findings, *decay_findings), settings.seed, rows_of_a_pair,
+        (*measured_findings, *decay_findings), settings.seed,
     )  # fmt: skip
     if not is_known:
         return found
@@ -359,7 +353,7 @@ def _exact_numbers(
         one = cached(
             cache,
             "pair",
-            (scene, room.weighed_by, bands, i, room.rows_of_a_pair, absorption, draws),
+            (scene, room.weighed_by, bands, i, absorption, draws),
             lambda i=i: pair_numbers(  # type: ignore[misc]
                 scene, bands, room.binned, i, room.few[i], absorption, draws
             ),

@@ -138,7 +138,7 @@ def values_of_bins(
         third = max(n_bins // 6, 1)
         before = left[n_bins - 2 * third] - left[n_bins - third]
         last = left[n_bins - third] - left[n_bins]
-        ratio = last / before if 0.0 < last < before else 0.0
+        ratio = last / before if 1e-12 * left[0] < last < before else 0.0
         tail = last * ratio / (1.0 - ratio)
         total = left[0] + tail
         moment = 0.0
