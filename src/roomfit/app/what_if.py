@@ -24,7 +24,6 @@ from roomfit.typing import Progress
 SHOWN = ("T20_s", "EDT_s", "C80_dB", "D50_percent", "STI")
 """Room parameters that are shown, as far as they are predicted."""
 _LEAST_FACTOR = 0.5  # decays are followed as long as with so much of each material's absorption
-_ROWS = 10_000  # paths of a pair that tell a change: within a tenth of a just noticeable difference
 _ready: dict[str, tuple[tuple[float, ...], PreparedRoom]] = {}
 
 
@@ -53,7 +52,6 @@ def what_if_prepare(progress: Progress, folder: str) -> dict[str, Any]:
             (harder,),
             arguments["measurements"],
             settings=arguments["settings"],
-            rows_of_a_pair=_ROWS,
             progress=progress,
         )
         _ready[folder] = (stamp, room)
