@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("nicegui", reason="the workbench needs the extra app")
 
-from workbench import Running, chromium, running  # noqa: E402
+from workbench import Running, chromium, running
 
 pytestmark = pytest.mark.slow
 _MINUTES_MS = 400_000
@@ -23,8 +23,10 @@ _CONTRAST = """() => {
   for (const e of document.querySelectorAll('body *')) {
     const own = [...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim());
     const box = e.getBoundingClientRect();
-    if (!own || !box.width || !box.height || e.closest('svg, [aria-hidden=true], .q-icon')) continue;
-    let under = e; let back = [document.body.classList.contains('body--dark') ? 0 : 1, 1];
+    if (!own || !box.width || !box.height) continue;
+    if (e.closest('svg, [aria-hidden=true], .q-icon')) continue;
+    let under = e;
+    let back = [document.body.classList.contains('body--dark') ? 0 : 1, 1];
     while (under) { const s = shade(getComputedStyle(under).backgroundColor);
       if (s[1] > 0.9) { back = s; break; } under = under.parentElement; }
     const ink = shade(getComputedStyle(e).color)[0];
@@ -33,7 +35,8 @@ _CONTRAST = """() => {
   }
   return low;
 }"""
-_UNNAMED = """() => [...document.querySelectorAll('button, input, select, [role=slider], canvas, iframe')]
+_UNNAMED = """() => [
+  ...document.querySelectorAll('button, input, select, [role=slider], canvas, iframe')]
   .filter((e) => { const b = e.getBoundingClientRect(); return b.width && b.height; })
   .filter((e) => !(e.getAttribute('aria-label') || e.getAttribute('title') || e.textContent.trim()
     || (e.labels && [...e.labels].some((l) => l.textContent.trim())) || e.closest('[aria-label]')))
@@ -62,9 +65,7 @@ class Visit:
 
         self.context.route("**/*", gate)
         self.page.on("pageerror", lambda e: self.errors.append(str(e)))
-        self.page.on(
-            "console", lambda m: self.errors.append(m.text) if m.type == "error" else None
-        )
+        self.page.on("console", lambda m: self.errors.append(m.text) if m.type == "error" else None)
         self.page.goto(server.address)
 
     def tab(self, name: str) -> None:
@@ -146,7 +147,11 @@ def test_from_a_typed_box_and_dropped_files(browser: Any, tmp_path: Path) -> Non
     with running(folder) as server:
         visit = Visit(browser, server, 390, "dark")
         page = visit.page
-        for label, value in (("Length x (m)", "6.1"), ("Width y (m)", "4.7"), ("Height z (m)", "2.8")):
+        for label, value in (
+            ("Length x (m)", "6.1"),
+            ("Width y (m)", "4.7"),
+            ("Height z (m)", "2.8"),
+        ):
             page.get_by_label(label).fill(value)
         page.get_by_role("button", name="Use this box").click()
         page.get_by_text("can be traced").wait_for()

@@ -13,10 +13,10 @@ import pytest
 
 pytest.importorskip("tomlkit", reason="the workbench needs the extra app")
 
-from roomfit.app import project, views  # noqa: E402
-from roomfit.app.jobs import Job, Jobs, Worker  # noqa: E402
-from roomfit.errors import InputError  # noqa: E402
-from roomfit.io.campaign import read_campaign  # noqa: E402
+from roomfit.app import project, views
+from roomfit.app.jobs import Job, Jobs, Worker
+from roomfit.errors import InputError
+from roomfit.io.campaign import read_campaign
 
 
 def nothing(_: float) -> None:
@@ -82,7 +82,16 @@ def test_a_room_can_be_looked_at_before_its_positions_are_known(box: Path) -> No
 
 def test_a_fault_of_the_geometry_is_shown_where_it_is(tmp_path: Path) -> None:
     faces = ["1 2 3 4", "5 8 7 6", "1 5 6 2", "2 6 7 3", "3 7 8 4"]  # the last wall is missing
-    corners = [(0, 0, 0), (0, 4, 0), (5, 4, 0), (5, 0, 0), (0, 0, 3), (0, 4, 3), (5, 4, 3), (5, 0, 3)]
+    corners = [
+        (0, 0, 0),
+        (0, 4, 0),
+        (5, 4, 0),
+        (5, 0, 0),
+        (0, 0, 3),
+        (0, 4, 3),
+        (5, 4, 3),
+        (5, 0, 3),
+    ]
     text = "".join(f"v {x} {y} {z}\n" for x, y, z in corners)
     text += "".join(f"usemtl m{i}\nf {f}\n" for i, f in enumerate(faces))
     (tmp_path / "open.obj").write_text(text)

@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("nicegui", reason="the workbench needs the extra app")
 
-from workbench import Running, running  # noqa: E402
+from workbench import Running, running
 
 pytestmark = pytest.mark.slow
 
@@ -92,7 +92,11 @@ def test_an_upload_in_chunks_ends_at_the_limit(server: Running) -> None:
     chunks = (b"v 0 0 0\n" * 10_000 for _ in range(60))  # 4.8 MB
     try:
         connection.request(
-            "PUT", "/upload/room/chunked.obj", chunks, {"Cookie": server.cookie}, encode_chunked=True
+            "PUT",
+            "/upload/room/chunked.obj",
+            chunks,
+            {"Cookie": server.cookie},
+            encode_chunked=True,
         )
         assert connection.getresponse().status == 413
     except (BrokenPipeError, ConnectionResetError):

@@ -63,7 +63,7 @@ class Running:
     def websocket(self, headers: Mapping[str, str], cookie: bool = True) -> int:
         """Return the status with which a WebSocket is opened or refused; 101 is opened."""
         upgrade = {
-            **{"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"},
+            "Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",
             "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
         }
         path = "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"
@@ -104,7 +104,9 @@ def running(folder: Path, limits: str = "") -> Iterator[Running]:
 def chromium() -> Any:
     """Return a function that starts a browser, or skip."""
     playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
-    path = next((p for p in ("/usr/bin/chromium", "/usr/bin/chromium-browser") if Path(p).exists()), "")
+    path = next(
+        (p for p in ("/usr/bin/chromium", "/usr/bin/chromium-browser") if Path(p).exists()), ""
+    )
     if not path:
         pytest.skip("no Chromium at /usr/bin/chromium")
     return playwright.sync_playwright, {"executable_path": path, "args": ["--no-sandbox"]}

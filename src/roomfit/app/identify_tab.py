@@ -46,8 +46,12 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                 "width: 9rem"
             )
         ui.button("First answer, then the full one", on_click=both).props("no-caps")
-        ui.button("First answer only", on_click=lambda: start(quick=True)).props("no-caps outline")
-        ui.button("Full answer only", on_click=lambda: start(quick=False)).props("no-caps outline")
+        ui.button("First answer only", on_click=lambda: start(quick=True)).props(
+            "no-caps outline color=quiet"
+        )
+        ui.button("Full answer only", on_click=lambda: start(quick=False)).props(
+            "no-caps outline color=quiet"
+        )
     answer = ui.element("div").style("width: 100%")
 
     async def refresh() -> None:
@@ -90,10 +94,8 @@ def absorption_html(view: Mapping[str, Any]) -> str:
             own["absorption"], own["lower95"], own["upper95"], own["identifiable"], strict=True
         ):
             number = f"{value:.2f}" if sure else f'<span class="unsure">{value:.2f} ?</span>'
-            cells.append(f'{number}<div class="small">{low:.2f}–{high:.2f}</div>')
+            cells.append(f'{number}<div class="small">{low:.2f}-{high:.2f}</div>')
         notes = [f for f in view["findings"] if name in f["materials"]]
         cells.append(f"<div>{''.join(map(finding_html, notes))}</div>")
         rows.append(cells)
-    return table_html(
-        "Absorption with its 95 % interval; ? is not identifiable", heads, rows
-    )
+    return table_html("Absorption with its 95 % interval; ? is not identifiable", heads, rows)

@@ -115,6 +115,10 @@ class Worker:
                 await asyncio.wait_for(process.wait(), _GRACE_S)
         with contextlib.suppress(ProcessLookupError):  # what it left behind
             os.killpg(process.pid, signal.SIGKILL)
+        if process.stdin is not None:
+            process.stdin.close()
+            with contextlib.suppress(OSError):
+                await process.stdin.wait_closed()
 
 
 State = Literal["waiting", "running", "done", "failed", "cancelled"]

@@ -15,7 +15,7 @@ from roomfit.errors import InputError
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.report.wording import short_hertz
 
-_UNKNOWN = "–"
+_UNKNOWN = "-"
 
 
 def build(bench: Bench) -> Callable[[], Awaitable[None]]:
@@ -36,10 +36,10 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
     with ui.element("div").classes("panel").style("margin-bottom: 0.75rem"):
         FileDrop("Recordings, dropped here or chosen:", "recordings", RESPONSE_SUFFIXES, sent)
         with ui.element("div").classes("bar").style("margin-top: 0.5rem"):
-            ui.input("How they are named").bind_value(shape, "shape").props(
-                "outlined dense"
-            ).style("flex: 1 1 16rem")
-            ui.button("Use these names", on_click=use_shape).props("no-caps outline")
+            ui.input("How they are named").bind_value(shape, "shape").props("outlined dense").style(
+                "flex: 1 1 16rem"
+            )
+            ui.button("Use these names", on_click=use_shape).props("no-caps outline color=quiet")
     general = ui.element("div")
     positions = ui.element("div").classes("panel").style("margin: 0.75rem 0")
     recordings = ui.element("div").classes("panel")
@@ -105,7 +105,9 @@ def recordings_html(view: Mapping[str, Any]) -> str:
     for row in view["rows"]:
         cells = [escape(row["file"]), escape(row["source"]), escape(row["receiver"])]
         if "range_db" not in row:
-            rows.append([*cells, _UNKNOWN, *[_UNKNOWN for _ in bands], *(["<div></div>"] if bands else [])])
+            rows.append(
+                [*cells, _UNKNOWN, *[_UNKNOWN for _ in bands], *(["<div></div>"] if bands else [])]
+            )
             continue
         cells.append(f"{_number(row['onset_ms'], 2)} ({_number(row['travel_ms'], 2)})")
         for range_db, noise_db, usable, t20 in zip(

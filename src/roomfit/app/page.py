@@ -94,12 +94,14 @@ def _show_work(bench: Bench) -> None:
                     "width: 12rem"
                 ).props(f'aria-label="{job.label}"')
             ui.button("Cancel", on_click=lambda job=job: bench.jobs.cancel(job)).props(
-                "outline dense no-caps padding='2px 10px'"
+                "outline dense no-caps color=quiet padding='2px 10px'"
             )
     for job in [j for j in bench.jobs.listed if j.state == "failed"][-1:]:
         with ui.element("div").classes("job panel serious"):
             ui.label(f"{job.label}: {job.error}").style("white-space: pre-wrap")
-            ui.button("Close", on_click=lambda job=job: _forget(job)).props("outline dense no-caps")
+            ui.button("Close", on_click=lambda job=job: _forget(job)).props(
+                "outline dense no-caps color=quiet"
+            )
 
 
 def _forget(job: Job) -> None:

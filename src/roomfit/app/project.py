@@ -34,7 +34,11 @@ SHAPE = "{source}_{receiver}.wav"
 _LONGEST_NAME = 120
 _ENDINGS = {
     **dict.fromkeys((*FORMATS, "excel", "gltf"), ".txt"),
-    **{"catt": ".geo", "csv": ".csv", "excel": ".xlsx", "gltf": ".gltf", "pyroomacoustics": ".py"},
+    "catt": ".geo",
+    "csv": ".csv",
+    "excel": ".xlsx",
+    "gltf": ".gltf",
+    "pyroomacoustics": ".py",
 }
 EXPORTS = tuple(_ENDINGS)
 
@@ -158,13 +162,13 @@ def forget_unused_materials(folder: Path, used: Sequence[str]) -> None:
 
     def change(document: tomlkit.TOMLDocument) -> None:
         for name in [n for n in document.get("materials", {}) if n not in used]:
-            document["materials"].remove(name)  # type: ignore[union-attr]
+            document["materials"].remove(name)
 
     edit(folder, change)
 
 
 def set_prior(folder: Path, material: str, entry: str | None) -> None:
-    """Say what is known of a material before the measurement: an entry of the catalogue, or none."""
+    """Say what is known of a material beforehand: an entry of the catalogue, or nothing."""
 
     def change(document: tomlkit.TOMLDocument) -> None:
         own = _table(_table(document, "materials"), material)
@@ -175,9 +179,7 @@ def set_prior(folder: Path, material: str, entry: str | None) -> None:
     edit(folder, change)
 
 
-def set_position(
-    folder: Path, kind: str, name: str, position_m: Sequence[float] | None
-) -> None:
+def set_position(folder: Path, kind: str, name: str, position_m: Sequence[float] | None) -> None:
     """Say where a source or a receiver stands, in m; None takes it out.
 
     Parameters

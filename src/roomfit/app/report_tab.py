@@ -14,9 +14,14 @@ from roomfit.app.server import Bench
 from roomfit.errors import InputError
 
 _PROGRAMS = {
-    **{"excel": "Excel", "csv": "CSV", "catt": "CATT-Acoustic", "odeon": "ODEON"},
-    **{"isimpa": "I-Simpa", "raven": "RAVEN", "gltf": "glTF"},
-    **{"pyroomacoustics": "pyroomacoustics"},
+    "excel": "Excel",
+    "csv": "CSV",
+    "catt": "CATT-Acoustic",
+    "odeon": "ODEON",
+    "isimpa": "I-Simpa",
+    "raven": "RAVEN",
+    "gltf": "glTF",
+    "pyroomacoustics": "pyroomacoustics",
 }
 _FILES = ("report.html", "absorption.csv", "result.json")
 
@@ -60,7 +65,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                 for wanted in project.EXPORTS:
                     ui.button(
                         _PROGRAMS[wanted], on_click=lambda wanted=wanted: export(wanted)
-                    ).props("no-caps outline")
+                    ).props("no-caps outline color=quiet")
             for files in made.values():
                 for file in files:
                     markup(f'<a href="/files/{escape(quote(file))}?save=1">{escape(file)}</a>')

@@ -113,7 +113,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                         text = "Show " + ", ".join(f"{x:.2f}" for x in place)
                         ui.button(
                             text, on_click=lambda place=place: view.point_at(-1, place)
-                        ).props("outline dense no-caps")
+                        ).props("outline dense no-caps color=quiet")
 
     async def refresh() -> None:
         has = project.has_campaign(bench.folder)
@@ -154,7 +154,9 @@ def _show_start(bench: Bench, has: bool, refresh: Callable[[], Awaitable[None]])
         await use(file=names[-1])
 
     def demo() -> None:
-        bench.jobs.add("Demo project", "demo", {"folder": str(bench.folder)}, ((0.0, "simulating"),))
+        bench.jobs.add(
+            "Demo project", "demo", {"folder": str(bench.folder)}, ((0.0, "simulating"),)
+        )
 
     def shoebox() -> None:
         with ui.element("div").classes("bar"):

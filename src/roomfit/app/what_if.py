@@ -1,4 +1,4 @@
-"""A room that is ready for changes, kept by the worker between one move of a slider and the next."""
+"""A room that is ready for changes, kept by the worker from one move of a slider to the next."""
 
 from __future__ import annotations
 

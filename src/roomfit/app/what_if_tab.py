@@ -16,8 +16,11 @@ from roomfit.materials.catalogue import catalogue
 from roomfit.report.wording import short_hertz
 
 _LABELS = {
-    **{"T20_s": "T20 in s", "EDT_s": "EDT in s", "C80_dB": "C80 in dB", "D50_percent": "D50 in %"},
-    **{"STI": "STI"},
+    "T20_s": "T20 in s",
+    "EDT_s": "EDT in s",
+    "C80_dB": "C80 in dB",
+    "D50_percent": "D50 in %",
+    "STI": "STI",
 }
 _PREPARE_S, _CHANGE_S = 900.0, 60.0
 _WIDE, _HIGH, _LEFT, _BELOW = 320.0, 190.0, 44.0, 24.0
@@ -101,8 +104,12 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         if now is None:
             return found
         entry = next(e for e in catalogue().entries if e.name == now)
-        octaves = dict(zip((63.0, 125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3), entry.absorption, strict=True))
-        return [round(float(octaves.get(f, a)), 3) for f, a in zip(room["bands_hz"], found, strict=True)]
+        octaves = dict(
+            zip((63.0, 125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3), entry.absorption, strict=True)
+        )
+        return [
+            round(float(octaves.get(f, a)), 3) for f, a in zip(room["bands_hz"], found, strict=True)
+        ]
 
     async def reset() -> None:
         changes.clear()
@@ -138,7 +145,9 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                     clearable=True,
                     on_change=lambda e: choose_entry(e.value),
                 ).props("outlined dense").style("flex: 1 1 16rem")
-                ui.button("As it was found, all", on_click=reset).props("no-caps outline")
+                ui.button("As it was found, all", on_click=reset).props(
+                    "no-caps outline color=quiet"
+                )
             heading(f"Absorption of {state['material']}")
             with ui.element("div").classes("sliders"):
                 values = spectrum(state["material"])
@@ -153,7 +162,9 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                             shown.set_text(f"{word}: {float(e.args):.2f}")
                             await slide(band, float(e.args))
 
-                        ui.slider(min=0.01, max=0.99, step=0.01, value=round(values[band], 2)).props(
+                        ui.slider(
+                            min=0.01, max=0.99, step=0.01, value=round(values[band], 2)
+                        ).props(
                             f'aria-label="Absorption of {escape(state["material"])} at {word}"'
                         ).on("update:model-value", moved, throttle=0.05)
             heading("Targets")
@@ -244,7 +255,7 @@ def chart_svg(
         return _LEFT + 8.0 + step * band
 
     def y(value: float) -> float:
-        return 10.0 + (_HIGH - 10.0 - _BELOW) * (high - value) / (high - low)
+        return float(10.0 + (_HIGH - 10.0 - _BELOW) * (high - value) / (high - low))
 
     def line(values: Sequence[float | None], style: str) -> str:
         at = " ".join(f"{x(i):.1f},{y(v):.1f}" for i, v in enumerate(values) if v is not None)
@@ -299,9 +310,9 @@ def pairs_html(view: Mapping[str, Any], bands_hz: Sequence[float]) -> str:
                 own["predicted"], own["lower95"], own["upper95"], strict=True
             ):
                 if value is None:
-                    cells.append("–")
+                    cells.append("-")
                     continue
-                ends = "" if low is None or high is None else f"{low:.2f}–{high:.2f}"
+                ends = "" if low is None or high is None else f"{low:.2f}-{high:.2f}"
                 cells.append(f'{value:.2f}<div class="small">{ends}</div>')
             rows.append(cells)
     heads = ["Pair", "Parameter", *(f"{short_hertz(f)} Hz" for f in bands_hz)]
