@@ -86,7 +86,9 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
 
 def absorption_html(view: Mapping[str, Any]) -> str:
     """Return absorption with its intervals as a table, findings beside their material."""
-    heads = ["Material", *(f"{short_hertz(f)} Hz" for f in view["bands_hz"]), "Findings"]
+    heads = ["Material", *(f"{short_hertz(f)} Hz" for f in view["bands_hz"])]
+    has_notes = any(f["materials"] for f in view["findings"])
+    heads += ["Findings"] if has_notes else []
     rows = []
     for name, own in view["materials"].items():
         cells = [f'{escape(name)}<div class="small">{own["area_m2"]:.1f} m²</div>']
@@ -96,6 +98,6 @@ def absorption_html(view: Mapping[str, Any]) -> str:
             number = f"{value:.2f}" if sure else f'<span class="unsure">{value:.2f} ?</span>'
             cells.append(f'{number}<div class="small">{low:.2f}-{high:.2f}</div>')
         notes = [f for f in view["findings"] if name in f["materials"]]
-        cells.append(f"<div>{''.join(map(finding_html, notes))}</div>")
+        cells += [f"<div>{''.join(map(finding_html, notes))}</div>"] if has_notes else []
         rows.append(cells)
     return table_html("Absorption with its 95 % interval; ? is not identifiable", heads, rows)

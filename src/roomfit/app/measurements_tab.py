@@ -71,7 +71,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                     for axis, word in enumerate("xyz"):
                         value = None if point["position_m"] is None else point["position_m"][axis]
                         field = ui.number(word, value=value, step=0.01, format="%.3f")
-                        field.props(f'outlined dense aria-label="{escape(name)} {word} in m"')
+                        field.props("outlined dense")
+                        field.props["aria-label"] = f"{name} {word} in m"
                         fields.append(field)
                     for field in fields:
                         field.on("blur", lambda k=kind, n=name, f=fields: moved(k, n, f))

@@ -162,11 +162,12 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                             shown.set_text(f"{word}: {float(e.args):.2f}")
                             await slide(band, float(e.args))
 
-                        ui.slider(
-                            min=0.01, max=0.99, step=0.01, value=round(values[band], 2)
-                        ).props(
-                            f'aria-label="Absorption of {escape(state["material"])} at {word}"'
-                        ).on("update:model-value", moved, throttle=0.05)
+                        # the browser's own slider: keys and screen readers know it
+                        slider = ui.element("input").props("type=range min=0.01 max=0.99 step=0.01")
+                        slider.props["value"] = f"{values[band]:.2f}"
+                        slider.props["aria-label"] = f"Absorption of {state['material']} at {word}"
+                        js = "(e) => emit(e.target.value)"
+                        slider.on("input", moved, throttle=0.05, js_handler=js)
             heading("Targets")
             with ui.element("div").classes("bar"):
                 for name in room["names"]:
