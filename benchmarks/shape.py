@@ -29,6 +29,7 @@ SATELLITES = (
     "prediction",
     "suh2001",
     "synthetic",
+    "treatment",
 )
 # What `identify` works with in the first place; commands, reports and files come on top of it.
 FRONT = "inversion.identify"

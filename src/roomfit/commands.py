@@ -52,7 +52,7 @@ from roomfit.measurement import Measurement
 from roomfit.prediction.campaign import WantedPairs, predict_arguments
 from roomfit.prediction.changes import Change
 from roomfit.prediction.output import write_predicted
-from roomfit.prediction.predict import Predicted, predict
+from roomfit.prediction.predict import Predicted, predict, prepare_prediction
 from roomfit.report.comparison import (
     Comparison,
     compare_results,
@@ -65,6 +65,9 @@ from roomfit.report.text import findings_text
 from roomfit.results import Result
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import PLAN_BANDS, demo_plan, write_measured_box
+from roomfit.treatment.campaign import hardest_changes, read_treatment, treat_arguments
+from roomfit.treatment.output import write_treatment
+from roomfit.treatment.treat import Treatment, treat
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 
 
@@ -383,6 +386,53 @@ def predict_to_folder(
             if progress is not None:
                 progress(0.95 + 0.05 * number / len(shown))
     return predicted
+
+
+@sole_writer
+@reading_noted()
+def treat_to_folder(
+    campaign_file: Path,
+    absorption_file: Path,
+    treatment_file: Path,
+    out: Path,
+    *,
+    wanted: WantedPairs | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Treatment:
+    """Choose what to hang where; write treatment.json, treatment.csv and a picture into a folder.
+
+    Raises
+    ------
+    InputError
+        The campaign, the room, the absorption, the treatment or the output folder is invalid.
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.report.figures import png
+    from roomfit.treatment.output import treatment_figure
+
+    check_output_folder(out, overwrite=overwrite)
+    campaign = read_campaign(campaign_file, to_fit=False)
+    table = read_treatment(treatment_file)
+    given = predict_arguments(campaign, read_result(absorption_file), (), *(wanted or ()))
+    scene, known = given["scene"], given["absorption"]
+    asked, doubts = treat_arguments(treatment_file, table, known, scene)
+    with located(str(treatment_file)), cache_unless_refused(out) as cache:
+        room = prepare_prediction(
+            scene,
+            known,
+            hardest_changes(asked, known.bands),
+            settings=given["settings"],
+            cache=cache,
+            progress=part(progress, 0.0, 0.8),
+        )
+        answer = treat(room, **asked, progress=part(progress, 0.8, 1.0))
+    answer = replace(answer, findings=(*doubts, *answer.findings))
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        write_treatment(folder, answer, files_read())
+        write_bytes_atomically(folder / "treatment.png", png(treatment_figure(answer)))
+    return answer
 
 
 def estimate_coverage_to_folder(

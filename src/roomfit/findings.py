@@ -182,6 +182,9 @@ class Code(StrEnum):
     BAND_NOT_PREDICTED = "band-not-predicted", "warning"
     DECAY_NOT_FOLLOWED = "decay-not-followed", "warning"
     DIRECTIVITY_NOT_KNOWN = "directivity-not-known", "warning"
+    TARGET_NOT_MET = "target-not-met", "warning"
+    SURFACE_COVERED_IN_PART = "surface-covered-in-part", "info"
+    STANDARD_NOT_CHECKED = "standard-not-checked", "warning"
 
     # Exports.
 

@@ -35,6 +35,7 @@ from roomfit.cli import (
     predict,
     reverberation,
     schema,
+    treat,
 )
 from roomfit.cli.arguments import Commands, Parser, call_error
 from roomfit.cli.terminal import warn
@@ -57,6 +58,7 @@ _COMMANDS = (
     predict,
     reverberation,
     schema,
+    treat,
 )
 _RENAMED = {"calibrate": "coverage"}
 _INTERRUPTED = 130

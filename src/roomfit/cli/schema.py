@@ -10,16 +10,21 @@ from roomfit.cli.terminal import say
 
 def add(commands: Commands) -> None:
     about = (
-        "Print the JSON schema of campaign files.\n\n"
+        "Print the JSON schema of campaign files, or of treatment files.\n\n"
         "Editors complete and check keys by it: roomfit schema > campaign.schema.json, and write "
         "#:schema ./campaign.schema.json as the first line of the campaign."
     )
-    add_command(commands, "schema", about, run)
+    parser = add_command(commands, "schema", about, run)
+    parser.add_option("--of", "campaign, or treatment.", default="campaign")
 
 
-def run(_: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> None:
     import json
 
-    from roomfit.io.schema import campaign_schema
+    from roomfit.errors import InputError
+    from roomfit.io.schema import campaign_schema, treatment_schema
 
-    say(json.dumps(campaign_schema(), indent=2))
+    schemas = {"campaign": campaign_schema, "treatment": treatment_schema}
+    if options.of not in schemas:
+        raise InputError("no schema of this name", found=options.of, needed=", ".join(schemas))
+    say(json.dumps(schemas[options.of](), indent=2))

@@ -49,18 +49,25 @@ from roomfit.scene import Point, PointGroup, check_groups
 from roomfit.settings import Settings
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
-    content = read_bytes(path, "campaign file", most="campaign_bytes")
+def read_toml(path: Path, what: str = "campaign file") -> dict[str, Any]:
+    """Return the content of a file of ours.
+
+    Raises
+    ------
+    InputError
+        It is missing, too large, not text or not TOML.
+    """
+    content = read_bytes(path, what, most="campaign_bytes")
     try:
         return tomllib.loads(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise InputError(
-            "the campaign file is not text", where=str(path), needed="TOML in UTF-8"
+            f"the {what} is not text", where=str(path), needed="TOML in UTF-8"
         ) from error
     # whole numbers of thousands of digits are another ValueError
     except (ValueError, RecursionError) as error:
         raise InputError(
-            "the campaign file is not valid TOML",
+            f"the {what} is not valid TOML",
             where=str(path),
             found=str(error)[:200],
             hint="a key may stand only once, text needs quotes, tables begin with [name]",
@@ -425,7 +432,7 @@ def read_campaign(path: Path, *, to_fit: bool = True, decay_times: bool = False)
     (['R'], 'auto')
     """
     path = Path(path)
-    content = _read_toml(path)
+    content = read_toml(path)
     _check_blanks(path, content)
     has_room = "room" in content or not (decay_times and "reverberation" in content)
     if not has_room:

@@ -75,11 +75,11 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
                 "source": p.source,
                 "receiver": p.receiver,
                 "use": p.use,
-                "parameters": _parameters(p.parameters),
+                "parameters": parameters_content(p.parameters),
             }
             for p in predicted.pairs
         ],
-        "mean": _parameters(predicted.mean),
+        "mean": parameters_content(predicted.mean),
         "findings": [finding_content(f) for f in predicted.findings],
         "prediction": {
             "draws": predicted.n_draws,
@@ -113,7 +113,8 @@ def predicted_csv(predicted: Predicted) -> str:
     return csv_text(COLUMNS, rows)
 
 
-def _parameters(table: Mapping[ValueName, PredictedValue]) -> dict[str, Any]:
+def parameters_content(table: Mapping[ValueName, PredictedValue]) -> dict[str, Any]:
+    """Return every parameter of a table with all its rows."""
     found: dict[str, Any] = {}
     for name, v in table.items():
         rows = asdict(v)
@@ -155,13 +156,13 @@ def predicted_html(predicted: Predicted) -> str:
     """Return the mean over the pairs, and all findings, in HTML."""
     caption = "; ".join((_MEAN, *(f"changed: {c}" for c in predicted.changes)))
     columns = ("Hz", *(f"{f:g}" for f in predicted.bands.centres_hz))
-    table = html_table(caption, columns, _lines(predicted.mean))
+    table = html_table(caption, columns, value_lines(predicted.mean))
     return table + html_findings(predicted.findings)
 
 
 def mean_table(predicted: Predicted) -> str:
     """Return the mean of every parameter with its interval, and the measured mean below it."""
-    return "\n".join([_MEAN, _head(predicted), *map(_justified, _lines(predicted.mean))])
+    return "\n".join([_MEAN, _head(predicted), *map(_justified, value_lines(predicted.mean))])
 
 
 def pairs_text(predicted: Predicted) -> str:
@@ -171,7 +172,7 @@ def pairs_text(predicted: Predicted) -> str:
         lines.append(f"{pair.source} to {pair.receiver}, {_USES[pair.use]}")
         chosen = [next((n for n in names if n in pair.parameters), None) for names in _OF_A_PAIR]
         shown = {name: value for name, value in pair.parameters.items() if name in chosen}
-        lines += map(_justified, _lines(shown))
+        lines += map(_justified, value_lines(shown))
     left = len(predicted.pairs) - _PAIRS_SHOWN
     if left > 0:
         lines.append(f"... and {left} more in predicted.csv")
@@ -187,7 +188,7 @@ def _justified(cells: Sequence[str]) -> str:
     return f"{first:<17}  " + "  ".join(f"{c:>20}" for c in others)
 
 
-def _lines(table: Mapping[ValueName, PredictedValue]) -> list[list[str]]:
+def value_lines(table: Mapping[ValueName, PredictedValue]) -> list[list[str]]:
     """Return the cells of a line a parameter, and of further ones: measured, before a change."""
     lines = []
     for name, label, form in _SHOWN:

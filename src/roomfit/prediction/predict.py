@@ -438,7 +438,7 @@ def predict_change(
     if len(numbers) > 1:
         areas_m2 = material_areas_m2(scene.room, int(pair_states(scene)[0]))
         doubts += prior_dominated(absorption, room.draws, changes, areas_m2, rng)
-    means = _predicted_means(scene, bands, numbers, room.observed)
+    means = predicted_means(scene, bands, numbers, room.observed)
     lower, upper = absorption.lower95.copy(), absorption.upper95.copy()
     lower[changed], upper[changed] = np.quantile(drawn[:, changed], (0.025, 0.975), axis=0)
     return Predicted(
@@ -619,7 +619,7 @@ def _predicted_pairs(
     return tuple(found)
 
 
-def _predicted_means(
+def predicted_means(
     scene: Scene,
     bands: Bands,
     numbers: Sequence[Sequence[PairNumbers]],

@@ -76,7 +76,7 @@ def room_figure(scene: Scene, *, narrow: bool = False) -> Figure:
     else:
         scale = min((width_in - 3.0 * _GAP_IN) / sum(across), 3.4 / max(tall_m))
         below_in = max(tall_m) * scale + _BELOW_IN
-    flat = (vertices @ _projection().T)[:, :2]
+    flat = (vertices @ projection().T)[:, :2]
     extent = np.maximum(np.ptp(flat, axis=0), 1e-6)
     space_scale = min(room_for_space[0] / extent[0], room_for_space[1] / extent[1])
     entries = 0 if narrow else min(len(scene.room.materials), _MOST_IN_LEGEND) + 2
@@ -162,7 +162,7 @@ def drawn_faces(room: Room) -> tuple[IntArray, int]:
 
     Visible are those whose side in the air faces the viewer, and both sides of sheets.
     """
-    towards = _projection()[2]
+    towards = projection()[2]
     away = area_vectors_m2(room.mesh) @ towards
     sheet = np.array([s.double_sided for s in room.mesh.surfaces])[room.mesh.triangle_surface]
     observed = np.flatnonzero((away < 0.0) | (sheet & (away != 0.0)))
@@ -171,7 +171,7 @@ def drawn_faces(room: Room) -> tuple[IntArray, int]:
     return largest[np.argsort(depth, kind="stable")], len(observed)
 
 
-def _projection() -> FloatArray:
+def projection() -> FloatArray:
     """Return the axes of the picture in the room: to the right, up, and towards the viewer."""
     towards = np.array(
         [
@@ -186,7 +186,7 @@ def _projection() -> FloatArray:
 
 
 def _draw_space(axes: Axes, scene: Scene, edges: FloatArray, scale: float) -> None:
-    room, onto = scene.room, _projection()[:2]
+    room, onto = scene.room, projection()[:2]
     faces, _ = drawn_faces(room)
     owner = triangle_material(room)
     colours = [material_colour(int(i)) for i in owner[faces]]

@@ -1,0 +1,210 @@
+"""A treatment as treatment.json and treatment.csv (format_version 1), as text, and as a figure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+from roomfit.cache import write_json_atomically, write_text_atomically
+from roomfit.geometry.mesh import corners_m
+from roomfit.io.encoding import csv_text, finding_content, number_or_null, provenance
+from roomfit.prediction.output import parameters_content, value_lines
+from roomfit.report.figures import OKABE_ITO, figure_legend, literal, new_figure
+from roomfit.report.room_figure import COLOURS, drawn_faces, outline_m, projection
+from roomfit.report.text import findings_text
+from roomfit.scene import triangle_material
+
+if TYPE_CHECKING:
+    from roomfit.treatment.treat import Arrangement, Treatment
+
+COLUMNS = ("arrangement", "surface", "product", "area_m2", "share", "cost", "probability_of_all")
+
+
+def write_treatment(folder: Path, treatment: Treatment, inputs: Iterable[Path]) -> None:
+    """Write ``treatment.json`` and ``treatment.csv`` into a folder.
+
+    Raises
+    ------
+    StoreError
+        The disk refuses.
+    """
+    write_text_atomically(folder / "treatment.csv", treatment_csv(treatment))
+    write_json_atomically(folder / "treatment.json", treatment_content(treatment, inputs))
+
+
+def treatment_csv(treatment: Treatment) -> str:
+    """Return one row for each product on each surface of each arrangement."""
+    rows: list[Sequence[object]] = []
+    for number, a in enumerate(treatment.arrangements, start=1):
+        common = (f"{a.cost:g}", f"{a.joint:.3f}")
+        rows += [
+            (number, h.surface, h.product, f"{h.area_m2:.3f}", f"{h.share:.4f}", *common)
+            for h in a.hung
+        ]
+    return csv_text(COLUMNS, rows)
+
+
+def treatment_content(treatment: Treatment, inputs: Iterable[Path]) -> dict[str, Any]:
+    """Return what treatment.json holds: lists as long as bands_hz, null where nothing is known."""
+    return {
+        "format": "roomfit-treatment",
+        "format_version": 1,
+        "bands_hz": treatment.bands.centres_hz,
+        "is_met": treatment.is_met,
+        "targets": [
+            {
+                "parameter": t.parameter,
+                "at_least": number_or_null(t.low),
+                "at_most": number_or_null(t.high),
+                "bands_hz": list(t.bands_hz),
+                "mean_of_bands": t.mean_of_bands,
+                "source": t.source,
+            }
+            for t in treatment.targets
+        ],
+        "arrangements": [
+            {
+                "hung": [
+                    {"surface": h.surface, "product": h.product, "area_m2": h.area_m2}
+                    for h in a.hung
+                ],
+                "cost": a.cost,
+                "probability": a.probability,
+                "probability_before": a.before,
+                "probability_of_all": a.joint,
+                "missed": list(a.missed),
+                "decisive": [{"material": name, "share": share} for name, share in a.decisive],
+                "mean": parameters_content(a.mean),
+            }
+            for a in treatment.arrangements
+        ],
+        "findings": [finding_content(f) for f in treatment.findings],
+        "provenance": provenance(inputs),
+    }
+
+
+def treatment_text(treatment: Treatment) -> str:
+    """Return arrangements, what they do, and how likely it is enough."""
+    parts = ["Targets, as means over all pairs"]
+    parts[0] += "".join(f"\n  {i}. {t}" for i, t in enumerate(treatment.targets, start=1))
+    for number, a in enumerate(treatment.arrangements, start=1):
+        parts.append(_arrangement_text(treatment, a, number))
+    parts.append(findings_text(treatment.findings))
+    return "\n\n".join(p for p in parts if p)
+
+
+def _arrangement_text(treatment: Treatment, a: Arrangement, number: int) -> str:
+    title = f"Arrangement {number}, cost {a.cost:g}"
+    if not treatment.is_met:
+        title = f"Not met; what misses least, cost {a.cost:g}"
+    lines = [title]
+    for h in a.hung:
+        lines.append(f"  {h.area_m2:7.2f} m2 {h.product} on {h.surface} ({100 * h.share:.0f} %)")
+    if not a.hung:
+        lines.append("  nothing")
+    for i, (before, after) in enumerate(zip(a.before, a.probability, strict=True), start=1):
+        lines.append(
+            f"  target {i} is met with a probability of {100 * after:.0f} % "
+            f"(as it is: {100 * before:.0f} %)"
+        )
+    if len(treatment.targets) > 1:
+        lines.append(f"  all targets: {100 * a.joint:.0f} %")
+    if a.decisive and a.joint < 0.95:
+        name, share = a.decisive[0]
+        lines.append(
+            f"  to be surer, measure {name}: {100 * share:.0f} % of the spread of the least likely "
+            "target goes with its absorption"
+        )
+    wanted = {t.parameter for t in treatment.targets}
+    shown = {n: v for n, v in a.mean.items() if n in wanted or n in ("T30_s", "C50_dB")}
+    head = ["Hz", *(f"{f:g}" for f in treatment.bands.centres_hz)]
+    for first, *cells in (head, *value_lines(shown)):
+        lines.append(f"  {first:<15}  " + "  ".join(f"{c:>20}" for c in cells))
+    return "\n".join(lines)
+
+
+def treatment_figure(treatment: Treatment) -> Figure:
+    """Return the room with the first arrangement, and each target's parameter by band."""
+    a = treatment.arrangements[0]
+    names = list(dict.fromkeys(t.parameter for t in treatment.targets))[:2]
+    figure = new_figure(10.5, 4.6)
+    grid = figure.add_gridspec(len(names), 2, width_ratios=(1.15, 1.0))
+    _draw_room(figure.add_subplot(grid[:, 0]), treatment, a)
+    at = np.arange(len(treatment.bands))
+    first = None
+    for row, name in enumerate(names):
+        axes = figure.add_subplot(grid[row, 1])
+        first = first or axes
+        v = a.mean[name]
+        if v.change is not None:
+            c = v.change
+            axes.vlines(at - 0.1, c.before_lower95, c.before_upper95, color=OKABE_ITO[0], lw=1.6)
+            axes.plot(at - 0.1, c.before, "s", color=OKABE_ITO[0], ms=4, label="as it is")
+        axes.vlines(at + 0.1, v.lower95, v.upper95, color=OKABE_ITO[1], lw=1.6)
+        axes.plot(at + 0.1, v.predicted, "o", color=OKABE_ITO[1], ms=4, label="treated")
+        _draw_limits(axes, treatment, name)
+        symbol, _, unit = name.partition("_")
+        axes.set_ylabel(f"{symbol} ({ {'percent': '%'}.get(unit, unit) })")
+        axes.set_xticks(at, [f"{f:g}" for f in treatment.bands.centres_hz])
+        axes.grid(alpha=0.25, axis="y")
+    axes.set_xlabel("frequency (Hz)")
+    if first is not None:
+        figure_legend(figure, first, 3, "mean over all pairs with 95 % intervals")
+    return figure
+
+
+def _draw_limits(axes: Axes, treatment: Treatment, name: str) -> None:
+    """Draw a bar across each band of each target at its limits."""
+    label = "limit"
+    for t in treatment.targets:
+        wanted = t.bands_hz or (500.0, 1000.0, 2000.0)
+        at = np.flatnonzero(np.isin(treatment.bands.centres_hz, wanted))
+        for limit in (t.low, t.high):
+            if t.parameter == name and np.isfinite(limit) and at.size:
+                axes.hlines(
+                    np.full(at.size, limit), at - 0.4, at + 0.4, color="black", lw=1.4, label=label
+                )
+                label = "_"
+
+
+def _draw_room(axes: Axes, treatment: Treatment, a: Arrangement) -> None:
+    """Draw the room from above one corner, treated surfaces in colour; walls in front left out."""
+    room, onto = treatment.room.scene.room, projection()[:2]
+    by_surface: dict[str, list[str]] = {}
+    for h in a.hung:
+        text = f"{h.area_m2:.4g} m² {h.product}"
+        by_surface.setdefault(h.surface, []).append(text)
+    colour = {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(by_surface)}
+    faces, _ = drawn_faces(room)
+    owner = [room.materials[int(i)] for i in triangle_material(room)[faces]]
+    colours = [colour.get(name, "#EEEEEE") for name in owner]
+    axes.add_collection(
+        PolyCollection(
+            list(corners_m(room.mesh)[faces] @ onto.T),
+            facecolors=colours, edgecolors=colours, linewidths=0.5, closed=True, clip_on=False,
+        )
+    )  # fmt: skip
+    edges = outline_m(room, 1500)
+    axes.add_collection(
+        LineCollection(list(edges @ onto.T), colors="#444444", linewidths=0.8, clip_on=False)
+    )
+    flat = room.mesh.vertices_m @ onto.T
+    axes.set_xlim(flat[:, 0].min(), flat[:, 0].max())
+    axes.set_ylim(flat[:, 1].min(), flat[:, 1].max())
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    handles = [
+        Patch(facecolor=colour[s], edgecolor="#777777", label=literal(f"{s}: {', '.join(t)}", 60))
+        for s, t in by_surface.items()
+    ]
+    handles.append(Patch(facecolor="#EEEEEE", edgecolor="#777777", label="as it is"))
+    axes.legend(
+        handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False, fontsize=8
+    )

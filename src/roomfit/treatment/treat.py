@@ -1,0 +1,292 @@
+"""What to hang where, so that a room meets its targets, and how likely it then does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from roomfit._numba import one_blas_thread
+from roomfit.bands import Bands
+from roomfit.errors import InputError
+from roomfit.findings import Code, Finding
+from roomfit.prediction.predict import (
+    PredictedValue,
+    PreparedRoom,
+    numbers_at,
+    predicted_means,
+)
+from roomfit.signals.iso3382 import ValueName
+from roomfit.treatment.question import (
+    Product,
+    Question,
+    Surface,
+    Target,
+    limits_of,
+    question_of,
+    rows_of,
+    treated,
+    treated_draws,
+)
+from roomfit.treatment.search import best_arrangement, excess
+from roomfit.typing import FloatArray, Progress
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, slots=True)
+class Hung:
+    """A product on a surface."""
+
+    surface: str
+    product: str
+    area_m2: float
+    share: float  # of the surface
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrangement:
+    """One answer, and what it does."""
+
+    hung: tuple[Hung, ...]
+    cost: float
+    mean: Mapping[ValueName, PredictedValue]  # over all pairs, with what was before
+    # (n_targets,), that a measurement after it meets the target in all its bands; and all targets
+    probability: FloatArray
+    before: FloatArray  # (n_targets,), the same without any treatment
+    joint: float
+    missed: tuple[str, ...]  # what the likeliest prediction misses, in words
+    # what the spread of the least likely target is due to: share of its variance
+    decisive: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Treatment:
+    """The best arrangements, cheapest first; or the one that misses least."""
+
+    bands: Bands
+    targets: tuple[Target, ...]
+    arrangements: tuple[Arrangement, ...]
+    is_met: bool  # by the likeliest prediction
+    room: PreparedRoom
+    findings: tuple[Finding, ...]
+
+    def __str__(self) -> str:
+        """Return arrangements, what they do, and how likely it is enough."""
+        from roomfit.treatment.output import treatment_text
+
+        return treatment_text(self)
+
+    def plot(self) -> Figure:
+        """Return the room and what the first arrangement does in every band."""
+        from roomfit.treatment.output import treatment_figure
+
+        return treatment_figure(self)
+
+
+@one_blas_thread
+def treat(
+    room: PreparedRoom,
+    surfaces: Sequence[Surface],
+    products: Sequence[Product],
+    targets: Sequence[Target],
+    *,
+    number: int = 3,
+    probability: float = 0.5,
+    most_cost: float = np.inf,
+    progress: Progress | None = None,
+) -> Treatment:
+    """Choose what to hang where.
+
+    The cheapest arrangements of whole pieces, each of another set of products and surfaces, with
+    which a measured mean over all pairs meets each target in each of its bands at least as likely
+    as asked for.
+
+    Parameters
+    ----------
+    room : PreparedRoom
+        From `roomfit.prediction.predict.prepare_prediction`, of any pairs.
+    surfaces, products, targets : sequences of Surface, Product and Target
+    number : int
+        How many arrangements.
+    probability : float
+        0.5 to 0.99: of each target in each band.
+    most_cost : float
+        What all of it may cost.
+
+    Raises
+    ------
+    InputError
+        See `question_of`; or the probability is out of range.
+
+    Notes
+    -----
+    A surface that is covered in part has the area-weighted mean of what covers it and of itself,
+    wherever the pieces hang: in a diffuse field its energy. The probability is of a measurement
+    after the treatment: over common draws of what is not known of the room and of the products,
+    with interference, the number of rays and the error that `predict` grants its model.
+    """
+    if not 0.5 <= probability <= 0.99:
+        raise InputError(
+            "the probability of meeting a target is out of range",
+            found=f"{probability:g}",
+            needed="0.5 to 0.99",
+        )
+    question = question_of(room, surfaces, products, targets)
+    n_rows = len(question.target)
+    margin = np.zeros(n_rows)
+    first = best_arrangement(question, margin, (), most_cost)
+    if probability > 0.5:
+        for _ in range(2):
+            margin = float(ndtri(probability)) * _row_sd(question, first[0])
+            first = best_arrangement(question, margin, (), most_cost)
+    found, excluded = [first], []
+    is_met = not excess(question, first[1], margin).any()
+    while is_met and first[0].any() and len(found) < number:
+        excluded.append(found[-1][0] > 0)
+        other = best_arrangement(question, margin, excluded, most_cost)
+        if excess(question, other[1], margin).any() or any(
+            (other[0] > 0).tolist() == e.tolist() for e in excluded
+        ):
+            break
+        found.append(other)
+        if progress is not None:
+            progress(len(found) / number)
+    found.sort(key=lambda one: float(question.cost @ one[0]))
+    before = _outcome(question, np.zeros(len(question.cost)))[1]
+    arrangements = tuple(_arrangement(question, p, n, margin, before) for p, n in found)
+    return Treatment(
+        room.absorption.bands, question.targets, arrangements, is_met, room,
+        _findings(question, arrangements, first, margin, is_met),
+    )  # fmt: skip
+
+
+def _outcome(
+    question: Question, pieces: FloatArray
+) -> tuple[dict[ValueName, PredictedValue], FloatArray, FloatArray, float]:
+    """Return means, the odds of each target, draws of the rows, and the odds of all targets."""
+    room = question.room
+    after = numbers_at(room, treated(question, pieces), treated_draws(question, pieces))
+    means = predicted_means(room.scene, room.absorption.bands, [after, room.before], ())
+    drawn = np.ma.masked_invalid([n.draws for n in after]).mean(axis=0)
+    rows = rows_of(question, np.asarray(np.ma.filled(drawn, np.nan)))
+    sd = _rest_sd(question, means)
+    low, high = limits_of(question)
+    odds = np.nan_to_num(ndtr((high - rows) / sd) - ndtr((low - rows) / sd))
+    n = len(question.targets)
+    of = np.array(question.target)
+    each = np.array([np.mean(np.prod(odds[:, of == t], axis=1)) for t in range(n)])
+    return means, each, rows, float(np.mean(np.prod(odds, axis=1)))
+
+
+def _rest_sd(question: Question, means: Mapping[ValueName, PredictedValue]) -> FloatArray:
+    """Return of each row the spread that is not the absorption's, alike in all its bands."""
+    own = [means[question.targets[t].parameter].sd_rest for t in question.target]
+    found = (question.weights * np.nan_to_num(own)).sum(axis=1)
+    return np.asarray(np.maximum(found, 1e-9))
+
+
+def _row_sd(question: Question, pieces: FloatArray) -> FloatArray:
+    means, _, rows, _ = _outcome(question, pieces)
+    spread = np.nan_to_num(np.std(rows, axis=0))
+    return np.asarray(np.hypot(_rest_sd(question, means), spread))
+
+
+def _arrangement(
+    question: Question,
+    pieces: FloatArray,
+    numbers: FloatArray,
+    margin: FloatArray,
+    before: FloatArray,
+) -> Arrangement:
+    means, odds, rows, joint = _outcome(question, pieces)
+    materials = question.room.absorption.materials
+    hung = []
+    for c in np.flatnonzero(pieces):
+        m, area = question.surface[c], float(pieces[c] * question.piece_m2[c])
+        name = question.products[question.product[c]].name
+        hung.append(Hung(materials[m], name, area, area / float(question.areas_m2[m])))
+    return Arrangement(
+        tuple(hung),
+        float(question.cost @ pieces),
+        means,
+        odds,
+        before,
+        joint,
+        _missed(question, numbers, margin),
+        _decisive(question, pieces, rows[:, np.array(question.target) == np.argmin(odds)]),
+    )
+
+
+def _missed(question: Question, numbers: FloatArray, margin: FloatArray) -> tuple[str, ...]:
+    low, high = limits_of(question)
+    lines = []
+    for r in np.flatnonzero(excess(question, numbers, margin)):
+        target = question.targets[question.target[r]]
+        at = question.room.absorption.bands.centres_hz[question.weights[r] > 0.0]
+        limit = high[r] - margin[r] if numbers[r] > high[r] - margin[r] else low[r] + margin[r]
+        lines.append(
+            f"{target.parameter} at {', '.join(f'{f:g}' for f in at)} Hz is {numbers[r]:.2f}, "
+            f"{limit:.2f} was needed"
+        )
+    return tuple(lines)
+
+
+def _decisive(
+    question: Question, pieces: FloatArray, rows: FloatArray
+) -> tuple[tuple[str, float], ...]:
+    """Return whose absorption goes with the draws of some rows: largest squared correlations."""
+    room = question.room
+    used = sorted({question.product[c] for c in np.flatnonzero(pieces)})
+    names = [*room.absorption.materials, *(question.products[p].name for p in used)]
+    drawn = np.concatenate([room.draws, question.drawn[:, used]], axis=1)
+    y = np.asarray(np.nanmean(rows, axis=1))
+    at = question.weights.sum(axis=0) > 0.0
+    shares = []
+    for i, name in enumerate(names):
+        x = np.asarray(np.log(np.maximum(drawn[:, i][:, at], 1e-4)).mean(axis=1))
+        spread = float(np.std(x) * np.std(y))
+        if spread > 1e-12:
+            share = float(np.mean((x - x.mean()) * (y - y.mean())) / spread) ** 2
+            shares.append((name, share))
+    best: dict[str, float] = {}
+    for name, share in shares:  # a product that is a material of the room is one of them
+        best[name] = max(share, best.get(name, 0.0))
+    return tuple(sorted(best.items(), key=lambda pair: -pair[1])[:3])
+
+
+def _findings(
+    question: Question,
+    arrangements: Sequence[Arrangement],
+    first: tuple[FloatArray, FloatArray],
+    margin: FloatArray,
+    is_met: bool,
+) -> tuple[Finding, ...]:
+    found = []
+    if not is_met:
+        used = float((first[0] * question.piece_m2).sum())
+        missed = _missed(question, first[1], margin)
+        free = sum(question.free_m2.values())
+        sentence = (
+            f"The targets cannot be met with these products on {free:.4g} m2: "
+            f"{'; '.join(missed[:4])}. The arrangement shown misses least, with {used:.4g} m2."
+        )
+        found.append(Finding(Code.TARGET_NOT_MET, sentence, {"missed": list(missed)}))
+    partly = [
+        f"{h.surface} ({100 * h.share:.0f} %)"
+        for a in arrangements
+        for h in a.hung
+        if 0.02 < h.share < 0.98
+    ]
+    if partly:
+        sentence = (
+            f"Covered in part, as {', '.join(dict.fromkeys(partly))}: predicted with the mean of "
+            "its absorption by area, wherever on it the pieces hang. Pieces near a source or a "
+            "receiver may do more early on; divide the surface in the model to see it."
+        )
+        found.append(Finding(Code.SURFACE_COVERED_IN_PART, sentence, {"surfaces": partly}))
+    return tuple(found)
