@@ -99,7 +99,7 @@ def test_a_fault_of_the_geometry_is_shown_where_it_is(tmp_path: Path) -> None:
     view = views.room_view(nothing, str(tmp_path))
     assert not view["traceable"]
     serious = [f for f in view["findings"] if f["severity"] == "serious"]
-    assert serious and any(f["places_m"] for f in serious)
+    assert serious and any(f["points_m"] for f in serious)
 
 
 def test_names_become_sources_and_receivers_whose_places_are_asked_for(box: Path) -> None:

@@ -154,7 +154,7 @@ class Job:
 
     @property
     def remaining_s(self) -> float | None:
-        """How long it will take, as far as it has gone; None while that cannot be told."""
+        """How long it will take, as far as it has gone; None while that is not known."""
         if self.state != "running" or self.fraction < 0.03:
             return None
         return self.seconds * (1.0 - self.fraction) / self.fraction

@@ -92,7 +92,7 @@ def _show_work(bench: Bench) -> None:
             if job.state == "running":
                 ui.linear_progress(value=round(job.fraction, 2), show_value=False).style(
                     "width: 12rem"
-                ).props(f'aria-label="{job.label}"')
+                ).props["aria-label"] = job.label
             ui.button("Cancel", on_click=lambda job=job: bench.jobs.cancel(job)).props(
                 "outline dense no-caps color=quiet padding='2px 10px'"
             )

@@ -28,6 +28,7 @@ from roomfit.io.rooms.model import RoomSpec
 
 QUICK, FULL = "first", "result"
 """Folders of the quick answer and of the full one, within the project."""
+TREATMENT = "treatment"
 RECORDINGS = "recordings"
 SHAPE = "{source}_{receiver}.wav"
 """By which recordings are named, unless the user says otherwise."""
@@ -168,7 +169,7 @@ def forget_unused_materials(folder: Path, used: Sequence[str]) -> None:
 
 
 def set_prior(folder: Path, material: str, entry: str | None) -> None:
-    """Say what is known of a material beforehand: an entry of the catalogue, or nothing."""
+    """Say by the catalogue what a material is, as its prior; None: nothing is known."""
 
     def change(document: tomlkit.TOMLDocument) -> None:
         own = _table(_table(document, "materials"), material)
@@ -334,7 +335,11 @@ def served_file(folder: Path, path: str) -> Path:
         There is no such file, or it is none of those.
     """
     parts = Path(path).parts
-    if not path.isprintable() or len(parts) < 2 or parts[0] not in (QUICK, FULL, "exports"):
+    if (
+        not path.isprintable()
+        or len(parts) < 2
+        or parts[0] not in (QUICK, FULL, TREATMENT, "exports")
+    ):
         raise InputError("only results and exports are shown", found=repr(path[:200]))
     if any(part.startswith(".") for part in parts):
         raise InputError("hidden files are not shown", found=repr(path[:200]))

@@ -109,7 +109,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             for finding in room["findings"]:
                 with ui.element("div").classes("bar"):
                     markup(finding_html(finding)).style("flex: 1 1 16rem")
-                    for place in finding["places_m"][:3]:
+                    for place in finding["points_m"][:3]:
                         text = "Show " + ", ".join(f"{x:.2f}" for x in place)
                         ui.button(
                             text, on_click=lambda place=place: view.point_at(-1, place)

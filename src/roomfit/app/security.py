@@ -212,7 +212,7 @@ class Guard:
 
     async def _counted(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Pass a request on, its body counted, for one in chunks declares no length."""
-        most, taken, begun, over = _limit_bytes(self.door, scope), 0, False, False
+        most, taken, started, over = _limit_bytes(self.door, scope), 0, False, False
 
         async def counted() -> MutableMapping[str, Any]:
             nonlocal taken, over
@@ -220,17 +220,17 @@ class Guard:
             taken += len(message.get("body", b""))
             if taken <= most:
                 return message
-            if not over and not begun:
+            if not over and not started:
                 await _answer(send, 413, b"larger than what is taken\n", {"connection": "close"})
             over = True
             return {"type": "http.disconnect"}
 
         async def sealed(message: MutableMapping[str, Any]) -> None:
-            nonlocal begun
+            nonlocal started
             if over:
                 return
             if message["type"] == "http.response.start":
-                begun = True
+                started = True
                 named = [(k, v) for k, v in message["headers"] if k.decode() not in _HEADERS]
                 own = {k.decode(): v.decode("latin-1") for k, v in message["headers"]}
                 # a file may be more strictly sealed than the page

@@ -45,13 +45,14 @@ class Bench:
 
     def stamp(self) -> tuple[float, ...]:
         """Return what changes whenever the folder's content does, whoever has changed it."""
-        places = (
+        files = (
             project.campaign_file(self.folder),
             self.folder / project.RECORDINGS,
             self.folder / project.QUICK / "result.json",
             self.folder / project.FULL / "result.json",
+            self.folder / project.TREATMENT,
         )
-        return tuple(p.stat().st_mtime_ns if p.exists() else 0 for p in places)
+        return tuple(p.stat().st_mtime_ns if p.exists() else 0 for p in files)
 
     async def stop(self) -> None:
         """End all processes."""

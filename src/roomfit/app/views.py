@@ -37,16 +37,16 @@ _NO_MATERIAL = "(no material)"
 
 
 def finding_view(finding: Finding) -> dict[str, Any]:
-    """Return a finding with the places in the room that its sentence names, in m."""
-    places = [[float(x) for x in found] for found in _PLACE.findall(finding.sentence)]
-    return {**finding_content(finding), "places_m": places}
+    """Return a finding with the points in the room that its sentence names, in m."""
+    points = [[float(x) for x in found] for found in _PLACE.findall(finding.sentence)]
+    return {**finding_content(finding), "points_m": points}
 
 
 def _fault(error: RoomfitError) -> dict[str, Any]:
     """Return an error as a serious finding, for a page that shows it where it belongs."""
-    places = [[float(x) for x in found] for found in _PLACE.findall(str(error))]
+    points = [[float(x) for x in found] for found in _PLACE.findall(str(error))]
     sentence = "; ".join(filter(None, (error.what, error.where, error.found, error.hint)))
-    return {"code": "input", "severity": "serious", "sentence": sentence, "places_m": places}
+    return {"code": "input", "severity": "serious", "sentence": sentence, "points_m": points}
 
 
 def room_view(_: Progress, folder: str) -> dict[str, Any]:
@@ -159,7 +159,7 @@ def recordings_view(_: Progress, folder: str, shape: str) -> dict[str, Any]:
     if rows and missing:
         text = f"Where {', '.join(missing)} stand is not known: type x, y, z into the table."
         view["findings"].append(
-            {"code": "positions", "severity": "warning", "sentence": text, "places_m": []}
+            {"code": "positions", "severity": "warning", "sentence": text, "points_m": []}
         )
     if rows and project.has_campaign(root):
         try:
@@ -271,6 +271,31 @@ def set_room(_: Progress, folder: str, **room: Any) -> None:
     project.set_room(Path(folder), **room)
 
 
+def treat(progress: Progress, folder: str) -> str:
+    """Choose what to hang where, as ``roomfit treat`` does; return the answer in words.
+
+    Raises
+    ------
+    InputError
+        There is no result yet, or no treatment.toml with products and targets.
+    """
+    root = Path(folder)
+    result = project.best_result(root)
+    if result is None:
+        raise InputError("there is no answer yet", hint="identify first")
+    out = root / project.TREATMENT
+    project.inside(root, out)
+    answer = commands.treat_to_folder(
+        project.campaign_file(root),
+        result,
+        root / "treatment.toml",
+        out,
+        overwrite=True,
+        progress=progress,
+    )
+    return str(answer)
+
+
 def export(_: Progress, folder: str, wanted: str) -> list[str]:
     """Write the best result for another program, see `project.export`."""
     return project.export(Path(folder), wanted)
@@ -284,8 +309,8 @@ def echo(_: Progress, text: str) -> str:
 TASKS: dict[str, Callable[..., Any]] = {
     f.__name__: f
     for f in (
-        *(room_view, recordings_view, result_view, identify, demo, set_room, export, echo),
-        *(what_if_prepare, what_if),
+        *(room_view, recordings_view, result_view, identify, demo, set_room, treat, export),
+        *(what_if_prepare, what_if, echo),
     )
 }
 """What the worker can be asked for, by name."""

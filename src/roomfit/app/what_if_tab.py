@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from html import escape
 from typing import Any
+from urllib.parse import quote
 
 from nicegui import ui
 
@@ -22,6 +23,7 @@ _LABELS = {
     "D50_percent": "D50 in %",
     "STI": "STI",
 }
+_STAGES = ((0.0, "tracing"), (0.5, "searching"))
 _PREPARE_S, _CHANGE_S = 900.0, 60.0
 _WIDE, _HIGH, _LEFT, _BELOW = 320.0, 190.0, 44.0, 24.0
 
@@ -44,7 +46,30 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             pictures = {name: markup("").classes("panel") for name in _LABELS}
         with ui.expansion("Every pair in numbers").classes("panel"):
             numbers = markup("")
+        hung = ui.element("div").classes("panel").style("margin-top: 0.75rem")
     both.set_visibility(False)
+
+    def hang() -> None:
+        bench.jobs.add("What to hang where", "treat", {"folder": str(bench.folder)}, _STAGES)
+
+    def show_hung() -> None:
+        hung.clear()
+        with hung:
+            heading("What to hang where")
+            if not (bench.folder / "treatment.toml").is_file():
+                text = "Write products and targets into treatment.toml in the project's folder."
+                ui.label(text).classes("soft")
+                return
+            ui.button("Search for the cheapest that meets the targets", on_click=hang).props(
+                "no-caps outline color=quiet"
+            )
+            out = bench.folder / project.TREATMENT
+            for file in sorted(out.iterdir()) if out.is_dir() else ():
+                place = f"/files/{project.TREATMENT}/{quote(file.name)}"
+                if file.suffix == ".png":
+                    markup(f'<img alt="{escape(file.stem)}" src="{escape(place)}" width="100%">')
+                elif not file.name.startswith("."):
+                    markup(f'<a href="{escape(place)}?save=1">{escape(file.name)}</a>')
 
     async def evaluate() -> None:
         """Evaluate what is chosen now; while one is under way, the newest waits, no other."""
@@ -198,6 +223,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         if state["material"] not in room["absorption"]:
             state["material"] = next(iter(room["absorption"]))
         both.set_visibility(True)
+        show_hung()
         show_controls()
         state["last"] = found
         draw()
