@@ -13,6 +13,8 @@ pytest.importorskip("nicegui", reason="the workbench needs the extra app")
 
 from workbench import Running, running
 
+from roomfit.app.security import is_own_host, new_door
+
 pytestmark = pytest.mark.slow
 
 
@@ -170,3 +172,12 @@ def test_it_listens_on_this_machine_only(server: Running) -> None:
     own = {line.split()[1] for line in Path("/proc/net/tcp").read_text().splitlines()[1:]}
     mine = [a for a in own if int(a.split(":")[1], 16) == server.port]
     assert mine and all(a.startswith("0100007F") for a in mine)
+
+
+def test_open_to_a_network_it_still_answers_to_no_foreign_name() -> None:
+    """An address in numbers cannot be rebound, a name can."""
+    door = new_door("0.0.0.0", 8321, 1, ("desk",))
+    assert all(is_own_host(door, h) for h in ("192.168.1.7:8321", "desk:8321", "[fe80::1]:8321"))
+    wrong = ("evil.example:8321", "192.168.1.7:80", "192.168.1.7.evil.example:8321", "desk", "")
+    assert not any(is_own_host(door, h) for h in wrong)
+    assert not is_own_host(new_door("127.0.0.1", 8321, 1), "192.168.1.7:8321")

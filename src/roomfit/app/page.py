@@ -76,12 +76,9 @@ def build_page(bench: Bench) -> None:
                 with work:
                     _show_work(bench)
 
-        async def tick() -> None:
-            look_at_work()
-            await look()
-
         tabs.on_value_change(look)
-        ui.timer(_LOOK_EVERY_S, tick)
+        ui.timer(_LOOK_EVERY_S, look_at_work)
+        ui.timer(_LOOK_EVERY_S, look)  # of its own: a tab may take minutes to be ready
 
 
 def _show_work(bench: Bench) -> None:

@@ -208,7 +208,9 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             note.set_text("No answer yet: identify first.")
             both.set_visibility(False)
             return
-        note.set_text("The room is traced for changes: some seconds ...")
+        note.set_text(
+            "The room is traced for changes; this takes seconds, in a large room minutes."
+        )
         state["last"] = None
         own = {"folder": str(bench.folder)}
         try:
