@@ -11,9 +11,8 @@ import pytest
 
 pytest.importorskip("nicegui", reason="the workbench needs the extra app")
 
-from workbench import Running, running
-
 from roomfit.app.security import is_own_host, new_door
+from workbench import Running, running
 
 pytestmark = pytest.mark.slow
 

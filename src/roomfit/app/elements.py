@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -53,6 +53,21 @@ class FileDrop(Element, component="file_drop.js"):
                 await on_sent(taken)
 
         self.on("sent", sent)
+
+
+class BandSlider(Element, component="band_slider.js"):
+    """A slider from 0.01 to 0.99."""
+
+    def __init__(
+        self, word: str, label: str, start: float, on_moved: Callable[[float], Awaitable[None]]
+    ) -> None:
+        super().__init__()
+        self._props["word"], self._props["label"], self._props["start"] = word, label, start
+
+        async def moved(event: events.GenericEventArguments) -> None:
+            await on_moved(float(event.args))
+
+        self.on("moved", moved, throttle=0.05)
 
 
 def markup(content: str) -> ui.html:

@@ -10,7 +10,7 @@ from urllib.parse import quote
 from nicegui import ui
 
 from roomfit.app import project
-from roomfit.app.elements import heading, markup, said, table_html
+from roomfit.app.elements import BandSlider, heading, markup, said, table_html
 from roomfit.app.server import Bench
 from roomfit.errors import InputError
 from roomfit.materials.catalogue import catalogue
@@ -177,22 +177,14 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             with ui.element("div").classes("sliders"):
                 values = spectrum(state["material"])
                 for band, centre_hz in enumerate(room["bands_hz"]):
-                    with ui.element("div"):
-                        word = f"{short_hertz(centre_hz)} Hz"
-                        shown = ui.label(f"{word}: {values[band]:.2f}")
-
-                        async def moved(
-                            e: Any, band: int = band, shown: ui.label = shown, word: str = word
-                        ) -> None:
-                            shown.set_text(f"{word}: {float(e.args):.2f}")
-                            await slide(band, float(e.args))
-
-                        # the browser's own slider: keys and screen readers know it
-                        slider = ui.element("input").props("type=range min=0.01 max=0.99 step=0.01")
-                        slider.props["value"] = f"{values[band]:.2f}"
-                        slider.props["aria-label"] = f"Absorption of {state['material']} at {word}"
-                        js = "(e) => emit(e.target.value)"
-                        slider.on("input", moved, throttle=0.05, js_handler=js)
+                    word = f"{short_hertz(centre_hz)} Hz"
+                    label = f"Absorption of {state['material']} at {word}"
+                    BandSlider(
+                        word,
+                        label,
+                        values[band],
+                        lambda value, band=band: slide(band, value),
+                    )
             heading("Targets")
             with ui.element("div").classes("bar"):
                 for name in room["names"]:
