@@ -98,9 +98,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                 picture.set_content(chart_svg(view, name, room["bands_hz"], targets.get(name)))
         numbers.set_content(pairs_html(view, room["bands_hz"]))
         note.set_text(
-            f"{len(view['pairs'])} pairs, {len(changes)} materials changed; computed in "
-            f"{1000 * view['seconds']:.0f} ms. Lines: mean over the pairs with the 95 % interval; "
-            "thin: each pair; dashed: as it is."
+            f"{len(view['pairs'])} pairs, {len(changes)} materials changed. Lines: mean over the "
+            "pairs with the 95 % interval; thin: each pair; dashed: as it is."
         )
 
     async def choose_entry(value: str | None) -> None:
