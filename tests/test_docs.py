@@ -28,6 +28,7 @@ from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import demo_plan, write_measured_box
+from roomfit.treatment.campaign import read_treatment
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -123,6 +124,9 @@ def test_python_on_a_page_runs_from_top_to_bottom(path, campaign_folder):
 def test_a_campaign_on_a_page_is_a_good_one(path, number, tmp_path):
     file = tmp_path / "campaign.toml"
     file.write_text(code_blocks(path, "toml")[number], encoding="utf-8")
+    if path.name == "treat.md":
+        assert read_treatment(file).targets
+        return
     campaign = roomfit.read_campaign(file)
     known = material_priors(campaign, tuple(campaign.room.materials.values()))
     assert len(known) == len(campaign.room.materials)
@@ -215,7 +219,7 @@ def tables() -> list[type[BaseModel]]:
 
 @pytest.mark.parametrize("table", tables())
 def test_every_key_of_a_campaign_is_told_with_its_default(table):
-    text = page("campaign-file.md")
+    text = page("campaign-file.md") + page("treat.md")
     rows = [line.strip("| ").split(" | ") for line in text.split("\n") if line.startswith("| `")]
     for key, field in table.model_fields.items():
         assert re.search(rf"\b{key}\b", text), key

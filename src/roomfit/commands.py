@@ -423,6 +423,7 @@ def treat_to_folder(
             scene,
             known,
             hardest_changes(asked, known.bands),
+            given["measurements"],
             settings=given["settings"],
             cache=cache,
             progress=part(progress, 0.0, 0.8),

@@ -154,7 +154,7 @@ def _short_finding(bands: Bands, short: Sequence[int]) -> tuple[Finding, ...]:
 
 
 # Differences between absorptions are read from so many rows, in bins of a millisecond.
-ROWS_OF_A_DRAW = 5_000
+_ROWS_OF_A_DRAW, _ROWS_OF_A_CASE = 5_000, 600
 # What comes after this fall of the decay is extrapolated.
 _FOLLOWED_DB = 55.0
 _BINS_TOGETHER = 10
@@ -201,16 +201,19 @@ def few_rows(
     binned: BinnedPaths,
     pair: int,
     absorption: FloatArray,
-    most: int = ROWS_OF_A_DRAW,
+    most: int | None = None,
 ) -> FewRows:
-    """Return at most about so many rows of one pair, for absorptions near and far from one.
+    """Return few rows of one pair, for absorptions near and far from one.
 
     5,000 of 290,000 tell a change of T30 by 45 just noticeable differences within a quarter of one.
 
     Parameters
     ----------
     absorption : float array, shape (n_materials, n_bands)
+    most : int, optional
+        At most about so many; left out, 5,000, or more for rooms of many materials.
     """
+    most = max(_ROWS_OF_A_DRAW, _ROWS_OF_A_CASE * (len(absorption) + 2)) if most is None else most
     edges_s = np.append(binned.edges_s[:-1][::_BINS_TOGETHER], binned.edges_s[-1])
     first = np.arange(0, binned.edges_s.size - 1, _BINS_TOGETHER)
     attenuation = attenuation_per_m(scene.air, bands)
@@ -370,8 +373,8 @@ def changed_numbers(
 
     Carried over from those before by what fewer paths tell, as draws are: for times by their ratio,
     for all else by the difference. Interference goes with the number of its independent parts: the
-    standard deviation of a time as its square root, see `value_covariances`, all else stays. The
-    picture of the decay is that before.
+    standard deviation of a time as its square root, see `value_covariances`; those of C50, C80 and
+    G stay, and that of D50 follows C50. The picture of the decay is that before.
 
     Parameters
     ----------
@@ -381,9 +384,12 @@ def changed_numbers(
         `few_values` at the absorption of `before`.
     """
     values = moved(before.values, few_values(few, few_energies(few, absorptions)), base)
+    noise_sd, d50 = before.noise_sd.copy(), VALUE_NAMES.index("D50_percent")
+    times = [*np.flatnonzero(RELATIVE), VALUE_NAMES.index("TS_ms")]
     with np.errstate(divide="ignore", invalid="ignore"):  # unknown values
-        longer = np.sqrt(values[0] / before.values)
-    noise_sd = before.noise_sd * np.where(RELATIVE[:, None], longer, 1.0)
+        ratio = values[0] / before.values
+        noise_sd[times] *= np.sqrt(ratio[times])
+        noise_sd[d50] *= ratio[d50] * (100.0 - values[0, d50]) / (100.0 - before.values[d50])
     return PairNumbers(values[0], values[1:], noise_sd, before.decay)
 
 

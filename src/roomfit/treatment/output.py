@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -15,11 +16,13 @@ from matplotlib.patches import Patch
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.geometry.mesh import corners_m
 from roomfit.io.encoding import csv_text, finding_content, number_or_null, provenance
+from roomfit.prediction.decay import RELATIVE
 from roomfit.prediction.output import parameters_content, value_lines
 from roomfit.report.figures import OKABE_ITO, figure_legend, literal, new_figure
 from roomfit.report.room_figure import COLOURS, drawn_faces, outline_m, projection
 from roomfit.report.text import findings_text
 from roomfit.scene import triangle_material
+from roomfit.signals.iso3382 import VALUE_NAMES, ValueName
 
 if TYPE_CHECKING:
     from roomfit.treatment.treat import Arrangement, Treatment
@@ -126,6 +129,7 @@ def _arrangement_text(treatment: Treatment, a: Arrangement, number: int) -> str:
     shown = {n: v for n, v in a.mean.items() if n in wanted or n in ("T30_s", "C50_dB")}
     head = ["Hz", *(f"{f:g}" for f in treatment.bands.centres_hz)]
     for first, *cells in (head, *value_lines(shown)):
+        first = first.replace("model before", "before")
         lines.append(f"  {first:<15}  " + "  ".join(f"{c:>20}" for c in cells))
     return "\n".join(lines)
 
@@ -160,28 +164,41 @@ def treatment_figure(treatment: Treatment) -> Figure:
     return figure
 
 
-def _draw_limits(axes: Axes, treatment: Treatment, name: str) -> None:
-    """Draw a bar across each band of each target at its limits."""
-    label = "limit"
+def _draw_limits(axes: Axes, treatment: Treatment, name: ValueName) -> None:
+    """Draw a bar across each band of each target at its limits, and what lies near them."""
+    label, highest = "limit", 0.0
+    v = treatment.arrangements[0].mean[name]
     for t in treatment.targets:
         wanted = t.bands_hz or (500.0, 1000.0, 2000.0)
         at = np.flatnonzero(np.isin(treatment.bands.centres_hz, wanted))
+        if t.parameter == name and v.change is not None and at.size:
+            own = [v.upper95[at], v.change.before_upper95[at], np.array([t.low, t.high])]
+            highest = max(highest, *(float(x[np.isfinite(x)].max(initial=0.0)) for x in own))
         for limit in (t.low, t.high):
             if t.parameter == name and np.isfinite(limit) and at.size:
                 axes.hlines(
                     np.full(at.size, limit), at - 0.4, at + 0.4, color="black", lw=1.4, label=label
                 )
                 label = "_"
+    # a band without a target, whose interval may be endless, does not make the others small
+    if RELATIVE[VALUE_NAMES.index(name)] and highest > 0.0:
+        axes.set_ylim(0.0, 1.5 * highest)
 
 
 def _draw_room(axes: Axes, treatment: Treatment, a: Arrangement) -> None:
     """Draw the room from above one corner, treated surfaces in colour; walls in front left out."""
     room, onto = treatment.room.scene.room, projection()[:2]
     by_surface: dict[str, list[str]] = {}
+    covered: dict[str, float] = {}
     for h in a.hung:
-        text = f"{h.area_m2:.4g} m² {h.product}"
+        text = f"{h.area_m2:.4g} m² {h.product} ({100 * h.share:.0f} %)"
         by_surface.setdefault(h.surface, []).append(text)
-    colour = {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(by_surface)}
+        covered[h.surface] = covered.get(h.surface, 0.0) + h.share
+    # the less of a surface is covered the paler it is
+    colour = {
+        name: to_hex(1.0 - (0.3 + 0.7 * min(share, 1.0)) * (1.0 - np.array(to_rgb(COLOURS[i]))))
+        for i, (name, share) in enumerate(list(covered.items())[: len(COLOURS)])
+    }
     faces, _ = drawn_faces(room)
     owner = [room.materials[int(i)] for i in triangle_material(room)[faces]]
     colours = [colour.get(name, "#EEEEEE") for name in owner]

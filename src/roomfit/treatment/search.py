@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, milp
@@ -17,24 +18,33 @@ from roomfit.typing import BoolArray, FloatArray
 _ROUNDS, _EXCHANGES = 5, 60
 _TRIED_AT_ONCE = 48
 _POINTS = 128
+_MANY = 64
 # A tenth of a just noticeable difference of a time counts as met.
 MET = 0.005
 
 
-def mean_values(room: PreparedRoom, absorptions: FloatArray) -> FloatArray:
+def mean_values(
+    room: PreparedRoom, absorptions: FloatArray, wanted: BoolArray | None = None
+) -> FloatArray:
     """Return the means over all pairs under many absorptions, (n_points, n_names, n_bands).
 
     Parameters
     ----------
     absorptions : float array, shape (n_points, n_materials, n_bands)
+    wanted : bool array, shape (n_bands,), optional
+        All other bands are left NaN.
     """
+    at = np.flatnonzero(np.ones(absorptions.shape[2], dtype=np.bool_) if wanted is None else wanted)
 
     def own(i: int) -> FloatArray:
+        few = replace(room.few[i], by_band=tuple(room.few[i].by_band[b] for b in at))
         parts = [
-            few_values(room.few[i], few_energies(room.few[i], absorptions[a : a + _POINTS]))
+            few_values(few, few_energies(few, absorptions[a : a + _POINTS, :, at]))
             for a in range(0, len(absorptions), _POINTS)
         ]
-        return moved(room.before[i].values, np.concatenate(parts), room.base[i])
+        values = np.full((len(absorptions), *room.base.shape[1:]), np.nan)
+        values[:, :, at] = np.concatenate(parts)
+        return moved(room.before[i].values, values, room.base[i])
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         found = np.ma.masked_invalid(list(pool.map(own, range(len(room.few)))))
@@ -43,7 +53,8 @@ def mean_values(room: PreparedRoom, absorptions: FloatArray) -> FloatArray:
 
 def numbers_of(question: Question, pieces: FloatArray) -> FloatArray:
     """Return the number of every row for many arrangements, shape (n_points, n_rows)."""
-    return rows_of(question, mean_values(question.room, treated(question, pieces)))
+    wanted = np.any(question.weights > 0.0, axis=0)
+    return rows_of(question, mean_values(question.room, treated(question, pieces), wanted))
 
 
 def excess(question: Question, numbers: FloatArray, margin: FloatArray) -> FloatArray:
@@ -182,7 +193,7 @@ def _programme(
         constraints=rows,
         integrality=np.concatenate([np.ones(2 * n), np.zeros(k)]),
         bounds=Bounds(0.0, np.concatenate([question.most, np.ones(n), np.full(k, np.inf)])),
-        options={"time_limit": 3.0, "mip_rel_gap": 1e-4},
+        options={"time_limit": 2.0, "mip_rel_gap": 1e-4},
     )
     return None if found.x is None else np.round(found.x[:n])
 
@@ -196,9 +207,11 @@ def _exchanged(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the best arrangement after pieces were taken, added and exchanged, one by one."""
     surface = np.array(question.surface)
-    for _ in range(_EXCHANGES):
+    for k in range(_EXCHANGES):
         here, numbers = best
-        slopes = _slopes(question, here, numbers, np.ones(len(here)))
+        # of hundreds of columns a slope costs more than what a newer one would tell
+        if k == 0 or (len(here) <= _MANY and k % 4 == 0):
+            slopes = _slopes(question, here, numbers, np.ones(len(here)))
         moves = _moves(question, here)
         trial = here + moves
         taken = np.array(
@@ -227,15 +240,15 @@ def _exchanged(
 
 def _moves(question: Question, here: FloatArray) -> FloatArray:
     """Return changes by pieces: one or a quarter less, one more, and one or all of it exchanged."""
-    n = len(here)
-    moves = list(np.eye(n))
+    n, one = len(here), np.eye(len(here))
+    moves = list(one)
     for i in np.flatnonzero(here):
         for less in {1.0, float(np.ceil(here[i] / 4.0)), float(here[i])}:
-            away = -less * np.eye(n)[i]
+            away = -less * one[i]
             moves.append(away)
             for j in range(n):
                 if j != i:
                     ratio = question.piece_m2[i] / question.piece_m2[j]
                     for more in {max(1.0, float(np.floor(less * ratio))), 1.0}:
-                        moves.append(away + more * np.eye(n)[j])
+                        moves.append(away + more * one[j])
     return np.array(moves)

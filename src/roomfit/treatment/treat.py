@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,12 +13,14 @@ from roomfit._numba import one_blas_thread
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
+from roomfit.prediction.decay import moved
 from roomfit.prediction.predict import (
     PredictedValue,
     PreparedRoom,
     numbers_at,
     predicted_means,
 )
+from roomfit.scene import pair_names
 from roomfit.signals.iso3382 import ValueName
 from roomfit.treatment.question import (
     Product,
@@ -128,7 +130,8 @@ def treat(
     A surface that is covered in part has the area-weighted mean of what covers it and of itself,
     wherever the pieces hang: in a diffuse field its energy. The probability is of a measurement
     after the treatment: over common draws of what is not known of the room and of the products,
-    with interference, the number of rays and the error that `predict` grants its model.
+    with interference, the number of rays and the error that `predict` grants its model. Of pairs
+    that were measured before, what was measured is carried over.
     """
     if not 0.5 <= probability <= 0.99:
         raise InputError(
@@ -136,6 +139,7 @@ def treat(
             found=f"{probability:g}",
             needed="0.5 to 0.99",
         )
+    room = as_measured(room)
     question = question_of(room, surfaces, products, targets)
     n_rows = len(question.target)
     margin = np.zeros(n_rows)
@@ -163,6 +167,24 @@ def treat(
         room.absorption.bands, question.targets, arrangements, is_met, room,
         _findings(question, arrangements, first, margin, is_met),
     )  # fmt: skip
+
+
+def as_measured(room: PreparedRoom) -> PreparedRoom:
+    """Return a room whose measured pairs have what was measured before any change.
+
+    What a treatment does to them is then carried over from there, and what the model says wrongly
+    of the room as it is cancels.
+    """
+    before = []
+    for name, own in zip(pair_names(room.scene), room.before, strict=True):
+        rows = [o.values for o in room.observed if (o.source, o.receiver) == name[:2]]
+        values = own.values
+        if rows:
+            measured = np.ma.masked_invalid(rows).mean(axis=0)
+            values = np.where(np.isnan(values), np.nan, measured.filled(np.nan))
+            values = np.where(np.isnan(values), own.values, values)
+        before.append(replace(own, values=values, draws=moved(values, own.draws, own.values)))
+    return replace(room, before=tuple(before), observed=())
 
 
 def _outcome(
