@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
@@ -118,13 +119,14 @@ def table_html(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]
 
 
 def said(error: Exception) -> None:
-    """Show what went wrong until somebody closes it."""
-    ui.notify(
-        str(error),
-        type="negative",
-        multi_line=True,
-        timeout=0,
-        close_button="Close",
-        classes="soft-break",
-        color="#8f1b17",
-    )
+    """Show what went wrong until somebody closes it, unless the page has gone."""
+    with contextlib.suppress(RuntimeError):  # what NiceGUI says of a page that has gone
+        ui.notify(
+            str(error),
+            type="negative",
+            multi_line=True,
+            timeout=0,
+            close_button="Close",
+            classes="soft-break",
+            color="#8f1b17",
+        )

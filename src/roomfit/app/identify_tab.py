@@ -62,6 +62,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             low, high = project.bands(bench.folder)
             if low in octaves and high in octaves:
                 bands.update({"from": low, "to": high})
+        if answer.is_deleted:  # the page was closed meanwhile
+            return
         answer.clear()
         with answer:
             if view is None:

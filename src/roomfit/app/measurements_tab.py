@@ -53,6 +53,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             return
         try:
             project.set_position(bench.folder, kind, name, values)
+            point["position_m"] = [round(value, 4) for value in values]  # is not drawn anew
             await refresh()
         except InputError as error:
             said(error)
@@ -80,6 +81,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
 
     async def refresh() -> None:
         view = await bench.ask("recordings_view", shape=shape["shape"])
+        if general.is_deleted:  # the page was closed meanwhile
+            return
         general.clear()
         with general:
             findings(view["findings"])

@@ -125,7 +125,10 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         room["has"] = has
         if not has:
             return
-        room.update(await bench.ask("room_view"))
+        found = await bench.ask("room_view")
+        if both.is_deleted:  # the page was closed meanwhile
+            return
+        room.update(found)
         view.show(room)
         facts.clear()
         with facts:

@@ -209,6 +209,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         except InputError:
             note.set_text("The room could not be prepared.")
             raise
+        if both.is_deleted:  # the page was closed meanwhile
+            return
         room.update(found)
         room["names"] = [n for n in _LABELS if n in found["mean"]]
         for gone in [m for m in changes if m not in room["absorption"]]:
