@@ -52,7 +52,7 @@ class Visit:
             viewport={"width": width, "height": 900}, color_scheme=scheme, accept_downloads=True
         )
         self.page = self.context.new_page()
-        self.page.set_default_timeout(60_000)
+        self.page.set_default_timeout(180_000)
         self.foreign: list[str] = []
         self.errors: list[str] = []
         own = f"http://127.0.0.1:{server.port}/"

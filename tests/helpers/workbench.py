@@ -63,7 +63,9 @@ class Running:
     def websocket(self, headers: Mapping[str, str], cookie: bool = True) -> int:
         """Return the status with which a WebSocket is opened or refused; 101 is opened."""
         upgrade = {
-            "Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",
+            "Connection": "Upgrade",
+            "Upgrade": "websocket",
+            "Sec-WebSocket-Version": "13",
             "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
         }
         path = "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"
@@ -98,7 +100,10 @@ def running(folder: Path, limits: str = "") -> Iterator[Running]:
         yield own
     finally:
         process.terminate()
-        process.wait(15)
+        try:
+            process.wait(60)
+        finally:
+            process.kill()
 
 
 def chromium() -> Any:
