@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
+from functools import partial
 from html import escape
 from typing import Any
 from urllib.parse import quote
@@ -182,7 +183,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                         word,
                         label,
                         values[band],
-                        lambda value, band=band: slide(band, value),
+                        partial(slide, band),
                     )
             heading("Targets")
             with ui.element("div").classes("bar"):
