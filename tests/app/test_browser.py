@@ -206,5 +206,5 @@ def test_it_can_be_read_and_named_everywhere(
         page.get_by_role("tab", name="Report").focus()
         page.keyboard.press("ArrowLeft")
         page.keyboard.press("Enter")
-        assert page.get_by_role("tab", name="What if").get_attribute("aria-selected") == "true"
+        page.locator('[role=tab][aria-selected="true"]', has_text="What if").wait_for()
         visit.context.close()
