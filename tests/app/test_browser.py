@@ -85,7 +85,9 @@ def browser() -> Iterator[Any]:
 
 def choose(page: Any, label: str, option: str) -> None:
     page.get_by_label(label).click()
-    page.get_by_role("option", name=option, exact=True).click()
+    chosen = page.get_by_role("option", name=option, exact=True)
+    chosen.click()
+    chosen.wait_for(state="detached")  # a menu that closes has the options of the next one
 
 
 def test_from_the_demo_project_to_the_downloaded_report(browser: Any, tmp_path: Path) -> None:
