@@ -21,6 +21,7 @@ from typing import Any
 
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "roomfit"
 SATELLITES = (
+    "app",
     "certified",
     "coverage",
     "experiment_design",

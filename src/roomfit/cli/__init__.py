@@ -20,6 +20,7 @@ from contextlib import contextmanager
 
 import roomfit
 from roomfit.cli import (
+    app,
     batch,
     cache,
     catalogue,
@@ -44,6 +45,7 @@ from roomfit.cli.terminal import warn
 from roomfit.errors import InputError, RoomfitError, StoreError
 
 _COMMANDS = (
+    app,
     batch,
     cache,
     catalogue,

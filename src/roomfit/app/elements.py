@@ -1,0 +1,132 @@
+"""What several tabs are made of: the room, a place for files, tables and findings."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from html import escape
+from typing import Any
+
+from nicegui import events, ui
+from nicegui.element import Element
+
+_WORDS = {"serious": "Serious", "warning": "Look", "info": "Note"}
+
+
+class RoomView(Element, component="room_view.js"):
+    """The room in three dimensions; a surface is picked by a click."""
+
+    def __init__(self, on_pick: Callable[[int], Any]) -> None:
+        super().__init__()
+        self._props["selected"] = -1
+        self.on("pick", lambda event: on_pick(int(event.args)))
+
+    def show(self, room: Mapping[str, Any]) -> None:
+        """Draw another room."""
+        keys = ("vertices", "faces", "edges", "surfaces", "materials", "sources", "receivers")
+        self._props["room"] = {key: room[key] for key in keys}
+        self.update()
+
+    def point_at(self, selected: int, mark: Sequence[float] | None) -> None:
+        """Make one surface, or one place in m, stand out."""
+        self._props["selected"], self._props["mark"] = selected, mark
+        self.update()
+
+
+class FileDrop(Element, component="file_drop.js"):
+    """A place where files are dropped or chosen; they are sent to ``/upload/PLACE/NAME``."""
+
+    def __init__(
+        self,
+        label: str,
+        place: str,
+        suffixes: Iterable[str],
+        on_sent: Callable[[list[str]], Any],
+    ) -> None:
+        super().__init__()
+        self._props["label"], self._props["place"] = label, place
+        self._props["accept"] = ",".join(suffixes)
+        self._props["multiple"] = place == "recordings"
+
+        async def sent(event: events.GenericEventArguments) -> None:
+            taken = [str(name) for name in event.args["taken"]]
+            if taken:
+                await on_sent(taken)
+
+        self.on("sent", sent)
+
+
+class BandSlider(Element, component="band_slider.js"):
+    """A slider from 0.01 to 0.99."""
+
+    def __init__(
+        self, word: str, label: str, start: float, on_moved: Callable[[float], Awaitable[None]]
+    ) -> None:
+        super().__init__()
+        self._props["word"], self._props["label"], self._props["start"] = word, label, start
+
+        async def moved(event: events.GenericEventArguments) -> None:
+            await on_moved(float(event.args))
+
+        self.on("moved", moved, throttle=0.05)
+
+
+def markup(content: str) -> ui.html:
+    """Show HTML whose texts have gone through `html.escape`: no other comes here."""
+    return ui.html(content, sanitize=False)
+
+
+def heading(text: str, level: int = 2) -> None:
+    """Show a heading."""
+    markup(f"<h{level}>{escape(text)}</h{level}>")
+
+
+def finding_html(finding: Mapping[str, Any]) -> str:
+    """Return a finding as HTML; its severity is a word, not a colour alone."""
+    severity = str(finding["severity"])
+    word = _WORDS.get(severity, severity)
+    return (
+        f'<div class="finding {escape(severity)}"><b>{escape(word)}</b>'
+        f"{escape(str(finding['sentence']))}</div>"
+    )
+
+
+def findings(found: Iterable[Mapping[str, Any]]) -> None:
+    """Show findings, the serious ones first."""
+    order = list(_WORDS)
+    listed = sorted(found, key=lambda f: order.index(f["severity"]))
+    if listed:
+        markup("".join(map(finding_html, listed)))
+
+
+def table_html(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table whose cells are HTML already; the first of a row is its heading."""
+    head = "".join(f'<th scope="col">{escape(h)}</th>' for h in heads)
+    body = "".join(
+        f'<tr><th scope="row">{row[0]}</th>'
+        + "".join(
+            f'<td class="text">{cell}</td>' if cell.startswith("<div") else f"<td>{cell}</td>"
+            for cell in row[1:]
+        )
+        + "</tr>"
+        for row in rows
+    )
+    return (
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption)}">'
+        f'<table class="data"><caption>{escape(caption)}</caption>'
+        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+    )
+
+
+def said(error: Exception) -> None:
+    """Show what went wrong until somebody closes it, unless the page has gone."""
+    with contextlib.suppress(RuntimeError):  # what NiceGUI says of a page that has gone
+        ui.notify(
+            str(error),
+            type="negative",
+            multi_line=True,
+            timeout=0,
+            close_button="Close",
+            classes="soft-break",
+            color="#8f1b17",
+        )

@@ -1,0 +1,34 @@
+// Files dropped or chosen are sent one by one, each as the body of a PUT.
+export default {
+  template: `<div class="file-drop" :class="{ over: over }" @dragover.prevent="over = true" @dragleave="over = false" @drop.prevent="drop">
+    <label class="file-label"><span>{{ label }}</span>
+      <input ref="f" type="file" :multiple="multiple" :accept="accept" @change="chosen"></label>
+    <div role="status" class="file-status">{{ status }}</div></div>`,
+  props: { label: String, place: String, accept: String, multiple: Boolean },
+  data: () => ({ over: false, status: "" }),
+  methods: {
+    drop(e) {
+      this.over = false;
+      this.send([...e.dataTransfer.files]);
+    },
+    chosen() {
+      this.send([...this.$refs.f.files]);
+      this.$refs.f.value = "";
+    },
+    async send(files) {
+      const [taken, refused] = [[], []];
+      for (const [i, file] of files.entries()) {
+        this.status = `Sending ${file.name} (${i + 1} of ${files.length})`;
+        try {
+          const answer = await fetch(`/upload/${this.place}/${encodeURIComponent(file.name)}`, { method: "PUT", body: file });
+          if (answer.ok) taken.push(file.name);
+          else refused.push(`${file.name}: ${(await answer.text()).slice(0, 300)}`);
+        } catch (error) {
+          refused.push(`${file.name}: not sent`);
+        }
+      }
+      this.status = refused.length ? refused.join("\n") : `${taken.length} sent`;
+      this.$emit("sent", { taken, refused });
+    },
+  },
+};

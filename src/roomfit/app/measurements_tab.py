@@ -1,0 +1,132 @@
+"""Measurements: recordings, where sources and receivers stand, and what is wrong with them."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+from html import escape
+from typing import Any
+
+from nicegui import ui
+
+from roomfit.app import project
+from roomfit.app.elements import FileDrop, finding_html, findings, heading, markup, said, table_html
+from roomfit.app.server import Bench
+from roomfit.errors import InputError
+from roomfit.io.responses import RESPONSE_SUFFIXES
+from roomfit.report.wording import short_hertz
+
+_UNKNOWN = "-"
+
+
+def build(bench: Bench) -> Callable[[], Awaitable[None]]:
+    """Draw the tab; return what draws it anew."""
+    shape = {"shape": f"{project.RECORDINGS}/{project.SHAPE}"}
+    shown: list[Any] = []
+
+    async def sent(_: list[str]) -> None:
+        await use_shape()
+
+    async def use_shape() -> None:
+        try:
+            project.set_recordings(bench.folder, shape["shape"])
+            await refresh()
+        except InputError as error:
+            said(error)
+
+    with ui.element("div").classes("panel").style("margin-bottom: 0.75rem"):
+        FileDrop("Recordings, dropped here or chosen:", "recordings", RESPONSE_SUFFIXES, sent)
+        with ui.element("div").classes("bar").style("margin-top: 0.5rem"):
+            ui.input("How they are named").bind_value(shape, "shape").props("outlined dense").style(
+                "flex: 1 1 16rem"
+            )
+            ui.button("Use these names", on_click=use_shape).props("no-caps outline color=quiet")
+    general = ui.element("div")
+    positions = ui.element("div").classes("panel").style("margin: 0.75rem 0")
+    recordings = ui.element("div").classes("panel")
+
+    async def moved(kind: str, name: str, fields: list[ui.number]) -> None:
+        values = [field.value for field in fields]
+        if any(value is None for value in values):
+            return
+        point = next(p for p in shown if p["kind"] == kind and p["name"] == name)
+        if point["position_m"] is not None and list(map(float, point["position_m"])) == values:
+            return
+        try:
+            project.set_position(bench.folder, kind, name, values)
+            point["position_m"] = [round(value, 4) for value in values]  # is not drawn anew
+            await refresh()
+        except InputError as error:
+            said(error)
+
+    def show_positions() -> None:
+        positions.clear()
+        with positions:
+            heading("Positions in m")
+            if not shown:
+                ui.label("None yet: they come with the names of recordings.").classes("soft")
+            with ui.element("div").classes("positions"):
+                for point in shown:
+                    kind, name = point["kind"], point["name"]
+                    ui.label(f"{kind[:-1]} {name}")
+                    fields: list[ui.number] = []
+                    for axis, word in enumerate("xyz"):
+                        value = None if point["position_m"] is None else point["position_m"][axis]
+                        field = ui.number(word, value=value, step=0.01, format="%.3f")
+                        field.props("outlined dense")
+                        field.props["aria-label"] = f"{name} {word} in m"
+                        fields.append(field)
+                    for field in fields:
+                        field.on("blur", lambda k=kind, n=name, f=fields: moved(k, n, f))
+                        field.on("keydown.enter", lambda k=kind, n=name, f=fields: moved(k, n, f))
+
+    async def refresh() -> None:
+        view = await bench.ask("recordings_view", shape=shape["shape"])
+        if general.is_deleted:  # the page was closed meanwhile
+            return
+        general.clear()
+        with general:
+            findings(view["findings"])
+        if view["positions"] != shown or not positions.default_slot.children:
+            shown[:] = view["positions"]
+            show_positions()
+        recordings.clear()
+        with recordings:
+            heading("Recordings")
+            if not view["rows"]:
+                ui.label("None yet.").classes("soft")
+            else:
+                markup(recordings_html(view))
+
+    return refresh
+
+
+def recordings_html(view: Mapping[str, Any]) -> str:
+    """Return what is known of each recording as a table, with its findings beside it."""
+    bands = [short_hertz(f) for f in view["bands_hz"]]
+    heads = ["Recording", "Source", "Receiver", "Onset (by geometry), ms"]
+    heads += [f"{b} Hz" for b in bands] + (["Findings"] if bands else [])
+    rows = []
+    for row in view["rows"]:
+        cells = [escape(row["file"]), escape(row["source"]), escape(row["receiver"])]
+        if "range_db" not in row:
+            rows.append(
+                [*cells, _UNKNOWN, *[_UNKNOWN for _ in bands], *(["<div></div>"] if bands else [])]
+            )
+            continue
+        cells.append(f"{_number(row['onset_ms'], 2)} ({_number(row['travel_ms'], 2)})")
+        for range_db, noise_db, usable, t20 in zip(
+            row["range_db"], row["noise_db"], row["usable"], row["has_t20"], strict=True
+        ):
+            word = "T20" if t20 else "usable" if usable else "of no use"
+            cells.append(
+                f"{_number(range_db, 0)} / {_number(noise_db, 0)}"
+                f'<div class="{"small" if t20 else "small warning"}">{word}</div>'
+            )
+        notes = "".join(map(finding_html, row["notes"]))
+        rows.append([*cells, f"<div>{notes}</div>"])
+    caption = "Per band: range of the decay / peak to noise, both in dB" if bands else "By name"
+    return table_html(caption, heads, rows)
+
+
+def _number(value: float | None, decimals: int) -> str:
+    return _UNKNOWN if value is None else f"{value:.{decimals}f}"

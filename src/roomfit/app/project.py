@@ -1,0 +1,372 @@
+"""A project: a folder with campaign.toml, recordings and results, as the command line has it.
+
+Everything that the workbench changes, it changes here, in the files. Comments of a campaign stay.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.items import Table
+
+from roomfit.cache import write_text_atomically
+from roomfit.commands import export_result
+from roomfit.errors import InputError
+from roomfit.io.campaign import Campaign, blanks, read_campaign
+from roomfit.io.door import read_text
+from roomfit.io.draft import draft_campaign, matching_files
+from roomfit.io.exports import FORMATS
+from roomfit.io.responses import RESPONSE_SUFFIXES
+from roomfit.io.rooms import READERS
+from roomfit.io.rooms.model import RoomSpec
+
+QUICK, FULL = "first", "result"
+"""Folders of the quick answer and of the full one, within the project."""
+TREATMENT = "treatment"
+RECORDINGS = "recordings"
+SHAPE = "{source}_{receiver}.wav"
+"""By which recordings are named, unless the user says otherwise."""
+_LONGEST_NAME = 120
+_ENDINGS = {
+    **dict.fromkeys((*FORMATS, "excel", "gltf"), ".txt"),
+    "catt": ".geo",
+    "csv": ".csv",
+    "excel": ".xlsx",
+    "gltf": ".gltf",
+    "pyroomacoustics": ".py",
+}
+EXPORTS = tuple(_ENDINGS)
+
+
+def campaign_file(folder: Path) -> Path:
+    """Return where the campaign of a project is, or will be."""
+    return folder / "campaign.toml"
+
+
+def has_campaign(folder: Path) -> bool:
+    """Whether the folder is a project already."""
+    return campaign_file(folder).is_file()
+
+
+def best_result(folder: Path) -> Path | None:
+    """Return the result.json of the full answer, else of the quick one, None without any."""
+    files = [folder / name / "result.json" for name in (FULL, QUICK)]
+    return next((file for file in files if file.is_file()), None)
+
+
+def _document(folder: Path) -> tomlkit.TOMLDocument:
+    text = read_text(campaign_file(folder), "campaign file", most="campaign_bytes")
+    try:
+        return tomlkit.parse(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            "the campaign file is not valid TOML",
+            where=str(campaign_file(folder)),
+            found=str(error)[:200],
+        ) from error
+
+
+def edit(folder: Path, change: Callable[[tomlkit.TOMLDocument], None]) -> None:
+    """Change the campaign file; what is not changed stays as it is written.
+
+    Raises
+    ------
+    InputError
+        The file is no TOML.
+    StoreError
+        The disk refuses.
+    """
+    document = _document(folder)
+    change(document)
+    write_text_atomically(campaign_file(folder), tomlkit.dumps(document))
+
+
+def _table(parent: Any, name: str) -> Any:
+    """Return a table of a document, made where it is missing."""
+    if name not in parent:
+        parent[name] = tomlkit.table()
+    if not isinstance(parent[name], Table | dict):
+        raise InputError("a table is needed", where=name, found=repr(parent[name])[:80])
+    return parent[name]
+
+
+def set_room(
+    folder: Path,
+    file: str | None = None,
+    shoebox: Sequence[float] | None = None,
+    unit: str | None = None,
+) -> None:
+    """Give a project its room, as `roomfit init` does; sources, receivers and recordings stay.
+
+    Parameters
+    ----------
+    file : str, optional
+        In the folder; or else
+    shoebox : three lengths in m, optional
+
+    Raises
+    ------
+    InputError
+        The room cannot be read, or its unit is in doubt.
+    """
+    if shoebox is not None:
+        x, y, z = (float(length) for length in shoebox)
+        spec = RoomSpec(shoebox=(x, y, z), unit=unit)
+    else:
+        spec = RoomSpec(file=folder / (file or ""), unit=unit)
+    drafted = tomlkit.parse(draft_campaign(spec, {}, folder=folder))
+    if not has_campaign(folder):
+        for key in ("sources", "receivers", "measurements"):
+            drafted.remove(key)
+        write_text_atomically(campaign_file(folder), tomlkit.dumps(drafted))
+        return
+
+    def change(document: tomlkit.TOMLDocument) -> None:
+        document["room"] = drafted["room"]
+        # what the campaign says of materials that the room does not have would be refused
+        known = document.get("materials", {})
+        new = tomlkit.table(is_super_table=True)
+        for name in drafted.get("materials", {}):
+            new[name] = known.get(name, tomlkit.table())
+        document["materials"] = new
+        document.pop("states", None)
+
+    edit(folder, change)
+
+
+def set_surface_material(folder: Path, surface: str, material: str) -> None:
+    """Say of which material a surface is.
+
+    Raises
+    ------
+    InputError
+        The name is empty.
+    """
+    if not material.strip():
+        raise InputError("a material without a name", needed="a name")
+
+    def change(document: tomlkit.TOMLDocument) -> None:
+        own = _table(_table(document, "room"), "materials")
+        own[surface] = material.strip()
+
+    edit(folder, change)
+
+
+def forget_unused_materials(folder: Path, used: Sequence[str]) -> None:
+    """Leave out what a campaign says of materials that its room does not have any more."""
+
+    def change(document: tomlkit.TOMLDocument) -> None:
+        for name in [n for n in document.get("materials", {}) if n not in used]:
+            document["materials"].remove(name)
+
+    edit(folder, change)
+
+
+def set_prior(folder: Path, material: str, entry: str | None) -> None:
+    """Say by the catalogue what a material is, as its prior; None: nothing is known."""
+
+    def change(document: tomlkit.TOMLDocument) -> None:
+        own = _table(_table(document, "materials"), material)
+        own.pop("prior", None)
+        if entry:
+            own["prior"] = entry
+
+    edit(folder, change)
+
+
+def set_position(folder: Path, kind: str, name: str, position_m: Sequence[float] | None) -> None:
+    """Say where a source or a receiver stands, in m; None takes it out.
+
+    Parameters
+    ----------
+    kind : {"sources", "receivers"}
+
+    Raises
+    ------
+    InputError
+        Not three finite numbers, or a name that is none.
+    """
+    if kind not in ("sources", "receivers") or not name.strip():
+        raise InputError("a position needs a kind and a name", found=f"{kind} {name!r}")
+    if position_m is not None and (
+        len(position_m) != 3 or not all(abs(float(x)) < 1e6 for x in position_m)
+    ):
+        raise InputError(
+            "a position is three numbers", where=f"{kind}.{name}", needed="x, y, z in m"
+        )
+
+    def change(document: tomlkit.TOMLDocument) -> None:
+        if position_m is None:
+            _table(document, kind).pop(name, None)
+            return
+        point = _table(_table(document, kind), name.strip())
+        point["position"] = [round(float(x), 4) for x in position_m]
+
+    edit(folder, change)
+
+
+def set_recordings(folder: Path, shape: str) -> None:
+    """Say how recordings are named, as in ``recordings/{source}_{receiver}.wav``.
+
+    Raises
+    ------
+    InputError
+        The shape lacks {source} or {receiver}, leads out of the folder, or no file has it.
+    """
+    if Path(shape).is_absolute() or ".." in Path(shape).parts:
+        raise InputError("recordings lie in the project's folder", found=repr(shape))
+    matching_files(folder, shape)
+
+    def change(document: tomlkit.TOMLDocument) -> None:
+        document["recordings"] = shape
+
+    if has_campaign(folder):
+        edit(folder, change)
+
+
+def set_bands(folder: Path, from_hz: float, to_hz: float) -> None:
+    """Say which bands are fitted."""
+
+    def change(document: tomlkit.TOMLDocument) -> None:
+        own = _table(document, "identify")
+        own["from_hz"], own["to_hz"] = float(from_hz), float(to_hz)
+
+    edit(folder, change)
+
+
+def bands(folder: Path) -> tuple[float, float]:
+    """Return the lowest and the highest band that is fitted, by the campaign or by default."""
+    own = _document(folder).get("identify", {})
+    return float(own.get("from_hz", 125.0)), float(own.get("to_hz", 4000.0))
+
+
+@contextmanager
+def filled_campaign(folder: Path) -> Iterator[Campaign]:
+    """Read the campaign of a project as far as it is filled in.
+
+    Sources, receivers and measurements with blanks are left out, for a room can be looked at
+    before its positions are known.
+
+    Raises
+    ------
+    InputError
+        See `roomfit.read_campaign`.
+    """
+    content = _document(folder).unwrap()
+    if not blanks(content):
+        yield read_campaign(campaign_file(folder), to_fit=False)
+        return
+    for kind in ("sources", "receivers"):
+        points = content.get(kind, {})
+        content[kind] = {n: t for n, t in points.items() if not blanks(t)}
+    rows = [m for m in content.get("measurements", []) if not blanks(m)]
+    content["measurements"] = [
+        m
+        for m in rows
+        if m.get("source") in content["sources"] and m.get("receiver") in content["receivers"]
+    ]
+    # beside the campaign, for paths are relative to it
+    beside = folder / f".roomfit-{secrets.token_hex(8)}.toml"
+    try:
+        write_text_atomically(beside, tomlkit.dumps(content))
+        yield read_campaign(beside, to_fit=False)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def upload_place(folder: Path, kind: str, name: str) -> Path:
+    """Return where a file that somebody sends may be put.
+
+    Parameters
+    ----------
+    kind : {"room", "recordings"}
+    name : str
+        As the sender calls it.
+
+    Raises
+    ------
+    InputError
+        The name is a path, hidden, of no known format, or its place lies outside of the project.
+    """
+    known = tuple(READERS) if kind == "room" else tuple(RESPONSE_SUFFIXES)
+    if kind not in ("room", "recordings"):
+        raise InputError("there is no such place for files", found=repr(kind))
+    plain = name and len(name.encode()) <= _LONGEST_NAME and name.isprintable()
+    if not plain or name.startswith(".") or any(c in name for c in '/\\:*?"<>|'):
+        raise InputError("this is no name of a file here", found=repr(name[:200]))
+    if Path(name).suffix.lower() not in known:
+        raise InputError(
+            "the format is not known", found=repr(name), needed=f"one of {', '.join(known)}"
+        )
+    parent = folder if kind == "room" else folder / RECORDINGS
+    place = parent / name
+    inside(folder, parent)
+    if place.is_symlink() or (place.exists() and not place.is_file()):
+        raise InputError("a link or a folder has this name", where=str(place))
+    return place
+
+
+def inside(folder: Path, path: Path) -> Path:
+    """Return a path with links followed; refuse one that leads out of the project.
+
+    Raises
+    ------
+    InputError
+        It does.
+    """
+    real, root = Path(os.path.realpath(path)), Path(os.path.realpath(folder))
+    if real != root and root not in real.parents:
+        raise InputError("this leads out of the project", where=str(path))
+    return real
+
+
+def served_file(folder: Path, path: str) -> Path:
+    """Return a file of a result or an export that may be shown or downloaded.
+
+    Raises
+    ------
+    InputError
+        There is no such file, or it is none of those.
+    """
+    parts = Path(path).parts
+    if (
+        not path.isprintable()
+        or len(parts) < 2
+        or parts[0] not in (QUICK, FULL, TREATMENT, "exports")
+    ):
+        raise InputError("only results and exports are shown", found=repr(path[:200]))
+    if any(part.startswith(".") for part in parts):
+        raise InputError("hidden files are not shown", found=repr(path[:200]))
+    real = inside(folder, folder / path)
+    if not real.is_file():
+        raise InputError("there is no such file", found=repr(path[:200]))
+    return real
+
+
+def export(folder: Path, wanted: str) -> list[str]:
+    """Write the best result's materials for another program; return the files, relative.
+
+    Raises
+    ------
+    InputError
+        There is no result, or no such format.
+    """
+    result = best_result(folder)
+    if result is None:
+        raise InputError("there is no result yet", hint="identify first")
+    if wanted not in _ENDINGS:
+        raise InputError("no such format", found=repr(wanted), needed=", ".join(EXPORTS))
+    exports = folder / "exports"
+    exports.mkdir(exist_ok=True)
+    out = exports / (wanted if wanted == "raven" else f"materials-{wanted}{_ENDINGS[wanted]}")
+    written = export_result(
+        result, wanted, inside(folder, out), campaign_file=campaign_file(folder), overwrite=True
+    )
+    root = Path(os.path.realpath(folder))
+    return [Path(os.path.relpath(file, root)).as_posix() for file in written.files]

@@ -1,0 +1,73 @@
+"""Report: what can be taken away."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from html import escape
+from urllib.parse import quote
+
+from nicegui import ui
+
+from roomfit.app import project
+from roomfit.app.elements import heading, markup, said
+from roomfit.app.server import Bench
+from roomfit.errors import InputError
+
+_PROGRAMS = {
+    "excel": "Excel",
+    "csv": "CSV",
+    "catt": "CATT-Acoustic",
+    "odeon": "ODEON",
+    "isimpa": "I-Simpa",
+    "raven": "RAVEN",
+    "gltf": "glTF",
+    "pyroomacoustics": "pyroomacoustics",
+}
+_FILES = ("report.html", "absorption.csv", "result.json")
+
+
+def build(bench: Bench) -> Callable[[], Awaitable[None]]:
+    """Draw the tab; return what draws it anew."""
+    whole = ui.element("div").style("width: 100%")
+    made: dict[str, list[str]] = {}
+
+    async def export(wanted: str) -> None:
+        try:
+            made[wanted] = await bench.ask("export", wanted=wanted)
+        except InputError as error:
+            said(error)
+            return
+        if len(made[wanted]) == 1:
+            ui.navigate.to(f"/files/{quote(made[wanted][0])}?save=1")
+        await refresh()
+
+    async def refresh() -> None:
+        whole.clear()
+        found = project.best_result(bench.folder)
+        with whole:
+            if found is None:
+                ui.label("No answer yet: identify first.").classes("soft")
+                return
+            folder = found.parent.name
+            heading("The report" if folder == project.FULL else "The report of the first answer")
+            names = [n for n in _FILES if (found.parent / n).is_file()]
+            markup(
+                "<ul>"
+                + "".join(
+                    f'<li><a href="/files/{folder}/{n}?save=1" download>Download {n}</a></li>'
+                    for n in names
+                )
+                + f'<li><a href="/files/{folder}/report.html" target="_blank" rel="noopener">'
+                "Open the report in a tab of its own</a></li></ul>"
+            )
+            heading("Materials for other programs")
+            with ui.element("div").classes("bar"):
+                for wanted in project.EXPORTS:
+                    ui.button(
+                        _PROGRAMS[wanted], on_click=lambda wanted=wanted: export(wanted)
+                    ).props("no-caps outline color=quiet")
+            for files in made.values():
+                for file in files:
+                    markup(f'<a href="/files/{escape(quote(file))}?save=1">{escape(file)}</a>')
+
+    return refresh

@@ -1,0 +1,190 @@
+"""The server of the workbench: files in and out, the page, and the guard before all of it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import secrets
+import socket
+import webbrowser
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from fastapi import FastAPI, Request
+from nicegui import ui
+from starlette.requests import ClientDisconnect
+from starlette.responses import FileResponse, PlainTextResponse, Response
+
+from roomfit.app import project
+from roomfit.app.jobs import READING_MIB, READING_S, Jobs, Worker
+from roomfit.app.security import Door, Guard, new_door
+from roomfit.errors import InputError
+from roomfit.io.door import limit
+
+_SHOWN_AS_PAGE = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
+_FIRST_PORT, _PORTS = 8321, 20
+
+
+@dataclass(slots=True)
+class Bench:
+    """One project and the processes that work for it."""
+
+    folder: Path
+    reader: Worker = field(default_factory=lambda: Worker(READING_MIB))
+    what_if: Worker = field(default_factory=Worker)
+    jobs: Jobs = field(default_factory=Jobs)
+
+    async def ask(self, task: str, **arguments: Any) -> Any:
+        """Return the answer of a task about the folder that takes seconds at most."""
+        own = {"folder": str(self.folder), **arguments}
+        return await self.reader.ask(task, own, limit_s=READING_S)
+
+    def stamp(self) -> tuple[float, ...]:
+        """Return what changes whenever the folder's content does, whoever has changed it."""
+        files = (
+            project.campaign_file(self.folder),
+            self.folder / project.RECORDINGS,
+            self.folder / project.QUICK / "result.json",
+            self.folder / project.FULL / "result.json",
+            self.folder / project.TREATMENT,
+        )
+        return tuple(p.stat().st_mtime_ns if p.exists() else 0 for p in files)
+
+    async def stop(self) -> None:
+        """End all processes."""
+        await self.jobs.stop()
+        await self.reader.stop()
+        await self.what_if.stop()
+
+
+def application(bench: Bench, door: Door) -> Guard:
+    """Return the whole application behind its guard."""
+    from roomfit.app.page import build_page
+
+    @asynccontextmanager
+    async def living(_: FastAPI) -> AsyncIterator[None]:
+        await bench.reader.started()
+        yield
+        await bench.stop()
+
+    app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None, lifespan=living)
+
+    @app.put("/upload/{kind}/{name}")
+    async def upload(kind: str, name: str, request: Request) -> Response:
+        try:
+            place = project.upload_place(bench.folder, kind, name)
+        except InputError as error:
+            return PlainTextResponse(str(error), 400)
+        place.parent.mkdir(exist_ok=True)
+        beside = place.with_name(f".roomfit-upload-{secrets.token_hex(8)}")
+        try:
+            with beside.open("xb") as stream:
+                async for chunk in request.stream():
+                    await asyncio.to_thread(stream.write, chunk)
+            beside.replace(place)
+        except ClientDisconnect:  # or more than the limit, to which the guard has answered
+            return PlainTextResponse("not whole", 400)
+        finally:
+            beside.unlink(missing_ok=True)
+        return PlainTextResponse("taken")
+
+    @app.get("/files/{path:path}")
+    async def download(path: str, save: bool = False) -> Response:
+        try:
+            file = project.served_file(bench.folder, path)
+        except InputError as error:
+            return PlainTextResponse(str(error), 404)
+        # a result may be another's: its page runs nothing, whatever it holds
+        shown = file.suffix in (".html", ".png") and not save
+        headers = {"content-security-policy": _SHOWN_AS_PAGE, "cache-control": "no-store"}
+        kind = None if shown else "attachment"
+        if shown:
+            return FileResponse(file, headers=headers)
+        return FileResponse(
+            file, filename=file.name, headers=headers, content_disposition_type=kind or "inline"
+        )
+
+    build_page(bench)
+    ui.run_with(
+        app,
+        title="roomfit",
+        dark=None,
+        language="en-US",
+        tailwind=False,
+        show_welcome_message=False,
+        reconnect_timeout=20.0,
+    )
+    return Guard(app, door)
+
+
+def serve(
+    folder: Path,
+    *,
+    host: str = "127.0.0.1",
+    port: int | None = None,
+    open_browser: bool = True,
+    say: Callable[[str], None] = print,
+) -> None:
+    """Show a project in the browser until somebody interrupts.
+
+    Parameters
+    ----------
+    folder : Path
+        Made where it is missing.
+    host : str
+        Address to listen at. Any other than this machine's own is reachable by others.
+    port : int, optional
+        0: any that is free. Left out: 8321, or the next that is free.
+    open_browser : bool
+    say : callable
+        Takes the address with its key.
+
+    Raises
+    ------
+    InputError
+        The folder is a file, or the port is taken.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError("a project is a folder", where=str(folder), found="a file")
+    folder.mkdir(parents=True, exist_ok=True)
+    listening = _socket(host, port)
+    port = int(listening.getsockname()[1])
+    door = new_door(host, port, int(limit("file_bytes")), (socket.gethostname(),))
+    shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+    address = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/?token={door.token}"
+    config = uvicorn.Config(
+        application(Bench(folder.resolve()), door),
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        date_header=False,
+        proxy_headers=False,
+        ws_max_size=2**20,
+        timeout_graceful_shutdown=2,
+    )
+    say(f"The workbench of {folder} is at\n  {address}\nCtrl-C ends it.")
+    if open_browser:
+        with contextlib.suppress(webbrowser.Error):
+            webbrowser.open(address)
+    uvicorn.Server(config).run(sockets=[listening])
+
+
+def _socket(host: str, port: int | None) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    tried = range(_FIRST_PORT, _FIRST_PORT + _PORTS) if port is None else (port,)
+    for one in tried:
+        own = socket.socket(family, socket.SOCK_STREAM)
+        own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            own.bind((host, one))
+            own.listen(128)  # who comes before the server is up waits
+        except OSError as error:
+            own.close()
+            why = error.strerror or str(error)
+            continue
+        return own
+    raise InputError("the address cannot be listened at", where=f"{host}, port {port}", found=why)

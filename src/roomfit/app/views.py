@@ -1,0 +1,316 @@
+"""What the tabs show, as JSON: plain functions of the project folder, carried out by the worker.
+
+Each takes a function for progress first and says what a command of the command line says.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roomfit import commands
+from roomfit.app import project
+from roomfit.app.what_if import what_if, what_if_prepare
+from roomfit.errors import InputError, RoomfitError
+from roomfit.findings import Finding
+from roomfit.geometry.mesh import Mesh, triangle_areas_m2
+from roomfit.io.campaign import read_campaign
+from roomfit.io.door import json_content, read_text
+from roomfit.io.draft import matching_files
+from roomfit.io.encoding import finding_content, number_or_null, numbers_or_null
+from roomfit.io.inputs import check_campaign
+from roomfit.io.rooms import read_mesh
+from roomfit.io.rooms.model import RoomSpec
+from roomfit.report.room_figure import MOST_FACES, material_colour, outline_m
+from roomfit.scene import Room, RoomCheck, check_mesh, surface_materials
+from roomfit.synthetic.boxes import demo_plan, write_measured_box
+from roomfit.typing import Progress
+
+_MOST_EDGES = 1500
+_PLACE = re.compile(r"\((-?\d+\.?\d*), (-?\d+\.?\d*), (-?\d+\.?\d*)\) m")
+_NO_MATERIAL = "(no material)"
+
+
+def finding_view(finding: Finding) -> dict[str, Any]:
+    """Return a finding with the points in the room that its sentence names, in m."""
+    points = [[float(x) for x in found] for found in _PLACE.findall(finding.sentence)]
+    return {**finding_content(finding), "points_m": points}
+
+
+def _fault(error: RoomfitError) -> dict[str, Any]:
+    """Return an error as a serious finding, for a page that shows it where it belongs."""
+    points = [[float(x) for x in found] for found in _PLACE.findall(str(error))]
+    sentence = "; ".join(filter(None, (error.what, error.where, error.found, error.hint)))
+    return {"code": "input", "severity": "serious", "sentence": sentence, "points_m": points}
+
+
+def room_view(_: Progress, folder: str) -> dict[str, Any]:
+    """Return the room for drawing, with materials, positions and faults, as far as it can be read.
+
+    Faces are triangles of three corners and a surface, the largest 2,500 of them.
+    """
+    with project.filled_campaign(Path(folder)) as campaign:
+        mesh, findings = read_mesh(campaign.room)
+        try:
+            check = check_campaign(campaign)
+            faults: list[dict[str, Any]] = []
+        except InputError as error:  # materials of the campaign and of the room disagree
+            faults = [_fault(error)]
+            check = check_mesh(mesh, {}, findings)
+            campaign = replace(campaign, room=_bare(campaign.room))
+        room = _any_room(mesh, campaign.room.materials)
+        priors = {name: table.prior for name, table in campaign.materials.items()}
+        points = {"sources": campaign.sources, "receivers": campaign.receivers}
+    areas = triangle_areas_m2(mesh)
+    by_surface = np.bincount(mesh.triangle_surface, areas, len(mesh.surfaces))
+    largest = np.argsort(-areas, kind="stable")[:MOST_FACES]
+    return {
+        "vertices": np.round(mesh.vertices_m, 4).tolist(),
+        "faces": [[*mesh.triangles[i].tolist(), int(mesh.triangle_surface[i])] for i in largest],
+        "edges": np.round(outline_m(room, _MOST_EDGES), 4).tolist(),
+        "surfaces": [
+            {
+                "name": s.name,
+                "material": room.materials[int(k)],
+                "material_index": int(k),
+                "area_m2": round(float(a), 2),
+                "sheet": bool(s.double_sided),
+            }
+            for s, k, a in zip(mesh.surfaces, room.surface_material, by_surface, strict=True)
+        ],
+        "materials": [
+            {
+                "name": name,
+                "colour": material_colour(i),
+                "area_m2": round(float(by_surface[room.surface_material == i].sum()), 2),
+                "prior": priors.get(name) if isinstance(priors.get(name), str) else None,
+            }
+            for i, name in enumerate(room.materials)
+        ],
+        **{
+            kind: [{"name": p.name, "position_m": np.asarray(p.position_m).tolist()} for p in own]
+            for kind, own in points.items()
+        },
+        "findings": [*faults, *map(finding_view, check.findings)],
+        **_numbers(check),
+    }
+
+
+def _bare(spec: RoomSpec) -> RoomSpec:
+    return replace(spec, materials={})
+
+
+def _numbers(check: RoomCheck) -> dict[str, Any]:
+    return {
+        "volume_m3": check.volume_m3,
+        "surface_m2": check.surface_m2,
+        "mean_free_path_m": number_or_null(check.mean_free_path_m),
+        "traceable": check.traceable,
+    }
+
+
+def _any_room(mesh: Mesh, materials: Mapping[str, str]) -> Room:
+    """Return a mesh as a room even where it has faults, which are to be drawn, too."""
+    names = [name or _NO_MATERIAL for name in surface_materials(mesh.surfaces, materials)]
+    order = tuple(dict.fromkeys(names))
+    return Room(mesh, order, np.array([order.index(n) for n in names]))
+
+
+def recordings_view(_: Progress, folder: str, shape: str) -> dict[str, Any]:
+    """Return recordings by their names, positions, and what `roomfit check` says of them.
+
+    Parameters
+    ----------
+    shape : str
+        Of the names where the campaign specifies none.
+    """
+    root = Path(folder)
+    rows: dict[str, dict[str, Any]] = {}
+    view: dict[str, Any] = {"rows": [], "positions": [], "bands_hz": [], "findings": []}
+    known: dict[str, dict[str, Any]] = {"sources": {}, "receivers": {}}
+    if project.has_campaign(root):
+        with project.filled_campaign(root) as campaign:
+            for kind, points in (("sources", campaign.sources), ("receivers", campaign.receivers)):
+                known[kind] = {p.name: np.asarray(p.position_m).tolist() for p in points}
+            for m in campaign.measurements:
+                file = Path(m.response.path)
+                name = file.relative_to(root).as_posix() if root in file.parents else str(file)
+                rows[name] = {"file": name, "source": m.source, "receiver": m.receiver}
+    try:
+        parsed = matching_files(root, shape)
+    except InputError:
+        parsed = {}
+    for name, (source, receiver) in parsed.items():
+        rows.setdefault(name, {"file": name, "source": source, "receiver": receiver})
+        known["sources"].setdefault(source, None)
+        known["receivers"].setdefault(receiver, None)
+    view["positions"] = [
+        {"kind": kind, "name": name, "position_m": position}
+        for kind in ("sources", "receivers")
+        for name, position in known[kind].items()
+    ]
+    view["rows"] = list(rows.values())
+    missing = [p["name"] for p in view["positions"] if p["position_m"] is None]
+    if rows and missing:
+        text = f"Where {', '.join(missing)} stand is not known: type x, y, z into the table."
+        view["findings"].append(
+            {"code": "positions", "severity": "warning", "sentence": text, "points_m": []}
+        )
+    if rows and project.has_campaign(root):
+        try:
+            _check(root, rows, view)
+        except RoomfitError as error:
+            view["findings"].append(_fault(error))
+    return view
+
+
+def _check(root: Path, rows: dict[str, dict[str, Any]], view: dict[str, Any]) -> None:
+    """Add what is known of each recording, and findings to the recording that they name."""
+    checked = commands.check_campaign_recordings(read_campaign(project.campaign_file(root)))
+    view["bands_hz"] = checked.bands.centres_hz.tolist()
+    by_pair = {(r["source"], r["receiver"], Path(f).name): r for f, r in rows.items()}
+    for i, m in enumerate(checked.measurements):
+        row = by_pair.get((m.source, m.receiver, m.name))
+        if row is None:
+            continue
+        row |= {
+            "onset_ms": number_or_null(1e3 * checked.onset_s[i]),
+            "travel_ms": number_or_null(1e3 * checked.travel_s[i]),
+            "noise_db": numbers_or_null(checked.peak_to_noise_db[i]),
+            "range_db": numbers_or_null(checked.decay_range_db[i]),
+            "usable": checked.usable[i].tolist(),
+            "has_t20": checked.has_t20[i].tolist(),
+            "notes": [],
+        }
+    for finding in checked.findings:
+        content = finding_view(finding)
+        text = f"{finding.sentence} {content['evidence']}"
+        named = [
+            r for f, r in rows.items() if "notes" in r and re.search(_whole(Path(f).name), text)
+        ]
+        for row in named:
+            row["notes"].append({k: content[k] for k in ("severity", "sentence", "code")})
+        if not named or len(named) > 3:
+            view["findings"].append(content)
+
+
+def _whole(name: str) -> str:
+    return rf"(?<!\w){re.escape(name)}(?!\w)"
+
+
+def result_view(_: Progress, folder: str, name: str) -> dict[str, Any] | None:
+    """Return absorption with intervals by material, and findings, None where there is no result."""
+    file = Path(folder) / name / "result.json"
+    if not file.is_file():
+        return None
+    content = json_content(read_text(file, "result"), "result")
+    materials = content["materials"]
+    findings = []
+    for finding in content["findings"]:
+        text = f"{finding['sentence']} {finding['evidence']}"
+        named = [m for m in materials if re.search(_whole(m), text)]
+        findings.append({**finding, "materials": named if len(named) <= 2 else []})
+    keys = ("absorption", "lower95", "upper95", "identifiable", "area_m2")
+    return {
+        "bands_hz": content["bands_hz"],
+        "materials": {m: {k: own[k] for k in keys} for m, own in materials.items()},
+        "findings": findings,
+        "plan": content.get("plan", []),
+        "seconds": content["fit"].get("seconds"),
+        "made": file.stat().st_mtime,
+        "stale": _is_stale(Path(folder), content),
+    }
+
+
+def _is_stale(folder: Path, content: Mapping[str, Any]) -> bool:
+    """Whether the campaign file has changed since the result was made."""
+    from hashlib import sha256
+
+    inputs = content.get("provenance", {}).get("inputs_sha256", {})
+    digests = [d for file, d in inputs.items() if Path(file).name == "campaign.toml"]
+    try:
+        now = sha256(project.campaign_file(folder).read_bytes()).hexdigest()
+    except OSError:
+        return True
+    return bool(digests) and now not in digests
+
+
+def identify(progress: Progress, folder: str, quick: bool) -> str:
+    """Identify, as ``roomfit identify [--quick]`` does, into the folder of this kind of answer."""
+    root = Path(folder)
+    out = root / (project.QUICK if quick else project.FULL)
+    project.inside(root, out)
+    commands.identify_to_folder(
+        project.campaign_file(root), out, quick=quick, overwrite=True, progress=progress
+    )
+    return out.name
+
+
+def demo(progress: Progress, folder: str) -> str:
+    """Write the campaign of ``roomfit demo``: a room of known absorption, measured by simulation.
+
+    Raises
+    ------
+    InputError
+        The folder has a campaign already.
+    """
+    root = Path(folder)
+    if project.has_campaign(root):
+        raise InputError("the folder has a campaign already", where=str(root))
+    write_measured_box(demo_plan(), root, np.random.default_rng(1), progress)
+    return "campaign.toml"
+
+
+def set_room(_: Progress, folder: str, **room: Any) -> None:
+    """Give the project its room, see `project.set_room`."""
+    project.set_room(Path(folder), **room)
+
+
+def treat(progress: Progress, folder: str) -> str:
+    """Choose what to hang where, as ``roomfit treat`` does; return the answer in words.
+
+    Raises
+    ------
+    InputError
+        There is no result yet, or no treatment.toml with products and targets.
+    """
+    root = Path(folder)
+    result = project.best_result(root)
+    if result is None:
+        raise InputError("there is no answer yet", hint="identify first")
+    out = root / project.TREATMENT
+    project.inside(root, out)
+    answer = commands.treat_to_folder(
+        project.campaign_file(root),
+        result,
+        root / "treatment.toml",
+        out,
+        overwrite=True,
+        progress=progress,
+    )
+    return str(answer)
+
+
+def export(_: Progress, folder: str, wanted: str) -> list[str]:
+    """Write the best result for another program, see `project.export`."""
+    return project.export(Path(folder), wanted)
+
+
+def echo(_: Progress, text: str) -> str:
+    """Return what was sent: whether the worker lives."""
+    return text
+
+
+TASKS: dict[str, Callable[..., Any]] = {
+    f.__name__: f
+    for f in (
+        *(room_view, recordings_view, result_view, identify, demo, set_room, treat, export),
+        *(what_if_prepare, what_if, echo),
+    )
+}
+"""What the worker can be asked for, by name."""

@@ -1,0 +1,104 @@
+"""A room that is ready for changes, kept by the worker from one move of a slider to the next."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from roomfit.app import project
+from roomfit.errors import InputError
+from roomfit.io.campaign import read_campaign
+from roomfit.io.encoding import numbers_or_null
+from roomfit.io.results import read_result
+from roomfit.prediction.campaign import predict_arguments
+from roomfit.prediction.changes import Change, read_change
+from roomfit.prediction.predict import (
+    Predicted,
+    PredictedValue,
+    PreparedRoom,
+    predict_change,
+    prepare_prediction,
+)
+from roomfit.typing import Progress
+
+SHOWN = ("T20_s", "EDT_s", "C80_dB", "D50_percent", "STI")
+"""Room parameters that are shown, as far as they are predicted."""
+_LEAST_FACTOR = 0.5  # decays are followed as long as with so much of each material's absorption
+_ready: dict[str, tuple[tuple[float, ...], PreparedRoom]] = {}
+
+
+def what_if_prepare(progress: Progress, folder: str) -> dict[str, Any]:
+    """Trace the room for changes; return materials, their absorption and the room as it is.
+
+    Raises
+    ------
+    InputError
+        There is no result yet.
+    """
+    root = Path(folder)
+    result = project.best_result(root)
+    if result is None:
+        raise InputError("there is no answer yet", hint="identify first")
+    file = project.campaign_file(root)
+    stamp = (result.stat().st_mtime, file.stat().st_mtime)
+    if folder not in _ready or _ready[folder][0] != stamp:
+        _ready.clear()
+        arguments = predict_arguments(read_campaign(file, to_fit=False), read_result(result))
+        known = arguments["absorption"]
+        harder = [Change(name, "factor", (_LEAST_FACTOR,)) for name in known.materials]
+        room = prepare_prediction(
+            arguments["scene"],
+            known,
+            (harder,),
+            arguments["measurements"],
+            settings=arguments["settings"],
+            progress=progress,
+        )
+        _ready[folder] = (stamp, room)
+    room = _ready[folder][1]
+    found = room.absorption
+    return {
+        "bands_hz": found.bands.centres_hz.tolist(),
+        "absorption": dict(zip(found.materials, found.absorption.tolist(), strict=True)),
+        **what_if(progress, folder, []),
+    }
+
+
+def what_if(_: Progress, folder: str, changes: list[str]) -> dict[str, Any]:
+    """Return what changes do, written as those of ``roomfit predict --set``.
+
+    Raises
+    ------
+    InputError
+        The room is not prepared, or a change cannot be made.
+    """
+    if folder not in _ready:
+        raise InputError("the room is not prepared yet")
+    predicted = predict_change(_ready[folder][1], [read_change(text) for text in changes])
+    return {
+        "mean": {n: _value(predicted.mean[n]) for n in _names(predicted)},
+        "pairs": [
+            {
+                "source": pair.source,
+                "receiver": pair.receiver,
+                **{n: _value(pair.parameters[n]) for n in _names(predicted)},
+            }
+            for pair in predicted.pairs
+        ],
+        "seconds": predicted.seconds,
+    }
+
+
+def _names(predicted: Predicted) -> list[Any]:
+    return [name for name in SHOWN if name in predicted.mean]
+
+
+def _value(value: PredictedValue) -> dict[str, list[float | None]]:
+    own = {
+        "predicted": numbers_or_null(value.predicted),
+        "lower95": numbers_or_null(value.lower95),
+        "upper95": numbers_or_null(value.upper95),
+    }
+    if value.change is not None:
+        own["before"] = numbers_or_null(value.change.before)
+    return own

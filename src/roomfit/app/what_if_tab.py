@@ -1,0 +1,342 @@
+"""What if: other materials, and what they would do to every pair."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from functools import partial
+from html import escape
+from typing import Any
+from urllib.parse import quote
+
+from nicegui import ui
+
+from roomfit.app import project
+from roomfit.app.elements import BandSlider, heading, markup, said, table_html
+from roomfit.app.server import Bench
+from roomfit.errors import InputError
+from roomfit.materials.catalogue import catalogue
+from roomfit.report.wording import short_hertz
+
+_LABELS = {
+    "T20_s": "T20 in s",
+    "EDT_s": "EDT in s",
+    "C80_dB": "C80 in dB",
+    "D50_percent": "D50 in %",
+    "STI": "STI",
+}
+_STAGES = ((0.0, "tracing"), (0.5, "searching"))
+_PREPARE_S, _CHANGE_S = 900.0, 60.0
+_WIDE, _HIGH, _LEFT, _BELOW = 320.0, 190.0, 44.0, 24.0
+
+
+def build(bench: Bench) -> Callable[[], Awaitable[None]]:
+    """Draw the tab; return what draws it anew."""
+    room: dict[str, Any] = {}
+    # per material a name of the catalogue, or absorption per band
+    changes: dict[str, str | list[float]] = {}
+    targets: dict[str, float | None] = {}
+    state: dict[str, Any] = {"busy": False, "again": False, "material": None, "last": None}
+
+    with ui.element("div").classes("bar"):
+        note = ui.label("").classes("soft")
+    both = ui.element("div").style("width: 100%")
+    with both:
+        controls = ui.element("div").classes("panel")
+        charts = ui.element("div").classes("charts").style("margin: 0.75rem 0")
+        with charts:
+            pictures = {name: markup("").classes("panel") for name in _LABELS}
+        with ui.expansion("Every pair in numbers").classes("panel"):
+            numbers = markup("")
+        hung = ui.element("div").classes("panel").style("margin-top: 0.75rem")
+    both.set_visibility(False)
+
+    def hang() -> None:
+        bench.jobs.add("What to hang where", "treat", {"folder": str(bench.folder)}, _STAGES)
+
+    def show_hung() -> None:
+        hung.clear()
+        with hung:
+            heading("What to hang where")
+            if not (bench.folder / "treatment.toml").is_file():
+                text = "Write products and targets into treatment.toml in the project's folder."
+                ui.label(text).classes("soft")
+                return
+            ui.button("Search for the cheapest that meets the targets", on_click=hang).props(
+                "no-caps outline color=quiet"
+            )
+            out = bench.folder / project.TREATMENT
+            for file in sorted(out.iterdir()) if out.is_dir() else ():
+                place = f"/files/{project.TREATMENT}/{quote(file.name)}"
+                if file.suffix == ".png":
+                    markup(f'<img alt="{escape(file.stem)}" src="{escape(place)}" width="100%">')
+                elif not file.name.startswith("."):
+                    markup(f'<a href="{escape(place)}?save=1">{escape(file.name)}</a>')
+
+    async def evaluate() -> None:
+        """Evaluate what is chosen now; while one is under way, the newest waits, no other."""
+        if state["busy"]:
+            state["again"] = True
+            return
+        state["busy"] = True
+        try:
+            while True:
+                state["again"] = False
+                own = {"folder": str(bench.folder), "changes": written(changes, room["absorption"])}
+                state["last"] = await bench.what_if.ask("what_if", own, limit_s=_CHANGE_S)
+                draw()
+                if not state["again"]:
+                    break
+        except InputError as error:
+            said(error)
+        finally:
+            state["busy"] = False
+
+    def draw() -> None:
+        view = state["last"]
+        for name, picture in pictures.items():
+            picture.set_visibility(name in view["mean"])
+            if name in view["mean"]:
+                picture.set_content(chart_svg(view, name, room["bands_hz"], targets.get(name)))
+        numbers.set_content(pairs_html(view, room["bands_hz"]))
+        note.set_text(
+            f"{len(view['pairs'])} pairs, {len(changes)} materials changed. Lines: mean over the "
+            "pairs with the 95 % interval; thin: each pair; dashed: as it is."
+        )
+
+    async def choose_entry(value: str | None) -> None:
+        if value is None:
+            changes.pop(state["material"], None)
+        else:
+            changes[state["material"]] = value
+        show_controls()
+        await evaluate()
+
+    async def slide(band: int, value: float) -> None:
+        material = state["material"]
+        now = changes.get(material)
+        values = list(now) if isinstance(now, list) else spectrum(material)
+        if values[band] == value:
+            return
+        values[band] = value
+        changes[material] = values
+        await evaluate()
+
+    def spectrum(material: str) -> list[float]:
+        now = changes.get(material)
+        if isinstance(now, list):
+            return now
+        found = [round(a, 3) for a in room["absorption"][material]]
+        if now is None:
+            return found
+        entry = next(e for e in catalogue().entries if e.name == now)
+        octaves = dict(
+            zip((63.0, 125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3), entry.absorption, strict=True)
+        )
+        return [
+            round(float(octaves.get(f, a)), 3) for f, a in zip(room["bands_hz"], found, strict=True)
+        ]
+
+    async def reset() -> None:
+        changes.clear()
+        show_controls()
+        await evaluate()
+
+    def select(material: str) -> None:
+        state["material"] = material
+        show_controls()
+
+    def aim(name: str, value: float | None) -> None:
+        targets[name] = value
+        draw()
+
+    def show_controls() -> None:
+        controls.clear()
+        entries = {e.name: f"{e.name}: {e.description}" for e in catalogue().entries}
+        with controls, ui.element("div"):
+            with ui.element("div").classes("bar"):
+                marked = {m: f"{m} (changed)" if m in changes else m for m in room["absorption"]}
+                ui.select(
+                    marked,
+                    value=state["material"],
+                    label="Material",
+                    on_change=lambda e: select(e.value),
+                ).props("outlined dense").style("width: 14rem")
+                now = changes.get(state["material"])
+                ui.select(
+                    entries,
+                    value=now if isinstance(now, str) else None,
+                    label="becomes an entry of the catalogue (type to search)",
+                    with_input=True,
+                    clearable=True,
+                    on_change=lambda e: choose_entry(e.value),
+                ).props("outlined dense").style("flex: 1 1 16rem")
+                ui.button("As it was found, all", on_click=reset).props(
+                    "no-caps outline color=quiet"
+                )
+            heading(f"Absorption of {state['material']}")
+            with ui.element("div").classes("sliders"):
+                values = spectrum(state["material"])
+                for band, centre_hz in enumerate(room["bands_hz"]):
+                    word = f"{short_hertz(centre_hz)} Hz"
+                    label = f"Absorption of {state['material']} at {word}"
+                    BandSlider(
+                        word,
+                        label,
+                        values[band],
+                        partial(slide, band),
+                    )
+            heading("Targets")
+            with ui.element("div").classes("bar"):
+                for name in room["names"]:
+                    ui.number(
+                        _LABELS[name],
+                        value=targets.get(name),
+                        step=0.1,
+                        on_change=lambda e, name=name: aim(name, e.value),
+                    ).props("outlined dense clearable").style("width: 8rem")
+
+    async def refresh() -> None:
+        if project.best_result(bench.folder) is None:
+            note.set_text("No answer yet: identify first.")
+            both.set_visibility(False)
+            return
+        note.set_text(
+            "The room is traced for changes; this takes seconds, in a large room minutes."
+        )
+        state["last"] = None
+        own = {"folder": str(bench.folder)}
+        try:
+            found = await bench.what_if.ask("what_if_prepare", own, limit_s=_PREPARE_S)
+        except InputError:
+            note.set_text("The room could not be prepared.")
+            raise
+        if both.is_deleted:  # the page was closed meanwhile
+            return
+        room.update(found)
+        room["names"] = [n for n in _LABELS if n in found["mean"]]
+        for gone in [m for m in changes if m not in room["absorption"]]:
+            del changes[gone]
+        if state["material"] not in room["absorption"]:
+            state["material"] = next(iter(room["absorption"]))
+        both.set_visibility(True)
+        show_hung()
+        show_controls()
+        state["last"] = found
+        draw()
+        if changes:
+            await evaluate()
+
+    return refresh
+
+
+def written(
+    changes: Mapping[str, str | list[float]], absorption: Mapping[str, Sequence[float]]
+) -> list[str]:
+    """Return changes as ``roomfit predict --set`` takes them.
+
+    Absorption that was moved is a factor on what was found, which keeps what is not known of it.
+
+    Examples
+    --------
+    >>> written({"wall": [0.2, 0.3], "floor": "carpet-on-underlay"}, {"wall": [0.1, 0.3]})
+    ['wall=x2,x1', 'floor=carpet-on-underlay']
+    """
+    texts = []
+    for material, own in changes.items():
+        if isinstance(own, str):
+            texts.append(f"{material}={own}")
+            continue
+        found = absorption[material]
+        # a band that nobody has touched stays exactly as it was found
+        factors = [
+            1.0 if round(now, 3) == round(was, 3) else now / was
+            for now, was in zip(own, found, strict=True)
+        ]
+        texts.append(f"{material}={','.join(f'x{f:.6g}' for f in factors)}")
+    return texts
+
+
+def chart_svg(
+    view: Mapping[str, Any], name: str, bands_hz: Sequence[float], target: float | None
+) -> str:
+    """Return one room parameter over the bands as a drawing, in the colours of the page."""
+    mean = view["mean"][name]
+    pairs = [pair[name]["predicted"] for pair in view["pairs"]]
+    every = [*mean["lower95"], *mean["upper95"], *mean.get("before", []), target]
+    every += [v for p in pairs for v in p]
+    known = [v for v in every if v is not None]
+    if not known:
+        return f"<p>{escape(_LABELS[name])}: not known</p>"
+    low, high = min(known), max(known)
+    if name.endswith("_s"):
+        low = 0.0
+    margin = 0.05 * (high - low) or 0.1
+    low, high = low - (0.0 if name.endswith("_s") else margin), high + margin
+    step = (_WIDE - _LEFT - 16.0) / max(len(bands_hz) - 1, 1)
+
+    def x(band: int) -> float:
+        return _LEFT + 8.0 + step * band
+
+    def y(value: float) -> float:
+        return float(10.0 + (_HIGH - 10.0 - _BELOW) * (high - value) / (high - low))
+
+    def line(values: Sequence[float | None], style: str) -> str:
+        at = " ".join(f"{x(i):.1f},{y(v):.1f}" for i, v in enumerate(values) if v is not None)
+        return f'<polyline points="{at}" fill="none" {style}/>'
+
+    parts = []
+    for k in range(5):
+        value = low + (high - low) * k / 4
+        parts.append(
+            f'<line x1="{_LEFT}" x2="{_WIDE}" y1="{y(value):.1f}" y2="{y(value):.1f}" '
+            f'stroke="var(--line)"/><text x="{_LEFT - 4}" y="{y(value) + 4:.1f}" '
+            f'text-anchor="end">{value:.2f}</text>'
+        )
+    for i, centre_hz in enumerate(bands_hz):
+        parts.append(
+            f'<text x="{x(i):.1f}" y="{_HIGH - 6}" text-anchor="middle">'
+            f"{short_hertz(centre_hz)}</text>"
+        )
+    parts += [line(p, 'stroke="var(--soft)" stroke-width="0.6" opacity="0.6"') for p in pairs[:200]]
+    if "before" in mean:
+        parts.append(line(mean["before"], 'stroke="var(--ink)" stroke-dasharray="5 4"'))
+    for i, (a, b) in enumerate(zip(mean["lower95"], mean["upper95"], strict=True)):
+        if a is not None and b is not None:
+            parts.append(
+                f'<line x1="{x(i):.1f}" x2="{x(i):.1f}" y1="{y(a):.1f}" y2="{y(b):.1f}" '
+                'stroke="var(--accent)" stroke-width="5" opacity="0.45"/>'
+            )
+    parts.append(line(mean["predicted"], 'stroke="var(--accent)" stroke-width="2.4"'))
+    if target is not None:
+        parts.append(
+            f'<line x1="{_LEFT}" x2="{_WIDE}" y1="{y(target):.1f}" y2="{y(target):.1f}" '
+            'stroke="var(--bad)" stroke-width="2" stroke-dasharray="9 3"/>'
+        )
+    label = _LABELS[name]
+    means = ", ".join("unknown" if v is None else f"{v:.2f}" for v in mean["predicted"])
+    return (
+        f"<h2>{escape(label)}</h2>"
+        f'<svg viewBox="0 0 {_WIDE:.0f} {_HIGH:.0f}" role="img" font-size="11" fill="currentColor" '
+        f'aria-label="{escape(label)}, mean over the pairs by band: {means}">{"".join(parts)}</svg>'
+    )
+
+
+def pairs_html(view: Mapping[str, Any], bands_hz: Sequence[float]) -> str:
+    """Return every parameter of every pair as a table."""
+    rows = []
+    names = [n for n in _LABELS if n in view["mean"]]
+    for pair in view["pairs"][:100]:
+        for name in names:
+            own = pair[name]
+            cells = [f"{escape(pair['source'])} to {escape(pair['receiver'])}", _LABELS[name]]
+            for value, low, high in zip(
+                own["predicted"], own["lower95"], own["upper95"], strict=True
+            ):
+                if value is None:
+                    cells.append("-")
+                    continue
+                ends = "" if low is None or high is None else f"{low:.2f}-{high:.2f}"
+                cells.append(f'{value:.2f}<div class="small">{ends}</div>')
+            rows.append(cells)
+    heads = ["Pair", "Parameter", *(f"{short_hertz(f)} Hz" for f in bands_hz)]
+    return table_html("Where a measurement is expected, 95 of 100 times", heads, rows)

@@ -1,0 +1,233 @@
+"""The folder as state, what the tabs show, and the processes that work: no browser."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import struct
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("tomlkit", reason="the workbench needs the extra app")
+
+from roomfit.app import project, views
+from roomfit.app.jobs import Job, Jobs, Worker
+from roomfit.errors import InputError
+from roomfit.io.campaign import read_campaign
+
+
+def nothing(_: float) -> None:
+    """No progress is looked at."""
+
+
+@pytest.fixture
+def box(tmp_path: Path) -> Path:
+    project.set_room(tmp_path, shoebox=(6.0, 5.0, 3.0))
+    return tmp_path
+
+
+def test_a_typed_box_is_a_campaign_that_the_command_line_reads(box: Path) -> None:
+    campaign = read_campaign(project.campaign_file(box), to_fit=False)
+    assert campaign.room.shoebox == (6.0, 5.0, 3.0)
+    view = views.room_view(nothing, str(box))
+    assert [m["name"] for m in view["materials"]] == ["walls", "floor", "ceiling"]
+    assert view["traceable"] and view["volume_m3"] == pytest.approx(90.0)
+    assert len(view["faces"]) == 12 and len(view["edges"]) == 12
+    json.dumps(view, allow_nan=False)
+
+
+def test_editing_keeps_comments_and_what_the_page_does_not_know(box: Path) -> None:
+    file = project.campaign_file(box)
+    file.write_text(file.read_text() + "\n# mine\n[air]\ntemperature_c = 21.5 # measured\n")
+    project.set_surface_material(box, "east", "curtain")
+    project.set_prior(box, "curtain", "curtain-heavy-draped")
+    project.set_position(box, "sources", "LS1", (1.0, 2.0, 1.5))
+    project.set_bands(box, 500.0, 1000.0)
+    text = file.read_text()
+    assert "# mine" in text and "# measured" in text
+    campaign = read_campaign(file, to_fit=False)
+    assert campaign.room.materials["east"] == "curtain"
+    assert campaign.materials["curtain"].prior == "curtain-heavy-draped"
+    assert campaign.air.temperature_c == 21.5
+    assert campaign.sources[0].position_m.tolist() == [1.0, 2.0, 1.5]
+    assert campaign.bands.centres_hz.tolist() == [500.0, 1000.0]
+    project.set_prior(box, "curtain", None)
+    project.set_position(box, "sources", "LS1", None)
+    again = read_campaign(file, to_fit=False)
+    assert again.materials["curtain"].prior is None and not again.sources
+
+
+def test_another_room_keeps_positions_and_forgets_materials_it_does_not_have(box: Path) -> None:
+    project.set_surface_material(box, "east", "curtain")
+    project.set_prior(box, "curtain", "curtain-heavy-draped")
+    project.set_position(box, "receivers", "MP1", (1.0, 2.0, 1.5))
+    project.set_room(box, shoebox=(8.0, 5.0, 3.0))
+    campaign = read_campaign(project.campaign_file(box), to_fit=False)
+    assert campaign.room.shoebox == (8.0, 5.0, 3.0)
+    assert [p.name for p in campaign.receivers] == ["MP1"] and "curtain" not in campaign.materials
+
+
+def test_a_room_can_be_looked_at_before_its_positions_are_known(box: Path) -> None:
+    file = project.campaign_file(box)
+    blank = '\n[sources.LS1]\nposition = "FILL IN"\n[receivers.MP1]\nposition = [1, 1, 1]\n'
+    rows = '[[measurements]]\nsource = "LS1"\nreceiver = "MP1"\nfile = "a.wav"\n'
+    file.write_text(file.read_text() + blank + rows)
+    view = views.room_view(nothing, str(box))
+    assert [p["name"] for p in view["receivers"]] == ["MP1"] and not view["sources"]
+    assert sorted(p.name for p in box.iterdir()) == ["campaign.toml"]
+
+
+def test_a_fault_of_the_geometry_is_shown_where_it_is(tmp_path: Path) -> None:
+    faces = ["1 2 3 4", "5 8 7 6", "1 5 6 2", "2 6 7 3", "3 7 8 4"]  # the last wall is missing
+    corners = [
+        (0, 0, 0),
+        (0, 4, 0),
+        (5, 4, 0),
+        (5, 0, 0),
+        (0, 0, 3),
+        (0, 4, 3),
+        (5, 4, 3),
+        (5, 0, 3),
+    ]
+    text = "".join(f"v {x} {y} {z}\n" for x, y, z in corners)
+    text += "".join(f"usemtl m{i}\nf {f}\n" for i, f in enumerate(faces))
+    (tmp_path / "open.obj").write_text(text)
+    project.set_room(tmp_path, file="open.obj", unit="m")
+    view = views.room_view(nothing, str(tmp_path))
+    assert not view["traceable"]
+    serious = [f for f in view["findings"] if f["severity"] == "serious"]
+    assert serious and any(f["points_m"] for f in serious)
+
+
+def test_names_become_sources_and_receivers_whose_places_are_asked_for(box: Path) -> None:
+    (box / "recordings").mkdir()
+    for name in ("LS1_MP1.wav", "LS1_MP2.wav"):
+        (box / "recordings" / name).write_bytes(b"RIFF")
+    shape = "recordings/{source}_{receiver}.wav"
+    project.set_recordings(box, shape)
+    view = views.recordings_view(nothing, str(box), shape)
+    assert [(p["kind"], p["name"]) for p in view["positions"]] == [
+        ("sources", "LS1"), ("receivers", "MP1"), ("receivers", "MP2"),
+    ]  # fmt: skip
+    assert any("LS1, MP1, MP2" in f["sentence"] for f in view["findings"])
+    for wrong in ("../{source}_{receiver}.wav", "/x/{source}_{receiver}.wav", "a.wav"):
+        with pytest.raises(InputError):
+            project.set_recordings(box, wrong)
+
+
+def test_the_demo_is_checked_recording_by_recording(tmp_path: Path) -> None:
+    views.demo(nothing, str(tmp_path))
+    view = views.recordings_view(nothing, str(tmp_path), "recordings/{source}_{receiver}.wav")
+    assert len(view["rows"]) == 8 and all(len(r["usable"]) == 6 for r in view["rows"])
+    assert any("T20" in n["sentence"] for n in view["rows"][0]["notes"])
+    json.dumps(view, allow_nan=False)
+    with pytest.raises(InputError):
+        views.demo(nothing, str(tmp_path))  # nothing is written over
+
+
+def test_exports_need_a_result_and_stay_in_the_project(box: Path) -> None:
+    with pytest.raises(InputError):
+        project.export(box, "csv")
+    (box / "first").mkdir()
+    (box / "first" / "result.json").write_text("{}")
+    (box / "exports").symlink_to(box.parent)
+    with pytest.raises(InputError):
+        project.export(box, "csv")
+
+
+@pytest.mark.parametrize("kind", ["sources", "receivers"])
+def test_no_position_but_three_numbers_is_taken(box: Path, kind: str) -> None:
+    for wrong in ((1.0, 2.0), (1.0, 2.0, float("nan")), (1.0, 2.0, float("inf"))):
+        with pytest.raises(InputError):
+            project.set_position(box, kind, "A", wrong)
+    with pytest.raises(InputError):
+        project.set_position(box, "room", "A", (1.0, 2.0, 3.0))
+
+
+# The processes.
+
+
+def gone(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return Path(f"/proc/{pid}/stat").read_text().split()[2] == "Z"
+
+
+@pytest.mark.slow
+def test_a_job_is_cancelled_within_two_seconds_and_the_next_one_begins(tmp_path: Path) -> None:
+    views.demo(nothing, str(tmp_path))
+
+    async def whole() -> None:
+        jobs = Jobs()
+        first = jobs.add("a", "identify", {"folder": str(tmp_path), "quick": True})
+        assert jobs.add("a", "identify", {"folder": str(tmp_path), "quick": True}) is first
+        second = jobs.add("b", "echo", {"text": "next"})
+        while first.fraction < 0.01:
+            await asyncio.sleep(0.1)
+        assert first.state == "running" and second.state == "waiting"
+        began = time.monotonic()
+        await jobs.cancel(first)
+        assert time.monotonic() - began < 2.0 and first.state == "cancelled"
+        while second.state in ("waiting", "running"):
+            await asyncio.sleep(0.1)
+        await jobs.stop()
+
+    asyncio.run(whole())
+    assert not (tmp_path / "first" / "result.json").exists()
+    assert not [p for p in tmp_path.iterdir() if p.name.startswith(".roomfit") and p.is_dir()]
+
+
+@pytest.mark.slow
+def test_what_a_hostile_file_does_ends_the_worker_and_not_its_owner(tmp_path: Path) -> None:
+    project.set_room(tmp_path, shoebox=(6.0, 5.0, 3.0))
+    hostile = {
+        "many.stl": b"\0" * 80 + struct.pack("<I", 2**32 - 1),
+        "deep.glb": b"glTF" + struct.pack("<II", 2, 2**31),
+        "wide.obj": b"v 0 0 0\n" * 4 + b"f " + b"1 2 3 " * 200_000,
+        "huge.ply": b"ply\nformat ascii 1.0\nelement vertex 99999999999\nend_header\n",
+    }
+
+    async def whole() -> None:
+        worker = Worker(4096)
+        for name, content in hostile.items():
+            (tmp_path / name).write_bytes(content)
+            with pytest.raises(InputError):
+                own = {"folder": str(tmp_path), "file": name, "unit": "m"}
+                await worker.ask("set_room", own, limit_s=60.0)
+        process = await worker.started()
+        os.kill(process.pid, 11)  # as a library would end that a file has led astray
+        with pytest.raises(InputError, match="has ended"):
+            await worker.ask("echo", {"text": "a"})
+        assert await worker.ask("echo", {"text": "b"}) == "b"
+        assert worker.starts == 2
+        with pytest.raises(InputError, match="took too long"):
+            await worker.ask("room_view", {"folder": str(tmp_path)}, limit_s=0.001)
+        assert await worker.ask("echo", {"text": "c"}) == "c"
+        pid = (await worker.started()).pid
+        await worker.stop()
+        assert gone(pid)
+
+    asyncio.run(whole())
+
+
+@pytest.mark.slow
+def test_a_worker_has_no_more_memory_than_it_may_have(tmp_path: Path) -> None:
+    async def whole() -> None:
+        worker = Worker(256)  # less than the libraries themselves need
+        with pytest.raises(InputError):
+            await worker.ask("echo", {"text": "a"}, limit_s=60.0)
+        await worker.stop()
+
+    asyncio.run(whole())
+
+
+def test_the_time_that_remains_is_told_once_there_is_something_to_go_by() -> None:
+    job = Job(1, "a", "echo", {}, stages=((0.0, "one"), (0.5, "two")))
+    assert job.remaining_s is None and job.stage == "one"
+    job.state, job.fraction, job.began_s = "running", 0.75, time.monotonic() - 30.0
+    assert job.remaining_s == pytest.approx(10.0, abs=0.5) and job.stage == "two"

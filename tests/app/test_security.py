@@ -1,0 +1,182 @@
+"""Nobody gets in: what strangers may try, each with a real client against a running server."""
+
+from __future__ import annotations
+
+import http.client
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("nicegui", reason="the workbench needs the extra app")
+
+from roomfit.app.security import is_own_host, new_door
+from workbench import Running, running
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    folder = tmp_path_factory.mktemp("project")
+    (folder.parent / "secret.wav").write_bytes(b"outside")
+    (folder / "result").mkdir()
+    (folder / "result" / "report.html").write_text("<p>report")
+    (folder / "result" / "link.html").symlink_to("/etc/hostname")
+    with running(folder, limits="file_bytes=3e6") as one:
+        yield one
+
+
+def test_without_the_key_nothing_is_shown(server: Running) -> None:
+    for path in ("/", "/files/result/report.html", "/_nicegui_ws/socket.io/?EIO=4", "/any"):
+        assert server.get(path, cookie=False).status == 403
+    assert server.get("/?token=wrong", cookie=False).status == 403
+    assert server.get(f"/?token={server.token}&token=x", cookie=False).status == 403
+    wrong = {"Cookie": f"roomfit-{server.port}=wrong; other=1"}
+    assert server.get("/", wrong, cookie=False).status == 403
+    assert server.put("/upload/room/a.obj", b"v 0 0 0", cookie=False).status == 403
+
+
+def test_the_key_gives_a_cookie_that_scripts_and_other_sites_cannot_use(server: Running) -> None:
+    answer = server.get(f"/?token={server.token}", cookie=False)
+    assert answer.status == 303 and answer.headers["location"] == "/"
+    cookie = answer.headers["set-cookie"]
+    assert "HttpOnly" in cookie and "SameSite=Strict" in cookie and "Path=/" in cookie
+    assert server.token not in cookie  # who sees the address later cannot read the cookie from it
+    assert server.get("/").status == 200
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:{port}", "127.0.0.1:1", "127.0.0.1.evil.example:{port}"]
+)
+def test_a_foreign_host_gets_400_even_with_the_cookie(server: Running, host: str) -> None:
+    assert server.get("/", {"Host": host.format(port=server.port)}).status == 400
+    key = f"/?token={server.token}"
+    assert server.get(key, {"Host": host.format(port=server.port)}, cookie=False).status == 400
+
+
+def test_two_hosts_or_none_get_400(server: Running) -> None:
+    for hosts in ("", f"Host: 127.0.0.1:{server.port}\r\nHost: evil.example\r\n"):
+        with socket.create_connection(("127.0.0.1", server.port), timeout=10) as own:
+            own.sendall(f"GET / HTTP/1.1\r\n{hosts}Cookie: {server.cookie}\r\n\r\n".encode())
+            assert b" 400 " in own.recv(100)
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1:1"]
+)
+def test_a_foreign_origin_is_refused(server: Running, origin: str) -> None:
+    own = {"Origin": origin.format(port=server.port)}
+    assert server.get("/", own).status == 403
+    assert server.put("/upload/room/a.obj", b"v 0 0 0", own).status == 403
+    assert server.get(f"/?token={server.token}", own, cookie=False).status == 403
+    assert server.websocket(own) == 403
+
+
+def test_a_websocket_needs_host_origin_and_cookie(server: Running) -> None:
+    assert server.websocket({"Origin": f"http://127.0.0.1:{server.port}"}) == 101
+    assert server.websocket({"Host": f"evil.example:{server.port}"}) == 400
+    assert server.websocket({}, cookie=False) == 403
+
+
+def test_an_upload_that_declares_too_much_gets_413_and_leaves_nothing(server: Running) -> None:
+    answer = server.put("/upload/room/big.obj", b"", {"Content-Length": "3000001"})
+    assert answer.status == 413
+    assert server.put("/", b"x" * (2**20 + 1)).status == 413  # elsewhere the limit is 1 MiB
+    assert server.put("/upload/room/a.obj", b"", {"Content-Length": "-1"}).status == 400
+    assert not list(server.folder.glob("*.obj"))
+
+
+def test_an_upload_in_chunks_ends_at_the_limit(server: Running) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+    chunks = (b"v 0 0 0\n" * 10_000 for _ in range(60))  # 4.8 MB
+    try:
+        connection.request(
+            "PUT",
+            "/upload/room/chunked.obj",
+            chunks,
+            {"Cookie": server.cookie},
+            encode_chunked=True,
+        )
+        assert connection.getresponse().status == 413
+    except (BrokenPipeError, ConnectionResetError):
+        pass  # the server closed before all was sent
+    assert not list(server.folder.glob("*chunked*")) and not server.leftovers()
+
+
+def test_a_whole_upload_arrives(server: Running) -> None:
+    assert server.put("/upload/recordings/LS1_MP1.wav", b"RIFF").status == 200
+    assert (server.folder / "recordings" / "LS1_MP1.wav").read_bytes() == b"RIFF"
+    assert not server.leftovers()
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *("/upload/room/..%2F..%2Fsecret.obj", "/upload/recordings/..%2Fa.wav"),
+        *("/upload/room/%2Fetc%2Fa.obj", "/upload/room/..%5Ca.obj", "/upload/room/.hidden.obj"),
+        *("/upload/room/a.obj%00.wav", "/upload/room/a.toml", "/upload/room/campaign.toml"),
+        *("/upload/room/a.zip", "/upload/room/a", "/upload/elsewhere/a.wav"),
+        *("/upload/recordings/a.html", "/upload/recordings/a.py", f"/upload/room/{'a' * 300}.obj"),
+    ],
+)
+def test_names_that_lead_elsewhere_or_are_no_room_are_refused(server: Running, path: str) -> None:
+    before = sorted(p for p in server.folder.parent.rglob("*"))
+    assert server.put(path, b"x").status in (400, 404, 405)
+    assert sorted(p for p in server.folder.parent.rglob("*")) == before
+
+
+def test_links_lead_nowhere(server: Running) -> None:
+    outside = server.folder.parent / "secret.wav"
+    places = server.folder / "recordings"
+    places.mkdir(exist_ok=True)
+    (places / "linked.wav").symlink_to(outside)
+    assert server.put("/upload/recordings/linked.wav", b"x").status == 400
+    (places / "linked.wav").unlink()
+    kept = places.rename(server.folder / "kept")
+    places.symlink_to(server.folder.parent)
+    assert server.put("/upload/recordings/new.wav", b"x").status == 400
+    places.unlink()
+    kept.rename(places)
+    assert outside.read_bytes() == b"outside" and not (outside.parent / "new.wav").exists()
+    assert server.get("/files/result/link.html").status == 404
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        *("/files/campaign.toml", "/files/../secret.wav", "/files/..%2Fsecret.wav"),
+        *("/files/result/..%2F..%2Fsecret.wav", "/files/%2Fetc%2Fpasswd", "/files/result/.x"),
+        *("/files/result", "/files/result/link.html", "/files/result/%00"),
+    ],
+)
+def test_only_results_and_exports_are_shown(server: Running, path: str) -> None:
+    assert server.get(path).status == 404
+
+
+def test_a_report_runs_nothing_and_the_page_only_its_own(server: Running) -> None:
+    report = server.get("/files/result/report.html")
+    assert report.status == 200 and "sandbox" in report.headers["content-security-policy"]
+    assert "script-src" not in report.headers["content-security-policy"]
+    page = server.get("/")
+    policy = page.headers["content-security-policy"]
+    assert "default-src 'none'" in policy and "connect-src 'self'" in policy
+    assert page.headers["x-content-type-options"] == "nosniff"
+    assert page.headers["cross-origin-resource-policy"] == "same-origin"
+    assert "access-control-allow-origin" not in page.headers
+
+
+def test_it_listens_on_this_machine_only(server: Running) -> None:
+    own = {line.split()[1] for line in Path("/proc/net/tcp").read_text().splitlines()[1:]}
+    mine = [a for a in own if int(a.split(":")[1], 16) == server.port]
+    assert mine and all(a.startswith("0100007F") for a in mine)
+
+
+def test_open_to_a_network_it_still_answers_to_no_foreign_name() -> None:
+    """An address in numbers cannot be rebound, a name can."""
+    door = new_door("0.0.0.0", 8321, 1, ("desk",))
+    assert all(is_own_host(door, h) for h in ("192.168.1.7:8321", "desk:8321", "[fe80::1]:8321"))
+    wrong = ("evil.example:8321", "192.168.1.7:80", "192.168.1.7.evil.example:8321", "desk", "")
+    assert not any(is_own_host(door, h) for h in wrong)
+    assert not is_own_host(new_door("127.0.0.1", 8321, 1), "192.168.1.7:8321")

@@ -1,0 +1,117 @@
+"""A workbench that runs, and a client that speaks to it as a stranger could."""
+
+from __future__ import annotations
+
+import http.client
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+@dataclass
+class Answer:
+    status: int
+    headers: Mapping[str, str]
+    body: bytes
+
+
+@dataclass
+class Running:
+    folder: Path
+    address: str
+    pid: int
+    cookie: str = ""
+
+    @property
+    def port(self) -> int:
+        return int(re.search(r":(\d+)/", self.address)[1])  # type: ignore[index]
+
+    @property
+    def token(self) -> str:
+        return self.address.partition("token=")[2]
+
+    def ask(
+        self, method: str, path: str, body: bytes, headers: Mapping[str, str], cookie: bool
+    ) -> Answer:
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)
+        own = {"Cookie": self.cookie} if cookie else {}
+        try:
+            connection.request(method, path, body or None, {**own, **headers})
+            got = connection.getresponse()
+            return Answer(got.status, {k.lower(): v for k, v in got.getheaders()}, got.read())
+        finally:
+            connection.close()
+
+    def get(
+        self, path: str, headers: Mapping[str, str] | None = None, cookie: bool = True
+    ) -> Answer:
+        return self.ask("GET", path, b"", headers or {}, cookie)
+
+    def put(
+        self, path: str, body: bytes, headers: Mapping[str, str] | None = None, cookie: bool = True
+    ) -> Answer:
+        return self.ask("PUT", path, body, headers or {}, cookie)
+
+    def websocket(self, headers: Mapping[str, str], cookie: bool = True) -> int:
+        """Return the status with which a WebSocket is opened or refused; 101 is opened."""
+        upgrade = {
+            "Connection": "Upgrade",
+            "Upgrade": "websocket",
+            "Sec-WebSocket-Version": "13",
+            "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+        }
+        path = "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"
+        own = {"Cookie": self.cookie} if cookie else {}
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)
+        try:
+            connection.request("GET", path, None, {**upgrade, **own, **headers})
+            return connection.getresponse().status
+        finally:
+            connection.close()
+
+    def leftovers(self) -> list[Path]:
+        return list(self.folder.rglob(".roomfit-upload-*"))
+
+
+@contextmanager
+def running(folder: Path, limits: str = "") -> Iterator[Running]:
+    """Start ``roomfit app`` as a user does, and end it."""
+    command = [sys.executable, "-m", "roomfit", "app", str(folder), "--port", "0", "--no-browser"]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, env={**os.environ, "ROOMFIT_LIMITS": limits}
+    )
+    try:
+        assert process.stdout is not None
+        found = None
+        while found is None and (line := process.stdout.readline()):
+            found = re.search(r"http://\S+", line)
+        assert found is not None, "no address was printed"
+        own = Running(folder, found[0], process.pid)
+        given = own.get(f"/?token={own.token}", cookie=False)
+        own.cookie = given.headers["set-cookie"].partition(";")[0]
+        yield own
+    finally:
+        process.terminate()
+        try:
+            process.wait(60)
+        finally:
+            process.kill()
+
+
+def chromium() -> Any:
+    """Return a function that starts a browser, or skip."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
+    path = next(
+        (p for p in ("/usr/bin/chromium", "/usr/bin/chromium-browser") if Path(p).exists()), ""
+    )
+    if not path:
+        pytest.skip("no Chromium at /usr/bin/chromium")
+    return playwright.sync_playwright, {"executable_path": path, "args": ["--no-sandbox"]}
