@@ -64,9 +64,7 @@ def _soak(address: str, pid: int, options: argparse.Namespace) -> list[float]:
     n_steps = 0
     print(f"{'s':>6} {'server':>8} {'workers':>8} {'files':>6} {'steps':>6} {'tab, s':>7}")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(
-            executable_path=options.browser, args=["--no-sandbox"]
-        )
+        browser = playwright.chromium.launch(executable_path=options.browser, args=["--no-sandbox"])
         pages = [browser.new_context().new_page() for _ in range(options.users)]
         for page in pages:
             page.set_default_timeout(60_000)

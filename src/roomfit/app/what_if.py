@@ -14,14 +14,14 @@ from roomfit.prediction.campaign import predict_arguments
 from roomfit.prediction.changes import Change, read_change
 from roomfit.prediction.predict import (
     Predicted,
-    PredictedValue,
     PreparedRoom,
     predict_change,
     prepare_prediction,
 )
+from roomfit.prediction.tables import PredictedValue
 from roomfit.typing import Progress
 
-SHOWN = ("T20_s", "EDT_s", "C80_dB", "D50_percent", "STI")
+SHOWN = ("T20_s", "EDT_s", "C80_dB", "D50_percent")
 """Room parameters that are shown, as far as they are predicted."""
 _LEAST_FACTOR = 0.5  # decays are followed as long as with so much of each material's absorption
 _ready: dict[str, tuple[tuple[float, ...], PreparedRoom]] = {}

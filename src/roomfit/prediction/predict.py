@@ -176,7 +176,7 @@ def predict(
 
     See Also
     --------
-    prepare_prediction, predict_change : the same in two steps, the second in a tenth of a second.
+    prepare_prediction, predict_change : the same in two steps, the second in half a second.
 
     Returns
     -------
@@ -396,7 +396,7 @@ def predict_change(
     changes : sequence of Change
     exact : bool
         From all paths, in seconds; else carried over from the room as it was found by few of them,
-        in a tenth of a second: pictures of decays are then those before.
+        in half a second or less: pictures of decays are then those before.
     cache, progress
         For what is exact.
 

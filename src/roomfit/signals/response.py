@@ -20,6 +20,7 @@ from roomfit.typing import FloatArray
 # Equal samples in a row, and equal peaks, at which a response counts as cut off; the levels that
 # its converter must know for the latter, and the steps by which a crest falls beside its top.
 _CLIPPED_RUN, _EQUAL_PEAKS, _FEW_LEVELS, _CREST_STEPS = 4, 5, 500.0, 3.0
+_EARLY = "Early energy is wrong"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +104,7 @@ _FLOOR = 1e-9
 
 def clipping_findings(pressure: FloatArray, name: str) -> tuple[Finding, ...]:
     """Return a finding where the peaks of a response were cut off."""
-    return clipping(pressure, name, "Early energy is wrong") or _equal_peaks(pressure, name)
+    return clipping(pressure, name, _EARLY) or _equal_peaks(pressure, name)
 
 
 def clipping(pressure: FloatArray, name: str, harm: str) -> tuple[Finding, ...]:
@@ -126,14 +127,13 @@ def clipping(pressure: FloatArray, name: str, harm: str) -> tuple[Finding, ...]:
     longest = int(np.max((last - first)[steep], initial=0)) + 1
     if longest < _CLIPPED_RUN:
         return ()
-    return (
-        Finding(
-            Code.RESPONSE_CLIPPED,
-            f"{name} looks clipped: {longest} samples in a row have the largest value, "
-            f"{size.max():.4g}. {harm}; measure again at a lower level.",
-            {"longest_run": longest, "largest": float(size.max())},
-        ),
-    )
+    many = f"{longest} samples in a row have"
+    return (_clipped(name, many, harm, {"longest_run": longest, "largest": float(size.max())}),)
+
+
+def _clipped(name: str, many: str, harm: str, evidence: dict[str, float]) -> Finding:
+    text = f"{name} looks clipped: {many} the largest value, {evidence['largest']:.4g}. {harm}; "
+    return Finding(Code.RESPONSE_CLIPPED, text + "measure again at a lower level.", evidence)
 
 
 def _equal_peaks(pressure: FloatArray, name: str) -> tuple[Finding, ...]:
@@ -152,14 +152,8 @@ def _equal_peaks(pressure: FloatArray, name: str) -> tuple[Finding, ...]:
     n_peaks = int(np.count_nonzero(high & steep))
     if n_peaks < _EQUAL_PEAKS:
         return ()
-    return (
-        Finding(
-            Code.RESPONSE_CLIPPED,
-            f"{name} looks clipped: {n_peaks} peaks have the same largest value, "
-            f"{size.max():.4g}. Early energy is wrong; measure again at a lower level.",
-            {"equal_peaks": n_peaks, "largest": float(size.max())},
-        ),
-    )
+    evidence = {"equal_peaks": n_peaks, "largest": float(size.max())}
+    return (_clipped(name, f"{n_peaks} peaks have", _EARLY, evidence),)
 
 
 def echo_prominence(response: ImpulseResponse) -> FloatArray:
