@@ -42,7 +42,7 @@ STAGES = (
     ("energies, with outliers", coherent, "rebuild"),
     ("pressures, low to high", coherent, "forward_pass"),
     ("pressures, what is fixed set free", coherent, "fixed_parameter_checks"),
-    ("pressures, each under all others", coherent, "settled_passes"),
+    ("pressures, each under all others", coherent, "leave_one_out_pass"),
     ("energies, where they decide", coherent, "fit_band"),
     ("findings of the chain", coherent, "chain_findings"),
     ("errors that windows share", coherent, "with_shared_errors"),

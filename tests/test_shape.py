@@ -19,7 +19,7 @@ def test_there_are_few_modules_and_none_is_longer_than_800_lines() -> None:
     140 modules are aimed at, beside the thin files of the commands; more than there are now need a
     new capability as their reason.
     """
-    assert len([m for m in FOUND if m.name.split(".")[0] != "cli"]) <= 197
+    assert len([m for m in FOUND if m.name.split(".")[0] != "cli"]) <= 195
     assert {m.name: m.n_lines for m in FOUND if m.n_lines > 800} == {}
 
 

@@ -54,8 +54,8 @@ def test_a_check_of_a_room_loads_no_pictures_and_no_statistics(tmp_path):
     assert "can be traced" in done.stdout + done.stderr
 
 
-COMMANDS = ("batch", "cache", "catalogue", "check", "compare", "coverage", "demo", "design",
-            "export", "identify", "impedance", "init", "listen", "paper", "predict",
+COMMANDS = ("app", "batch", "cache", "catalogue", "check", "compare", "coverage", "demo",
+            "design", "export", "identify", "impedance", "init", "listen", "paper", "predict",
             "reverberation", "schema", "treat")  # fmt: skip
 
 

@@ -50,10 +50,11 @@ from roomfit.inversion.sequential import (
     CoherentBand,
     CoherentBandFit,
     CoherentOptions,
+    agree,
+    explained_more,
     forward_pass,
     leave_one_out_pass,
     log_likelihoods,
-    settled_passes,
 )
 from roomfit.inversion.systematics import (
     batch_spread,
@@ -398,8 +399,7 @@ def _gain_of_freeing(
     """Return by how much the data are likelier, over all bands, and by how many more unknowns."""
     freer = rebuild(replace(state, task=replace(state.task, settings=settings)))
     freed = forward_pass(freer.bands, settings, None)
-    pairs = zip(fits, freed, strict=True)
-    gain = sum(b.log_likelihood - a.log_likelihood for a, b in pairs if a and b)
+    gain = explained_more(fits, freed)
     before, after = (
         0 if g is None else int(np.count_nonzero(g.fitted & (g.sd > 0.0)))
         for g in (state.geometry, freer.geometry)
@@ -464,7 +464,14 @@ def fit_coherent(
         fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0))
     findings = (*state.findings, *position_uncertainty_findings(position_sd_scale))
     findings = (*findings, *fixed_parameter_checks(state, fits))
-    fits, final = settled_passes(state.bands, fits, settings)
+    fits, final = leave_one_out_pass(state.bands, fits, settings)
+    is_settled = final is None or agree(fits, final)
+    while final is not None and not is_settled:
+        other = forward_pass(state.bands, settings, None, (fits, final))
+        other, found = leave_one_out_pass(state.bands, other, settings)
+        is_settled = explained_more(fits, other) < UNDECIDED
+        if not is_settled:
+            fits, final = other, found
     geometry = state.geometry
     estimate = None if geometry is None or final is None else fitted_geometry(geometry, final)
     findings = (*findings, *_source_findings(state), *geometry_findings(estimate))

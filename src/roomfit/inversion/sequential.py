@@ -239,36 +239,23 @@ def leave_one_out_pass(
     return again, final
 
 
-def settled_passes(
-    bands: Sequence[CoherentBand | None],
-    fits: Sequence[CoherentBandFit | None],
-    options: CoherentOptions,
-) -> tuple[list[CoherentBandFit | None], Marginal | None]:
-    """Fit each band under what all others say, again from there while that explains more.
+def explained_more(
+    before: Sequence[CoherentBandFit | None], after: Sequence[CoherentBandFit | None]
+) -> float:
+    """Return by how much all bands' data together are likelier after than before."""
+    each = zip(before, after, strict=True)
+    return sum(b.log_likelihood - a.log_likelihood for a, b in each if a and b)
+
+
+def agree(fits: Sequence[CoherentBandFit | None], final: Marginal) -> bool:
+    """Whether each band's geometry, by its data under all others', is that of all.
 
     Positions that are far off permit little coherence, and little coherence draws them little: the
-    passes from low to high then end before the geometry is found. Where the bands disagree on it,
-    though each was fitted to its own data under what all others say, all passes start again at
-    what the last ones found. Returns as `leave_one_out_pass` does.
+    passes from low to high then end before the geometry is found, and the bands disagree.
     """
-    again, final = leave_one_out_pass(bands, fits, options)
-    is_settled = final is None or _disagreement(again, final) <= _AGREED
-    while final is not None and not is_settled:
-        other = forward_pass(bands, options, None, (again, final))
-        other, found = leave_one_out_pass(bands, other, options)
-        each = zip(again, other, strict=True)
-        gain = sum(b.log_likelihood - a.log_likelihood for a, b in each if a and b)
-        is_settled = gain < UNDECIDED
-        if not is_settled:
-            again, final = other, found
-    return again, final
-
-
-def _disagreement(fits: Sequence[CoherentBandFit | None], final: Marginal) -> float:
-    """Return the largest distance of a band's geometry from that of all, in variances."""
     n = final.mean.size
     moved = [f.fit.vector[-n:] - final.mean for f in fits if f is not None and f.found is not None]
-    return max((float(d @ final.information @ d) / n for d in moved), default=0.0)
+    return all(float(d @ final.information @ d) <= _AGREED * n for d in moved)
 
 
 def geometry_information(parameters: Parameters) -> FloatArray:
