@@ -131,7 +131,7 @@ def test_from_the_demo_project_to_the_downloaded_report(browser: Any, tmp_path: 
             slider.press("ArrowRight")
             page.wait_for_timeout(1000)  # answers come in between and must not move it back
         assert float(slider.input_value()) == pytest.approx(min(before + 0.05, 0.99))
-        page.get_by_text("pairs, 1 materials changed").wait_for()
+        page.get_by_text("pairs, 1 material changed").wait_for()
         # the report and an export
         visit.tab("Report")
         with page.expect_download() as got:

@@ -8,6 +8,7 @@ from html import escape
 from typing import Any
 from urllib.parse import quote
 
+from matplotlib.ticker import MaxNLocator
 from nicegui import ui
 
 from roomfit.app import project
@@ -15,7 +16,7 @@ from roomfit.app.elements import BandSlider, heading, markup, said, table_html
 from roomfit.app.server import Bench
 from roomfit.errors import InputError
 from roomfit.materials.catalogue import catalogue
-from roomfit.report.wording import short_hertz
+from roomfit.report.wording import count, short_hertz
 
 _LABELS = {
     "T20_s": "T20 in s",
@@ -99,8 +100,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                 picture.set_content(chart_svg(view, name, room["bands_hz"], targets.get(name)))
         numbers.set_content(pairs_html(view, room["bands_hz"]))
         note.set_text(
-            f"{len(view['pairs'])} pairs, {len(changes)} materials changed. Lines: mean over the "
-            "pairs with the 95 % interval; thin: each pair; dashed: as it is."
+            f"{count(len(view['pairs']), 'pair')}, {count(len(changes), 'material')} changed. "
+            "Lines: mean over the pairs with the 95 % interval; thin: each pair; dashed: as it is."
         )
 
     async def choose_entry(value: str | None) -> None:
@@ -270,8 +271,8 @@ def chart_svg(
     low, high = min(known), max(known)
     if name.endswith("_s"):
         low = 0.0
-    margin = 0.05 * (high - low) or 0.1
-    low, high = low - (0.0 if name.endswith("_s") else margin), high + margin
+    ticks = MaxNLocator(5).tick_values(low, high)
+    low, high = float(ticks[0]), float(ticks[-1])
     step = (_WIDE - _LEFT - 16.0) / max(len(bands_hz) - 1, 1)
 
     def x(band: int) -> float:
@@ -285,12 +286,11 @@ def chart_svg(
         return f'<polyline points="{at}" fill="none" {style}/>'
 
     parts = []
-    for k in range(5):
-        value = low + (high - low) * k / 4
+    for value in ticks:
         parts.append(
             f'<line x1="{_LEFT}" x2="{_WIDE}" y1="{y(value):.1f}" y2="{y(value):.1f}" '
             f'stroke="var(--line)"/><text x="{_LEFT - 4}" y="{y(value) + 4:.1f}" '
-            f'text-anchor="end">{value:.2f}</text>'
+            f'text-anchor="end">{value:.6g}</text>'
         )
     for i, centre_hz in enumerate(bands_hz):
         parts.append(
