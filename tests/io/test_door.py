@@ -28,6 +28,8 @@ POSIX = pytest.mark.skipif(sys.platform == "win32", reason="pipes and devices of
 SOURCE = Path(roomfit.__file__).parent
 # They read what roomfit itself has written or brings along.
 OWN = {"cache.py", "materials/catalogue.py", "io/encoding.py"}
+OWN |= {"app/page.py", "treatment/standards.py"}
+OWN |= {"app/server.py"}  # writes what is uploaded, and opens a browser
 OWN |= {"tracing/bvh.py"}  # compiled code that loads from memory
 OPENING = {"read_bytes", "read_text", "open", "load", "fromfile", "loadtxt", "genfromtxt"}
 

@@ -20,7 +20,7 @@ from roomfit.errors import InputError, RoomfitError
 from roomfit.findings import Finding
 from roomfit.geometry.mesh import Mesh, triangle_areas_m2
 from roomfit.io.campaign import read_campaign
-from roomfit.io.door import json_content, read_text
+from roomfit.io.door import json_content, read_bytes, read_text
 from roomfit.io.draft import matching_files
 from roomfit.io.encoding import finding_content, number_or_null, numbers_or_null
 from roomfit.io.inputs import check_campaign
@@ -234,8 +234,8 @@ def _is_stale(folder: Path, content: Mapping[str, Any]) -> bool:
     inputs = content.get("provenance", {}).get("inputs_sha256", {})
     digests = [d for file, d in inputs.items() if Path(file).name == "campaign.toml"]
     try:
-        now = sha256(project.campaign_file(folder).read_bytes()).hexdigest()
-    except OSError:
+        now = sha256(read_bytes(project.campaign_file(folder), "campaign")).hexdigest()
+    except InputError:
         return True
     return bool(digests) and now not in digests
 
