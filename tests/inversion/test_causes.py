@@ -94,6 +94,11 @@ def test_arrays_whose_peaks_are_cut_off_are_found_as_files_are():
     assert "LS1 to M1" in found[0].sentence
 
 
+def test_silent_arrays_are_refused_in_words():
+    with pytest.raises(InputError):
+        measured_findings(changed(recordings(), lambda x: 0.0 * x, lambda m: m.receiver == "M1"))
+
+
 def test_a_common_delay_is_one_sentence_with_the_key_to_set():
     """38 samples at 48 kHz; no single recording and no wall is blamed as well."""
     findings = measured_findings(changed(recordings(), late(0.00079)))

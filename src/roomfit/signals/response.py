@@ -103,7 +103,9 @@ _FLOOR = 1e-9
 
 
 def clipping_findings(pressure: FloatArray, name: str) -> tuple[Finding, ...]:
-    """Return a finding where the peaks of a response were cut off."""
+    """Return a finding where the peaks of a response were cut off; none of silence."""
+    if not np.ptp(pressure) > 0.0:
+        return ()
     return clipping(pressure, name, _EARLY) or _equal_peaks(pressure, name)
 
 
