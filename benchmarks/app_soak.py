@@ -38,11 +38,11 @@ def main() -> None:
         server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         try:
             address = _address(server)
-            told = _soak(address, server.pid, options)
+            memory_mib = _soak(address, server.pid, options)
         finally:
             server.terminate()
             server.wait(15)
-    half = told[len(told) // 2 :]
+    half = memory_mib[len(memory_mib) // 2 :]
     print(f"server: {half[0]:.0f} MiB at half of the time, {half[-1]:.0f} MiB at the end")
     sys.exit(1 if half[-1] > 2.0 * half[0] else 0)
 
@@ -59,8 +59,8 @@ def _soak(address: str, pid: int, options: argparse.Namespace) -> list[float]:
     from playwright.sync_api import sync_playwright
 
     rng = random.Random(1)
-    began = told_at = time.monotonic()
-    told, times_s = [_memory_mib(pid)], [0.0]
+    began = printed_at = time.monotonic()
+    memory_mib, times_s = [_memory_mib(pid)], [0.0]
     n_steps = 0
     print(f"{'s':>6} {'server':>8} {'workers':>8} {'files':>6} {'steps':>6} {'tab, s':>7}")
     with sync_playwright() as playwright:
@@ -72,18 +72,18 @@ def _soak(address: str, pid: int, options: argparse.Namespace) -> list[float]:
         while time.monotonic() - began < 60.0 * options.minutes:
             times_s.append(_step(rng.choice(pages), rng))
             n_steps += 1
-            if time.monotonic() - told_at > 30.0:
-                told_at = time.monotonic()
-                told.append(_memory_mib(pid))
+            if time.monotonic() - printed_at > 30.0:
+                printed_at = time.monotonic()
+                memory_mib.append(_memory_mib(pid))
                 workers = sum(_memory_mib(child) for child in _children(pid))
                 n_files = len(list(Path(f"/proc/{pid}/fd").iterdir()))
                 print(
-                    f"{told_at - began:6.0f} {told[-1]:8.0f} {workers:8.0f} {n_files:6d} "
+                    f"{printed_at - began:6.0f} {memory_mib[-1]:8.0f} {workers:8.0f} {n_files:6d} "
                     f"{n_steps:6d} {sorted(times_s)[len(times_s) // 2]:7.2f}",
                     flush=True,
                 )
         browser.close()
-    return told
+    return memory_mib
 
 
 def _step(page: Any, rng: random.Random) -> float:

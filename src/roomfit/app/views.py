@@ -309,8 +309,17 @@ def echo(_: Progress, text: str) -> str:
 TASKS: dict[str, Callable[..., Any]] = {
     f.__name__: f
     for f in (
-        *(room_view, recordings_view, result_view, identify, demo, set_room, treat, export),
-        *(what_if_prepare, what_if, echo),
+        room_view,
+        recordings_view,
+        result_view,
+        identify,
+        demo,
+        set_room,
+        treat,
+        export,
+        what_if_prepare,
+        what_if,
+        echo,
     )
 }
 """What the worker can be asked for, by name."""

@@ -45,6 +45,26 @@ class Parser(argparse.ArgumentParser):
             text = f"{text.removesuffix('.')} (default: {default})."
         self.add_argument(name, default=default, help=text, **settings)
 
+    def add_fit(self) -> None:
+        """Add ``--absorption``, the fit that must be given."""
+        self.add_option(
+            "--absorption", "result.json or absorption.csv of a fit.", type=Path, required=True
+        )
+
+    def add_state(self) -> None:
+        """Add ``--state``."""
+        self.add_option(
+            "--state", "State of the room among the campaign's [[states]]; left out: as described."
+        )
+
+    def add_pairs(self) -> None:
+        """Add ``--pairs``, which `roomfit.prediction.campaign.pair_choice` reads."""
+        self.add_option(
+            "--pairs",
+            "all: every source with every receiver; campaign: the measured ones.",
+            default="all",
+        )
+
     def add_out(self, text: str = "Folder for the results; made if needed.") -> None:
         """Add ``--out``, a path that must be given."""
         self.add_argument("--out", type=Path, required=True, help=text)

@@ -17,9 +17,7 @@ def add(commands: Commands) -> None:
     )
     parser = add_command(commands, "listen", about, run)
     parser.add_argument("campaign", type=Path, help="Campaign file (TOML) of the measured room.")
-    parser.add_option(
-        "--absorption", "result.json or absorption.csv of its fit.", type=Path, required=True
-    )
+    parser.add_fit()
     parser.add_out()
     parser.add_option(
         "--set",
@@ -28,9 +26,7 @@ def add(commands: Commands) -> None:
         metavar="CHANGE",
         action="append",
     )
-    parser.add_option(
-        "--state", "State of the room among the campaign's [[states]]; left out: as described."
-    )
+    parser.add_state()
     parser.add_option(
         "--dry", "A WAV file of one channel, at the responses' rate, to convolve.", type=Path
     )

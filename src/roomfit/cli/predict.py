@@ -14,9 +14,7 @@ def add(commands: Commands) -> None:
     about = "Predict reverberation and clarity with their intervals, as the room is or changed."
     parser = add_command(commands, "predict", about, run)
     parser.add_argument("campaign", type=Path, help="Campaign file (TOML) of the room to predict.")
-    parser.add_option(
-        "--absorption", "result.json or absorption.csv of a fit.", type=Path, required=True
-    )
+    parser.add_fit()
     parser.add_out()
     parser.add_option(
         "--set",
@@ -26,14 +24,8 @@ def add(commands: Commands) -> None:
         metavar="CHANGE",
         action="append",
     )
-    parser.add_option(
-        "--pairs",
-        "all: every source with every receiver; campaign: the measured ones.",
-        default="all",
-    )
-    parser.add_option(
-        "--state", "State of the room among the campaign's [[states]]; left out: as described."
-    )
+    parser.add_pairs()
+    parser.add_state()
     parser.add_overwrite()
     parser.add_argument(
         "--no-cache", action="store_true", help="Neither use nor keep intermediate results."

@@ -15,18 +15,10 @@ def add(commands: Commands) -> None:
     parser = add_command(commands, "treat", about, run)
     parser.add_argument("campaign", type=Path, help="Campaign file (TOML) of the room.")
     parser.add_argument("treatment", type=Path, help="Surfaces, products and targets (TOML).")
-    parser.add_option(
-        "--absorption", "result.json or absorption.csv of a fit.", type=Path, required=True
-    )
+    parser.add_fit()
     parser.add_out()
-    parser.add_option(
-        "--pairs",
-        "all: every source with every receiver; campaign: the measured ones.",
-        default="all",
-    )
-    parser.add_option(
-        "--state", "State of the room among the campaign's [[states]]; left out: as described."
-    )
+    parser.add_pairs()
+    parser.add_state()
     parser.add_overwrite()
 
 
