@@ -21,12 +21,12 @@ from roomfit.prediction.changes import Change
 from roomfit.scene import Room, Scene
 from roomfit.signals.decay import jnd_of
 from roomfit.treatment.question import (
-    TARGET_NAMES,
     Product,
     Surface,
     Target,
     columns_of,
     row_weights,
+    target_name,
 )
 from roomfit.treatment.standards import standard_target
 from roomfit.typing import FloatArray
@@ -182,14 +182,7 @@ def _target(table: TargetTable, room: Room) -> tuple[Target, tuple[Finding, ...]
                 needed="one of the two: a second table [[targets]] holds as well",
             )
         return standard_target(table.standard, room)
-    if table.parameter not in TARGET_NAMES:
-        raise InputError(
-            "a target names an unknown parameter",
-            found=repr(table.parameter),
-            needed=f"one of {', '.join(TARGET_NAMES)}",
-            hint=did_you_mean(table.parameter, TARGET_NAMES),
-        )
-    name = table.parameter
+    name = target_name(table.parameter)
     low = -np.inf if table.at_least is None else table.at_least
     high = np.inf if table.at_most is None else table.at_most
     if table.value is not None:

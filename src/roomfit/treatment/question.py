@@ -26,6 +26,25 @@ TargetName = Literal[ValueName, "STI"]
 TARGET_NAMES: tuple[TargetName, ...] = (*VALUE_NAMES, "STI")
 
 
+def target_name(name: str) -> TargetName:
+    """Return the name of a parameter that may be a target.
+
+    Raises
+    ------
+    InputError
+        No parameter is called so.
+    """
+    for known in TARGET_NAMES:
+        if name == known:
+            return known
+    raise InputError(
+        "a target names an unknown parameter",
+        found=repr(name),
+        needed=f"one of {', '.join(TARGET_NAMES)}",
+        hint=did_you_mean(name, TARGET_NAMES),
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class Surface:
     """A material of the room that may be covered."""
@@ -66,13 +85,7 @@ class Target:
     source: str = ""  # standard, edition and clause
 
     def __post_init__(self) -> None:
-        if self.parameter not in TARGET_NAMES:
-            raise InputError(
-                "a target names an unknown parameter",
-                found=repr(self.parameter),
-                needed=f"one of {', '.join(TARGET_NAMES)}",
-                hint=did_you_mean(self.parameter, TARGET_NAMES),
-            )
+        target_name(self.parameter)
         if self.parameter == "STI" and self.bands_hz:
             raise InputError(
                 "a target of the speech transmission index is in bands",
