@@ -18,12 +18,14 @@ from roomfit.io.campaign import read_campaign
 from roomfit.logit import logit
 from roomfit.materials.catalogue import _WORDS, broad_prior_findings, catalogue, suggested_entries
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, unknown_material
+from roomfit.objective.room_parameters import MODEL_ERROR_JND
 from roomfit.prediction.campaign import predict_arguments
 from roomfit.prediction.changes import Change, prior_dominated, read_change
 from roomfit.prediction.decay import PairNumbers, PredictedDecay
 from roomfit.prediction.output import COLUMNS, change_figure, predicted_content, predicted_csv
 from roomfit.prediction.predict import predict
 from roomfit.prediction.tables import _change
+from roomfit.signals.decay import jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
 from small_campaign import ABSORPTION, write_campaign
@@ -45,37 +47,55 @@ def numbers(values: float, noise_sd: float, draws: np.ndarray) -> PairNumbers:
     n = len(VALUE_NAMES)
     drawn = np.tile(draws[:, None, None], (1, n, 1))
     nothing = PredictedDecay(np.zeros(1), *(np.zeros((1, 1)),) * 3)
-    return PairNumbers(np.full((n, 1), values), drawn, np.full((n, 1), noise_sd), nothing)
+    return PairNumbers(
+        np.full((n, 1), values), drawn, np.full((n, 1), noise_sd), nothing, np.zeros((n, 1))
+    )
 
 
-def test_what_is_carried_over_has_both_noises_and_the_spread_of_the_measured_value():
-    """By hand, absorption known: ratios of times by relative errors, levels by their own.
+@pytest.mark.parametrize("alike", [0.0, 0.5, 1.0])
+def test_what_is_carried_over_is_the_regression_of_the_room_after_on_the_one_before(alike):
+    """By 200,000 rooms, within 3 % of the width: errors of absorption, model, interference.
 
-    A fifth of absorption's spread that both states share leaves no trace in either.
+    Of a departure of the measured value by 2 dB the slope of the regression is expected to stay.
     """
-    shared = np.array([-0.2, -0.1, 0.1, 0.2])
-    before = numbers(2.0, 0.06, 2.0 * np.exp(shared))
-    after = numbers(1.0, 0.05, 1.0 * np.exp(shared))
-    row = VALUE_NAMES.index("T20_s")
-    found = _change("T20_s", row, (after, before), np.array([2.2]), np.array([0.11]))
-    assert found.change[0] == pytest.approx(0.5)
-    assert found.change_lower95[0] == pytest.approx(0.5) == found.change_upper95[0]
-    relative = np.sqrt(0.03**2 + 0.05**2 + 0.05**2)
+    rng = np.random.default_rng(3)
+    shared, own, z, w, m, u = rng.normal(size=(6, 200_000))
+    row, s, t, stated = VALUE_NAMES.index("C80_dB"), 0.6, 0.5, 0.3
+    model = MODEL_ERROR_JND * jnd_of("C80_dB", np.ones(1))[0]
+    x, y = 2.0 + 0.4 * shared, 1.0 + 0.3 * shared + 0.2 * own
+    measured = x + model * m + s * z + stated * u
+    real = y + model * m + t * (alike * z + np.sqrt(1.0 - alike**2) * w)
+    slope = np.cov(measured, real)[0, 1] / measured.var()
+    before, after = numbers(2.0, s, x[:4000]), numbers(1.0, t, y[:4000])
+    after = replace(after, common_noise=np.full_like(after.noise_sd, alike * s * t))
+    found = _change("C80_dB", row, (after, before), np.array([4.0]), np.array([stated]))
+    assert found.carried[0] == pytest.approx(1.0 + 2.0 * slope, abs=0.03)
+    sd = np.std(real - slope * measured)
     width = found.carried_upper95[0] - found.carried_lower95[0]
-    # sixteen steps of equal probability end at 1.86 of their standard deviations
-    assert width == pytest.approx(2 * 1.96 * 1.1 * relative, rel=0.08)
-    assert found.carried[0] == pytest.approx(1.1)
-    # what is not shared moves the change, draw by draw
+    assert width == pytest.approx(2 * 1.96 * sd, rel=0.03)
+
+
+def test_a_value_that_scatters_little_is_carried_over_as_a_whole_and_one_that_scatters_not():
+    """Times by ratios; a value without a change comes back, however it scatters."""
+    row = VALUE_NAMES.index("T20_s")
+    draws = np.array([0.9, 1.0, 1.1])
+    for noise_sd, common, expected in ((1e-6, 0.0, 1.1), (1e3, 0.0, 1.0), (1e3, 1e6, 1.1)):
+        before, after = numbers(2.0, 2 * noise_sd, 2.0 * draws), numbers(1.0, noise_sd, draws)
+        after = replace(after, common_noise=np.full_like(after.noise_sd, 2.0 * common))
+        found = _change("T20_s", row, (after, before), np.array([2.2]), np.zeros(1))
+        assert found.carried[0] == pytest.approx(expected, rel=1e-4)
+        assert found.change[0] == pytest.approx(0.5)
+        assert found.change_lower95[0] == pytest.approx(0.5) == found.change_upper95[0]
+
+
+def test_the_change_of_what_is_not_shared_moves_draw_by_draw():
+    """By hand: the ratio of each draw after to the same before."""
+    shared, row = np.array([-0.2, -0.1, 0.1, 0.2]), VALUE_NAMES.index("T20_s")
+    before = numbers(2.0, 0.06, 2.0 * np.exp(shared))
     moved = numbers(1.0, 0.05, np.exp(-shared))
     apart = _change("T20_s", row, (moved, before), np.ones(1), np.zeros(1))
     ends = np.quantile(0.5 * np.exp(-2.0 * shared), (0.025, 0.975))
     np.testing.assert_allclose((apart.change_lower95[0], apart.change_upper95[0]), ends)
-    level = VALUE_NAMES.index("C80_dB")
-    before, after = numbers(2.0, 0.6, 2.0 + shared), numbers(1.0, 0.5, 1.0 + shared)
-    found = _change("C80_dB", level, (after, before), np.array([2.2]), np.array([0.4]))
-    assert found.carried[0] == pytest.approx(1.2)
-    width = found.carried_upper95[0] - found.carried_lower95[0]
-    assert width == pytest.approx(2 * 1.96 * np.sqrt(0.36 + 0.25 + 0.16), rel=0.08)
 
 
 @pytest.fixture(scope="module")
@@ -89,10 +109,14 @@ def changed(campaign, known, *texts: str, n_draws: int = 32):
 
 
 @pytest.mark.slow
-def test_what_is_carried_over_is_the_measured_value_times_the_ratio_of_the_model(campaign):
-    """Times by their ratio, levels by their difference, of pairs and of the mean over them."""
+def test_what_is_carried_over_lies_between_the_model_and_all_of_what_was_measured(campaign):
+    """Times by their ratio, levels by their difference, of pairs and of the mean over them.
+
+    Of the mean, whose interference averages out, more than of most pairs.
+    """
     found = changed(campaign, posterior(0.1), "carpet=0.1")
     plain = changed(campaign, posterior(0.1))
+    shares = []
     for one, unchanged in zip(
         (found.mean, *(p.parameters for p in found.pairs)),
         (plain.mean, *(p.parameters for p in plain.pairs)),
@@ -102,13 +126,20 @@ def test_what_is_carried_over_is_the_measured_value_times_the_ratio_of_the_model
             c = v.change
             if name in ("T20_s", "T30_s", "EDT_s"):
                 np.testing.assert_allclose(c.change, v.predicted / c.before)
-                np.testing.assert_allclose(c.carried, v.measured * c.change)
+                whole, ends = v.measured * c.change, v.predicted
             else:
                 np.testing.assert_allclose(c.change, v.predicted - c.before)
-                np.testing.assert_allclose(c.carried, v.measured + c.change)
+                whole, ends = v.measured + c.change, v.predicted
+            if np.all(np.isfinite(whole)):
+                low, high = np.minimum(whole, ends), np.maximum(whole, ends)
+                assert np.all((low - 1e-9 <= c.carried) & (c.carried <= high + 1e-9))
+            shares.append(np.divide(c.carried - ends, whole - ends))
             # the same room without a change; its trace is as long as the change needs, at least
             np.testing.assert_allclose(c.before, unchanged[name].predicted, rtol=0.02, atol=0.05)
             assert unchanged[name].change is None
+    of_mean, *of_pairs = np.array(shares).reshape(len(found.pairs) + 1, -1, 2)
+    known = np.isfinite(of_mean).all(axis=1)
+    assert np.nanmean(of_mean[known]) > np.nanmean(np.array(of_pairs)[:, known])
     assert np.all(np.isnan(found.mean["G_dB"].change.carried))  # of which nothing was measured
 
 

@@ -205,6 +205,8 @@ class PairNumbers:
     draws: FloatArray  # (n_draws, n_names, n_bands), under each draw of the absorption
     noise_sd: FloatArray  # (n_names, n_bands), of interfering reflections and the number of rays
     decay: PredictedDecay
+    # (n_names, n_bands), covariance of the noise with that before a change; 0 where none is made
+    common_noise: FloatArray
     # the speech transmission index as one name in one band, where the bands give it
     sti: PairNumbers | None = None
 
@@ -425,7 +427,7 @@ def pair_numbers(
     decay = PredictedDecay(times, decay_db, decay_db + low, decay_db + high)
     if sti_missing(bands):
         noise_sd = _noise_sd(alone, bands, own, absorption, None)[:-1]
-        return PairNumbers(values, drawn, noise_sd, decay)
+        return PairNumbers(values, drawn, noise_sd, decay, 0.0 * noise_sd)
     speech = speech_bands(bands)
     transfer = modulation_transfer(curve)[speech]
     levels_db = levels_at_listener(speech_db, values[-1, speech])
@@ -441,8 +443,9 @@ def pair_numbers(
         np.clip(index + of_draws[1:] - of_draws[0], 0.0, 1.0).reshape(-1, 1, 1),
         np.sqrt(np.sum(noise_sd[-1] ** 2, keepdims=True))[:, None],
         decay,
+        np.zeros((1, 1)),
     )
-    return PairNumbers(values, drawn, noise_sd[:-1], decay, sti)
+    return PairNumbers(values, drawn, noise_sd[:-1], decay, 0.0 * noise_sd[:-1], sti)
 
 
 def speech_bands(bands: Bands) -> IntArray:
@@ -503,7 +506,7 @@ def changed_numbers(
     if sti is not None:
         index = moved_sti(before, few_sti(few, bands, energies, there, speech_db), base[1])
         sti = replace(sti, values=index[:1, None], draws=index[1:, None, None])
-    return PairNumbers(values[0], values[1:], noise_sd, before.decay, sti)
+    return PairNumbers(values[0], values[1:], noise_sd, before.decay, before.common_noise, sti)
 
 
 def levels_at(curve: DecayCurve, times: FloatArray) -> FloatArray:

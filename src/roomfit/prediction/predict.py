@@ -20,6 +20,7 @@ from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import refuse
 from roomfit.measurement import Measurement
+from roomfit.prediction.carried import with_common_noise
 from roomfit.prediction.changes import Change, change_text, changed_draws, prior_dominated
 from roomfit.prediction.decay import (
     FewRows,
@@ -417,6 +418,10 @@ def predict_change(
     elif changes:
         numbers = [numbers_at(room, expected, drawn), room.before]
     if len(numbers) > 1:
+        numbers[0] = tuple(
+            with_common_noise(*states, few, bands, absorption.absorption, expected)
+            for *states, few in zip(*numbers, room.few, strict=True)
+        )
         areas_m2 = material_areas_m2(scene.room, int(pair_states(scene)[0]))
         doubts += prior_dominated(absorption, room.draws, changes, areas_m2, rng)
     observed = room.observed

@@ -176,7 +176,7 @@ def predicted_pairs(
             of_speech = [n.sti for n in states if n.sti is not None]
             sti = None
             if of_speech:
-                sti = _table(("STI",), of_speech, index, 0.0 * unknown, mean_index)["STI"]
+                sti = _table(("STI",), of_speech, index, np.zeros((1, 1)), mean_index)["STI"]
             found.append(PredictedPair(source, receiver, use, table, decay, sti))
     return tuple(found)
 
@@ -225,6 +225,7 @@ def _mean_table(
             _weighted(weights[:, None], np.array([n.draws for n in of_state])),
             np.sqrt(_weighted(weights**2, np.array([n.noise_sd for n in of_state]) ** 2)),
             of_state[0].decay,
+            common_noise=_weighted(weights**2, np.array([n.common_noise for n in of_state])),
         )
         for of_state in numbers
     ]
@@ -300,35 +301,49 @@ def _change(
 ) -> ValueChange:
     """Return what a change does, draw by draw: the error that both states share is in neither.
 
-    What is carried over scatters as two measurements do, each with its own interference; the error
-    of the model, common to both states, is left out.
+    Notes
+    -----
+    A measured value departs from its prediction by errors of the absorption and of the model, which
+    stay when walls change, and by how reflections interfere, which changes with them. The share
+    that is carried over is the coefficient of regression of the departure after on that before:
+    ``(c + m^2 + r s t) / (v + m^2 + s^2 + u^2)`` with v the variance of the draws before, c their
+    covariance with those after, m the model's error, s and t the scatter of both states and r its
+    correlation, u the stated standard deviation; of times in logarithms.
     """
     after, before = states
     old, new, drawn_old, drawn_new = (
         before.values[row], after.values[row], before.draws[:, row], after.draws[:, row]
     )  # fmt: skip
-    scatter = (before.noise_sd[row], after.noise_sd[row])
-    if name in FIT_RANGES_DB:
-        with np.errstate(divide="ignore", invalid="ignore"):  # unknown values
-            change, drawn = new / old, drawn_new / drawn_old
-            relative = np.hypot(scatter[0] / old, scatter[1] / new)
-            relative = np.hypot(relative, measured_sd / measured)
-        carried, carried_draws = measured * change, measured * drawn
-        scatter_sd = carried * relative
-    else:
-        change, drawn = new - old, drawn_new - drawn_old
-        carried, carried_draws = measured + change, measured + drawn
-        scatter_sd = np.hypot(np.hypot(*scatter), measured_sd)
+    sds = before.noise_sd[row], after.noise_sd[row], _model_sd(before, row, name), measured_sd
+    in_ratios = name in FIT_RANGES_DB
+    scales = (old, new, old, measured) if in_ratios else (1.0,) * 4
+    with np.errstate(divide="ignore", invalid="ignore"):  # unknown values
+        s, t, model, stated = (sd / scale for sd, scale in zip(sds, scales, strict=True))
+        change, drawn = (
+            (new / old, drawn_new / drawn_old) if in_ratios else (new - old, drawn_new - drawn_old)
+        )
+        both = after.common_noise[row] / (scales[0] * scales[1])
+        x, y = (np.log(d) if in_ratios else d for d in (drawn_old, drawn_new))
+        shared = np.mean((x - x.mean(axis=0)) * (y - y.mean(axis=0)), axis=0) + model**2 + both
+        share = np.clip(shared / (x.var(axis=0) + model**2 + s**2 + stated**2), 0.0, 1.0)
+        rest = (1.0 - share) ** 2 * model**2 + t**2 + share**2 * (s**2 + stated**2)
+        rest_sd = np.sqrt(rest - 2.0 * share * both)
+        if in_ratios:
+            carried = new * (measured / old) ** share
+            carried_draws, rest_sd = drawn_new * (measured / drawn_old) ** share, rest_sd * carried
+        else:
+            carried = new + share * (measured - old)
+            carried_draws = drawn_new + share * (measured - drawn_old)
     low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
     return ValueChange(
         old,
-        *_interval(name, drawn_old, np.hypot(scatter[0], _model_sd(before, row, name))),
+        *_interval(name, drawn_old, np.hypot(sds[0], sds[2])),
         change,
         # no direction is said to be determined that the likeliest absorption contradicts
         np.minimum(low, change),
         np.maximum(high, change),
         carried,
-        *_interval(name, carried_draws, scatter_sd),
+        *_interval(name, carried_draws, rest_sd),
     )
 
 
