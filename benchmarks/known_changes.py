@@ -351,7 +351,8 @@ def swap_together(
         f"median half width {np.median((50.0 * (high - low) / both)[judged]):.1f} %"
     )
     for state, p in found.items():
-        print(c50_of(state, unknown, p, itself))
+        print(c50_of(state, unknown, (p,), itself))
+    print(c50_of(" and ".join(found), unknown, tuple(found.values()), itself))
 
 
 def first_reflections(case: Case, result: Result) -> str:
@@ -491,29 +492,27 @@ def change_of(value: PredictedValue) -> ValueChange:
     return value.change
 
 
-def c50_of(state: str, unknown: str, changed: Predicted, itself: Predicted) -> str:
-    """Return how well the change of C50 from a known state is predicted, pair by pair."""
-    rows = [
-        (p.parameters["C50_dB"], q.parameters["C50_dB"])
-        for p, q in zip(changed.pairs, itself.pairs, strict=True)
-    ]
-    before, truth, change, low, high = (
-        np.array(x)[:, 1:]
-        for x in (
-            [p.measured for p, _ in rows],
-            [q.measured for _, q in rows],
-            [change_of(p).change for p, _ in rows],
-            [change_of(p).carried_lower95 for p, _ in rows],
-            [change_of(p).carried_upper95 for p, _ in rows],
+def c50_of(state: str, unknown: str, changed: Sequence[Predicted], itself: Predicted) -> str:
+    """Return how well C50 is carried over from known states, pair by pair, in their mean."""
+    truth = np.array([q.parameters["C50_dB"].measured for q in itself.pairs])[:, 1:]
+    before, model, carried, low, high = (
+        np.mean([[read(p.parameters["C50_dB"])[1:] for p in c.pairs] for c in changed], axis=0)
+        for read in (
+            lambda v: v.measured,
+            lambda v: v.predicted,
+            lambda v: change_of(v).carried,
+            lambda v: change_of(v).carried_lower95,
+            lambda v: change_of(v).carried_upper95,
         )
     )
-    known = np.isfinite(before + truth + change)
-    error, baseline = np.abs(before + change - truth)[known], np.abs(truth - before)[known]
+    known = np.isfinite(before + truth + carried)
+    error, raw, baseline = (np.abs(x - truth)[known] for x in (carried, model, before))
     held = ((low <= truth) & (truth <= high))[known]
     return (
-        f"C50, change from {state} to {unknown} by pair: median error {np.median(error):.2f} dB, "
-        f"{100 * np.mean(error < 1.0):.0f} % within 1 dB, {100 * held.mean():.0f} % held "
-        f"(no change predicted: {np.median(baseline):.2f} dB, "
+        f"C50, carried over from {state} to {unknown} by pair: median error "
+        f"{np.median(error):.2f} dB, {100 * np.mean(error < 1.0):.0f} % within 1 dB, "
+        f"{100 * held.mean():.0f} % held (model alone: {np.median(raw):.2f} dB, "
+        f"{100 * np.mean(raw < 1.0):.0f} %; no change predicted: {np.median(baseline):.2f} dB, "
         f"{100 * np.mean(baseline < 1.0):.0f} %)"
     )
 

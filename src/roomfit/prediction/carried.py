@@ -38,13 +38,21 @@ def with_common_noise(
         Absorption coefficients before and after, 0 to 1.
     """
     alike = scatter_correlation(few, bands, absorption, changed)
-    common = alike * before.noise_sd * after.noise_sd
     sti = after.sti
     if sti is not None and before.sti is not None:
         # early against late energy, too, over all octaves
-        of_speech = alike[VALUE_NAMES.index("D50_percent")].mean()
-        sti = replace(sti, common_noise=of_speech * before.sti.noise_sd * sti.noise_sd)
-    return replace(after, common_noise=common, sti=sti)
+        of_speech = alike[[VALUE_NAMES.index("D50_percent")]].mean(keepdims=True)
+        sti = replace(sti, common_noise=_common(before.sti, sti, of_speech))
+    return replace(after, common_noise=_common(before, after, alike), sti=sti)
+
+
+def _common(before: PairNumbers, after: PairNumbers, alike: FloatArray) -> FloatArray:
+    """Return the covariance of the noise of two states whose interference is alike."""
+    variance = before.noise_sd**2
+    steady = np.divide(
+        before.common_noise, variance, out=np.zeros_like(variance), where=variance > 0.0
+    )
+    return (steady + (1.0 - steady) * alike) * before.noise_sd * after.noise_sd
 
 
 def scatter_correlation(

@@ -205,7 +205,8 @@ class PairNumbers:
     draws: FloatArray  # (n_draws, n_names, n_bands), under each draw of the absorption
     noise_sd: FloatArray  # (n_names, n_bands), of interfering reflections and the number of rays
     decay: PredictedDecay
-    # (n_names, n_bands), covariance of the noise with that before a change; 0 where none is made
+    # (n_names, n_bands), variance of the noise that no change of walls alters, of pressures beside
+    # their energies and of the number of rays; after a change, covariance with the noise before
     common_noise: FloatArray
     # the speech transmission index as one name in one band, where the bands give it
     sti: PairNumbers | None = None
@@ -426,8 +427,8 @@ def pair_numbers(
     drawn = moved(values, found[1:], found[0])
     decay = PredictedDecay(times, decay_db, decay_db + low, decay_db + high)
     if sti_missing(bands):
-        noise_sd = _noise_sd(alone, bands, own, absorption, None)[:-1]
-        return PairNumbers(values, drawn, noise_sd, decay, 0.0 * noise_sd)
+        noise_sd, common = _noise(alone, bands, own, absorption, None)
+        return PairNumbers(values, drawn, noise_sd[:-1], decay, common[:-1])
     speech = speech_bands(bands)
     transfer = modulation_transfer(curve)[speech]
     levels_db = levels_at_listener(speech_db, values[-1, speech])
@@ -436,16 +437,16 @@ def pair_numbers(
     by_transfer, by_level = np.zeros((len(bands), len(transfer[0]))), np.zeros(len(bands))
     by_transfer[speech], by_level[speech] = sti_gradients(transfer, levels_db)
     weights = np.column_stack([by_transfer, by_level])
-    noise_sd = _noise_sd(alone, bands, own, absorption, weights)
+    noise_sd, common = _noise(alone, bands, own, absorption, weights)
     # bands scatter by themselves; one trace serves all
     sti = PairNumbers(
         index.reshape(1, 1),
         np.clip(index + of_draws[1:] - of_draws[0], 0.0, 1.0).reshape(-1, 1, 1),
         np.sqrt(np.sum(noise_sd[-1] ** 2, keepdims=True))[:, None],
         decay,
-        np.zeros((1, 1)),
+        common[-1:].sum(keepdims=True),
     )
-    return PairNumbers(values, drawn, noise_sd[:-1], decay, 0.0 * noise_sd[:-1], sti)
+    return PairNumbers(values, drawn, noise_sd[:-1], decay, common[:-1], sti)
 
 
 def speech_bands(bands: Bands) -> IntArray:
@@ -515,14 +516,16 @@ def levels_at(curve: DecayCurve, times: FloatArray) -> FloatArray:
     return np.stack([np.interp(times, curve.time_s, row) for row in levels])
 
 
-def _noise_sd(
+def _noise(
     alone: Scene,
     bands: Bands,
     own: BinnedPaths,
     absorption: FloatArray,
     weights: FloatArray | None,
-) -> FloatArray:
+) -> tuple[FloatArray, FloatArray]:
     """Return by how much values scatter though the absorption is known, (n_names + 1, n_bands).
+
+    And the part of the variance that is common to other absorptions, see `PairNumbers`.
 
     Last stands the weighted sum of modulation transfers and level, zero without `weights`.
 
@@ -532,6 +535,7 @@ def _noise_sd(
     """
     source, receiver = alone.pairs[0]
     sd = np.zeros((len(VALUE_NAMES) + 1, len(bands)))
+    common = np.zeros_like(sd)
     for band in range(len(bands)):
         one = Bands(bands.kind, bands.centres_hz[band : band + 1])
         chosen = absorption[:, band : band + 1]
@@ -549,9 +553,10 @@ def _noise_sd(
             continue
         read = partial(_read, None if weights is None else weights[band])
         _, interference, added, tracing = scatter_parts(term, 0, chosen[:, 0], read)
-        scatter = np.diag(interference + np.outer(added, added) + tracing)
-        sd[: scatter.size, band] = np.sqrt(scatter)
-    return sd
+        steady = added**2 + np.diag(tracing)
+        sd[: added.size, band] = np.sqrt(np.diag(interference) + steady)
+        common[: added.size, band] = steady
+    return sd, common
 
 
 def _read(

@@ -419,8 +419,8 @@ def predict_change(
         numbers = [numbers_at(room, expected, drawn), room.before]
     if len(numbers) > 1:
         numbers[0] = tuple(
-            with_common_noise(*states, few, bands, absorption.absorption, expected)
-            for *states, few in zip(*numbers, room.few, strict=True)
+            with_common_noise(after, before, few, bands, absorption.absorption, expected)
+            for after, before, few in zip(numbers[0], room.before, room.few, strict=True)
         )
         areas_m2 = material_areas_m2(scene.room, int(pair_states(scene)[0]))
         doubts += prior_dominated(absorption, room.draws, changes, areas_m2, rng)
