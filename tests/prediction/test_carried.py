@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from roomfit.bands import Bands
-from roomfit.prediction.carried import scatter_correlation
-from roomfit.prediction.decay import FewRows, few_energies, few_values
+from roomfit.prediction.carried import scatter_correlation, with_common_noise
+from roomfit.prediction.decay import FewRows, PairNumbers, PredictedDecay, few_energies, few_values
 from roomfit.response.energy import EnergyRows
 from roomfit.signals.iso3382 import VALUE_NAMES
 
@@ -92,3 +92,22 @@ def test_a_single_path_interferes_with_nothing(few):
     late = few_energies(alone, np.stack([before, after, unmet]))[:, 0, 5:] ** 2
     expected = late[2].sum() / np.sqrt(late[0].sum() * late[1].sum())
     assert found == pytest.approx(expected, rel=0.1)
+
+
+@pytest.mark.parametrize("steady", [0.0, 0.4, 1.0])
+def test_noise_that_no_change_alters_stays_as_a_whole(few, steady):
+    """By hand: the steady part of the variance with itself, the rest as far as it is alike."""
+    before, after = np.array([[0.2], [0.15]]), np.array([[0.2], [0.5]])
+    n = len(VALUE_NAMES)
+    nothing = PredictedDecay(np.zeros(1), *(np.zeros((1, 1)),) * 3)
+    old, new = (
+        PairNumbers(
+            np.ones((n, 1)), np.ones((2, n, 1)), np.full((n, 1), sd), nothing,
+            np.full((n, 1), steady * sd**2),
+        )
+        for sd in (0.5, 0.3)
+    )  # fmt: skip
+    found = with_common_noise(new, old, few, OCTAVE, before, after).common_noise
+    alike = scatter_correlation(few, OCTAVE, before, after)
+    np.testing.assert_allclose(found, (steady * 1.0 + (1.0 - steady) * alike) * 0.15)
+    assert np.all(found <= 0.15 + 1e-12)
