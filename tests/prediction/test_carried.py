@@ -88,8 +88,8 @@ def test_a_single_path_interferes_with_nothing(few):
     before, after = np.array([[0.2], [0.15]]), np.array([[0.2], [0.5]])
     alone = FewRows(few.edges_s, 0.0, (direct,))
     found = scatter_correlation(alone, OCTAVE, before, after)[VALUE_NAMES.index("C50_dB"), 0]
-    unmet = np.array([[0.2], [1.0]])
-    late = few_energies(alone, np.stack([before, after, unmet]))[:, 0, 5:] ** 2
+    avoiding = np.array([[0.2], [1.0]])
+    late = few_energies(alone, np.stack([before, after, avoiding]))[:, 0, 5:] ** 2
     expected = late[2].sum() / np.sqrt(late[0].sum() * late[1].sum())
     assert found == pytest.approx(expected, rel=0.1)
 

@@ -78,8 +78,8 @@ def scatter_correlation(
     value_covariances` carries variances through the derivatives of a value alike.
     """
     # a wall that absorbs all leaves the paths that never meet it
-    unmet = np.where(before == after, before, 1.0)
-    states = np.stack([before, after, unmet])
+    avoiding = np.where(before == after, before, 1.0)
+    states = np.stack([before, after, avoiding])
     energies = few_energies(few, states)
     found = np.ones((len(VALUE_NAMES), len(bands)))
     curves = [echogram_decay_curve(bands, e, few.edges_s, few.direct_s) for e in energies[:2]]
