@@ -63,19 +63,22 @@ def test_slopes_are_those_of_finite_differences():
     def compressed(by: float) -> np.ndarray:
         return np.sign(x) * peak * np.abs(x / peak) ** (1.0 + by)
 
+    def saturated(by: float) -> np.ndarray:
+        return x * (1.0 - by * (x / peak) ** 2)
+
     def windowed(by: float) -> np.ndarray:
         return x * np.exp(-0.5 * by * t)
 
     for band in range(2):
         bank = FilterBank(roomfit.Bands(BANDS.kind, BANDS.centres_hz[band : band + 1]))
-        for column, change in enumerate((compressed, windowed)):
+        for column, change in enumerate((compressed, saturated, windowed)):
             up, down = (
                 np.log(window_energies(bank, ImpulseResponse(change(s), RATE_HZ), edges_s[band])[0])
                 for s in (step, -step)
             )
             expected = (up - down) / (2.0 * step)
             # the mean time of a window stands for that of its energy: within a third of its length
-            slack = 1e-4 if column == 0 else np.diff(edges_s[band]) / 2.0
+            slack = 1e-4 if column < 2 else np.diff(edges_s[band]) / 2.0
             assert np.all(np.abs(slopes[band][:, column] - expected) <= slack)
 
 
@@ -238,6 +241,21 @@ def test_a_clean_chain_is_not_doubted_and_a_compressor_is():
     (finding,) = found_in(41, lambda x, peak: np.sign(x) * peak * np.abs(x / peak) ** 0.8)
     assert finding.code is Code.LEVELS_NOT_LINEAR
     assert finding.evidence["exponent"] == pytest.approx(0.8, abs=0.08)  # 4 sds
+
+
+@pytest.mark.slow
+def test_an_overdriven_input_is_found():
+    """A hyperbolic tangent that levels off at a third of the peak, by 7 standard deviations.
+
+    The power, which bends what is faint as well, says nothing of it.
+    """
+    (finding,) = found_in(41, lambda x, peak: 0.3 * peak * np.tanh(x / (0.3 * peak)))
+    assert finding.code is Code.LEVELS_NOT_LINEAR
+    assert "overdriven" in finding.sentence
+    loss, sd = (finding.evidence[k] for k in ("loss_at_peak", "loss_at_peak_sd"))
+    assert loss > 4.0 * sd
+    assert 0.3 < loss < 0.7
+    assert finding.evidence["exponent"] == pytest.approx(1.0, abs=0.1)
 
 
 @pytest.mark.slow

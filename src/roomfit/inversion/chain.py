@@ -1,8 +1,9 @@
 """Whether the chain was linear and left the decay alone, and whether what is fixed can be true.
 
 Each is one more unknown that the fit does not have: the exponent of a compressor or an expander,
-the decay rate of a window that was left in the files, the absorption of a material that the
-campaign fixes. How far the data ask for it follows from the fit as it is, by the score test [1]_.
+the saturation of a limiter or of clipping, the decay rate of a window that was left in the files,
+the absorption of a material that the campaign fixes. How far the data ask for it follows from the
+fit as it is, by the score test [1]_.
 
 References
 ----------
@@ -36,9 +37,9 @@ from roomfit.typing import FloatArray
 # In standard deviations; a right room exceeds 4 by chance once in 16,000, and clean rooms of
 # another program and measured ones less than 3: docs/how-far-to-trust.md.
 _FEWEST_SDS = 4.0
-# An exponent nearer to 1, and a decay rate that is a smaller share of the room's own, does less to
-# absorption than intervals allow for.
-_LEAST_EXPONENT, _LEAST_RATE = 0.04, 0.05
+# An exponent nearer to 1, a smaller loss at the peak, and a decay rate that is a smaller share of
+# the room's own, do less to absorption than intervals allow for.
+_LEAST_EXPONENT, _LEAST_LOSS, _LEAST_RATE = 0.04, 0.05, 0.05
 _FEWEST_BANDS = 2  # one value that all share
 # Noise is sought in the last two fifths of a file and until 3 ms before the direct sound, above
 # 500 Hz; rates of its parts are alike within a quarter.
@@ -116,7 +117,8 @@ def chain_slopes(
     """Return how a chain changes the logarithm of each window's energy, a band after the other.
 
     By the exponent p of sign(x) abs(x / peak)**p at p = 1, where the derivative of the samples is
-    x ln abs(x / peak); and by the rate of exp(-rate t) on the energy, where it is -t.
+    x ln abs(x / peak); by the loss c at the peak of x (1 - c (x / peak)**2), the first term of any
+    saturation; and by the rate of exp(-rate t) on the energy, where it is -t.
 
     Parameters
     ----------
@@ -128,24 +130,27 @@ def chain_slopes(
 
     Returns
     -------
-    list of float array, shape (n_windows, 2)
+    list of float array, shape (n_windows, 3)
     """
     bank, size = FilterBank(bands), np.abs(m.response.pressure)
     logs = np.log(np.where(size > 0.0, size / peak, 1.0))
-    moved = replace(m.response, pressure=m.response.pressure * logs)
+    changes = [
+        filter_pressure(bank, replace(m.response, pressure=m.response.pressure * factor))
+        for factor in (logs, -((size / peak) ** 2))
+    ]
     rate_hz = m.response.sampling_rate_hz
     boundaries_s = np.append(times_s(m.response), times_s(m.response)[-1] + 1.0 / rate_hz)
     boundaries_s -= 0.5 / rate_hz
     out = []
-    for pressure, change, own_s in zip(
-        filter_pressure(bank, m.response), filter_pressure(bank, moved), edges_s, strict=True
+    for pressure, by_power, by_loss, own_s in zip(
+        filter_pressure(bank, m.response), *changes, edges_s, strict=True
     ):
-        whole, part = (
+        whole, *parts = (
             np.diff(np.interp(own_s, boundaries_s, np.append(0.0, np.cumsum(x))))
-            for x in (pressure**2, 2.0 * pressure * change)
+            for x in (pressure**2, 2.0 * pressure * by_power, 2.0 * pressure * by_loss)
         )
-        by_power = np.divide(part, whole, out=np.zeros_like(part), where=whole > 0.0)
-        out.append(np.stack((by_power, -0.5 * (own_s[1:] + own_s[:-1])), axis=1))
+        relative = np.divide(parts, whole, out=np.zeros_like(parts), where=whole > 0.0)
+        out.append(np.stack((*relative, -0.5 * (own_s[1:] + own_s[:-1])), axis=1))
     return out
 
 
@@ -182,10 +187,10 @@ def _asked(fitted: Sequence[FittedWindows], relative: Sequence[FloatArray]) -> S
 def chain_findings(
     bands: Bands, fitted: Sequence[FittedWindows], *, is_directed: bool
 ) -> tuple[Finding, ...]:
-    """Return a finding where levels were bent by a power, or the decay by a window.
+    """Return a finding where levels were bent by a power or saturated, or the decay by a window.
 
-    The two look alike in a decay, but not over the distances of direct sound and reflections;
-    the one that is clearer is named. One value is common to all bands.
+    They look alike in a decay, but not over the distances of direct sound and reflections; the
+    one that is clearest is named. One value is common to all bands.
 
     Parameters
     ----------
@@ -207,46 +212,56 @@ def chain_findings(
         for w, own in zip(reached, chain_slopes(chosen, m, edges_s, peak), strict=True):
             slopes[w.band, w.files.index(m)] = own
     relative = [np.concatenate([slopes[w.band, i] for i in range(len(w.files))]) for w in fitted]
-    power = _asked(fitted, [r[:, :1] for r in relative])
-    window = _asked(fitted, [r[:, 1:] for r in relative])
+    power, loss, window = (_asked(fitted, [r[:, k : k + 1] for r in relative]) for k in range(3))
     rate_per_s = float(np.median([w.decay_rate_per_s for w in fitted]))
-    sizes = (abs(power.value) / power.sd, abs(window.value) / window.sd)
-    clear = (
-        not is_directed and sizes[0] > _FEWEST_SDS and abs(power.value) > _LEAST_EXPONENT,
-        sizes[1] > _FEWEST_SDS and abs(window.value) > _LEAST_RATE * rate_per_s,
-    )
+    sizes = [abs(s.value) / s.sd for s in (power, loss, window)]
+    least = (_LEAST_EXPONENT, _LEAST_LOSS, _LEAST_RATE * rate_per_s)
+    clear = [
+        size > _FEWEST_SDS and abs(s.value) > smallest
+        for s, size, smallest in zip((power, loss, window), sizes, least, strict=True)
+    ]
+    # nothing saturates by a gain
+    clear[1] &= loss.value > 0.0
+    clear[:2] = [c and not is_directed for c in clear[:2]]
     evidence = {
         "exponent": round(1.0 + power.value, 4),
         "exponent_sd": round(power.sd, 4),
+        "loss_at_peak": round(loss.value, 4),
+        "loss_at_peak_sd": round(loss.sd, 4),
         "rate_per_s": round(window.value, 3),
         "rate_sd_per_s": round(window.sd, 3),
         "bands_hz": bands.centres_hz[[w.band for w in fitted]].tolist(),
     }
-    if clear[0] and (sizes[0] >= sizes[1] or not clear[1]):
+    clearest = int(np.argmax(np.where(clear, sizes, 0.0)))
+    if not clear[clearest]:
+        return ()
+    if clearest < 2:
         kind = "compressor or limiter" if power.value < 0.0 else "expander or gate"
+        said = f"as by the power {1.0 + power.value:.2f} +- {power.sd:.2f} of the pressure"
+        if clearest == 1:
+            kind = "limiter or an overdriven input"
+            said = f"where they are loud, by {loss.value:.2f} +- {loss.sd:.2f} at the peak"
         return (
             Finding(
                 Code.LEVELS_NOT_LINEAR,
-                f"Levels are bent as by the power {1.0 + power.value:.2f} +- {power.sd:.2f} of the "
-                f"pressure, in all bands and over all distances alike: a {kind} is in the chain, "
-                "the files were processed, or a source that was taken for omnidirectional is none. "
-                "Measure again without it; no material is called identifiable.",
+                f"Levels are bent {said}, in all bands and over all distances alike: a {kind} is "
+                "in the chain, the files were processed, or a source that was taken for "
+                "omnidirectional is none. Measure again without it; no material is called "
+                "identifiable.",
                 evidence,
             ),
         )
-    if clear[1]:
-        way = "fast" if window.value > 0.0 else "slowly"
-        return (
-            Finding(
-                Code.DECAY_BENT,
-                f"The sound decays too {way} for its early reflections, by "
-                f"{window.value:.1f} +- {window.sd:.1f} of energy per second alike in all bands "
-                f"(the room's own: {rate_per_s:.0f}): an exponential window was left in the files, "
-                "or something absorbs that is not described. No material is called identifiable.",
-                evidence,
-            ),
-        )
-    return ()
+    way = "fast" if window.value > 0.0 else "slowly"
+    return (
+        Finding(
+            Code.DECAY_BENT,
+            f"The sound decays too {way} for its early reflections, by "
+            f"{window.value:.1f} +- {window.sd:.1f} of energy per second alike in all bands "
+            f"(the room's own: {rate_per_s:.0f}): an exponential window was left in the files, "
+            "or something absorbs that is not described. No material is called identifiable.",
+            evidence,
+        ),
+    )
 
 
 def fixed_absorption_findings(
