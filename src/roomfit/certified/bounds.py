@@ -72,10 +72,7 @@ def lowered(
 ) -> tuple[float, float, float]:
     """Return the least misfit for L in [level, level + remainder], convex in `level`, and slopes.
 
-    Parameters
-    ----------
-    tail : float
-        From `tail_of_squares`; to its left the line replaces the squares.
+    `tail`: from `tail_of_squares`; to its left the line replaces the squares.
     """
     best = math.log(m) if m > 0.0 else -math.inf
     top = level + remainder
@@ -176,10 +173,7 @@ def vertex_remainder(
     The logarithm of a sum of exponentials is convex, so that the highest point above a plane is a
     vertex; all are tried. Infinite where a row may change by a factor beyond e**600.
 
-    Parameters
-    ----------
-    product, sums : float arrays, shape (2 ** n,)
-        Scratch.
+    `product`, `sums`, shape (2 ** n,) each: scratch.
     """
     offsets, exponents = global_problem[0], global_problem[2]
     n = exponents.shape[1]
@@ -376,11 +370,8 @@ def planes_over(
     weights p average to 0: ``exp(u) <= 1 + u + kappa(rho) u**2`` for ``|u| <= rho``, hence
     ``log(1 + max over the box of d' S d)`` with the second moments S of `spread_of_window`.
 
-    Parameters
-    ----------
-    threshold : float
-        Planes are only valid where the whole misfit is no greater: a window of squares may then
-        lie below what was measured by no more than the root of what the others leave over.
+    `threshold`: planes are only valid where the whole misfit is no greater: a window of squares may
+    then lie below what was measured by no more than the root of what the others leave over.
     """
     measured, precision = global_problem[3], global_problem[4]
     n, windows = len(lo), len(measured)

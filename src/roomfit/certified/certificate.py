@@ -85,9 +85,7 @@ def certify(global_problem: GlobalProblem, settings: SearchSettings) -> Certific
 def touching(boxes: FloatArray) -> IntArray:
     """Return the number of the cluster of each box, shape (n_boxes,): closed boxes that meet.
 
-    Parameters
-    ----------
-    boxes : float array, shape (n_boxes, 2, n)
+    `boxes` has the shape (n_boxes, 2, n).
     """
     label: IntArray = np.full(len(boxes), -1)
     number = 0
@@ -231,10 +229,7 @@ def affordable_certificate(objective: Objective, vector: FloatArray) -> Certific
     None where other data are fitted, more than three numbers are unknown, there are too many rows,
     or the search is not complete after two seconds.
 
-    Parameters
-    ----------
-    vector : float array, shape (n_free,)
-        The fit; its weights are kept.
+    `vector`, shape (n_free,): the fit; its weights are kept.
     """
     few = 0 < vector.size <= _AFFORDABLE_UNKNOWNS
     energies, parameters = only_energies(objective), objective.parameters

@@ -194,9 +194,7 @@ def area_vector_m2(corners_m: FloatArray) -> FloatArray:
     Counter-clockwise corners give a vector that points to the viewer. Exact for flat polygons of
     any outline; the area of a warped one is that of its shadow along the mean normal.
 
-    Parameters
-    ----------
-    corners_m : float array, shape (n_corners, 3)
+    `corners_m` has the shape (n_corners, 3).
     """
     from_first = corners_m - corners_m[0]
     return np.asarray(0.5 * np.cross(from_first, np.roll(from_first, -1, axis=0)).sum(axis=0))
@@ -209,10 +207,8 @@ def triangulate(corners_m: FloatArray) -> Triangulation:
     twice. A fan from the first corner, as many readers cut it, would cover the notch of an
     L-shaped floor.
 
-    Parameters
-    ----------
-    corners_m : float array, shape (n_corners, 3)
-        In order around the polygon, the last one not repeating the first.
+    `corners_m`, shape (n_corners, 3): in order around the polygon, the last one not repeating the
+    first.
     """
     vector = area_vector_m2(corners_m)
     area = float(np.linalg.norm(vector))
@@ -298,9 +294,7 @@ def weld(points_m: FloatArray, tolerance_m: float = WELD_TOLERANCE_M) -> IntArra
     Points nearer than the tolerance belong together, and so do chains of them. The earliest point
     stands for its group, so that coordinates of the file stay as they were written.
 
-    Parameters
-    ----------
-    points_m : float array, shape (n_points, 3)
+    `points_m` has the shape (n_points, 3).
     """
     # equal points first: a file that repeats each corner for every face has thousands of pairs
     _, first, inverse = np.unique(points_m, axis=0, return_index=True, return_inverse=True)

@@ -78,12 +78,6 @@ class Problem:
                 found=f"{n_pairs} pairs at {n_f} frequencies",
                 needed=f"{len(scene.pairs)} pairs at {len(self.model.frequency_hz)}",
             )
-        if len(self.curves) != len(scene.room.materials):
-            raise InputError(
-                "curves and materials disagree",
-                found=f"{len(self.curves)} curves",
-                needed=f"one for each of {', '.join(scene.room.materials)}",
-            )
         if has_free_spectra(self.nuisances) and not self.observed.has_phase:
             raise InputError(
                 "an unknown spectrum of the source needs pressures with phase",
@@ -390,10 +384,8 @@ def _slopes(problem: Problem, x: FloatArray, g: Gradients) -> ComplexArray:
 def prior_rows(problem: Problem, x: FloatArray, roughness_sd: FloatArray) -> Rows:
     """Return the priors of the unknowns as residuals of unit variance.
 
-    Parameters
-    ----------
-    roughness_sd : float array, shape (n_materials,)
-        Standard deviation of the second difference of a curve's coefficients.
+    `roughness_sd`, shape (n_materials,): standard deviation of the second difference of a curve's
+    coefficients.
     """
     layout = problem.layout
     rows: list[FloatArray] = []

@@ -18,7 +18,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from roomfit._checks import bool_array, float_array, unique_names
+from roomfit._checks import bool_array, check_known, check_range, float_array, unique_names
 from roomfit.bands import OCTAVES_HZ, Bands
 from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
@@ -373,16 +373,9 @@ def export_materials(
     InputError
         There is no such format, or the scattering is out of range.
     """
-    if wanted not in FORMATS:
-        raise InputError(
-            "no such format for an export",
-            found=repr(wanted),
-            needed=", ".join((*FORMATS, "excel", "gltf")),
-        )
-    if not 0.0 <= scattering <= 1.0:
-        raise InputError(
-            "scattering coefficient out of range", found=f"{scattering:g}", needed="0 to 1"
-        )
+    if wanted not in FORMATS:  # the other two are no text
+        check_known("no such format for an export", wanted, (*FORMATS, "excel", "gltf"))
+    check_range("scattering coefficient", scattering, 0.0, 1.0)
     specified = table.scattering
     scatter = np.full(table.absorption.shape, scattering) if specified is None else specified
     findings = [*_not_identifiable(table)]

@@ -260,10 +260,8 @@ def in_jnd(parameter: str, measured: FloatArray, predicted: FloatArray) -> Float
 def jnd_of(parameter: str, values: FloatArray) -> FloatArray:
     """Return one just noticeable difference of a parameter, in its own unit, at given values.
 
-    Parameters
-    ----------
-    parameter : str
-        "EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms", "G_dB" or "STI".
+    `parameter`: "EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms", "G_dB" or
+    "STI".
 
     Raises
     ------
@@ -407,10 +405,7 @@ def room_parameters(curve: DecayCurve) -> RoomParameters:
 
     The same function serves measured and predicted curves, so that neither is favoured.
 
-    Parameters
-    ----------
-    curve : DecayCurve
-        From `decay_curve` or `echogram_decay_curve`.
+    `curve`: from `decay_curve` or `echogram_decay_curve`.
 
     Returns
     -------
@@ -452,10 +447,7 @@ def room_parameters(curve: DecayCurve) -> RoomParameters:
 def range_findings(parameters: RoomParameters, where: str) -> tuple[Finding, ...]:
     """Return a finding for the bands in which T20 could not be evaluated.
 
-    Parameters
-    ----------
-    where : str
-        Names the response in the sentence.
+    `where`: names the response in the sentence.
     """
     missing = parameters.bands.centres_hz[~parameters.valid[PARAMETER_NAMES.index("T20_s")]]
     if not missing.size:

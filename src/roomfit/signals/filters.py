@@ -209,10 +209,8 @@ def filter_pressure(bank: FilterBank, response: ImpulseResponse) -> FloatArray:
 def window_energies(bank: FilterBank, response: ImpulseResponse, edges_s: FloatArray) -> FloatArray:
     """Return the measured energy of every band in every time window (the first front end).
 
-    Parameters
-    ----------
-    edges_s : float array, shape (n_windows + 1,)
-        Rising times after emission. Before and after the file there is silence.
+    `edges_s`, shape (n_windows + 1,): rising times after emission. Before and after the file there
+    is silence.
 
     Returns
     -------
@@ -291,10 +289,7 @@ def spreading_matrix(
 ) -> csr_array:
     """Return `energy_share` of many impulses as a sparse matrix.
 
-    Parameters
-    ----------
-    delays_s : float array, shape (n_impulses,)
-        Rising.
+    `delays_s`, shape (n_impulses,): rising.
 
     Returns
     -------

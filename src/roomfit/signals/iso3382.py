@@ -433,10 +433,7 @@ def joined_values(
     The mean of what is known. Its standard deviation is the stated one or half of the range
     between them, whichever is larger.
 
-    Parameters
-    ----------
-    repeated : tuple of MeasuredValues
-        Of one pair and with the same bands, at least one.
+    `repeated`: of one pair and with the same bands, at least one.
     """
     first = repeated[0]
     if len(repeated) == 1:

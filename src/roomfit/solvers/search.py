@@ -206,9 +206,7 @@ def simplex_around(x: FloatArray, size: float) -> FloatArray:
     size : float
         Length of each edge, at most 0.5; the edge points to the farther wall.
 
-    Returns
-    -------
-    float array, shape (n + 1, n)
+    The result has the shape (n + 1, n).
     """
     edges = np.diag(np.where(x <= 0.5, size, -size))
     return np.concatenate((x[None, :], x + edges))

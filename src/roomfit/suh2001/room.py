@@ -54,10 +54,7 @@ def window_energies(rows: EnergyRows, absorption: FloatArray) -> FloatArray:
 def error(problem: SquaresProblem, absorption: FloatArray) -> float:
     """Return equation (1): the sum of ``(M - R)**2`` over windows.
 
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials,)
-        0 to 1.
+    `absorption`, shape (n_materials,): 0 to 1.
     """
     difference = window_energies(problem.rows, absorption) - problem.measured
     return float(difference @ difference)
@@ -174,10 +171,7 @@ WALLS_APART = Division(
 def paper_scene(shape: Shape = "paper") -> Scene:
     """Return the room with its three pairs, "S1" to "R1" first; every plane a material of its own.
 
-    Parameters
-    ----------
-    shape : {"paper", "disproportionate"}
-        The second is three times as long and a quarter as wide, positions included.
+    The shape "disproportionate" is three times as long and a quarter as wide, positions included.
     """
     stretch = np.array(_STRETCH[shape])
     profile = [(0.0, 0.0), (_LENGTH_M, 0.0), (_LENGTH_M, _HEIGHTS_M[2])]
@@ -314,10 +308,7 @@ SPECIFICATIONS: Mapping[str, Specification] = MappingProxyType(
 def paper_problem(name: str, paths: Paths) -> PaperProblem:
     """Return a problem by its name, from the paths of `paper_scene` in the shape that it asks for.
 
-    Parameters
-    ----------
-    name : str
-        A key of `SPECIFICATIONS`.
+    `name`: a key of `SPECIFICATIONS`.
     """
     wanted = SPECIFICATIONS[name]
     windows_s = _windows_s(paths, wanted)
@@ -364,10 +355,7 @@ def _windows_s(paths: Paths, wanted: Specification) -> FloatArray:
 def division_rows(paths: Paths, case: int, windows_s: FloatArray, division: Division) -> EnergyRows:
     """Return the rows of one pair in the paper's unit of energy, hits counted by material.
 
-    Parameters
-    ----------
-    windows_s : float array, shape (n_windows + 1,)
-        Edges of the windows, from emission.
+    `windows_s`, shape (n_windows + 1,): edges of the windows, from emission.
     """
     rows = energy_rows(paths, case, windows_s, SPEED_OF_SOUND_M_S)
     grouped = grouped_rows(rows, division.materials, np.array(division.group))

@@ -274,10 +274,7 @@ def simulated_responses(
     Image sources whose pressures add; a loudspeaker with a spectrum and a phase of its own. True
     positions are a centimetre off the specified ones; noise lies 60 dB below each response's peak.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Draws position errors, loudspeaker levels and noise.
+    `rng`: draws position errors, loudspeaker levels and noise.
 
     Returns
     -------
@@ -492,9 +489,7 @@ def _unit(vectors: FloatArray) -> FloatArray:
 def specular_box(synthetic: SyntheticBox, scattering: FloatArray) -> SyntheticBox:
     """Return the box whose walls reflect only the specular part, ``(1 - a) (1 - s)``.
 
-    Parameters
-    ----------
-    scattering : float array, shape (6,)
+    `scattering` has the shape (6,).
     """
     kept = (1.0 - synthetic.absorption) * (1.0 - scattering)[:, None]
     return replace(synthetic, absorption=1.0 - kept)
