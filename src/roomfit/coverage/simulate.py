@@ -23,12 +23,13 @@ from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.scattering import band_factors
 from roomfit.inversion.trace_plan import LEAST_RAYS, plan_trace
 from roomfit.io.campaign import Campaign, MeasuredTable
+from roomfit.io.encoding import csv_text
 from roomfit.io.iso3382 import NAMES
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.response.directivity import Pattern, UnknownDirectivity
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.settings import Settings
-from roomfit.signals.decay import decay_curve, room_parameters
+from roomfit.signals.decay import PARAMETER_NAMES, decay_curve, room_parameters
 from roomfit.signals.filters import FilterBank, filter_pressure
 from roomfit.signals.iso3382 import ValueName
 from roomfit.signals.response import ImpulseResponse, padded
@@ -313,11 +314,11 @@ def synthetic_table(
     stays empty.
     """
     bands = plan.campaign.bands
-    lines = [",".join(("source", "receiver", "parameter", *(f"{f:g}" for f in bands.centres_hz)))]
+    rows = []
 
     def add(source: str, receiver: str, key: str, values: FloatArray) -> None:
         cells = [f"{v:.6g}" if np.isfinite(v) else "" for v in values]
-        lines.append(",".join((source, receiver, key, *cells)))
+        rows.append([source, receiver, key, *cells])
 
     source_m = {s.name: s.position_m for s in synthetic.sources}
     receiver_m = {r.name: r.position_m for r in synthetic.receivers}
@@ -330,7 +331,9 @@ def synthetic_table(
             add(source, receiver, _WRITTEN[name], _possible(name, found[name] + error))
             if np.isfinite(spread).any():
                 add(source, receiver, f"{_WRITTEN[name]}_sd", spread)
-    return "\n".join(lines) + "\n"
+    return csv_text(
+        ["source", "receiver", "parameter", *(f"{f:g}" for f in bands.centres_hz)], rows
+    )
 
 
 def _values(
@@ -339,11 +342,8 @@ def _values(
     """Return all parameters of a response in absolute pressures."""
     bank = FilterBank(bands)
     parameters = room_parameters(decay_curve(bank, response, direct_s))
-    found: dict[ValueName, FloatArray] = {"G_dB": _strength_db(bank, response)}
-    for name in _WRITTEN:
-        if name != "G_dB":
-            found[name] = parameters.of(name)
-    return found
+    others: dict[ValueName, FloatArray] = {name: parameters.of(name) for name in PARAMETER_NAMES}
+    return {"G_dB": _strength_db(bank, response), **others}
 
 
 def _strength_db(bank: FilterBank, response: ImpulseResponse) -> FloatArray:
