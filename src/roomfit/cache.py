@@ -85,14 +85,9 @@ class BrokenRecordError(ValueError):
 def save_record(path: Path, value: object) -> None:
     """Write a record as a NumPy archive: arrays as they are, all else as one text in JSON.
 
-    Parameters
-    ----------
-    path : Path
-        Written directly, not under another name first.
-    value : object
-        None, truth values, numbers, text, bytes, arrays, members of enumerations of text, and
-        dataclasses, tuples, lists and mappings (with text as keys) of these. Lists come back
-        as tuples.
+    A record is None, truth values, numbers, text, bytes, arrays, members of enumerations of text,
+    and dataclasses, tuples, lists and mappings (with text as keys) of these. Lists come back as
+    tuples. The file is written directly, not under another name first.
 
     Raises
     ------
@@ -253,15 +248,7 @@ def _nearest_folder(path: Path) -> Path:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder, and those above it, where there is none.
-
-    Raises
-    ------
-    InputError
-        A file is in its place.
-    StoreError
-        The disk refuses.
-    """
+    """Make a folder where there is none; errors as of `check_output_folder`."""
     _nearest_folder(path)
     try:
         path.mkdir(parents=True, exist_ok=True)

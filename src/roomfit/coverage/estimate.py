@@ -330,10 +330,7 @@ class CoverageResult:
     def to_dataframe(self) -> Any:
         """Return a pandas data frame of one row a band, then all of them, as calibration.csv.
 
-        Raises
-        ------
-        InputError
-            pandas, on which roomfit does not depend, is not installed.
+        Without pandas, on which roomfit does not depend, an `InputError` says what to install.
         """
         from roomfit.coverage.output import COLUMNS, coverage_numbers
         from roomfit.report.wording import data_frame

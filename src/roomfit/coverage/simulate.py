@@ -35,12 +35,14 @@ from roomfit.signals.iso3382 import ValueName
 from roomfit.signals.response import ImpulseResponse, padded
 from roomfit.synthetic.boxes import (
     ECHOGRAM_BIN_S,
+    PRESSURE_SQUARED,
     SyntheticBox,
     diffuse_echogram,
     loudspeaker,
     modulated_noise,
     octave_shares,
     pressure_response,
+    spectrum_of_impulses,
     specular_box,
 )
 from roomfit.synthetic.polyhedra import SyntheticPolyhedron, convex_cells, pressure_responses
@@ -53,9 +55,6 @@ _NOTHING = 1e-30
 Pair = tuple[str, str]
 Pressures = dict[Pair, FloatArray]
 """After an impulse at time 0, (n_samples,): a unit source's direct sound is 1 / (4 pi r)."""
-
-# Energies are 1/(4 pi r^2) where the square of the pressure is 1/(4 pi r)^2.
-_PRESSURE_SQUARED = 1.0 / (4.0 * np.pi)
 
 
 def traced_pressures(
@@ -129,24 +128,20 @@ def _pressure(
 ) -> FloatArray:
     """Return the pressure of one pair: its image paths as impulses, its rays as noise."""
     mirrored, caught = np.flatnonzero(own & images), np.flatnonzero(own & ~images)
-    fine = np.round(times_s[mirrored] * rate_hz * _OVERSAMPLING).astype(np.int64)
-    frequencies = np.linspace(0.0, 0.5 * rate_hz, n_samples + 1)
-    shares = octave_shares(plan.grid.centres_hz, frequencies)
-    spectrum = np.zeros(n_samples + 1, dtype=np.complex128)
-    n_bins = int(np.ceil(n_samples / rate_hz / ECHOGRAM_BIN_S)) + 1
-    bins = (times_s[caught] / ECHOGRAM_BIN_S).astype(np.int64)
-    echogram = np.zeros((len(plan.grid), n_bins))
-    for band, share in enumerate(shares):
-        amplitude = np.sqrt(_PRESSURE_SQUARED * energy[band, mirrored])
-        impulse_grid = np.bincount(fine, amplitude, 2 * n_samples * _OVERSAMPLING)
-        spectrum += share * np.fft.rfft(impulse_grid)[: n_samples + 1]
-        echogram[band] = np.bincount(bins, energy[band, caught], n_bins)
+    amplitudes, centres_hz = np.sqrt(PRESSURE_SQUARED * energy[:, mirrored]), plan.grid.centres_hz
+    spectrum = spectrum_of_impulses(
+        times_s[mirrored], amplitudes.__getitem__, centres_hz, n_samples, rate_hz, _OVERSAMPLING
+    )
     specular = np.asarray(np.fft.irfft(spectrum, 2 * n_samples)[:n_samples])
-    flat = np.zeros(len(plan.grid))
     if not caught.size:
         return specular
-    noise = modulated_noise(echogram, n_samples, rate_hz, plan.grid.centres_hz, flat, rng)
-    return np.asarray(specular + noise)
+    n_bins = int(np.ceil(n_samples / rate_hz / ECHOGRAM_BIN_S)) + 1
+    bins = (times_s[caught] / ECHOGRAM_BIN_S).astype(np.int64)
+    echogram = np.array([np.bincount(bins, row, n_bins) for row in energy[:, caught]])
+    flat = np.zeros(len(plan.grid))
+    return np.asarray(
+        specular + modulated_noise(echogram, n_samples, rate_hz, centres_hz, flat, rng)
+    )
 
 
 BOX, SCATTERING_BOX = "images of a box", "images and scattered noise of a box"

@@ -359,7 +359,7 @@ def _nearest_law(
     own = fit.covariance[place, place]
     variance = np.real(np.einsum("fi,ij,fj->f", slope, own, slope.conj()))
     weight = 1.0 / np.sqrt(variance + _LAW_ERROR**2)
-    best: tuple[Curve, float] | None = None
+    fitted: list[tuple[Curve, float]] = []
     for kind in kinds:
         if kind == "constant":
             mean = complex(np.sum(weight**2 * fit.r0[material]) / np.sum(weight**2))
@@ -375,11 +375,8 @@ def _nearest_law(
                 wall.parameters if wall.kind != "auto" else None,
             )
             found, misfit = _fitted_law(law, fit.r0[material], weight, rng)
-        if best is None or misfit < best[1]:
-            best = found, misfit
-    if best is None:
-        raise ValueError("no law to fit")
-    return best
+        fitted.append((found, misfit))
+    return min(fitted, key=lambda one: one[1])
 
 
 def _fitted_law(

@@ -188,10 +188,7 @@ class ImpedanceResult:
     def to_dataframe(self) -> Any:
         """Return a pandas data frame of one row a material and frequency, as impedance.csv.
 
-        Raises
-        ------
-        InputError
-            pandas, on which roomfit does not depend, is not installed.
+        Without pandas, on which roomfit does not depend, an `InputError` says what to install.
         """
         from roomfit.impedance.output import csv_columns, csv_rows
         from roomfit.report.wording import data_frame

@@ -318,18 +318,15 @@ def pyroomacoustics_text(table: MaterialTable, scattering: FloatArray) -> str:
     each with ``coeffs`` and ``center_freqs`` in the bands of the result.
     """
     centres = [float(f) for f in table.bands.centres_hz]
+    quantities = (("energy_absorption", table.absorption), ("scattering", scattering))
     content = {
         name: {
-            "energy_absorption": {
+            quantity: {
                 "description": name,
-                "coeffs": [round(float(v), 5) for v in table.absorption[i]],
+                "coeffs": [round(float(v), 5) for v in values[i]],
                 "center_freqs": centres,
-            },
-            "scattering": {
-                "description": name,
-                "coeffs": [round(float(v), 5) for v in scattering[i]],
-                "center_freqs": centres,
-            },
+            }
+            for quantity, values in quantities
         }
         for i, name in enumerate(table.names)
     }
