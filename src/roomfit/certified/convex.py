@@ -249,9 +249,7 @@ def least_prior(prior: FloatArray, lo: float, hi: float) -> float:
     x0, x1 = math.exp(lo), math.exp(hi)
     most = math.log((a - x0) / (x0 - b)) if b < x0 < a else math.inf
     least = math.log((a - x1) / (x1 - b)) if b < x1 < a else -math.inf
-    if x0 >= a:
-        return math.inf
-    if x1 <= b:
+    if x0 >= a or x1 <= b:
         return math.inf
     off = max(max(mean - most, least - mean), 0.0)
     return float(p * off * off * (1.0 - 1e-12))
@@ -528,6 +526,16 @@ def total_misfit(global_problem: Arrays, g: FloatArray, most: int) -> float:
 
 
 @kernel()
+def _slopes_at(global_problem: Arrays, g: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
+    """Return window energies and the slopes of their logarithms by g, (n_windows, n)."""
+    energy = np.empty(len(global_problem[3]))
+    slope, values = np.empty((len(energy), len(g))), np.empty(len(global_problem[1]))
+    far = np.zeros(len(g), dtype=np.bool_)
+    log_slopes(global_problem, powers(g, most), far, values, energy, slope)
+    return energy, slope
+
+
+@kernel()
 def misfit_slopes(
     global_problem: Arrays,
     g: FloatArray,
@@ -538,11 +546,7 @@ def misfit_slopes(
     """Return the misfit and fill its gradient and Gauss-Newton Hessian by g."""
     measured, precision, prior = global_problem[3], global_problem[4], global_problem[5]
     n, windows = len(g), len(measured)
-    far = np.zeros(n, dtype=np.bool_)
-    energy, slope = np.empty(windows), np.empty((windows, n))
-    log_slopes(
-        global_problem, powers(g, most), far, np.empty(len(global_problem[1])), energy, slope
-    )
+    energy, slope = _slopes_at(global_problem, g, most)
     total = 0.0
     for a in range(n):
         value, first, second = prior_at(prior[a], g[a])
@@ -633,14 +637,9 @@ def _sensitivity(global_problem: Arrays, g: FloatArray, most: int, reach: float)
     exponents and the distance.
     """
     measured, precision = global_problem[3], global_problem[4]
-    windows = len(measured)
-    far = np.zeros(len(g), dtype=np.bool_)
-    energy, slope = np.empty(windows), np.empty((windows, len(g)))
-    log_slopes(
-        global_problem, powers(g, most), far, np.empty(len(global_problem[1])), energy, slope
-    )
+    energy, slope = _slopes_at(global_problem, g, most)
     total = 0.0
-    for i in range(windows):
+    for i in range(len(measured)):
         if energy[i] > 0.0:
             _, first, second = in_log(measured[i], precision[i], math.log(energy[i]))
             hits = 0.0

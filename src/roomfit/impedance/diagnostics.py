@@ -277,8 +277,8 @@ def _found_nuisances(fit: ImpedanceFit) -> tuple[Estimate, ...]:
         found.append(Estimate(name, unit, value, value - reach, value + reach, scale))
 
     for moves, points in ((layout.source, scene.sources), (layout.receiver, scene.receivers)):
-        for n, (point, axis, sd) in enumerate(zip(*moves[:3], strict=True), moves.place.start):
-            add(f"{'xyz'[axis]} of {points[point].name}", "m", n, float(sd))
+        for n, (point, axis, scale_m) in enumerate(zip(*moves[:3], strict=True), moves.place.start):
+            add(f"{'xyz'[axis]} of {points[point].name}", "m", n, float(scale_m))
     if layout.speed.stop > layout.speed.start:
         speed = problem.model.speed_m_s
         add("speed of sound", "m/s", layout.speed.start, nuisances.speed_sd * speed, speed)

@@ -251,9 +251,7 @@ def _spreading_table(kind: BandKind) -> tuple[FloatArray, FloatArray, FloatArray
     density *= _STEPS_PER_PERIOD / cumulative[-1]
     cumulative /= cumulative[-1]
     periods = np.arange(-span, span + 1) / _STEPS_PER_PERIOD
-    for array in (periods, density, cumulative):
-        array.setflags(write=False)
-    return periods, density, cumulative
+    return read_only(periods), read_only(density), read_only(cumulative)
 
 
 def energy_share(

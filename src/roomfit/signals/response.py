@@ -7,7 +7,7 @@ surroundings, and stretches of a filtered response that contain only noise are f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -297,9 +297,7 @@ def time_zero_from_direct(
         No direct sound.
     """
     shift_s = find_onset(response, where) - travel_s
-    return ImpulseResponse(
-        response.pressure, response.sampling_rate_hz, response.time_zero_s + shift_s
-    )
+    return replace(response, time_zero_s=response.time_zero_s + shift_s)
 
 
 TAIL_SHARE = 0.1  # of the file, from its end: the least that noise is estimated from

@@ -72,13 +72,6 @@ class Fit:
     trail: FloatArray
     trail_cost: FloatArray  # (n_visited,)
 
-    def __post_init__(self) -> None:
-        x = float_array("answer", self.x, (None,), low=0.0, high=1.0)
-        object.__setattr__(self, "x", x)
-        object.__setattr__(self, "trail", float_array("trail", self.trail, (None, x.size)))
-        cost = float_array("errors of the trail", self.trail_cost, (len(self.trail),))
-        object.__setattr__(self, "trail_cost", cost)
-
 
 class Counted:
     """An error function that counts its calls and is infinite outside the unit box.
