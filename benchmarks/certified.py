@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import argparse
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from roomfit.certified.certificate import certify
-from roomfit.certified.question import Misfit
 from roomfit.certified.search import SearchSettings, first_guess, search, tools_for
 from roomfit.suh2001.repeat import squares_global_problem
 from roomfit.suh2001.room import (
@@ -36,12 +34,6 @@ from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
 
 _CASE = 2  # the only pair off the room's plane of symmetry
-# Gamma noise of this relative spread, as 25 independent squares have.
-_SPREAD = 0.2
-_OTHER_MISFITS: tuple[tuple[Misfit, str], ...] = (
-    ("gamma", "Gamma deviance"),
-    ("logarithms", "log residuals"),
-)
 
 
 def problem_of(
@@ -56,14 +48,9 @@ def problem_of(
     return squares_problem(division_rows(own, case, edges, division), measured)
 
 
-def row(
-    name: str, problem: SquaresProblem, misfit: Misfit, share: float | None, seconds: float
-) -> None:
+def row(name: str, problem: SquaresProblem, share: float | None, seconds: float) -> None:
     """Certify once and print a line; `share` of the lowest misfit is delta, or 1e-8."""
-    precision = None
-    if misfit != "squares":
-        precision = np.full(problem.measured.size, 0.5 / _SPREAD**2)
-    global_problem = squares_global_problem(problem, misfit, precision=precision)
+    global_problem = squares_global_problem(problem)
     guess = first_guess(global_problem, tools_for(global_problem)).value
     delta = 1e-8 if share is None else share * guess
     begun = time.process_time()
@@ -90,7 +77,6 @@ def main() -> None:
         picture(own, arguments.picture)
         return
     other = trace_paper_room(paper_scene(), N_RAYS, "sobol", 1)
-    rng = np.random.default_rng(1)
     warm = problem_of(own, own, DIVISIONS[2], 5)
     certify(squares_global_problem(warm), SearchSettings(1e-8))
     print("| problem | boxes | s | status | clusters (single) | lowest | gap | descents |")
@@ -100,23 +86,7 @@ def main() -> None:
             for n in numbers:
                 name = f"{n} materials, {window_ms} ms, {data}"
                 problem = problem_of(own, paths, DIVISIONS[n], window_ms)
-                row(name, problem, "squares", share, arguments.seconds)
-    for misfit, short in _OTHER_MISFITS:
-        for n in (2, 3, 4):
-            problem = problem_of(own, own, DIVISIONS[n], 5)
-            loud = problem.measured * rng.gamma(_SPREAD**-2, _SPREAD**2, problem.measured.size)
-            observed = _observed(replace(problem, measured=loud))
-            row(f"{n} materials, 5 ms, noise, {short}", observed, misfit, 0.01, arguments.seconds)
-
-
-def _observed(problem: SquaresProblem) -> SquaresProblem:
-    """Return the problem without windows that no path reaches, which have no logarithm."""
-    rows = problem.rows
-    kept = np.flatnonzero(np.diff(rows.offsets) > 0)
-    offsets = np.concatenate(([0], rows.offsets[kept + 1]))
-    return SquaresProblem(
-        replace(rows, n_windows=kept.size, offsets=offsets), problem.measured[kept]
-    )
+                row(name, problem, share, arguments.seconds)
 
 
 def picture(own: Paths, file: Path) -> None:

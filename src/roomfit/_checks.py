@@ -184,6 +184,35 @@ def did_you_mean(word: str, known: Iterable[str]) -> str | None:
     return f"did you mean {like!r}?" if like else None
 
 
+def check_known(
+    what: str,
+    name: str,
+    known: Iterable[str],
+    *,
+    where: str | None = None,
+    else_needed: str = "",
+    else_try: str | None = None,
+) -> None:
+    """Refuse a name that is none of the known ones, and offer the one most like it.
+
+    Parameters
+    ----------
+    else_needed : str
+        What is needed where no name is known at all.
+    else_try : str, optional
+        What to try where no known name comes near.
+    """
+    known = tuple(known)
+    if name not in known:
+        raise InputError(
+            what,
+            where=where,
+            found=repr(name),
+            needed=f"one of {', '.join(known)}" if known else else_needed,
+            hint=did_you_mean(name, known) or else_try,
+        )
+
+
 # What reading damaged bytes as an archive of arrays, and its entries as JSON, can raise.
 ARCHIVE_DAMAGE = (
     ArithmeticError,

@@ -20,7 +20,13 @@ from urllib.parse import quote
 
 import numpy as np
 
-from roomfit.cache import code_digest, digest, write_json_atomically, write_text_atomically
+from roomfit.cache import (
+    code_digest,
+    digest,
+    make_folder,
+    write_json_atomically,
+    write_text_atomically,
+)
 from roomfit.commands import identify_to_folder
 from roomfit.errors import InputError, RoomfitError, StoreError
 from roomfit.io.campaign import input_files, read_campaign
@@ -186,12 +192,12 @@ def identify_rooms(
     """
     out, tasks = Path(out).absolute(), room_tasks(campaigns)
     own = shard_of(tasks, shard)
-    _make_folders(out)
+    for name in (ROOMS, FAILURES):
+        make_folder(out / name)
     missing = [t for t in own if t.address and not (out / ROOMS / t.address).exists()]
     jobs = [partial(identify_room, t.campaign, out / ROOMS / t.address) for t in missing]
     try:
-        ends = _in_this_process(jobs) if pool is None else _in_pool(pool, jobs)
-        for n_done, (number, status, message) in enumerate(ends, start=1):
+        for n_done, (number, status, message) in enumerate(_ends(jobs, pool), start=1):
             _LOG.info("%s: %s", missing[number].name, status)
             _note(out, missing[number], status, message)
             if progress is not None:
@@ -216,15 +222,14 @@ def identify_room(campaign: Path, folder: Path) -> str:
     return ""
 
 
-_End = tuple[int, Status, str]
-
-
-def _in_this_process(jobs: Sequence[Callable[[], str]]) -> Iterator[_End]:
-    for number, job in enumerate(jobs):
-        yield number, *_end(job)
-
-
-def _in_pool(pool: Executor, jobs: Sequence[Callable[[], str]]) -> Iterator[_End]:
+def _ends(
+    jobs: Sequence[Callable[[], str]], pool: Executor | None
+) -> Iterator[tuple[int, Status, str]]:
+    """Do all jobs, here or in a pool; yield number, status and message of each as it ends."""
+    if pool is None:
+        for number, job in enumerate(jobs):
+            yield number, *_end(job)
+        return
     for number, future in completed(pool, [partial(_with_one_thread, job) for job in jobs]):
         yield number, *_end(partial(result_of, future))
 
@@ -245,20 +250,6 @@ def _end(job: Callable[[], str]) -> tuple[Status, str]:
     except Exception as error:  # noqa: BLE001 -- a fault in one room must not stop the others
         return "failed", f"{type(error).__name__}: {error}"
     return ("refused", message) if message else ("done", "")
-
-
-def _make_folders(out: Path) -> None:
-    try:
-        for name in (ROOMS, FAILURES):
-            (out / name).mkdir(parents=True, exist_ok=True)
-    except (FileExistsError, NotADirectoryError) as error:
-        raise InputError(
-            "the output folder is a file, or in one", where=str(out), hint="choose another name"
-        ) from error
-    except OSError as error:
-        raise StoreError(
-            "the output folder cannot be made", where=str(out), found=str(error)
-        ) from error
 
 
 def _note(out: Path, task: RoomTask, status: Status, message: str) -> None:
@@ -356,21 +347,22 @@ def counted(rows: Sequence[RoomRow]) -> str:
     return f"{len(rows)} rooms: " + ", ".join(f"{n} {kind}" for n, kind in numbers if n) + "."
 
 
-def _cells(row: RoomRow) -> list[object]:
-    def shown(value: float, decimals: int) -> str:
-        return f"{value:.{decimals}f}" if np.isfinite(value) else ""
+def _shown(value: float, decimals: int, unit: str = "") -> str:
+    return f"{value:.{decimals}f}{unit}" if np.isfinite(value) else ""
 
+
+def _cells(row: RoomRow) -> list[object]:
     return [
         row.name,
         row.status,
         f"{row.folder}/report.html" if row.folder else "",
         row.identifiable,
         row.values,
-        *(shown(v, 4) for v in row.mean),
-        *(shown(v, 3) for v in row.decay_s),
-        shown(row.chi2_reduced, 2),
+        *(_shown(v, 4) for v in row.mean),
+        *(_shown(v, 3) for v in row.decay_s),
+        _shown(row.chi2_reduced, 2),
         " ".join(row.findings),
-        shown(row.seconds, 1),
+        _shown(row.seconds, 1),
         " ".join(row.message.split()),
     ]
 
@@ -389,18 +381,15 @@ def _table(rows: Sequence[RoomRow]) -> Table:
 
 
 def _row(row: RoomRow) -> Row:
-    def shown(value: float, decimals: int, unit: str = "") -> str:
-        return f"{value:.{decimals}f}{unit}" if np.isfinite(value) else ""
-
     mean, lower, upper = row.mean
     link = quote(f"{row.folder}/report.html") if row.folder else ""
     cells = (
         Cell(row.status, tuple(row.message.splitlines()), link=link),
         Cell(f"{row.identifiable} of {row.values}" if row.values else ""),
-        Cell(shown(mean, 2), (f"{lower:.2f} to {upper:.2f}",) if np.isfinite(lower) else ()),
-        Cell(shown(row.decay_s[0], 2, " s")),
-        Cell(shown(row.decay_s[1], 2, " s")),
-        Cell(shown(row.chi2_reduced, 2)),
+        Cell(_shown(mean, 2), (f"{lower:.2f} to {upper:.2f}",) if np.isfinite(lower) else ()),
+        Cell(_shown(row.decay_s[0], 2, " s")),
+        Cell(_shown(row.decay_s[1], 2, " s")),
+        Cell(_shown(row.chi2_reduced, 2)),
         Cell("", row.findings),
     )
     return Row(row.name, cells)

@@ -44,11 +44,8 @@ _LIBRARIES = ("numpy", "scipy", "numba")
 def digest(*parts: object) -> str:
     """Return the SHA-256 of values, in hexadecimal: the same for equal values, and only for those.
 
-    Parameters
-    ----------
-    *parts
-        What `save_record` takes. Kinds count: 1, 1.0 and True differ, as do shapes and types of
-        arrays.
+    `*parts`: what `save_record` takes. Kinds count: 1, 1.0 and True differ, as do shapes and types
+    of arrays.
 
     Raises
     ------
@@ -88,14 +85,9 @@ class BrokenRecordError(ValueError):
 def save_record(path: Path, value: object) -> None:
     """Write a record as a NumPy archive: arrays as they are, all else as one text in JSON.
 
-    Parameters
-    ----------
-    path : Path
-        Written directly, not under another name first.
-    value : object
-        None, truth values, numbers, text, bytes, arrays, members of enumerations of text, and
-        dataclasses, tuples, lists and mappings (with text as keys) of these. Lists come back
-        as tuples.
+    A record is None, truth values, numbers, text, bytes, arrays, members of enumerations of text,
+    and dataclasses, tuples, lists and mappings (with text as keys) of these. Lists come back as
+    tuples. The file is written directly, not under another name first.
 
     Raises
     ------
@@ -219,18 +211,11 @@ def check_output_folder(path: Path, *, overwrite: bool = False) -> None:
         Nothing can be written there.
     """
     path = Path(path)
+    nearest = _nearest_folder(path)
     try:
-        nearest = nearest_existing(path)
-        filled = path.is_dir() and not _holds_only_cache(path)
+        filled = path.is_dir() and any(p.name != CACHE_FOLDER for p in path.iterdir())
     except OSError as error:
         raise _cannot_be_made(path, error) from error
-    if not nearest.is_dir():
-        raise InputError(
-            "the output folder is a file" if nearest == path else "the output folder is in a file",
-            where=str(path),
-            found=None if nearest == path else f"{nearest} is a file",
-            hint="choose another name",
-        )
     if filled and not overwrite:
         raise InputError(
             "the output folder exists and is not empty",
@@ -245,6 +230,30 @@ def check_output_folder(path: Path, *, overwrite: bool = False) -> None:
             found=f"no permission to write in {nearest}",
             hint="choose another folder",
         )
+
+
+def _nearest_folder(path: Path) -> Path:
+    try:
+        nearest = nearest_existing(path)
+    except OSError as error:
+        raise _cannot_be_made(path, error) from error
+    if not nearest.is_dir():
+        raise InputError(
+            "the output folder is a file" if nearest == path else "the output folder is in a file",
+            where=str(path),
+            found=None if nearest == path else f"{nearest} is a file",
+            hint="choose another name",
+        )
+    return nearest
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder where there is none; errors as of `check_output_folder`."""
+    _nearest_folder(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _cannot_be_made(path, error) from error
 
 
 @contextmanager
@@ -333,16 +342,16 @@ def shared_folder(path: Path, *, alone: bool) -> Iterator[bool]:
     if sys.platform == "win32":
         yield False
         return
-    lock, descriptor, locked = _lock_file(path, parent, "shared"), -1, False
+    lock = _lock_file(path, parent, "shared")
+
+    def wait(descriptor: int) -> bool:
+        with suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+            return True
+        return False
+
     try:
-        while descriptor < 0:
-            descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-            with suppress(OSError):
-                fcntl.flock(descriptor, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
-                locked = True
-            if not _is_same(descriptor, lock):  # its last owner has just removed it
-                os.close(descriptor)
-                descriptor = -1
+        descriptor, locked = _opened(lock, wait)
         if alone and locked:
             _recover(path, parent)
     except OSError as error:
@@ -357,22 +366,17 @@ def shared_folder(path: Path, *, alone: bool) -> Iterator[bool]:
 
 @contextmanager
 def _locked(lock: Path, path: Path) -> Iterator[None]:
-    descriptor = -1
     try:
-        while descriptor < 0:
-            descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
-            if not _try_lock(descriptor):
-                os.close(descriptor)
-                raise InputError(
-                    "another run is writing into the output folder",
-                    where=str(path),
-                    hint="wait for it, or choose another folder",
-                )
-            if not _is_same(descriptor, lock):  # its last owner has just removed it
-                os.close(descriptor)
-                descriptor = -1
+        descriptor, locked = _opened(lock, _try_lock)
     except OSError as error:
         raise _cannot_be_made(path, error) from error
+    if not locked:
+        os.close(descriptor)
+        raise InputError(
+            "another run is writing into the output folder",
+            where=str(path),
+            hint="wait for it, or choose another folder",
+        )
     try:
         yield
     finally:
@@ -380,6 +384,16 @@ def _locked(lock: Path, path: Path) -> Iterator[None]:
         _remove(lock)
         os.close(descriptor)
         _remove(lock)  # Windows removes no open file
+
+
+def _opened(lock: Path, take: Callable[[int], bool]) -> tuple[int, bool]:
+    """Open a lock file and take it, by `take`; return its descriptor, and whether it is taken."""
+    while True:
+        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        locked = take(descriptor)
+        if _is_same(descriptor, lock):
+            return descriptor, locked
+        os.close(descriptor)  # its last owner has just removed it
 
 
 def _try_lock(descriptor: int) -> bool:
@@ -581,10 +595,8 @@ def write_json_atomically(path: Path, content: Mapping[str, Any]) -> Path:
 def json_text(content: Any) -> str:
     """Return JSON that any parser reads: an unknown value must be None, never NaN.
 
-    Parameters
-    ----------
-    content : object
-        Anything that JSON holds, and NumPy arrays and numbers, which become lists and numbers.
+    `content`: anything that JSON holds, and NumPy arrays and numbers, which become lists and
+    numbers.
 
     Raises
     ------
@@ -614,10 +626,6 @@ def _give_usual_permissions(path: Path, most: int) -> None:
     umask = os.umask(0)
     os.umask(umask)
     path.chmod(most & ~umask)
-
-
-def _holds_only_cache(path: Path) -> bool:
-    return all(p.name == CACHE_FOLDER for p in path.iterdir())
 
 
 DEFAULT_LIMIT_BYTES = 2 * 2**30
@@ -681,10 +689,7 @@ def limited(cache: Cache, limit_bytes: int) -> Cache:
     StoreError
         The disk refuses.
     """
-    try:
-        cache.folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise _cannot_be_made(cache.folder, error) from error
+    make_folder(cache.folder)
     write_text_atomically(cache.folder / _LIMIT, str(limit_bytes))
     cache = Cache(cache.folder, limit_bytes)
     make_room(cache, 0)
@@ -728,7 +733,8 @@ def cached(
         findings = (_damaged(kind, path),)
         _remove(path)
     else:
-        _touch(path)
+        with suppress(OSError):
+            os.utime(path)
         return Cached(value, found=True)
     value = compute()
     return Cached(value, found=False, findings=(*findings, *_keep(cache, kind, path, value)))
@@ -774,17 +780,8 @@ def make_room(cache: Cache, n_bytes: int) -> None:
 
 
 def _remove(path: Path) -> None:
-    try:
+    with suppress(OSError):  # on a disk that is read-only: it is not used in any case
         path.unlink(missing_ok=True)
-    except OSError:  # on a disk that is read-only: it is not used in any case
-        return
-
-
-def _touch(path: Path) -> None:
-    try:
-        os.utime(path)
-    except OSError:
-        return
 
 
 def _damaged(kind: str, path: Path) -> Finding:

@@ -239,10 +239,7 @@ def certificate_distance(answer: Result, band: int) -> float:
     An answer from pressures is not the minimiser of energies: this is how far apart they are.
     0 where every absorption is known, so that none was found.
 
-    Parameters
-    ----------
-    band : int
-        One with a certificate.
+    `band`: one with a certificate.
     """
     proof = answer.certificates[band]
     assert proof is not None  # noqa: S101 - the caller's promise

@@ -14,7 +14,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit._checks import did_you_mean, float_array, int_array, nearest, unique_names
+from roomfit._checks import check_known, did_you_mean, float_array, int_array, unique_names
 from roomfit.air import Air
 from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
@@ -107,10 +107,7 @@ def material_areas_m2(room: Room, state: int = 0) -> FloatArray:
 
     Both sides of a double-sided sheet count. Materials of other states only have none.
 
-    Parameters
-    ----------
-    state : int
-        0: the room as it is described; i: its i-th further state.
+    `state` 0 is the room as it is described, i its i-th further state.
     """
     areas = triangle_areas_m2(room.mesh) * np.where(is_double_sided(room.mesh), 2.0, 1.0)
     owner = materials_of_surfaces(room)[state, room.mesh.triangle_surface]
@@ -291,7 +288,6 @@ def _check_keys(
             raise InputError("a material without a name", where=f"{where} {key!r}", needed="a name")
         if key in known:
             continue
-        like = nearest(key, known)
         listing = ", ".join(repr(name) for name in known[:_SHOWN])
         more = f" and {len(known) - _SHOWN} more" if len(known) > _SHOWN else ""
         raise InputError(
@@ -299,7 +295,7 @@ def _check_keys(
             where=where,
             found=repr(key),
             needed=f"a surface, group or material of the file: {listing}{more}",
-            hint=f"did you mean {like!r}?" if like else None,
+            hint=did_you_mean(key, known),
         )
 
 
@@ -548,9 +544,12 @@ def scene_of(
     refuse(position_findings(room, emitters, listeners))
     if pairs is None:
         pairs = [(s, r) for s in named for r in received]
-    indices = [
-        (_index_of("source", s, named), _index_of("receiver", r, received)) for s, r in pairs
-    ]
+    indices = []
+    for source, receiver in pairs:
+        for kind, name, known in (("source", source, named), ("receiver", receiver, received)):
+            what = f"a pair names a {kind} that the scene does not have"
+            check_known(what, name, known, where="pairs")
+        indices.append((named.index(source), received.index(receiver)))
     if not indices:
         raise InputError("a scene without pairs", needed="at least one source and one receiver")
     return Scene(room, emitters, listeners, np.array(indices), Air() if air is None else air)
@@ -560,19 +559,6 @@ def _points(given: Mapping[str, ArrayLike] | Sequence[Point]) -> tuple[Point, ..
     if isinstance(given, Mapping):
         return tuple(Point(name, np.asarray(position)) for name, position in given.items())
     return tuple(given)
-
-
-def _index_of(kind: str, name: str, known: tuple[str, ...]) -> int:
-    if name in known:
-        return known.index(name)
-    like = nearest(str(name), known)
-    raise InputError(
-        f"a pair names a {kind} that the scene does not have",
-        where="pairs",
-        found=repr(name),
-        needed=f"one of {', '.join(known[:_SHOWN])}",
-        hint=f"did you mean {like!r}?" if like else None,
-    )
 
 
 def distances_m(scene: Scene) -> FloatArray:

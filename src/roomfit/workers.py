@@ -162,10 +162,8 @@ def bundled(
 ) -> Iterator[Callable[[], list[T]]]:
     """Yield tasks in bundles that take `SHORTEST_TASK_S` or longer, in their order.
 
-    Parameters
-    ----------
-    seconds_each : callable
-        What a task has taken until now; None while that is not known, and tasks go one by one.
+    `seconds_each`: what a task has taken until now; None while that is not known, and tasks go one
+    by one.
     """
     at = 0
     while at < len(tasks):

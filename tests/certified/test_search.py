@@ -15,9 +15,8 @@ from roomfit.certified import search as boxes_module
 from roomfit.certified.bounds import planes_over, powers
 from roomfit.certified.certificate import certify, touching
 from roomfit.certified.convex import is_convex, least_over, priors_over
-from roomfit.certified.question import GlobalProblem, Misfit
+from roomfit.certified.question import GlobalProblem
 from roomfit.certified.search import Incumbent, Searched, SearchSettings, examine, search, tools_for
-from roomfit.errors import InputError
 from roomfit.suh2001.repeat import squares_global_problem
 from roomfit.suh2001.room import (
     DIVISIONS,
@@ -35,8 +34,6 @@ from roomfit.suh2001.room import (
 from roomfit.suh2001.searches import fit_least_squares
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
-
-KINDS: tuple[Misfit, ...] = ("squares", "logarithms", "gamma")
 
 
 def points_near_the_lowest(
@@ -82,11 +79,11 @@ def outside(found: Searched, points: FloatArray) -> FloatArray:
     return ~held
 
 
-def broken_promises(seeds: range, kind: Misfit, n_points: int) -> tuple[int, int]:
+def broken_promises(seeds: range, n_points: int) -> tuple[int, int]:
     """Search random rooms; count points below the threshold, and those that prove it wrong."""
     low, wrong = 0, 0
     for seed in seeds:
-        problem, global_problem = random_case(seed, kind, 2 + seed % 3)
+        problem, global_problem = random_case(seed, 2 + seed % 3)
         if seed % 2:
             global_problem = reaching_black(global_problem)
         first = search(global_problem, SearchSettings(1e-6, max_boxes=2))
@@ -102,10 +99,9 @@ def broken_promises(seeds: range, kind: Misfit, n_points: int) -> tuple[int, int
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_no_point_below_the_threshold_lies_outside_the_cover(kind: Misfit) -> None:
-    """Of 40,000 points in ten random rooms for each misfit, none breaks the promise."""
-    low, wrong = broken_promises(range(10), kind, 4000)
+def test_no_point_below_the_threshold_lies_outside_the_cover() -> None:
+    """Of 40,000 points in ten random rooms, none breaks the promise."""
+    low, wrong = broken_promises(range(10), 4000)
     assert low > 5000
     assert wrong == 0
 
@@ -131,25 +127,24 @@ def bound_over(
     """Return the convex lower bound over one box, which no point below a threshold goes under."""
     tools = tools_for(global_problem)
     corners, apart, own, centre, half = planes(
-        *(tools.kind, tools.data, box[0], box[1], tools.most, tools.nodes, tools.rounding),
+        *(tools.data, box[0], box[1], tools.most, tools.nodes, tools.rounding),
         *(threshold, tools.values),
     )
     separable = priors_over(tools.data[5], box[0], box[1], centre, half)
     least = least_over(
-        *(tools.kind, tools.data, own, separable, -half, half, threshold, np.zeros(half.size), True)
+        *(tools.data, own, separable, -half, half, threshold, np.zeros(half.size), True)
     )
     return min(max(corners, apart + least), threshold)
 
 
-def bounds_broken(planes: Any, kind: Misfit, n_materials: int) -> tuple[int, float]:
+def bounds_broken(planes: Any, n_materials: int) -> tuple[int, float]:
     """Count the points whose misfit lies below the bound of their box; and how tight bounds are."""
     broken, tight = 0, []
     for seed in range(6):
-        problem, global_problem = random_case(seed, kind, n_materials)
+        problem, global_problem = random_case(seed, n_materials)
         if seed % 2:
             # more energy than any absorption leaves: the upper planes decide
-            factor = 1.8 if kind == "squares" else 100.0
-            problem = replace(problem, measured=factor * problem.measured)
+            problem = replace(problem, measured=1.8 * problem.measured)
             global_problem = replace(global_problem, measured=problem.measured)
         for box, points in random_boxes(global_problem, np.random.default_rng(seed), 30):
             values = misfit_of(problem, global_problem, 1.0 - np.exp(points))
@@ -169,19 +164,17 @@ def halved(*arguments: Any) -> Any:
     return 0.0 * corners, apart, (level, slope, 0.5 * remainder, tail, share, planar), centre, half
 
 
-@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("n_materials", [1, 2, 5])
-def test_the_bound_of_a_box_lies_below_every_misfit_in_it(kind: Misfit, n_materials: int) -> None:
-    """36,000 points, for each kind, of boxes from 1e-4 to 2 wide; bounds that are not vacuous."""
-    broken, tight = bounds_broken(planes_over, kind, n_materials)
+def test_the_bound_of_a_box_lies_below_every_misfit_in_it(n_materials: int) -> None:
+    """36,000 points of boxes from 1e-4 to 2 wide; bounds that are not vacuous."""
+    broken, tight = bounds_broken(planes_over, n_materials)
     assert broken == 0
     assert tight > 0.8
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_half_a_remainder_is_caught_by_points_in_boxes(kind: Misfit) -> None:
+def test_half_a_remainder_is_caught_by_points_in_boxes() -> None:
     """The check above fails for planes with a planted bug: seen best with one material."""
-    broken, _ = bounds_broken(halved, kind, 1)
+    broken, _ = bounds_broken(halved, 1)
     assert broken > 0
 
 
@@ -192,7 +185,7 @@ def test_half_a_remainder_is_caught_by_points_outside_the_cover(
     """The same search as above, with the planted bug, loses points below the threshold."""
     monkeypatch.setattr(boxes_module, "planes_over", halved)
     monkeypatch.setattr(boxes_module, "is_convex", lambda *_: False)
-    wrong = sum(broken_promises(range(10), kind, 4000)[1] for kind in KINDS)
+    _, wrong = broken_promises(range(10), 4000)
     assert wrong > 0
 
 
@@ -200,7 +193,7 @@ def test_half_a_remainder_is_caught_by_points_outside_the_cover(
 def test_log_energies_lie_between_the_planes(n_materials: int) -> None:
     """Point by point and window by window, with vertices and, above eight, with moments."""
     rng = np.random.default_rng(n_materials)
-    problem, global_problem = random_case(3, "squares", min(n_materials, 4))
+    problem, global_problem = random_case(3, min(n_materials, 4))
     if n_materials > 4:
         hits = rng.poisson(0.7, (len(problem.rows), n_materials))
         global_problem = replace(
@@ -216,7 +209,7 @@ def test_log_energies_lie_between_the_planes(n_materials: int) -> None:
     checked = 0
     for box, points in random_boxes(global_problem, rng, 60):
         corners, _, planes, centre, _ = planes_over(
-            *(tools.kind, tools.data, box[0], box[1], tools.most, tools.nodes, tools.rounding),
+            *(tools.data, box[0], box[1], tools.most, tools.nodes, tools.rounding),
             *(np.inf, tools.values),
         )
         assert np.isfinite(corners)
@@ -232,19 +225,18 @@ def test_log_energies_lie_between_the_planes(n_materials: int) -> None:
     assert checked > 60
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_where_a_box_is_called_convex_chords_lie_above(kind: Misfit) -> None:
+def test_where_a_box_is_called_convex_chords_lie_above() -> None:
     """Midpoints of random chords; and a good part of the small boxes near the lowest is convex."""
     convex = 0
     for seed in range(6):
-        problem, global_problem = random_case(seed, kind, 3)
+        problem, global_problem = random_case(seed, 3)
         tools = tools_for(global_problem)
         rng = np.random.default_rng(seed)
         place = search(global_problem, SearchSettings(1e-6, max_boxes=2)).minimiser
         for _ in range(30):
             half = rng.uniform(0.2, 1.0, 3) * 10.0 ** rng.uniform(-3.0, 0.0)
             box = np.stack((place - half, place + half))
-            if not is_convex(tools.kind, tools.data, box, tools.most, tools.values):
+            if not is_convex(tools.data, box, tools.most, tools.values):
                 continue
             convex += 1
             ends = box[0] + rng.random((2, 200, 3)) * (box[1] - box[0])
@@ -259,7 +251,7 @@ def test_where_a_box_is_called_convex_chords_lie_above(kind: Misfit) -> None:
 def test_no_other_method_goes_below_the_lower_bound() -> None:
     """Least squares from random starts and Nelder-Mead, six random rooms, alphas up to 1."""
     for seed in range(6):
-        problem, global_problem = random_case(seed, "squares", 3)
+        problem, global_problem = random_case(seed, 3)
         global_problem = replace(global_problem, precision=np.ones(global_problem.measured.size))
         settings = SearchSettings(1e-3 * problem.measured @ problem.measured, width=0.2)
         found = certify(reaching_black(global_problem), settings)
@@ -280,7 +272,7 @@ def test_no_other_method_goes_below_the_lower_bound() -> None:
 
 def test_a_search_that_is_stopped_says_so_and_its_bound_still_holds() -> None:
     """After five boxes of many; the cover and the bound are proven all the same."""
-    problem, global_problem = random_case(4, "gamma", 4)
+    problem, global_problem = random_case(4, 4)
     stopped = search(global_problem, SearchSettings(0.1, max_boxes=5))
     found = certify(global_problem, SearchSettings(0.1, max_boxes=5))
     assert stopped.n_open > 0
@@ -294,7 +286,7 @@ def test_a_search_that_is_stopped_says_so_and_its_bound_still_holds() -> None:
 
 def test_an_interrupt_loses_no_box(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C in the middle: what is left covers the same points."""
-    problem, global_problem = random_case(5, "squares", 3)
+    problem, global_problem = random_case(5, 3)
     calls = 0
 
     def interrupted(*arguments: Any) -> Any:
@@ -395,17 +387,8 @@ def test_seven_materials_of_the_paper_room_are_certified(paths: Paths) -> None:
     assert found.boxes < 2000
 
 
-def test_what_cannot_be_certified_is_refused() -> None:
-    """Nothing unknown, a dark window under logarithms, and settings out of range."""
-    problem, global_problem = random_case(1, "gamma", 2)
-    with pytest.raises(InputError, match="no logarithm"):
-        replace(global_problem, measured=0.0 * global_problem.measured)
-    with pytest.raises(InputError, match="nothing to certify"):
-        replace(global_problem, coordinates=())
-    with pytest.raises(InputError, match="largest absorption"):
-        squares_global_problem(problem, upper=0.0)
-    with pytest.raises(InputError, match="delta must be above zero"):
-        SearchSettings(0.0)
+def test_a_higher_misfit_is_no_incumbent_and_black_walls_have_no_energy() -> None:
+    """Both as kernels and search rely on them."""
     lowest = Incumbent(1.0, np.zeros(2))
     lowest.offer(2.0, np.ones(2))
     assert lowest.value == 1.0

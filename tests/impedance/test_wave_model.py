@@ -294,7 +294,6 @@ def test_sums_and_single_reflections_are_those_of_plain_numpy_and_scipy():
         (lambda: Observed(np.array([1.0, 2.0]), 0.01, np.ones((1, 3))), "disagree"),
         (lambda: Observed(np.array([1.0, 2.0]), 0.0, np.ones((1, 2))), "time constant"),
         (lambda: Observed(np.array([1.0]), 0.01, np.array([[np.nan]])), "not finite"),
-        (lambda: spline(np.arange(100.0, 300.0, 10.0), 1.2), "more than it receives"),
         (lambda: Nuisances(gain="loud"), "unknown kind of gain"),
         (lambda: Nuisances(position_sd_m=2.0), "out of range"),
     ],

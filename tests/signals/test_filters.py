@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from roomfit.bands import BandKind, Bands, bands_between
+from roomfit.bands import BandKind, bands_between
 from roomfit.errors import InputError
 from roomfit.signals.filters import (
     FilterBank,
@@ -218,12 +218,6 @@ def test_a_band_above_half_the_sampling_rate_is_refused():
         filter_pressure(bank("octave", 125.0, 8000.0), response)
     assert "at least 31698 Hz" in str(caught.value)
     assert filter_pressure(bank("octave", 125.0, 4000.0), response).shape == (6, 100)
-
-
-def test_edges_that_do_not_rise_are_refused():
-    kernel = spreading_kernel(FilterBank(Bands("octave", np.array([1000.0]))))
-    with pytest.raises(InputError, match="rising edges"):
-        energy_share(kernel, 0, [0.0], [0.1, 0.1])
 
 
 @pytest.mark.parametrize("band", [0, 3, 5])

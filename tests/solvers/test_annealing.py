@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomfit.errors import InputError
 from roomfit.solvers.search import (
     AnnealingSettings,
     accepts,
@@ -102,24 +101,3 @@ def test_a_hot_walk_goes_up_and_down_and_a_cold_one_only_down() -> None:
     )
     assert np.all(np.diff(cold) <= 1e-6)
     assert np.count_nonzero(np.diff(hot) > 0.0) >= 5
-
-
-def test_progress_rises_to_one() -> None:
-    """One step for each temperature and one for the simplex."""
-    observed: list[float] = []
-    anneal(
-        rastrigin,
-        1,
-        np.random.default_rng(0),
-        AnnealingSettings(levels=4),
-        progress=observed.append,
-    )
-    assert observed == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
-
-
-def test_settings_out_of_range_are_refused() -> None:
-    """Cooling by 1 would never cool."""
-    with pytest.raises(InputError, match="between 0 and 1"):
-        AnnealingSettings(cooling=1.0)
-    with pytest.raises(InputError, match="start_temperature"):
-        AnnealingSettings(start_temperature=0.0)

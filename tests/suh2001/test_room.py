@@ -9,9 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomfit.errors import InputError
 from roomfit.geometry.mesh import volume_m3
-from roomfit.response.energy import EnergyRows, energy_rows
+from roomfit.response.energy import energy_rows
 from roomfit.scene import material_areas_m2
 from roomfit.suh2001.repeat import problem_landscape, problems_of, table2, walls_apart
 from roomfit.suh2001.room import (
@@ -210,7 +209,10 @@ def test_every_division_covers_the_planes_and_every_truth_its_materials() -> Non
         assert len(division.group) == len(PLANES)
         assert set(division.group) == set(range(len(division.materials)))
         assert len(division.true_absorption) == len(division.materials)
-    assert all(len(s.true_absorption) == len(s.division.materials) for s in SPECIFICATIONS.values())
+    assert all(
+        len(s.division.true_absorption) == len(s.division.materials)
+        for s in SPECIFICATIONS.values()
+    )
 
 
 def test_the_corridor_is_seventeen_times_as_long_as_wide() -> None:
@@ -219,17 +221,3 @@ def test_the_corridor_is_seventeen_times_as_long_as_wide() -> None:
     extent: FloatArray = np.ptp(scene.room.mesh.vertices_m, axis=0)
     assert extent[0] / extent[1] == pytest.approx(17.5, abs=0.1)
     assert scene.sources[0].position_m[0] == pytest.approx(3.0 * 9.82)
-
-
-def test_rows_of_different_materials_are_not_joined() -> None:
-    """They would mean different walls by the same column."""
-    empty = {
-        "n_windows": 1,
-        "offsets": np.array([0, 0]),
-        "weight_per_m2": np.zeros(0),
-        "hits": np.zeros((0, 1), dtype=np.uint16),
-        "length_m": np.zeros(0),
-        "batch": np.zeros(0, dtype=np.int32),
-    }
-    with pytest.raises(InputError, match="different materials"):
-        joined_rows([EnergyRows(("a",), **empty), EnergyRows(("b",), **empty)])  # type: ignore[arg-type]

@@ -1,9 +1,9 @@
 """Log-affine bounds: every window's log energy between two parallel planes over a box.
 
-The misfit f of a window is a function of L = log R, with derivatives f' and f'', of what was
-measured (M) and of its precision (c); kinds are 0 squares, 1 logarithms, 2 Gamma deviance. A box is
-`lo` and `hi` in g = log(1 - absorption). A coordinate whose `lo` is minus infinity reaches an
-absorption of 1; rows that hit it count as anything from 0 to their value at `hi`.
+The misfit of a window, ``f = c (exp(L) - M)**2``, is a function of L = log R, with derivatives f'
+and f'', of what was measured (M) and of its precision (c). A box is `lo` and `hi` in g = log(1 -
+absorption). A coordinate whose `lo` is minus infinity reaches an absorption of 1; rows that hit it
+count as anything from 0 to their value at `hi`.
 """
 
 from __future__ import annotations
@@ -21,37 +21,22 @@ _BISECTIONS = 14
 
 
 @kernel(allocates=False)
-def misfit(kind: int, m: float, c: float, r: float) -> float:
-    """Return f at the energy r itself; infinite at 0 where logarithms are compared."""
-    if kind == 0:
-        return c * (r - m) * (r - m)
-    if r <= 0.0:
-        return math.inf
-    if kind == 1:
-        off = math.log(r / m)
-        return c * off * off
-    return 2.0 * c * (m / r - 1.0 + math.log(r / m))
+def misfit(m: float, c: float, r: float) -> float:
+    """Return f at the energy r itself."""
+    return c * (r - m) * (r - m)
 
 
 @kernel(allocates=False)
-def in_log(kind: int, m: float, c: float, level: float) -> tuple[float, float, float]:
+def in_log(m: float, c: float, level: float) -> tuple[float, float, float]:
     """Return f, f' and f'' at L = level."""
-    if kind == 0:
-        r = math.exp(level)
-        return c * (r - m) * (r - m), 2.0 * c * r * (r - m), 2.0 * c * r * (2.0 * r - m)
-    off = level - math.log(m)
-    if kind == 1:
-        return c * off * off, 2.0 * c * off, 2.0 * c
-    ratio = math.exp(-off)
-    return 2.0 * c * (ratio - 1.0 + off), 2.0 * c * (1.0 - ratio), 2.0 * c * ratio
+    r = math.exp(level)
+    return c * (r - m) * (r - m), 2.0 * c * r * (r - m), 2.0 * c * r * (2.0 * r - m)
 
 
 @kernel(allocates=False)
-def stiffness(kind: int, c: float, r: float) -> float:
+def stiffness(c: float, r: float) -> float:
     """Return f'' without the part that the residual makes: what Gauss and Newton keep."""
-    if kind == 0:
-        return 2.0 * c * r * r
-    return 2.0 * c
+    return 2.0 * c * r * r
 
 
 @kernel(allocates=False)
@@ -68,11 +53,11 @@ def tail_of_squares(m: float, left: float) -> float:
     bend = math.log(0.5 * m)
     if left >= bend:
         return bend
-    at_left = in_log(0, m, 1.0, left)[0]
+    at_left = in_log(m, 1.0, left)[0]
     low, high = bend, math.log(m)
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        value, slope, _ = in_log(0, m, 1.0, middle)
+        value, slope, _ = in_log(m, 1.0, middle)
         # 1e-12 of what is subtracted covers the rounding of the test itself
         if value - slope * (middle - left) + 1e-12 * m * m <= at_left:
             high = middle
@@ -83,25 +68,22 @@ def tail_of_squares(m: float, left: float) -> float:
 
 @kernel(allocates=False)
 def lowered(
-    kind: int, m: float, c: float, level: float, remainder: float, tail: float
+    m: float, c: float, level: float, remainder: float, tail: float
 ) -> tuple[float, float, float]:
     """Return the least misfit for L in [level, level + remainder], convex in `level`, and slopes.
 
-    Parameters
-    ----------
-    tail : float
-        From `tail_of_squares`; to its left the line replaces the squares.
+    `tail`: from `tail_of_squares`; to its left the line replaces the squares.
     """
     best = math.log(m) if m > 0.0 else -math.inf
     top = level + remainder
     if top < best:
-        if kind == 0 and top < tail:
-            value, slope, _ = in_log(kind, m, c, tail)
+        if top < tail:
+            value, slope, _ = in_log(m, c, tail)
             return value + slope * (top - tail), slope, 0.0
-        return in_log(kind, m, c, top)
+        return in_log(m, c, top)
     if level <= best:
         return 0.0, 0.0, 0.0
-    return in_log(kind, m, c, level)
+    return in_log(m, c, level)
 
 
 # Sums of nonnegative terms and products of nonnegative factors: relative errors only add up.
@@ -191,10 +173,7 @@ def vertex_remainder(
     The logarithm of a sum of exponentials is convex, so that the highest point above a plane is a
     vertex; all are tried. Infinite where a row may change by a factor beyond e**600.
 
-    Parameters
-    ----------
-    product, sums : float arrays, shape (2 ** n,)
-        Scratch.
+    `product`, `sums`, shape (2 ** n,) each: scratch.
     """
     offsets, exponents = global_problem[0], global_problem[2]
     n = exponents.shape[1]
@@ -352,7 +331,6 @@ def relative_rounding(global_problem: Arrays) -> float:
 
 @kernel(allocates=False)
 def corner_bound(
-    kind: int,
     global_problem: Arrays,
     low: FloatArray,
     high: FloatArray,
@@ -365,9 +343,9 @@ def corner_bound(
     for i in range(len(measured)):
         least, most = low[i] * (1.0 - rounding), high[i] * (1.0 + rounding) + VANISHING
         if least > measured[i]:
-            each[i] = misfit(kind, measured[i], precision[i], least)
+            each[i] = misfit(measured[i], precision[i], least)
         elif most < measured[i]:
-            each[i] = misfit(kind, measured[i], precision[i], most)
+            each[i] = misfit(measured[i], precision[i], most)
         else:
             each[i] = 0.0
         total += each[i]
@@ -376,7 +354,6 @@ def corner_bound(
 
 @kernel()
 def planes_over(
-    kind: int,
     global_problem: Arrays,
     lo: FloatArray,
     hi: FloatArray,
@@ -393,11 +370,8 @@ def planes_over(
     weights p average to 0: ``exp(u) <= 1 + u + kappa(rho) u**2`` for ``|u| <= rho``, hence
     ``log(1 + max over the box of d' S d)`` with the second moments S of `spread_of_window`.
 
-    Parameters
-    ----------
-    threshold : float
-        Planes are only valid where the whole misfit is no greater: a window of squares may then
-        lie below what was measured by no more than the root of what the others leave over.
+    `threshold`: planes are only valid where the whole misfit is no greater: a window of squares may
+    then lie below what was measured by no more than the root of what the others leave over.
     """
     measured, precision = global_problem[3], global_problem[4]
     n, windows = len(lo), len(measured)
@@ -413,7 +387,7 @@ def planes_over(
     each, slope = np.empty(windows), np.empty((windows, n))
     energies(global_problem, powers(lo, most), low)
     energies(global_problem, powers(hi, most), high)
-    total = corner_bound(kind, global_problem, low, high, rounding, each)
+    total = corner_bound(global_problem, low, high, rounding, each)
     level, remainder = np.empty(windows), np.empty(windows)
     tail, share = np.empty(windows), np.zeros(n)
     planar = np.empty(windows, dtype=np.bool_)
@@ -453,19 +427,17 @@ def planes_over(
         more = ghost[i] * math.exp(reach + off) / energy[i] * (1.0 + 4.0 * rounding)
         above = own + math.log1p(more)
         remainder[i] = above * (1.0 + rounding) + 2.0 * off + 8.0 * UNIT_ROUNDOFF * abs(bare)
-        _share(kind, precision[i], energy[i], spread, half, share)
+        _share(precision[i], energy[i], spread, half, share)
         if more > 0.0:
-            stiff = stiffness(kind, precision[i], energy[i] * (1.0 + more))
+            stiff = stiffness(precision[i], energy[i] * (1.0 + more))
             _share_of_far(far, stiff * math.log1p(more), share)
-        tail[i] = -math.inf
-        if kind == 0:
-            left = level[i] - reach + remainder[i]
-            rest = max(threshold - (total - each[i]) * (1.0 - 1e-12), 0.0)
-            if precision[i] > 0.0:
-                least = measured[i] - math.sqrt(rest / precision[i]) * (1.0 + 1e-12)
-                if least > 0.0:
-                    left = max(left, math.log(least) - 1e-12)
-            tail[i] = tail_of_squares(measured[i], left)
+        left = level[i] - reach + remainder[i]
+        rest = max(threshold - (total - each[i]) * (1.0 - 1e-12), 0.0)
+        if precision[i] > 0.0:
+            least = measured[i] - math.sqrt(rest / precision[i]) * (1.0 + 1e-12)
+            if least > 0.0:
+                left = max(left, math.log(least) - 1e-12)
+        tail[i] = tail_of_squares(measured[i], left)
     return total, apart, found, centre, half
 
 
@@ -504,16 +476,9 @@ def _vanishing(
 
 
 @kernel(allocates=False)
-def _share(
-    kind: int,
-    c: float,
-    r: float,
-    spread: FloatArray,
-    half: FloatArray,
-    share: FloatArray,
-) -> None:
+def _share(c: float, r: float, spread: FloatArray, half: FloatArray, share: FloatArray) -> None:
     """Add each coordinate's part of the remainder, weighed by how stiff the misfit is."""
-    stiff = stiffness(kind, c, r)
+    stiff = stiffness(c, r)
     for a in range(len(half)):
         for b in range(len(half)):
             share[a] += stiff * abs(spread[a, b]) * half[a] * half[b]

@@ -46,11 +46,9 @@ _ALMOST_BLACK = math.log(1e-6)
 _TOUCHING = 1e-9
 
 
-def certify(
-    global_problem: GlobalProblem, settings: SearchSettings, *, progress: Progress | None = None
-) -> Certificate:
+def certify(global_problem: GlobalProblem, settings: SearchSettings) -> Certificate:
     """Return a proof of how low the misfit can be, and where: boxes left over, as clusters."""
-    found = search(global_problem, settings, progress=progress)
+    found = search(global_problem, settings)
     tools = tools_for(global_problem)
     label = touching(found.boxes)
     clusters = []
@@ -87,9 +85,7 @@ def certify(
 def touching(boxes: FloatArray) -> IntArray:
     """Return the number of the cluster of each box, shape (n_boxes,): closed boxes that meet.
 
-    Parameters
-    ----------
-    boxes : float array, shape (n_boxes, 2, n)
+    `boxes` has the shape (n_boxes, 2, n).
     """
     label: IntArray = np.full(len(boxes), -1)
     number = 0
@@ -121,7 +117,7 @@ def _cluster(
     starts = [0.5 * (np.maximum(boxes[i, 0], low) + boxes[i, 1]) for i in order]
     if np.all((found.minimiser >= hull[0]) & (found.minimiser <= hull[1])):
         starts.append(found.minimiser)
-    ends = [descend(tools.kind, tools.data, start, low, hull[1], tools.most) for start in starts]
+    ends = [descend(tools.data, start, low, hull[1], tools.most) for start in starts]
     place, value = min((_blackened(tools, hull, end) for end in ends), key=lambda end: end[1])
     ends_of_hull = to_absorption(global_problem, hull)
     return Cluster(
@@ -129,7 +125,7 @@ def _cluster(
         np.maximum(ends_of_hull[0], ends_of_hull[1]),
         to_absorption(global_problem, place),
         float(value),
-        bool(is_convex(tools.kind, tools.data, hull, tools.most, tools.values)),
+        bool(is_convex(tools.data, hull, tools.most, tools.values)),
         len(own),
     )
 
@@ -140,7 +136,7 @@ def _blackened(
     """Return a point with what a descent left all but black made black, where that is lower."""
     place, value = end
     black = np.where((place <= _ALMOST_BLACK + 1e-6) & np.isneginf(hull[0]), -math.inf, place)
-    there = total_misfit(tools.kind, tools.data, black, tools.most)
+    there = total_misfit(tools.data, black, tools.most)
     return (black, there) if there <= value else end
 
 
@@ -233,10 +229,7 @@ def affordable_certificate(objective: Objective, vector: FloatArray) -> Certific
     None where other data are fitted, more than three numbers are unknown, there are too many rows,
     or the search is not complete after two seconds.
 
-    Parameters
-    ----------
-    vector : float array, shape (n_free,)
-        The fit; its weights are kept.
+    `vector`, shape (n_free,): the fit; its weights are kept.
     """
     few = 0 < vector.size <= _AFFORDABLE_UNKNOWNS
     energies, parameters = only_energies(objective), objective.parameters

@@ -38,7 +38,6 @@ _ARMIJO = 1e-4
 
 @kernel()
 def bound_at(
-    kind: int,
     global_problem: Arrays,
     planes: Planes,
     separable: Separable,
@@ -63,7 +62,7 @@ def bound_at(
         here = level[i]
         for a in range(n):
             here += slope[i, a] * d[a]
-        value, first, second = lowered(kind, measured[i], precision[i], here, remainder[i], tail[i])
+        value, first, second = lowered(measured[i], precision[i], here, remainder[i], tail[i])
         total += value
         if first == 0.0:
             continue
@@ -80,7 +79,6 @@ def bound_at(
 
 @kernel()
 def least_over(
-    kind: int,
     global_problem: Arrays,
     planes: Planes,
     separable: Separable,
@@ -107,7 +105,7 @@ def least_over(
     other, unused = np.empty(n), np.empty((n, n))
     for a in range(n):
         d[a] = min(max(d[a], low[a]), high[a])
-    here = bound_at(kind, global_problem, planes, separable, d, gradient, hessian)
+    here = bound_at(global_problem, planes, separable, d, gradient, hessian)
     best = -math.inf
     for _ in range(_CONVEX_STEPS):
         best = max(best, _tangent_bound(here, gradient, d, low, high))
@@ -122,7 +120,7 @@ def least_over(
             for a in range(n):
                 other[a] = min(max(d[a] + size * step[a], low[a]), high[a])
                 gain += gradient[a] * (other[a] - d[a])
-            there = bound_at(kind, global_problem, planes, separable, other, unused[0], unused)
+            there = bound_at(global_problem, planes, separable, other, unused[0], unused)
             if there <= here + _ARMIJO * gain and there < here:
                 moved = True
                 break
@@ -131,7 +129,7 @@ def least_over(
             break
         for a in range(n):
             d[a] = other[a]
-        here = bound_at(kind, global_problem, planes, separable, d, gradient, hessian)
+        here = bound_at(global_problem, planes, separable, d, gradient, hessian)
     return max(best, _tangent_bound(here, gradient, d, low, high))
 
 
@@ -251,9 +249,7 @@ def least_prior(prior: FloatArray, lo: float, hi: float) -> float:
     x0, x1 = math.exp(lo), math.exp(hi)
     most = math.log((a - x0) / (x0 - b)) if b < x0 < a else math.inf
     least = math.log((a - x1) / (x1 - b)) if b < x1 < a else -math.inf
-    if x0 >= a:
-        return math.inf
-    if x1 <= b:
+    if x0 >= a or x1 <= b:
         return math.inf
     off = max(max(mean - most, least - mean), 0.0)
     return float(p * off * off * (1.0 - 1e-12))
@@ -303,9 +299,7 @@ _SHARES = (1e-4, 1e-3, 1e-2, 0.03, 0.1, 0.25)
 
 
 @kernel()
-def is_convex(
-    kind: int, global_problem: Arrays, box: FloatArray, most: int, values: FloatArray
-) -> bool:
+def is_convex(global_problem: Arrays, box: FloatArray, most: int, values: FloatArray) -> bool:
     """Return True only where the Hessian is positive definite at every point of the box.
 
     With f the misfit of a window as a function of its log energy, nbar the mean and C the
@@ -338,7 +332,7 @@ def is_convex(
         if low[i] < VANISHING:
             return False
         stiff[i], pull = _least_slopes(
-            kind, measured[i], global_problem[4][i], low[i] * (1.0 - 1e-10), high[i] * (1.0 + 1e-10)
+            measured[i], global_problem[4][i], low[i] * (1.0 - 1e-10), high[i] * (1.0 + 1e-10)
         )
         # a part that bends down is taken off in full: (x + y)(x + y)' <= 2 x x' + 2 y y'
         factor = stiff[i] if stiff[i] >= 0.0 else 2.0 * stiff[i]
@@ -386,15 +380,11 @@ def _stays_definite(
 
 
 @kernel(allocates=False)
-def _least_slopes(kind: int, m: float, c: float, low: float, high: float) -> tuple[float, float]:
+def _least_slopes(m: float, c: float, low: float, high: float) -> tuple[float, float]:
     """Return the least f'' and the least f' for energies between low and high."""
-    if kind == 0:
-        at = min(max(low, 0.25 * m), high)
-        turn = min(max(low, 0.5 * m), high)
-        return 2.0 * c * at * (2.0 * at - m), 2.0 * c * turn * (turn - m)
-    if kind == 1:
-        return 2.0 * c, 2.0 * c * math.log(low / m)
-    return 2.0 * c * m / high, 2.0 * c * (1.0 - m / low)
+    at = min(max(low, 0.25 * m), high)
+    turn = min(max(low, 0.5 * m), high)
+    return 2.0 * c * at * (2.0 * at - m), 2.0 * c * turn * (turn - m)
 
 
 @kernel()
@@ -522,22 +512,31 @@ _DESCENT_STEPS = 60
 
 
 @kernel()
-def total_misfit(kind: int, global_problem: Arrays, g: FloatArray, most: int) -> float:
+def total_misfit(global_problem: Arrays, g: FloatArray, most: int) -> float:
     """Return the misfit at g, priors included; g may hold minus infinities."""
     measured, precision, prior = global_problem[3], global_problem[4], global_problem[5]
     energy = np.empty(len(measured))
     energies(global_problem, powers(g, most), energy)
     total = 0.0
     for i in range(len(measured)):
-        total += misfit(kind, measured[i], precision[i], energy[i])
+        total += misfit(measured[i], precision[i], energy[i])
     for m in range(len(g)):
         total += prior_at(prior[m], g[m])[0]
     return total
 
 
 @kernel()
+def _slopes_at(global_problem: Arrays, g: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
+    """Return window energies and the slopes of their logarithms by g, (n_windows, n)."""
+    energy = np.empty(len(global_problem[3]))
+    slope, values = np.empty((len(energy), len(g))), np.empty(len(global_problem[1]))
+    far = np.zeros(len(g), dtype=np.bool_)
+    log_slopes(global_problem, powers(g, most), far, values, energy, slope)
+    return energy, slope
+
+
+@kernel()
 def misfit_slopes(
-    kind: int,
     global_problem: Arrays,
     g: FloatArray,
     most: int,
@@ -547,11 +546,7 @@ def misfit_slopes(
     """Return the misfit and fill its gradient and Gauss-Newton Hessian by g."""
     measured, precision, prior = global_problem[3], global_problem[4], global_problem[5]
     n, windows = len(g), len(measured)
-    far = np.zeros(n, dtype=np.bool_)
-    energy, slope = np.empty(windows), np.empty((windows, n))
-    log_slopes(
-        global_problem, powers(g, most), far, np.empty(len(global_problem[1])), energy, slope
-    )
+    energy, slope = _slopes_at(global_problem, g, most)
     total = 0.0
     for a in range(n):
         value, first, second = prior_at(prior[a], g[a])
@@ -561,16 +556,11 @@ def misfit_slopes(
             hessian[a, b] = max(second, 0.0) if a == b else 0.0
     for i in range(windows):
         r, m, c = energy[i], measured[i], precision[i]
-        total += misfit(kind, m, c, r)
+        total += misfit(m, c, r)
         if r <= 0.0:
             continue
-        if kind == 0:
-            first = 2.0 * c * r * (r - m)
-        elif kind == 1:
-            first = 2.0 * c * math.log(r / m)
-        else:
-            first = 2.0 * c * (1.0 - m / r)
-        second = stiffness(kind, c, r)
+        first = 2.0 * c * r * (r - m)
+        second = stiffness(c, r)
         for a in range(n):
             gradient[a] += first * slope[i, a]
             for b in range(n):
@@ -580,7 +570,6 @@ def misfit_slopes(
 
 @kernel()
 def descend(
-    kind: int,
     global_problem: Arrays,
     start: FloatArray,
     low: FloatArray,
@@ -591,7 +580,7 @@ def descend(
     n = len(start)
     g = np.minimum(np.maximum(start, low), high)
     gradient, hessian, damped = np.empty(n), np.empty((n, n)), np.empty((n, n))
-    here = misfit_slopes(kind, global_problem, g, most, gradient, hessian)
+    here = misfit_slopes(global_problem, g, most, gradient, hessian)
     damping = 1e-3
     for _ in range(_DESCENT_STEPS):
         for a in range(n):
@@ -600,7 +589,7 @@ def descend(
             damped[a, a] += damping * hessian[a, a]
         step = newton_step(gradient, damped, g, low, high)
         other = np.minimum(np.maximum(step + g, low), high)
-        there = total_misfit(kind, global_problem, other, most)
+        there = total_misfit(global_problem, other, most)
         if not there < here:
             damping *= 8.0
             if damping > 1e8:
@@ -608,15 +597,14 @@ def descend(
             continue
         done = here - there <= 1e-13 * here
         g, damping = other, max(damping * 0.2, 1e-12)
-        here = misfit_slopes(kind, global_problem, g, most, gradient, hessian)
+        here = misfit_slopes(global_problem, g, most, gradient, hessian)
         if done:
             break
-    return g, total_misfit(kind, global_problem, g, most)
+    return g, total_misfit(global_problem, g, most)
 
 
 @kernel()
 def least_of_convex(
-    kind: int,
     global_problem: Arrays,
     box: FloatArray,
     start: FloatArray,
@@ -630,37 +618,30 @@ def least_of_convex(
     fraction e changes a window's misfit by |f'| e, and its slope by as much of f' and f''.
     """
     n = len(start)
-    place, value = descend(kind, global_problem, start, box[0], box[1], most)
+    place, value = descend(global_problem, start, box[0], box[1], most)
     gradient, hessian = np.empty(n), np.empty((n, n))
-    here = misfit_slopes(kind, global_problem, place, most, gradient, hessian)
+    here = misfit_slopes(global_problem, place, most, gradient, hessian)
     bound, reach = here, 0.0
     for m in range(n):
         bound += min(gradient[m] * (box[0, m] - place[m]), gradient[m] * (box[1, m] - place[m]))
         reach = max(reach, box[1, m] - box[0, m])
-    size = _sensitivity(kind, global_problem, place, most, reach)
+    size = _sensitivity(global_problem, place, most, reach)
     return place, value, bound - 8.0 * rounding * size - 1e-12 * (here + abs(here - bound))
 
 
 @kernel()
-def _sensitivity(
-    kind: int, global_problem: Arrays, g: FloatArray, most: int, reach: float
-) -> float:
+def _sensitivity(global_problem: Arrays, g: FloatArray, most: int, reach: float) -> float:
     """Return by how much misfit and tangent change for a relative change of every energy by 1.
 
     Of a misfit by ``|f'|``, of a tangent over a distance by ``(|f'| + |f''|)`` times the mean
     exponents and the distance.
     """
     measured, precision = global_problem[3], global_problem[4]
-    windows = len(measured)
-    far = np.zeros(len(g), dtype=np.bool_)
-    energy, slope = np.empty(windows), np.empty((windows, len(g)))
-    log_slopes(
-        global_problem, powers(g, most), far, np.empty(len(global_problem[1])), energy, slope
-    )
+    energy, slope = _slopes_at(global_problem, g, most)
     total = 0.0
-    for i in range(windows):
+    for i in range(len(measured)):
         if energy[i] > 0.0:
-            _, first, second = in_log(kind, measured[i], precision[i], math.log(energy[i]))
+            _, first, second = in_log(measured[i], precision[i], math.log(energy[i]))
             hits = 0.0
             for m in range(len(g)):
                 hits += slope[i, m]
@@ -674,7 +655,6 @@ _SLICES = (0.5, 0.25, 0.125)
 
 @kernel()
 def shave(
-    kind: int,
     global_problem: Arrays,
     planes: Planes,
     separable: Separable,
@@ -715,7 +695,7 @@ def shave(
                 for a in range(n):
                     d[a] = low_ends[a]
                 bound = least_over(
-                    kind, global_problem, planes, separable, low, high, threshold, d, False
+                    global_problem, planes, separable, low, high, threshold, d, False
                 )
                 low[m], high[m] = old_low, old_high
                 if bound < threshold:

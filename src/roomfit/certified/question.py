@@ -1,23 +1,19 @@
-"""What a certified search minimises: misfits of sums of products of powers, and priors."""
+"""What a certified search minimises: squares of sums of products of powers, and priors."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from roomfit._checks import bool_array, float_array
 from roomfit.errors import InputError
 from roomfit.objective.energy import EnergyTerm, Observation
 from roomfit.objective.parameters import Block, Parameters, leaders, physical_values, to_free
 from roomfit.objective.problem import total
 from roomfit.response.energy import EnergyRows, window_of_rows
 from roomfit.typing import BoolArray, FloatArray, IntArray
-
-Misfit: TypeAlias = Literal["squares", "logarithms", "gamma"]
-KINDS: dict[Misfit, int] = {"squares": 0, "logarithms": 1, "gamma": 2}
 
 Arrays: TypeAlias = tuple[
     IntArray, FloatArray, IntArray, FloatArray, FloatArray, FloatArray, BoolArray
@@ -29,19 +25,17 @@ Arrays: TypeAlias = tuple[
 class GlobalProblem:
     """One band's misfit as a function of log factors g, to be minimised over a box.
 
-    Window i is expected to have the energy ``R_i = sum over its rows of w prod exp(n_m g_m)``. The
-    first coordinates are materials, g = log(1 - absorption); others are log gains.
+    The misfit is the sum of ``c (R - M)**2`` over windows, and of the priors. Window i is expected
+    to have the energy ``R_i = sum over its rows of w prod exp(n_m g_m)``. The first coordinates are
+    materials, g = log(1 - absorption); others are log gains.
     """
 
     coordinates: tuple[str, ...]
     is_absorption: BoolArray  # (n,)
-    # {"squares", "logarithms", "gamma"}, ``c (R - M)**2``, ``c (log R - log M)**2``, or the Gamma
-    # deviance ``2 c (M / R - 1 - log(M / R))``, summed over windows
-    misfit: Misfit
     offsets: IntArray  # (n_windows + 1,), window i owns the rows ``offsets[i]:offsets[i + 1]``
     weight: FloatArray  # (n_rows,), 0 or more
     exponents: IntArray  # (n_rows, n)
-    measured: FloatArray  # (n_windows,), M; 0 or more, above 0 unless the misfit is "squares"
+    measured: FloatArray  # (n_windows,), M; 0 or more
     precision: FloatArray  # (n_windows,), c; 0 or more
     # least, most: (n,), bounds of g. `least` may be minus infinity, an absorption of 1.
     least: FloatArray
@@ -50,44 +44,13 @@ class GlobalProblem:
     # between bounds: columns p, mean, 1 - lower bound, 1 - upper bound. p = 0 adds nothing.
     prior: FloatArray
 
-    def __post_init__(self) -> None:
-        n, rows, windows = len(self.coordinates), len(self.weight), len(self.measured)
-        if not n or not windows:
-            raise InputError(
-                "nothing to certify",
-                found=f"{n} unknowns and {windows} windows",
-                needed="at least one of each",
-            )
-        for name, shape in (
-            ("weight", (rows,)),
-            ("measured", (windows,)),
-            ("precision", (windows,)),
-        ):
-            object.__setattr__(self, name, float_array(name, getattr(self, name), shape, low=0.0))
-        object.__setattr__(self, "prior", float_array("prior", self.prior, (n, 4)))
-        shapes: dict[str, tuple[type, tuple[int, ...]]] = {
-            "offsets": (np.int64, (windows + 1,)),
-            "exponents": (np.uint16, (rows, n)),
-            "least": (np.float64, (n,)),
-            "most": (np.float64, (n,)),
-        }
-        for name, (dtype, size) in shapes.items():
-            array: IntArray | FloatArray = np.array(getattr(self, name), dtype=dtype, order="C")
-            if array.shape != size:
-                raise InputError(f"{name} has the wrong shape", found=str(array.shape))
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-        flags = bool_array("kind of coordinate", self.is_absorption, (n,))
-        object.__setattr__(self, "is_absorption", flags)
-        _check_bounds(self)
-
 
 def arrays(global_problem: GlobalProblem) -> Arrays:
     """Return what the kernels take, writable copies of one contiguous form."""
     return (
-        np.array(global_problem.offsets),
+        np.array(global_problem.offsets, dtype=np.int64),
         np.array(global_problem.weight),
-        np.array(global_problem.exponents),
+        np.array(global_problem.exponents, dtype=np.uint16),
         np.array(global_problem.measured),
         np.array(global_problem.precision),
         np.array(global_problem.prior),
@@ -98,26 +61,6 @@ def arrays(global_problem: GlobalProblem) -> Arrays:
 def to_absorption(global_problem: GlobalProblem, g: FloatArray) -> FloatArray:
     """Return what log factors mean: absorption for materials, the gain itself for gains."""
     return np.where(global_problem.is_absorption, -np.expm1(g), np.exp(g))
-
-
-def _check_bounds(global_problem: GlobalProblem) -> None:
-    if not np.all(global_problem.least < global_problem.most) or not np.all(
-        np.isfinite(global_problem.most)
-    ):
-        raise InputError("bounds of a certified search must rise and end finitely")
-    if np.any(~np.isfinite(global_problem.least) & ~global_problem.is_absorption):
-        raise InputError("a gain needs a finite lower bound for a certificate")
-    if global_problem.misfit != "squares":
-        empty = np.flatnonzero(global_problem.measured <= 0.0)
-        if empty.size:
-            raise InputError(
-                "a window without energy has no logarithm",
-                where=f"window {int(empty[0])}",
-                hint="leave it out, or use least squares",
-            )
-        starts, ends = global_problem.offsets[:-1], global_problem.offsets[1:]
-        if np.any(starts == ends):
-            raise InputError("a window that no path reaches has no logarithm")
 
 
 # Gains are searched within a factor of e**3, 13 dB, either side of where total energies agree.
@@ -148,14 +91,13 @@ def energy_global_problem(
     ----------
     energies : EnergyTerm
         Air in its rows (`in_air`).
-    parameters : Parameters
     vector : float array, shape (n_free,)
 
     Raises
     ------
     InputError
-        Energies are not all that is unknown or known: other blocks, a joint prior, air apart,
-        or materials of one product.
+        Energies are not all that is unknown or known: other blocks, a joint prior, or materials
+        of one product.
     """
     blocks = {b.name: b for b in parameters.blocks}
     if set(blocks) != {"absorption", "gain"} or parameters.joint is not None:
@@ -170,8 +112,6 @@ def energy_global_problem(
             found="materials of one product",
             hint='leave out the product, or use method = "least-squares"',
         )
-    if energies.attenuation_per_m != 0.0:
-        raise InputError("the air's loss must stand in the rows", hint="use `in_air`")
     absorption, gain = blocks["absorption"], blocks["gain"]
     values, _ = physical_values(parameters, vector)
     own = np.flatnonzero(absorption.fitted)
@@ -196,7 +136,6 @@ def energy_global_problem(
             *(f"gain of {gain.labels[i]}" for i in free_gains),
         ),
         np.arange(own.size + free_gains.size) < own.size,
-        "squares",
         np.concatenate(([0], np.cumsum(counts))),
         np.concatenate([p[1] for p in parts]),
         np.concatenate([p[2] for p in parts]),

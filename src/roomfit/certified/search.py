@@ -22,9 +22,8 @@ from roomfit.certified.convex import (
     shave,
     total_misfit,
 )
-from roomfit.certified.question import KINDS, Arrays, GlobalProblem, arrays
-from roomfit.errors import InputError
-from roomfit.typing import BoolArray, FloatArray, Progress
+from roomfit.certified.question import Arrays, GlobalProblem, arrays
+from roomfit.typing import BoolArray, FloatArray
 
 _ROUNDS = 8
 # Shaving goes on while a round takes off so much of the volume.
@@ -46,7 +45,6 @@ class BoxStatus(Enum):
 class Tools:
     """A global problem in the form that kernels take, with what is computed once."""
 
-    kind: int
     data: Arrays
     is_absorption: BoolArray
     most: int
@@ -72,7 +70,6 @@ def tools_for(global_problem: GlobalProblem) -> Tools:
     """Return what working on the boxes of a global problem needs."""
     data = arrays(global_problem)
     return Tools(
-        KINDS[global_problem.misfit],
         data,
         global_problem.is_absorption,
         int(global_problem.exponents.max(initial=0)),
@@ -117,9 +114,9 @@ def examine(
     widths = widths_of(tools.is_absorption, box)
     if widths.max() <= narrowest or (widths.max() <= width and bound >= incumbent.value - delta):
         return BoxStatus.KEPT, bound, 0
-    if is_convex(tools.kind, tools.data, box, tools.most, tools.values):
+    if is_convex(tools.data, box, tools.most, tools.values):
         place, value, least = least_of_convex(
-            tools.kind, tools.data, box, 0.5 * (box[0] + box[1]), tools.most, tools.rounding
+            tools.data, box, 0.5 * (box[0] + box[1]), tools.most, tools.rounding
         )
         incumbent.offer(value, place)
         bound = max(bound, least)
@@ -133,30 +130,28 @@ def _bounded(
     tools: Tools, box: FloatArray, incumbent: Incumbent, delta: float
 ) -> tuple[float, float, FloatArray]:
     """Bound the misfit over a box and shave it; return bound, share kept, and shares of blame."""
-    kind, data, most = tools.kind, tools.data, tools.most
+    data, most = tools.data, tools.most
     threshold = incumbent.value + delta
     corners, apart, planes, centre, half = planes_over(
-        kind, data, box[0], box[1], most, tools.nodes, tools.rounding, threshold, tools.values
+        data, box[0], box[1], most, tools.nodes, tools.rounding, threshold, tools.values
     )
     if corners >= threshold:
         return corners, 1.0, planes[4]
     separable = priors_over(data[5], box[0], box[1], centre, half)
     d: FloatArray = np.zeros(len(half))
-    bound = apart + least_over(
-        kind, data, planes, separable, -half, half, threshold - apart, d, True
-    )
+    bound = apart + least_over(data, planes, separable, -half, half, threshold - apart, d, True)
     if bound >= threshold:
         return bound, 1.0, planes[4]
     # the misfit at the bound's lowest point, and where a descent from there within the box ends
     low = np.where(np.isfinite(box[0]), box[0], box[1] - 2.0 * FAR_CUT)
     inside = np.clip(centre + d, low, box[1])
-    if total_misfit(kind, data, inside, most) < incumbent.value:
-        place, value = descend(kind, data, inside, low, box[1], most)
+    if total_misfit(data, inside, most) < incumbent.value:
+        place, value = descend(data, inside, low, box[1], most)
         incumbent.offer(value, place)
     threshold = incumbent.value + delta
     if bound >= threshold:
         return bound, 1.0, planes[4]
-    kept = shave(kind, data, planes, separable, box, centre, half, threshold - apart, d)
+    kept = shave(data, planes, separable, box, centre, half, threshold - apart, d)
     return bound, kept, planes[4]
 
 
@@ -198,13 +193,6 @@ class SearchSettings:
     max_boxes: int = 1_000_000
     max_seconds: float = math.inf  # of the processor: what other programs take does not count
 
-    def __post_init__(self) -> None:
-        for name in ("delta", "width", "narrowest", "max_boxes", "max_seconds"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(
-                    f"certified search: {name} must be above zero", found=str(getattr(self, name))
-                )
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Searched:
@@ -223,9 +211,7 @@ class Searched:
     delta: float
 
 
-def search(
-    global_problem: GlobalProblem, settings: SearchSettings, *, progress: Progress | None = None
-) -> Searched:
+def search(global_problem: GlobalProblem, settings: SearchSettings) -> Searched:
     """Return every box that may hold a misfit within `delta` of the lowest.
 
     The box of lowest bound goes first, so that the lower bound rises all the time. Stopped by a
@@ -245,8 +231,6 @@ def search(
             examined += _work_on(tools, queue, kept, incumbent, settings)
         except KeyboardInterrupt:
             break
-        if progress is not None:
-            progress(examined / (examined + 2.0 * queue.n))
     boxes = np.concatenate([kept.boxes[: kept.n], queue.boxes[: queue.n]])
     bounds = np.concatenate([kept.bounds[: kept.n], queue.bounds[: queue.n]])
     near = bounds < incumbent.value + settings.delta
@@ -315,20 +299,20 @@ def proven_empty(
     return not queue.n and not kept.n
 
 
-def first_guess(global_problem: GlobalProblem, tools: Tools, seed: int = 0) -> Incumbent:
+def first_guess(global_problem: GlobalProblem, tools: Tools) -> Incumbent:
     """Return the lowest misfit that descents from a dozen points find, and where.
 
     Even absorptions first, then points drawn at random.
     """
     low, high = np.maximum(global_problem.least, _ALMOST_BLACK), global_problem.most
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     even = [np.clip(np.full(low.size, math.log(1.0 - a)), low, high) for a in _EVEN]
     share = rng.random((_STARTS - len(even), low.size))
     drawn = np.log(np.exp(low) + (np.exp(high) - np.exp(low)) * share)
     incumbent = Incumbent(math.inf, even[0])
     for start in (*even, *drawn):
-        if math.isfinite(total_misfit(tools.kind, tools.data, start, tools.most)):
-            place, value = descend(tools.kind, tools.data, start, low, high, tools.most)
+        if math.isfinite(total_misfit(tools.data, start, tools.most)):
+            place, value = descend(tools.data, start, low, high, tools.most)
             incumbent.offer(value, place)
     return incumbent
 

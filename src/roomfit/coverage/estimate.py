@@ -23,7 +23,9 @@ import numpy as np
 
 from roomfit.air import attenuation_per_m
 from roomfit.cache import (
+    check_output_folder,
     hidden_folder,
+    make_folder,
     nearest_existing,
     shared_folder,
     write_json_atomically,
@@ -132,12 +134,7 @@ def write_replicate(out: Path, replicate: Replicate) -> Path:
         content["models"] = list(found.models)
         content["findings"] = [code.value for code in found.findings]
     with shared_folder(out, alone=False):
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise StoreError(
-                "the folder of replicates cannot be made", where=str(path.parent), found=str(error)
-            ) from error
+        make_folder(path.parent)
         return write_json_atomically(path, content)
 
 
@@ -217,10 +214,7 @@ def replicated(
 
     Where roomfit refuses the synthetic campaign, the replicate holds the refusal.
 
-    Parameters
-    ----------
-    scratch : Path
-        An existing folder for the synthetic files, which are removed again.
+    `scratch`: an existing folder for the synthetic files, which are removed again.
 
     Raises
     ------
@@ -336,10 +330,7 @@ class CoverageResult:
     def to_dataframe(self) -> Any:
         """Return a pandas data frame of one row a band, then all of them, as calibration.csv.
 
-        Raises
-        ------
-        InputError
-            pandas, on which roomfit does not depend, is not installed.
+        Without pandas, on which roomfit does not depend, an `InputError` says what to install.
         """
         from roomfit.coverage.output import COLUMNS, coverage_numbers
         from roomfit.report.wording import data_frame
@@ -428,7 +419,7 @@ def estimate_coverage(
     1
     """
     settings = CoverageSettings() if settings is None else settings
-    _check_folder(out)
+    check_output_folder(out, overwrite=True)
     plan = coverage_plan(campaign, settings)
     there = {n: read_replicate(out, n, plan.digest) for n in range(settings.replicates)}
     missing = [n for n in settings.numbers if there[n] is None]
@@ -539,16 +530,6 @@ def _coverage_sample(plan: CoveragePlan, answered: list[Replicate]) -> CoverageS
         prior=_prior_middle(plan) if plan.answer is None else plan.answer.absorption,
         **arrays,
     )
-
-
-def _check_folder(out: Path) -> None:
-    nearest: Path | None = next((p for p in (out, *out.absolute().parents) if p.exists()), None)
-    if nearest is not None and not nearest.is_dir():
-        raise InputError(
-            "the output folder is a file" if nearest == out else "the output folder is in a file",
-            where=str(out),
-            hint="choose another name",
-        )
 
 
 @contextmanager

@@ -18,7 +18,7 @@ from roomfit.coverage.statistics import (
     coverage_at,
     coverage_rows,
 )
-from roomfit.io.encoding import number_or_null
+from roomfit.io.encoding import csv_text, number_or_null
 from roomfit.report.figures import OKABE_ITO, new_figure
 from roomfit.report.wording import html_table
 
@@ -43,13 +43,10 @@ def _levels(axes: Axes, proportions: tuple[Proportion, ...]) -> None:
     percent = 100.0 * _NOMINAL
     axes.plot([0, 100], [0, 100], color="black", lw=1.0, ls="--", label="nominal")
     if proportions[0].of:
-        low, high = (
-            100.0 * np.array([getattr(s, n) for s in proportions]) for n in ("low", "high")
-        )
+        low, high, values = 100.0 * np.array([[s.low, s.high, s.value] for s in proportions]).T
         axes.fill_between(
             percent, low, high, color=OKABE_ITO[0], alpha=0.25, lw=0.0, label="range of chance"
         )
-        values = [100.0 * s.value for s in proportions]
         axes.plot(percent, values, "o-", color=OKABE_ITO[0], ms=3.5, lw=1.4, label="found")
     axes.set_xlabel("level of the interval (%)")
     axes.set_ylabel("intervals that hold the true value (%)")
@@ -67,22 +64,14 @@ def _bands(axes: Axes, rows: tuple[CoverageRow, ...]) -> None:
         ([r.holds for r in rows], "o", OKABE_ITO[0], -0.08, "95 % intervals that hold"),
         ([r.outside for r in rows], "s", OKABE_ITO[1], 0.08, "identifiable but outside"),
     )
+    style: dict[str, Any] = {"ms": 5, "capsize": 2.5, "lw": 1.2}
     for proportions, mark, colour, shift, label in marks:
         known = [i for i, s in enumerate(proportions) if s.of]
-        value = np.array([100.0 * proportions[i].value for i in known])
-        low, high = (
-            np.array([100.0 * getattr(proportions[i], n) for i in known]) for n in ("low", "high")
-        )
+        table = [[p.value, p.low, p.high] for p in (proportions[i] for i in known)]
+        value, low, high = 100.0 * np.array(table).reshape(-1, 3).T
+        reach = np.abs(np.array([value - low, high - value]))
         axes.errorbar(
-            positions[known] + shift,
-            value,
-            yerr=np.abs(np.array([value - low, high - value])),
-            fmt=mark,
-            color=colour,
-            ms=5,
-            capsize=2.5,
-            lw=1.2,
-            label=label,
+            positions[known] + shift, value, reach, fmt=mark, color=colour, label=label, **style
         )
     axes.set_xticks(positions, [f"{r.band_hz:g}" for r in rows])
     if len(rows) > 10:
@@ -202,11 +191,11 @@ def coverage_numbers(result: CoverageResult) -> Iterator[tuple[Any, ...]]:
 
 def coverage_csv(result: CoverageResult) -> str:
     """Return the table as CSV; empty cells where nothing can be counted."""
-    lines = [",".join(COLUMNS)]
+    rows = []
     for band, count, *values in coverage_numbers(result):
         cells = ["" if math.isnan(x) else f"{x:.4f}" for x in values]
-        lines.append(",".join((band if band == "all" else f"{band:g}", str(count), *cells)))
-    return "\n".join(lines) + "\n"
+        rows.append([band if band == "all" else f"{band:g}", count, *cells])
+    return csv_text(COLUMNS, rows)
 
 
 def _counts(counted: Iterable[tuple[str, int]]) -> str:

@@ -23,23 +23,26 @@ from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.scattering import band_factors
 from roomfit.inversion.trace_plan import LEAST_RAYS, plan_trace
 from roomfit.io.campaign import Campaign, MeasuredTable
+from roomfit.io.encoding import csv_text
 from roomfit.io.iso3382 import NAMES
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.response.directivity import Pattern, UnknownDirectivity
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.settings import Settings
-from roomfit.signals.decay import decay_curve, room_parameters
+from roomfit.signals.decay import PARAMETER_NAMES, decay_curve, room_parameters
 from roomfit.signals.filters import FilterBank, filter_pressure
 from roomfit.signals.iso3382 import ValueName
 from roomfit.signals.response import ImpulseResponse, padded
 from roomfit.synthetic.boxes import (
     ECHOGRAM_BIN_S,
+    PRESSURE_SQUARED,
     SyntheticBox,
     diffuse_echogram,
     loudspeaker,
     modulated_noise,
     octave_shares,
     pressure_response,
+    spectrum_of_impulses,
     specular_box,
 )
 from roomfit.synthetic.polyhedra import SyntheticPolyhedron, convex_cells, pressure_responses
@@ -52,9 +55,6 @@ _NOTHING = 1e-30
 Pair = tuple[str, str]
 Pressures = dict[Pair, FloatArray]
 """After an impulse at time 0, (n_samples,): a unit source's direct sound is 1 / (4 pi r)."""
-
-# Energies are 1/(4 pi r^2) where the square of the pressure is 1/(4 pi r)^2.
-_PRESSURE_SQUARED = 1.0 / (4.0 * np.pi)
 
 
 def traced_pressures(
@@ -128,24 +128,20 @@ def _pressure(
 ) -> FloatArray:
     """Return the pressure of one pair: its image paths as impulses, its rays as noise."""
     mirrored, caught = np.flatnonzero(own & images), np.flatnonzero(own & ~images)
-    fine = np.round(times_s[mirrored] * rate_hz * _OVERSAMPLING).astype(np.int64)
-    frequencies = np.linspace(0.0, 0.5 * rate_hz, n_samples + 1)
-    shares = octave_shares(plan.grid.centres_hz, frequencies)
-    spectrum = np.zeros(n_samples + 1, dtype=np.complex128)
-    n_bins = int(np.ceil(n_samples / rate_hz / ECHOGRAM_BIN_S)) + 1
-    bins = (times_s[caught] / ECHOGRAM_BIN_S).astype(np.int64)
-    echogram = np.zeros((len(plan.grid), n_bins))
-    for band, share in enumerate(shares):
-        amplitude = np.sqrt(_PRESSURE_SQUARED * energy[band, mirrored])
-        impulse_grid = np.bincount(fine, amplitude, 2 * n_samples * _OVERSAMPLING)
-        spectrum += share * np.fft.rfft(impulse_grid)[: n_samples + 1]
-        echogram[band] = np.bincount(bins, energy[band, caught], n_bins)
+    amplitudes, centres_hz = np.sqrt(PRESSURE_SQUARED * energy[:, mirrored]), plan.grid.centres_hz
+    spectrum = spectrum_of_impulses(
+        times_s[mirrored], amplitudes.__getitem__, centres_hz, n_samples, rate_hz, _OVERSAMPLING
+    )
     specular = np.asarray(np.fft.irfft(spectrum, 2 * n_samples)[:n_samples])
-    flat = np.zeros(len(plan.grid))
     if not caught.size:
         return specular
-    noise = modulated_noise(echogram, n_samples, rate_hz, plan.grid.centres_hz, flat, rng)
-    return np.asarray(specular + noise)
+    n_bins = int(np.ceil(n_samples / rate_hz / ECHOGRAM_BIN_S)) + 1
+    bins = (times_s[caught] / ECHOGRAM_BIN_S).astype(np.int64)
+    echogram = np.array([np.bincount(bins, row, n_bins) for row in energy[:, caught]])
+    flat = np.zeros(len(plan.grid))
+    return np.asarray(
+        specular + modulated_noise(echogram, n_samples, rate_hz, centres_hz, flat, rng)
+    )
 
 
 BOX, SCATTERING_BOX = "images of a box", "images and scattered noise of a box"
@@ -313,11 +309,11 @@ def synthetic_table(
     stays empty.
     """
     bands = plan.campaign.bands
-    lines = [",".join(("source", "receiver", "parameter", *(f"{f:g}" for f in bands.centres_hz)))]
+    rows = []
 
     def add(source: str, receiver: str, key: str, values: FloatArray) -> None:
         cells = [f"{v:.6g}" if np.isfinite(v) else "" for v in values]
-        lines.append(",".join((source, receiver, key, *cells)))
+        rows.append([source, receiver, key, *cells])
 
     source_m = {s.name: s.position_m for s in synthetic.sources}
     receiver_m = {r.name: r.position_m for r in synthetic.receivers}
@@ -330,7 +326,9 @@ def synthetic_table(
             add(source, receiver, _WRITTEN[name], _possible(name, found[name] + error))
             if np.isfinite(spread).any():
                 add(source, receiver, f"{_WRITTEN[name]}_sd", spread)
-    return "\n".join(lines) + "\n"
+    return csv_text(
+        ["source", "receiver", "parameter", *(f"{f:g}" for f in bands.centres_hz)], rows
+    )
 
 
 def _values(
@@ -339,11 +337,8 @@ def _values(
     """Return all parameters of a response in absolute pressures."""
     bank = FilterBank(bands)
     parameters = room_parameters(decay_curve(bank, response, direct_s))
-    found: dict[ValueName, FloatArray] = {"G_dB": _strength_db(bank, response)}
-    for name in _WRITTEN:
-        if name != "G_dB":
-            found[name] = parameters.of(name)
-    return found
+    others: dict[ValueName, FloatArray] = {name: parameters.of(name) for name in PARAMETER_NAMES}
+    return {"G_dB": _strength_db(bank, response), **others}
 
 
 def _strength_db(bank: FilterBank, response: ImpulseResponse) -> FloatArray:

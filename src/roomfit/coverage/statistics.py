@@ -97,9 +97,7 @@ def grouped_proportion(hit: BoolArray, counted: BoolArray) -> Proportion:
     The interval is that of [1]_ for the effective number: the number over the design effect,
     the variance of a group's sum over what independent values would have [2]_, never below one.
 
-    Parameters
-    ----------
-    hit, counted : bool arrays, shape (n_groups, ...)
+    `hit`, `counted` have the shape (n_groups, ...).
 
     References
     ----------
@@ -139,9 +137,7 @@ def scaled_errors(found: CoverageSample) -> FloatArray:
     Each by the side of the interval on which the true value lies, so that one within +-1.96 lies
     in its 95 % interval; standard normal where intervals are right.
 
-    Returns
-    -------
-    float array, shape (n_intervals,)
+    The result has the shape (n_intervals,).
     """
     middle, true = logit(found.absorption), logit(found.true)
     up, down = logit(found.upper95) - middle, middle - logit(found.lower95)
@@ -153,10 +149,7 @@ def scaled_errors(found: CoverageSample) -> FloatArray:
 def coverage_at(found: CoverageSample, nominal: FloatArray) -> tuple[Proportion, ...]:
     """Return how many intervals of other levels hold the true value, stretched from the 95 % ones.
 
-    Parameters
-    ----------
-    nominal : float array
-        Above 0 and below 1.
+    `nominal`: above 0 and below 1.
     """
     reach = ndtri(0.5 + 0.5 * nominal)
     z = np.full(found.has_interval.shape, np.inf)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit._checks import read_only
+from roomfit._checks import check_range, read_only
 from roomfit.air import relative_speed_sd, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.cache import code_digest, digest
@@ -65,13 +65,7 @@ class CoverageSettings:
         if self.snr_db is not None:
             limits = (*limits, ("snr-db", self.snr_db, 20.0, 90.0))
         for name, value, low, high in limits:
-            if not low <= value <= high:
-                raise InputError(
-                    "a setting of the estimate of coverage is out of range",
-                    where=name,
-                    found=f"{value:g}",
-                    needed=f"{low:g} to {high:g}",
-                )
+            check_range(name, value, low, high, where="the estimate of coverage")
 
     @property
     def numbers(self) -> range:

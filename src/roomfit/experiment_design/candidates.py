@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import get_args
+from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import qmc
 
-from roomfit._checks import float_array
+from roomfit._checks import check_known
 from roomfit.air import Air, speed_of_sound_m_s
 from roomfit.errors import InputError
-from roomfit.experiment_design.choose import CRITERIA, Criterion, Rules
+from roomfit.experiment_design.choose import Criterion, Rules
 from roomfit.experiment_design.information import (
     ExpectedMeasurement,
     information_of_pairs,
@@ -87,14 +87,9 @@ class DesignOptions:
         ):
             if number is not None and number < 1:
                 raise InputError(f"the number of {name} is below 1", found=str(number), needed="1")
-        if self.criterion is not None and self.criterion not in CRITERIA:
-            raise InputError(
-                "unknown criterion", found=repr(self.criterion), needed=", ".join(CRITERIA)
-            )
-        if self.level not in get_args(Level):
-            raise InputError(
-                "unknown level", found=repr(self.level), needed=", ".join(get_args(Level))
-            )
+        if self.criterion is not None:
+            check_known("unknown criterion", self.criterion, get_args(Criterion))
+        check_known("unknown level", self.level, get_args(Level))
 
 
 # Points that are tried before a region counts as too narrow.
@@ -102,24 +97,12 @@ _MOST_TRIES = 2**14
 _SAME_POSITION_M = 0.01
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Region:
+class Region(NamedTuple):
     """A box in the room's frame, and how far from all walls a position must be."""
 
     low_m: FloatArray  # (3,)
     high_m: FloatArray  # (3,)
     wall_distance_m: float = 1.0  # ISO 3382-2:2008, 4.3.3: a quarter of a wavelength, normally 1 m
-
-    def __post_init__(self) -> None:
-        for name in ("low_m", "high_m"):
-            corner = float_array(f"corner of a region ({name})", getattr(self, name), (3,))
-            object.__setattr__(self, name, corner)
-        if np.any(self.low_m > self.high_m):
-            raise InputError(
-                "a region ends below its beginning",
-                found=f"from {self.low_m.tolist()} to {self.high_m.tolist()} m",
-                needed="the lower corner first",
-            )
 
 
 def region_of(
@@ -128,7 +111,13 @@ def region_of(
     wall_distance_m: float,
     box_m: tuple[ArrayLike, ArrayLike] | None = None,
 ) -> Region:
-    """Return the region of a room between two heights above its lowest point, cut by a box."""
+    """Return the region of a room between two heights above its lowest point, cut by a box.
+
+    Raises
+    ------
+    InputError
+        Nothing is left of it.
+    """
     vertices = room.mesh.vertices_m
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     floor = float(low[2])
@@ -136,6 +125,12 @@ def region_of(
     high = np.minimum(high, [*high[:2], floor + heights_m[1]])
     if box_m is not None:
         low, high = np.maximum(low, box_m[0]), np.minimum(high, box_m[1])
+    if np.any(low > high):
+        raise InputError(
+            "a region ends below its beginning",
+            found=f"from {low.tolist()} to {high.tolist()} m",
+            needed="the lower corner first",
+        )
     return Region(low, high, wall_distance_m)
 
 
@@ -207,10 +202,7 @@ def least_source_distance_m(volume_m3: float, speed_m_s: float, decay_s: float) 
 def compatible_positions(receivers_m: FloatArray, apart_m: float) -> BoolArray:
     """Return which receivers may stand in one design: far enough apart, or at one position.
 
-    Parameters
-    ----------
-    receivers_m : float array, shape (n_pairs, 3)
-        Of every pair.
+    `receivers_m`, shape (n_pairs, 3): of every pair.
 
     Returns
     -------
@@ -324,9 +316,7 @@ def design_candidates(
 def even_part(source: IntArray, n: int, rng: np.random.Generator) -> IntArray:
     """Return n of many pairs, drawn so that each source keeps as many as the others, in order.
 
-    Parameters
-    ----------
-    source : int array, shape (n_pairs,)
+    `source` has the shape (n_pairs,).
     """
     if len(source) <= n:
         return np.arange(len(source))

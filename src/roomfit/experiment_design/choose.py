@@ -8,7 +8,6 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from roomfit._checks import bool_array, int_array
 from roomfit.errors import InputError
 from roomfit.experiment_design.information import (
     PairInformation,
@@ -20,7 +19,6 @@ from roomfit.experiment_design.prior import Unknowns
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 Criterion = Literal["determinant", "mean", "worst"]
-CRITERIA: tuple[Criterion, ...] = ("determinant", "mean", "worst")
 # The widest interval decides; among designs that leave it alike, the mean does.
 _MEAN_BESIDE_WORST = 1e-3
 # An exchange must better the criterion by more than rounding.
@@ -40,12 +38,6 @@ class Rules:
     candidate: BoolArray  # (n_pairs,), False for what has been measured already
     fixed: tuple[int, ...] = ()  # pairs that have been measured and count
     most_sources: int | None = None  # how many different sources a design may have
-
-    def __post_init__(self) -> None:
-        n = len(self.source)
-        object.__setattr__(self, "source", int_array("source", self.source, (n,), low=0))
-        for name, shape in (("compatible", (n, n)), ("candidate", (n,))):
-            object.__setattr__(self, name, bool_array(name, getattr(self, name), shape))
 
 
 def allowed(rules: Rules, chosen: list[int]) -> BoolArray:

@@ -100,10 +100,7 @@ class Design:
     def to_dataframe(self) -> Any:
         """Return a pandas data frame of one row a chosen pair, as design.csv.
 
-        Raises
-        ------
-        InputError
-            pandas, on which roomfit does not depend, is not installed.
+        Without pandas, on which roomfit does not depend, an `InputError` says what to install.
         """
         from roomfit.experiment_design.output import COLUMNS, design_rows
         from roomfit.report.wording import data_frame

@@ -12,10 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roomfit._checks import int_array, read_only
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
-from roomfit.errors import InputError
 from roomfit.experiment_design.prior import PriorInformation, Unknowns
 from roomfit.inversion.sequential import FIT_END_S
 from roomfit.logit import Z95, expit
@@ -428,18 +426,6 @@ class PairInformation:
     # (n_pairs,): pairs of one number share one unknown gain in each band; -1: the level is known
     gain: IntArray
 
-    def __post_init__(self) -> None:
-        matrices = np.array(self.matrices, dtype=np.float64)
-        if matrices.ndim != 5 or matrices.shape[-1] != matrices.shape[-2]:
-            raise InputError(
-                "the information of pairs has the wrong shape",
-                found=f"{matrices.shape}",
-                needed="(n_pairs, n_draws, n_bands, n + 1, n + 1)",
-            )
-        object.__setattr__(self, "matrices", read_only(matrices))
-        gain = int_array("gain", self.gain, (len(matrices),), low=-1)
-        object.__setattr__(self, "gain", gain)
-
 
 def without_gain(matrices: FloatArray) -> FloatArray:
     """Return the information about the absorptions when the gain is found along with them.
@@ -460,10 +446,7 @@ def information_of(
     Pairs that share a gain have more information together than the sum of each alone. More pairs
     never have less.
 
-    Parameters
-    ----------
-    chosen : list of int
-        Indices of the pairs that are measured.
+    `chosen`: indices of the pairs that are measured.
     """
     total = unknowns.information.copy()
     picked = np.asarray(chosen, dtype=np.int64)
@@ -479,9 +462,7 @@ def interval_widths(unknowns: Unknowns, information: FloatArray) -> FloatArray:
 
     The mean over the draws. An interval is symmetric in logit, as a fit's is.
 
-    Parameters
-    ----------
-    information : float array, shape (..., n_draws, n_bands, n, n)
+    `information` has the shape (..., n_draws, n_bands, n, n).
     """
     covariance = np.linalg.inv(information)
     reach = Z95 * np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
@@ -493,9 +474,7 @@ def interval_widths(unknowns: Unknowns, information: FloatArray) -> FloatArray:
 def material_widths(unknowns: Unknowns, widths: FloatArray) -> FloatArray:
     """Return the widths of every material, known ones 0, shape (n_materials, n_bands).
 
-    Parameters
-    ----------
-    widths : float array, shape (n_bands, n)
+    `widths` has the shape (n_bands, n).
     """
     padded = np.concatenate((widths, np.zeros((len(widths), 1))), axis=1)
     return np.asarray(padded[:, unknowns.number].T)

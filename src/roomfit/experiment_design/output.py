@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
-from roomfit.report.figures import OKABE_ITO, new_figure
+from roomfit.report.figures import OKABE_ITO, figure_legend, new_figure
 from roomfit.report.room_figure import outline_m
 from roomfit.report.text import findings_text
 from roomfit.report.wording import html_findings, html_table
@@ -36,9 +36,9 @@ def mean_widths(design: Design) -> FloatArray:
     return np.asarray(design.widths[:, design.to_find].mean(axis=(1, 2)))
 
 
-def widest(design: Design, step: int = 0) -> tuple[int, int]:
-    """Return material and band of the widest interval after so many of the chosen pairs."""
-    widths = design.widths[step]
+def widest(design: Design) -> tuple[int, int]:
+    """Return material and band of the widest interval before any of the chosen pairs."""
+    widths = design.widths[0]
     material, band = np.unravel_index(int(np.argmax(widths)), widths.shape)
     return int(material), int(band)
 
@@ -168,8 +168,7 @@ def design_map(design: Design) -> Figure:
         axes.set_title(title, fontsize=9, loc="left")
         axes.set_ylabel(_AXES[up])
     side.set_xlabel(_AXES[0])
-    handles, labels = plan.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False, fontsize=9)
+    figure_legend(figure, plan, 3)
     return figure
 
 
@@ -263,10 +262,8 @@ _MODELS = {
 
 def design_text(design: Design) -> str:
     """Return the chosen pairs, the expected intervals of every material, and all findings."""
-    lines = [_opening(design), "", *_table(design), "", *_comparison(design), ""]
-    lines += [*_materials(design)]
-    found = findings_text(design.findings)
-    return "\n".join([*lines, *(["", found] if found else [])])
+    parts = [_opening(design), _table(design), _comparison(design), _materials(design)]
+    return "\n\n".join(p for p in (*parts, findings_text(design.findings)) if p)
 
 
 def _opening(design: Design) -> str:
@@ -281,7 +278,7 @@ def _opening(design: Design) -> str:
     )
 
 
-def _table(design: Design) -> list[str]:
+def _table(design: Design) -> str:
     means = mean_widths(design)
     lines = ["      source   x, y, z in m           receiver   x, y, z in m       mean interval"]
     lines += [f"   0  {'before':<52} {means[0]:>15.3f}"]
@@ -292,10 +289,10 @@ def _table(design: Design) -> list[str]:
             f"  {i + 1:>2}  {source.name:<8} {at[0]:<22} {receiver.name:<10} {at[1]:<20}"
             f"{means[i + 1]:>7.3f}"
         )
-    return lines
+    return "\n".join(lines)
 
 
-def _comparison(design: Design) -> list[str]:
+def _comparison(design: Design) -> str:
     last = design.random_means[:, -1]
     last = last[np.isfinite(last)]
     lines = []
@@ -312,10 +309,10 @@ def _comparison(design: Design) -> list[str]:
         f"Widest interval before: {design.materials[material]} at "
         f"{design.bands.centres_hz[band]:g} Hz, {before:.3f}; expected afterwards {after:.3f}."
     )
-    return lines
+    return "\n".join(lines)
 
 
-def _materials(design: Design) -> list[str]:
+def _materials(design: Design) -> str:
     width = max(8, *(len(name) for name in design.materials))
     heads = "".join(f"{f:>9g}" for f in design.bands.centres_hz)
     lines = [f"expected width of the 95 % interval\n{'Hz':>{width}}{heads}"]
@@ -326,4 +323,4 @@ def _materials(design: Design) -> list[str]:
             else f"{'known':>9}"
         )
         lines.append(f"{name:>{width}}{cells}")
-    return lines
+    return "\n".join(lines)

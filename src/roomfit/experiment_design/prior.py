@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtri
 
-from roomfit._checks import float_array, int_array
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.logit import expit, logit
@@ -37,25 +36,6 @@ class Unknowns:
     information: FloatArray  # (n_draws, n_bands, n, n), that exists already: positive definite
     lower: FloatArray  # (n,), bound of each absorption
     upper: FloatArray  # (n,)
-
-    def __post_init__(self) -> None:
-        n = len(np.unique(np.asarray(self.number)[np.asarray(self.number) >= 0]))
-        if n == 0:
-            raise InputError(
-                "no absorption is left to be found",
-                found="every material's absorption is given",
-                hint="remove absorption = [...] where it is not sure",
-            )
-        number = int_array("unknown", self.number, (None,), low=-1, high=n - 1)
-        logit = float_array("logit absorption", self.logit, (None, None, n))
-        shape = (*logit.shape, n)
-        information = float_array("information", self.information, shape)
-        object.__setattr__(self, "number", number)
-        object.__setattr__(self, "logit", logit)
-        object.__setattr__(self, "information", information)
-        for name in ("lower", "upper"):
-            bound = float_array(name, getattr(self, name), (n,), low=0.0, high=1.0)
-            object.__setattr__(self, name, bound)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,6 +137,12 @@ def _unknowns(
     drawn: FloatArray,
     information: FloatArray,
 ) -> Unknowns:
+    if not free.size:
+        raise InputError(
+            "no absorption is left to be found",
+            found="every material's absorption is given",
+            hint="remove absorption = [...] where it is not sure",
+        )
     return Unknowns(
         number,
         np.swapaxes(drawn[:, free], 1, 2),

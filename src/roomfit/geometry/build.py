@@ -35,6 +35,7 @@ from roomfit.typing import BoolArray, FloatArray, IntArray
 
 WARPED_FROM_M = 0.001
 TOO_WARPED_FROM_M = 0.01
+_SHOWN = 3  # of faces with one fault
 
 
 class Face(NamedTuple):
@@ -227,10 +228,10 @@ def _count(spots: Sequence[object]) -> str:
     return "1 face is" if len(spots) == 1 else f"{len(spots)} faces are"
 
 
-def listed(spots: Sequence[tuple[str, str]], shown: int = 3) -> str:
+def listed(spots: Sequence[tuple[str, str]]) -> str:
     """Return "'floor' near (...) m, 'west' near (...) m and 4 more"."""
-    text = ", ".join(f"{name!r} near {point}" for name, point in spots[:shown])
-    return text + (f" and {len(spots) - shown} more" if len(spots) > shown else "")
+    text = ", ".join(f"{name!r} near {point}" for name, point in spots[:_SHOWN])
+    return text + (f" and {len(spots) - _SHOWN} more" if len(spots) > _SHOWN else "")
 
 
 # How far from a face the air is looked for: beyond the rounding of drawings, within any wall.

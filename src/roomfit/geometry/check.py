@@ -57,10 +57,7 @@ def find_leaks(
 ) -> Leak:
     """Follow specular rays from points inside and record those that leave the room.
 
-    Parameters
-    ----------
-    points_m : float array, shape (n_points, 3)
-        Inside the room; the rays are dealt out to them in turn.
+    `points_m`, shape (n_points, 3): inside the room; the rays are dealt out to them in turn.
     """
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(n_rays, 3))

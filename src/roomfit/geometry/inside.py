@@ -131,9 +131,7 @@ def is_inside(mesh: Mesh, points_m: FloatArray) -> BoolArray:
     directions decides, so that edges, corners and small leaks do no harm. Sheets in the air do
     not count, and orientation does not matter.
 
-    Parameters
-    ----------
-    points_m : float array, shape (n_points, 3)
+    `points_m` has the shape (n_points, 3).
     """
     walls = corners_m(mesh)[~is_double_sided(mesh)]
     points = _rows(points_m)
@@ -162,13 +160,7 @@ def interior_points(mesh: Mesh, n: int, rng: np.random.Generator) -> FloatArray:
 def distance_to_walls_m(mesh: Mesh, points_m: FloatArray) -> FloatArray:
     """Return the distance of each point from the nearest triangle, sheets included.
 
-    Parameters
-    ----------
-    points_m : float array, shape (n_points, 3)
-
-    Returns
-    -------
-    float array, shape (n_points,)
+    `points_m` has the shape (n_points, 3). The result has the shape (n_points,).
     """
     return nearest_triangles(mesh, points_m)[0]
 

@@ -194,9 +194,7 @@ def area_vector_m2(corners_m: FloatArray) -> FloatArray:
     Counter-clockwise corners give a vector that points to the viewer. Exact for flat polygons of
     any outline; the area of a warped one is that of its shadow along the mean normal.
 
-    Parameters
-    ----------
-    corners_m : float array, shape (n_corners, 3)
+    `corners_m` has the shape (n_corners, 3).
     """
     from_first = corners_m - corners_m[0]
     return np.asarray(0.5 * np.cross(from_first, np.roll(from_first, -1, axis=0)).sum(axis=0))
@@ -209,10 +207,8 @@ def triangulate(corners_m: FloatArray) -> Triangulation:
     twice. A fan from the first corner, as many readers cut it, would cover the notch of an
     L-shaped floor.
 
-    Parameters
-    ----------
-    corners_m : float array, shape (n_corners, 3)
-        In order around the polygon, the last one not repeating the first.
+    `corners_m`, shape (n_corners, 3): in order around the polygon, the last one not repeating the
+    first.
     """
     vector = area_vector_m2(corners_m)
     area = float(np.linalg.norm(vector))
@@ -292,19 +288,17 @@ def shoebox_mesh(lengths_m: ArrayLike) -> Mesh:
 WELD_TOLERANCE_M = 1e-4
 
 
-def weld(points_m: FloatArray, tolerance_m: float = WELD_TOLERANCE_M) -> IntArray:
+def weld(points_m: FloatArray) -> IntArray:
     """Return for every point the index of the point that stands for it, shape (n_points,).
 
     Points nearer than the tolerance belong together, and so do chains of them. The earliest point
     stands for its group, so that coordinates of the file stay as they were written.
 
-    Parameters
-    ----------
-    points_m : float array, shape (n_points, 3)
+    `points_m` has the shape (n_points, 3).
     """
     # equal points first: a file that repeats each corner for every face has thousands of pairs
     _, first, inverse = np.unique(points_m, axis=0, return_index=True, return_inverse=True)
-    pairs = cKDTree(points_m[first]).query_pairs(tolerance_m, output_type="ndarray")
+    pairs = cKDTree(points_m[first]).query_pairs(WELD_TOLERANCE_M, output_type="ndarray")
     n = len(first)
     links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     n_groups, group = connected_components(links, directed=False)
@@ -325,7 +319,7 @@ class Edges:
     line: IntArray  # (n_edges,), equal for edges between the same two corners, of either sense
 
 
-def edges_of(mesh: Mesh, tolerance_m: float = WELD_TOLERANCE_M) -> Edges:
+def edges_of(mesh: Mesh) -> Edges:
     """Return the directed edges, split wherever a corner stands on one within the tolerance."""
     enclosing = np.flatnonzero(~is_double_sided(mesh))
     corners = mesh.triangles[enclosing].astype(np.int64)
@@ -333,7 +327,7 @@ def edges_of(mesh: Mesh, tolerance_m: float = WELD_TOLERANCE_M) -> Edges:
     triangle: IntArray = np.repeat(enclosing, 3)
     lonely = np.flatnonzero(np.bincount(_lines(ends))[_lines(ends)] != 2)
     if len(lonely):
-        ends, triangle = _split(mesh.vertices_m, ends, triangle, lonely, tolerance_m)
+        ends, triangle = _split(mesh.vertices_m, ends, triangle, lonely)
     return Edges(ends, triangle, _lines(ends))
 
 
@@ -357,7 +351,7 @@ def _lines(ends: IntArray) -> IntArray:
 
 
 def _split(
-    vertices_m: FloatArray, ends: IntArray, triangle: IntArray, lonely: IntArray, tolerance_m: float
+    vertices_m: FloatArray, ends: IntArray, triangle: IntArray, lonely: IntArray
 ) -> tuple[IntArray, IntArray]:
     posts = np.unique(ends[lonely])
     tree = cKDTree(vertices_m[posts])
@@ -365,13 +359,13 @@ def _split(
     for edge in lonely:
         a, b = vertices_m[ends[edge]]
         near = tree.query_ball_point((a + b) / 2, np.linalg.norm(b - a) / 2)
-        chain = _chain(vertices_m, ends[edge], posts[near], tolerance_m)
+        chain = _chain(vertices_m, ends[edge], posts[near])
         pieces.append(np.stack([chain[:-1], chain[1:]], axis=1))
         owners.append(np.full(len(chain) - 1, triangle[edge]))
     return np.concatenate(pieces), np.concatenate(owners)
 
 
-def _chain(vertices_m: FloatArray, ends: IntArray, posts: IntArray, tolerance_m: float) -> IntArray:
+def _chain(vertices_m: FloatArray, ends: IntArray, posts: IntArray) -> IntArray:
     """Return the corners along an edge, from its start to its end, both included."""
     start, end = vertices_m[ends]
     length = np.linalg.norm(end - start)
@@ -379,6 +373,7 @@ def _chain(vertices_m: FloatArray, ends: IntArray, posts: IntArray, tolerance_m:
     from_start = vertices_m[posts] - start
     along = from_start @ direction
     aside = np.linalg.norm(from_start - along[:, None] * direction, axis=1)
-    on_edge = (aside < tolerance_m) & (along > tolerance_m) & (along < length - tolerance_m)
+    within = (along > WELD_TOLERANCE_M) & (along < length - WELD_TOLERANCE_M)
+    on_edge = (aside < WELD_TOLERANCE_M) & within
     between = posts[on_edge][np.argsort(along[on_edge])]
     return np.concatenate([ends[:1], between, ends[1:]])

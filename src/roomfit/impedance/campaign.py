@@ -13,7 +13,7 @@ from typing import TypedDict
 
 import numpy as np
 
-from roomfit._checks import did_you_mean
+from roomfit._checks import check_known
 from roomfit.air import relative_speed_sd, speed_of_sound_m_s
 from roomfit.cache import check_output_folder, sole_writer
 from roomfit.errors import InputError, located
@@ -366,13 +366,8 @@ def _wall_models(campaign: Campaign, materials: tuple[str, ...]) -> dict[str, Wa
     found = {name: WallModel() for name in materials}
     for name, table in campaign.materials.items():
         where = f"{campaign.path}, materials.{name}"
-        if name not in found:
-            raise InputError(
-                "the campaign describes a material that the room does not have",
-                where=where,
-                needed=f"one of {', '.join(materials)}",
-                hint=did_you_mean(name, materials),
-            )
+        what = "the campaign describes a material that the room does not have"
+        check_known(what, name, materials, where=where)
         with located(where):
             found[name] = _wall_model(table)
     return found
@@ -409,13 +404,7 @@ def _wall_model(table: MaterialTable) -> WallModel:
 def _parameter(
     known: dict[str, Parameter], kind: str, name: str, value: float | list[float]
 ) -> Parameter:
-    if name not in known:
-        raise InputError(
-            "unknown key of impedance_start",
-            found=repr(name),
-            needed=f'one of {", ".join(known)} for impedance = "{kind}"',
-            hint=did_you_mean(name, known),
-        )
+    check_known(f'unknown key of impedance_start for impedance = "{kind}"', name, known)
     usual = known[name]
     numbers = [float(v) for v in value] if isinstance(value, list) else [float(value)]
     if len(numbers) == 1:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomfit._checks import float_array, read_only
+from roomfit._checks import check_range, float_array, read_only
 from roomfit.errors import InputError
 from roomfit.signals.response import ImpulseResponse, times_s
 from roomfit.typing import ComplexArray, FloatArray
@@ -72,12 +72,7 @@ class Observed:
                 else "none of them",
                 needed="each above the one before, at least one",
             )
-        if not 1e-4 <= self.tau_s <= 10.0:
-            raise InputError(
-                "the time constant of the exponential window is out of range",
-                found=f"{self.tau_s:g} s",
-                needed="1e-4 to 10 s",
-            )
+        check_range("the time constant of the exponential window", self.tau_s, 1e-4, 10.0, "s")
         p = np.array(self.pressure, dtype=np.complex128)
         if p.ndim != 2 or p.shape[1] != len(f):
             raise InputError(
@@ -135,10 +130,7 @@ def standard_deviation(
 ) -> FloatArray:
     """Return the rms residual of a perfect fit: noise, and the error of image sources.
 
-    Parameters
-    ----------
-    factor : float
-        Of the model's own error, see `model_error`.
+    `factor`: of the model's own error, see `model_error`.
 
     Returns
     -------

@@ -276,12 +276,9 @@ def _found_nuisances(fit: ImpedanceFit) -> tuple[Estimate, ...]:
         value, reach = middle + x[at] * scale, Z95 * sd[at] * scale
         found.append(Estimate(name, unit, value, value - reach, value + reach, scale))
 
-    for moves, axes, sds, points in (
-        (layout.moves_source, layout.source, layout.source_sd_m, scene.sources),
-        (layout.moves_receiver, layout.receiver, layout.receiver_sd_m, scene.receivers),
-    ):
-        for n, (point, axis) in enumerate(axes):
-            add(f"{'xyz'[axis]} of {points[point].name}", "m", moves.start + n, float(sds[n]))
+    for moves, points in ((layout.source, scene.sources), (layout.receiver, scene.receivers)):
+        for n, (point, axis, scale_m) in enumerate(zip(*moves[:3], strict=True), moves.place.start):
+            add(f"{'xyz'[axis]} of {points[point].name}", "m", n, float(scale_m))
     if layout.speed.stop > layout.speed.start:
         speed = problem.model.speed_m_s
         add("speed of sound", "m/s", layout.speed.start, nuisances.speed_sd * speed, speed)

@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from roomfit._checks import check_known
 from roomfit.errors import InputError
 from roomfit.impedance.data import complex_frequency_hz
 from roomfit.impedance.laws import (
@@ -27,7 +28,6 @@ from roomfit.impedance.laws import (
     LawCurve,
     Parameter,
     Spline,
-    check_passive,
     constant,
     law_curve,
 )
@@ -284,11 +284,13 @@ class WallModel:
     parameters: Mapping[str, Parameter] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
+        check_known("unknown model of a wall", self.kind, KINDS)
+        if not abs(self.start_r0) <= 1.0:
             raise InputError(
-                "unknown model of a wall", found=repr(self.kind), needed=", ".join(KINDS)
+                "a wall cannot reflect more than it receives",
+                found=f"a start of |R0| = {abs(self.start_r0):.4g}",
+                needed="|R0| <= 1",
             )
-        check_passive(self.start_r0)
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
 
 
@@ -357,7 +359,7 @@ def _nearest_law(
     own = fit.covariance[place, place]
     variance = np.real(np.einsum("fi,ij,fj->f", slope, own, slope.conj()))
     weight = 1.0 / np.sqrt(variance + _LAW_ERROR**2)
-    best: tuple[Curve, float] | None = None
+    fitted: list[tuple[Curve, float]] = []
     for kind in kinds:
         if kind == "constant":
             mean = complex(np.sum(weight**2 * fit.r0[material]) / np.sum(weight**2))
@@ -373,11 +375,8 @@ def _nearest_law(
                 wall.parameters if wall.kind != "auto" else None,
             )
             found, misfit = _fitted_law(law, fit.r0[material], weight, rng)
-        if best is None or misfit < best[1]:
-            best = found, misfit
-    if best is None:
-        raise ValueError("no law to fit")
-    return best
+        fitted.append((found, misfit))
+    return min(fitted, key=lambda one: one[1])
 
 
 def _fitted_law(

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from roomfit._checks import check_known
 from roomfit._numba import one_blas_thread
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import mean_free_path_m
@@ -212,12 +213,7 @@ def _problem(
 ) -> Problem:
     materials = model.scene.room.materials
     for name in walls:
-        if name not in materials:
-            raise InputError(
-                "a model is specified for a wall that does not exist",
-                found=repr(name),
-                needed=", ".join(materials),
-            )
+        check_known("a model is specified for a wall that does not exist", name, materials)
     usual = MODEL_ERROR if settings.spherical else PLANE_MODEL_ERROR
     factor = usual if settings.model_error is None else settings.model_error
     sd = _deviation(model, observed, factor)

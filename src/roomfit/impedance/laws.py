@@ -15,7 +15,6 @@ from typing import Protocol
 import numpy as np
 from scipy.interpolate import BSpline
 
-from roomfit.errors import InputError
 from roomfit.logit import expit, logit
 from roomfit.typing import ComplexArray, FloatArray, IntArray
 
@@ -105,13 +104,7 @@ def spline(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
 
     Knots every quarter octave, but at least 25 Hz apart and no more than the frequencies allow; of
     fewer than four frequencies each is free.
-
-    Raises
-    ------
-    InputError
-        A start that is not passive.
     """
-    check_passive(start_r0)
     if len(frequency_hz) < _LEAST_COUPLED:
         eye = np.eye(len(frequency_hz))
         return Spline("spline", eye, eye, start_r0)
@@ -220,15 +213,7 @@ def causal_curve(frequency_hz: ComplexArray, start_r0: complex = 0.8) -> CausalC
     The density has the knots of `spline` within the frequencies, two an octave over three octaves
     beyond, and is level farther out. Fewer than four frequencies are free, as those of `spline`.
 
-    Parameters
-    ----------
-    frequency_hz : complex array, shape (n_frequencies,)
-        By `roomfit.impedance.data.complex_frequency_hz`.
-
-    Raises
-    ------
-    InputError
-        A start that is not passive.
+    `frequency_hz`, shape (n_frequencies,): by `roomfit.impedance.data.complex_frequency_hz`.
     """
     f = np.asarray(frequency_hz.real)
     free = spline(f, start_r0)
@@ -280,18 +265,7 @@ def as_spline(curve: Curve) -> Curve:
 
 def constant(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
     """Return a reflection coefficient that does not change with frequency."""
-    check_passive(start_r0)
     return Spline("constant", np.ones((len(frequency_hz), 1)), np.ones((1, 1)), start_r0)
-
-
-def check_passive(r0: complex) -> None:
-    """Refuse a reflection coefficient above 1, or not a number."""
-    if not abs(r0) <= 1.0:
-        raise InputError(
-            "a wall cannot reflect more than it receives",
-            found=f"a start of |R0| = {abs(r0):.4g}",
-            needed="|R0| <= 1",
-        )
 
 
 def _knots_hz(low: float, high: float) -> FloatArray:

@@ -30,8 +30,17 @@ from roomfit.impedance.wave_model import (
     gradients,
     has_free_spectra,
 )
-from roomfit.scene import Scene
+from roomfit.scene import Point, Scene
 from roomfit.typing import ComplexArray, FloatArray, IntArray
+
+
+class Moves(NamedTuple):
+    """Coordinates of sources, or of receivers, that may move."""
+
+    point: IntArray  # (n,)
+    axis: IntArray  # (n,), 0 to 2
+    sd_m: FloatArray  # (n,)
+    place: slice  # in the vector of all unknowns
 
 
 class Layout(NamedTuple):
@@ -42,12 +51,8 @@ class Layout(NamedTuple):
     """
 
     curves: tuple[slice, ...]  # one a material
-    source: IntArray  # (n, 2), point and axis of each coordinate that may move
-    receiver: IntArray  # likewise
-    source_sd_m: FloatArray  # (n,)
-    receiver_sd_m: FloatArray  # (n,)
-    moves_source: slice
-    moves_receiver: slice
+    source: Moves
+    receiver: Moves
     speed: slice
     gain: slice
     delay: slice
@@ -78,12 +83,6 @@ class Problem:
                 found=f"{n_pairs} pairs at {n_f} frequencies",
                 needed=f"{len(scene.pairs)} pairs at {len(self.model.frequency_hz)}",
             )
-        if len(self.curves) != len(scene.room.materials):
-            raise InputError(
-                "curves and materials disagree",
-                found=f"{len(self.curves)} curves",
-                needed=f"one for each of {', '.join(scene.room.materials)}",
-            )
         if has_free_spectra(self.nuisances) and not self.observed.has_phase:
             raise InputError(
                 "an unknown spectrum of the source needs pressures with phase",
@@ -102,16 +101,17 @@ def _layout(scene: Scene, fitted: tuple[Curve, ...], nuisances: Nuisances) -> La
         at += n
         return slice(at - n, at)
 
-    curves = tuple(take(len(c.start)) for c in fitted)
-    axes: list[IntArray] = []
-    sds: list[FloatArray] = []
-    for points, used in ((scene.sources, scene.pairs[:, 0]), (scene.receivers, scene.pairs[:, 1])):
-        position_sds_m = [p.position_sd_m for p in points]
-        sd = np.array([nuisances.position_sd_m if s is None else s for s in position_sds_m])
+    def moves(points: tuple[Point, ...], used: IntArray) -> Moves:
+        specified = [p.position_sd_m for p in points]
+        sd = np.array([nuisances.position_sd_m if s is None else s for s in specified])
         sd = np.maximum(sd, nuisances.least_position_sd_m)
-        moving = [i for i in np.unique(used) if sd[i] > 0.0]
-        axes.append(np.array([(i, a) for i in moving for a in range(3)], np.int64).reshape(-1, 2))
-        sds.append(np.repeat(sd[moving], 3))
+        moving = np.array([i for i in np.unique(used) if sd[i] > 0.0], dtype=np.int64)
+        axes = np.tile(np.arange(3), len(moving))
+        return Moves(np.repeat(moving, 3), axes, np.repeat(sd[moving], 3), take(len(axes)))
+
+    curves = tuple(take(len(c.start)) for c in fitted)
+    source = moves(scene.sources, scene.pairs[:, 0])
+    receiver = moves(scene.receivers, scene.pairs[:, 1])
     groups = {
         "common": np.zeros(len(scene.pairs), dtype=np.int64),
         "source": source_number(scene.pairs),
@@ -122,12 +122,8 @@ def _layout(scene: Scene, fitted: tuple[Curve, ...], nuisances: Nuisances) -> La
     delays = groups[nuisances.delay]
     return Layout(
         curves=curves,
-        source=axes[0],
-        receiver=axes[1],
-        source_sd_m=sds[0],
-        receiver_sd_m=sds[1],
-        moves_source=take(len(axes[0])),
-        moves_receiver=take(len(axes[1])),
+        source=source,
+        receiver=receiver,
         speed=take(1 if nuisances.speed_sd > 0.0 else 0),
         gain=take(2 * len(np.unique(gains))),
         delay=take(len(np.unique(delays)) if nuisances.delay_sd_s > 0.0 else 0),
@@ -155,8 +151,8 @@ def r0_of(problem: Problem, x: FloatArray) -> ComplexArray:
 def state_of(problem: Problem, x: FloatArray) -> State:
     """Return the shifts of sources and receivers and the change of the speed of sound."""
     layout, (source, receiver, _) = problem.layout, at_rest(problem.model)
-    source[tuple(layout.source.T)] = x[layout.moves_source] * layout.source_sd_m
-    receiver[tuple(layout.receiver.T)] = x[layout.moves_receiver] * layout.receiver_sd_m
+    for shift, own in ((source, layout.source), (receiver, layout.receiver)):
+        shift[own.point, own.axis] = x[own.place] * own.sd_m
     return State(source, receiver, float(np.sum(x[layout.speed])) * problem.nuisances.speed_sd)
 
 
@@ -366,13 +362,13 @@ def _slopes(problem: Problem, x: FloatArray, g: Gradients) -> ComplexArray:
     slope = np.zeros((*g.pressure.shape, layout.size), dtype=np.complex128)
     for i, (curve, place) in enumerate(zip(problem.curves, layout.curves, strict=True)):
         slope[:, :, place] = g.by_r0[:, i, :, None] * curve.slope(x[place])
-    for moves, points, sd, column, by in (
-        (layout.moves_source, layout.source, layout.source_sd_m, pairs[:, 0], g.by_source),
-        (layout.moves_receiver, layout.receiver, layout.receiver_sd_m, pairs[:, 1], g.by_receiver),
+    for moves, column, by in (
+        (layout.source, pairs[:, 0], g.by_source),
+        (layout.receiver, pairs[:, 1], g.by_receiver),
     ):
-        for n, (point, axis) in enumerate(points):
+        for n, (point, axis, sd) in enumerate(zip(*moves[:3], strict=True), moves.place.start):
             own = np.flatnonzero(column == point)
-            slope[own, :, moves.start + n] = by[own, axis] * sd[n]
+            slope[own, :, n] = by[own, axis] * sd
     if layout.speed.stop > layout.speed.start:
         slope[:, :, layout.speed.start] = g.by_speed * problem.nuisances.speed_sd
     n_gains = (layout.gain.stop - layout.gain.start) // 2
@@ -390,10 +386,8 @@ def _slopes(problem: Problem, x: FloatArray, g: Gradients) -> ComplexArray:
 def prior_rows(problem: Problem, x: FloatArray, roughness_sd: FloatArray) -> Rows:
     """Return the priors of the unknowns as residuals of unit variance.
 
-    Parameters
-    ----------
-    roughness_sd : float array, shape (n_materials,)
-        Standard deviation of the second difference of a curve's coefficients.
+    `roughness_sd`, shape (n_materials,): standard deviation of the second difference of a curve's
+    coefficients.
     """
     layout = problem.layout
     rows: list[FloatArray] = []
@@ -416,7 +410,7 @@ def prior_rows(problem: Problem, x: FloatArray, roughness_sd: FloatArray) -> Row
         over = size > 1.0
         by = np.real(np.conj(r0[over] / size[over])[:, None] * slope[over])
         add(place, by / _PASSIVE_WITHIN, (size[over] - 1.0) / _PASSIVE_WITHIN)
-    for place in (layout.moves_source, layout.moves_receiver, layout.speed, layout.delay):
+    for place in (layout.source.place, layout.receiver.place, layout.speed, layout.delay):
         add(place, np.eye(place.stop - place.start), x[place])
     n = (layout.gain.stop - layout.gain.start) // 2
     scale = np.diag(np.repeat([1.0 / _GAIN_SD, 1.0 / _PHASE_SD], n))

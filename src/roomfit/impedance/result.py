@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from roomfit._checks import did_you_mean, read_only
-from roomfit.errors import InputError
+from roomfit._checks import check_known, read_only
 from roomfit.findings import Finding
 from roomfit.impedance.laws import absorption_normal, absorption_random, impedance_of_r0
 from roomfit.typing import BoolArray, ComplexArray, FloatArray
@@ -171,10 +170,7 @@ class ImpedanceResult:
     def plot(self, material: str | None = None) -> Figure:
         """Return reflection, absorption and impedance over frequency as a matplotlib figure.
 
-        Parameters
-        ----------
-        material : str, optional
-            Left out: all materials, one below the other.
+        Of one material, or, where `material` is left out, of all, one below the other.
 
         Raises
         ------
@@ -183,24 +179,16 @@ class ImpedanceResult:
         """
         from roomfit.impedance.output import walls_figure
 
-        names = [m.name for m in self.materials]
-        if material is not None and material not in names:
-            raise InputError(
-                "the result has no such material",
-                where="ImpedanceResult.plot",
-                found=repr(material),
-                needed=f"one of {', '.join(names)}",
-                hint=did_you_mean(material, names),
+        if material is not None:
+            check_known(
+                "the result has no such material", material, (m.name for m in self.materials)
             )
         return walls_figure(self, [m for m in self.materials if material in (None, m.name)])
 
     def to_dataframe(self) -> Any:
         """Return a pandas data frame of one row a material and frequency, as impedance.csv.
 
-        Raises
-        ------
-        InputError
-            pandas, on which roomfit does not depend, is not installed.
+        Without pandas, on which roomfit does not depend, an `InputError` says what to install.
         """
         from roomfit.impedance.output import csv_columns, csv_rows
         from roomfit.report.wording import data_frame

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from roomfit._checks import read_only
+from roomfit._checks import check_known, check_range, read_only
 from roomfit.air import pressure_decay_per_m, speed_of_sound_m_s
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import area_vectors_m2, mean_free_path_m, volume_m3
@@ -51,10 +51,7 @@ _SHORT = 4.0
 def check_cost(scene: Scene, n_frequencies: int, tau_s: float, lengths: float) -> None:
     """Refuse a model whose paths are too many to be weighed, or to be found, within minutes.
 
-    Parameters
-    ----------
-    lengths : float
-        Longest path in units of the speed of sound times `tau_s`.
+    `lengths`: longest path in units of the speed of sound times `tau_s`.
 
     Raises
     ------
@@ -249,7 +246,6 @@ def _shortened(paths: UnfoldedPaths, longest_m: float) -> UnfoldedPaths:
 
 
 GainMode = Literal["known", "common", "source", "pair", "spectrum", "pair-spectrum"]
-_GAINS = get_args(GainMode)
 DelayMode = Literal["source", "pair"]
 
 
@@ -303,19 +299,9 @@ class Nuisances:
             ("delay_sd_s", 0.1),
             ("least_position_sd_m", 1.0),
         ):
-            value = getattr(self, name)
-            if not 0.0 <= value <= high:
-                raise InputError(
-                    f"{name} is out of range", found=f"{value:g}", needed=f"0 to {high:g}"
-                )
-        if self.gain not in _GAINS:
-            raise InputError(
-                "unknown kind of gain", found=repr(self.gain), needed=", ".join(_GAINS)
-            )
-        if self.delay not in ("source", "pair"):
-            raise InputError(
-                "unknown kind of delay", found=repr(self.delay), needed="source or pair"
-            )
+            check_range(name, getattr(self, name), 0.0, high)
+        check_known("unknown kind of gain", self.gain, get_args(GainMode))
+        check_known("unknown kind of delay", self.delay, get_args(DelayMode))
 
 
 def has_free_spectra(nuisances: Nuisances) -> bool:

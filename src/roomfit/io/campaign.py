@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from roomfit._checks import did_you_mean, nearest, unique_names
+from roomfit._checks import check_known, unique_names
 from roomfit.air import Air
 from roomfit.bands import OCTAVES_HZ, Bands, bands_between
 from roomfit.errors import InputError, located
@@ -175,20 +175,24 @@ def _with_recordings(
     return table.model_copy(update={"measurements": rows}), tuple(findings)
 
 
+def _check_defined(owner: str, kind: str, name: str, known: Iterable[str], where: str) -> None:
+    """Refuse a name that no table defines."""
+    check_known(
+        f"a {owner} names a {kind} that is not defined",
+        name,
+        sorted(known),
+        where=where,
+        else_needed=f"a table [{kind}s.NAME]",
+        else_try=f"add [{kind}s.{name}]",
+    )
+
+
 def _check_products(path: Path, campaign: CampaignTable) -> None:
     for name, table in campaign.materials.items():
         product, where = table.product, f"{path}, materials.{name}"
         if product is None:
             continue
-        if product not in campaign.products:
-            defined = ", ".join(sorted(campaign.products))
-            raise InputError(
-                "a material names a product that is not defined",
-                where=f"{where}.product",
-                found=repr(product),
-                needed=f"one of {defined}" if defined else "a table [products.NAME]",
-                hint=did_you_mean(product, campaign.products) or f"add [products.{product}]",
-            )
+        _check_defined("material", "product", product, campaign.products, f"{where}.product")
         for key in ("prior", "bounds", "same_absorption_as"):
             if getattr(table, key) is not None:
                 raise InputError(
@@ -219,26 +223,20 @@ def _check_names(path: Path, campaign: CampaignTable) -> None:
     _check_products(path, campaign)
     for own, of_source in campaign.sources.items():
         table = of_source.directivity
-        if isinstance(table, SharedDirectivity) and table.loudspeaker not in campaign.loudspeakers:
-            defined = ", ".join(sorted(campaign.loudspeakers))
-            raise InputError(
-                "a source names a loudspeaker that is not defined",
-                where=f"{path}, sources.{own}.directivity.loudspeaker",
-                found=repr(table.loudspeaker),
-                needed=f"one of {defined}" if defined else "a table [loudspeakers.NAME]",
-                hint=did_you_mean(table.loudspeaker, campaign.loudspeakers)
-                or f"add [loudspeakers.{table.loudspeaker}]",
-            )
+        if isinstance(table, SharedDirectivity):
+            where = f"{path}, sources.{own}.directivity.loudspeaker"
+            _check_defined("source", "loudspeaker", table.loudspeaker, campaign.loudspeakers, where)
     states = [state.name for state in campaign.states]
     for number, row in enumerate(campaign.measurements, start=1):
         where = f"{path}, measurements[{number}]"
-        if row.state and row.state not in states:
-            raise InputError(
+        if row.state:
+            check_known(
                 "a measurement names a state of the room that is not defined",
+                row.state,
+                states,
                 where=where,
-                found=repr(row.state),
-                needed=f"one of {', '.join(states)}" if states else "a table [[states]]",
-                hint=did_you_mean(row.state, states) or "leave it out for the room as described",
+                else_needed="a table [[states]]",
+                else_try="leave it out for the room as described",
             )
         kinds = [k for k in ("file", "parameters", "spectrum") if getattr(row, k) is not None]
         if len(kinds) != 1:
@@ -254,15 +252,8 @@ def _check_names(path: Path, campaign: CampaignTable) -> None:
         ):
             if name is None and row.parameters is None:
                 raise InputError(f"a measurement without a {kind}", where=where, needed=kind)
-            if name is not None and name not in known:
-                guess = nearest(name, known)
-                raise InputError(
-                    f"a measurement names a {kind} that is not defined",
-                    where=where,
-                    found=repr(name),
-                    needed=f"one of {', '.join(sorted(known)) or f'no {kind} is defined'}",
-                    hint=f"did you mean {guess!r}?" if guess else f"add [{kind}s.{name}]",
-                )
+            if name is not None:
+                _check_defined("measurement", kind, name, known, where)
 
 
 def _check_pairs(path: Path, campaign: CampaignTable) -> None:
@@ -328,67 +319,33 @@ class MeasuredSpectrum:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Campaign:
-    """Everything that a campaign file says.
+    """Everything that a campaign file says; what it leaves out is at its default."""
 
-    Attributes
-    ----------
-    path : Path
-        The file itself; paths in it are relative to its folder.
-    room : RoomSpec
-    air : Air
-    sources, receivers : tuple of Point
-        All that the file defines, measured or not.
-    measurements : tuple of MeasuredFile
-    tables : tuple of MeasuredTable
-    bands : Bands
-        Bands to fit.
-    materials : mapping of name to MaterialTable
-        What the file says of materials, for `material_priors`.
-    products : mapping of name to ProductTable
-        What materials of one product have in common, each defined.
-    settings : Settings
-    directivities : mapping of source name to what the file says of its directivity
-    loudspeakers : mapping of name to LoudspeakerTable
-    spectra : tuple of MeasuredSpectrum
-    impedance : ImpedanceTable
-    design : DesignTable
-    states : mapping of name to materials by surface
-        Further states of the room.
-    groups : tuple of PointGroup
-    project : ProjectTable
-    findings : tuple of Finding
-        What is doubtful about the file itself.
-    reverberation : ReverberationTable or None
-        Decay times without positions.
-    has_room : bool
-        Whether it describes one; only decay times may do without.
-    speech : SpeechTable or None
-        Levels of speech and noise.
-    """
-
-    path: Path
+    path: Path  # the file itself; paths in it are relative to its folder
     room: RoomSpec
     air: Air
-    sources: tuple[Point, ...]
+    sources: tuple[Point, ...]  # all that the file defines, measured or not
     receivers: tuple[Point, ...]
     measurements: tuple[MeasuredFile, ...]
     tables: tuple[MeasuredTable, ...]
-    bands: Bands
-    materials: dict[str, MaterialTable]
+    bands: Bands  # to fit
+    materials: dict[str, MaterialTable]  # what the file says of them, for `material_priors`
     settings: Settings = field(default_factory=Settings)
-    directivities: Mapping[str, SourceDirectivity] = field(default_factory=dict)
+    directivities: Mapping[str, SourceDirectivity] = field(default_factory=dict)  # by source
     loudspeakers: Mapping[str, LoudspeakerTable] = field(default_factory=dict)
+    # what materials of one product have in common, each defined
     products: Mapping[str, ProductTable] = field(default_factory=dict)
     spectra: tuple[MeasuredSpectrum, ...] = ()
     impedance: ImpedanceTable = field(default_factory=ImpedanceTable)
     design: DesignTable = field(default_factory=DesignTable)
+    # further states of the room: by name, materials by surface
     states: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     groups: tuple[PointGroup, ...] = ()
     project: ProjectTable = field(default_factory=ProjectTable)
-    findings: tuple[Finding, ...] = ()
-    reverberation: ReverberationTable | None = None
-    has_room: bool = True
-    speech: SpeechTable | None = None
+    findings: tuple[Finding, ...] = ()  # what is doubtful about the file itself
+    reverberation: ReverberationTable | None = None  # decay times without positions
+    has_room: bool = True  # only decay times may do without
+    speech: SpeechTable | None = None  # levels of speech and noise
 
 
 # stands where decay times come with a volume and a surface alone, and is not looked at

@@ -18,7 +18,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from roomfit._checks import bool_array, float_array, unique_names
+from roomfit._checks import bool_array, check_known, check_range, float_array, unique_names
 from roomfit.bands import OCTAVES_HZ, Bands
 from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
@@ -318,18 +318,15 @@ def pyroomacoustics_text(table: MaterialTable, scattering: FloatArray) -> str:
     each with ``coeffs`` and ``center_freqs`` in the bands of the result.
     """
     centres = [float(f) for f in table.bands.centres_hz]
+    quantities = (("energy_absorption", table.absorption), ("scattering", scattering))
     content = {
         name: {
-            "energy_absorption": {
+            quantity: {
                 "description": name,
-                "coeffs": [round(float(v), 5) for v in table.absorption[i]],
+                "coeffs": [round(float(v), 5) for v in values[i]],
                 "center_freqs": centres,
-            },
-            "scattering": {
-                "description": name,
-                "coeffs": [round(float(v), 5) for v in scattering[i]],
-                "center_freqs": centres,
-            },
+            }
+            for quantity, values in quantities
         }
         for i, name in enumerate(table.names)
     }
@@ -373,16 +370,9 @@ def export_materials(
     InputError
         There is no such format, or the scattering is out of range.
     """
-    if wanted not in FORMATS:
-        raise InputError(
-            "no such format for an export",
-            found=repr(wanted),
-            needed=", ".join((*FORMATS, "excel", "gltf")),
-        )
-    if not 0.0 <= scattering <= 1.0:
-        raise InputError(
-            "scattering coefficient out of range", found=f"{scattering:g}", needed="0 to 1"
-        )
+    if wanted not in FORMATS:  # the other two are no text
+        check_known("no such format for an export", wanted, (*FORMATS, "excel", "gltf"))
+    check_range("scattering coefficient", scattering, 0.0, 1.0)
     specified = table.scattering
     scatter = np.full(table.absorption.shape, scattering) if specified is None else specified
     findings = [*_not_identifiable(table)]

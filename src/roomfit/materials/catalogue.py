@@ -59,10 +59,7 @@ def table_logit(absorption: FloatArray) -> FloatArray:
 def distinct(readings: FloatArray) -> FloatArray:
     """Return the different rows: a table that reprints another one adds nothing.
 
-    Parameters
-    ----------
-    readings : float array, shape (n_readings, 8)
-        Absorption in octaves from 63 Hz; NaN where not printed.
+    `readings`, shape (n_readings, 8): absorption in octaves from 63 Hz; NaN where not printed.
 
     Returns
     -------
@@ -198,12 +195,9 @@ def catalogue() -> Catalogue:
 def catalogue_from(content: Mapping[str, Any]) -> Catalogue:
     """Return a catalogue from the content of a file like ``catalogue.toml``.
 
-    Parameters
-    ----------
-    content : mapping
-        ``sources`` maps short keys to publications; ``materials`` maps a name to ``group``,
-        ``what`` and ``readings``: lists of source key, row, and six values (octaves 125 to
-        4000 Hz) or seven (from 63 Hz).
+    `content`: ``sources`` maps short keys to publications; ``materials`` maps a name to ``group``,
+    ``what`` and ``readings``: lists of source key, row, and six values (octaves 125 to 4000 Hz) or
+    seven (from 63 Hz).
     """
     sources = content["sources"]
     readings = {

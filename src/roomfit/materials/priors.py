@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roomfit._checks import float_array, nearest, unique_names
+from roomfit._checks import check_known, float_array, unique_names
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.logit import logit
@@ -90,10 +90,7 @@ def sampling_scattering(prior: MaterialPrior) -> float | None:
 def in_bands(priors: tuple[MaterialPrior, ...], chosen: IntArray) -> tuple[MaterialPrior, ...]:
     """Return the priors of some of the bands only.
 
-    Parameters
-    ----------
-    chosen : int array
-        Indices among the bands of `priors`.
+    `chosen`: indices among the bands of `priors`.
     """
     return tuple(
         replace(
@@ -162,9 +159,7 @@ def prior_logits(priors: tuple[MaterialPrior, ...]) -> FloatArray:
 
     Those of `prior_logit_law`, side by side.
 
-    Returns
-    -------
-    float array, shape (2, n_materials, n_bands)
+    The result has the shape (2, n_materials, n_bands).
     """
     mean, covariance = prior_logit_law(priors)
     return np.array([mean, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).T])
@@ -173,10 +168,7 @@ def prior_logits(priors: tuple[MaterialPrior, ...]) -> FloatArray:
 def shared_variance(covariance: FloatArray) -> FloatArray:
     """Return what of each variance is shared with others, all of it where nothing is, (n,).
 
-    Parameters
-    ----------
-    covariance : float array, shape (n, n)
-        Of one band of `prior_logit_law`, none of them tied.
+    `covariance`, shape (n, n): of one band of `prior_logit_law`, none of them tied.
     """
     others = np.max(np.where(np.eye(len(covariance)), 0.0, covariance), axis=1, initial=0.0)
     return np.where(others > 0.0, others, np.diag(covariance))
@@ -248,14 +240,13 @@ def complete_priors(
         twice = next(n for n in names if names.count(n) > 1)
         raise InputError("two priors of one material", found=repr(twice), needed="one each")
     for k in priors:
-        if k.name not in materials:
-            guess = nearest(k.name, materials)
-            raise InputError(
-                "a prior of a material that the room does not have",
-                where=f"materials.{k.name}",
-                needed=f"one of {', '.join(materials)}",
-                hint=f"did you mean {guess!r}?" if guess else "see [room.materials]",
-            )
+        check_known(
+            "a prior of a material that the room does not have",
+            k.name,
+            materials,
+            where=f"materials.{k.name}",
+            else_try="see [room.materials]",
+        )
         if k.prior_logit_mean.size != len(bands):
             raise InputError(
                 "a prior has not one value per band",
@@ -306,15 +297,8 @@ def _check_ties(found: tuple[MaterialPrior, ...]) -> None:
         if leader is None:
             continue
         where = f"materials.{name}.same_absorption_as"
-        if leader not in tied_to:
-            guess = nearest(leader, tuple(tied_to))
-            raise InputError(
-                "a material is tied to one that the room does not have",
-                where=where,
-                found=repr(leader),
-                needed=f"one of {', '.join(tied_to)}",
-                hint=f"did you mean {guess!r}?" if guess else None,
-            )
+        what = "a material is tied to one that the room does not have"
+        check_known(what, leader, tied_to, where=where)
         if tied_to[leader] is not None:
             raise InputError(
                 "a material is tied to one that is tied itself",
@@ -326,12 +310,7 @@ def _check_ties(found: tuple[MaterialPrior, ...]) -> None:
 
 
 def is_default_prior(prior_logit_mean: FloatArray, prior_logit_sd: FloatArray) -> BoolArray:
-    """Return which priors equal the broad default, where a file does not say what was specified.
-
-    Parameters
-    ----------
-    prior_logit_mean, prior_logit_sd : float arrays, any one shape
-    """
+    """Return which priors equal the broad default, where a file does not say what was specified."""
     mean, _ = logit_prior(np.array(DEFAULT_MEAN), np.array(1.0))
     # numbers that went through a file
     same = np.isclose(prior_logit_mean, mean, rtol=1e-4)

@@ -11,10 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.ndimage import maximum_filter1d, median_filter
 
-from roomfit._checks import float_array
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
@@ -109,7 +107,7 @@ def decay_curve(
 
 
 def echogram_decay_curve(
-    bands: Bands, energies: ArrayLike, edges_s: ArrayLike, onset_s: float
+    bands: Bands, energies: FloatArray, edges_s: FloatArray, onset_s: float
 ) -> DecayCurve:
     """Return the decay curves of predicted energies in time bins.
 
@@ -117,29 +115,20 @@ def echogram_decay_curve(
 
     Parameters
     ----------
-    energies : array_like, shape (n_bands, n_bins)
-        Energy that arrives within each bin, not per second.
-    edges_s : array_like, shape (n_bins + 1,)
+    energies : float array, shape (n_bands, n_bins)
+        0 or more, arriving within each bin, not per second.
+    edges_s : float array, shape (n_bins + 1,)
         Rising times after emission.
     onset_s : float
         Arrival of the direct sound.
-
-    Raises
-    ------
-    InputError
-        Shapes disagree, an energy is negative, or the edges do not rise.
     """
-    edges = float_array("time edges", edges_s, (None,), unit="s")
-    if len(edges) < 2 or not np.all(np.diff(edges) > 0.0):
-        raise InputError("time edges must rise", found=f"{len(edges)} edges", needed="two or more")
-    energy = float_array("energies", energies, (len(bands), len(edges) - 1), low=0.0)
-    energy_left = np.stack([_backward_sum(row) for row in energy])
-    tail, unsure, constant_s = tail_of(energy_left, edges)
+    energy_left = np.stack([_backward_sum(row) for row in energies])
+    tail, unsure, constant_s = tail_of(energy_left, edges_s)
     energy_left += tail[:, None]
     usable_db = _fall_db(energy_left[:, 0], unsure)
-    ends_s = np.full(len(bands), edges[-1])
+    ends_s = np.full(len(bands), edges_s[-1])
     reached = np.zeros(len(bands), dtype=np.bool_)
-    return DecayCurve(bands, edges, energy_left, onset_s, ends_s, usable_db, constant_s, reached)
+    return DecayCurve(bands, edges_s, energy_left, onset_s, ends_s, usable_db, constant_s, reached)
 
 
 def reduced_alike(predicted: DecayCurve, measured: DecayCurve) -> DecayCurve:
@@ -271,10 +260,8 @@ def in_jnd(parameter: str, measured: FloatArray, predicted: FloatArray) -> Float
 def jnd_of(parameter: str, values: FloatArray) -> FloatArray:
     """Return one just noticeable difference of a parameter, in its own unit, at given values.
 
-    Parameters
-    ----------
-    parameter : str
-        "EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms", "G_dB" or "STI".
+    `parameter`: "EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms", "G_dB" or
+    "STI".
 
     Raises
     ------
@@ -407,18 +394,9 @@ class RoomParameters:
     bands: Bands
     values: FloatArray  # (7, n_bands), rows and units as `PARAMETER_NAMES`; nan where not valid
     valid: BoolArray  # (7, n_bands), whether the decay range suffices for the parameter
-    # (2, n_bands), of T20 and T30: 1000 (1 - r^2) of the straight line; above 10 the decay is not
-    # straight (ISO 3382-2, annex B); nan where not valid
-    nonlinearity_permille: FloatArray
-    # (n_bands,), 100 (T30 / T20 - 1); above 10 the decay is far from straight, negative with noise
-    curvature_percent: FloatArray
 
     def of(self, name: ParameterName) -> FloatArray:
         """Return one parameter in every band, nan where not valid, shape (n_bands,)."""
-        if name not in PARAMETER_NAMES:
-            raise InputError(
-                "unknown room parameter", found=repr(name), needed=", ".join(PARAMETER_NAMES)
-            )
         return np.asarray(self.values[PARAMETER_NAMES.index(name)])
 
 
@@ -427,10 +405,7 @@ def room_parameters(curve: DecayCurve) -> RoomParameters:
 
     The same function serves measured and predicted curves, so that neither is favoured.
 
-    Parameters
-    ----------
-    curve : DecayCurve
-        From `decay_curve` or `echogram_decay_curve`.
+    `curve`: from `decay_curve` or `echogram_decay_curve`.
 
     Returns
     -------
@@ -446,8 +421,7 @@ def room_parameters(curve: DecayCurve) -> RoomParameters:
 
     References
     ----------
-    .. [1] ISO 3382-1:2009, "Measurement of room acoustic parameters - Performance spaces"; ISO
-           3382-2:2008, annex B, for the non-linearity and the curvature.
+    .. [1] ISO 3382-1:2009, "Measurement of room acoustic parameters - Performance spaces".
 
     Examples
     --------
@@ -463,28 +437,17 @@ def room_parameters(curve: DecayCurve) -> RoomParameters:
     levels_db = decay_curve_db(curve)
     n_bands = len(curve.bands)
     values = np.full((len(PARAMETER_NAMES), n_bands), np.nan)
-    nonlinearity = np.full((2, n_bands), np.nan)
     for band in range(n_bands):
-        for row, (_, fit_range_db) in enumerate(FIT_RANGES_DB.items()):
-            found = _decay_time_s(curve, levels_db[band], band, fit_range_db)
-            if found is not None:
-                values[row, band] = found[0]
-                if row > 0:
-                    nonlinearity[row - 1, band] = found[1]
+        for row, fit_range_db in enumerate(FIT_RANGES_DB.values()):
+            values[row, band] = _decay_time_s(curve, levels_db[band], band, fit_range_db)
         values[3:, band] = _early_to_late(curve, band)
-    t20_s, t30_s = values[1], values[2]
-    return RoomParameters(
-        curve.bands, values, np.isfinite(values), nonlinearity, 100.0 * (t30_s / t20_s - 1.0)
-    )
+    return RoomParameters(curve.bands, values, np.isfinite(values))
 
 
 def range_findings(parameters: RoomParameters, where: str) -> tuple[Finding, ...]:
     """Return a finding for the bands in which T20 could not be evaluated.
 
-    Parameters
-    ----------
-    where : str
-        Names the response in the sentence.
+    `where`: names the response in the sentence.
     """
     missing = parameters.bands.centres_hz[~parameters.valid[PARAMETER_NAMES.index("T20_s")]]
     if not missing.size:
@@ -502,25 +465,22 @@ def range_findings(parameters: RoomParameters, where: str) -> tuple[Finding, ...
 
 def _decay_time_s(
     curve: DecayCurve, level_db: FloatArray, band: int, fit_range_db: tuple[float, float]
-) -> tuple[float, float] | None:
-    """Return reverberation time and non-linearity over one range, or None beyond the usable."""
+) -> float:
+    """Return the reverberation time over one range, nan beyond the usable."""
     upper_db, lower_db = fit_range_db
     if lower_db > curve.usable_db[band]:
-        return None
+        return np.nan
     start = int(np.searchsorted(curve.time_s, curve.onset_s))
     begin_s = max(curve.onset_s, _first_below_s(curve.time_s, level_db, upper_db))
     end_s = _first_below_s(curve.time_s, level_db, lower_db)
     if not end_s > begin_s or start >= len(curve.time_s):
-        return None
+        return np.nan
     # the curve is known at unequal times: the line is drawn through equally spaced ones
     times = np.linspace(begin_s, end_s, POINTS_OF_A_FIT)
     levels = np.interp(times, curve.time_s, level_db)
     t, y = times - times.mean(), levels - levels.mean()
     slope = float(t @ y / (t @ t))
-    if not slope < 0.0:
-        return None
-    r_squared = slope**2 * float(t @ t) / float(y @ y)
-    return -60.0 / slope, 1000.0 * (1.0 - r_squared)
+    return -60.0 / slope if slope < 0.0 else np.nan
 
 
 def _first_below_s(time_s: FloatArray, level_db: FloatArray, depth_db: float) -> float:

@@ -57,24 +57,11 @@ def differences_over_windows(
     values: FloatArray,
     columns: IntArray,
 ) -> None:
-    """Fill the entries of a sparse matrix of windows and delays, row by row.
+    """Fill values and columns, (n_entries,), of a sparse matrix of windows and delays, row by row.
 
-    An entry is the table at the window's end less that at its beginning, both after the delay.
-
-    Parameters
-    ----------
-    edges_s : shape (n_windows + 1,)
-    delays_s : shape (n_delays,)
-    first : shape (n_windows,)
-        First delay of each window.
-    pointers : shape (n_windows + 1,)
-        Where the entries of each window begin, one for each of its delays.
-    table : shape (n_steps,)
-        With time 0 in its middle.
-    steps_per_s : float
-        Steps of the table in a second.
-    values, columns : shape (n_entries,)
-        To be filled.
+    An entry is the table, with time 0 in its middle, at the window's end less that at its
+    beginning, both after the delay. Window w has the delays from ``first[w]`` on, and the entries
+    ``pointers[w]:pointers[w + 1]``.
     """
     middle = 0.5 * (len(table) - 1)
     for w in range(len(first)):
@@ -219,13 +206,11 @@ def filter_pressure(bank: FilterBank, response: ImpulseResponse) -> FloatArray:
     return filtered
 
 
-def window_energies(bank: FilterBank, response: ImpulseResponse, edges_s: ArrayLike) -> FloatArray:
+def window_energies(bank: FilterBank, response: ImpulseResponse, edges_s: FloatArray) -> FloatArray:
     """Return the measured energy of every band in every time window (the first front end).
 
-    Parameters
-    ----------
-    edges_s : array_like, shape (n_windows + 1,)
-        Rising times after emission. Before and after the file there is silence.
+    `edges_s`, shape (n_windows + 1,): rising times after emission. Before and after the file there
+    is silence.
 
     Returns
     -------
@@ -233,16 +218,15 @@ def window_energies(bank: FilterBank, response: ImpulseResponse, edges_s: ArrayL
         In the unit of pressure squared, scaled so that a lone sample of height a has the energy
         a^2 in every band: the sum over paths of energy times `energy_share` is its expectation.
     """
-    edges = _rising(edges_s)
     rate_hz = response.sampling_rate_hz
     long = padded(response, float(ringing_s(bank).max()))
     # sample k stands for the time from half a sample before to half a sample after it
     boundaries = (np.arange(len(long.pressure) + 1) - 0.5) / rate_hz - long.time_zero_s
     lone_sample = 2.0 * energy_bandwidth_hz(bank) / rate_hz
-    energies = np.empty((len(bank.bands), len(edges) - 1))
+    energies = np.empty((len(bank.bands), len(edges_s) - 1))
     for band, pressure in enumerate(filter_pressure(bank, long)):
         cumulative = np.concatenate(([0.0], np.cumsum(pressure**2)))
-        energies[band] = np.diff(np.interp(edges, boundaries, cumulative)) / lone_sample[band]
+        energies[band] = np.diff(np.interp(edges_s, boundaries, cumulative)) / lone_sample[band]
     return energies
 
 
@@ -267,9 +251,7 @@ def _spreading_table(kind: BandKind) -> tuple[FloatArray, FloatArray, FloatArray
     density *= _STEPS_PER_PERIOD / cumulative[-1]
     cumulative /= cumulative[-1]
     periods = np.arange(-span, span + 1) / _STEPS_PER_PERIOD
-    for array in (periods, density, cumulative):
-        array.setflags(write=False)
-    return periods, density, cumulative
+    return read_only(periods), read_only(density), read_only(cumulative)
 
 
 def energy_share(
@@ -289,8 +271,7 @@ def energy_share(
     float array, shape (n_impulses, n_windows)
         Each row sums to at most 1; less where energy falls outside all windows.
     """
-    edges = _rising(edges_s)
-    delays = np.asarray(delays_s, dtype=np.float64)
+    edges, delays = (np.asarray(x, dtype=np.float64) for x in (edges_s, delays_s))
     periods = (edges[None, :] - delays[:, None]) * kernel.centres_hz[band]
     return np.diff(np.interp(periods, kernel.periods, kernel.cumulative), axis=1)
 
@@ -306,10 +287,7 @@ def spreading_matrix(
 ) -> csr_array:
     """Return `energy_share` of many impulses as a sparse matrix.
 
-    Parameters
-    ----------
-    delays_s : float array, shape (n_impulses,)
-        Rising.
+    `delays_s`, shape (n_impulses,): rising.
 
     Returns
     -------
@@ -331,7 +309,7 @@ def _banded(
     kernel: SpreadingKernel, band: int, delays_s: FloatArray, edges_s: ArrayLike, table: FloatArray
 ) -> csr_array:
     """Return the difference of a tabulated function between both edges of every window."""
-    edges = _rising(edges_s)
+    edges = np.asarray(edges_s, dtype=np.float64)
     centre = float(kernel.centres_hz[band])
     span_s = spreading_reach_s(kernel, band)
     first = np.searchsorted(delays_s, edges[:-1] - span_s)
@@ -343,17 +321,6 @@ def _banded(
         edges, delays, first, pointers, np.array(table), steps_per_s, values, columns
     )
     return csr_array((values, columns, pointers), shape=(len(edges) - 1, len(delays_s)))
-
-
-def _rising(edges_s: ArrayLike) -> FloatArray:
-    edges = np.asarray(edges_s, dtype=np.float64)
-    if edges.ndim != 1 or len(edges) < 2 or not np.all(np.diff(edges) > 0.0):
-        raise InputError(
-            "time windows must be bounded by rising edges",
-            found=f"edges of shape {edges.shape}",
-            needed="at least two rising times in seconds",
-        )
-    return edges
 
 
 def _span_periods(bank: FilterBank) -> float:

@@ -59,7 +59,7 @@ def value_gradients(
     Raises
     ------
     InputError
-        An unknown name, or an echogram without energy.
+        An echogram without energy.
     """
     total = float(curve.energy_left[band, 0])
     if not total > 0.0:
@@ -78,12 +78,8 @@ def value_gradients(
         elif name == "G_dB":
             values[row] = _DB * np.log(total / _ENERGY_AT_10_M)
             by_left[row, 0] = _DB / total
-        elif name == "TS_ms":
-            values[row], by_left[row] = _centre_time_ms(curve, band)
         else:
-            raise InputError(
-                "unknown room parameter", found=repr(name), needed=", ".join(VALUE_NAMES)
-            )
+            values[row], by_left[row] = _centre_time_ms(curve, band)
     if not derivative:
         return values, np.zeros((len(names), 0))
     tail, tail_moment_s = tail_gradients(curve, band)
@@ -437,10 +433,7 @@ def joined_values(
     The mean of what is known. Its standard deviation is the stated one or half of the range
     between them, whichever is larger.
 
-    Parameters
-    ----------
-    repeated : tuple of MeasuredValues
-        Of one pair and with the same bands, at least one.
+    `repeated`: of one pair and with the same bands, at least one.
     """
     first = repeated[0]
     if len(repeated) == 1:

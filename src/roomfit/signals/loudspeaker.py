@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 
-from roomfit._checks import float_array
 from roomfit.errors import InputError
 from roomfit.signals.response import ImpulseResponse
 from roomfit.typing import ComplexArray, FloatArray
@@ -35,12 +34,6 @@ class SourceMagnitude:
 
     frequencies_hz: FloatArray  # (n,): rising
     level_db: FloatArray  # (n,)
-
-    def __post_init__(self) -> None:
-        f = float_array("frequencies", self.frequencies_hz, (None,), low=1.0, unit="Hz")
-        object.__setattr__(self, "frequencies_hz", f)
-        level = float_array("levels", self.level_db, (len(f),), unit="dB")
-        object.__setattr__(self, "level_db", level)
 
 
 def source_magnitude(

@@ -7,7 +7,7 @@ surroundings, and stretches of a filtered response that contain only noise are f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -66,10 +66,7 @@ def same_recordings(signals: Sequence[FloatArray]) -> tuple[tuple[int, int], ...
     Shifted by whole samples, of either sign, cut at either end. A second recording of the same
     place is another one: its noise differs. Of several copies each is paired with the first.
 
-    Parameters
-    ----------
-    signals : sequence of float arrays, shape (n_samples,)
-        Of any lengths; silence equals nothing.
+    `signals` have the shape (n_samples,) and any lengths; silence equals nothing.
     """
     peaks = [int(np.argmax(np.abs(x))) for x in signals]
     slices = np.zeros((len(signals), _SLICE))
@@ -194,10 +191,7 @@ def find_onset(response: ImpulseResponse, where: str | None = None) -> float:
     interpolated between samples. A single sample is thus found 0.9 samples early, a sharp
     band-limited click up to 3.
 
-    Parameters
-    ----------
-    where : str, optional
-        Names the response in a message.
+    `where`, optional: names the response in a message.
 
     Raises
     ------
@@ -238,10 +232,7 @@ def find_onset(response: ImpulseResponse, where: str | None = None) -> float:
 def check_travel(response: ImpulseResponse, travel_s: float, where: str | None = None) -> None:
     """Refuse a response that ends before the direct sound can have arrived.
 
-    Parameters
-    ----------
-    travel_s : float
-        Distance over speed of sound.
+    `travel_s`: distance over speed of sound.
     """
     end_s = len(response.pressure) / response.sampling_rate_hz - response.time_zero_s
     if end_s <= travel_s:
@@ -306,9 +297,7 @@ def time_zero_from_direct(
         No direct sound.
     """
     shift_s = find_onset(response, where) - travel_s
-    return ImpulseResponse(
-        response.pressure, response.sampling_rate_hz, response.time_zero_s + shift_s
-    )
+    return replace(response, time_zero_s=response.time_zero_s + shift_s)
 
 
 TAIL_SHARE = 0.1  # of the file, from its end: the least that noise is estimated from

@@ -11,9 +11,9 @@ simplex:
   and contract where it is no better than the second highest. Theirs is the default.
 - Bounds: a point outside the unit box counts as infinitely bad and is not evaluated. Moving it to
   the wall instead would flatten the simplex into the wall, out of which no reflection leads.
-- Test (7) asks for a small *relative* difference. Where the lowest error is 0, as with data made
-  by the model itself, it is met only when rounding ends all differences; a simplex too small for
-  further change in any coordinate therefore ends the search under either test.
+- The test is (6), the spread of the errors. The relative difference of test (7) is not taken: where
+  the lowest error is 0, as with data made by the model itself, only rounding meets it. A simplex
+  too small for further change in any coordinate ends the search as well.
 
 Of annealing, where the paper gives the rule of acceptance and the schedule alone:
 
@@ -45,15 +45,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
 from roomfit._checks import float_array
-from roomfit.errors import InputError
 from roomfit.solvers.ending import Ending
-from roomfit.typing import FloatArray, Progress
+from roomfit.typing import FloatArray
 
 ErrorFunction: TypeAlias = Callable[[FloatArray], float]
 """Error of one point of the unit box, shape (n,); lower is better."""
@@ -72,13 +71,6 @@ class Fit:
     # says
     trail: FloatArray
     trail_cost: FloatArray  # (n_visited,)
-
-    def __post_init__(self) -> None:
-        x = float_array("answer", self.x, (None,), low=0.0, high=1.0)
-        object.__setattr__(self, "x", x)
-        object.__setattr__(self, "trail", float_array("trail", self.trail, (None, x.size)))
-        cost = float_array("errors of the trail", self.trail_cost, (len(self.trail),))
-        object.__setattr__(self, "trail_cost", cost)
 
 
 class Counted:
@@ -113,8 +105,9 @@ def best_of(fits: Sequence[Fit]) -> Fit:
 
 
 Order = Literal["nelder-mead", "as-printed"]
-ConvergenceTest = Literal["spread", "fraction"]
 
+# alpha, gamma and beta of equations (3) to (5), and the factor after a failed contraction
+_REFLECTION, _EXPANSION, _CONTRACTION, _SHRINKAGE = 1.0, 2.0, 0.5, 0.5
 # Below this extent the error no longer changes by more than its own rounding.
 _COLLAPSED = 1e-11
 
@@ -123,42 +116,9 @@ _COLLAPSED = 1e-11
 class SimplexSettings:
     """How the simplex moves and when it stops."""
 
-    # {"nelder-mead", "as-printed"}, which operation is tried when; see the module's text
-    order: Order = "nelder-mead"
-    # {"spread", "fraction"}, equation (6), root mean square difference from the error at the
-    # centroid, in the unit of the error (one more evaluation a step); or equation (7), relative
-    # difference of highest and lowest
-    test: ConvergenceTest = "spread"
-    tolerance: float = 1e-6  # tau of either test
-    # reflection, expansion, contraction, shrinkage: alpha in (0, 1], gamma > 1, beta in (0, 1), and
-    # the factor after a failed contraction
-    reflection: float = 1.0
-    expansion: float = 2.0
-    contraction: float = 0.5
-    shrinkage: float = 0.5
+    order: Order = "nelder-mead"  # which operation is tried when, see the module's text
+    tolerance: float = 1e-6  # tau of test (6), in the unit of the error
     max_evaluations: int = 20_000
-
-    def __post_init__(self) -> None:
-        if self.order not in ("nelder-mead", "as-printed"):
-            raise InputError("unknown order of simplex operations", found=repr(self.order))
-        if self.test not in ("spread", "fraction"):
-            raise InputError("unknown convergence test", found=repr(self.test))
-        ranges = (
-            ("reflection", 0.0 < self.reflection <= 1.0, "above 0, at most 1"),
-            ("expansion", self.expansion > 1.0, "above 1"),
-            ("contraction", 0.0 < self.contraction < 1.0, "between 0 and 1"),
-            ("shrinkage", 0.0 < self.shrinkage < 1.0, "between 0 and 1"),
-            ("tolerance", self.tolerance > 0.0, "above 0"),
-            ("max_evaluations", self.max_evaluations >= 1, "at least 1"),
-        )
-        for name, holds, needed in ranges:
-            if not holds:
-                raise InputError(
-                    "simplex setting is out of range",
-                    where=name,
-                    found=f"{getattr(self, name):g}",
-                    needed=needed,
-                )
 
 
 @dataclass(slots=True)
@@ -204,7 +164,7 @@ def downhill_simplex(
     trail, costs = [state.vertices[0].copy()], [state.errors[0]]
     ending = _ending(state, counted, settings)
     while ending is None:
-        move_once(state, counted, settings)
+        move_once(state, counted, settings.order)
         trail.append(state.vertices[0].copy())
         costs.append(state.errors[0])
         ending = _ending(state, counted, settings)
@@ -219,13 +179,13 @@ def downhill_simplex(
     )
 
 
-def move_once(state: Simplex, error: ErrorFunction, settings: SimplexSettings) -> None:
+def move_once(state: Simplex, error: ErrorFunction, order: Order) -> None:
     """Replace the highest vertex of a sorted simplex by a lower point, or shrink; sort again."""
     centroid = state.vertices[:-1].mean(axis=0)  # (2)
-    if settings.order == "as-printed":
-        _move_as_printed(state, error, settings, centroid)
+    if order == "as-printed":
+        _move_as_printed(state, error, centroid)
     else:
-        _move_nelder_mead(state, error, settings, centroid)
+        _move_nelder_mead(state, error, centroid)
     state.sort()
 
 
@@ -239,9 +199,7 @@ def simplex_around(x: FloatArray, size: float) -> FloatArray:
     size : float
         Length of each edge, at most 0.5; the edge points to the farther wall.
 
-    Returns
-    -------
-    float array, shape (n + 1, n)
+    The result has the shape (n + 1, n).
     """
     edges = np.diag(np.where(x <= 0.5, size, -size))
     return np.concatenate((x[None, :], x + edges))
@@ -252,14 +210,12 @@ def random_simplex(n: int, rng: np.random.Generator) -> FloatArray:
     return simplex_around(rng.random(n), 0.3)
 
 
-def _move_nelder_mead(
-    state: Simplex, error: ErrorFunction, settings: SimplexSettings, centroid: FloatArray
-) -> None:
+def _move_nelder_mead(state: Simplex, error: ErrorFunction, centroid: FloatArray) -> None:
     away = centroid - state.vertices[-1]
-    x_r = centroid + settings.reflection * away  # (3)
+    x_r = centroid + _REFLECTION * away  # (3)
     e_r = error(x_r)
     if e_r < state.errors[0]:
-        x_e = centroid + settings.expansion * away  # (4)
+        x_e = centroid + _EXPANSION * away  # (4)
         e_e = error(x_e)
         state.replace_highest(*((x_e, e_e) if e_e < e_r else (x_r, e_r)))
         return
@@ -268,32 +224,28 @@ def _move_nelder_mead(
         return
     if e_r < state.errors[-1]:
         state.replace_highest(x_r, e_r)
-    _contract(state, error, settings, centroid)
+    _contract(state, error, centroid)
 
 
-def _move_as_printed(
-    state: Simplex, error: ErrorFunction, settings: SimplexSettings, centroid: FloatArray
-) -> None:
+def _move_as_printed(state: Simplex, error: ErrorFunction, centroid: FloatArray) -> None:
     away = centroid - state.vertices[-1]
-    for factor in (settings.reflection, settings.expansion):  # (3), then (4)
+    for factor in (_REFLECTION, _EXPANSION):  # (3), then (4)
         x = centroid + factor * away
         e = error(x)
         if e < state.errors[-1]:
             state.replace_highest(x, e)
             return
-    _contract(state, error, settings, centroid)
+    _contract(state, error, centroid)
 
 
-def _contract(
-    state: Simplex, error: ErrorFunction, settings: SimplexSettings, centroid: FloatArray
-) -> None:
-    x_c = centroid + settings.contraction * (state.vertices[-1] - centroid)  # (5)
+def _contract(state: Simplex, error: ErrorFunction, centroid: FloatArray) -> None:
+    x_c = centroid + _CONTRACTION * (state.vertices[-1] - centroid)  # (5)
     e_c = error(x_c)
     if e_c < state.errors[-1]:
         state.replace_highest(x_c, e_c)
         return
     lowest = state.vertices[0]
-    state.vertices[1:] = lowest + settings.shrinkage * (state.vertices[1:] - lowest)
+    state.vertices[1:] = lowest + _SHRINKAGE * (state.vertices[1:] - lowest)
     state.errors[1:] = [error(v) for v in state.vertices[1:]]
 
 
@@ -306,15 +258,8 @@ def spread(state: Simplex, error: ErrorFunction) -> float:
     return float(np.sqrt(np.mean((state.errors - at_centroid) ** 2)))
 
 
-def fraction(state: Simplex) -> float:
-    """Return the left side of equation (7): (highest - lowest) / highest; 0 where both are 0."""
-    highest, lowest = float(state.errors[-1]), float(state.errors[0])
-    return (highest - lowest) / highest if highest != lowest else 0.0
-
-
 def _ending(state: Simplex, counted: Counted, settings: SimplexSettings) -> Ending | None:
-    test = spread(state, counted) if settings.test == "spread" else fraction(state)
-    if test <= settings.tolerance:
+    if spread(state, counted) <= settings.tolerance:
         return Ending.CONVERGED
     if np.ptp(state.vertices, axis=0).max() <= _COLLAPSED:
         return Ending.COLLAPSED
@@ -326,36 +271,18 @@ def _ending(state: Simplex, counted: Counted, settings: SimplexSettings) -> Endi
 _SMALLEST_STEP, _LARGEST_STEP = 1e-3, 0.5
 _LONG_EVERY = 5
 _EDGE = 0.1
+_MOST_RESTARTS = 10  # of the simplex, from its own answer
 
 
 @dataclass(frozen=True, slots=True)
 class AnnealingSettings:
-    """Schedule of temperatures, and the simplex that follows."""
+    """Schedule of temperatures."""
 
     # in the unit of the error; None takes the spread of the error over random points
     start_temperature: float | None = None
     cooling: float = 0.9  # factor from one temperature to the next
     levels: int = 60  # how many temperatures
     trials_per_unknown: int = 10  # trials at each temperature for every unknown
-    simplex: SimplexSettings = field(default_factory=SimplexSettings)
-    max_restarts: int = 10  # how often the simplex may start again from its own answer
-
-    def __post_init__(self) -> None:
-        ranges = (
-            ("start_temperature", self.start_temperature is None or self.start_temperature > 0.0),
-            ("cooling", 0.0 < self.cooling < 1.0),
-            ("levels", self.levels >= 1),
-            ("trials_per_unknown", self.trials_per_unknown >= 1),
-            ("max_restarts", self.max_restarts >= 0),
-        )
-        for name, holds in ranges:
-            if not holds:
-                raise InputError(
-                    "annealing setting is out of range",
-                    where=name,
-                    found=f"{getattr(self, name):g}",
-                    needed="a factor between 0 and 1" if name == "cooling" else "a positive number",
-                )
 
 
 def accepts(change: float, temperature: float, rng: np.random.Generator) -> bool:
@@ -373,8 +300,6 @@ def anneal(
     n: int,
     rng: np.random.Generator,
     settings: AnnealingSettings | None = None,
-    *,
-    progress: Progress | None = None,
 ) -> Fit:
     """Walk the unit box while it cools, then go downhill from the best point met.
 
@@ -392,10 +317,8 @@ def anneal(
     """
     settings = AnnealingSettings() if settings is None else settings
     counted = Counted(error)
-    walk = _walk(counted, n, rng, settings, progress)
-    polished = _polish(error, _lowest_of_quarters(walk), settings)
-    if progress is not None:
-        progress(1.0)
+    walk = _walk(counted, n, rng, settings)
+    polished = _polish(error, _lowest_of_quarters(walk))
     return Fit(
         polished.x,
         polished.cost,
@@ -418,11 +341,7 @@ class _Level(NamedTuple):
 
 
 def _walk(
-    error: Counted,
-    n: int,
-    rng: np.random.Generator,
-    settings: AnnealingSettings,
-    progress: Progress | None,
+    error: Counted, n: int, rng: np.random.Generator, settings: AnnealingSettings
 ) -> list[_Level]:
     samples = rng.random((10 * n, n))
     errors = np.array([error(x) for x in samples])
@@ -430,7 +349,7 @@ def _walk(
     start = int(np.argmin(errors))
     x, e, step = samples[start], float(errors[start]), _LARGEST_STEP
     levels: list[_Level] = []
-    for number in range(settings.levels):
+    for _ in range(settings.levels):
         proposals = rng.uniform(-step, step, (settings.trials_per_unknown * n, n))
         proposals[::_LONG_EVERY] *= _LARGEST_STEP / step
         level = _walk_at(error, x, e, temperature, proposals, rng)
@@ -438,8 +357,6 @@ def _walk(
         x, e = level.x, level.error
         step = _next_step(step, level.accepted)
         temperature *= settings.cooling
-        if progress is not None:
-            progress((number + 1) / (settings.levels + 1))
     return levels
 
 
@@ -472,16 +389,17 @@ def _lowest_of_quarters(walk: list[_Level]) -> list[FloatArray]:
     return [min(quarter, key=lambda level: level.lowest_error).lowest_x for quarter in quarters]
 
 
-def _polish(error: ErrorFunction, starts: list[FloatArray], settings: AnnealingSettings) -> Fit:
+def _polish(error: ErrorFunction, starts: list[FloatArray]) -> Fit:
     """Descend from every start, and from the lowest end again until that gains nothing more."""
-    fits = [downhill_simplex(error, simplex_around(x, _EDGE), settings.simplex) for x in starts]
+    settings = SimplexSettings()
+    fits = [downhill_simplex(error, simplex_around(x, _EDGE), settings) for x in starts]
     edge = _EDGE
-    for _ in range(settings.max_restarts):
+    for _ in range(_MOST_RESTARTS):
         last = best_of(fits)
         edge *= 0.5
-        again = downhill_simplex(error, simplex_around(last.x, edge), settings.simplex)
+        again = downhill_simplex(error, simplex_around(last.x, edge), settings)
         fits.append(again)
-        if last.cost - again.cost <= settings.simplex.tolerance:
+        if last.cost - again.cost <= settings.tolerance:
             break
     return best_of(fits)
 

@@ -20,9 +20,8 @@ import numpy as np
 
 from roomfit._checks import int_array
 from roomfit.certified.certificate import certify
-from roomfit.certified.question import GlobalProblem, Misfit
+from roomfit.certified.question import GlobalProblem
 from roomfit.certified.search import SearchSettings
-from roomfit.errors import InputError
 from roomfit.solvers.certificate import Certificate
 from roomfit.solvers.search import Fit, SimplexSettings, anneal, downhill_simplex, random_simplex
 from roomfit.suh2001.independent import (
@@ -231,16 +230,16 @@ METHODS: Mapping[str, Method] = MappingProxyType(
 )
 
 
-def searches_of_table2(problem: PaperProblem, seed: int = 0) -> dict[str, Fit]:
+def searches_of_table2(problem: PaperProblem) -> dict[str, Fit]:
     """Return the trail of each method through case 1, from the first points of Table 2.
 
     The simplexes start with the first three points of the table as vertices, least squares with
-    the first one; annealing starts where its seed says.
+    the first one; annealing starts where seed 0 says.
     """
     first = TABLE2[:3, :2]
     in_order = partial(downhill_simplex, partial(error, problem.squares), first)
     return {
-        "annealing+simplex": _annealing_and_simplex(problem, np.random.default_rng(seed)),
+        "annealing+simplex": _annealing_and_simplex(problem, np.random.default_rng(0)),
         "simplex": in_order(),
         "simplex-as-printed": in_order(SimplexSettings(order="as-printed")),
         "least-squares": fit_least_squares(partial(residuals, problem.squares), first[:1]),
@@ -274,42 +273,25 @@ def record(problem: PaperProblem, method: str, runs: Sequence[Run]) -> Record:
     )
 
 
-def squares_global_problem(
-    problem: SquaresProblem,
-    misfit: Misfit = "squares",
-    *,
-    precision: FloatArray | None = None,
-    upper: float = 1.0,
-) -> GlobalProblem:
-    """Return the misfit of a problem without air and noise over all absorptions.
-
-    Parameters
-    ----------
-    misfit : {"squares", "logarithms", "gamma"}
-    precision : float array, shape (n_windows,), optional
-        Weight of each window; 1 where left out, which with "squares" is the paper's equation (1).
-    upper : float
-        Largest absorption of any material, above 0, at most 1.
+def squares_global_problem(problem: SquaresProblem) -> GlobalProblem:
+    """Return equation (1) over all absorptions, for a certificate.
 
     Raises
     ------
     InputError
         See `GlobalProblem`.
     """
-    if not 0.0 < upper <= 1.0:
-        raise InputError("largest absorption out of range", found=f"{upper:g}", needed="0 to 1")
     rows = problem.rows
     n = len(rows.materials)
     return GlobalProblem(
         rows.materials,
         np.ones(n, dtype=np.bool_),
-        misfit,
         rows.offsets,
         rows.weight_per_m2,
         rows.hits,
         problem.measured,
-        np.ones(rows.n_windows) if precision is None else precision,
-        np.full(n, math.log1p(-upper) if upper < 1.0 else -math.inf),
+        np.ones(rows.n_windows),
+        np.full(n, -math.inf),
         np.zeros(n),
         np.zeros((n, 4)),
     )

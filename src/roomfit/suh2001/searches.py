@@ -21,6 +21,7 @@ from roomfit.typing import FloatArray
 
 # The trust-region method works strictly inside the box; a start on a wall is moved in by this.
 _INSIDE = 1e-3
+_MOST_EVALUATIONS = 300  # from each start
 
 
 def fit_least_squares(
@@ -28,7 +29,6 @@ def fit_least_squares(
     starts: FloatArray,
     *,
     good_enough: float = 0.0,
-    max_evaluations: int = 300,
 ) -> Fit:
     """Return the best of several trust-region descents within the unit box.
 
@@ -38,8 +38,6 @@ def fit_least_squares(
         Tried in their order.
     good_enough : float
         Sum of squared residuals at which no further start is tried; 0 tries all.
-    max_evaluations : int
-        For each start.
 
     Returns
     -------
@@ -61,13 +59,13 @@ def fit_least_squares(
     starts = float_array("starts", starts, (None, None), low=0.0, high=1.0)
     fits: list[Fit] = []
     for start in starts:
-        fits.append(_trust_region(residuals, start, max_evaluations))
+        fits.append(_trust_region(residuals, start))
         if fits[-1].cost <= good_enough:
             break
     return best_of(fits)
 
 
-def _trust_region(residuals: ResidualFunction, start: FloatArray, max_evaluations: int) -> Fit:
+def _trust_region(residuals: ResidualFunction, start: FloatArray) -> Fit:
     remembered = _Remembered(residuals)
     solution = least_squares(
         remembered.residuals,
@@ -78,7 +76,7 @@ def _trust_region(residuals: ResidualFunction, start: FloatArray, max_evaluation
         xtol=1e-12,
         ftol=1e-14,
         gtol=1e-15,
-        max_nfev=max_evaluations,
+        max_nfev=_MOST_EVALUATIONS,
     )
     return Fit(
         solution.x,
@@ -125,6 +123,9 @@ Neighbours = Literal[4, 8]
 _SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1))
 _DAMPINGS = 10.0 ** np.arange(-9.0, 0.0, 0.5)
 _CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+# Ends of descents that differ by no more in every unknown are one.
+_APART = 0.005
+_LONGEST_STEP, _MOST_STEPS = 0.02, 2000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,13 +148,12 @@ class Landscape:
     minima: Minima  # ends of the descents from every grid point
 
 
-def landscape(error: ErrorFunction, residuals: ResidualFunction, n_points: int = 21) -> Landscape:
-    """Return the grid, its minima and the true minima of an error function of two unknowns.
+def landscape(error: ErrorFunction, residuals: ResidualFunction) -> Landscape:
+    """Return the paper's grid, its minima and the true minima of a function of two unknowns.
 
-    `error` is the sum of the squares of what `residuals` returns; 21 points along each axis are the
-    paper's grid.
+    `error` is the sum of the squares of what `residuals` returns.
     """
-    grid = unit_grid(n_points)
+    grid = unit_grid()
     errors = grid_errors(error, grid)
     starts = np.array([(a, b) for a in grid for b in grid])
     return Landscape(
@@ -192,18 +192,13 @@ def grid_minima(
     return tuple((float(grid[i]), float(grid[j])) for i, j in found)
 
 
-def minima_of_descents(
-    residuals: ResidualFunction, starts: FloatArray, *, apart: float = 0.005
-) -> Minima:
-    """Return where descents from all starts, (n_starts, n), end.
-
-    Ends that differ by at most `apart` in every unknown count as one.
-    """
+def minima_of_descents(residuals: ResidualFunction, starts: FloatArray) -> Minima:
+    """Return where descents from all starts, (n_starts, n), end."""
     ends = sorted((descend(residuals, start) for start in starts), key=lambda end: end[1])
     kept: list[tuple[FloatArray, float]] = []
     counts: list[int] = []
     for x, error in ends:
-        near = [i for i, (other, _) in enumerate(kept) if np.max(np.abs(other - x)) <= apart]
+        near = [i for i, (other, _) in enumerate(kept) if np.max(np.abs(other - x)) <= _APART]
         if near:
             counts[near[0]] += 1
         else:
@@ -214,31 +209,25 @@ def minima_of_descents(
     )
 
 
-def descend(
-    residuals: ResidualFunction,
-    start: FloatArray,
-    *,
-    longest_step: float = 0.02,
-    max_steps: int = 2000,
-) -> tuple[FloatArray, float]:
+def descend(residuals: ResidualFunction, start: FloatArray) -> tuple[FloatArray, float]:
     """Return the foot of the slope on which a point lies, and the error there.
 
-    Damped Gauss-Newton steps (Levenberg), each downhill and, by its damping, no longer than
-    `longest_step` in any unknown. A good search leaps over ridges; this one must not, for it counts
+    Damped Gauss-Newton steps (Levenberg), each downhill and, by its damping, no longer than 0.02 in
+    any unknown. A good search leaps over ridges; this one must not, for it counts
     the minima. A start on a bound is moved into the box by 0.001: at absorption 1 a wall has no
     slope by any path that meets it twice.
     """
     x = np.clip(start, 1e-3, 1.0 - 1e-3)
     r, jacobian = residuals(x)
-    longest = longest_step
-    for _ in range(max_steps):
+    longest = _LONGEST_STEP
+    for _ in range(_MOST_STEPS):
         trial = np.clip(x + _damped_step(x, r, jacobian, longest), 0.0, 1.0)
         if np.max(np.abs(trial - x)) < 1e-10:
             break
         trial_r, trial_jacobian = residuals(trial)
         if trial_r @ trial_r < r @ r:
             x, r, jacobian = trial, trial_r, trial_jacobian
-            longest = min(2.0 * longest, longest_step)
+            longest = min(2.0 * longest, _LONGEST_STEP)
         else:
             longest = 0.25 * float(np.max(np.abs(trial - x)))
     return x, float(r @ r)

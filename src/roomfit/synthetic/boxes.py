@@ -9,7 +9,7 @@ conserved at every hit and other random numbers than those of `roomfit.tracing`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -114,22 +114,42 @@ def pressure_of_images(
     lengths, hits = images
     factor = np.ones(lengths.size) if sent is None else sent
     n_samples = round(duration_s * sampling_rate_hz)
-    fine_rate_hz = sampling_rate_hz * _OVERSAMPLING
-    # padded to twice the length, so that the tails of the band-limited impulses do not wrap around
-    n_fine = 2 * n_samples * _OVERSAMPLING
-    times = lengths / synthetic.speed_of_sound_m_s + hits @ np.array(synthetic.delays_s)
-    index = np.round(times * fine_rate_hz).astype(np.int64)
-    frequencies = np.linspace(0.0, 0.5 * sampling_rate_hz, n_samples + 1)
-    spectrum = np.zeros(frequencies.size, dtype=np.complex128)
-    for band, share in enumerate(octave_shares(synthetic.centres_hz, frequencies)):
+    times_s = lengths / synthetic.speed_of_sound_m_s + hits @ np.array(synthetic.delays_s)
+
+    def amplitude(band: int) -> FloatArray:
         # with absorption 1, a path that never strikes the wall is unchanged: 0 times log 0 is 0
         left = np.log(np.maximum(1.0 - synthetic.absorption[:, band], _NOTHING))
         lost = hits @ left - synthetic.attenuation_per_m[band] * lengths
-        amplitude = factor * np.exp(0.5 * lost) / (4.0 * np.pi * lengths)
-        impulse_grid = np.bincount(index, amplitude, n_fine)
-        spectrum += share * np.fft.rfft(impulse_grid)[: frequencies.size]
+        return np.asarray(factor * np.exp(0.5 * lost) / (4.0 * np.pi * lengths))
+
+    spectrum = spectrum_of_impulses(
+        times_s, amplitude, synthetic.centres_hz, n_samples, sampling_rate_hz, _OVERSAMPLING
+    )
+    frequencies = np.linspace(0.0, 0.5 * sampling_rate_hz, n_samples + 1)
     spectrum *= loudspeaker(synthetic.centres_hz, level_db, frequencies)
     return np.asarray(np.fft.irfft(spectrum, 2 * n_samples)[:n_samples])
+
+
+def spectrum_of_impulses(
+    times_s: FloatArray,
+    amplitude: Callable[[int], FloatArray],
+    centres_hz: FloatArray,
+    n_samples: int,
+    sampling_rate_hz: float,
+    oversampling: int,
+) -> ComplexArray:
+    """Return the spectrum, (n_samples + 1,), of impulses whose amplitudes differ between bands.
+
+    `amplitude` gives those of a band, by its index. Twice the length, so that the tails of the
+    band-limited impulses do not wrap around.
+    """
+    index = np.round(times_s * sampling_rate_hz * oversampling).astype(np.int64)
+    frequencies = np.linspace(0.0, 0.5 * sampling_rate_hz, n_samples + 1)
+    spectrum = np.zeros(n_samples + 1, dtype=np.complex128)
+    for band, share in enumerate(octave_shares(centres_hz, frequencies)):
+        impulse_grid = np.bincount(index, amplitude(band), 2 * n_samples * oversampling)
+        spectrum += share * np.fft.rfft(impulse_grid)[: n_samples + 1]
+    return spectrum
 
 
 def box_images(
@@ -274,10 +294,7 @@ def simulated_responses(
     Image sources whose pressures add; a loudspeaker with a spectrum and a phase of its own. True
     positions are a centimetre off the specified ones; noise lies 60 dB below each response's peak.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-        Draws position errors, loudspeaker levels and noise.
+    `rng`: draws position errors, loudspeaker levels and noise.
 
     Returns
     -------
@@ -364,7 +381,7 @@ _RADIUS_M = 0.3
 _N_RAYS = 100_000
 _RAYS_AT_ONCE = 20_000
 # Energies are 1/(4 pi r^2) where the square of the pressure is 1/(4 pi r)^2.
-_PRESSURE_SQUARED = 1.0 / (4.0 * np.pi)
+PRESSURE_SQUARED = 1.0 / (4.0 * np.pi)
 
 
 def diffuse_echogram(
@@ -492,9 +509,7 @@ def _unit(vectors: FloatArray) -> FloatArray:
 def specular_box(synthetic: SyntheticBox, scattering: FloatArray) -> SyntheticBox:
     """Return the box whose walls reflect only the specular part, ``(1 - a) (1 - s)``.
 
-    Parameters
-    ----------
-    scattering : float array, shape (6,)
+    `scattering` has the shape (6,).
     """
     kept = (1.0 - synthetic.absorption) * (1.0 - scattering)[:, None]
     return replace(synthetic, absorption=1.0 - kept)
@@ -522,7 +537,7 @@ def modulated_noise(
     """
     times_s = np.arange(n_samples) / sampling_rate_hz
     bins = np.minimum((times_s / ECHOGRAM_BIN_S).astype(int), echogram.shape[1] - 1)
-    power = _PRESSURE_SQUARED * echogram / (ECHOGRAM_BIN_S * sampling_rate_hz)
+    power = PRESSURE_SQUARED * echogram / (ECHOGRAM_BIN_S * sampling_rate_hz)
     white = rng.standard_normal(n_samples)
     frequencies = np.linspace(0.0, 0.5 * sampling_rate_hz, n_samples + 1)
     spectrum = np.zeros(n_samples + 1, dtype=np.complex128)
