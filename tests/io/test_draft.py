@@ -274,3 +274,14 @@ def test_decay_times_alone_become_a_campaign_that_reverberation_reads(
     assert "1000" in said and "1.40 +- 0.07" in said
     assert run_command(monkeypatch, *own, "--recordings", "{source}_{receiver}.wav") == 2
     assert "one or the other" in capsys.readouterr().err
+
+
+def test_positions_in_another_unit_than_said_are_refused_with_the_unit(folder, monkeypatch, capsys):
+    """Without its heading the table has centimetres, which as metres lie far outside."""
+    text = (folder / "positions.csv").read_text()
+    (folder / "bare.csv").write_text(text.partition("\n")[2])
+    own = ("init", folder, "--room", folder / "room.obj", "--unit", "in", "--positions")
+    assert run_command(monkeypatch, *own, folder / "bare.csv") == 2
+    said = capsys.readouterr().err
+    assert "0 of 3 positions within the room, and all of them in cm" in said
+    assert "name,x [cm]" in said and not (folder / "campaign.toml").exists()

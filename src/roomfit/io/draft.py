@@ -314,7 +314,7 @@ def draft_campaign(
         "",
         *([f"recordings = {_quoted(template)}", ""] if template is not None else []),
         "[room]",
-        *_room_lines(room, folder, because),
+        *_room_lines(room, folder, because, positions),
         *_point_lines("sources", [s for s, _ in recordings.values()], positions or {}),
         *_point_lines("receivers", [r for _, r in recordings.values()], positions or {}),
         *_measurement_lines(recordings, template),
@@ -326,7 +326,9 @@ def draft_campaign(
     return "\n".join(lines) + "\n"
 
 
-def _room_lines(room: RoomSpec | None, folder: Path, because: str) -> list[str]:
+def _room_lines(
+    room: RoomSpec | None, folder: Path, because: str, positions: Positions | None = None
+) -> list[str]:
     if room is None:
         return [f'shoebox = "{FILL_IN}"  # lengths along x, y, z in m; or file = "room.obj"']
     if room.file is None:
@@ -335,6 +337,7 @@ def _room_lines(room: RoomSpec | None, folder: Path, because: str) -> list[str]:
         lines = [f"shoebox = [{', '.join(f'{x:g}' for x in lengths)}]", *unit]
         materials = {"walls": "walls", "floor": "floor", "ceiling": "ceiling"}
         mesh, _ = read_mesh(room)
+        _check_unit(mesh, positions or {})
         lines += ["", "# which material is where: south, north, east and west are the walls"]
         lines += ["[room.materials]", *(f"{k} = {_quoted(v)}" for k, v in materials.items())]
         return [*lines, *_material_lines(mesh, materials)]
@@ -342,11 +345,31 @@ def _room_lines(room: RoomSpec | None, folder: Path, because: str) -> list[str]:
     spec, lines = _in_known_unit(room, model, because)
     lines = [f"file = {_quoted(_beside(folder, room.file))}", *lines]
     mesh, _ = read_mesh(spec)
+    _check_unit(mesh, positions or {})
     bare = [s.name for s in mesh.surfaces if s.file_material is None]
     if bare:
         lines += ["", "# surfaces without a material in the file", "[room.materials]"]
         lines += [f'{_quoted(name)} = "{FILL_IN}"' for name in dict.fromkeys(bare)]
     return [*lines, *_material_lines(mesh, {})]
+
+
+def _check_unit(mesh: Mesh, positions: Positions) -> None:
+    """Refuse positions most of which lie outside the room, and all of which inside in some unit."""
+    points = np.array(list(positions.values())).reshape(-1, 3)
+    low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
+
+    def inside(factor: float) -> int:
+        return int(np.sum(np.all((factor * points > low) & (factor * points < high), axis=1)))
+
+    units = [u for u, metres in METRES_PER_UNIT.items() if inside(metres) == len(points)]
+    if units and 2 * inside(1.0) < len(points):
+        raise InputError(
+            "the table of positions seems to be in another unit",
+            found=f"{inside(1.0)} of {len(points)} positions within the room, and all of them in "
+            f"{' or '.join(units)}",
+            needed=f"a heading with the unit, as name,x [{units[0]}],y [{units[0]}],z [{units[0]}]",
+            hint="or another --unit of the room",
+        )
 
 
 def _in_known_unit(room: RoomSpec, model: RoomModel, because: str) -> tuple[RoomSpec, list[str]]:
