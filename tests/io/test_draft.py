@@ -283,5 +283,5 @@ def test_positions_in_another_unit_than_said_are_refused_with_the_unit(folder, m
     own = ("init", folder, "--room", folder / "room.obj", "--unit", "in", "--positions")
     assert run_command(monkeypatch, *own, folder / "bare.csv") == 2
     said = capsys.readouterr().err
-    assert "0 of 3 positions within the room, and all of them in cm" in said
+    assert "0 of 3 positions within the room, all of them in cm" in said
     assert "name,x [cm]" in said and not (folder / "campaign.toml").exists()

@@ -361,13 +361,14 @@ def _check_unit(mesh: Mesh, positions: Positions) -> None:
     def inside(factor: float) -> int:
         return int(np.sum(np.all((factor * points > low) & (factor * points < high), axis=1)))
 
-    units = [u for u, metres in METRES_PER_UNIT.items() if inside(metres) == len(points)]
+    units = {m: u for u, m in METRES_PER_UNIT.items() if inside(m) == len(points)}
     if units and 2 * inside(1.0) < len(points):
+        # in a smaller one they would stand together in a corner
+        unit = units[max(units)]
         raise InputError(
             "the table of positions seems to be in another unit",
-            found=f"{inside(1.0)} of {len(points)} positions within the room, and all of them in "
-            f"{' or '.join(units)}",
-            needed=f"a heading with the unit, as name,x [{units[0]}],y [{units[0]}],z [{units[0]}]",
+            found=f"{inside(1.0)} of {len(points)} positions within the room, all of them in {unit}",
+            needed=f"a heading with the unit, as name,x [{unit}],y [{unit}],z [{unit}]",
             hint="or another --unit of the room",
         )
 
