@@ -367,7 +367,8 @@ def _check_unit(mesh: Mesh, positions: Positions) -> None:
         unit = units[max(units)]
         raise InputError(
             "the table of positions seems to be in another unit",
-            found=f"{inside(1.0)} of {len(points)} positions within the room, all of them in {unit}",
+            found=f"{inside(1.0)} of {len(points)} positions within the room, all of them in "
+            f"{unit}",
             needed=f"a heading with the unit, as name,x [{unit}],y [{unit}],z [{unit}]",
             hint="or another --unit of the room",
         )
