@@ -191,9 +191,9 @@ def matching_files(
     """
     if template is None:
         names = recordings_in(folder)
-        held = {name: _held(Path(name).stem, known) for name in names}
-        if any(len(pair) == 2 for pair in held.values()):
-            return {name: (pair[0], pair[1]) for name, pair in held.items() if len(pair) == 2}
+        pairs = {name: _known_in(Path(name).stem, known) for name in names}
+        if any(len(pair) == 2 for pair in pairs.values()):
+            return {name: (pair[0], pair[1]) for name, pair in pairs.items() if len(pair) == 2}
         split = {name: Path(name).stem.partition("_") for name in names}
         found = {name: (a, b) for name, (a, mark, b) in split.items() if a and mark and b}
         mostly = len(found) >= _MOST_NAMES * len(names)
@@ -216,18 +216,18 @@ def matching_files(
 _MOST_NAMES = 2 / 3
 
 
-def _held(stem: str, known: Iterable[str]) -> list[str]:
+def _known_in(stem: str, known: Iterable[str]) -> list[str]:
     """Return the known names that a file's name holds as whole words, in their order in it."""
     # some file systems take letters and their dots apart
     text = unicodedata.normalize("NFC", stem)
-    places = {}
+    starts = {}
     for name in sorted(known, key=len, reverse=True):
         word = re.escape(unicodedata.normalize("NFC", name))
         match = re.search(rf"(?<![^\W_]){word}(?![^\W_])", text, re.IGNORECASE)
         if match:
-            places[match.start()] = name
+            starts[match.start()] = name
             text = text[: match.start()] + " " * len(match[0]) + text[match.end() :]
-    return [places[at] for at in sorted(places)]
+    return [starts[at] for at in sorted(starts)]
 
 
 def recordings_in(folder: Path) -> list[str]:
@@ -242,15 +242,15 @@ def recordings_in(folder: Path) -> list[str]:
     if own or not folder.is_dir():
         return own
     below = {sub.name: _recordings(sub) for sub in sorted(folder.iterdir()) if sub.is_dir()}
-    held = {name: files for name, files in below.items() if files and name[0] != "."}
-    if len(held) > 1:
+    filled = {name: files for name, files in below.items() if files and name[0] != "."}
+    if len(filled) > 1:
         raise InputError(
             "several folders hold recordings",
             where=str(folder),
-            found=in_short([f"{name} ({len(files)} files)" for name, files in held.items()]),
+            found=in_short([f"{name} ({len(files)} files)" for name, files in filled.items()]),
             needed="--recordings 'DIR/{source}_{receiver}.wav', of one of them",
         )
-    return [f"{name}/{file}" for name, files in held.items() for file in files]
+    return [f"{name}/{file}" for name, files in filled.items() for file in files]
 
 
 def _recordings(folder: Path) -> list[str]:
