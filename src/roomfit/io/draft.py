@@ -142,7 +142,7 @@ def read_positions(path: Path) -> dict[str, tuple[float, float, float]]:
             and all(re.fullmatch(r"-?\d+", c) for c in cells[1:])
         ):
             raise InputError(
-                "decimal commas and commas between columns cannot be told apart",
+                "decimal commas cannot be distinguished from commas between columns",
                 where=f"{path}, line {number}",
                 found=repr(",".join(cells)),
                 needed="semicolons or tabs between columns, or decimal points",
