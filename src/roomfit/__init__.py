@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from roomfit.impedance.data import Observed
     from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
     from roomfit.inversion.identify import identify
+    from roomfit.inversion.usable import check_recordings
     from roomfit.io.campaign import read_campaign
     from roomfit.io.inputs import load_campaign
     from roomfit.io.iso3382 import read_parameters
@@ -69,6 +70,7 @@ __all__ = [
     "__version__",
     "absorption_posterior",
     "bands_between",
+    "check_recordings",
     "design",
     "design_arguments",
     "estimate_coverage",
@@ -106,6 +108,7 @@ _HOME = {
     "export_result": "commands",
     "Finding": "findings",
     "identify": "inversion.identify",
+    "check_recordings": "inversion.usable",
     "identify_impedance": "impedance.identify",
     "ImpedanceSettings": "impedance.identify",
     "InputError": "errors",

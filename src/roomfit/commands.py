@@ -49,6 +49,7 @@ from roomfit.io.project import project_details
 from roomfit.io.responses import read_response
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.results import read_result, write_result
+from roomfit.io.reverberation import read_decay_times
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.io.workbook import workbook_bytes
 from roomfit.measurement import Measurement
@@ -128,6 +129,7 @@ def draft_to_folder(
     recordings: str | None = None,
     positions: Path | None = None,
     *,
+    decay_times: Path | None = None,
     because: str = "",
     overwrite: bool = False,
 ) -> str:
@@ -136,19 +138,31 @@ def draft_to_folder(
     Raises
     ------
     InputError
-        There is a campaign already and `overwrite` is false, the room or the positions cannot be
-        read, the unit is in doubt, or no recording has the shape of the template.
+        There is a campaign already and `overwrite` is false, a room or a table cannot be read, or
+        decay times stand beside positions or recordings, which they replace; the unit is in doubt,
+        or no recording has the shape of the template.
     StoreError
         The disk refuses.
     """
     _check_place(folder / "campaign.toml", overwrite)
+    if decay_times is not None:
+        if recordings is not None or positions is not None:
+            raise InputError(
+                "decay times without positions stand alone",
+                found="--decay-times beside --recordings or --positions",
+                needed="one or the other",
+                hint="tables of pairs whose positions are known: parameters in [[measurements]]",
+            )
+        read_decay_times(decay_times)
+    known = {} if positions is None else read_positions(positions)
     text = draft_campaign(
         room,
-        matching_files(folder, recordings),
-        None if positions is None else read_positions(positions),
+        {} if decay_times is not None else matching_files(folder, recordings, known),
+        known,
         folder=folder,
         template=recordings,
         because=because,
+        decay_times=decay_times,
     )
     write_text_atomically(folder / "campaign.toml", text)
     return text

@@ -54,6 +54,17 @@ def _mat_bomb(n_bytes: int = 10**8) -> bytes:
     return mat(compressed=True)[:128] + struct.pack("<II", 15, len(packed)) + packed
 
 
+def _mat_fields(n: int, length: int) -> bytes:
+    """A structure of fields without content whose names have such a length."""
+
+    def element(kind: int, data: bytes) -> bytes:
+        return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
+
+    parts = element(6, struct.pack("<II", 2, 0)) + element(5, struct.pack("<ii", 1, 1))
+    parts += element(1, b"RIR") + element(5, struct.pack("<i", length)) + element(1, b"a" * n)
+    return mat(compressed=True)[:128] + element(14, parts + element(14, b"") * n)
+
+
 def _npy(shape: str, dtype: str = "'<f8'", data: bytes = b"\0" * 8) -> bytes:
     head = f"{{'descr': {dtype}, 'fortran_order': False, 'shape': {shape}, }}"
     head = head + " " * (-(len(head) + 11) % 64) + "\n"
@@ -158,6 +169,10 @@ def corpus() -> dict[str, bytes]:
         "a long cell--absorption.csv": absorption() + b"x" * 140_000,
         "a short row--absorption.csv": absorption() + b"brick\n",
         "a long cell--parameters.csv": examples()["parameters.csv"] + b"x" * 140_000,
+        "60,000 fields of a byte--audio.ita": _mat_fields(60_000, 1),
+        "fields of no length--audio.ita": _mat_fields(10, 0),
+        "chunks of no length--box.3ds": b"MM" + struct.pack("<I", 600_006) + b"\0" * 600_000,
+        "layers without end--layers.ply": examples()["layers.ply"].replace(b"r 2", b"r 999999999"),
         "deep--result.json": result()[:-1] + b', "deep": ' + deep + b"}",
         "5,000 digits--result.json": result().replace(b"0.3", digits),
         "5,000 digits as number of bands--result.json": result().replace(

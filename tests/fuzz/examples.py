@@ -12,7 +12,19 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from box_files import POINTS, QUADS, TRIANGLES, ac3d, corners, obj, planes, ply, stl
+from box_files import (
+    POINTS,
+    QUADS,
+    TRIANGLES,
+    ac3d,
+    corners,
+    layered_ply,
+    obj,
+    planes,
+    ply,
+    stl,
+    three_ds,
+)
 
 RATE_HZ = 8000
 
@@ -101,6 +113,18 @@ def mat(compressed: bool) -> bytes:
     stream = io.BytesIO()
     table = {"RIR": np.stack([decay(), decay()], axis=1), "Fs": float(RATE_HZ), "note": "a room"}
     savemat(stream, table, do_compression=compressed)
+    return stream.getvalue()
+
+
+def ita() -> bytes:
+    from scipy.io import savemat
+
+    stream = io.BytesIO()
+    columns = np.stack([decay(), decay()], axis=1)
+    fields = {"comment": "hall", "domain": "time", "data": columns, "dataFactor": 1.0}
+    fields |= {"channelNames": np.array(["a", "b"], dtype=object), "userData": {"x": 1.0}}
+    content = {**fields, "samplingRate": float(RATE_HZ)}
+    savemat(stream, {"ITA_TOOLBOX_AUDIO_OBJECT": content}, do_compression=True)
     return stream.getvalue()
 
 
@@ -263,6 +287,9 @@ def examples() -> dict[str, bytes]:
         "text.ply": ply("ascii"),
         "little.ply": ply("binary_little_endian"),
         "big.ply": ply("binary_big_endian"),
+        "layers.ply": layered_ply("ascii"),
+        "layered.ply": layered_ply("binary_big_endian"),
+        "box.3ds": three_ds((0, -1, 0, -1, 0, 0, 0, 0, 1, 2, 0.5, 0.3)),
         "box.stl": stl(),
         "text.stl": stl_text(),
         "box.glb": glb(),
@@ -279,6 +306,7 @@ def examples() -> dict[str, bytes]:
         "response.npy": npy(),
         "packed.mat": mat(compressed=True),
         "plain.mat": mat(compressed=False),
+        "audio.ita": ita(),
         "v73.mat": mat73(),
         "response.sofa": sofa(),
         "directivity.sofa": sofa(24),

@@ -218,7 +218,7 @@ def readers(folder: Path) -> dict[str, Callable[[Path], object]]:
         place.write_bytes(path.read_bytes())
         return identify_arguments(read_campaign(place))
 
-    kinds = ("obj", "ac", "ply", "stl", "glb", "geo", "dxf")
+    kinds = ("obj", "ac", "ply", "3ds", "stl", "glb", "geo", "dxf")
     rooms = [name for name in examples() if name.endswith(kinds)]
     mat = response(variable="RIR", channel=0, sampling_rate_variable="Fs")
     return {
@@ -230,6 +230,7 @@ def readers(folder: Path) -> dict[str, Callable[[Path], object]]:
         **dict.fromkeys(("response.flac", "response.aiff", "response.w64"), response()),
         "response.npy": response(sampling_rate_hz=48000.0),
         **dict.fromkeys(("packed.mat", "plain.mat", "v73.mat"), mat),
+        "audio.ita": response(channel=1),
         "response.sofa": response(measurement=0, receiver_index=1),
         "directivity.sofa": lambda path: read_directivity(path, bands, np.array([0.0, 1.0, 0.0])),
         "rew.txt": response(),

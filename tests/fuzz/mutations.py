@@ -189,6 +189,7 @@ def _campaign(content: bytes, rng: Random) -> bytes:
 _SPECIAL = {
     "json": _json,
     "glb": _glb,
+    "ita": _mat,
     "mat": _mat,
     "npz": _npz,
     "toml": _campaign,

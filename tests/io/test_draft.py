@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -66,7 +67,7 @@ def test_files_a_drawing_in_inches_and_positions_in_centimetres_become_a_campaig
         monkeypatch, "init", folder, "--room", folder / "room.obj", "--unit", "in", *arguments,
         folder / "positions.csv",
     ) == 0  # fmt: skip
-    assert "1 sources, 2 receivers, ir/{source}_{receiver}.wav" in capsys.readouterr().out
+    assert "1 source, 2 receivers, ir/{source}_{receiver}.wav" in capsys.readouterr().out
     campaign = read_campaign(folder / "campaign.toml")
     assert (campaign.room.unit, campaign.room.up) == ("in", "y")
     assert {p.name: tuple(p.position_m) for p in campaign.receivers} == RECEIVERS_M
@@ -182,3 +183,105 @@ def test_a_line_of_positions_that_is_none_is_refused_with_its_number(tmp_path, l
     file.write_text(f"R1,1,2,3\n{line}\n")
     with pytest.raises(InputError, match="line 2"):
         read_positions(file)
+
+
+def names_of(folder: Path, *files: str) -> Path:
+    for file in files:
+        (folder / file).parent.mkdir(exist_ok=True)
+        (folder / file).write_bytes(b"x")
+    return folder
+
+
+def test_what_macos_and_others_leave_among_recordings_is_passed_over(tmp_path):
+    """A hidden twin, a sweep and a note do not spoil the shape that the others have."""
+    names = ["LS1_MP1.wav", "LS1_MP2.wav", "LS1_MP3.wav"]
+    names_of(tmp_path, *names, "._LS1_MP1.wav", "sweep.wav", "notes.docx", ".DS_Store")
+    expected = {name: ("LS1", name[4:7]) for name in names}
+    assert matching_files(tmp_path, None) == expected
+    assert matching_files(tmp_path, "{source}_{receiver}.wav") == expected
+
+
+def test_recordings_in_the_only_folder_below_are_found(tmp_path):
+    names_of(tmp_path, "Messung 1/LS1_MP1.wav", "Messung 1/LS1_MP2.wav", "plan.pdf", "old/x.docx")
+    found = matching_files(tmp_path, None)
+    assert found["Messung 1/LS1_MP2.wav"] == ("LS1", "MP2")
+    names_of(tmp_path, "Messung 2/LS1_MP1.wav")
+    with pytest.raises(InputError, match=r"several folders(?s:.*)Messung 1 \(2 files\)"):
+        matching_files(tmp_path, None)
+
+
+@pytest.mark.parametrize(
+    ("name", "pair"),
+    [
+        ("LS1_MP1.wav", ("LS1", "MP1")),
+        ("2024-05-03 Saal LS1 - MP1 take2.wav", ("LS1", "MP1")),
+        ("ls1-mp10.wav", ("LS1", "MP10")),  # not MP1
+        ("Bu\N{COMBINING DIAERESIS}hne links_MP1.wav", ("B\u00fchne links", "MP1")),
+        ("MP1.wav", None),
+        ("LS1_MP1_MP10.wav", None),
+    ],
+)
+def test_names_of_positions_are_found_in_names_of_files(tmp_path, name, pair):
+    """As whole words, in either form of an umlaut, the source first; others are left out."""
+    known = ["LS1", "MP1", "MP10", "B\u00fchne links"]
+    names_of(tmp_path, name, "LS1 MP10 again.wav")
+    found = matching_files(tmp_path, None, known)
+    assert found["LS1 MP10 again.wav"] == ("LS1", "MP10")
+    assert found.get(name) == pair
+
+
+def test_decimal_commas_between_commas_are_refused_and_a_unit_is_read_from_any_column(tmp_path):
+    """1,20,1,50,1,10 was read as x = 1, y = 20, z = 1."""
+    path = tmp_path / "p.csv"
+    path.write_text("name,x,y,z\nLS1,1,20,1,50,1,10\n")
+    with pytest.raises(InputError, match="semicolons"):
+        read_positions(path)
+    path.write_text("name,x,y,z [cm]\nLS1,120,150,110\n")
+    assert read_positions(path) == {"LS1": (1.2, 1.5, 1.1)}
+
+
+def test_init_says_what_it_left_out_and_what_may_be_missing(folder, monkeypatch, capsys):
+    """A hall as a stranger has it: recordings below, a drawing and a table beside them."""
+    monkeypatch.chdir(folder)
+    (folder / "ir" / "sweep.wav").write_bytes(b"x")
+    assert run_command(monkeypatch, "init", ".") == 0
+    said = capsys.readouterr().out
+    assert "left out, of other names: ir/sweep.wav" in said
+    assert "perhaps: --room room.obj --positions positions.csv --overwrite" in said
+    (folder / "more.csv").write_text((folder / "positions.csv").read_text() + "\nMP9;1;1;1\n")
+    room = ("--room", "room.obj", "--unit", "in")
+    again = ("--positions", "more.csv", "--overwrite")
+    assert run_command(monkeypatch, "init", ".", *room, *again) == 0
+    said = capsys.readouterr().out
+    assert "positions that no recording names: MP9" in said and "FILL" not in said
+    assert blanks(tomllib.loads((folder / "campaign.toml").read_text())) == []
+
+
+def test_decay_times_alone_become_a_campaign_that_reverberation_reads(
+    tmp_path, monkeypatch, capsys
+):
+    """Frequencies may be written with their unit, as in a report."""
+    monkeypatch.chdir(tmp_path)
+    box = ("--shoebox", "20", "14", "7")
+    (tmp_path / "T30.csv").write_text("Ort;500 Hz;1 kHz\nT30;1,5;1,4\n")
+    assert run_command(monkeypatch, "init", ".", *box) == 0
+    assert "perhaps: --decay-times T30.csv" in capsys.readouterr().out
+    own = ("init", ".", *box, "--decay-times", "T30.csv", "--overwrite")
+    assert run_command(monkeypatch, *own) == 0
+    assert "then: roomfit reverberation campaign.toml" in capsys.readouterr().out
+    assert run_command(monkeypatch, "reverberation", "campaign.toml") == 0
+    said = capsys.readouterr().out
+    assert "1000" in said and "1.40 +- 0.07" in said
+    assert run_command(monkeypatch, *own, "--recordings", "{source}_{receiver}.wav") == 2
+    assert "one or the other" in capsys.readouterr().err
+
+
+def test_positions_in_another_unit_than_said_are_refused_with_the_unit(folder, monkeypatch, capsys):
+    """Without its heading the table has centimetres, which as metres lie far outside."""
+    text = (folder / "positions.csv").read_text()
+    (folder / "bare.csv").write_text(text.partition("\n")[2])
+    own = ("init", folder, "--room", folder / "room.obj", "--unit", "in", "--positions")
+    assert run_command(monkeypatch, *own, folder / "bare.csv") == 2
+    said = capsys.readouterr().err
+    assert "0 of 3 positions within the room, all of them in cm" in said
+    assert "name,x [cm]" in said and not (folder / "campaign.toml").exists()

@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 
 from report_cases import answer_of, read_page, scene_of
+from roomfit.io.results import result_content
 from roomfit.prediction.decay import PredictedDecay
 from roomfit.prediction.output import predict_text, predicted_decay_figure
 from roomfit.prediction.predict import Predicted
 from roomfit.prediction.tables import PredictedPair, PredictedValue
 from roomfit.report.figures import decay_figure
 from roomfit.report.html import report_html, summary_sentences
-from roomfit.report.html_tables import error_tables, overview_table, pair_sections
+from roomfit.report.html_tables import error_tables, overview_table, pair_sections, sti_tables
 from roomfit.report.text import answer_text, pairs_table
+from roomfit.report.wording import DASH
 from roomfit.results import Compared
 from small_campaign import run_command, write_campaign
 
@@ -181,3 +183,31 @@ def test_identify_ends_well_with_a_table_that_holds_t30_alone(tmp_path, monkeypa
     assert not any(x.startswith(("T20", "EDT", "C80")) for x in lines)
     page = read_page((out / "report.html").read_text(encoding="utf-8"))
     assert list(page.tables["LS1 to MP1: predicted minus measured in JND"])[1:] == ["T30"]
+
+
+def without_means(answer):
+    """Return an answer that can be written although nothing was fitted."""
+    return replace(answer, combinations=((),) * len(answer.bands))
+
+
+def test_the_speech_transmission_index_stands_in_text_report_and_result():
+    """Straight decays of all seven octaves; a pair without a curve, or another band, has none."""
+    answer = without_means(answer_of(SCENE, low=125, high=8000, kept=(1,)))
+    text = pairs_table(answer)
+    assert "STI of the room alone, fitted: 0." in text
+    assert "STI of the room alone, not fitted: 0." in text
+    rows = next(t for t in sti_tables(answer)).rows
+    assert [row.head for row in rows] == ["S1 to R1", "S1 to R2 (not fitted)"]
+    content = [pair["sti"] for pair in result_content(answer, [])["pairs"]]
+    assert [row.cells[0].text for row in rows] == [f"{c['measured']:.2f}" for c in content]
+    assert [row.cells[1].text for row in rows] == [f"{c['predicted']:.2f}" for c in content]
+    caption = next(
+        c for c in read_page(report_html(answer, SCENE, title="A")).tables if "Speech" in c
+    )
+    assert "without noise" in caption
+    # the only other pair was not fitted, so that the fitted one has no baseline
+    assert rows[0].cells[2].small[0] == f"others {DASH}"
+    bare = replace(answer, pairs=tuple(replace(p, decay=None) for p in answer.pairs))
+    for other in (bare, without_means(answer_of(SCENE, low=125, high=4000))):
+        assert sti_tables(other) == () and "STI" not in pairs_table(other)
+        assert all("sti" not in pair for pair in result_content(other, [])["pairs"])

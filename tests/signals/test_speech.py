@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.signals.decay import decay_curve, echogram_decay_curve
+from roomfit.signals.decay import decay_curve, decay_curve_db, echogram_decay_curve
 from roomfit.signals.filters import FilterBank
 from roomfit.signals.response import ImpulseResponse, find_onset
 from roomfit.signals.speech import (
@@ -23,6 +23,7 @@ from roomfit.signals.speech import (
     speech_transmission,
     sti_gradients,
     sti_missing,
+    sti_of_decay,
     transfer_of_bins,
 )
 
@@ -259,3 +260,29 @@ def test_pyrato_finds_nearly_the_same_of_measured_responses(real_data):
         padded = pyfar.Signal(np.pad(samples[:, 0], (0, rate_hz)), rate_hz)
         theirs = pyrato.speech_transmission_index_indirect(padded)
         assert found == pytest.approx(float(theirs[0]), abs=0.01), name
+
+
+@pytest.mark.parametrize("decay_s", [0.4, 0.8, 2.0])
+def test_curves_for_looking_at_give_the_index_of_the_response(decay_s):
+    """Noise that decays, 2 ms from point to point: within .005, a sixth of what is noticed."""
+    rng, rate_hz = np.random.default_rng(3), 48_000
+    time_s = np.arange(int(1.2 * decay_s * rate_hz)) / rate_hz
+    noise = rng.standard_normal(len(time_s))
+    pressure = noise * 10.0 ** (-3.0 * time_s / decay_s) + 1e-3 * rng.standard_normal(len(time_s))
+    pressure = np.concatenate([np.zeros(480), [20.0], pressure])
+    curve = decay_curve(FilterBank(OCTAVES), ImpulseResponse(pressure, rate_hz, 0.0), 0.01)
+    points_s = np.arange(0.0, curve.usable_end_s.max(), 2e-3)
+    levels = [np.interp(points_s, curve.time_s, row) for row in decay_curve_db(curve)]
+    ends = curve.usable_end_s[:, None]
+    found = sti_of_decay(OCTAVES, points_s, np.where(points_s <= ends, levels, np.nan))
+    assert found == pytest.approx(speech_transmission(modulation_transfer(curve)), abs=0.005)
+
+
+def test_a_short_or_a_missing_band_gives_no_index():
+    time_s = np.arange(0.0, 0.3, 0.002)
+    levels = np.tile(-100.0 * time_s, (7, 1))
+    assert np.isfinite(sti_of_decay(OCTAVES, time_s, levels))
+    short = np.where((np.arange(7)[:, None] == 2) & (time_s > 0.19), np.nan, levels)
+    assert np.isnan(sti_of_decay(OCTAVES, time_s, short))
+    fewer = Bands("octave", np.array(SPEECH_BANDS_HZ[1:]))
+    assert np.isnan(sti_of_decay(fewer, time_s, levels[1:]))

@@ -21,7 +21,7 @@ def add(commands: Commands) -> None:
     )
     parser = add_command(commands, "check", about, run)
     parser.add_argument(
-        "room", type=Path, help="Room (.obj, .ac, .ply, .stl, .glb), or a campaign file (.toml)."
+        "room", type=Path, help="Room file, such as room.obj, or a campaign file (.toml)."
     )
     parser.add_option("--unit", "m, mm, cm, ft or in; needed where the format does not state it.")
     parser.add_option("--up", "Axis that points up: z or y.")

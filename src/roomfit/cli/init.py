@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import shlex
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 from roomfit.cli.arguments import Commands, add_command, number
 from roomfit.cli.terminal import say
@@ -13,23 +17,31 @@ from roomfit.cli.terminal import say
 def add(commands: Commands) -> None:
     about = (
         "Write a first campaign.toml for a folder of recordings.\n\n"
-        "Sources, receivers and measurements come from the names of the files; what is not known "
-        "is marked FILL IN."
+        "Sources, receivers and measurements come from the names of the files, best where the "
+        "table of positions has the same names; what is not known is marked FILL IN."
     )
     parser = add_command(commands, "init", about, run)
     parser.add_argument("folder", type=Path, help="Folder of the campaign to be.")
     parser.add_option(
         "--room",
-        "Room (.obj, .ac, .ply, .stl, .glb, .geo, .dxf, .dae, .ifc) of the campaign.",
+        "Room (.obj, .ac, .ply, .3ds, .stl, .glb, .geo, .dxf, .dae, .ifc) of the campaign.",
         type=Path,
     )
     parser.add_option(
         "--shoebox", "In place of a room file: lengths along x, y, z.", nargs=3, type=number
     )
     parser.add_option(
-        "--recordings", "Names of recordings in FOLDER, as in 'DIR/{source}_{receiver}.wav'."
+        "--recordings",
+        "Names of recordings in FOLDER, as in 'DIR/{source}_{receiver}.wav'. Left out: all.",
     )
-    parser.add_option("--positions", "Table (CSV) of name, x, y, z in m.", type=Path)
+    parser.add_option(
+        "--positions", "Table (CSV) of name, x, y, z in m, or as its heading says.", type=Path
+    )
+    parser.add_option(
+        "--decay-times",
+        "In place of recordings: table (CSV) of T30 in s, as from an older report.",
+        type=Path,
+    )
     parser.add_option("--unit", "Of the room: m, cm, mm, in or ft. Left out: guessed, or asked.")
     parser.add_option("--up", "Axis that points up in the room file: z or y. Left out: guessed.")
     parser.add_overwrite("Replace a campaign.toml that is there.")
@@ -42,6 +54,7 @@ def run(options: argparse.Namespace) -> None:
     from roomfit.errors import InputError
     from roomfit.io.campaign import blanks
     from roomfit.io.rooms.model import RoomSpec
+    from roomfit.report.wording import count
 
     if options.room is not None and options.shoebox is not None:
         raise InputError("two rooms for one campaign", needed="either --room or --shoebox")
@@ -58,18 +71,67 @@ def run(options: argparse.Namespace) -> None:
         room,
         options.recordings,
         options.positions,
+        decay_times=options.decay_times,
         because=because,
         overwrite=options.overwrite,
     )
     written = tomllib.loads(text)
     file = options.folder / "campaign.toml"
-    kinds = ("sources", "receivers", "measurements")
-    found = [f"{len(written[k])} {k}" for k in kinds if k in written]
-    say(f"{file}: {', '.join(found)}, {written.get('recordings', 'recordings one by one')}")
+    kinds = ("source", "receiver", "measurement")
+    found = [count(len(written[f"{k}s"]), k) for k in kinds if f"{k}s" in written]
+    shape = "recordings one by one" if found else f"decay times of {options.decay_times}"
+    say(f"{file}: {', '.join([*found, written.get('recordings', shape)])}")
     left = blanks(written)
     if left:
         say("to be filled in: " + ", ".join(left))
-    say(f"then: roomfit check {file}")
+    for line in _hints(options, written):
+        say(line)
+    verb = "check" if options.decay_times is None else "reverberation"
+    say(f"then: roomfit {verb} {shlex.quote(str(file))}")
+
+
+def _hints(options: argparse.Namespace, written: dict[str, Any]) -> Iterator[str]:
+    """Say what was passed over, and which files may be what is missing."""
+    from roomfit.errors import InputError
+    from roomfit.io.draft import read_positions, recordings_in
+    from roomfit.io.file_names import in_short
+    from roomfit.io.reverberation import read_decay_times
+    from roomfit.io.rooms import READERS
+
+    folder: Path = options.folder
+    if options.decay_times is None and options.recordings is None:
+        recordings = recordings_in(folder)
+        used = {m["file"] for m in written["measurements"]}
+        if not recordings:
+            yield f"no recordings lie in {folder}"
+        elif others := [name for name in recordings if name not in used]:
+            yield f"left out, of other names: {in_short(others)}"
+    if options.positions is not None:
+        points = {*written["sources"], *written["receivers"]}
+        idle = [name for name in read_positions(options.positions) if name not in points]
+        if idle:
+            yield f"positions that no recording names: {in_short(idle)}"
+
+    def beside(endings: tuple[str, ...], read: Callable[[Path], object]) -> list[Path]:
+        """Return the files in the folder that can be read as what they may be."""
+        found = []
+        for path in sorted(folder.iterdir()):
+            if path.suffix.lower() in endings and not path.name.startswith("."):
+                with contextlib.suppress(InputError):
+                    read(path)
+                    found.append(path)
+        return found
+
+    lacking: dict[str, list[Path]] = {}
+    if options.room is None and options.shoebox is None:
+        lacking["--room"] = beside(tuple(READERS), lambda path: READERS[path.suffix.lower()](path))
+    if options.positions is None and options.decay_times is None:
+        times = beside((".csv",), read_decay_times)
+        points_of = [p for p in beside((".csv",), read_positions) if p not in times]
+        lacking |= {"--positions": points_of, "--decay-times": [] if points_of else times}
+    words = [f"{k} {shlex.quote(str(v[0]))}" for k, v in lacking.items() if len(v) == 1]
+    if words:
+        yield f"perhaps: {' '.join(words)} --overwrite"
 
 
 def _asked(room: Path) -> tuple[str | None, str]:

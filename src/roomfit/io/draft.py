@@ -9,7 +9,8 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+import unicodedata
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -135,6 +136,18 @@ def read_positions(path: Path) -> dict[str, tuple[float, float, float]]:
             numbers = [float(c.replace(",", ".")) for c in cells[1:4]]
         except ValueError:
             numbers = []
+        if (
+            delimiter == ","
+            and len(cells) == 7
+            and all(re.fullmatch(r"-?\d+", c) for c in cells[1:])
+        ):
+            raise InputError(
+                "decimal commas cannot be distinguished from commas between columns",
+                where=f"{path}, line {number}",
+                found=repr(",".join(cells)),
+                needed="semicolons or tabs between columns, or decimal points",
+                hint="save the table with semicolons",
+            )
         if len(numbers) == 3 and np.all(np.isfinite(numbers)) and cells[0] not in found:
             x, y, z = (factor * n for n in numbers)
             found[cells[0]] = (round(x, 6), round(y, 6), round(z, 6))
@@ -146,7 +159,7 @@ def read_positions(path: Path) -> dict[str, tuple[float, float, float]]:
                 needed="a name that stands once, and x, y, z",
             )
         else:
-            words = re.split(r"[^a-z]+", cells[1].lower()) if len(cells) > 1 else []
+            words = re.split(r"[^a-z]+", " ".join(cells[1:4]).lower())
             factor = next((METRES_PER_UNIT[_UNITS[w]] for w in words if w in _UNITS), 1.0)
     if not found:
         raise InputError(
@@ -155,29 +168,36 @@ def read_positions(path: Path) -> dict[str, tuple[float, float, float]]:
     return found
 
 
-def matching_files(folder: Path, template: str | None) -> dict[str, tuple[str, str]]:
+def matching_files(
+    folder: Path, template: str | None, known: Iterable[str] = ()
+) -> dict[str, tuple[str, str]]:
     """Return source and receiver by the name of each recording, relative to a folder.
 
     Parameters
     ----------
     folder : Path
     template : str or None
-        As in ``"responses/{source}_{receiver}.wav"``; * stands for any text. None: recordings in
-        the folder itself, by that shape if all have it, else all of one source.
+        As in ``"responses/{source}_{receiver}.wav"``; * stands for any text. None: of
+        `recordings_in` the folder those whose names hold two of the known ones, the source first;
+        where none does, those of that shape, if most have it, else all of one source.
+    known : iterable of str
+        Names of sources and receivers. The case of letters does not matter.
 
     Raises
     ------
     InputError
-        The template lacks {source} or {receiver}, or no file has its shape.
+        The template lacks {source} or {receiver}, or no file has its shape; or several folders
+        hold recordings.
     """
     if template is None:
-        names = _recordings(folder)
-        split = [Path(name).stem.partition("_") for name in names]
-        whole = bool(split) and all(mark for _, mark, _ in split)
-        return {
-            name: (a, b) if whole else ("S1", Path(name).stem)
-            for name, (a, _, b) in zip(names, split, strict=True)
-        }
+        names = recordings_in(folder)
+        pairs = {name: _known_in(Path(name).stem, known) for name in names}
+        if any(len(pair) == 2 for pair in pairs.values()):
+            return {name: (pair[0], pair[1]) for name, pair in pairs.items() if len(pair) == 2}
+        split = {name: Path(name).stem.partition("_") for name in names}
+        found = {name: (a, b) for name, (a, mark, b) in split.items() if a and mark and b}
+        mostly = len(found) >= _MOST_NAMES * len(names)
+        return found if mostly else {name: ("S1", Path(name).stem) for name in names}
     with located("--recordings"):
         shape, names = shape_of(template), files_of_shape(folder, template)
     if not names:
@@ -189,13 +209,54 @@ def matching_files(folder: Path, template: str | None) -> dict[str, tuple[str, s
             needed=template,
             hint="put {source} and {receiver} where names differ, and * for other text",
         )
-    found = [shape.fullmatch(name) for name in names]
-    return {m[0]: (m["source"], m["receiver"]) for m in found if m}
+    matches = [shape.fullmatch(name) for name in names]
+    return {m[0]: (m["source"], m["receiver"]) for m in matches if m}
+
+
+_MOST_NAMES = 2 / 3
+
+
+def _known_in(stem: str, known: Iterable[str]) -> list[str]:
+    """Return the known names that a file's name holds as whole words, in their order in it."""
+    # some file systems take letters and their dots apart
+    text = unicodedata.normalize("NFC", stem)
+    starts = {}
+    for name in sorted(known, key=len, reverse=True):
+        word = re.escape(unicodedata.normalize("NFC", name))
+        match = re.search(rf"(?<![^\W_]){word}(?![^\W_])", text, re.IGNORECASE)
+        if match:
+            starts[match.start()] = name
+            text = text[: match.start()] + " " * len(match[0]) + text[match.end() :]
+    return [starts[at] for at in sorted(starts)]
+
+
+def recordings_in(folder: Path) -> list[str]:
+    """Return recordings by their endings, relative to a folder; else those one folder below it.
+
+    Raises
+    ------
+    InputError
+        There are none in the folder, and in several below it.
+    """
+    own = _recordings(folder)
+    if own or not folder.is_dir():
+        return own
+    below = {sub.name: _recordings(sub) for sub in sorted(folder.iterdir()) if sub.is_dir()}
+    filled = {name: files for name, files in below.items() if files and name[0] != "."}
+    if len(filled) > 1:
+        raise InputError(
+            "several folders hold recordings",
+            where=str(folder),
+            found=in_short([f"{name} ({len(files)} files)" for name, files in filled.items()]),
+            needed="--recordings 'DIR/{source}_{receiver}.wav', of one of them",
+        )
+    return [f"{name}/{file}" for name, files in filled.items() for file in files]
 
 
 def _recordings(folder: Path) -> list[str]:
     files = sorted(folder.iterdir()) if folder.is_dir() else []
-    chosen = [f for f in files if f.suffix.lower() in RESPONSE_SUFFIXES and f.is_file()]
+    files = [f for f in files if f.is_file() and not f.name.startswith(".")]
+    chosen = [f for f in files if f.suffix.lower() in RESPONSE_SUFFIXES]
     # exports of REW are texts, and not every text is one
     return [f.name for f in chosen if f.suffix.lower() != ".txt"] or [f.name for f in chosen]
 
@@ -208,6 +269,7 @@ def draft_campaign(
     folder: Path,
     template: str | None = None,
     because: str = "",
+    decay_times: Path | None = None,
 ) -> str:
     """Return the text of a first campaign file, blanks in place of what is not known.
 
@@ -225,12 +287,26 @@ def draft_campaign(
         That of the recordings' names, which then stands in place of a table for each.
     because : str
         Why the unit is what it is, where the caller chose it among several.
+    decay_times : Path, optional
+        A table of decay times, which then stands in place of positions and recordings.
 
     Raises
     ------
     InputError
         The room cannot be read; or its unit is in doubt, with the units that are plausible.
     """
+    if decay_times is not None:
+        lines = [
+            "# A first campaign, made by `roomfit init`. Blanks are marked FILL IN. Then:",
+            "#   roomfit reverberation campaign.toml",
+            "",
+            "[room]",
+            *_room_lines(room, folder, because),
+            "",
+            "[reverberation]",
+            f"file = {_quoted(_beside(folder, decay_times))}",
+        ]
+        return "\n".join(lines) + "\n"
     lines = [
         "# A first campaign, made by `roomfit init`. Blanks are marked FILL IN. Then:",
         "#   roomfit check campaign.toml",
@@ -238,7 +314,7 @@ def draft_campaign(
         "",
         *([f"recordings = {_quoted(template)}", ""] if template is not None else []),
         "[room]",
-        *_room_lines(room, folder, because),
+        *_room_lines(room, folder, because, positions),
         *_point_lines("sources", [s for s, _ in recordings.values()], positions or {}),
         *_point_lines("receivers", [r for _, r in recordings.values()], positions or {}),
         *_measurement_lines(recordings, template),
@@ -250,7 +326,9 @@ def draft_campaign(
     return "\n".join(lines) + "\n"
 
 
-def _room_lines(room: RoomSpec | None, folder: Path, because: str) -> list[str]:
+def _room_lines(
+    room: RoomSpec | None, folder: Path, because: str, positions: Positions | None = None
+) -> list[str]:
     if room is None:
         return [f'shoebox = "{FILL_IN}"  # lengths along x, y, z in m; or file = "room.obj"']
     if room.file is None:
@@ -259,18 +337,41 @@ def _room_lines(room: RoomSpec | None, folder: Path, because: str) -> list[str]:
         lines = [f"shoebox = [{', '.join(f'{x:g}' for x in lengths)}]", *unit]
         materials = {"walls": "walls", "floor": "floor", "ceiling": "ceiling"}
         mesh, _ = read_mesh(room)
+        _check_unit(mesh, positions or {})
         lines += ["", "# which material is where: south, north, east and west are the walls"]
         lines += ["[room.materials]", *(f"{k} = {_quoted(v)}" for k, v in materials.items())]
         return [*lines, *_material_lines(mesh, materials)]
     model, _ = read_model(room)
     spec, lines = _in_known_unit(room, model, because)
-    lines = [f"file = {_quoted(Path(os.path.relpath(room.file, folder)).as_posix())}", *lines]
+    lines = [f"file = {_quoted(_beside(folder, room.file))}", *lines]
     mesh, _ = read_mesh(spec)
+    _check_unit(mesh, positions or {})
     bare = [s.name for s in mesh.surfaces if s.file_material is None]
     if bare:
         lines += ["", "# surfaces without a material in the file", "[room.materials]"]
         lines += [f'{_quoted(name)} = "{FILL_IN}"' for name in dict.fromkeys(bare)]
     return [*lines, *_material_lines(mesh, {})]
+
+
+def _check_unit(mesh: Mesh, positions: Positions) -> None:
+    """Refuse positions most of which lie outside the room, and all of which inside in some unit."""
+    points = np.array(list(positions.values())).reshape(-1, 3)
+    low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
+
+    def inside(factor: float) -> int:
+        return int(np.sum(np.all((factor * points > low) & (factor * points < high), axis=1)))
+
+    units = {m: u for u, m in METRES_PER_UNIT.items() if inside(m) == len(points)}
+    if units and 2 * inside(1.0) < len(points):
+        # in a smaller one they would stand together in a corner
+        unit = units[max(units)]
+        raise InputError(
+            "the table of positions seems to be in another unit",
+            found=f"{inside(1.0)} of {len(points)} positions within the room, all of them in "
+            f"{unit}",
+            needed=f"a heading with the unit, as name,x [{unit}],y [{unit}],z [{unit}]",
+            hint="or another --unit of the room",
+        )
 
 
 def _in_known_unit(room: RoomSpec, model: RoomModel, because: str) -> tuple[RoomSpec, list[str]]:
@@ -312,6 +413,11 @@ def _material_lines(mesh: Mesh, materials: Mapping[str, str]) -> list[str]:
         alike = f"  # or {', '.join(others)}" if others else ""
         lines += [f'# prior = "{first}"{alike}'] if first else []
     return lines
+
+
+def _beside(folder: Path, file: Path) -> str:
+    """Return a file as a campaign in a folder names it."""
+    return Path(os.path.relpath(file, folder)).as_posix()
 
 
 def _one_line(text: str) -> str:

@@ -52,6 +52,8 @@ def shape_of(template: str, known: Mapping[str, str] | None = None) -> re.Patter
 def files_of_shape(folder: Path, template: str) -> list[str]:
     """Return the files that have the shape of a template, relative to a folder, by name.
 
+    Hidden files are left out, such as those that macOS writes beside others (``._LS1_MP1.wav``).
+
     Raises
     ------
     InputError
@@ -59,7 +61,8 @@ def files_of_shape(folder: Path, template: str) -> list[str]:
     """
     shape, below = shape_of(template), folder / Path(template).parent
     files = sorted(below.iterdir()) if below.is_dir() else []
-    names = [Path(os.path.relpath(f, folder)).as_posix() for f in files if f.is_file()]
+    files = [f for f in files if f.is_file() and not f.name.startswith(".")]
+    names = [Path(os.path.relpath(f, folder)).as_posix() for f in files]
     return [name for name in names if shape.fullmatch(name)]
 
 

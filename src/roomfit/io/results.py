@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from roomfit.bands import Bands
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.errors import InputError, located
 from roomfit.io.door import complete, json_content, read_text
@@ -21,6 +22,7 @@ from roomfit.logit import logit
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.response.directivity import Pattern
 from roomfit.results import ComparedPair, Result, certificate_distance
+from roomfit.signals.speech import sti_of_decay
 from roomfit.solvers.certificate import Certificate
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.combinations import Combination, Difference
@@ -192,7 +194,7 @@ def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
         "bands_hz": answer.bands.centres_hz,
         "materials": {name: _material(answer, i) for i, name in enumerate(answer.materials)},
         "combinations": _combinations(answer),
-        "pairs": [_pair(p) for p in answer.pairs],
+        "pairs": [_pair(p, answer.bands) for p in answer.pairs],
         "findings": [finding_content(f) for f in answer.findings],
         "fit": {
             "method": answer.method,
@@ -386,7 +388,12 @@ def _geometry(geometry: FittedGeometry) -> dict[str, Any]:
     }
 
 
-def _pair(pair: ComparedPair) -> dict[str, Any]:
+def _pair(pair: ComparedPair, bands: Bands) -> dict[str, Any]:
+    sti = np.full(2, np.nan)
+    if pair.decay is not None:
+        curves = (pair.decay.measured_db, pair.decay.predicted_db)
+        sti = np.array([sti_of_decay(bands, pair.decay.time_s, levels) for levels in curves])
+    known = {"sti": dict(zip(("measured", "predicted"), numbers_or_null(sti), strict=True))}
     return {
         "source": pair.source,
         "receiver": pair.receiver,
@@ -401,4 +408,5 @@ def _pair(pair: ComparedPair) -> dict[str, Any]:
             }
             for name, c in pair.parameters.items()
         },
+        **(known if np.isfinite(sti).any() else {}),
     }

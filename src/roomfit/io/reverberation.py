@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import TypedDict
@@ -125,9 +126,12 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands]:
 
 
 def _number(cell: str, where: str) -> float:
+    """Return a time or a frequency, which may be written as 500 Hz or 1 kHz."""
     if not cell:
         return float("nan")
+    number = re.sub(r"(hz|s)$", "", cell.lower()).rstrip()
+    kilo = number.endswith("k")
     try:
-        return float(cell.replace(",", "."))
+        return float(number.removesuffix("k").replace(",", ".")) * (1000.0 if kilo else 1.0)
     except ValueError:
         raise InputError("not a number", where=where, found=repr(cell[:40])) from None

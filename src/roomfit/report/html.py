@@ -52,6 +52,7 @@ from roomfit.report.html_tables import (
     prior_tables,
     share_tables,
     source_tables,
+    sti_tables,
 )
 from roomfit.report.room_figure import MOST_FACES, drawn_faces, room_figure
 from roomfit.report.wording import (
@@ -425,7 +426,7 @@ def report_html(
         area_tables=(*area_tables(answer, scene), *share_tables(answer)),
         determined=determined_in_words(answer),
         disagreement=disagreement_table(answer, scene),
-        error_tables=error_tables(answer),
+        error_tables=(*error_tables(answer), *sti_tables(answer)),
         overview=overview_table(answer),
         decay=_decays(answer, choices) if choices else None,
         curves=tuple(pair_title(pair) for pair in choices),

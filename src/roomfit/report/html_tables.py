@@ -17,6 +17,7 @@ from roomfit.air import attenuation_per_m
 from roomfit.geometry.mesh import volume_m3
 from roomfit.objective.directivity import FittedDirectivity
 from roomfit.report.room_figure import material_colour
+from roomfit.report.text import pair_sti
 from roomfit.report.wording import (
     DASH,
     PARAMETERS,
@@ -421,6 +422,33 @@ def error_tables(answer: Result) -> tuple[Table, ...]:
         if parameter_keys(pairs):
             tables += _tables(answer, pairs, f"Mean error over {count(len(pairs), 'pair')} {words}")
     return tuple(tables)
+
+
+def sti_tables(answer: Result) -> tuple[Table, ...]:
+    """Return the speech transmission index of every pair, where the bands give it."""
+    measured, predicted, others = pair_sti(answer)
+    known = np.isfinite(measured) & np.isfinite(predicted)
+    if not known.any():
+        return ()
+    jnd, beside = in_jnd("STI", measured, predicted), in_jnd("STI", measured, others)
+    rows = [
+        Row(
+            pair_title(pair),
+            (
+                Cell(number(measured[i], 2)),
+                Cell(number(predicted[i], 2)),
+                Cell(
+                    number(jnd[i], 1, signed=True),
+                    (f"others {number(beside[i], 1, signed=True)}",),
+                    jnd_style(float(jnd[i])),
+                ),
+            ),
+        )
+        for i, pair in enumerate(answer.pairs)
+        if known[i]
+    ]
+    caption = "Speech transmission index of the room alone: without noise, masking and threshold"
+    return (Table(caption, "pair", ("measured", "predicted", "error in JND"), tuple(rows)),)
 
 
 def _tables(answer: Result, pairs: Sequence[ComparedPair], caption: str) -> tuple[Table, ...]:

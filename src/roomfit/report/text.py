@@ -15,6 +15,7 @@ from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry
 from roomfit.report.wording import PARAMETERS, decay_time_key, parameter, short_hertz
 from roomfit.response.directivity import axial_index_db
 from roomfit.scene import RoomCheck
+from roomfit.signals.speech import sti_of_decay
 from roomfit.typing import BoolArray, FloatArray
 
 if TYPE_CHECKING:  # heavy, and no text of a room needs them
@@ -235,8 +236,48 @@ def pairs_table(answer: Result) -> str:
             f"Predicted against measured: {means}mean absolute errors (model | mean of the others)",
             f"{'Hz':<{width}}  {head}",
             *(f"{label:<{width}}  " + "  ".join(cells) for label, cells in rows),
+            *_sti_lines(answer),
         ]
     )
+
+
+def pair_sti(answer: Result) -> FloatArray:
+    """Return the speech transmission index of every pair: measured, predicted, mean of the others.
+
+    Of the room alone, from the decay curves, shape (3, n_pairs); NaN where it is not known. The
+    others are those that were fitted in the same state.
+    """
+    found = np.full((3, len(answer.pairs)), np.nan)
+    for i, pair in enumerate(answer.pairs):
+        if pair.decay is not None:
+            for k, levels_db in enumerate((pair.decay.measured_db, pair.decay.predicted_db)):
+                found[k, i] = sti_of_decay(answer.bands, pair.decay.time_s, levels_db)
+    for i, pair in enumerate(answer.pairs):
+        others = [
+            found[0, j]
+            for j, other in enumerate(answer.pairs)
+            if j != i and other.use == "fit" and other.state == pair.state
+            if np.isfinite(found[0, j])
+        ]
+        found[2, i] = np.mean(others) if others else np.nan
+    return found
+
+
+def _sti_lines(answer: Result) -> list[str]:
+    """Return the mean index and its errors, of fitted pairs and of others."""
+    measured, predicted, others = pair_sti(answer)
+    lines = []
+    for use in ("fit", "validate"):
+        own = np.array([p.use == use for p in answer.pairs])
+        own &= np.isfinite(measured) & np.isfinite(predicted)
+        if own.any():
+            means = f"{measured[own].mean():.2f} > {predicted[own].mean():.2f}"
+            ours, baseline = (
+                f"{np.mean(np.abs(x - measured)[own]):.2f}" for x in (predicted, others)
+            )
+            errors = f"{ours} | {baseline.replace('nan', '-')}"
+            lines.append(f"STI of the room alone, {_said(use)}: {means}; error {errors}")
+    return lines
 
 
 def _shown(pairs: list[ComparedPair]) -> list[str]:
@@ -286,7 +327,11 @@ def findings_text(findings: tuple[Finding, ...]) -> str:
     for code, same in alike.items():
         more = f" (and {len(same) - 1} more of this kind in result.json)" if same[1:] else ""
         text = f"{same[0].severity}: {same[0].sentence}{more} [{code}]"
-        lines.append(textwrap.fill(text, 100, initial_indent="- ", subsequent_indent="  "))
+        # codes are looked up, so they stay whole
+        wrapped = textwrap.wrap(
+            text, 100, initial_indent="- ", subsequent_indent="  ", break_on_hyphens=False
+        )
+        lines += wrapped
     return "\n".join(lines)
 
 
@@ -420,7 +465,9 @@ def diffuse_text(found: DiffuseAbsorption) -> str:
         "Decay times determine the mean alone, as far as the field is diffuse; the formulas "
         "differ by what that means, and intervals allow for it where priors tell walls apart; "
         "elsewhere walls are taken to be alike. What stands for single materials is their priors, "
-        "moved together until they give this mean: nothing more is known of any of them. Impulse "
+        "moved together until they give this mean: nothing more is known of any of them. Where "
+        "walls are much alike Eyring was nearest in trials, in flat rooms with one soft surface "
+        "Fitzroy. Impulse "
         "responses and positions would separate them (roomfit identify)."
     )
     return "\n".join([*rows, "", textwrap.fill(words, 100)])

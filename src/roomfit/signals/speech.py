@@ -33,6 +33,7 @@ _MASKING = np.array(
 _SPECTRUM_DB = np.array([-2.5, 0.5, 0.0, -6.0, -12.0, -18.0, -24.0])
 _MOST_DB = 15.0  # a modulation index counts between signal-to-noise ratios of -15 and 15 dB
 _DB = 10.0 / np.log(10.0)
+_LEAST_RANGE_DB = 20.0
 
 
 def sti_missing(bands: Bands) -> str:
@@ -130,6 +131,50 @@ def transfer_of_bins(energies: FloatArray, edges_s: FloatArray) -> FloatArray:
     end = np.exp(-1j * omega * edges_s[-1]) / (1.0 + 1j * omega * constant_s[:, None])
     found = np.abs(z + tail[:, None] * end) / (left[:, :1] + tail[:, None])
     return np.asarray(found.reshape(*energies.shape[:-1], len(omega)))
+
+
+def sti_of_decay(bands: Bands, time_s: FloatArray, levels_db: FloatArray) -> float:
+    """Return the speech transmission index of a room by decay curves, without noise or level.
+
+    NaN where the bands are not the seven, or one falls by less than 20 dB.
+
+    Parameters
+    ----------
+    bands : Bands
+    time_s : float array, shape (n_times,)
+        Rising, a hundredth of a second apart at most.
+    levels_db : float array, shape (n_bands, n_times)
+        Energy still to come relative to the whole; NaN beyond the usable part, from where its last
+        third goes on as a straight line.
+
+    Examples
+    --------
+    Exponential decays of 1 s for 60 dB: modulation ``(1 + (2 pi F / 13.8)^2)^-1/2``.
+
+    >>> octaves, time_s = Bands("octave", np.array(SPEECH_BANDS_HZ)), np.linspace(0.0, 0.5, 251)
+    >>> levels_db = np.tile(-60.0 * time_s, (7, 1))
+    >>> index = sti_of_decay(octaves, time_s, levels_db)
+    >>> exact = np.tile((1.0 + (2.0 * np.pi * MODULATIONS_HZ / np.log(1e6)) ** 2) ** -0.5, (7, 1))
+    >>> round(index, 2), round(float(speech_transmission(exact)), 2)
+    (0.59, 0.59)
+    """
+    if sti_missing(bands):
+        return float("nan")
+    found = []
+    for centre in SPEECH_BANDS_HZ:
+        levels = levels_db[bands.centres_hz.tolist().index(centre)]
+        levels = levels[np.isfinite(levels)]
+        if len(levels) < 4 or levels[-1] > -_LEAST_RANGE_DB:
+            return float("nan")
+        times, left = time_s[: len(levels)], 10.0 ** (0.1 * levels)
+        late = np.flatnonzero(levels <= levels[-1] * 2.0 / 3.0)
+        slope = np.polyfit(times[late], levels[late], 1)[0] if len(late) > 1 else -np.inf
+        omega = 2.0 * np.pi * MODULATIONS_HZ[:, None]
+        lag = 1.0 + 1j * omega[:, 0] * (_DB / max(-slope, 1e-9))
+        phase = np.exp(-1j * omega * 0.5 * (times[1:] + times[:-1]))
+        z = phase @ -np.diff(left) + left[-1] * np.exp(-1j * omega[:, 0] * times[-1]) / lag
+        found.append(np.abs(z) / left[0])
+    return float(speech_transmission(np.array(found)))
 
 
 def modulation_gradients(curve: DecayCurve, band: int) -> tuple[FloatArray, FloatArray]:

@@ -10,6 +10,7 @@ from roomfit.errors import InputError
 from roomfit.findings import Finding
 from roomfit.io.door import read_bytes
 from roomfit.io.responses.formats import (
+    read_ita,
     read_mat,
     read_npy,
     read_rew,
@@ -24,6 +25,7 @@ _WAVES, _SOUNDS = (".wav", ".wave"), (".flac", ".aif", ".aiff", ".aifc", ".w64")
 _READERS = {
     **dict.fromkeys(_WAVES, read_wav),
     **dict.fromkeys(_SOUNDS, read_sound),
+    ".ita": read_ita,
     ".mat": read_mat,
     ".npy": read_npy,
     ".sofa": read_sofa,
@@ -31,13 +33,13 @@ _READERS = {
 }
 RESPONSE_SUFFIXES = tuple(_READERS)
 _KEYS: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys((*_WAVES, *_SOUNDS, ".npy"), ("channel",)),
+    **dict.fromkeys((*_WAVES, *_SOUNDS, ".npy", ".ita"), ("channel",)),
     ".mat": ("channel", "variable", "sampling_rate_variable"),
     ".sofa": ("measurement", "receiver_index"),
     ".txt": (),
 }
 _MOST = {".txt": "text_bytes"}
-_RECORDED = (*_WAVES, *_SOUNDS, ".mat", ".npy")
+_RECORDED = (*_WAVES, *_SOUNDS, ".mat", ".ita", ".npy")
 _CHOICES = ("channel", "variable", "sampling_rate_variable", "measurement", "receiver_index")
 
 
@@ -77,7 +79,8 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
             "unknown kind of response file",
             where=str(path),
             found=f"ending {path.suffix!r}",
-            needed="a name that ends in .wav, .flac, .aiff, .w64, .mat, .npy, .sofa, or .txt (REW)",
+            needed="a name that ends in .wav, .flac, .aiff, .w64, .mat, .ita, .npy, .sofa, or .txt "
+            "(REW)",
         )
     _refuse_foreign_keys(spec, kind)
     recording = _READERS[kind](
@@ -99,7 +102,7 @@ def _excitation(spec: ResponseSpec, kind: str) -> Recording:
             "an excitation goes with a recording",
             where=str(spec.path),
             found=f"a {kind} file with the excitation {path.name}",
-            needed="a recording as sound file, MAT or NPY, and an excitation as sound file",
+            needed="a recording as sound file, MAT, ITA or NPY, and an excitation as sound file",
         )
     return _READERS[played](
         ResponseSpec(path, channel=spec.excitation_channel), read_bytes(path, "response file")

@@ -1,9 +1,9 @@
-"""Responses in MATLAB files, in text exported by Room EQ Wizard (REW), in WAV and sound files.
+"""Responses in MATLAB files, text exported by Room EQ Wizard (REW), WAV and other sound files.
 
 MATLAB files of versions 5 to 7.2 [1]_ have an own reader, since scipy's ends the whole process on
 some damaged files (a segmentation fault within seconds of fuzzing, scipy 1.17), which no caller can
-turn into a message. It reads full arrays of real numbers and ignores everything else. Version 7.3
-is HDF5.
+turn into a message. It reads full arrays of real numbers, those of a structure too, and ignores
+everything else. Version 7.3 is HDF5. Audio objects of the ITA-Toolbox are such structures.
 
 A sound file that was cut off in copying opens without complaint in every reader, and the missing
 end looks like a room with less reverberation. So the lengths in the header are checked here.
@@ -56,6 +56,44 @@ def read_mat(spec: ResponseSpec, content: bytes) -> Recording:
     responses = _responses(variables, spec, where)
     channel = pick("response", spec.channel, responses.shape[1], "channel", where)
     return Recording(responses[:, channel].copy(), _sampling_rate_hz(variables, spec, where))
+
+
+_ITA = "ITA_TOOLBOX_AUDIO_OBJECT"
+
+
+def read_ita(spec: ResponseSpec, content: bytes) -> Recording:
+    """Return the channel of an audio object of the ITA-Toolbox [1]_ that is asked for.
+
+    The toolbox writes a structure with samples, their scale and their rate into a MAT file.
+
+    Raises
+    ------
+    InputError
+        Not such a file, several objects, a spectrum, or no such channel.
+
+    References
+    ----------
+    .. [1] RWTH Aachen, ITA-Toolbox, ``itaSuper.saveobj`` and ``ita_write_ita`` (2011-2024).
+    """
+    where = str(spec.path)
+    variables = _variables(content, where)
+    keys = ("domain", "data", "samplingRate", "dataFactor")
+    own = {key: variables[f"{_ITA}.{key}"] for key in keys if f"{_ITA}.{key}" in variables}
+    domain, data, rate, factor = (own.get(key) for key in keys)
+    factor = np.ones(1) if factor is None else factor
+    scales = [v for v in (rate, factor) if not isinstance(v, str | None) and v.size == 1]
+    if isinstance(data, str | None) or data.ndim != 2 or domain != "text 'time'" or len(scales) < 2:
+        raise InputError(
+            "this is not an audio object of the ITA-Toolbox that can be read",
+            where=where,
+            found=_listed(own or variables)[:300],
+            needed=f"a structure {_ITA} with data in the domain 'time' and one samplingRate",
+            hint="in MATLAB: a = ita_read(FILE); RIR = a.timeData; Fs = a.samplingRate; "
+            "save('a.mat', 'RIR', 'Fs', '-v7')",
+        )
+    columns = _columns(data, where) * float(scales[1].reshape(-1)[0])
+    channel = pick("channel", spec.channel, columns.shape[1], "channel", where)
+    return Recording(columns[:, channel].copy(), float(scales[0].reshape(-1)[0]))
 
 
 def _variables(content: bytes, where: str) -> Variables:
@@ -153,7 +191,10 @@ _MAT5_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 
 _MAT5_NUMBERS[13] = "u8"
 _INT32, _UINT32, _INT8, _MATRIX, _COMPRESSED = 5, 6, 1, 14, 15
 _NUMERIC_CLASSES = range(6, 16)  # double, single and the integers
-_KINDS = {1: "a cell array", 2: "a structure", 3: "an object", 4: "text", 5: "a sparse array"}
+_KINDS = {1: "a cell array", 2: "a structure", 3: "an object", 5: "a sparse array"}
+_STRUCTURE, _TEXT, _OPAQUE = 2, 4, 17
+_TEXTS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16"}
+_MOST_LETTERS, _MOST_FIELDS = 40, 10_000
 _COMPLEX_FLAG = 0x800
 _TOO_MUCH = "more numbers than are read from one file, or from one of its size"
 
@@ -161,8 +202,9 @@ _TOO_MUCH = "more numbers than are read from one file, or from one of its size"
 def mat5_arrays(content: bytes) -> dict[str, FloatArray | str]:
     """Return every variable of a MAT file of level 5 by name.
 
-    Float64 arrays of the shape they have in the file; what it is instead for text, structures,
-    cells, sparse and complex arrays.
+    Float64 arrays of the shape they have in the file; what it is instead for text, arrays of
+    structures, cells, objects, sparse and complex arrays. The fields of a single structure are
+    named STRUCTURE.FIELD.
 
     Raises
     ------
@@ -179,10 +221,11 @@ def mat5_arrays(content: bytes) -> dict[str, FloatArray | str]:
             data = _decompressed(data, left_bytes)
             kind, data = next(_elements(data, order), (kind, data))
         if kind == _MATRIX:
-            name, array = _variable(data, order, left_bytes)
-            variables[name] = array
-            left_bytes -= len(data) if isinstance(array, str) else array.nbytes
-    return variables
+            for name, array in _named(data, order, left_bytes):
+                variables[name] = array
+                left_bytes -= _MOST_LETTERS if isinstance(array, str) else array.nbytes
+    # what objects refer to has no name
+    return {name: array for name, array in variables.items() if name}
 
 
 def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
@@ -218,32 +261,70 @@ def _decompressed(data: bytes, most_bytes: int) -> bytes:
     return unpacked
 
 
-def _variable(data: bytes, order: str, most_bytes: int) -> tuple[str, FloatArray | str]:
-    """Return name and values of one array, or what it is instead."""
+def _named(
+    data: bytes, order: str, most_bytes: int, *, whole: bool = False
+) -> Iterator[tuple[str, FloatArray | str]]:
+    """Yield name and values of one array, or of the fields of one structure.
+
+    A structure within a structure comes as a `whole`, which is none of these.
+    """
     parts = _elements(data, order)
     head = list(islice(parts, 3))
     if len(head) < 3:
         raise ValueError("an array without flags, size or name")
     (flags_kind, flags), (shape_kind, shape), (_, name) = head
-    if flags_kind != _UINT32 or len(flags) < 4 or shape_kind != _INT32:
-        raise ValueError("an array with foreign flags or size")
-    text = name.decode("utf-8", errors="replace")
+    if flags_kind != _UINT32 or len(flags) < 4:
+        raise ValueError("an array with foreign flags")
     (word,) = struct.unpack_from(f"{order}I", flags)
+    if word & 0xFF == _OPAQUE:  # without a size, and its class follows
+        of_class = next(parts, (0, b""))[1][:_MOST_LETTERS].decode("latin-1")
+        yield shape.decode("utf-8", errors="replace"), f"an object of class {of_class}"
+        return
+    if shape_kind != _INT32:
+        raise ValueError("an array with a foreign size")
+    text = name.decode("utf-8", errors="replace")
+    lengths = np.frombuffer(shape, f"{order}i4").tolist()
+    if word & 0xFF != _STRUCTURE or whole or lengths != [1, 1]:
+        yield text, _values(word, lengths, text, next(parts, (0, b"")), order, most_bytes)
+        return
+    (_, length), (_, names) = next(parts, (0, b"")), next(parts, (0, b""))
+    each = int.from_bytes(length, "little" if order == "<" else "big")
+    if not len(names) <= _MOST_FIELDS * each:
+        raise ValueError(f"structure {text!r} of {len(names)} letters and {each} a field")
+    for start, (_, content) in zip(range(0, len(names), max(each, 1)), parts, strict=False):
+        field = names[start : start + each].split(b"\0")[0].decode("utf-8", errors="replace")
+        for _, values in _named(content, order, most_bytes, whole=True) if content else ():
+            yield f"{text}.{field}", values
+            most_bytes -= _MOST_LETTERS if isinstance(values, str) else values.nbytes
+
+
+def _values(
+    word: int,
+    lengths: list[int],
+    text: str,
+    content: tuple[int, bytes],
+    order: str,
+    most_bytes: int,
+) -> FloatArray | str:
+    """Return the numbers of one array, or what it is instead."""
+    kind, values = content
+    if word & 0xFF == _TEXT and kind in _TEXTS:
+        code = _TEXTS[kind] + (("-le" if order == "<" else "-be") if kind in (4, 17) else "")
+        letters = values[: 2 * _MOST_LETTERS].decode(code, errors="replace")
+        return f"text {letters[:_MOST_LETTERS]!r}"
     if word & 0xFF not in _NUMERIC_CLASSES:
-        return text, _KINDS.get(word & 0xFF, "of a class of its own")
+        return _KINDS.get(word & 0xFF, "of a class of its own")
     if word & _COMPLEX_FLAG:
-        return text, "complex numbers"
-    kind, values = next(parts, (0, b""))
+        return "complex numbers"
     if kind not in _MAT5_NUMBERS:
         raise ValueError(f"array {text!r} without numbers")
-    lengths = np.frombuffer(shape, f"{order}i4").tolist()
     packed = np.frombuffer(values, order + _MAT5_NUMBERS[kind])
     if 8 * packed.size > most_bytes:
         raise ValueError(_TOO_MUCH)
     numbers = packed.astype(np.float64)
     if min(lengths, default=-1) < 0 or math.prod(lengths) != numbers.size:
         raise ValueError(f"array {text!r} of {numbers.size} numbers with the size {lengths}")
-    return text, numbers.reshape(lengths, order="F")
+    return numbers.reshape(lengths, order="F")
 
 
 _TITLE = "impulse response data saved by rew"

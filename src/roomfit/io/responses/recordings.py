@@ -67,6 +67,7 @@ def pick(kind: str, index: int | None, count: int, key: str, where: str) -> int:
             where=where,
             found=f"{count} {kind}s, {numbers}",
             needed=f"{key} = a number from {numbers}",
+            hint=f"what holds of all files stands once: {key} = 0 under [defaults]",
         )
     if not 0 <= index < count:
         raise InputError(

@@ -18,7 +18,14 @@ from roomfit.io.door import check_limit
 from roomfit.io.rooms.catt import read_catt
 from roomfit.io.rooms.dxf import read_dxf
 from roomfit.io.rooms.interchange import read_collada, read_ifc
-from roomfit.io.rooms.mesh_formats import read_ac3d, read_glb, read_obj, read_ply, read_stl
+from roomfit.io.rooms.mesh_formats import (
+    read_3ds,
+    read_ac3d,
+    read_glb,
+    read_obj,
+    read_ply,
+    read_stl,
+)
 from roomfit.io.rooms.model import (
     METRES_PER_UNIT,
     RoomModel,
@@ -33,6 +40,7 @@ READERS: dict[str, Callable[[Path], RoomModel]] = {
     ".obj": read_obj,
     ".ac": read_ac3d,
     ".ply": read_ply,
+    ".3ds": read_3ds,
     ".stl": read_stl,
     ".glb": read_glb,
     ".geo": read_catt,

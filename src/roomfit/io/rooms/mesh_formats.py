@@ -1,7 +1,8 @@
-"""Readers of meshes: polygons of AC3D (.ac), Wavefront OBJ and Stanford PLY, triangles of STL, GLB.
+"""Readers of meshes: polygons of AC3D, Wavefront OBJ and Stanford PLY, triangles of 3DS, STL, GLB.
 
 The first three are read here and not by trimesh, which cuts concave polygons into a fan (an
-L-shaped floor of 7 m2 came out with 16 m2) and loses names of groups and materials.
+L-shaped floor of 7 m2 came out with 16 m2) and loses names of groups and materials; 3DS it does not
+read.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface
-from roomfit.io.door import check_limit, json_content, quiet, read_bytes, read_text
+from roomfit.io.door import check_limit, decoded, json_content, quiet, read_bytes, read_text
 from roomfit.io.rooms.model import (
     PARSER_ERRORS,
     RoomModel,
@@ -368,6 +369,7 @@ _CODES = {
 }
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _CORNERS = ("vertex_indices", "vertex_index")
+_LAYER, _LAYER_NAME = "layer_id", "layer_name"
 _HEADER_END = b"end_header"
 
 
@@ -382,22 +384,27 @@ class _Element:
 def read_ply(path: Path) -> RoomModel:
     """Read vertices and polygons of a PLY file [1]_; everything else in it is passed over.
 
-    The format carries no names: there is one surface, named as the file, without a material.
+    The format carries no names: there is one surface, named as the file, without a material. Where
+    I-Simpa [2]_ wrote layers behind the faces, a layer is a surface and its material.
 
     Raises
     ------
     InputError
-        Not a PLY file, cut short, without faces, or with coordinates that are not finite.
+        Not a PLY file, cut short, without faces, with coordinates that are not finite, or with a
+        face in a layer that is not there.
 
     References
     ----------
     .. [1] G. Turk, "The PLY polygon file format" (1994).
+    .. [2] Université Gustave Eiffel, I-Simpa, ``rply_interface.cpp`` (2007-2014).
     """
     order, elements, body = _header(path, read_bytes(path, "room file", most="text_bytes"))
     take = _numbers(path, body, order)
     surface = Surface(path.stem or "unnamed")
     points: list[list[float]] = []
     faces: list[Face] = []
+    layers: list[int] = []  # of the faces, -1 for none
+    names: list[str] = []
     for element in elements:
         for number in range(element.count if element.properties else 0):
             where = f"{path}, {element.name} {number}"
@@ -410,6 +417,13 @@ def read_ply(path: Path) -> RoomModel:
             elif element.name == "face":
                 corners = next((row[name] for name in _CORNERS if name in row), [])
                 faces.append(Face(tuple(int(c) for c in corners), surface))
+                layers.append(int(row.get(_LAYER, [-1.0])[0]))
+            elif element.name == "layer":
+                letters = bytes(int(letter) & 0xFF for letter in row.get(_LAYER_NAME, []))
+                names.append(decoded(letters) or f"layer {number}")
+    if names:
+        named = zip(faces, layers, strict=True)
+        faces = [Face(f.corners, _layer(names, layer, path) or surface) for f, layer in named]
     if not faces or not points:
         raise InputError(
             "the room file has no faces",
@@ -417,6 +431,18 @@ def read_ply(path: Path) -> RoomModel:
             found=f"{len(points)} vertices and {len(faces)} faces",
         )
     return RoomModel(np.array(points), tuple(faces))
+
+
+def _layer(names: list[str], number: int, path: Path) -> Surface | None:
+    """Return the surface of a layer, None for -1."""
+    if not -1 <= number < len(names):
+        raise InputError(
+            "a face names a layer that does not exist",
+            where=str(path),
+            found=f"layer {number}",
+            needed=f"0 to {len(names) - 1}",
+        )
+    return Surface(names[number], None, names[number]) if number >= 0 else None
 
 
 def _coordinate(row: dict[str, list[float]], axis: str, where: str) -> float:
@@ -444,7 +470,7 @@ def _header(path: Path, content: bytes) -> tuple[str, list[_Element], bytes]:
                 elements.append(_Element(name, whole(count, where)))
             case ["property", "list", count, kind, name] if elements:
                 code, count_code = _code(kind, where), _code(count, where)
-                if count_code in "fd" or (name in _CORNERS and code in "fd"):
+                if count_code in "fd" or (name in (*_CORNERS, _LAYER_NAME) and code in "fd"):
                     raise InputError("a PLY list needs whole numbers", where=where, found=line)
                 elements[-1].properties.append((name, code, count_code))
             case ["property", kind, name] if elements:
@@ -489,6 +515,107 @@ def _cut_short(path: Path) -> InputError:
         needed="as many numbers as its header declares",
         hint="the file is cut short: export or copy it again",
     )
+
+
+def read_3ds(path: Path) -> RoomModel:
+    """Read the triangles of a 3D Studio file (.3ds) [1]_ where they stand: no unit, z up.
+
+    The name of a surface is its object's, its material that of the faces. Keyframes are passed
+    over. Where the axes of an object are left-handed its points
+    were mirrored along the first of them when they were written, which is undone, as lib3ds does.
+
+    Raises
+    ------
+    InputError
+        Not a 3DS file, cut short, without faces, an index out of range, or a coordinate that is
+        not finite.
+
+    References
+    ----------
+    .. [1] M. Fercoq and others, "The 3DS file format" (1996); J. E. Hoffmann, lib3ds 1.3 (2007).
+    """
+    content = read_bytes(path, "room file", most="text_bytes")
+    if len(content) < _CHUNK.size or content[:2] != b"MM":
+        raise InputError("this is no 3DS file", where=str(path), needed='"MM" at its beginning')
+    _, length = _CHUNK.unpack_from(content)
+    if length > len(content):
+        raise _cut_short(path)
+    parts: list[FloatArray] = []
+    faces: list[Face] = []
+    first = 0
+    for editor in _chunks(content[_CHUNK.size : length], path).get(_EDITOR, []):
+        for thing in _chunks(editor, path).get(_OBJECT, []):
+            name, _, body = thing.partition(b"\0")
+            for mesh in _chunks(body, path).get(_MESH, []):
+                points, triangles, materials = _mesh_3ds(mesh, f"{path}, {decoded(name)!r}", path)
+                for triangle, material in zip(triangles, materials, strict=True):
+                    surface = Surface(decoded(name) or material or "unnamed", None, material)
+                    faces.append(Face(tuple(first + corner for corner in triangle), surface))
+                first += len(points)
+                parts.append(points)
+                check_limit("corners", first, str(path))
+                check_limit("faces", len(faces), str(path))
+    if not faces:
+        hint = "the file may hold lights, cameras or curves alone: export meshes"
+        raise InputError("the room file has no faces", where=str(path), hint=hint)
+    return RoomModel(np.concatenate(parts), tuple(faces))
+
+
+_CHUNK = struct.Struct("<HI")  # kind and length, itself included
+_EDITOR, _OBJECT, _MESH = 0x3D3D, 0x4000, 0x4100
+_POINTS, _TRIANGLES, _OF_MATERIAL, _AXES = 0x4110, 0x4120, 0x4130, 0x4160
+
+
+def _chunks(data: bytes, path: Path) -> dict[int, list[bytes]]:
+    """Return the contents of chunks that follow each other, by kind."""
+    found: dict[int, list[bytes]] = {}
+    at = 0
+    while at < len(data):
+        end = at + _CHUNK.size
+        kind, length = _CHUNK.unpack_from(data, at) if end <= len(data) else (0, 0)
+        if not _CHUNK.size <= length <= len(data) - at:
+            raise _cut_short(path)
+        found.setdefault(kind, []).append(data[end : at + length])
+        at += length
+    return found
+
+
+def _mesh_3ds(
+    mesh: bytes, where: str, path: Path
+) -> tuple[FloatArray, list[list[int]], list[str | None]]:
+    """Return points, shape (n, 3), corners of the triangles, and their materials."""
+
+    def table(data: bytes, kind: str, width: int) -> tuple[FloatArray, bytes]:
+        """Return rows of which the first two bytes say how many there are, and what follows."""
+        n = int.from_bytes(data[:2], "little") * width
+        end = 2 + n * np.dtype(kind).itemsize
+        if end > len(data):
+            raise _cut_short(path)
+        return np.frombuffer(data, kind, n, 2).reshape(-1, width).astype(np.float64), data[end:]
+
+    chunks = _chunks(mesh, path)
+    if _POINTS not in chunks or _TRIANGLES not in chunks:
+        return np.empty((0, 3)), [], []
+    points, _ = table(chunks[_POINTS][0], "<f4", 3)
+    for point in points[~(np.abs(points) < 1e9).all(axis=1)][:1]:
+        finite(str(point[~(np.abs(point) < 1e9)][0]), where)
+    rows, rest = table(chunks[_TRIANGLES][0], "<u2", 4)  # three corners, and which edges show
+    triangles = rows[:, :3].astype(int).tolist()
+    for triangle in triangles:
+        check_corners(triangle, len(points), where)
+    materials: list[str | None] = [None] * len(triangles)
+    for piece in _chunks(rest, path).get(_OF_MATERIAL, []):
+        name, _, body = piece.partition(b"\0")
+        numbers = table(body, "<u2", 1)[0][:, 0].astype(int).tolist()
+        check_corners(numbers, len(triangles), f"{where}, material {decoded(name)!r}")
+        for number in numbers:
+            materials[number] = decoded(name) or None
+    if _AXES in chunks and len(chunks[_AXES][0]) >= 48:
+        *axes, origin = np.frombuffer(chunks[_AXES][0], "<f4", 12).reshape(4, 3).astype(np.float64)
+        if np.linalg.det(axes) < -1e-12:
+            own = np.linalg.solve(np.transpose(axes), (points - origin).T).T * (-1.0, 1.0, 1.0)
+            points = own @ axes + origin
+    return points, triangles, materials
 
 
 def read_stl(path: Path) -> RoomModel:

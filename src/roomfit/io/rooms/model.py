@@ -86,7 +86,7 @@ class PolygonSpec:
 class RoomSpec:
     """Which room to read, and how to understand it. One of the first three is given."""
 
-    # OBJ, AC3D, PLY, STL, GLB, CATT-Acoustic's GEO, DXF, COLLADA or IFC, by the end of its name
+    # OBJ, AC3D, PLY, 3DS, STL, GLB, CATT-Acoustic's GEO, DXF, COLLADA or IFC, by the name's end
     file: Path | None = None
     # Lengths along x, y and z of a box with one corner at the origin
     shoebox: tuple[float, float, float] | None = None
