@@ -366,6 +366,7 @@ def absorption_figure(
         ),
         ("given", given, {"marker": "D", "ms": 5, "color": "black"}),
     )
+    # a stated y of titles spares measuring every axis once more
     for i, axes in enumerate(panels[:n]):
         value, low, high = answer.absorption[i], answer.lower95[i], answer.upper95[i]
         _intervals(axes, centres, value, low, high, OKABE_ITO[0])
@@ -380,16 +381,16 @@ def absorption_figure(
             )
         found = int(answer.identifiable[i].sum())
         longest = 20 if n < 3 and not narrow else 16
-        axes.set_title(literal(answer.materials[i], longest), fontsize=10, loc="left")
+        axes.set_title(literal(answer.materials[i], longest), fontsize=10, loc="left", y=1.0)
         axes.set_title(
             f"{found}/{len(centres)}" if narrow
             else f"{number(float(answer.areas_m2[i]), 1)} m², {found}/{len(centres)}",
-            fontsize=8, loc="right", color="0.3",
+            fontsize=8, loc="right", color="0.3", y=1.0,
         )  # fmt: skip
     mean, low, high = answer.mean_absorption
     _intervals(panels[n], centres, mean, low, high, "black")
     panels[n].plot(centres, mean, "s", color="black", ms=5)
-    panels[n].set_title(say("mean of the room"), fontsize=10, loc="left")
+    panels[n].set_title(say("mean of the room"), fontsize=10, loc="left", y=1.0)
     frequency_axis(panels[0], centres)
     panels[0].set_ylim(-0.03, 1.03)
     if narrow:
@@ -453,7 +454,7 @@ def identifiability_figure(answer: Result) -> Figure:
     axes.set_yticks(np.arange(n) + 0.5, [literal(name, 24) for name in answer.materials])
     axes.tick_params(length=0)
     axes.set_xlabel(f"{answer.bands.kind} band centre (Hz)")
-    axes.set_title("\N{CHECK MARK} identifiable, G given", fontsize=9, loc="left")
+    axes.set_title("\N{CHECK MARK} identifiable, G given", fontsize=9, loc="left", y=1.0)
     bar = figure.colorbar(image, ax=axes, ticks=steps[::2], extend="max", format="%.2f")
     bar.set_label("width of the\n95 % interval" if n < 4 else "width of the 95 % interval")
     return figure
@@ -485,7 +486,8 @@ def profiles_figure(answer: Result) -> Figure | None:
         axes.axvline(a, color=OKABE_ITO[1], lw=1.0, label="answer")
         axes.set_ylim(0.0, 5.0)
         centre = answer.bands.centres_hz[band]
-        axes.set_title(f"{literal(answer.materials[line.entry], 24)}, {centre:g} Hz", fontsize=9)
+        title = f"{literal(answer.materials[line.entry], 24)}, {centre:g} Hz"
+        axes.set_title(title, fontsize=9, y=1.0)
         axes.grid(alpha=0.25)
     for axes in panels.ravel()[len(shown) :]:
         axes.set_visible(False)
@@ -576,7 +578,7 @@ def decay_figure(
     n_points = int(np.clip(share, _FEWEST_POINTS, _MOST_POINTS)) if len(pairs) > 1 else None
     shown_s = 1e-3
     for j, axes in enumerate(panels):
-        axes.set_title(f"{answer.bands.centres_hz[j]:g} Hz", fontsize=9, loc="left")
+        axes.set_title(f"{answer.bands.centres_hz[j]:g} Hz", fontsize=9, loc="left", y=1.0)
         for i, (pair, decay) in enumerate(zip(pairs, decays, strict=True)):
             group = f"class:curve-{i}" if len(pairs) > 1 else None
             _decay_curves(axes, decay, j, n_points, group, evaluated_range_db(pair, j))
