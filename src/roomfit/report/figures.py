@@ -543,9 +543,7 @@ def corner_figure(answer: Result) -> tuple[float, Figure] | None:
 # ---------------------------------------------------------------- decay curves
 
 
-def decay_figure(
-    answer: Result, *pairs: ComparedPair, again: Figure | None = None
-) -> Figure:
+def decay_figure(answer: Result, *pairs: ComparedPair, again: Figure | None = None) -> Figure:
     """Return measured and predicted energy decay curves, one panel a band.
 
     Parameters
@@ -572,7 +570,10 @@ def decay_figure(
     else:
         figure, panels = again, again.axes[: len(answer.bands)]
         figure.set_layout_engine("none")
-        for old in (*figure.legends, *(a for p in panels for a in (*p.lines, *p.patches, *p.texts))):
+        for old in (
+            *figure.legends,
+            *(a for p in panels for a in (*p.lines, *p.patches, *p.texts)),
+        ):
             old.remove()
     share = _POINTS_IN_ALL // (2 * len(pairs) * len(panels))
     n_points = int(np.clip(share, _FEWEST_POINTS, _MOST_POINTS)) if len(pairs) > 1 else None

@@ -533,9 +533,7 @@ def _room(scene: Scene) -> Markup:
     return _drawing(room_figure(scene), "room", title, caption, room_figure(scene, narrow=True))
 
 
-def _absorption(
-    answer: Result, drawn: Mapping[str, Figure], say: Callable[[str], str]
-) -> Markup:
+def _absorption(answer: Result, drawn: Mapping[str, Figure], say: Callable[[str], str]) -> Markup:
     return _drawing(
         drawn.get("absorption") or absorption_figure(answer, say=say),
         "absorption",

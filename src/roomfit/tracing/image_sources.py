@@ -346,7 +346,7 @@ def count_of_shoebox_images(
 def lattice_indices(
     lengths: FloatArray, source: FloatArray, receiver: FloatArray, order: int, max_length_m: float
 ) -> IntArray:
-    """Return the indices (n, 3) of the images within order and distance, a few slices in x at a time.
+    """Return the indices (n, 3) of images within order and distance, some slices in x at a time.
 
     See `shoebox_images` for what an index means.
     """
