@@ -65,7 +65,7 @@ from roomfit.report.comparison import (
     comparison_page,
     comparison_rows,
 )
-from roomfit.report.figures import in_file_name, write_pictures
+from roomfit.report.figures import answer_figures, in_file_name, write_pictures
 from roomfit.report.pdf import report_pdf
 from roomfit.report.text import findings_text
 from roomfit.results import Result
@@ -690,6 +690,7 @@ def identify_to_folder(
                 noted(doubt)
         answer = identify(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
     inputs = tuple(files_read())
+    figures = answer_figures(answer)
     page = report_html(
         answer,
         measured_scene(arguments["scene"], arguments["measurements"]),
@@ -697,13 +698,14 @@ def identify_to_folder(
         campaign=campaign_file.name,
         inputs_sha256=input_digests(inputs),
         project=project,
+        figures=figures,
     )
     with whole_output_folder(out, overwrite=overwrite) as folder:
         write_result(folder, answer, inputs)
         write_text_atomically(folder / "report.html", page)
         if not quick:
             _LOG.info("drawing")
-            write_pictures(folder, answer, part(progress, 0.95, 1.0))
+            write_pictures(folder, answer, part(progress, 0.95, 1.0), figures)
     return answer
 
 

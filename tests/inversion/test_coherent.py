@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import re
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +97,25 @@ def test_a_box_is_found_within_its_intervals(box: tuple[Path, np.ndarray]) -> No
     # two bands to 0.12 s, and a loudspeaker whose phase the model does not have
     assert geometry.speed_of_sound_m_s == pytest.approx(343.99, rel=2e-3)
     assert np.all(geometry.sd <= geometry.prior_sd * (1.0 + 1e-9))
+
+
+def test_what_the_first_pass_has_found_is_told_before_it_is_examined(
+    box: tuple[Path, np.ndarray], caplog: pytest.LogCaptureFixture
+) -> None:
+    """A line a material, with twelve intervals of which three miss by chance once in 50 boxes."""
+    campaign, true = box
+    with caplog.at_level(logging.INFO, "roomfit"):
+        fitted(campaign)
+    told = [r.getMessage() for r in caplog.records if r.levelno == logging.INFO + 5]
+    _, bands, *materials = told
+    assert bands.split() == ["250", "Hz", "500", "Hz"]
+    numbers = [[int(x) for x in re.findall(r"\d+", line)] for line in materials]
+    found, low, high = np.moveaxis(np.reshape(numbers, (6, 2, 3)) / 100.0, 2, 0)
+    assert np.median(np.abs(found - true)) < 0.05
+    assert np.sum((true < low - 0.005) | (true > high + 0.005)) <= 2
+    caplog.clear()
+    fitted(campaign, quick=True)
+    assert not caplog.records
 
 
 def test_a_file_of_another_pair_is_found_and_weighs_less(

@@ -10,6 +10,7 @@ well, for comparison only.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import cast
@@ -94,10 +95,17 @@ from roomfit.scene import Scene, material_areas_m2
 from roomfit.solvers.least_squares import BandFit, fit_band, score_band
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress, part
-from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, band_estimate
+from roomfit.uncertainty.gaussian import (
+    BandEstimate,
+    FittedBand,
+    absorption_intervals,
+    band_estimate,
+)
 
 # Shortest window in units of 1 / B: finer ones than energies need tell of phases.
 _WINDOW_PERIODS = 0.75
+# Between INFO, which names a stage, and WARNING: lines that progress leaves standing.
+_LOG, _NOTICE = logging.getLogger("roomfit"), 25
 # Of the lowest band: so much after the last pressure an image may still ring into its window.
 _REACH_PERIODS = 5.0
 
@@ -440,6 +448,7 @@ def fit_coherent(
     if settings.quick:
         fits, _ = leave_one_out_pass(state.bands, fits, settings)
         return CoherentFit(state, tuple(fits), _likelihoods(state, fits), None, state.findings)
+    _tell_first(state, fits)
     misfits = [
         file_misfits(
             fitted_in_band(state.task.measured, b),
@@ -483,6 +492,31 @@ def fit_coherent(
         *fixed_absorption_findings(task.bands, task.priors, pressures),
     )
     return CoherentFit(state, tuple(fits), likelihoods, estimate, findings)
+
+
+def _tell_first(state: SequentialState, fits: Sequence[CoherentBandFit | None]) -> None:
+    """Log what the first pass has found, long before the answer is examined and complete.
+
+    Intervals are Gaussian, without the errors that windows share.
+    """
+    if not _LOG.isEnabledFor(_NOTICE):
+        return
+    likelihoods, columns = _likelihoods(state, fits), []
+    for b, (own, fit) in enumerate(zip(state.bands, fits, strict=True)):
+        if own is None:
+            continue
+        objective, found = own.energies, own.energy_fit
+        if fit is not None and likelihoods[b, 1] > likelihoods[b, 0]:
+            objective, found = fit.objective, fit.fit
+        how = objective.parameters, found.vector, found.information, found.chi2_reduced
+        at = absorption_intervals(*how)
+        numbers = 100.0 * np.stack([at.absorption, at.lower95, at.upper95], axis=1)
+        entries = [f"{a:.0f} ({low:.0f}-{high:.0f})" for a, low, high in numbers]
+        columns.append([f"{state.task.bands.centres_hz[b]:g} Hz", *entries])
+    names = [p.name for p in state.task.priors]
+    _LOG.log(_NOTICE, "so far, absorption in % and its 95 %% interval; not yet examined:")
+    for name, *entries in zip(["", *names], *columns, strict=True):
+        _LOG.log(_NOTICE, "%-16.16s%s", name, "".join(f"{e:>12s}" for e in entries))
 
 
 def _likelihoods(state: SequentialState, fits: Sequence[CoherentBandFit | None]) -> FloatArray:

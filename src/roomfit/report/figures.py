@@ -10,7 +10,7 @@ import html
 import io
 import re
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,12 @@ from roomfit.uncertainty.profile import RISE95, Profile, profile_curve
 MOST_DECAY_PICTURES = 12
 
 
-def write_pictures(folder: Path, answer: Result, progress: Progress | None = None) -> None:
+def write_pictures(
+    folder: Path,
+    answer: Result,
+    progress: Progress | None = None,
+    figures: Mapping[str, Figure] | None = None,
+) -> None:
     """Write absorption, what is identifiable, profiles, samples and decays as PNG files.
 
     Profiles and samples only where there are some; decays of the first twelve pairs.
@@ -52,26 +57,39 @@ def write_pictures(folder: Path, answer: Result, progress: Progress | None = Non
     folder : Path
     answer : Result
     progress : callable, optional
+    figures : mapping of str to Figure, optional
+        Those of `answer_figures`, which a report may have shown before.
 
     Raises
     ------
     StoreError
         The disk refuses.
     """
-    write_bytes_atomically(folder / "absorption.png", png(absorption_figure(answer)))
-    write_bytes_atomically(folder / "identifiable.png", png(identifiability_figure(answer)))
-    bent, corner = profiles_figure(answer), corner_figure(answer)
-    if bent is not None:
-        write_bytes_atomically(folder / "profiles.png", png(bent))
-    if corner is not None:
-        write_bytes_atomically(folder / f"corner_{corner[0]:g}_hz.png", png(corner[1]))
+    for name, figure in (answer_figures(answer) if figures is None else figures).items():
+        write_bytes_atomically(folder / f"{name}.png", png(figure))
     with_decay = [(i, p) for i, p in enumerate(answer.pairs, start=1) if p.decay]
+    decays = None
     for i, pair in with_decay[:MOST_DECAY_PICTURES]:
         names = filter(None, (pair.source, pair.receiver, pair.state))
         name = f"decay_{i:02d}_{in_file_name(*names)}.png"
-        write_bytes_atomically(folder / name, png(decay_figure(answer, pair)))
+        decays = decay_figure(answer, pair, again=decays)
+        write_bytes_atomically(folder / name, png(decays))
         if progress is not None:
             progress(i / len(answer.pairs))
+
+
+def answer_figures(answer: Result) -> dict[str, Figure]:
+    """Return what the report and files show alike, by the name of the file."""
+    found = {
+        "absorption": absorption_figure(answer),
+        "identifiable": identifiability_figure(answer),
+    }
+    bent, corner = profiles_figure(answer), corner_figure(answer)
+    if bent is not None:
+        found["profiles"] = bent
+    if corner is not None:
+        found[f"corner_{corner[0]:g}_hz"] = corner[1]
+    return found
 
 
 def in_file_name(*names: str) -> str:
@@ -195,6 +213,7 @@ def svg(figure: Figure, name: str, title: str) -> str:
     with mpl.rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):
         canvas: Any = FigureCanvasSVG(figure)
         canvas.print_svg(stream, metadata={"Date": None})
+    figure.set_layout_engine("none")  # where it is drawn again, all stays in its place
     # the declaration, the document type and the licence of the metadata have no place in a page
     text = stream.getvalue()
     body = text[text.index(">", text.index("<svg ")) + 1 : text.rindex("</svg>")]
@@ -347,6 +366,7 @@ def absorption_figure(
         ),
         ("given", given, {"marker": "D", "ms": 5, "color": "black"}),
     )
+    # a stated y of titles spares measuring every axis once more
     for i, axes in enumerate(panels[:n]):
         value, low, high = answer.absorption[i], answer.lower95[i], answer.upper95[i]
         _intervals(axes, centres, value, low, high, OKABE_ITO[0])
@@ -361,16 +381,16 @@ def absorption_figure(
             )
         found = int(answer.identifiable[i].sum())
         longest = 20 if n < 3 and not narrow else 16
-        axes.set_title(literal(answer.materials[i], longest), fontsize=10, loc="left")
+        axes.set_title(literal(answer.materials[i], longest), fontsize=10, loc="left", y=1.0)
         axes.set_title(
             f"{found}/{len(centres)}" if narrow
             else f"{number(float(answer.areas_m2[i]), 1)} m², {found}/{len(centres)}",
-            fontsize=8, loc="right", color="0.3",
+            fontsize=8, loc="right", color="0.3", y=1.0,
         )  # fmt: skip
     mean, low, high = answer.mean_absorption
     _intervals(panels[n], centres, mean, low, high, "black")
     panels[n].plot(centres, mean, "s", color="black", ms=5)
-    panels[n].set_title(say("mean of the room"), fontsize=10, loc="left")
+    panels[n].set_title(say("mean of the room"), fontsize=10, loc="left", y=1.0)
     frequency_axis(panels[0], centres)
     panels[0].set_ylim(-0.03, 1.03)
     if narrow:
@@ -434,7 +454,7 @@ def identifiability_figure(answer: Result) -> Figure:
     axes.set_yticks(np.arange(n) + 0.5, [literal(name, 24) for name in answer.materials])
     axes.tick_params(length=0)
     axes.set_xlabel(f"{answer.bands.kind} band centre (Hz)")
-    axes.set_title("\N{CHECK MARK} identifiable, G given", fontsize=9, loc="left")
+    axes.set_title("\N{CHECK MARK} identifiable, G given", fontsize=9, loc="left", y=1.0)
     bar = figure.colorbar(image, ax=axes, ticks=steps[::2], extend="max", format="%.2f")
     bar.set_label("width of the\n95 % interval" if n < 4 else "width of the 95 % interval")
     return figure
@@ -466,7 +486,8 @@ def profiles_figure(answer: Result) -> Figure | None:
         axes.axvline(a, color=OKABE_ITO[1], lw=1.0, label="answer")
         axes.set_ylim(0.0, 5.0)
         centre = answer.bands.centres_hz[band]
-        axes.set_title(f"{literal(answer.materials[line.entry], 24)}, {centre:g} Hz", fontsize=9)
+        title = f"{literal(answer.materials[line.entry], 24)}, {centre:g} Hz"
+        axes.set_title(title, fontsize=9, y=1.0)
         axes.grid(alpha=0.25)
     for axes in panels.ravel()[len(shown) :]:
         axes.set_visible(False)
@@ -522,7 +543,7 @@ def corner_figure(answer: Result) -> tuple[float, Figure] | None:
 # ---------------------------------------------------------------- decay curves
 
 
-def decay_figure(answer: Result, *pairs: ComparedPair) -> Figure:
+def decay_figure(answer: Result, *pairs: ComparedPair, again: Figure | None = None) -> Figure:
     """Return measured and predicted energy decay curves, one panel a band.
 
     Parameters
@@ -531,6 +552,8 @@ def decay_figure(answer: Result, *pairs: ComparedPair) -> Figure:
     pairs : ComparedPair
         With decay curves. Of several, the curves and words of the i-th are in the SVG groups
         ``curve-i``, and a page shows one of them at a time; curves have fewer points then.
+    again : Figure, optional
+        That of another pair, drawn already: it is emptied and filled, panels in their places.
 
     Raises
     ------
@@ -540,12 +563,23 @@ def decay_figure(answer: Result, *pairs: ComparedPair) -> Figure:
     decays = [pair.decay for pair in pairs if pair.decay is not None]
     if len(decays) < len(pairs):
         raise ValueError("room parameters without a response have no decay curve")
-    figure, panels = band_panels(len(answer.bands), 2.3)
+    if again is None:
+        figure, panels = band_panels(len(answer.bands), 2.3)
+        figure.supxlabel("time after emission (s)", fontsize=10)
+        figure.supylabel("energy decay curve (dB)", fontsize=10)
+    else:
+        figure, panels = again, again.axes[: len(answer.bands)]
+        figure.set_layout_engine("none")
+        for old in (
+            *figure.legends,
+            *(a for p in panels for a in (*p.lines, *p.patches, *p.texts)),
+        ):
+            old.remove()
     share = _POINTS_IN_ALL // (2 * len(pairs) * len(panels))
     n_points = int(np.clip(share, _FEWEST_POINTS, _MOST_POINTS)) if len(pairs) > 1 else None
     shown_s = 1e-3
     for j, axes in enumerate(panels):
-        axes.set_title(f"{answer.bands.centres_hz[j]:g} Hz", fontsize=9, loc="left")
+        axes.set_title(f"{answer.bands.centres_hz[j]:g} Hz", fontsize=9, loc="left", y=1.0)
         for i, (pair, decay) in enumerate(zip(pairs, decays, strict=True)):
             group = f"class:curve-{i}" if len(pairs) > 1 else None
             _decay_curves(axes, decay, j, n_points, group, evaluated_range_db(pair, j))
@@ -557,8 +591,6 @@ def decay_figure(answer: Result, *pairs: ComparedPair) -> Figure:
             shown_s = max(shown_s, float(decay.time_s[known].max(initial=0.0)))
     panels[0].set_ylim(LOWEST_DB, 2.0)
     panels[0].set_xlim(0.0, shown_s)
-    figure.supxlabel("time after emission (s)", fontsize=10)
-    figure.supylabel("energy decay curve (dB)", fontsize=10)
     title = ""
     if len(pairs) == 1:
         title = f"{literal(pairs[0].source)} to {literal(pairs[0].receiver)}"

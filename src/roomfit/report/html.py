@@ -25,10 +25,8 @@ from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.report.disagreement import disagreement_table
 from roomfit.report.figures import (
     absorption_figure,
-    corner_figure,
+    answer_figures,
     decay_figure,
-    identifiability_figure,
-    profiles_figure,
     svg,
 )
 from roomfit.report.html_tables import (
@@ -353,6 +351,7 @@ def report_html(
     campaign: str | None = None,
     inputs_sha256: Mapping[str, str] | None = None,
     project: Mapping[str, str] | None = None,
+    figures: Mapping[str, Figure] | None = None,
 ) -> str:
     """Return the report of an identification as the text of one HTML file.
 
@@ -375,6 +374,8 @@ def report_html(
     project : mapping of str to str, optional
         Of client, author, date, instruments, language ("en" or "de": headings and the first
         screen, not findings) and logo (a data URL of PNG or JPEG) what there is.
+    figures : mapping of str to Figure, optional
+        Those of `answer_figures`, where they are written as files, too.
 
     Returns
     -------
@@ -399,6 +400,7 @@ def report_html(
     if logo and not re.fullmatch(r"data:image/(png|jpeg);base64,[A-Za-z0-9+/=]+", logo):
         raise InputError("the logo is no data URL of PNG or JPEG", found=repr(logo[:40]))
     say = _translator(language)
+    drawn = answer_figures(answer) if figures is None else figures
     text: str = _template("report.html.j2").render(
         t=say,
         language="de" if language == "de" else "en",
@@ -417,8 +419,8 @@ def report_html(
         materials=material_table(scene.room),
         positions=position_table(scene),
         plan=answer.plan,
-        absorption=_absorption(answer, say),
-        certainty=_certainty(answer),
+        absorption=_absorption(answer, drawn if language == "en" else {}, say),
+        certainty=_certainty(drawn),
         prior_tables=prior_tables(answer),
         reasons=answer.reasons,
         absorption_tables=absorption_tables(answer, say),
@@ -532,9 +534,9 @@ def _room(scene: Scene) -> Markup:
     return _drawing(room_figure(scene), "room", title, caption, room_figure(scene, narrow=True))
 
 
-def _absorption(answer: Result, say: Callable[[str], str]) -> Markup:
+def _absorption(answer: Result, drawn: Mapping[str, Figure], say: Callable[[str], str]) -> Markup:
     return _drawing(
-        absorption_figure(answer, say=say),
+        drawn.get("absorption") or absorption_figure(answer, say=say),
         "absorption",
         f"Absorption coefficient over frequency with 95 % intervals, "
         f"{count(len(answer.materials), 'material')} and the mean of the room; the table below "
@@ -548,10 +550,10 @@ def _absorption(answer: Result, say: Callable[[str], str]) -> Markup:
     )
 
 
-def _certainty(answer: Result) -> tuple[Markup, ...]:
+def _certainty(drawn: Mapping[str, Figure]) -> tuple[Markup, ...]:
     drawings = [
         _drawing(
-            identifiability_figure(answer),
+            drawn["identifiable"],
             "identifiable",
             "Matrix of materials by bands: width of the 95 % interval; the tables hold every "
             "number.",
@@ -560,11 +562,10 @@ def _certainty(answer: Result) -> tuple[Markup, ...]:
             "what is identifiable, G what was given.",
         )
     ]
-    bent, corner = profiles_figure(answer), corner_figure(answer)
-    if bent is not None:
+    if "profiles" in drawn:
         drawings.append(
             _drawing(
-                bent,
+                drawn["profiles"],
                 "profiles",
                 "Profiles of the likelihood of single coefficients; their ends are in the table.",
                 "How the cost rises when one coefficient is moved and all else is fitted again, "
@@ -573,11 +574,11 @@ def _certainty(answer: Result) -> tuple[Markup, ...]:
                 "changes fast.",
             )
         )
-    if corner is not None:
-        centre = hertz(corner[0])
+    for name in (n for n in drawn if n.startswith("corner_")):
+        centre = hertz(float(name.split("_")[1]))
         drawings.append(
             _drawing(
-                corner[1],
+                drawn[name],
                 "corner",
                 f"Samples of the absorption coefficients at {centre}, each material against each "
                 "other.",

@@ -105,7 +105,7 @@ def room_figure(scene: Scene, *, narrow: bool = False) -> Figure:
         if up == 1:
             title += _draw_walls(axes, scene, scale)
         _draw_view(axes, scene, edges, right, up, scale)
-        axes.set_title(title, fontsize=9, loc="left")
+        axes.set_title(title, fontsize=9, loc="left", y=1.0)
         axes.set_xlim(low[right], low[right] + size[right])
         axes.set_ylim(low[up], low[up] + size[up])
         if not narrow:

@@ -35,6 +35,8 @@ from roomfit.typing import FloatArray, IntArray, Progress
 
 # Images of a box, all pairs together.
 _WORTH_THREADS = 1e5
+# Indices of a lattice that are in memory at a time, one slice in x at least.
+_AT_ONCE = 10_000
 # Bytes that an image and a hit take, growing and in the sets made of them.
 _BYTES = 400
 
@@ -344,7 +346,7 @@ def count_of_shoebox_images(
 def lattice_indices(
     lengths: FloatArray, source: FloatArray, receiver: FloatArray, order: int, max_length_m: float
 ) -> IntArray:
-    """Return the indices (n, 3) of the images within order and distance, slice by slice in x.
+    """Return the indices (n, 3) of images within order and distance, some slices in x at a time.
 
     See `shoebox_images` for what an index means.
     """
@@ -352,10 +354,14 @@ def lattice_indices(
     last = np.minimum(order, np.floor(max_length_m / lengths).astype(np.int64) + 1)
     y, z = (np.arange(-n, n + 1) for n in last[1:])
     slices = []
-    for i in range(-int(last[0]), int(last[0]) + 1):
-        j, k = (g.ravel() for g in np.meshgrid(y, z, indexing="ij"))
-        low = abs(i) + np.abs(j) + np.abs(k) <= order
-        index = np.column_stack([np.full(int(low.sum()), i), j[low], k[low]])
+    # of few images all slices at once
+    x = np.arange(-last[0], last[0] + 1)
+    n_at_once = max(_AT_ONCE // (y.size * z.size), 1)
+    for first in range(0, x.size, n_at_once):
+        part = x[first : first + n_at_once]
+        n_hits = np.abs(part)[:, None, None] + np.abs(y)[:, None] + np.abs(z)
+        i, j, k = np.nonzero(n_hits <= order)
+        index = np.column_stack([part[i], y[j], z[k]])
         away = np.linalg.norm(image_positions_m(index, lengths, source) - receiver, axis=1)
         slices.append(index[away <= max_length_m])
     return np.concatenate(slices)
