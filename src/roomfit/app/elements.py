@@ -33,6 +33,25 @@ class RoomView(Element, component="room_view.js"):
         self.update()
 
 
+class PlanView(Element, component="plan_view.js"):
+    """The room from above; sources and receivers are dragged."""
+
+    def __init__(self, on_dropped: Callable[[str, str, float, float], Awaitable[None]]) -> None:
+        super().__init__()
+        self._props["plan"] = {"edges": [], "points": []}
+
+        async def dropped(event: events.GenericEventArguments) -> None:
+            x, y = event.args["at"]
+            await on_dropped(event.args["kind"], event.args["name"], float(x), float(y))
+
+        self.on("dropped", dropped)
+
+    def show(self, edges: Sequence[Sequence[float]], points: Sequence[Mapping[str, Any]]) -> None:
+        """Draw edges x, y to x, y in m, and points by kind, name and position."""
+        self._props["plan"] = {"edges": list(edges), "points": list(points)}
+        self.update()
+
+
 class FileDrop(Element, component="file_drop.js"):
     """A place where files are dropped or chosen; they are sent to ``/upload/PLACE/NAME``."""
 

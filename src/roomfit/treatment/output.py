@@ -23,7 +23,7 @@ from roomfit.report.room_figure import COLOURS, drawn_faces, outline_m, projecti
 from roomfit.report.text import findings_text
 from roomfit.scene import triangle_material
 from roomfit.signals.decay import FIT_RANGES_DB
-from roomfit.treatment.question import TargetName
+from roomfit.treatment.question import USUAL_HZ, TargetName
 
 if TYPE_CHECKING:
     from roomfit.treatment.treat import Arrangement, Treatment
@@ -175,7 +175,7 @@ def _draw_limits(axes: Axes, treatment: Treatment, name: TargetName) -> None:
     first = treatment.arrangements[0]
     v = named_values(first.mean, first.sti)[name]
     for t in treatment.targets:
-        wanted = t.bands_hz or (500.0, 1000.0, 2000.0)
+        wanted = t.bands_hz or USUAL_HZ
         at = np.flatnonzero(np.isin(treatment.bands.centres_hz, wanted))
         at = np.zeros(1, dtype=np.int64) if name == "STI" else at
         if t.parameter == name and v.change is not None and at.size:
