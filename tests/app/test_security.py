@@ -10,6 +10,7 @@ import struct
 import time
 import zipfile
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ from workbench import Running, running
 pytestmark = pytest.mark.slow
 
 
+@cache  # soundfile writes the time into the file
 def sound() -> bytes:
     """Return a decay in noise as a WAV file."""
     rng, file = np.random.default_rng(1), io.BytesIO()
@@ -232,7 +234,7 @@ def test_a_report_runs_nothing_and_the_page_only_its_own(server: Running) -> Non
     page = server.get("/")
     policy = page.headers["content-security-policy"]
     nonce = re.search(r"'nonce-([\w-]{24})'", policy)
-    assert nonce is not None and "unsafe-inline" not in policy.partition("script-src")[2][:90]
+    assert nonce is not None and "unsafe-inline" not in policy.split("; ")[1]
     tags = re.findall(r"<script[^>]*>", page.body.decode())
     assert tags and all(f'nonce="{nonce[1]}"' in tag for tag in tags)
     assert nonce[1] not in server.get("/").headers["content-security-policy"]  # each page its own

@@ -48,6 +48,46 @@ def known() -> AbsorptionPosterior:
     )
 
 
+def polygon(text: str) -> str:
+    return TEXT.replace("free_m2 = 12\nforbidden_m2 = [1.5, 0.5]", f"forbidden = {text}")
+
+
+# the west wall is 5 by 3 m
+DOOR = "[[0, 1, 0], [0, 2, 0], [0, 2, 2], [0, 1, 2]]"
+HOLLOW = "[[7, 1, 1], [7, 3, 1], [7, 3, 2], [7, 2, 1.5], [7, 1, 2]]"
+
+
+@pytest.mark.parametrize(
+    ("text", "area_m2"),
+    [
+        (f"[{DOOR}]", 2.0),
+        (f"[{DOOR}, {HOLLOW}]", 3.5),
+        (f"[{DOOR}, [[0, 2, 0], [0, 2.5, 0], [0, 2.5, 1]]]", 2.25),
+        ("[[[0, 0, 0], [0, 5, 0], [0, 5, 3], [0, 0, 3]]]", 15.0),
+    ],
+)
+def test_what_must_stay_is_given_by_its_corners(tmp_path, text, area_m2):
+    surface = arguments(tmp_path, polygon(text))[0]["surfaces"][0]
+    assert surface.forbidden_m2 == pytest.approx(area_m2, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (f"[{DOOR}, {DOOR}]", "two forbidden areas overlap"),
+        (f"[{HOLLOW}, [[7, 1.2, 1], [7, 1.2, 1.6], [7, 1.4, 1.3]]]", "overlap"),
+        ("[[[0, 1, 0], [0, 2, 2], [0, 2, 0], [0, 1, 2]]]", "is no polygon"),
+        ("[[[0, 4, 0], [0, 6, 0], [0, 6, 2], [0, 4, 2]]]", "2 of its 4 m2 do"),
+        ("[[[0.1, 1, 0], [0.1, 2, 0], [0.1, 2, 2], [0.1, 1, 2]]]", "0 of its 2 m2 do"),
+        ("[[[1, 1, 0], [2, 1, 0], [2, 2, 0]]]", "does not lie on its surface"),  # the floor
+        ("[[[0, 1, 0], [0, 2, 0]]]", "forbidden"),
+    ],
+)
+def test_corners_that_are_no_area_of_the_surface_are_refused(tmp_path, text, words):
+    with pytest.raises(InputError, match=words):
+        arguments(tmp_path, polygon(text))
+
+
 def scene():
     sides = {"floor": "carpet", "ceiling": "tiles"}
     sides |= dict.fromkeys(("west", "east", "south", "north"), "walls")

@@ -120,12 +120,17 @@ def findings(found: Iterable[Mapping[str, Any]]) -> None:
 
 def table_html(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a table whose cells are HTML already; the first of a row is its heading."""
-    head = "".join(f'<th scope="col">{escape(h)}</th>' for h in heads)
+    rows = list(rows)
+    texts = [any(row[i].startswith("<div") for row in rows) for i in range(1, len(heads))]
+    head = "".join(
+        f'<th scope="col"{" class=text" if text else ""}>{escape(h)}</th>'
+        for h, text in zip(heads, (False, *texts), strict=True)
+    )
     body = "".join(
         f'<tr><th scope="row">{row[0]}</th>'
         + "".join(
-            f'<td class="text">{cell}</td>' if cell.startswith("<div") else f"<td>{cell}</td>"
-            for cell in row[1:]
+            f'<td class="text">{cell}</td>' if text else f"<td>{cell}</td>"
+            for cell, text in zip(row[1:], texts, strict=True)
         )
         + "</tr>"
         for row in rows

@@ -319,7 +319,13 @@ def look_at_upload(_: Progress, folder: str, kind: str, file: str) -> None:
             except InputError:  # perhaps its unit is in doubt, which is asked for later
                 read_mesh(RoomSpec(file=path, unit="m"))
         elif path.suffix.lower() in SOUND_SUFFIXES:  # of others choices are to be made first
-            read_response(ResponseSpec(path, channel=1))
+            try:
+                read_response(ResponseSpec(path, channel=0))
+            except InputError as error:  # perhaps the first channel of several is silent
+                try:
+                    read_response(ResponseSpec(path, channel=1))
+                except InputError:
+                    raise error from None
     except RoomfitError as error:
         raise InputError(error.what, found=error.found, needed=error.needed) from None
 

@@ -64,7 +64,7 @@ def what_if_prepare(progress: Progress, folder: str) -> dict[str, Any]:
         # what a slider leaves as it was found is then known at its first move
         predict_change(room, [Change(known.materials[0], "factor", (1.0,))])
         _ready[folder] = (stamp, room)
-    room = _ready[folder][1]
+    room = prepared(folder)
     found = room.absorption
     return {
         "bands_hz": found.bands.centres_hz.tolist(),
@@ -72,6 +72,19 @@ def what_if_prepare(progress: Progress, folder: str) -> dict[str, Any]:
         "limits": _limits(root / "treatment.toml", room),
         **what_if(progress, folder, []),
     }
+
+
+def prepared(folder: str) -> PreparedRoom:
+    """Return the room that `what_if_prepare` has traced last.
+
+    Raises
+    ------
+    InputError
+        It is another one.
+    """
+    if folder not in _ready:
+        raise InputError("the room is not prepared yet")
+    return _ready[folder][1]
 
 
 def what_if(_: Progress, folder: str, changes: list[str]) -> dict[str, Any]:
@@ -82,9 +95,7 @@ def what_if(_: Progress, folder: str, changes: list[str]) -> dict[str, Any]:
     InputError
         The room is not prepared, or a change cannot be made.
     """
-    if folder not in _ready:
-        raise InputError("the room is not prepared yet")
-    predicted = predict_change(_ready[folder][1], [read_change(text) for text in changes])
+    predicted = predict_change(prepared(folder), [read_change(text) for text in changes])
     return {
         "mean": _values(predicted.mean, predicted.sti),
         "pairs": [

@@ -31,6 +31,7 @@ _LABELS = {
 _STAGES = ((0.0, "tracing"), (0.8, "searching"))
 _HEARD = ((0.0, "tracing"), (0.6, "scaling"))
 _PREPARE_S, _CHANGE_S = 900.0, 60.0
+_MOST = {"D50_percent": 100.0, "STI": 1.0}
 _SPEECH = "125 to 8k Hz together"
 _SOUND_HEADS = ("Pair", "Before", "After")
 _WIDE, _HIGH, _LEFT, _BELOW = 320.0, 190.0, 44.0, 24.0
@@ -146,7 +147,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         draw_pairs()
         note.set_text(
             f"{count(len(view['pairs']), 'pair')}, {count(len(changes), 'material')} changed. "
-            "Lines: mean over the pairs with the 95 % interval; thin: each pair; dashed: as it is."
+            "Lines: mean over the pairs, in a band in which some were measured over those, with its "
+            "95 % interval; thin: each pair; dashed: as it is; red: limits."
         )
 
     def draw_pairs() -> None:
@@ -348,15 +350,19 @@ def chart_svg(
     mean = view["mean"][name]
     words = [_SPEECH] if name == "STI" else [short_hertz(f) for f in bands_hz]
     pairs = [pair[name]["predicted"] for pair in view["pairs"]]
-    every = [*mean["lower95"], *mean["upper95"], *mean.get("before", [])]
-    every += [x["value"] for x in limits] + [v for p in pairs for v in p]
-    known = [v for v in every if v is not None]
+    sure = [*mean["predicted"], *mean.get("before", []), *(v for p in pairs for v in p)]
+    known = [v for v in (*sure, *(x["value"] for x in limits)) if v is not None]
+    ends = [v for v in (*mean["lower95"], *mean["upper95"]) if v is not None]
     if not known:
         return f"<p>{escape(_LABELS[name])}: not known</p>"
-    low, high = min(known), max(known)
-    if name.endswith("_s"):
-        low = 0.0
-    ticks = MaxNLocator(5).tick_values(low, high)
+    # an interval may be endless: it ends at the edge then, and does not make all else small
+    wide = max(known) - (0.0 if name.endswith("_s") else min(known)) or 1.0
+    low = max(min(known + ends), min(known) - wide)
+    high = min(max(known + ends), max(known) + wide)
+    low = 0.0 if name.endswith("_s") else low
+    ticks = MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
+    if name in _MOST:
+        ticks = ticks[(ticks >= 0.0) & (ticks <= _MOST[name])]
     low, high = float(ticks[0]), float(ticks[-1])
     left = _LEFT if len(words) > 1 else 0.5 * (_WIDE + _LEFT) - 16.0
     step = (_WIDE - left - 24.0) / max(len(words) - 1, 1)
@@ -390,6 +396,7 @@ def chart_svg(
         parts.append(line(mean["before"], 'fill="none" stroke="var(--ink)" stroke-dasharray="5 4"'))
     for i, (a, b) in enumerate(zip(mean["lower95"], mean["upper95"], strict=True)):
         if a is not None and b is not None:
+            a, b = max(a, low), min(b, high)
             parts.append(
                 f'<line x1="{x(i):.1f}" x2="{x(i):.1f}" y1="{y(a):.1f}" y2="{y(b):.1f}" '
                 'stroke="var(--accent)" stroke-width="5" opacity="0.45"/>'

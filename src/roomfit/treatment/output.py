@@ -90,6 +90,7 @@ def treatment_content(treatment: Treatment, inputs: Iterable[Path]) -> dict[str,
             }
             for a in treatment.arrangements
         ],
+        "to_measure": list(treatment.to_measure),
         "findings": [finding_content(f) for f in treatment.findings],
         "provenance": provenance(inputs),
     }
@@ -121,12 +122,14 @@ def _arrangement_text(treatment: Treatment, a: Arrangement, number: int) -> str:
         )
     if len(treatment.targets) > 1:
         lines.append(f"  all targets: {100 * a.joint:.0f} %")
-    if a.decisive and a.joint < 0.95:
+    if a.decisive and not a.is_sure:
         name, share = a.decisive[0]
         lines.append(
             f"  to be surer, measure {name}: {100 * share:.0f} % of the spread of the least likely "
             "target goes with its absorption"
         )
+        if number == 1:
+            lines += [f"    {line}" for line in treatment.to_measure]
     wanted = {t.parameter for t in treatment.targets}
     shown = {n: v for n, v in a.mean.items() if n in wanted or n in ("T30_s", "C50_dB")}
     head = ["Hz", *(f"{f:g}" for f in treatment.bands.centres_hz)]

@@ -1,0 +1,101 @@
+"""How soon the page answers a slider, in the browser: from its move to the new drawing.
+
+    python benchmarks/app_slider.py PROJECT [--moves 60]
+
+PROJECT is a folder that `roomfit app` opens, with a result. In *What if* the sliders of one
+material are moved one after the other, as a hand does with the arrow keys; the time runs in the
+browser from the event of the slider to the change of the first drawing. Printed are median and 90 %
+of it, of the worker's own computation, and the load of the machine meanwhile: with more at work
+than it has cores the first is longer than the page alone would take. Then how far the ends of the
+intervals are from those of the whole prediction, from all draws.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
+from workbench import chromium, running
+
+_MOVE = """([slider, drawn, value]) => new Promise((done) => {
+  const began = performance.now();
+  const seen = new MutationObserver(() => {
+    if (drawn.querySelector('svg').getAttribute('aria-label') === window.lastDrawn) return;
+    window.lastDrawn = drawn.querySelector('svg').getAttribute('aria-label');
+    seen.disconnect();
+    requestAnimationFrame(() => done(performance.now() - began));
+  });
+  window.lastDrawn = drawn.querySelector('svg').getAttribute('aria-label');
+  seen.observe(drawn, { subtree: true, childList: true, characterData: true, attributes: true });
+  slider.value = value;
+  slider.dispatchEvent(new Event('input', { bubbles: true }));
+})"""
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("project", type=Path)
+    parser.add_argument("--moves", type=int, default=60)
+    options = parser.parse_args()
+    start, how = chromium()
+    rng, times_ms = np.random.default_rng(1), []
+    with running(options.project) as server, start() as playwright:
+        browser = playwright.chromium.launch(**how)
+        page = browser.new_page(viewport={"width": 1400, "height": 900})
+        page.set_default_timeout(600_000)
+        page.goto(server.address)
+        page.get_by_role("tab", name="What if").click()
+        page.get_by_text("0 materials changed").wait_for()
+        drawn = page.locator(".charts > *").first.element_handle()
+        sliders = page.get_by_label(re.compile("^Absorption of .* at "))
+        load = [os.getloadavg()[0]]
+        for move in range(options.moves):
+            slider = sliders.nth(move % sliders.count()).element_handle()
+            value = f"{rng.uniform(0.05, 0.95):.2f}"
+            times_ms.append(float(page.evaluate(_MOVE, [slider, drawn, value])))
+            page.wait_for_timeout(100)
+        load.append(os.getloadavg()[0])
+        browser.close()
+    median, most = np.quantile(times_ms, (0.5, 0.9))
+    print(f"{len(times_ms)} moves: median {median:.0f} ms, 90 % within {most:.0f} ms")
+    print(f"load {load[0]:.1f} to {load[1]:.1f} on {os.cpu_count()} cores")
+    computed(options.project)
+
+
+def computed(project: Path) -> None:
+    """Print what a change takes by itself, and its intervals beside those from all paths."""
+    import time
+
+    from roomfit.app import what_if
+    from roomfit.prediction.changes import Change
+    from roomfit.prediction.predict import predict_change
+
+    what_if.what_if_prepare(lambda _: None, str(project))
+    room = what_if.prepared(str(project))
+    n = len(room.absorption.bands)
+    wall_s, own_s, ends = [], [], []
+    for i in range(20):
+        factors = np.ones(n)
+        factors[i % n] = 1.0 + 0.05 * (i + 1)
+        change = [Change(room.absorption.materials[0], "factor", tuple(factors.tolist()))]
+        began, ran = time.perf_counter(), time.process_time()
+        few = predict_change(room, change)
+        wall_s.append(time.perf_counter() - began)
+        own_s.append(time.process_time() - ran)
+        if i % 7 == 0:
+            every = predict_change(room, change, exact=True)
+            for a, b in ((few.mean["T30_s"], every.mean["T30_s"]),):
+                ends += [*(a.lower95 / b.lower95 - 1.0), *(a.upper95 / b.upper95 - 1.0)]
+    print(f"computed in {np.median(wall_s):.3f} s, {np.median(own_s):.3f} s of processor time")
+    print(f"ends of the intervals of T30: {100 * np.nanmax(np.abs(ends)):.1f} % off at most")
+
+
+if __name__ == "__main__":
+    main()
