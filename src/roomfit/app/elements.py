@@ -111,11 +111,22 @@ def finding_html(finding: Mapping[str, Any]) -> str:
 
 
 def findings(found: Iterable[Mapping[str, Any]]) -> None:
-    """Show findings, the serious ones first."""
+    """Show findings, the serious ones first, and of many of one kind the first."""
     order = list(_WORDS)
-    listed = sorted(found, key=lambda f: order.index(f["severity"]))
-    if listed:
-        markup("".join(map(finding_html, listed)))
+    kinds: dict[str, list[str]] = {}
+    for finding in sorted(found, key=lambda f: order.index(f["severity"])):
+        kinds.setdefault(str(finding.get("code", finding["sentence"])), []).append(
+            finding_html(finding)
+        )
+    parts = []
+    for own in kinds.values():
+        shown = 1 if len(own) > 2 else len(own)
+        parts += own[:shown]
+        if own[shown:]:
+            more = f"and {len(own) - shown} more of this kind"
+            parts.append(f"<details><summary>{more}</summary>{''.join(own[shown:])}</details>")
+    if parts:
+        markup("".join(parts))
 
 
 def table_html(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
