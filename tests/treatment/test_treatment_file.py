@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -174,6 +175,13 @@ def test_the_command_writes_what_it_says(tmp_path, capsys, monkeypatch):
     content = json.loads((out / "treatment.json").read_text())
     assert content["format"] == "roomfit-treatment"
     assert len(content["targets"]) == len(content["arrangements"][0]["probability"]) == 2
+    first = content["arrangements"][0]
+    assert first["probability_of_all"] < 0.95 and first["decisive"][0]["material"] in ABSORPTION
+    *pairs, widths = content["to_measure"]
+    assert len(pairs) == 2 and all(" m to " in line for line in pairs)
+    before, after = (float(x) for x in re.findall(r"\d\.\d\d", widths))
+    assert first["decisive"][0]["material"] in widths and 0.0 < after <= before
+    assert all(line in said for line in content["to_measure"])
     lines = (out / "treatment.csv").read_text().splitlines()
     assert lines[0].startswith("arrangement,surface,product,area_m2")
     assert (out / "treatment.png").read_bytes()[:4] == b"\x89PNG"
