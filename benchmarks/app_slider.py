@@ -1,6 +1,6 @@
 """How soon the page answers a slider, in the browser: from its move to the new drawing.
 
-    python benchmarks/app_slider.py PROJECT [--moves 60]
+    python benchmarks/app_slider.py PROJECT [--moves 60] [--browser /usr/bin/chromium]
 
 PROJECT is a folder that `roomfit app` opens, with a result. In *What if* the sliders of one
 material are moved one after the other, as a hand does with the arrow keys; the time runs in the
@@ -15,13 +15,14 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "helpers"))
-from workbench import chromium, running
+from app_soak import address_of
 
 _MOVE = """([slider, drawn, value]) => new Promise((done) => {
   const began = performance.now();
@@ -43,14 +44,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("project", type=Path)
     parser.add_argument("--moves", type=int, default=60)
+    parser.add_argument("--browser", default="/usr/bin/chromium")
     options = parser.parse_args()
-    start, how = chromium()
+    from playwright.sync_api import sync_playwright
+
     rng, times_ms = np.random.default_rng(1), []
-    with running(options.project) as server, start() as playwright:
-        browser = playwright.chromium.launch(**how)
+    command = [sys.executable, "-m", "roomfit", "app", str(options.project)]
+    command += ["--port", "0", "--no-browser"]
+    server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=options.browser, args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1400, "height": 900})
         page.set_default_timeout(600_000)
-        page.goto(server.address)
+        page.goto(address_of(server))
         page.get_by_role("tab", name="What if").click()
         page.get_by_text("0 materials changed").wait_for()
         drawn = page.locator(".charts > *").first.element_handle()
@@ -63,6 +69,8 @@ def main() -> None:
             page.wait_for_timeout(100)
         load.append(os.getloadavg()[0])
         browser.close()
+    server.terminate()
+    server.wait(30)
     median, most = np.quantile(times_ms, (0.5, 0.9))
     print(f"{len(times_ms)} moves: median {median:.0f} ms, 90 % within {most:.0f} ms")
     print(f"load {load[0]:.1f} to {load[1]:.1f} on {os.cpu_count()} cores")
@@ -71,8 +79,6 @@ def main() -> None:
 
 def computed(project: Path) -> None:
     """Print what a change takes by itself, and its intervals beside those from all paths."""
-    import time
-
     from roomfit.app import what_if
     from roomfit.prediction.changes import Change
     from roomfit.prediction.predict import predict_change

@@ -37,7 +37,7 @@ def main() -> None:
         command = [sys.executable, "-m", "roomfit", "app", folder, "--port", "0", "--no-browser"]
         server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         try:
-            address = _address(server)
+            address = address_of(server)
             memory_mib = _soak(address, server.pid, options)
         finally:
             server.terminate()
@@ -47,7 +47,8 @@ def main() -> None:
     sys.exit(1 if half[-1] > 2.0 * half[0] else 0)
 
 
-def _address(server: subprocess.Popen[str]) -> str:
+def address_of(server: subprocess.Popen[str]) -> str:
+    """Return the address that a workbench prints."""
     for line in server.stdout or ():
         found = re.search(r"http://\S+", line)
         if found:

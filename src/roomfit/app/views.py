@@ -140,7 +140,7 @@ def recordings_view(_: Progress, folder: str, shape: str) -> dict[str, Any]:
         with project.filled_campaign(root) as campaign:
             for kind, points in (("sources", campaign.sources), ("receivers", campaign.receivers)):
                 known[kind] = {p.name: np.asarray(p.position_m).tolist() for p in points}
-            mesh, _ = read_mesh(campaign.room)
+            mesh = read_mesh(campaign.room)[0]
             edges = outline_m(_any_room(mesh, campaign.room.materials), _MOST_EDGES)[:, :, :2]
             # an upright edge is a point from above, and two lie upon each other
             view["plan"] = np.unique(np.round(edges.reshape(-1, 4), 3), axis=0).tolist()

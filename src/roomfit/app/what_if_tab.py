@@ -360,10 +360,11 @@ def chart_svg(
     low = max(min(known + ends), min(known) - wide)
     high = min(max(known + ends), max(known) + wide)
     low = 0.0 if name.endswith("_s") else low
-    ticks = MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high)
-    if name in _MOST:
-        ticks = ticks[(ticks >= 0.0) & (ticks <= _MOST[name])]
-    low, high = float(ticks[0]), float(ticks[-1])
+    drawn = map(float, MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
+    most = _MOST.get(name)
+    ticks = [t for t in drawn if most is None or 0.0 <= t <= most]
+    ticks = ticks if len(ticks) > 1 else [0.0, most or 1.0]
+    low, high = ticks[0], ticks[-1]
     left = _LEFT if len(words) > 1 else 0.5 * (_WIDE + _LEFT) - 16.0
     step = (_WIDE - left - 24.0) / max(len(words) - 1, 1)
 
@@ -396,24 +397,24 @@ def chart_svg(
         parts.append(line(mean["before"], 'fill="none" stroke="var(--ink)" stroke-dasharray="5 4"'))
     for i, (a, b) in enumerate(zip(mean["lower95"], mean["upper95"], strict=True)):
         if a is not None and b is not None:
-            a, b = max(a, low), min(b, high)
+            ys = y(max(a, low)), y(min(b, high))
             parts.append(
-                f'<line x1="{x(i):.1f}" x2="{x(i):.1f}" y1="{y(a):.1f}" y2="{y(b):.1f}" '
+                f'<line x1="{x(i):.1f}" x2="{x(i):.1f}" y1="{ys[0]:.1f}" y2="{ys[1]:.1f}" '
                 'stroke="var(--accent)" stroke-width="5" opacity="0.45"/>'
             )
     parts.append(line(mean["predicted"], 'fill="none" stroke="var(--accent)" stroke-width="2.4"'))
     for limit in limits:
         at = [i for i, f in enumerate(bands_hz) if f in limit["bands_hz"]]
-        ends = (x(min(at)) - 14.0, x(max(at)) + 14.0) if at and len(words) > 1 else (_LEFT, _WIDE)
+        span = (x(min(at)) - 14.0, x(max(at)) + 14.0) if at and len(words) > 1 else (_LEFT, _WIDE)
         parts.append(
-            f'<line class="limit" x1="{ends[0]:.1f}" x2="{ends[1]:.1f}" '
+            f'<line class="limit" x1="{span[0]:.1f}" x2="{span[1]:.1f}" '
             f'y1="{y(limit["value"]):.1f}" y2="{y(limit["value"]):.1f}" '
             'stroke="var(--bad)" stroke-width="2" stroke-dasharray="9 3"/>'
         )
     label = _LABELS[name]
     means = ", ".join("unknown" if v is None else f"{v:.2f}" for v in mean["predicted"])
-    drawn = ", ".join(f"{limit['value']:.2f}" for limit in limits) or "none"
-    spoken = escape(f"{label}, mean over the pairs by band: {means}; limits: {drawn}")
+    lines = ", ".join(f"{limit['value']:.2f}" for limit in limits) or "none"
+    spoken = escape(f"{label}, mean over the pairs by band: {means}; limits: {lines}")
     return (
         f"<h2>{escape(label)}</h2>"
         f'<svg viewBox="0 0 {_WIDE:.0f} {_HIGH:.0f}" role="img" font-size="11" fill="currentColor" '
