@@ -5,7 +5,7 @@
 PROJECT is a folder that `roomfit app` opens, with a result. In *What if* the sliders of one
 material are moved one after the other, as a hand does with the arrow keys; the time runs in the
 browser from the event of the slider to the change of the first drawing. Printed are median and 90 %
-of it, of the worker's own computation, and the load of the machine meanwhile: with more at work
+of it, the processor time that server and workers take for a move, and the load of the machine meanwhile: with more at work
 than it has cores the first is longer than the page alone would take. Then how far the ends of the
 intervals are from those of the whole prediction, from all draws.
 """
@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from app_soak import address_of
+from app_soak import address_of, children_of
 
 _MOVE = """([slider, drawn, value]) => new Promise((done) => {
   const began = performance.now();
@@ -61,20 +61,31 @@ def main() -> None:
         page.get_by_text("0 materials changed").wait_for()
         drawn = page.locator(".charts > *").first.element_handle()
         sliders = page.get_by_label(re.compile("^Absorption of .* at "))
-        load = [os.getloadavg()[0]]
+        load, ran_s = [os.getloadavg()[0]], processor_s(server.pid)
         for move in range(options.moves):
             slider = sliders.nth(move % sliders.count()).element_handle()
             value = f"{rng.uniform(0.05, 0.95):.2f}"
             times_ms.append(float(page.evaluate(_MOVE, [slider, drawn, value])))
             page.wait_for_timeout(100)
         load.append(os.getloadavg()[0])
+        ran_s = processor_s(server.pid) - ran_s
         browser.close()
     server.terminate()
     server.wait(30)
     median, most = np.quantile(times_ms, (0.5, 0.9))
     print(f"{len(times_ms)} moves: median {median:.0f} ms, 90 % within {most:.0f} ms")
+    print(f"server and workers: {1e3 * ran_s / len(times_ms):.0f} ms of processor time a move")
     print(f"load {load[0]:.1f} to {load[1]:.1f} on {os.cpu_count()} cores")
     computed(options.project)
+
+
+def processor_s(pid: int) -> float:
+    """Return the processor time of a process and of those that it has started, in s, on Linux."""
+    ticks = 0
+    for one in (pid, *children_of(pid)):
+        fields = Path(f"/proc/{one}/stat").read_text().rpartition(")")[2].split()
+        ticks += int(fields[11]) + int(fields[12])
+    return ticks / os.sysconf("SC_CLK_TCK")
 
 
 def computed(project: Path) -> None:

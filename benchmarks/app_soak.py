@@ -76,7 +76,7 @@ def _soak(address: str, pid: int, options: argparse.Namespace) -> list[float]:
             if time.monotonic() - printed_at > 30.0:
                 printed_at = time.monotonic()
                 memory_mib.append(_memory_mib(pid))
-                workers = sum(_memory_mib(child) for child in _children(pid))
+                workers = sum(_memory_mib(child) for child in children_of(pid))
                 n_files = len(list(Path(f"/proc/{pid}/fd").iterdir()))
                 print(
                     f"{printed_at - began:6.0f} {memory_mib[-1]:8.0f} {workers:8.0f} {n_files:6d} "
