@@ -5,8 +5,9 @@
 PROJECT is a folder that `roomfit app` opens, with a result. In *What if* the sliders of one
 material are moved one after the other, as a hand does with the arrow keys; the time runs in the
 browser from the event of the slider to the change of the first drawing. Printed are median and 90 %
-of it, the processor time that server and workers take for a move, and the load of the machine meanwhile: with more at work
-than it has cores the first is longer than the page alone would take. Then how far the ends of the
+of it, the processor time that server and workers take for a move, and the load of the machine
+meanwhile: with more at work than it has cores the first is longer than the page alone would take.
+Then what a change takes by itself, and how far the ends of the
 intervals are from those of the whole prediction, from all draws.
 """
 

@@ -109,7 +109,8 @@ def _step(page: Any, rng: random.Random) -> float:
     return time.monotonic() - began
 
 
-def _children(pid: int) -> list[int]:
+def children_of(pid: int) -> list[int]:
+    """Return the processes that a process has started, on Linux."""
     listed = Path(f"/proc/{pid}/task/{pid}/children")
     return [int(child) for child in listed.read_text().split()]
 
