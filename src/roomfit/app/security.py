@@ -229,7 +229,7 @@ class Guard:
             return {"type": "http.disconnect"}
 
         page: list[bytes] = []
-        held: list[MutableMapping[str, Any]] = []
+        waiting: list[MutableMapping[str, Any]] = []
 
         async def sealed(message: MutableMapping[str, Any]) -> None:
             nonlocal started
@@ -245,13 +245,13 @@ class Guard:
                     del sealing["cross-origin-opener-policy"]  # browsers show only one of the two
                 message["headers"] = [*named, *_encoded(sealing)]
                 if own.get("x-nicegui-content") == "page":
-                    held.append(message)
+                    waiting.append(message)
                     return
-            elif held:
+            elif waiting:
                 page.append(message.get("body", b""))
                 if message.get("more_body", False):
                     return
-                start, body = with_nonce(held.pop(), b"".join(page))
+                start, body = with_nonce(waiting.pop(), b"".join(page))
                 await send(start)
                 message = {"type": "http.response.body", "body": body}
             await send(message)

@@ -338,7 +338,7 @@ def listen(progress: Progress, folder: str, changes: list[str], dry: str = "") -
     changes : list of str
         As those of ``--set``.
     dry : str
-        Name of a recording in the folder of dry ones, to be heard in the room; none: the responses.
+        Name of a recording in the folder of dry ones, to be listened to; none: the responses.
 
     Raises
     ------

@@ -29,7 +29,7 @@ _LABELS = {
     "STI": "STI",
 }
 _STAGES = ((0.0, "tracing"), (0.8, "searching"))
-_HEARD = ((0.0, "tracing"), (0.6, "scaling"))
+_SOUNDING = ((0.0, "tracing"), (0.6, "scaling"))
 _PREPARE_S, _CHANGE_S = 900.0, 60.0
 _MOST = {"D50_percent": 100.0, "STI": 1.0}
 _SPEECH = "125 to 8k Hz together"
@@ -62,7 +62,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         pairs = ui.expansion("Every pair in numbers", on_value_change=lambda: draw_pairs())
         with pairs.classes("panel"):
             numbers = markup("")
-        heard = ui.element("div").classes("panel").style("margin-top: 0.75rem")
+        sounds = ui.element("div").classes("panel").style("margin-top: 0.75rem")
         hung = ui.element("div").classes("panel").style("margin-top: 0.75rem")
     both.set_visibility(False)
 
@@ -91,22 +91,22 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
     def hear() -> None:
         own = {"changes": written(changes, room["absorption"]), "dry": state["dry"] or ""}
         arguments = {"folder": str(bench.folder), **own}
-        bench.jobs.add("Before and after", "listen", arguments, _HEARD)
+        bench.jobs.add("Before and after", "listen", arguments, _SOUNDING)
 
     async def dry_sent(names: list[str]) -> None:
         state["dry"] = names[-1]
-        show_heard()
+        show_sounds()
 
-    def show_heard() -> None:
-        heard.clear()
-        with heard:
+    def show_sounds() -> None:
+        sounds.clear()
+        with sounds:
             heading("Before and after, to listen to")
             folder = bench.folder / project.DRY
             known = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
             own = {"": "the responses themselves", **{n: n for n in known if n[0] != "."}}
             FileDrop("A dry recording of one channel:", project.DRY, RESPONSE_SUFFIXES, dry_sent)
             with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
-                ui.select(own, label="What is heard").bind_value(state, "dry").props(
+                ui.select(own, label="What to listen to").bind_value(state, "dry").props(
                     "outlined dense"
                 ).style("flex: 1 1 16rem")
                 ui.button("Make the sounds of what is set above", on_click=hear).props(
@@ -272,7 +272,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             state["material"] = next(iter(room["absorption"]))
         both.set_visibility(True)
         show_hung()
-        show_heard()
+        show_sounds()
         show_controls()
         state["last"] = found
         draw()

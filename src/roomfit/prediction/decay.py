@@ -350,16 +350,16 @@ def _latest_values(
     transfer : float array, shape (n_points, n_bands, 14)
         Or (n_points, n_bands, 0) where it is not wanted.
     """
+    found = []
     for band, rows in enumerate(few.by_band):
-        own = absorptions[:, :, band].copy()
-        if band in latest and np.array_equal(latest[band][0], own):
-            continue
-        energies = _band_energies(rows, own)
-        transfer = np.empty((len(own), 0))
-        if with_transfer:
-            transfer = transfer_of_bins(energies, few.edges_s)
-        latest[band] = (own, _band_values(few, rows, energies), transfer)
-    found = [latest[band] for band in range(len(few.by_band))]
+        own, known = absorptions[:, :, band].copy(), latest.get(band)
+        if known is None or not np.array_equal(known[0], own):
+            energies = _band_energies(rows, own)
+            transfer = np.empty((len(own), 0))
+            if with_transfer:
+                transfer = transfer_of_bins(energies, few.edges_s)
+            known = latest[band] = (own, _band_values(few, rows, energies), transfer)
+        found.append(known)
     return np.stack([f[1] for f in found], axis=2), np.stack([f[2] for f in found], axis=1)
 
 
