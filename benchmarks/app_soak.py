@@ -37,7 +37,7 @@ def main() -> None:
         command = [sys.executable, "-m", "roomfit", "app", folder, "--port", "0", "--no-browser"]
         server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         try:
-            address = _address(server)
+            address = address_of(server)
             memory_mib = _soak(address, server.pid, options)
         finally:
             server.terminate()
@@ -47,7 +47,8 @@ def main() -> None:
     sys.exit(1 if half[-1] > 2.0 * half[0] else 0)
 
 
-def _address(server: subprocess.Popen[str]) -> str:
+def address_of(server: subprocess.Popen[str]) -> str:
+    """Return the address that a workbench prints."""
     for line in server.stdout or ():
         found = re.search(r"http://\S+", line)
         if found:
@@ -75,7 +76,7 @@ def _soak(address: str, pid: int, options: argparse.Namespace) -> list[float]:
             if time.monotonic() - printed_at > 30.0:
                 printed_at = time.monotonic()
                 memory_mib.append(_memory_mib(pid))
-                workers = sum(_memory_mib(child) for child in _children(pid))
+                workers = sum(_memory_mib(child) for child in children_of(pid))
                 n_files = len(list(Path(f"/proc/{pid}/fd").iterdir()))
                 print(
                     f"{printed_at - began:6.0f} {memory_mib[-1]:8.0f} {workers:8.0f} {n_files:6d} "
@@ -108,7 +109,8 @@ def _step(page: Any, rng: random.Random) -> float:
     return time.monotonic() - began
 
 
-def _children(pid: int) -> list[int]:
+def children_of(pid: int) -> list[int]:
+    """Return the processes that a process has started, on Linux."""
     listed = Path(f"/proc/{pid}/task/{pid}/children")
     return [int(child) for child in listed.read_text().split()]
 

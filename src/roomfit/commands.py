@@ -30,7 +30,7 @@ from roomfit.coverage.synthetic_room import CoverageSettings
 from roomfit.errors import InputError, located
 from roomfit.experiment_design.campaign import design_arguments
 from roomfit.experiment_design.design import Design, design
-from roomfit.experiment_design.output import write_design
+from roomfit.experiment_design.output import design_rows, write_design
 from roomfit.findings import Finding
 from roomfit.inversion.causes import arrival_findings
 from roomfit.inversion.identify import identify
@@ -462,12 +462,46 @@ def treat_to_folder(
             cache=user_cache(),
             progress=part(progress, 0.0, 0.8),
         )
-        answer = treat(room, **asked, progress=part(progress, 0.8, 1.0))
-    answer = replace(answer, findings=(*doubts, *answer.findings))
+        answer = treat(room, **asked, progress=part(progress, 0.8, 0.9))
+    to_measure = _what_to_measure(campaign, absorption_file, answer, part(progress, 0.9, 1.0))
+    answer = replace(answer, findings=(*doubts, *answer.findings), to_measure=to_measure)
     with whole_output_folder(out, overwrite=overwrite) as folder:
         write_treatment(folder, answer, files_read())
         write_bytes_atomically(folder / "treatment.png", png(treatment_figure(answer)))
     return answer
+
+
+# Of two pairs among few candidates, in seconds; `roomfit design` takes more.
+_TO_MEASURE: dict[str, Any] = {"number": 2, "n_candidates": 60, "n_random": 1, "n_draws": 1}
+
+
+def _what_to_measure(
+    campaign: Campaign, absorption_file: Path, answer: Treatment, progress: Progress | None
+) -> tuple[str, ...]:
+    """Return pairs that tell most of the absorption, where a target hangs on that of a wall.
+
+    By the experiment design after a fit; none where its rules leave no place for a receiver.
+    """
+    first = answer.arrangements[0]
+    names = answer.room.scene.room.materials
+    if first.is_sure or not first.decisive or first.decisive[0][0] not in names:
+        return ()
+    try:
+        given = design_arguments(campaign, read_result(absorption_file), _TO_MEASURE)
+        found = design(**given, progress=progress)
+    except InputError as error:
+        _LOG.info("no measurement is proposed: %s", error.what)
+        return ()
+    lines = []
+    for _, source, *at_m, receiver, x, y, z, _, _ in design_rows(found):
+        place = ", ".join(f"{v:.2f}" for v in at_m)
+        lines.append(f"{source} at ({place}) m to {receiver} at ({x:.2f}, {y:.2f}, {z:.2f}) m")
+    before, after = found.widths[[0, -1], found.materials.index(first.decisive[0][0])].mean(axis=1)
+    lines.append(
+        f"with these the 95 % interval of the absorption of {first.decisive[0][0]}, {before:.2f} "
+        f"wide in the mean over the bands, is expected to be {after:.2f} wide"
+    )
+    return tuple(lines)
 
 
 def listen_to_folder(

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import http.client
+import io
+import re
 import socket
+import struct
 import time
+import zipfile
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
+import soundfile
 
 pytest.importorskip("nicegui", reason="the workbench needs the extra app")
 
@@ -16,6 +23,52 @@ from roomfit.app.security import is_own_host, new_door
 from workbench import Running, running
 
 pytestmark = pytest.mark.slow
+
+
+@cache  # soundfile writes the time into the file
+def sound() -> bytes:
+    """Return a decay in noise as a WAV file."""
+    rng, file = np.random.default_rng(1), io.BytesIO()
+    decay = np.exp(-np.arange(24_000) / 4000.0) * rng.normal(size=24_000)
+    soundfile.write(file, 0.1 * decay, 48_000, format="WAV", subtype="FLOAT")
+    return file.getvalue()
+
+
+def archive() -> bytes:
+    """Return a thousand kilobytes of zeros, zipped, under a name that leads elsewhere."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as inside:
+        inside.writestr("../../evil.wav", b"\0" * 10**6)
+    return file.getvalue()
+
+
+def hostile_files() -> dict[str, bytes]:
+    """Return files by name, each not what it says it is."""
+    whole = sound()
+    of_data = whole.index(b"data") + 4
+    triangle = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+    return {
+        "recordings/lies.wav": whole[:of_data]
+        + struct.pack("<I", 2**31 - 1)
+        + whole[of_data + 4 :],
+        "recordings/ends.wav": whole[: len(whole) // 2],
+        "recordings/rate.wav": whole.replace(struct.pack("<I", 48_000), struct.pack("<I", 0), 1),
+        "recordings/channels.wav": whole[:22] + struct.pack("<H", 65_535) + whole[24:],
+        "recordings/none.wav": b"",
+        "recordings/archive.wav": archive(),
+        "room/many.stl": b"\0" * 80 + struct.pack("<I", 2**32 - 1),
+        "room/deep.glb": b"glTF" + struct.pack("<II", 2, 2**31),
+        "room/wide.obj": triangle + b"f " + b"1 2 3 " * 200_000,
+        "room/faces.obj": triangle + b"f 1 2 3\n" * 350_000,
+        "room/huge.ply": b"ply\nformat ascii 1.0\nelement vertex 99999999999\nend_header\n",
+        "room/far.obj": b"v 1e308 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
+        "room/lol.dae": b'<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b "'
+        + b"x" * 10_000
+        + b'">]><COLLADA>'
+        + b"&b;" * 10_000
+        + b"</COLLADA>",
+        "room/archive.ifc": archive(),
+    }
 
 
 @pytest.fixture(scope="module")
@@ -110,9 +163,23 @@ def test_an_upload_in_chunks_ends_at_the_limit(server: Running) -> None:
 
 
 def test_a_whole_upload_arrives(server: Running) -> None:
-    assert server.put("/upload/recordings/LS1_MP1.wav", b"RIFF").status == 200
-    assert (server.folder / "recordings" / "LS1_MP1.wav").read_bytes() == b"RIFF"
+    assert server.put("/upload/recordings/LS1_MP1.wav", sound()).status == 200
+    assert (server.folder / "recordings" / "LS1_MP1.wav").read_bytes() == sound()
     assert not server.leftovers()
+
+
+@pytest.mark.parametrize("name", hostile_files())
+def test_a_file_that_is_not_what_it_says_is_refused_and_not_kept(
+    server: Running, name: str
+) -> None:
+    """In words, within the time of a look; the server goes on, and no file is left."""
+    began = time.monotonic()
+    answer = server.put(f"/upload/{name}", hostile_files()[name])
+    assert answer.status == 400 and len(answer.body) > 20, answer.body
+    assert time.monotonic() - began < 60.0
+    assert b".roomfit-upload" not in answer.body and b"Traceback" not in answer.body
+    assert not list(server.folder.rglob(Path(name).name)) and not server.leftovers()
+    assert server.get("/").status == 200
 
 
 @pytest.mark.parametrize(
@@ -122,6 +189,7 @@ def test_a_whole_upload_arrives(server: Running) -> None:
         *("/upload/room/%2Fetc%2Fa.obj", "/upload/room/..%5Ca.obj", "/upload/room/.hidden.obj"),
         *("/upload/room/a.obj%00.wav", "/upload/room/a.toml", "/upload/room/campaign.toml"),
         *("/upload/room/a.zip", "/upload/room/a", "/upload/elsewhere/a.wav"),
+        *("/upload/room/a.obj.zip", "/upload/recordings/a.wav%2F..%2Fb.wav", "/upload/dry/a.zip"),
         *("/upload/recordings/a.html", "/upload/recordings/a.py", f"/upload/room/{'a' * 300}.obj"),
     ],
 )
@@ -165,6 +233,11 @@ def test_a_report_runs_nothing_and_the_page_only_its_own(server: Running) -> Non
     assert "script-src" not in report.headers["content-security-policy"]
     page = server.get("/")
     policy = page.headers["content-security-policy"]
+    nonce = re.search(r"'nonce-([\w-]{24})'", policy)
+    assert nonce is not None and "unsafe-inline" not in policy.split("; ")[1]
+    tags = re.findall(r"<script[^>]*>", page.body.decode())
+    assert tags and all(f'nonce="{nonce[1]}"' in tag for tag in tags)
+    assert nonce[1] not in server.get("/").headers["content-security-policy"]  # each page its own
     assert "default-src 'none'" in policy and "connect-src 'self'" in policy
     assert page.headers["x-content-type-options"] == "nosniff"
     assert page.headers["cross-origin-resource-policy"] == "same-origin"

@@ -41,7 +41,7 @@ class Running:
     def ask(
         self, method: str, path: str, body: bytes, headers: Mapping[str, str], cookie: bool
     ) -> Answer:
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=120)
         own = {"Cookie": self.cookie} if cookie else {}
         try:
             connection.request(method, path, body or None, {**own, **headers})
@@ -70,7 +70,7 @@ class Running:
         }
         path = "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"
         own = {"Cookie": self.cookie} if cookie else {}
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=120)
         try:
             connection.request("GET", path, None, {**upgrade, **own, **headers})
             return connection.getresponse().status

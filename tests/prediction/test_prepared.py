@@ -11,6 +11,7 @@ from roomfit.air import attenuation_per_m
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
 from roomfit.io.campaign import read_campaign
+from roomfit.prediction import decay, tables
 from roomfit.prediction.campaign import predict_arguments
 from roomfit.prediction.changes import read_change
 from roomfit.prediction.decay import RELATIVE, few_energies, few_rows
@@ -80,6 +81,38 @@ def test_equal_changes_give_equal_bits_and_nothing_is_left_of_others(room):
     first, other, again = (predict_change(room, [read_change(CHANGES[i])]) for i in (0, 2, 0))
     np.testing.assert_array_equal(first.mean["T30_s"].upper95, again.mean["T30_s"].upper95)
     assert np.any(first.mean["T30_s"].upper95 != other.mean["T30_s"].upper95)
+
+
+def test_only_bands_that_have_changed_are_weighed_anew(room, monkeypatch):
+    """Bit by bit what a room says that remembers nothing, intervals from all draws included."""
+    weighed, weigh_points = [], decay.weigh_points
+
+    def counted(rows, absorption):
+        weighed.append(len(absorption))
+        return weigh_points(rows, absorption)
+
+    monkeypatch.setattr(decay, "weigh_points", counted)
+    predict_change(room, [read_change("carpet=x0.6,x1")])
+    weighed.clear()
+    moved = predict_change(room, [read_change("carpet=x0.8,x1")])
+    assert weighed == [1 + len(room.draws)] * len(room.few)
+    forgetful = replace(room, latest=tuple({} for _ in room.few))
+    expected = predict_change(forgetful, [read_change("carpet=x0.8,x1")])
+    for name, value in expected.mean.items():
+        for key in ("predicted", "lower95", "upper95"):
+            np.testing.assert_array_equal(getattr(moved.mean[name], key), getattr(value, key))
+    untouched = moved.mean["T30_s"].change
+    assert untouched.change[1] == 1.0 != untouched.change[0]
+
+
+def test_the_ends_of_intervals_are_quantiles():
+    samples = np.random.default_rng(3).normal(size=(257, 4))
+    samples[0, 3] = np.nan
+    expected = np.quantile(samples, (0.025, 0.975), axis=0)
+    np.testing.assert_allclose(tables._ends(samples), expected, rtol=1e-12)
+    np.testing.assert_allclose(
+        tables._ends(samples[:2]), np.quantile(samples[:2], (0.025, 0.975), axis=0)
+    )
 
 
 def test_few_rows_bring_the_energies_of_all_of_them(room):

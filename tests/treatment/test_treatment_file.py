@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -46,6 +47,46 @@ def known() -> AbsorptionPosterior:
     return AbsorptionPosterior(
         tuple(ABSORPTION), bands, a, low, high, np.stack([0.04 * np.eye(3)] * 2)
     )
+
+
+def polygon(text: str) -> str:
+    return TEXT.replace("free_m2 = 12\nforbidden_m2 = [1.5, 0.5]", f"forbidden = {text}")
+
+
+# the west wall is 5 by 3 m
+DOOR = "[[0, 1, 0], [0, 2, 0], [0, 2, 2], [0, 1, 2]]"
+HOLLOW = "[[7, 1, 1], [7, 3, 1], [7, 3, 2], [7, 2, 1.5], [7, 1, 2]]"
+
+
+@pytest.mark.parametrize(
+    ("text", "area_m2"),
+    [
+        (f"[{DOOR}]", 2.0),
+        (f"[{DOOR}, {HOLLOW}]", 3.5),
+        (f"[{DOOR}, [[0, 2, 0], [0, 2.5, 0], [0, 2.5, 1]]]", 2.25),
+        ("[[[0, 0, 0], [0, 5, 0], [0, 5, 3], [0, 0, 3]]]", 15.0),
+    ],
+)
+def test_what_must_stay_is_given_by_its_corners(tmp_path, text, area_m2):
+    surface = arguments(tmp_path, polygon(text))[0]["surfaces"][0]
+    assert surface.forbidden_m2 == pytest.approx(area_m2, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (f"[{DOOR}, {DOOR}]", "two forbidden areas overlap"),
+        (f"[{HOLLOW}, [[7, 1.2, 1], [7, 1.2, 1.6], [7, 1.4, 1.3]]]", "overlap"),
+        ("[[[0, 1, 0], [0, 2, 2], [0, 2, 0], [0, 1, 2]]]", "is no polygon"),
+        ("[[[0, 4, 0], [0, 6, 0], [0, 6, 2], [0, 4, 2]]]", "2 of its 4 m2 do"),
+        ("[[[0.1, 1, 0], [0.1, 2, 0], [0.1, 2, 2], [0.1, 1, 2]]]", "0 of its 2 m2 do"),
+        ("[[[1, 1, 0], [2, 1, 0], [2, 2, 0]]]", "does not lie on its surface"),  # the floor
+        ("[[[0, 1, 0], [0, 2, 0]]]", "forbidden"),
+    ],
+)
+def test_corners_that_are_no_area_of_the_surface_are_refused(tmp_path, text, words):
+    with pytest.raises(InputError, match=words):
+        arguments(tmp_path, polygon(text))
 
 
 def scene():
@@ -134,6 +175,13 @@ def test_the_command_writes_what_it_says(tmp_path, capsys, monkeypatch):
     content = json.loads((out / "treatment.json").read_text())
     assert content["format"] == "roomfit-treatment"
     assert len(content["targets"]) == len(content["arrangements"][0]["probability"]) == 2
+    first = content["arrangements"][0]
+    assert first["probability_of_all"] < 0.95 and first["decisive"][0]["material"] in ABSORPTION
+    *pairs, widths = content["to_measure"]
+    assert len(pairs) == 2 and all(" m to " in line for line in pairs)
+    before, after = (float(x) for x in re.findall(r"\d\.\d\d", widths))
+    assert first["decisive"][0]["material"] in widths and 0.0 < after <= before
+    assert all(line in said for line in content["to_measure"])
     lines = (out / "treatment.csv").read_text().splitlines()
     assert lines[0].startswith("arrangement,surface,product,area_m2")
     assert (out / "treatment.png").read_bytes()[:4] == b"\x89PNG"

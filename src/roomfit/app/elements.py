@@ -33,6 +33,25 @@ class RoomView(Element, component="room_view.js"):
         self.update()
 
 
+class PlanView(Element, component="plan_view.js"):
+    """The room from above; sources and receivers are dragged."""
+
+    def __init__(self, on_dropped: Callable[[str, str, float, float], Awaitable[None]]) -> None:
+        super().__init__()
+        self._props["plan"] = {"edges": [], "points": []}
+
+        async def dropped(event: events.GenericEventArguments) -> None:
+            x, y = event.args["at"]
+            await on_dropped(event.args["kind"], event.args["name"], float(x), float(y))
+
+        self.on("dropped", dropped)
+
+    def show(self, edges: Sequence[Sequence[float]], points: Sequence[Mapping[str, Any]]) -> None:
+        """Draw edges x, y to x, y in m, and points by kind, name and position."""
+        self._props["plan"] = {"edges": list(edges), "points": list(points)}
+        self.update()
+
+
 class FileDrop(Element, component="file_drop.js"):
     """A place where files are dropped or chosen; they are sent to ``/upload/PLACE/NAME``."""
 
@@ -92,21 +111,37 @@ def finding_html(finding: Mapping[str, Any]) -> str:
 
 
 def findings(found: Iterable[Mapping[str, Any]]) -> None:
-    """Show findings, the serious ones first."""
+    """Show findings, the serious ones first, and of many of one kind the first."""
     order = list(_WORDS)
-    listed = sorted(found, key=lambda f: order.index(f["severity"]))
-    if listed:
-        markup("".join(map(finding_html, listed)))
+    kinds: dict[str, list[str]] = {}
+    for finding in sorted(found, key=lambda f: order.index(f["severity"])):
+        kinds.setdefault(str(finding.get("code", finding["sentence"])), []).append(
+            finding_html(finding)
+        )
+    parts = []
+    for own in kinds.values():
+        shown = 1 if len(own) > 2 else len(own)
+        parts += own[:shown]
+        if own[shown:]:
+            more = f"and {len(own) - shown} more of this kind"
+            parts.append(f"<details><summary>{more}</summary>{''.join(own[shown:])}</details>")
+    if parts:
+        markup("".join(parts))
 
 
 def table_html(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a table whose cells are HTML already; the first of a row is its heading."""
-    head = "".join(f'<th scope="col">{escape(h)}</th>' for h in heads)
+    rows = list(rows)
+    texts = [any(row[i].startswith("<div") for row in rows) for i in range(1, len(heads))]
+    head = "".join(
+        f'<th scope="col"{" class=text" if text else ""}>{escape(h)}</th>'
+        for h, text in zip(heads, (False, *texts), strict=True)
+    )
     body = "".join(
         f'<tr><th scope="row">{row[0]}</th>'
         + "".join(
-            f'<td class="text">{cell}</td>' if cell.startswith("<div") else f"<td>{cell}</td>"
-            for cell in row[1:]
+            f'<td class="text">{cell}</td>' if text else f"<td>{cell}</td>"
+            for cell, text in zip(row[1:], texts, strict=True)
         )
         + "</tr>"
         for row in rows

@@ -73,12 +73,15 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             if view["stale"]:
                 text = "The campaign has changed since this answer was made."
                 findings([{"severity": "warning", "sentence": text}])
-            markup(absorption_html(view))
-            general = [f for f in view["findings"] if not f["materials"]]
-            findings(general)
-            heading("The room as it was understood")
-            for sentence in view["plan"]:
-                ui.label(sentence)
+            with ui.element("div").classes("two").style("align-items: start"):
+                with ui.element("div"):
+                    markup(absorption_html(view))
+                    understood = ui.expansion("The room as it was understood", value=True)
+                    with understood.classes("panel").style("margin-top: 0.75rem"):
+                        for sentence in view["plan"]:
+                            ui.label(sentence)
+                with ui.element("div"):
+                    findings([f for f in view["findings"] if not f["materials"]])
             heading("Measured against predicted, and everything else")
             src = f"/files/{name}/report.html?{view['made']:.0f}"
             markup(f'<iframe class="report" title="Report" src="{escape(src)}"></iframe>')

@@ -9,13 +9,23 @@ from typing import Any
 from nicegui import ui
 
 from roomfit.app import project
-from roomfit.app.elements import FileDrop, finding_html, findings, heading, markup, said, table_html
+from roomfit.app.elements import (
+    FileDrop,
+    PlanView,
+    finding_html,
+    findings,
+    heading,
+    markup,
+    said,
+    table_html,
+)
 from roomfit.app.server import Bench
 from roomfit.errors import InputError
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.report.wording import short_hertz
 
 _UNKNOWN = "-"
+_HEIGHT_M = 1.2  # of what is dragged before its height is known
 
 
 def build(bench: Bench) -> Callable[[], Awaitable[None]]:
@@ -41,8 +51,24 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             )
             ui.button("Use these names", on_click=use_shape).props("no-caps outline color=quiet")
     general = ui.element("div")
-    positions = ui.element("div").classes("panel").style("margin: 0.75rem 0")
+    with ui.element("div").classes("panel two").style("margin: 0.75rem 0"):
+        positions = ui.element("div")
+        with ui.element("div"):
+            plan = PlanView(lambda kind, name, x, y: dropped(kind, name, x, y))
+            text = (
+                f"Drag what stands elsewhere. What has no place yet comes to {_HEIGHT_M} m height."
+            )
+            ui.label(text).classes("soft")
     recordings = ui.element("div").classes("panel")
+
+    async def dropped(kind: str, name: str, x: float, y: float) -> None:
+        try:
+            own = next(p for p in shown if p["kind"] == kind and p["name"] == name)
+            z = _HEIGHT_M if own["position_m"] is None else own["position_m"][2]
+            project.set_position(bench.folder, kind, name, (x, y, z))
+            await refresh()
+        except InputError as error:
+            said(error)
 
     async def moved(kind: str, name: str, fields: list[ui.number]) -> None:
         values = [field.value for field in fields]
@@ -89,6 +115,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         if view["positions"] != shown or not positions.default_slot.children:
             shown[:] = view["positions"]
             show_positions()
+        plan.set_visibility(bool(view["plan"] and shown))
+        plan.show(view["plan"], shown)
         recordings.clear()
         with recordings:
             heading("Recordings")

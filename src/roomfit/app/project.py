@@ -29,7 +29,8 @@ from roomfit.io.rooms.model import RoomSpec
 QUICK, FULL = "first", "result"
 """Folders of the quick answer and of the full one, within the project."""
 TREATMENT = "treatment"
-RECORDINGS = "recordings"
+LISTENED = "listened"
+RECORDINGS, DRY = "recordings", "dry"
 SHAPE = "{source}_{receiver}.wav"
 """By which recordings are named, unless the user says otherwise."""
 _LONGEST_NAME = 120
@@ -285,7 +286,7 @@ def upload_place(folder: Path, kind: str, name: str) -> Path:
 
     Parameters
     ----------
-    kind : {"room", "recordings"}
+    kind : {"room", "recordings", "dry"}
     name : str
         As the sender calls it.
 
@@ -295,7 +296,7 @@ def upload_place(folder: Path, kind: str, name: str) -> Path:
         The name is a path, hidden, of no known format, or its place lies outside of the project.
     """
     known = tuple(READERS) if kind == "room" else tuple(RESPONSE_SUFFIXES)
-    if kind not in ("room", "recordings"):
+    if kind not in ("room", RECORDINGS, DRY):
         raise InputError("there is no such place for files", found=repr(kind))
     plain = name and len(name.encode()) <= _LONGEST_NAME and name.isprintable()
     if not plain or name.startswith(".") or any(c in name for c in '/\\:*?"<>|'):
@@ -304,7 +305,7 @@ def upload_place(folder: Path, kind: str, name: str) -> Path:
         raise InputError(
             "the format is not known", found=repr(name), needed=f"one of {', '.join(known)}"
         )
-    parent = folder if kind == "room" else folder / RECORDINGS
+    parent = folder if kind == "room" else folder / kind
     place = parent / name
     inside(folder, parent)
     if place.is_symlink() or (place.exists() and not place.is_file()):
@@ -338,7 +339,7 @@ def served_file(folder: Path, path: str) -> Path:
     if (
         not path.isprintable()
         or len(parts) < 2
-        or parts[0] not in (QUICK, FULL, TREATMENT, "exports")
+        or parts[0] not in (QUICK, FULL, TREATMENT, LISTENED, "exports")
     ):
         raise InputError("only results and exports are shown", found=repr(path[:200]))
     if any(part.startswith(".") for part in parts):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import secrets
+import shutil
 import socket
 import webbrowser
 from collections.abc import AsyncIterator, Callable
@@ -51,6 +52,9 @@ class Bench:
             self.folder / project.QUICK / "result.json",
             self.folder / project.FULL / "result.json",
             self.folder / project.TREATMENT,
+            self.folder / "treatment.toml",
+            self.folder / project.LISTENED,
+            self.folder / project.DRY,
         )
         return tuple(p.stat().st_mtime_ns if p.exists() else 0 for p in files)
 
@@ -79,17 +83,21 @@ def application(bench: Bench, door: Door) -> Guard:
             place = project.upload_place(bench.folder, kind, name)
         except InputError as error:
             return PlainTextResponse(str(error), 400)
-        place.parent.mkdir(exist_ok=True)
-        beside = place.with_name(f".roomfit-upload-{secrets.token_hex(8)}")
+        waiting = bench.folder / f".roomfit-upload-{secrets.token_hex(8)}"
+        waiting.mkdir()
         try:
-            with beside.open("xb") as stream:
+            with (waiting / name).open("xb") as stream:
                 async for chunk in request.stream():
                     await asyncio.to_thread(stream.write, chunk)
-            beside.replace(place)
+            await bench.ask("look_at_upload", kind=kind, file=f"{waiting.name}/{name}")
+            place.parent.mkdir(exist_ok=True)
+            (waiting / name).replace(place)
+        except InputError as error:
+            return PlainTextResponse(str(error), 400)
         except ClientDisconnect:  # or more than the limit, to which the guard has answered
             return PlainTextResponse("not whole", 400)
         finally:
-            beside.unlink(missing_ok=True)
+            shutil.rmtree(waiting, ignore_errors=True)
         return PlainTextResponse("taken")
 
     @app.get("/files/{path:path}")
@@ -99,7 +107,7 @@ def application(bench: Bench, door: Door) -> Guard:
         except InputError as error:
             return PlainTextResponse(str(error), 404)
         # a result may be another's: its page runs nothing, whatever it holds
-        shown = file.suffix in (".html", ".png") and not save
+        shown = file.suffix in (".html", ".png", ".wav") and not save
         headers = {"content-security-policy": _SHOWN_AS_PAGE, "cache-control": "no-store"}
         kind = None if shown else "attachment"
         if shown:

@@ -24,8 +24,11 @@ from roomfit.io.door import json_content, read_bytes, read_text
 from roomfit.io.draft import matching_files
 from roomfit.io.encoding import finding_content, number_or_null, numbers_or_null
 from roomfit.io.inputs import check_campaign
+from roomfit.io.responses import SOUND_SUFFIXES, read_response
+from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.rooms import read_mesh
 from roomfit.io.rooms.model import RoomSpec
+from roomfit.prediction.changes import read_change
 from roomfit.report.room_figure import MOST_FACES, material_colour, outline_m
 from roomfit.scene import Room, RoomCheck, check_mesh, surface_materials
 from roomfit.synthetic.boxes import demo_plan, write_measured_box
@@ -131,12 +134,16 @@ def recordings_view(_: Progress, folder: str, shape: str) -> dict[str, Any]:
     """
     root = Path(folder)
     rows: dict[str, dict[str, Any]] = {}
-    view: dict[str, Any] = {"rows": [], "positions": [], "bands_hz": [], "findings": []}
+    view: dict[str, Any] = {"rows": [], "positions": [], "bands_hz": [], "findings": [], "plan": []}
     known: dict[str, dict[str, Any]] = {"sources": {}, "receivers": {}}
     if project.has_campaign(root):
         with project.filled_campaign(root) as campaign:
             for kind, points in (("sources", campaign.sources), ("receivers", campaign.receivers)):
                 known[kind] = {p.name: np.asarray(p.position_m).tolist() for p in points}
+            mesh = read_mesh(campaign.room)[0]
+            edges = outline_m(_any_room(mesh, campaign.room.materials), _MOST_EDGES)[:, :, :2]
+            # an upright edge is a point from above, and two lie upon each other
+            view["plan"] = np.unique(np.round(edges.reshape(-1, 4), 3), axis=0).tolist()
             for m in campaign.measurements:
                 file = Path(m.response.path)
                 name = file.relative_to(root).as_posix() if root in file.parents else str(file)
@@ -296,6 +303,66 @@ def treat(progress: Progress, folder: str) -> str:
     return str(answer)
 
 
+def look_at_upload(_: Progress, folder: str, kind: str, file: str) -> None:
+    """Read a file that somebody has sent, as far as its kind can be read by itself.
+
+    Raises
+    ------
+    InputError
+        It is not what its name says, cut off, larger than what is taken, or no room or recording.
+    """
+    path = Path(folder) / file
+    try:
+        if kind == "room":
+            try:
+                read_mesh(RoomSpec(file=path))
+            except InputError:  # perhaps its unit is in doubt, which is asked for later
+                read_mesh(RoomSpec(file=path, unit="m"))
+        elif path.suffix.lower() in SOUND_SUFFIXES:  # of others choices are to be made first
+            try:
+                read_response(ResponseSpec(path, channel=0))
+            except InputError as error:  # perhaps the first channel of several is silent
+                try:
+                    read_response(ResponseSpec(path, channel=1))
+                except InputError:
+                    raise error from None
+    except RoomfitError as error:
+        raise InputError(error.what, found=error.found, needed=error.needed) from None
+
+
+def listen(progress: Progress, folder: str, changes: list[str], dry: str = "") -> str:
+    """Make what a change sounds like, as ``roomfit listen`` does.
+
+    Parameters
+    ----------
+    changes : list of str
+        As those of ``--set``.
+    dry : str
+        Name of a recording in the folder of dry ones, to be listened to; none: the responses.
+
+    Raises
+    ------
+    InputError
+        There is no result yet, no change, or the recording has another sampling rate.
+    """
+    root = Path(folder)
+    result = project.best_result(root)
+    if result is None or not changes:
+        raise InputError("there is nothing to compare yet", hint="identify, then change a wall")
+    out = root / project.LISTENED
+    project.inside(root, out)
+    commands.listen_to_folder(
+        project.campaign_file(root),
+        result,
+        out,
+        [read_change(text) for text in changes],
+        dry=project.upload_place(root, project.DRY, dry) if dry else None,
+        overwrite=True,
+        progress=progress,
+    )
+    return out.name
+
+
 def export(_: Progress, folder: str, wanted: str) -> list[str]:
     """Write the best result for another program, see `project.export`."""
     return project.export(Path(folder), wanted)
@@ -316,6 +383,8 @@ TASKS: dict[str, Callable[..., Any]] = {
         demo,
         set_room,
         treat,
+        listen,
+        look_at_upload,
         export,
         what_if_prepare,
         what_if,

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from roomfit.app import project
 from roomfit.errors import InputError
@@ -13,16 +16,19 @@ from roomfit.io.results import read_result
 from roomfit.prediction.campaign import predict_arguments
 from roomfit.prediction.changes import Change, read_change
 from roomfit.prediction.predict import (
-    Predicted,
     PreparedRoom,
     predict_change,
     prepare_prediction,
 )
-from roomfit.prediction.tables import PredictedValue
+from roomfit.prediction.tables import PredictedValue, named_values
+from roomfit.signals.iso3382 import ValueName
+from roomfit.treatment.campaign import read_treatment, treat_arguments
+from roomfit.treatment.question import USUAL_HZ
 from roomfit.typing import Progress
 
-SHOWN = ("T20_s", "EDT_s", "C80_dB", "D50_percent")
-"""Room parameters that are shown, as far as they are predicted."""
+SHOWN = ("T20_s", "EDT_s", "C80_dB", "D50_percent", "STI")
+"""Parameters that are shown, as far as they are predicted."""
+_SHOWN_WITH = {"T30_s": "T20_s"}  # limits of the one stand in the picture of the other
 _LEAST_FACTOR = 0.5  # decays are followed as long as with so much of each material's absorption
 _ready: dict[str, tuple[tuple[float, ...], PreparedRoom]] = {}
 
@@ -51,17 +57,34 @@ def what_if_prepare(progress: Progress, folder: str) -> dict[str, Any]:
             known,
             (harder,),
             arguments["measurements"],
+            speech_db=arguments["speech_db"],
             settings=arguments["settings"],
             progress=progress,
         )
+        # what a slider leaves as it was found is then known at its first move
+        predict_change(room, [Change(known.materials[0], "factor", (1.0,))])
         _ready[folder] = (stamp, room)
-    room = _ready[folder][1]
+    room = prepared(folder)
     found = room.absorption
     return {
         "bands_hz": found.bands.centres_hz.tolist(),
         "absorption": dict(zip(found.materials, found.absorption.tolist(), strict=True)),
+        "limits": _limits(root / "treatment.toml", room),
         **what_if(progress, folder, []),
     }
+
+
+def prepared(folder: str) -> PreparedRoom:
+    """Return the room that `what_if_prepare` has traced last.
+
+    Raises
+    ------
+    InputError
+        It is another one.
+    """
+    if folder not in _ready:
+        raise InputError("the room is not prepared yet")
+    return _ready[folder][1]
 
 
 def what_if(_: Progress, folder: str, changes: list[str]) -> dict[str, Any]:
@@ -72,16 +95,14 @@ def what_if(_: Progress, folder: str, changes: list[str]) -> dict[str, Any]:
     InputError
         The room is not prepared, or a change cannot be made.
     """
-    if folder not in _ready:
-        raise InputError("the room is not prepared yet")
-    predicted = predict_change(_ready[folder][1], [read_change(text) for text in changes])
+    predicted = predict_change(prepared(folder), [read_change(text) for text in changes])
     return {
-        "mean": {n: _value(predicted.mean[n]) for n in _names(predicted)},
+        "mean": _values(predicted.mean, predicted.sti),
         "pairs": [
             {
                 "source": pair.source,
                 "receiver": pair.receiver,
-                **{n: _value(pair.parameters[n]) for n in _names(predicted)},
+                **_values(pair.parameters, pair.sti),
             }
             for pair in predicted.pairs
         ],
@@ -89,8 +110,28 @@ def what_if(_: Progress, folder: str, changes: list[str]) -> dict[str, Any]:
     }
 
 
-def _names(predicted: Predicted) -> list[Any]:
-    return [name for name in SHOWN if name in predicted.mean]
+def _limits(file: Path, room: PreparedRoom) -> list[dict[str, Any]]:
+    """Return the limits of a treatment file, each with the bands in which it holds."""
+    if not file.is_file():
+        return []
+    asked = treat_arguments(file, read_treatment(file), room.absorption, room.scene)[0]
+    return [
+        {
+            "parameter": _SHOWN_WITH.get(t.parameter, t.parameter),
+            "value": float(value),
+            "bands_hz": list(t.bands_hz or USUAL_HZ),
+        }
+        for t in asked["targets"]
+        for value in (t.low, t.high)
+        if np.isfinite(value)
+    ]
+
+
+def _values(
+    table: Mapping[ValueName, PredictedValue], sti: PredictedValue | None
+) -> dict[str, dict[str, list[float | None]]]:
+    named = named_values(table, sti)
+    return {name: _value(named[name]) for name in SHOWN if name in named}
 
 
 def _value(value: PredictedValue) -> dict[str, list[float | None]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 from functools import partial
 from html import escape
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
@@ -12,9 +13,11 @@ from matplotlib.ticker import MaxNLocator
 from nicegui import ui
 
 from roomfit.app import project
-from roomfit.app.elements import BandSlider, heading, markup, said, table_html
+from roomfit.app.elements import BandSlider, FileDrop, heading, markup, said, table_html
 from roomfit.app.server import Bench
 from roomfit.errors import InputError
+from roomfit.io.door import json_content, read_text
+from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.materials.catalogue import catalogue
 from roomfit.report.wording import count, short_hertz
 
@@ -25,8 +28,12 @@ _LABELS = {
     "D50_percent": "D50 in %",
     "STI": "STI",
 }
-_STAGES = ((0.0, "tracing"), (0.5, "searching"))
+_STAGES = ((0.0, "tracing"), (0.8, "searching"))
+_SOUNDING = ((0.0, "tracing"), (0.6, "scaling"))
 _PREPARE_S, _CHANGE_S = 900.0, 60.0
+_MOST = {"D50_percent": 100.0, "STI": 1.0}
+_SPEECH = "125 to 8k Hz together"
+_SOUND_HEADS = ("Pair", "Before", "After")
 _WIDE, _HIGH, _LEFT, _BELOW = 320.0, 190.0, 44.0, 24.0
 
 
@@ -36,7 +43,13 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
     # per material a name of the catalogue, or absorption per band
     changes: dict[str, str | list[float]] = {}
     targets: dict[str, float | None] = {}
-    state: dict[str, Any] = {"busy": False, "again": False, "material": None, "last": None}
+    state: dict[str, Any] = {
+        "busy": False,
+        "again": False,
+        "material": None,
+        "last": None,
+        "dry": "",
+    }
 
     with ui.element("div").classes("bar"):
         note = ui.label("").classes("soft")
@@ -46,8 +59,10 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         charts = ui.element("div").classes("charts").style("margin: 0.75rem 0")
         with charts:
             pictures = {name: markup("").classes("panel") for name in _LABELS}
-        with ui.expansion("Every pair in numbers").classes("panel"):
+        pairs = ui.expansion("Every pair in numbers", on_value_change=lambda: draw_pairs())
+        with pairs.classes("panel"):
             numbers = markup("")
+        sounds = ui.element("div").classes("panel").style("margin-top: 0.75rem")
         hung = ui.element("div").classes("panel").style("margin-top: 0.75rem")
     both.set_visibility(False)
 
@@ -67,11 +82,38 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             )
             out = bench.folder / project.TREATMENT
             for file in sorted(out.iterdir()) if out.is_dir() else ():
-                place = f"/files/{project.TREATMENT}/{quote(file.name)}"
+                place = _place(file)
                 if file.suffix == ".png":
                     markup(f'<img alt="{escape(file.stem)}" src="{escape(place)}" width="100%">')
                 elif not file.name.startswith("."):
-                    markup(f'<a href="{escape(place)}?save=1">{escape(file.name)}</a>')
+                    markup(f'<a href="{escape(place)}&save=1">{escape(file.name)}</a>')
+
+    def hear() -> None:
+        own = {"changes": written(changes, room["absorption"]), "dry": state["dry"] or ""}
+        arguments = {"folder": str(bench.folder), **own}
+        bench.jobs.add("Before and after", "listen", arguments, _SOUNDING)
+
+    async def dry_sent(names: list[str]) -> None:
+        state["dry"] = names[-1]
+        show_sounds()
+
+    def show_sounds() -> None:
+        sounds.clear()
+        with sounds:
+            heading("Before and after, to listen to")
+            folder = bench.folder / project.DRY
+            known = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
+            own = {"": "the responses themselves", **{n: n for n in known if n[0] != "."}}
+            FileDrop("A dry recording of one channel:", project.DRY, RESPONSE_SUFFIXES, dry_sent)
+            with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
+                ui.select(own, label="What to listen to").bind_value(state, "dry").props(
+                    "outlined dense"
+                ).style("flex: 1 1 16rem")
+                ui.button("Make the sounds of what is set above", on_click=hear).props(
+                    "no-caps outline color=quiet"
+                )
+            if (bench.folder / project.LISTENED / "listen.json").is_file():
+                markup(sounds_html(bench.folder / project.LISTENED))
 
     async def evaluate() -> None:
         """Evaluate what is chosen now; while one is under way, the newest waits, no other."""
@@ -97,12 +139,21 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         for name, picture in pictures.items():
             picture.set_visibility(name in view["mean"])
             if name in view["mean"]:
-                picture.set_content(chart_svg(view, name, room["bands_hz"], targets.get(name)))
-        numbers.set_content(pairs_html(view, room["bands_hz"]))
+                limits = [x for x in room["limits"] if x["parameter"] == name]
+                typed = targets.get(name)
+                if typed is not None:
+                    limits.append({"value": typed, "bands_hz": room["bands_hz"]})
+                picture.set_content(chart_svg(view, name, room["bands_hz"], limits))
+        draw_pairs()
         note.set_text(
             f"{count(len(view['pairs']), 'pair')}, {count(len(changes), 'material')} changed. "
-            "Lines: mean over the pairs with the 95 % interval; thin: each pair; dashed: as it is."
+            "Lines: mean over the pairs, in a band in which some were measured over those, and its "
+            "95 % interval; thin: each pair; dashed: as it is; red: limits."
         )
+
+    def draw_pairs() -> None:
+        if pairs.value and state["last"] is not None:
+            numbers.set_content(pairs_html(state["last"], room["bands_hz"]))
 
     async def choose_entry(value: str | None) -> None:
         if value is None:
@@ -221,6 +272,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             state["material"] = next(iter(room["absorption"]))
         both.set_visibility(True)
         show_hung()
+        show_sounds()
         show_controls()
         state["last"] = found
         draw()
@@ -257,33 +309,76 @@ def written(
     return texts
 
 
+def _place(file: Path) -> str:
+    """Return the address of a file of a result; another one when it is written anew."""
+    return f"/files/{file.parent.name}/{quote(file.name)}?of={file.stat().st_mtime_ns}"
+
+
+def sounds_html(folder: Path) -> str:
+    """Return what `roomfit listen` has written, before and after side by side."""
+    content = json_content(read_text(folder / "listen.json", "sounds"), "sounds")
+    rows = []
+    for own in content["responses"][:100]:
+        name = f"{own['source']} to {own['receiver']}"
+        for dry in ("dry_", "") if content["dry_factor"] else ("",):
+            what = "recording" if dry else "response"
+            cells = [f"{escape(name)}, {what}"]
+            for kind in ("before", "after"):
+                source = escape(_place(folder / str(own["files"][f"{dry}{kind}"])))
+                label = escape(f"{name}, {what} {kind}")
+                cells.append(
+                    f'<audio controls preload="none" src="{source}" aria-label="{label}"></audio>'
+                )
+            rows.append(cells)
+    table = table_html("At one volume: nothing is normalised by itself", _SOUND_HEADS, rows)
+    return f'<p class="soft">{escape("; ".join(content["changes"]))}</p>{table}'
+
+
 def chart_svg(
-    view: Mapping[str, Any], name: str, bands_hz: Sequence[float], target: float | None
+    view: Mapping[str, Any],
+    name: str,
+    bands_hz: Sequence[float],
+    limits: Sequence[Mapping[str, Any]],
 ) -> str:
-    """Return one room parameter over the bands as a drawing, in the colours of the page."""
+    """Return one room parameter over the bands as a drawing, in the colours of the page.
+
+    Parameters
+    ----------
+    limits : sequence of mappings
+        Each with a value and the bands in Hz across which it is drawn.
+    """
     mean = view["mean"][name]
+    words = [_SPEECH] if name == "STI" else [short_hertz(f) for f in bands_hz]
     pairs = [pair[name]["predicted"] for pair in view["pairs"]]
-    every = [*mean["lower95"], *mean["upper95"], *mean.get("before", []), target]
-    every += [v for p in pairs for v in p]
-    known = [v for v in every if v is not None]
+    sure = [*mean["predicted"], *mean.get("before", []), *(v for p in pairs for v in p)]
+    known = [v for v in (*sure, *(x["value"] for x in limits)) if v is not None]
+    ends = [v for v in (*mean["lower95"], *mean["upper95"]) if v is not None]
     if not known:
         return f"<p>{escape(_LABELS[name])}: not known</p>"
-    low, high = min(known), max(known)
-    if name.endswith("_s"):
-        low = 0.0
-    ticks = MaxNLocator(5).tick_values(low, high)
-    low, high = float(ticks[0]), float(ticks[-1])
-    step = (_WIDE - _LEFT - 16.0) / max(len(bands_hz) - 1, 1)
+    # an interval may be endless: it ends at the edge then, and does not make all else small
+    wide = max(known) - (0.0 if name.endswith("_s") else min(known)) or 1.0
+    low = max(min(known + ends), min(known) - wide)
+    high = min(max(known + ends), max(known) + wide)
+    low = 0.0 if name.endswith("_s") else low
+    drawn = map(float, MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
+    most = _MOST.get(name)
+    ticks = [t for t in drawn if most is None or 0.0 <= t <= most]
+    ticks = ticks if len(ticks) > 1 else [0.0, most or 1.0]
+    low, high = ticks[0], ticks[-1]
+    left = _LEFT if len(words) > 1 else 0.5 * (_WIDE + _LEFT) - 16.0
+    step = (_WIDE - left - 24.0) / max(len(words) - 1, 1)
 
     def x(band: int) -> float:
-        return _LEFT + 8.0 + step * band
+        return left + 16.0 + step * band
 
     def y(value: float) -> float:
         return float(10.0 + (_HIGH - 10.0 - _BELOW) * (high - value) / (high - low))
 
     def line(values: Sequence[float | None], style: str) -> str:
-        at = " ".join(f"{x(i):.1f},{y(v):.1f}" for i, v in enumerate(values) if v is not None)
-        return f'<polyline points="{at}" fill="none" {style}/>'
+        at = [(x(i), y(v)) for i, v in enumerate(values) if v is not None]
+        if len(words) == 1:  # a line of one point is not seen
+            at = [(px + dx, py) for px, py in at for dx in (-30.0, 30.0)]
+        return f'<polyline points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in at)}" {style}/>'
 
     parts = []
     for value in ticks:
@@ -292,32 +387,38 @@ def chart_svg(
             f'stroke="var(--line)"/><text x="{_LEFT - 4}" y="{y(value) + 4:.1f}" '
             f'text-anchor="end">{value:.6g}</text>'
         )
-    for i, centre_hz in enumerate(bands_hz):
+    for i, word in enumerate(words):
         parts.append(
-            f'<text x="{x(i):.1f}" y="{_HIGH - 6}" text-anchor="middle">'
-            f"{short_hertz(centre_hz)}</text>"
+            f'<text x="{x(i):.1f}" y="{_HIGH - 6}" text-anchor="middle">{escape(word)}</text>'
         )
-    parts += [line(p, 'stroke="var(--soft)" stroke-width="0.6" opacity="0.6"') for p in pairs[:200]]
+    thin = 'fill="none" stroke="var(--soft)" stroke-width="0.6" opacity="0.6"'
+    parts += [line(p, thin) for p in pairs[:200]]
     if "before" in mean:
-        parts.append(line(mean["before"], 'stroke="var(--ink)" stroke-dasharray="5 4"'))
+        parts.append(line(mean["before"], 'fill="none" stroke="var(--ink)" stroke-dasharray="5 4"'))
     for i, (a, b) in enumerate(zip(mean["lower95"], mean["upper95"], strict=True)):
         if a is not None and b is not None:
+            ys = y(max(a, low)), y(min(b, high))
             parts.append(
-                f'<line x1="{x(i):.1f}" x2="{x(i):.1f}" y1="{y(a):.1f}" y2="{y(b):.1f}" '
+                f'<line x1="{x(i):.1f}" x2="{x(i):.1f}" y1="{ys[0]:.1f}" y2="{ys[1]:.1f}" '
                 'stroke="var(--accent)" stroke-width="5" opacity="0.45"/>'
             )
-    parts.append(line(mean["predicted"], 'stroke="var(--accent)" stroke-width="2.4"'))
-    if target is not None:
+    parts.append(line(mean["predicted"], 'fill="none" stroke="var(--accent)" stroke-width="2.4"'))
+    for limit in limits:
+        at = [i for i, f in enumerate(bands_hz) if f in limit["bands_hz"]]
+        span = (x(min(at)) - 14.0, x(max(at)) + 14.0) if at and len(words) > 1 else (_LEFT, _WIDE)
         parts.append(
-            f'<line x1="{_LEFT}" x2="{_WIDE}" y1="{y(target):.1f}" y2="{y(target):.1f}" '
+            f'<line class="limit" x1="{span[0]:.1f}" x2="{span[1]:.1f}" '
+            f'y1="{y(limit["value"]):.1f}" y2="{y(limit["value"]):.1f}" '
             'stroke="var(--bad)" stroke-width="2" stroke-dasharray="9 3"/>'
         )
     label = _LABELS[name]
     means = ", ".join("unknown" if v is None else f"{v:.2f}" for v in mean["predicted"])
+    lines = ", ".join(f"{limit['value']:.2f}" for limit in limits) or "none"
+    spoken = escape(f"{label}, mean over the pairs by band: {means}; limits: {lines}")
     return (
         f"<h2>{escape(label)}</h2>"
         f'<svg viewBox="0 0 {_WIDE:.0f} {_HIGH:.0f}" role="img" font-size="11" fill="currentColor" '
-        f'aria-label="{escape(label)}, mean over the pairs by band: {means}">{"".join(parts)}</svg>'
+        f'aria-label="{spoken}">{"".join(parts)}</svg>'
     )
 
 
@@ -337,6 +438,7 @@ def pairs_html(view: Mapping[str, Any], bands_hz: Sequence[float]) -> str:
                     continue
                 ends = "" if low is None or high is None else f"{low:.2f}-{high:.2f}"
                 cells.append(f'{value:.2f}<div class="small">{ends}</div>')
+            cells += [""] * (2 + len(bands_hz) - len(cells))  # the index is of all bands together
             rows.append(cells)
     heads = ["Pair", "Parameter", *(f"{short_hertz(f)} Hz" for f in bands_hz)]
     return table_html("Where a measurement is expected, 95 of 100 times", heads, rows)

@@ -536,6 +536,8 @@ class TreatedTable(Table):
     """Area that may be covered. Default: all of it."""
     forbidden_m2: SquareMetre | list[SquareMetre] = 0.0
     """Of the free area: doors, lamps, what must stay; one number, or one for each piece."""
+    forbidden: list[Annotated[list[Position], Field(min_length=3, max_length=200)]] = []
+    """Such pieces by their corners in m, as polygons on the surface; beside `forbidden_m2`."""
     depth_m: Depth | None = None
     """How deep a product may be. Default: any."""
     products: list[str] = []

@@ -221,6 +221,11 @@ class FewRows:
     by_band: tuple[EnergyRows, ...]  # with the air in their weights
 
 
+# By band the absorptions that were weighed last, (n_points, n_materials), and what they gave: room
+# parameters (n_points, n_names) and modulation transfers. Of a slider that moves, one band is new.
+LatestBands = dict[int, tuple[FloatArray, FloatArray, FloatArray]]
+
+
 def few_rows(
     scene: Scene,
     bands: Bands,
@@ -315,24 +320,50 @@ def few_energies(few: FewRows, absorptions: FloatArray) -> FloatArray:
     ----------
     absorptions : float array, shape (n_points, n_materials, n_bands)
     """
-    energies = np.stack(
-        [weigh_points(rows, absorptions[:, :, b]) for b, rows in enumerate(few.by_band)], axis=1
-    )
+    own = [_band_energies(rows, absorptions[:, :, b]) for b, rows in enumerate(few.by_band)]
+    return np.stack(own, axis=1)
+
+
+def _band_energies(rows: EnergyRows, absorptions: FloatArray) -> FloatArray:
+    energies = weigh_points(rows, absorptions)
     # a wall that absorbs all leaves later bins empty: too little to matter, but not nothing
-    return np.asarray(np.maximum(energies, 1e-30 * energies.sum(axis=2, keepdims=True)))
+    return np.asarray(np.maximum(energies, 1e-30 * energies.sum(axis=1, keepdims=True)))
 
 
 def few_values(few: FewRows, energies: FloatArray) -> FloatArray:
     """Return the room parameters of such energies, shape (n_points, n_names, n_bands)."""
+    bands = zip(few.by_band, energies.transpose(1, 0, 2), strict=True)
+    return np.stack([_band_values(few, rows, own) for rows, own in bands], axis=2)
+
+
+def _band_values(few: FewRows, rows: EnergyRows, energies: FloatArray) -> FloatArray:
+    n = int(np.searchsorted(rows.offsets, len(rows)))  # bins with a row
+    own = np.ascontiguousarray(energies[:, :n])
+    return values_of_bins(own, np.ones(1), few.edges_s[: n + 1], few.direct_s)
+
+
+def _latest_values(
+    few: FewRows, absorptions: FloatArray, latest: LatestBands, *, with_transfer: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Return `few_values` and modulation transfers, of bands that have not changed from memory.
+
+    Returns
+    -------
+    values : float array, shape (n_points, n_names, n_bands)
+    transfer : float array, shape (n_points, n_bands, 14)
+        Or (n_points, n_bands, 0) where it is not wanted.
+    """
     found = []
-    for rows, own in zip(few.by_band, energies.transpose(1, 0, 2), strict=True):
-        n = int(np.searchsorted(rows.offsets, len(rows)))  # bins with a row
-        found.append(
-            values_of_bins(
-                np.ascontiguousarray(own[:, :n]), np.ones(1), few.edges_s[: n + 1], few.direct_s
-            )
-        )
-    return np.stack(found, axis=2)
+    for band, rows in enumerate(few.by_band):
+        own, known = absorptions[:, :, band].copy(), latest.get(band)
+        if known is None or not np.array_equal(known[0], own):
+            energies = _band_energies(rows, own)
+            transfer = np.empty((len(own), 0))
+            if with_transfer:
+                transfer = transfer_of_bins(energies, few.edges_s)
+            known = latest[band] = (own, _band_values(few, rows, energies), transfer)
+        found.append(known)
+    return np.stack([f[1] for f in found], axis=2), np.stack([f[2] for f in found], axis=1)
 
 
 def few_sti(
@@ -476,6 +507,7 @@ def changed_numbers(
     absorptions: FloatArray,
     base: tuple[FloatArray, FloatArray],
     speech_db: FloatArray | None,
+    latest: LatestBands,
 ) -> PairNumbers:
     """Return the predictions for one pair after its walls have changed, in milliseconds.
 
@@ -493,9 +525,11 @@ def changed_numbers(
         `few_values` and `few_sti` at the absorption of `before`.
     speech_db : float array, shape (2, 7), optional
         As of `roomfit.predict`.
+    latest : dict
+        What was weighed last; changed.
     """
-    energies = few_energies(few, absorptions)
-    there = few_values(few, energies)
+    sti = before.sti
+    there, transfer = _latest_values(few, absorptions, latest, with_transfer=sti is not None)
     values = moved(before.values, there, base[0])
     noise_sd, d50 = before.noise_sd.copy(), VALUE_NAMES.index("D50_percent")
     times = [*np.flatnonzero(RELATIVE), VALUE_NAMES.index("TS_ms")]
@@ -503,9 +537,10 @@ def changed_numbers(
         ratio = values[0] / before.values
         noise_sd[times] *= np.sqrt(ratio[times])
         noise_sd[d50] *= ratio[d50] * (100.0 - values[0, d50]) / (100.0 - before.values[d50])
-    sti = before.sti
     if sti is not None:
-        index = moved_sti(before, few_sti(few, bands, energies, there, speech_db), base[1])
+        at = speech_bands(bands)
+        levels_db = levels_at_listener(speech_db, there[:, -1, at])
+        index = moved_sti(before, speech_transmission(transfer[:, at], levels_db), base[1])
         sti = replace(sti, values=index[:1, None], draws=index[1:, None, None])
     return PairNumbers(values[0], values[1:], noise_sd, before.decay, before.common_noise, sti)
 

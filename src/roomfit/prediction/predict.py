@@ -24,6 +24,7 @@ from roomfit.prediction.carried import with_common_noise
 from roomfit.prediction.changes import Change, change_text, changed_draws, prior_dominated
 from roomfit.prediction.decay import (
     FewRows,
+    LatestBands,
     PairNumbers,
     PredictedDecay,
     changed_numbers,
@@ -247,6 +248,7 @@ class PreparedRoom:
     findings: tuple[Finding, ...]
     seed: int
     speech_db: FloatArray | None  # as of `predict`
+    latest: tuple[LatestBands, ...]  # of every pair, what `numbers_at` found last
 
 
 @one_blas_thread
@@ -304,7 +306,7 @@ def prepare_prediction(
     room = PreparedRoom(
         scene, absorption, draws, rng, observed, binned, weighed_by, (), few,
         np.concatenate(base), np.concatenate(base_sti), (*measured_findings, *decay_findings),
-        settings.seed, speech_db,
+        settings.seed, speech_db, tuple({} for _ in few),
     )  # fmt: skip
     if not is_known:
         return room
@@ -372,7 +374,7 @@ def numbers_at(
     def numbers(i: int) -> PairNumbers:
         base = room.base[i], room.base_sti[i]
         return changed_numbers(
-            room.before[i], room.few[i], bands, absorptions, base, room.speech_db
+            room.before[i], room.few[i], bands, absorptions, base, room.speech_db, room.latest[i]
         )
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -397,7 +399,8 @@ def predict_change(
     changes : sequence of Change
     exact : bool
         From all paths, in seconds; else carried over from the room as it was found by few of them,
-        in half a second or less: pictures of decays are then those before.
+        in half a second or less, and of bands that the last change had alike nothing anew: pictures
+        of decays are then those before.
     cache, progress
         For what is exact.
 

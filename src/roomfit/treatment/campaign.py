@@ -20,6 +20,7 @@ from roomfit.materials.catalogue import catalogue_prior
 from roomfit.prediction.changes import Change
 from roomfit.scene import Room, Scene
 from roomfit.signals.decay import jnd_of
+from roomfit.treatment.polygons import forbidden_area_m2
 from roomfit.treatment.question import (
     Product,
     Surface,
@@ -89,7 +90,7 @@ def treat_arguments(
         Surface(
             name,
             s.free_m2,
-            float(np.sum(s.forbidden_m2)),
+            float(np.sum(s.forbidden_m2)) + _forbidden_m2(path, name, s.forbidden, scene.room),
             np.inf if s.depth_m is None else s.depth_m,
             tuple(s.products),
         )
@@ -126,6 +127,13 @@ def hardest_changes(arguments: TreatArguments, bands: Bands) -> tuple[tuple[Chan
         (Change(s.material, "value", tuple(np.full(len(bands), least).tolist())),)
         for s in arguments["surfaces"]
     )
+
+
+def _forbidden_m2(
+    path: Path, name: str, polygons: Sequence[Sequence[tuple[float, float, float]]], room: Room
+) -> float:
+    with located(f'{path}, surfaces."{name}", forbidden'):
+        return forbidden_area_m2(room, name, [np.array(corners) for corners in polygons])
 
 
 def _product(name: str, table: HungTable, known: AbsorptionPosterior) -> Product:

@@ -23,7 +23,7 @@ from roomfit.report.room_figure import COLOURS, drawn_faces, outline_m, projecti
 from roomfit.report.text import findings_text
 from roomfit.scene import triangle_material
 from roomfit.signals.decay import FIT_RANGES_DB
-from roomfit.treatment.question import TargetName
+from roomfit.treatment.question import USUAL_HZ, TargetName
 
 if TYPE_CHECKING:
     from roomfit.treatment.treat import Arrangement, Treatment
@@ -90,6 +90,7 @@ def treatment_content(treatment: Treatment, inputs: Iterable[Path]) -> dict[str,
             }
             for a in treatment.arrangements
         ],
+        "to_measure": list(treatment.to_measure),
         "findings": [finding_content(f) for f in treatment.findings],
         "provenance": provenance(inputs),
     }
@@ -121,12 +122,14 @@ def _arrangement_text(treatment: Treatment, a: Arrangement, number: int) -> str:
         )
     if len(treatment.targets) > 1:
         lines.append(f"  all targets: {100 * a.joint:.0f} %")
-    if a.decisive and a.joint < 0.95:
+    if a.decisive and not a.is_sure:
         name, share = a.decisive[0]
         lines.append(
             f"  to be surer, measure {name}: {100 * share:.0f} % of the spread of the least likely "
             "target goes with its absorption"
         )
+        if number == 1:
+            lines += [f"    {line}" for line in treatment.to_measure]
     wanted = {t.parameter for t in treatment.targets}
     shown = {n: v for n, v in a.mean.items() if n in wanted or n in ("T30_s", "C50_dB")}
     head = ["Hz", *(f"{f:g}" for f in treatment.bands.centres_hz)]
@@ -175,7 +178,7 @@ def _draw_limits(axes: Axes, treatment: Treatment, name: TargetName) -> None:
     first = treatment.arrangements[0]
     v = named_values(first.mean, first.sti)[name]
     for t in treatment.targets:
-        wanted = t.bands_hz or (500.0, 1000.0, 2000.0)
+        wanted = t.bands_hz or USUAL_HZ
         at = np.flatnonzero(np.isin(treatment.bands.centres_hz, wanted))
         at = np.zeros(1, dtype=np.int64) if name == "STI" else at
         if t.parameter == name and v.change is not None and at.size:

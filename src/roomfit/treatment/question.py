@@ -111,13 +111,13 @@ class Target:
         if self.parameter == "STI":
             return f"STI {limits}{source}"
         symbol, _, unit = self.parameter.partition("_")
-        bands = ", ".join(f"{f:g}" for f in self.bands_hz or _USUAL_HZ)
+        bands = ", ".join(f"{f:g}" for f in self.bands_hz or USUAL_HZ)
         way = "mean of " if self.mean_of_bands else ""
         unit = {"percent": "%"}.get(unit, unit)
         return f"{symbol} {limits} {unit} ({way}{bands} Hz){source}"
 
 
-_USUAL_HZ = (500.0, 1000.0, 2000.0)
+USUAL_HZ = (500.0, 1000.0, 2000.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -251,12 +251,12 @@ def row_weights(target: Target, bands: Bands) -> FloatArray:
         weights[0, speech_bands(bands)] = 1.0 / 7.0
         return weights
     missing = [f for f in target.bands_hz if f not in bands.centres_hz]
-    wanted = [f for f in target.bands_hz or _USUAL_HZ if f in bands.centres_hz]
+    wanted = [f for f in target.bands_hz or USUAL_HZ if f in bands.centres_hz]
     if missing or not wanted:
         raise InputError(
             "a target is in bands that are not predicted",
             where=str(target),
-            found=f"{', '.join(f'{f:g}' for f in missing or _USUAL_HZ)} Hz",
+            found=f"{', '.join(f'{f:g}' for f in missing or USUAL_HZ)} Hz",
             needed=f"of {', '.join(f'{f:g}' for f in bands.centres_hz)} Hz",
         )
     rows = np.array([bands.centres_hz == f for f in wanted], dtype=np.float64)

@@ -66,6 +66,11 @@ class Arrangement:
     decisive: tuple[tuple[str, float], ...]
     sti: PredictedValue | None = None  # as `mean`, of shape (1,), where the bands give it
 
+    @property
+    def is_sure(self) -> bool:
+        """Whether all targets are met with a probability of 95 %."""
+        return self.joint >= 0.95
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Treatment:
@@ -77,6 +82,8 @@ class Treatment:
     is_met: bool  # by the likeliest prediction
     room: PreparedRoom
     findings: tuple[Finding, ...]
+    # pairs to be measured for the absorption on which a target hangs, in words, by `roomfit.design`
+    to_measure: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """Return arrangements, what they do, and how likely it is enough."""

@@ -32,6 +32,7 @@ _READERS = {
     ".txt": read_rew,
 }
 RESPONSE_SUFFIXES = tuple(_READERS)
+SOUND_SUFFIXES = (*_WAVES, *_SOUNDS)
 _KEYS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys((*_WAVES, *_SOUNDS, ".npy", ".ita"), ("channel",)),
     ".mat": ("channel", "variable", "sampling_rate_variable"),

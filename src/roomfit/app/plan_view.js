@@ -1,0 +1,76 @@
+// The room from above, with sources and receivers that can be dragged; the table beside it does the same by keys.
+export default {
+  template: `<svg ref="s" class="plan-view" :viewBox="box" role="img" @pointermove="move" @pointerup="drop" @pointercancel="drag = null"
+      aria-label="The room from above. Sources and receivers can be dragged, or typed into the table.">
+    <line v-for="(e, i) in plan.edges" :key="'e' + i" :x1="e[0]" :y1="-e[1]" :x2="e[2]" :y2="-e[3]" stroke="currentColor" :stroke-width="unit * 0.8" />
+    <g v-for="p in shown" :key="p.kind + p.name" class="plan-point" :data-point="p.name" @pointerdown="take(p, $event)">
+      <circle :cx="p.at[0]" :cy="-p.at[1]" :r="unit * 14" fill="transparent" />
+      <rect v-if="p.kind === 'sources'" :x="p.at[0] - unit * 5" :y="-p.at[1] - unit * 5" :width="unit * 10" :height="unit * 10" class="plan-source" :stroke-width="unit" />
+      <circle v-else :cx="p.at[0]" :cy="-p.at[1]" :r="unit * 5.5" class="plan-receiver" :stroke-width="unit" />
+      <text :x="p.at[0] + unit * 9" :y="-p.at[1] + unit * 4" :font-size="unit * 12" fill="currentColor">{{ p.text }}</text>
+    </g></svg>`,
+  props: { plan: Object },
+  data: () => ({ drag: null, unit: 0.02 }),
+  mounted() {
+    this.observer = new ResizeObserver(() => this.measure());
+    this.observer.observe(this.$refs.s);
+    this.measure();
+  },
+  unmounted() {
+    this.observer.disconnect();
+  },
+  computed: {
+    ends() {
+      const ends = this.plan.edges.flatMap((e) => [[e[0], e[1]], [e[2], e[3]]]);
+      const known = this.plan.points.filter((p) => p.position_m).map((p) => p.position_m);
+      const all = [...ends, ...known].length ? [...ends, ...known] : [[0, 0], [1, 1]];
+      const [low, high] = [Math.min, Math.max].map((f) => [0, 1].map((k) => all.reduce((m, p) => f(m, p[k]), all[0][k])));
+      return { low, high };
+    },
+    box() {
+      const { low, high } = this.ends;
+      const edge = 0.08 * Math.max(high[0] - low[0], high[1] - low[1], 1);
+      return `${low[0] - edge} ${-high[1] - edge} ${high[0] - low[0] + 2 * edge} ${high[1] - low[1] + 2 * edge}`;
+    },
+    shown() {
+      const { low, high } = this.ends;
+      let waiting = 0; // what has no position yet stands in a row along the lower wall
+      return this.plan.points.map((p) => {
+        const held = this.drag && this.drag.kind === p.kind && this.drag.name === p.name;
+        const step = (high[0] - low[0]) / 12;
+        const at = held ? this.drag.at : p.position_m || [low[0] + step * ++waiting, low[1]];
+        const text = held ? `${p.name} ${at[0].toFixed(2)}, ${at[1].toFixed(2)}` : p.position_m ? p.name : `${p.name}?`;
+        return { ...p, at, text };
+      });
+    },
+  },
+  watch: { plan: { handler: "measure", deep: true } },
+  methods: {
+    measure() {
+      this.$nextTick(() => {
+        const matrix = this.$refs.s && this.$refs.s.getScreenCTM();
+        if (matrix && matrix.a) this.unit = 1 / matrix.a;
+      });
+    },
+    place(e) {
+      const p = new DOMPoint(e.clientX, e.clientY).matrixTransform(this.$refs.s.getScreenCTM().inverse());
+      return [p.x, -p.y];
+    },
+    take(p, e) {
+      const [x, y] = this.place(e);
+      this.drag = { kind: p.kind, name: p.name, at: [...p.at], off: [p.at[0] - x, p.at[1] - y], moved: false };
+      this.$refs.s.setPointerCapture(e.pointerId);
+    },
+    move(e) {
+      if (!this.drag) return;
+      const [x, y] = this.place(e);
+      const at = [x + this.drag.off[0], y + this.drag.off[1]].map((v) => Math.round(100 * v) / 100);
+      this.drag = { ...this.drag, at, moved: true };
+    },
+    drop() {
+      const { kind, name, at, moved } = this.drag || {};
+      this.drag = null;
+      if (moved) this.$emit("dropped", { kind, name, at });
+    },
+  },
+};
