@@ -21,12 +21,13 @@ import argparse
 import tempfile
 import time
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 
 from roomfit.experiment_design.campaign import design_arguments
 from roomfit.experiment_design.candidates import compatible_positions
-from roomfit.experiment_design.choose import CRITERIA, Rules, random_design
+from roomfit.experiment_design.choose import Criterion, Rules, random_design
 from roomfit.experiment_design.design import Design, design
 from roomfit.experiment_design.output import design_gain, design_map, mean_widths
 from roomfit.inversion.identify import identify
@@ -117,7 +118,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--candidates", type=int, default=200)
     parser.add_argument("--choose", type=int, default=6)
-    parser.add_argument("--criteria", nargs="+", default=["mean"], choices=CRITERIA)
+    parser.add_argument("--criteria", nargs="+", default=["mean"], choices=get_args(Criterion))
     parser.add_argument("--random", type=int, default=3)
     parser.add_argument("--noises", type=int, default=1)
     parser.add_argument("--position-error", type=float, default=0.01)

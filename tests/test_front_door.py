@@ -60,7 +60,7 @@ def test_no_module_bears_a_public_name():
 
 def test_the_front_door_is_small():
     """What a first program needs; other names stay in the modules that hold them."""
-    assert len(NAMES) <= 40
+    assert len(NAMES) <= 41
 
 
 def test_names_are_offered_for_completion_and_unknown_ones_refused():
