@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +96,9 @@ def what_if(_: Progress, folder: str, changes: list[str]) -> dict[str, Any]:
     InputError
         The room is not prepared, or a change cannot be made.
     """
-    predicted = predict_change(prepared(folder), [read_change(text) for text in changes])
+    # nothing measured stands beside: means are over all pairs in every band
+    room = replace(prepared(folder), observed=())
+    predicted = predict_change(room, [read_change(text) for text in changes])
     return {
         "mean": _values(predicted.mean, predicted.sti),
         "pairs": [

@@ -147,8 +147,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         draw_pairs()
         note.set_text(
             f"{count(len(view['pairs']), 'pair')}, {count(len(changes), 'material')} changed. "
-            "Lines: mean over the pairs, in a band in which some were measured over those, and its "
-            "95 % interval; thin: each pair; dashed: as it is; red: limits."
+            "Lines: mean over the pairs and its 95 % interval; thin: each pair; dashed: as it is; "
+            "red: limits."
         )
 
     def draw_pairs() -> None:
