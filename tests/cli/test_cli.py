@@ -13,7 +13,14 @@ import pytest
 import soundfile
 
 import roomfit
-from small_campaign import MATERIALS, box_obj, run_command, write_campaign, write_wav
+from small_campaign import (
+    MATERIALS,
+    STAGE_OR_FIRST_ANSWER,
+    box_obj,
+    run_command,
+    write_campaign,
+    write_wav,
+)
 
 HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pydantic", "h5py", "soundfile", "trimesh")
 
@@ -113,8 +120,11 @@ def test_identify_writes_every_file_and_prints_what_they_say(tmp_path, monkeypat
     out = tmp_path / "new" / "out"
     assert run_command(monkeypatch, "identify", campaign, "--out", out) == 0
     shown = capsys.readouterr()
-    # stages, and nothing else
-    assert all(re.match(r"\d:\d\d  [a-z ]+$", line) for line in shown.err.splitlines())
+    # stages and the first answer, and nothing else
+    assert all(STAGE_OR_FIRST_ANSWER.match(line) for line in shown.err.splitlines())
+    assert (
+        len(re.findall(r"\d:\d\d  so far, absorption in % and its 95 % interval;", shown.err)) == 1
+    )
     assert str(out) in shown.out
     # a name that is no file name does not lead out of the folder
     assert sorted(p.name for p in out.iterdir()) == [

@@ -73,6 +73,7 @@ STUBS: dict[str, dict[str, Any]] = {
         COMMANDS + "identify_arguments": lambda *_: {**empty(), "settings": Settings()},
         COMMANDS + "identify": nothing,
         COMMANDS + "measured_scene": nothing,
+        COMMANDS + "answer_figures": nothing,
         "roomfit.report.html.report_html": word,
         COMMANDS + "write_result": writes("result.json", "absorption.csv"),
         COMMANDS + "write_pictures": writes("absorption.png"),

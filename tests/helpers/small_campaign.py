@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from functools import cache
 from pathlib import Path
@@ -18,6 +19,10 @@ LENGTHS_M = (3.9, 3.1, 2.5)
 SOURCE_M = (1.0, 1.2, 1.1)
 RECEIVERS_M = {"MP1": (2.9, 2.2, 1.3), "MP2": (3.1, 0.9, 1.6)}
 ABSORPTION = {"walls": 0.15, "carpet": 0.4, "tiles": 0.3}
+# What `roomfit identify` says on stderr.
+STAGE_OR_FIRST_ANSWER = re.compile(
+    r"\d+:\d\d  ([a-z ]+|so far, absorption .+|[ \d.]+ Hz.*|\S.* \(\d+-\d+\))$"
+)
 
 MATERIALS = """[room.materials]
 walls = "walls"

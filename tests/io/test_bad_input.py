@@ -23,6 +23,7 @@ from small_campaign import (
     ABSORPTION,
     MATERIALS,
     RATE_HZ,
+    STAGE_OR_FIRST_ANSWER,
     box_obj,
     run_command,
     small_responses,
@@ -393,7 +394,7 @@ def test_digests_are_of_what_was_read_and_names_may_be_any(tmp_path, monkeypatch
         warnings.simplefilter("error")
         assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out") == 0
     lines = capsys.readouterr().err.splitlines()
-    assert all(re.match(r"\d+:\d\d  [a-z ]+$", line) for line in lines)
+    assert all(STAGE_OR_FIRST_ANSWER.match(line) for line in lines)
     inputs = json.loads((tmp_path / "out" / "result.json").read_text())["provenance"][
         "inputs_sha256"
     ]

@@ -95,7 +95,8 @@ def test_only_bands_that_have_changed_are_weighed_anew(room, monkeypatch):
     predict_change(room, [read_change("carpet=x0.6,x1")])
     weighed.clear()
     moved = predict_change(room, [read_change("carpet=x0.8,x1")])
-    assert weighed == [1 + len(room.draws)] * len(room.few)
+    # beside what scatters in common with the room before, of three points a band
+    assert [n for n in weighed if n > 3] == [1 + len(room.draws)] * len(room.few)
     forgetful = replace(room, latest=tuple({} for _ in room.few))
     expected = predict_change(forgetful, [read_change("carpet=x0.8,x1")])
     for name, value in expected.mean.items():

@@ -229,7 +229,7 @@ def test_every_problem_of_the_paper_is_certified(content: dict[str, Any]) -> Non
     for name, wanted in SPECIFICATIONS.items():
         found = proven[name]
         assert found["status"] == "certified"
-        truth = np.array(wanted.true_absorption)
+        truth = np.array(wanted.division.true_absorption)
         covered = [
             np.all((np.array(c["lower"]) <= truth) & (truth <= np.array(c["upper"])))
             for c in found["clusters"]

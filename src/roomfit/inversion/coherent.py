@@ -514,7 +514,7 @@ def _tell_first(state: SequentialState, fits: Sequence[CoherentBandFit | None]) 
         entries = [f"{a:.0f} ({low:.0f}-{high:.0f})" for a, low, high in numbers]
         columns.append([f"{state.task.bands.centres_hz[b]:g} Hz", *entries])
     names = [p.name for p in state.task.priors]
-    _LOG.log(_NOTICE, "so far, absorption in % and its 95 %% interval; not yet examined:")
+    _LOG.log(_NOTICE, "so far, absorption in % and its 95 % interval; not yet examined:")
     for name, *entries in zip(["", *names], *columns, strict=True):
         _LOG.log(_NOTICE, "%-16.16s%s", name, "".join(f"{e:>12s}" for e in entries))
 
