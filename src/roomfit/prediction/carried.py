@@ -84,6 +84,8 @@ def scatter_correlation(
     found = np.ones((len(VALUE_NAMES), len(bands)))
     curves = [echogram_decay_curve(bands, e, few.edges_s, few.direct_s) for e in energies[:2]]
     for band, rows in enumerate(few.by_band):
+        if np.array_equal(before[:, band], after[:, band]):
+            continue
         single = weigh_points(squared_image_rows(rows), states[:, :, band])
         variance = np.maximum(energies[:, band] ** 2 - single, 0.0)
         old, new = (value_gradients(c, band, VALUE_NAMES)[1] for c in curves)

@@ -253,8 +253,8 @@ def _early(curve: DecayCurve, band: int, name: str) -> tuple[float, FloatArray]:
     left = curve.energy_left[band]
     time_s, end_s = curve.time_s, curve.onset_s + _EARLY_S[name]
     # the boundary before the end of the early part, and the share of the bin up to that end
-    i = int(np.clip(np.searchsorted(time_s, end_s, side="right") - 1, 0, len(time_s) - 2))
-    share = float(np.clip((end_s - time_s[i]) / (time_s[i + 1] - time_s[i]), 0.0, 1.0))
+    i = min(max(int(np.searchsorted(time_s, end_s, side="right")) - 1, 0), len(time_s) - 2)
+    share = min(max(float((end_s - time_s[i]) / (time_s[i + 1] - time_s[i])), 0.0), 1.0)
     weights: FloatArray = np.zeros_like(left)
     weights[i : i + 2] = 1.0 - share, share
     total, late = float(left[0]), float((1.0 - share) * left[i] + share * left[i + 1])
@@ -263,7 +263,7 @@ def _early(curve: DecayCurve, band: int, name: str) -> tuple[float, FloatArray]:
         by_left[0] += 100.0 * late / total**2
         return 100.0 * (1.0 - late / total), by_left
     # one part in 1e12 on either side keeps the logarithm where all is early, or all late
-    late = float(np.clip(late, 1e-12 * total, (1.0 - 1e-12) * total))
+    late = min(max(late, 1e-12 * total), (1.0 - 1e-12) * total)
     by_left = -_DB * total / (late * (total - late)) * weights
     by_left[0] += _DB / (total - late)
     return float(_DB * np.log(total / late - 1.0)), by_left
