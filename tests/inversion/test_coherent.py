@@ -99,15 +99,15 @@ def test_a_box_is_found_within_its_intervals(box: tuple[Path, np.ndarray]) -> No
     assert np.all(geometry.sd <= geometry.prior_sd * (1.0 + 1e-9))
 
 
-def test_what_the_first_pass_has_found_is_told_before_it_is_examined(
+def test_what_the_first_pass_has_found_is_shown_before_it_is_examined(
     box: tuple[Path, np.ndarray], caplog: pytest.LogCaptureFixture
 ) -> None:
     """A line a material, with twelve intervals of which three miss by chance once in 50 boxes."""
     campaign, true = box
     with caplog.at_level(logging.INFO, "roomfit"):
         fitted(campaign)
-    told = [r.getMessage() for r in caplog.records if r.levelno == logging.INFO + 5]
-    _, bands, *materials = told
+    lines = [r.getMessage() for r in caplog.records if r.levelno == logging.INFO + 5]
+    _, bands, *materials = lines
     assert bands.split() == ["250", "Hz", "500", "Hz"]
     numbers = [[int(x) for x in re.findall(r"\d+", line)] for line in materials]
     found, low, high = np.moveaxis(np.reshape(numbers, (6, 2, 3)) / 100.0, 2, 0)

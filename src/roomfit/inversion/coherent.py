@@ -448,7 +448,7 @@ def fit_coherent(
     if settings.quick:
         fits, _ = leave_one_out_pass(state.bands, fits, settings)
         return CoherentFit(state, tuple(fits), _likelihoods(state, fits), None, state.findings)
-    _tell_first(state, fits)
+    _log_first_answer(state, fits)
     misfits = [
         file_misfits(
             fitted_in_band(state.task.measured, b),
@@ -494,7 +494,7 @@ def fit_coherent(
     return CoherentFit(state, tuple(fits), likelihoods, estimate, findings)
 
 
-def _tell_first(state: SequentialState, fits: Sequence[CoherentBandFit | None]) -> None:
+def _log_first_answer(state: SequentialState, fits: Sequence[CoherentBandFit | None]) -> None:
     """Log what the first pass has found, long before the answer is examined and complete.
 
     Intervals are Gaussian, without the errors that windows share.

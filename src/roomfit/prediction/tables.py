@@ -334,7 +334,7 @@ def _change(
         else:
             carried = new + share * (measured - old)
             carried_draws = drawn_new + share * (measured - drawn_old)
-    low, high = _ends(drawn)
+    low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
     return ValueChange(
         old,
         *_interval(name, drawn_old, np.hypot(sds[0], sds[2])),
@@ -350,27 +350,13 @@ def _change(
 def _interval(name: str, draws: FloatArray, rest_sd: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the quantiles of all draws, each widened by noise, of shape (n_bands,) each."""
     wide = draws[:, None, :] + _STEPS[:, None] * rest_sd / np.std(_STEPS)
-    low, high = _ends(wide.reshape(-1, rest_sd.size))
+    low, high = np.quantile(wide.reshape(-1, rest_sd.size), (0.025, 0.975), axis=0)
     if name in FIT_RANGES_DB:
         low = np.maximum(low, 0.0)
     if name in ("D50_percent", "STI"):
         most = 1.0 if name == "STI" else 100.0
         low, high = np.clip(low, 0.0, most), np.clip(high, 0.0, most)
     return low, high
-
-
-def _ends(samples: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the quantiles 0.025 and 0.975 of each column, as np.quantile does, in less time."""
-    last = len(samples) - 1
-    ranks = [divmod(share * last, 1.0) for share in (0.025, 0.975)]
-    kth = sorted({min(int(whole) + i, last) for whole, _ in ranks for i in (0, 1)})
-    parted = np.partition(np.ascontiguousarray(samples.T), kth, axis=1)
-    ends = []
-    for whole, part in ranks:
-        low, high = parted[:, int(whole)], parted[:, min(int(whole) + 1, last)]
-        ends.append(low + part * (high - low))
-    is_unknown = np.isnan(samples).any(axis=0)
-    return np.where(is_unknown, np.nan, ends[0]), np.where(is_unknown, np.nan, ends[1])
 
 
 def _mean(rows: Sequence[FloatArray], shape: tuple[int, ...]) -> FloatArray:

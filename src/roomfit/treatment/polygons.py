@@ -96,11 +96,10 @@ def _common_m2(polygon: FloatArray, triangles: FloatArray, *, signed: bool) -> f
     normal = _vector_m2(polygon) / _area_m2(polygon)
     total = 0.0
     for triangle in triangles:
-        twice = float(np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0]) @ normal)
-        way = 1.0 if twice > 0.0 else -1.0
-        upright = triangle if twice > 0.0 else triangle[::-1]
-        height = (polygon - triangle[0]) @ np.cross(*(triangle[1:] - triangle[0]))
-        size = np.linalg.norm(np.cross(*(triangle[1:] - triangle[0])))
+        across = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
+        faces = float(across @ normal) > 0.0
+        way, upright = (1.0, triangle) if faces else (-1.0, triangle[::-1])
+        height, size = (polygon - triangle[0]) @ across, np.linalg.norm(across)
         if size < 1e-12 or np.any(np.abs(height) > _OFF_PLANE_M * size):
             continue
         left = polygon
