@@ -11,7 +11,7 @@ from roomfit.air import attenuation_per_m
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
 from roomfit.io.campaign import read_campaign
-from roomfit.prediction import decay, tables
+from roomfit.prediction import decay
 from roomfit.prediction.campaign import predict_arguments
 from roomfit.prediction.changes import read_change
 from roomfit.prediction.decay import RELATIVE, few_energies, few_rows
@@ -104,16 +104,6 @@ def test_only_bands_that_have_changed_are_weighed_anew(room, monkeypatch):
             np.testing.assert_array_equal(getattr(moved.mean[name], key), getattr(value, key))
     untouched = moved.mean["T30_s"].change
     assert untouched.change[1] == 1.0 != untouched.change[0]
-
-
-def test_the_ends_of_intervals_are_quantiles():
-    samples = np.random.default_rng(3).normal(size=(257, 4))
-    samples[0, 3] = np.nan
-    expected = np.quantile(samples, (0.025, 0.975), axis=0)
-    np.testing.assert_allclose(tables._ends(samples), expected, rtol=1e-12)
-    np.testing.assert_allclose(
-        tables._ends(samples[:2]), np.quantile(samples[:2], (0.025, 0.975), axis=0)
-    )
 
 
 def test_few_rows_bring_the_energies_of_all_of_them(room):
