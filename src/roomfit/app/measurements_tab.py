@@ -32,6 +32,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
     """Draw the tab; return what draws it anew."""
     shape = {"shape": f"{project.RECORDINGS}/{project.SHAPE}"}
     shown: list[Any] = []
+    fields: dict[tuple[str, str], list[ui.number]] = {}
+    latest = [0]  # number of the view that was asked for last
 
     async def sent(_: list[str]) -> None:
         await use_shape()
@@ -70,8 +72,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         except InputError as error:
             said(error)
 
-    async def moved(kind: str, name: str, fields: list[ui.number]) -> None:
-        values = [field.value for field in fields]
+    async def moved(kind: str, name: str) -> None:
+        values = [field.value for field in fields[kind, name]]
         if any(value is None for value in values):
             return
         point = next(p for p in shown if p["kind"] == kind and p["name"] == name)
@@ -84,37 +86,49 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         except InputError as error:
             said(error)
 
-    def show_positions() -> None:
-        positions.clear()
-        with positions:
-            heading("Positions in m")
-            if not shown:
-                ui.label("None yet: they come with the names of recordings.").classes("soft")
-            with ui.element("div").classes("positions"):
-                for point in shown:
-                    kind, name = point["kind"], point["name"]
-                    ui.label(f"{kind[:-1]} {name}")
-                    fields: list[ui.number] = []
-                    for axis, word in enumerate("xyz"):
-                        value = None if point["position_m"] is None else point["position_m"][axis]
-                        field = ui.number(word, value=value, step=0.01, format="%.3f")
-                        field.props("outlined dense")
-                        field.props["aria-label"] = f"{name} {word} in m"
-                        fields.append(field)
-                    for field in fields:
-                        field.on("blur", lambda k=kind, n=name, f=fields: moved(k, n, f))
-                        field.on("keydown.enter", lambda k=kind, n=name, f=fields: moved(k, n, f))
+    def show_positions(points: list[Any]) -> None:
+        """Draw the fields; while the names stay, only those of what has moved are written to."""
+        stored = {(p["kind"], p["name"]): p["position_m"] for p in shown}
+        typed = {key: [field.value for field in row] for key, row in fields.items()}
+        shown[:] = points
+        named = [(p["kind"], p["name"]) for p in points]
+        if named != list(fields) or not named:
+            positions.clear()
+            fields.clear()
+            with positions:
+                heading("Positions in m")
+                if not named:
+                    ui.label("None yet: they come with the names of recordings.").classes("soft")
+                with ui.element("div").classes("positions"):
+                    for key in named:
+                        fields[key] = position_fields(*key)
+        for key, point in zip(named, points, strict=True):
+            place = point["position_m"]
+            values = typed.get(key, [None] * 3) if place == stored.get(key) else place
+            for field, value in zip(fields[key], values or [None] * 3, strict=True):
+                field.set_value(value)
+
+    def position_fields(kind: str, name: str) -> list[ui.number]:
+        ui.label(f"{kind[:-1]} {name}")
+        row = []
+        for word in "xyz":
+            field = ui.number(word, step=0.01, format="%.3f").props("outlined dense")
+            field.props["aria-label"] = f"{name} {word} in m"
+            for event in ("blur", "keydown.enter"):
+                field.on(event, lambda: moved(kind, name))
+            row.append(field)
+        return row
 
     async def refresh() -> None:
+        latest[0] += 1
+        own = latest[0]
         view = await bench.ask("recordings_view", shape=shape["shape"])
-        if general.is_deleted:  # the page was closed meanwhile
+        if general.is_deleted or own != latest[0]:  # the page was closed, or asked once more
             return
         general.clear()
         with general:
             findings(view["findings"])
-        if view["positions"] != shown or not positions.default_slot.children:
-            shown[:] = view["positions"]
-            show_positions()
+        show_positions(view["positions"])
         plan.set_visibility(bool(view["plan"] and shown))
         plan.show(view["plan"], shown)
         recordings.clear()
