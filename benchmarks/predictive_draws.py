@@ -6,7 +6,8 @@
 box        random size and six random materials, simulated by image sources as pressures
 slanted, l-shaped  polyhedra of six random materials, simulated by pressures from cell to cell
 hall       a fan of 8,064 m3, twelve materials with scattering: other rays of the model itself,
-           whose energies modulate noise, so that reflections interfere
+           whose energies modulate noise, so that reflections interfere; the direct sound and the
+           first reflections are pulses
 
 The four pairs of one source are fitted, by values of ISO 3382-1 alone or by responses; those of the
 other are predicted, and once more with one wall exchanged for a known one, which is simulated, too.
@@ -30,8 +31,9 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
+from scipy import fft
 
-from roomfit.air import attenuation_per_m
+from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.geometry.mesh import Mesh, Surface
 from roomfit.inversion.identify import identify
@@ -45,12 +47,19 @@ from roomfit.measurement import Measurement
 from roomfit.prediction.changes import Change
 from roomfit.prediction.predict import Predicted, predict
 from roomfit.response.binned import BIN_S, bin_paths, pair_energies
+from roomfit.response.energy import EnergyRows, window_of_rows
 from roomfit.results import absorption_posterior
 from roomfit.scene import Room, Scene, pair_names, scene_of
 from roomfit.settings import Settings
 from roomfit.signals.decay import jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
-from roomfit.synthetic.boxes import ECHOGRAM_BIN_S, add_noise, modulated_noise, write_measured_box
+from roomfit.synthetic.boxes import (
+    ECHOGRAM_BIN_S,
+    PRESSURE_SQUARED,
+    add_noise,
+    modulated_noise,
+    write_measured_box,
+)
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 from simulated_rooms.hall import hall_room
@@ -146,16 +155,35 @@ def hall(
         Scattering(names, np.full(12, HALL_SCATTERING)),
     ).paths
     binned = bin_paths(scene, wide, traced, length_s)
-    kept = np.flatnonzero(binned.edges_s[:-1] > -0.5 * BIN_S)
     absorption, air = np.tile(true[:, None], len(wide)), attenuation_per_m(scene.air, wide)
+    frequencies = fft.rfftfreq(round(length_s * rate_hz), 1.0 / rate_hz)
     responses = []
     for i, (source, receiver, _) in enumerate(pair_names(scene)):
-        energy = pair_energies(binned, wide, i, absorption, air)[:, kept]
-        echogram = energy.reshape(len(wide), -1, round(ECHOGRAM_BIN_S / BIN_S)).sum(axis=2)
+        energy = pair_energies(binned, wide, i, absorption, air)
+        window, own, travel_s = images(binned.rows[i], true, scene, float(air[2]))
+        energy -= np.bincount(window, own, energy.shape[1])
+        kept = np.maximum(energy[:, binned.edges_s[:-1] > -0.5 * BIN_S], 0.0)
+        echogram = kept.reshape(len(wide), -1, round(ECHOGRAM_BIN_S / BIN_S)).sum(axis=2)
         ends = (round(length_s * rate_hz), rate_hz, wide.centres_hz, np.zeros(len(wide)), rng)
-        pressure = add_noise(modulated_noise(echogram, *ends), -75.0, rng)
-        responses.append(Measurement(source, receiver, pressure, rate_hz))
+        spectrum = np.sqrt(PRESSURE_SQUARED * own) @ np.exp(
+            -2j * np.pi * np.outer(travel_s, frequencies)
+        )
+        pressure = fft.irfft(spectrum, ends[0]) + modulated_noise(echogram, *ends)
+        responses.append(
+            Measurement(source, receiver, add_noise(pressure, -75.0, rng), rate_hz)
+        )
     return scene, priors, responses, names[wall]
+
+
+def images(
+    rows: EnergyRows, absorption: np.ndarray, scene: Scene, attenuation_per_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the bin, the energy and the travel time of each path that is no ray's."""
+    own = np.flatnonzero(rows.batch < 0)
+    length_m = rows.length_m[own]
+    energy = rows.weight_per_m2[own] * np.exp(-attenuation_per_m * length_m)
+    energy = energy * np.prod((1.0 - absorption) ** rows.hits[own], axis=1)
+    return window_of_rows(rows)[own], energy, length_m / speed_of_sound_m_s(scene.air)
 
 
 def values_of(scene: Scene, responses: Sequence[Measurement]) -> list[MeasuredValues]:

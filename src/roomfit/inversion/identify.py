@@ -492,7 +492,8 @@ def _refinement(
         material_areas_m2(measured.scene.room),
         settings.seed,
         tuple(s.exchange for s in mirror_symmetries(measured, priors)),
-        settings.n_draws if settings.posterior_draws else 0,
+        settings.n_draws if settings.posterior_draws is not False else 0,
+        settings.posterior_draws is None,
     )
 
 

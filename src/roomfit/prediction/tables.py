@@ -303,7 +303,8 @@ def _change(
 
     Notes
     -----
-    A measured value departs from its prediction by errors of the absorption and of the model, which
+    The change is that of a measured value: what interference of both states does not share,
+    ``s^2 + t^2 - 2 r s t``, is in its interval. A measured value departs from its prediction by errors of the absorption and of the model, which
     stay when walls change, and by how reflections interfere, which changes with them. The share
     that is carried over is the coefficient of regression of the departure after on that before:
     ``(c + m^2 + r s t) / (v + m^2 + s^2 + u^2)`` with v the variance of the draws before, c their
@@ -334,7 +335,8 @@ def _change(
         else:
             carried = new + share * (measured - old)
             carried_draws = drawn_new + share * (measured - drawn_old)
-    low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
+        apart_sd = np.sqrt(np.maximum(s**2 + t**2 - 2.0 * both, 0.0)) * (change if in_ratios else 1)
+    low, high = _interval("change", drawn, apart_sd)
     return ValueChange(
         old,
         *_interval(name, drawn_old, np.hypot(sds[0], sds[2])),

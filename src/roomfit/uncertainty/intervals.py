@@ -42,6 +42,7 @@ class Refinement:
     # of materials, by a symmetry of room and positions: fitted a second time from there
     exchanges: tuple[IntArray, ...] = ()
     n_draws: int = 0  # of the posterior, for predictions
+    only_values: bool = False  # whether bands with responses go without draws
 
     def __call__(self, band: FittedBand, progress: Progress | None = None) -> BandEstimate:
         """Return a band's estimate with better intervals, and what mirror images explain."""
@@ -51,7 +52,7 @@ class Refinement:
         trials = tuple(_mirrored(objective, fit, exchange) for exchange in self.exchanges)
         evaluations = answer.evaluations + sum(t.evaluations for t in trials)
         answer = replace(answer, mirrors=trials, evaluations=evaluations)
-        if self.n_draws:
+        if self.n_draws and (answer.model == "values" or not self.only_values):
             answer = _drawn(objective, fit, answer, self.n_draws, self.seed)
         if self.intervals == "profile":
             return profiled(objective, fit, answer)
