@@ -111,3 +111,16 @@ def test_noise_that_no_change_alters_stays_as_a_whole(few, steady):
     alike = scatter_correlation(few, OCTAVE, before, after)
     np.testing.assert_allclose(found, (steady * 1.0 + (1.0 - steady) * alike) * 0.15)
     assert np.all(found <= 0.15 + 1e-12)
+
+
+def test_a_wall_that_hardly_changes_reflects_as_it_did(few):
+    """By the normal law of one material; a change of three times that is another wall."""
+    before = np.array([[0.2], [0.15]])
+    found = [
+        scatter_correlation(few, OCTAVE, before, before + np.array([[0.0], [change]]))[:, 0]
+        for change in (0.0, 1e-3, 0.02, 0.05, 0.15)
+    ]
+    assert np.all(found[1] > 0.995) and np.all(np.diff(found, axis=0) < 0.0)
+    away = scatter_correlation(few, OCTAVE, before, np.array([[0.2], [0.3]]))[:, 0]
+    never = scatter_correlation(few, OCTAVE, before, np.array([[0.2], [1.0 - 1e-9]]))[:, 0]
+    assert np.all(np.isfinite(never)) and np.all(away < found[2])

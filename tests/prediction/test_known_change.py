@@ -85,16 +85,21 @@ def test_a_value_that_scatters_little_is_carried_over_as_a_whole_and_one_that_sc
         found = _change("T20_s", row, (after, before), np.array([2.2]), np.zeros(1))
         assert found.carried[0] == pytest.approx(expected, rel=1e-4)
         assert found.change[0] == pytest.approx(0.5)
-        assert found.change_lower95[0] == pytest.approx(0.5) == found.change_upper95[0]
+        # what interference of both states does not share is the change's own
+        own_sd = np.sqrt(2.0 * (noise_sd**2 - common))
+        reach = np.array([found.change_lower95[0], found.change_upper95[0]]) / 0.5 - 1.0
+        assert reach[1] == pytest.approx(1.96 * own_sd, rel=0.03, abs=1e-9)
+        assert reach[0] == pytest.approx(-1.96 * own_sd, rel=0.03, abs=1e-9)
 
 
 def test_the_change_of_what_is_not_shared_moves_draw_by_draw():
-    """By hand: the ratio of each draw after to the same before."""
+    """By hand: the ratio of each draw after to the same before, where nothing interferes."""
     shared, row = np.array([-0.2, -0.1, 0.1, 0.2]), VALUE_NAMES.index("T20_s")
-    before = numbers(2.0, 0.06, 2.0 * np.exp(shared))
-    moved = numbers(1.0, 0.05, np.exp(-shared))
+    before = numbers(2.0, 0.0, 2.0 * np.exp(shared))
+    moved = numbers(1.0, 0.0, np.exp(-shared))
     apart = _change("T20_s", row, (moved, before), np.ones(1), np.zeros(1))
-    ends = np.quantile(0.5 * np.exp(-2.0 * shared), (0.025, 0.975))
+    # of the four, each sixteen times
+    ends = np.quantile(np.repeat(0.5 * np.exp(-2.0 * shared), 16), (0.025, 0.975))
     np.testing.assert_allclose((apart.change_lower95[0], apart.change_upper95[0]), ends)
 
 
@@ -148,7 +153,7 @@ def test_what_is_common_to_both_states_cancels_in_the_change(campaign):
     known = posterior(0.0)
     covariance = np.zeros((2, 3, 3))
     covariance[:, 0, 0] = 0.4**2
-    v = changed(campaign, replace(known, logit_covariance=covariance), "carpet=x1.1").mean["T20_s"]
+    v = changed(campaign, replace(known, logit_covariance=covariance), "carpet=x1.02").mean["T20_s"]
     spread = np.log(v.change.before_upper95 / v.change.before_lower95)
     assert np.all(np.log(v.change.change_upper95 / v.change.change_lower95) < 0.25 * spread)
     carried = np.log(v.change.carried_upper95 / v.change.carried_lower95)
@@ -166,18 +171,15 @@ def test_no_change_is_carried_over_as_it_was_and_has_no_direction(campaign):
 
 
 def test_a_direction_is_said_where_the_data_support_it_and_not_where_they_do_not(campaign):
-    """Carpet of 0.4 becomes 0.1: known within some per cent T rises; unknown, it may fall."""
-    sure = changed(campaign, posterior(0.05), "carpet=0.1")
+    """Walls of 0.15 become 0.1: known within some per cent T rises; unknown, it may fall."""
+    sure = changed(campaign, posterior(0.05), "walls=0.1")
     (said,) = [f for f in sure.findings if f.code is Code.MATERIALS_CHANGED]
     assert "the mean of T30 rises at 500, 1000 Hz" in said.sentence
     assert said.evidence["directions"]["C80_dB"] == {"falls": [500.0, 1000.0]}
     known = posterior(0.05)
     covariance = known.logit_covariance.copy()
-    covariance[:, 1, 1] = DEFAULT_LOGIT_SD**2
-    # the tails of 32 draws are too few for a bound that lies 1 % off
-    unsure = changed(
-        campaign, replace(known, logit_covariance=covariance), "carpet=0.1", n_draws=128
-    )
+    covariance[:, 0, 0] = DEFAULT_LOGIT_SD**2
+    unsure = changed(campaign, replace(known, logit_covariance=covariance), "walls=0.1")
     (said,) = [f for f in unsure.findings if f.code is Code.MATERIALS_CHANGED]
     assert set(said.evidence["directions"]["T30_s"]) == {"has no determined direction"}
     assert "T30 has no determined direction" in str(unsure)
@@ -258,11 +260,11 @@ def test_a_standard_deviation_may_be_left_out_and_must_fit_the_values(campaign):
 def test_in_boxes_of_known_walls_the_changed_room_lies_inside_and_no_direction_is_wrong():
     """Pressures of image sources, one wall of which gets a third of its absorption; broad priors.
 
-    Fitted to ISO 3382 values of the state before. Of eight boxes 98 % of the means and of the
+    Fitted to ISO 3382 values of the state before. Of eight boxes 96 % of the means and 97 % of the
     pairs' values were held. Values of one box move together: three boxes that hold 95 of 100 each
     hold 90 % of the values together in all but about one of seven draws of seeds; these are fixed.
     """
-    held, n_stated = [], 0
+    held, changes_held, n_stated, n_doubted = [], [], 0, 0
     for seed in (1, 2, 3):
         case = known_change(seed)
         found = predicted_change(case)
@@ -270,12 +272,14 @@ def test_in_boxes_of_known_walls_the_changed_room_lies_inside_and_no_direction_i
         stated, wrong = wrong_directions(found, {n: a - b for n, (b, a) in true.items()})
         assert wrong == 0
         n_stated += stated
-        for name, (_, after) in true.items():
+        for name, (before, after) in true.items():
             c = found.mean[name].change
             held.append(inside(c.carried_lower95, after, c.carried_upper95))
-        # values say nothing of single walls
-        assert Code.CHANGE_PRIOR_DOMINATED in {f.code for f in found.findings}
-    assert np.concatenate(held).mean() >= 0.9
+            change = after / before if name in ("T20_s", "T30_s", "EDT_s") else after - before
+            changes_held.append(inside(c.change_lower95, change, c.change_upper95))
+        n_doubted += Code.CHANGE_PRIOR_DOMINATED in {f.code for f in found.findings}
+    assert np.concatenate(held).mean() >= 0.9 <= np.concatenate(changes_held).mean()
+    assert n_doubted >= 2  # values say little of single walls
     assert n_stated < 3 * len(JUDGED) * 2
 
 

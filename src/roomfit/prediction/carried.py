@@ -19,6 +19,9 @@ from roomfit.signals.decay import echogram_decay_curve
 from roomfit.signals.iso3382 import VALUE_NAMES, value_gradients
 from roomfit.typing import FloatArray
 
+# Of the absorption of one material from one laboratory to the next, about (ISO 12999-2).
+_SAME_MATERIAL_SD = 0.05
+
 
 def with_common_noise(
     after: PairNumbers,
@@ -74,11 +77,13 @@ def scatter_correlation(
     Pressures of paths with the energies ``e_i`` before and ``f_i`` after, of random phases, bring
     energies with the covariance ``(sum_i sqrt(e_i f_i))^2``, less what single paths bring, over
     paths whose phase is common to both states: those that meet no wall that is exchanged, since
-    the phase that another material reflects with is not known. `roomfit.objective.room_parameters.
-    value_covariances` carries variances through the derivatives of a value alike.
+    the phase that another material reflects with is not known. A wall counts the less as exchanged
+    the less its absorption changes against ``_SAME_MATERIAL_SD``. `roomfit.objective.
+    room_parameters.value_covariances` carries variances through the derivatives of a value alike.
     """
     # a wall that absorbs all leaves the paths that never meet it
-    avoiding = np.where(before == after, before, 1.0)
+    kept = np.exp(-0.5 * ((after - before) / _SAME_MATERIAL_SD) ** 2)
+    avoiding = 1.0 - kept * np.sqrt((1.0 - before) * (1.0 - after))
     states = np.stack([before, after, avoiding])
     energies = few_energies(few, states)
     found = np.ones((len(VALUE_NAMES), len(bands)))

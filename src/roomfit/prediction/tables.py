@@ -304,7 +304,9 @@ def _change(
     Notes
     -----
     The change is that of a measured value: what interference of both states does not share,
-    ``s^2 + t^2 - 2 r s t``, is in its interval. A measured value departs from its prediction by errors of the absorption and of the model, which
+    ``s^2 + t^2 - 2 r s t``, is in its interval.
+
+    A measured value departs from its prediction by errors of the absorption and of the model, which
     stay when walls change, and by how reflections interfere, which changes with them. The share
     that is carried over is the coefficient of regression of the departure after on that before:
     ``(c + m^2 + r s t) / (v + m^2 + s^2 + u^2)`` with v the variance of the draws before, c their
