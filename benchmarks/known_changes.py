@@ -11,8 +11,8 @@ differences of the walls that did not change. For the first, state R, whose wall
 other states, predicted from these: the raw model, and the measured values carried over by the
 model's change, beside Sabine's formula and the mean of the two states. `together` fits the two
 states of the first room at once, its panels as products (`--product-sd`, logit; 0: independent).
-`dechorate`: isolated first reflections beside the walls that were fitted, and the change from one
-state to the other, pair by pair and in the mean, with the floor of the first and the panels of the
+Isolated first reflections stand beside the walls that were fitted, with what they return more
+than these, in dB. `dechorate`: the change from one state to the other, pair by pair and in the mean, with the floor of the first and the panels of the
 second, beside Sabine's and Eyring's formula with the same walls and the mean of both states.
 
 --moved   state 000 of `r3vival` with its array specified .3, .5 and 1 m off along x and the room 20
@@ -367,11 +367,17 @@ def first_reflections(case: Case, result: Result) -> str:
     lines = ["First reflections that stand alone, number, and the fit with its interval"]
     for r in wall_returns(found, measured, traced.scattering):
         m = result.materials.index(r.material)
+        fit = float(result.absorption[m, r.band])
+        level = (
+            ""
+            if r.absorption >= 1.0
+            else f"{10 * np.log10((1 - r.absorption) / (1 - fit)):+.1f} dB"
+        )
         lines.append(
             f"  {r.wall:8}{result.bands.centres_hz[r.band]:6g} Hz "
             f"{r.absorption:5.2f} +- {r.sd:.2f} "
-            f"({r.number})  fit {result.absorption[m, r.band]:.2f} "
-            f"({result.lower95[m, r.band]:.2f}-{result.upper95[m, r.band]:.2f})"
+            f"({r.number})  fit {fit:.2f} "
+            f"({result.lower95[m, r.band]:.2f}-{result.upper95[m, r.band]:.2f})  {level}"
         )
     return "\n".join(lines)
 
@@ -618,8 +624,7 @@ def main() -> None:
             )
             cases[state] = case
             results[state] = fitted(f"{room} {state}", case, asked.scattering, settings)
-            if room == "dechorate":
-                print(first_reflections(case, results[state]))
+            print(first_reflections(case, results[state]))
         print()
         for (one, other), walls in SAME[room].items():
             print(f"{one} and {other}, {unchanged(results[one], results[other], walls)}")
