@@ -12,7 +12,7 @@ other states, predicted from these: the raw model, and the measured values carri
 model's change, beside Sabine's formula and the mean of the two states. `together` fits the two
 states of the first room at once, its panels as products (`--product-sd`, logit; 0: independent).
 Isolated first reflections stand beside the walls that were fitted, with what they return more
-than these, in dB. `dechorate`: the change from one state to the other, pair by pair and in the
+than these, in dB; of the first room those that leave a loudspeaker as the direct sound does. `dechorate`: the change from one state to the other, pair by pair and in the
 mean, with the floor of the first and the panels of the second, beside Sabine's and Eyring's formula
 with the same walls and the mean of both states.
 
@@ -39,7 +39,11 @@ from roomfit.eyring import eyring_time_s
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.measurements import collect_measurements
 from roomfit.inversion.paths import traced_paths
-from roomfit.inversion.reflections import isolated_reflections, wall_returns
+from roomfit.inversion.reflections import (
+    IsolatedReflection,
+    isolated_reflections,
+    wall_returns,
+)
 from roomfit.logit import Z95, logit
 from roomfit.materials.priors import MaterialPrior, complete_priors, unknown_material
 from roomfit.prediction.changes import Change
@@ -67,6 +71,8 @@ SAME: dict[str, dict[tuple[str, str], tuple[str, ...]]] = {
     "dechorate": {("000000", "011111"): ("floor",)},
 }
 JUDGED_HZ = 200.0  # what is lower, single modes decide
+# As far off the axis as a loudspeaker of this size radiates within some decibels at 4 kHz.
+ON_AXIS_DEGREES = 40.0
 
 Case = tuple[Scene, list[roomfit.Measurement], Mapping[str, UnknownDirectivity]]
 
@@ -356,8 +362,11 @@ def swap_together(
     print(c50_of(" and ".join(found), unknown, tuple(found.values()), itself))
 
 
-def first_reflections(case: Case, result: Result) -> str:
-    """Return what isolated first reflections say of every wall, beside its fitted absorption."""
+def first_reflections(case: Case, result: Result, *, on_axis: bool) -> str:
+    """Return what isolated first reflections say of every wall, beside its fitted absorption.
+
+    `on_axis`: of loudspeakers that face the receiver, those that leave them as the direct sound.
+    """
     scene, measurements, directivities = case
     measured = collect_measurements(scene, measurements, result.bands, directivities)
     priors = complete_priors(scene.room.materials, (), result.bands)
@@ -365,6 +374,8 @@ def first_reflections(case: Case, result: Result) -> str:
     start = np.full(len(result.bands), 0.2)
     traced = traced_paths(measured, priors, settings, start, None, None)
     found = isolated_reflections(measured, traced, result.absorption)
+    if on_axis:
+        found = tuple(r for r in found if departs_like_direct_sound(scene, r))
     lines = ["First reflections that stand alone, number, and the fit with its interval"]
     for r in wall_returns(found, measured, traced.scattering):
         m = result.materials.index(r.material)
@@ -381,6 +392,19 @@ def first_reflections(case: Case, result: Result) -> str:
             f"({result.lower95[m, r.band]:.2f}-{result.upper95[m, r.band]:.2f})  {level}"
         )
     return "\n".join(lines)
+
+
+def departs_like_direct_sound(scene: Scene, reflection: IsolatedReflection) -> bool:
+    """Return whether a reflection leaves its loudspeaker, which faces the receiver, alike."""
+    (source,) = (s.position_m for s in scene.sources if s.name == reflection.source)
+    (receiver,) = (r.position_m for r in scene.receivers if r.name == reflection.receiver)
+    lengths = np.ptp(scene.room.mesh.vertices_m, axis=0)
+    wall = SIDES.index(reflection.wall)
+    mirrored = np.array(receiver)
+    mirrored[wall // 2] = 2.0 * lengths[wall // 2] * (wall % 2) - mirrored[wall // 2]
+    direct, reflected = np.array(receiver) - source, mirrored - source
+    cosine = direct @ reflected / np.linalg.norm(direct) / np.linalg.norm(reflected)
+    return bool(cosine > np.cos(np.radians(ON_AXIS_DEGREES)))
 
 
 def change_of_state(cases: Mapping[str, Case], results: Mapping[str, Result]) -> str:
@@ -625,7 +649,7 @@ def main() -> None:
             )
             cases[state] = case
             results[state] = fitted(f"{room} {state}", case, asked.scattering, settings)
-            print(first_reflections(case, results[state]))
+            print(first_reflections(case, results[state], on_axis=room == "r3vival"))
         print()
         for (one, other), walls in SAME[room].items():
             print(f"{one} and {other}, {unchanged(results[one], results[other], walls)}")
