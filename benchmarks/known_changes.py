@@ -12,9 +12,10 @@ other states, predicted from these: the raw model, and the measured values carri
 model's change, beside Sabine's formula and the mean of the two states. `together` fits the two
 states of the first room at once, its panels as products (`--product-sd`, logit; 0: independent).
 Isolated first reflections stand beside the walls that were fitted, with what they return more
-than these, in dB; of the first room those that leave a loudspeaker as the direct sound does. `dechorate`: the change from one state to the other, pair by pair and in the
-mean, with the floor of the first and the panels of the second, beside Sabine's and Eyring's formula
-with the same walls and the mean of both states.
+than these, in dB; of the first room those that leave a loudspeaker as the direct sound does.
+`dechorate`: the change from one state to the other, pair by pair and in the mean, with the floor of
+the first and the panels of the second, beside Sabine's and Eyring's formula with the same walls and
+the mean of both states.
 
 --moved   state 000 of `r3vival` with its array specified .3, .5 and 1 m off along x and the room 20
           cm too long, and as it is: which displacement is found
