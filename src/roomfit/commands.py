@@ -7,7 +7,7 @@ measurement, export materials, or run a demonstration on a room whose absorption
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,7 +32,6 @@ from roomfit.experiment_design.campaign import design_arguments
 from roomfit.experiment_design.design import Design, design
 from roomfit.experiment_design.output import design_rows, write_design
 from roomfit.findings import Finding
-from roomfit.inversion.causes import arrival_findings
 from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import measured_scene
 from roomfit.inversion.usable import CheckedRecordings, check_recordings
@@ -676,7 +675,6 @@ def identify_to_folder(
     quick: bool = False,
     overwrite: bool = False,
     keep: bool = True,
-    noted: Callable[[Finding], None] | None = None,
     progress: Progress | None = None,
 ) -> Result:
     """Identify a campaign and write result.json, tables, pictures and report into a folder.
@@ -694,8 +692,6 @@ def identify_to_folder(
         Write into a folder that is not empty.
     keep : bool
         Keep the trace in the user's cache, so that a run that was interrupted continues from it.
-    noted : callable, optional
-        Takes what is wrong with arrivals, before the minutes that a fit may last.
     progress : callable, optional
 
     Raises
@@ -717,11 +713,6 @@ def identify_to_folder(
     arguments["settings"] = replace(arguments["settings"], quick=quick)
     cache = user_cache() if keep else None
     with located(str(campaign_file)):
-        if noted is not None:
-            measured = arguments["measurements"]
-            responses = [m for m in measured if isinstance(m, Measurement)]
-            for doubt in arrival_findings(measured_scene(arguments["scene"], measured), responses):
-                noted(doubt)
         answer = identify(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
     inputs = tuple(files_read())
     figures = answer_figures(answer)

@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> None:
     from roomfit.io.campaign import read_campaign
     from roomfit.io.inputs import check_campaign, check_room
     from roomfit.io.rooms.model import RoomSpec
-    from roomfit.report.text import recordings_text, room_text
+    from roomfit.report.text import room_text
 
     room: Path = options.room
     if room.suffix.lower() != ".toml":
@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> None:
     checked = check_campaign_recordings(
         campaign, options.out, between_hz=options.bands, overwrite=options.overwrite
     )
-    say(f"\n{recordings_text(checked)}")
+    say(f"\n{checked}")
     if options.out is not None:
         say(f"\nroom.png is in {options.out}")
     sys.exit(_IN_DOUBT if checked.in_doubt else 0)
