@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 
@@ -75,4 +76,6 @@ def run(options: argparse.Namespace) -> None:
     say(f"\n{checked}")
     if options.out is not None:
         say(f"\nroom.png is in {options.out}")
-    sys.exit(_IN_DOUBT if checked.in_doubt else 0)
+    if checked.in_doubt:
+        sys.exit(_IN_DOUBT)
+    say(f"\nthen: roomfit identify {shlex.quote(str(room))} --out result")

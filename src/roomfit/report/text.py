@@ -435,7 +435,10 @@ def room_text(title: str, check: RoomCheck) -> str:
     faults = [f for f in check.findings if f.severity == "serious"]
     doubts = [f for f in check.findings if f.severity != "serious"]
     if doubts:
-        rows += ["", "findings", *(f"  {f.severity:<8} {f.sentence}" for f in doubts)]
+        rows += ["", "findings"]
+        for f in doubts:
+            text = f"  {f.severity:<8} {f.sentence}"
+            rows += textwrap.wrap(text, 100, subsequent_indent=" " * 11, break_on_hyphens=False)
     if faults:
         rows += ["", "faults that forbid tracing", *(line for f in faults for line in _fault(f))]
     else:
