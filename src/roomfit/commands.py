@@ -17,6 +17,7 @@ import numpy as np
 
 from roomfit.cache import (
     check_output_folder,
+    make_folder,
     shared_folder,
     sole_writer,
     user_cache,
@@ -134,16 +135,25 @@ def draft_to_folder(
 ) -> str:
     """Write a first campaign.toml into a folder, see `draft_campaign`, and return its text.
 
+    A folder for decay times alone is made if needed.
+
     Raises
     ------
     InputError
-        There is a campaign already and `overwrite` is false, a room or a table cannot be read, or
-        decay times stand beside positions or recordings, which they replace; the unit is in doubt,
-        or no recording has the shape of the template.
+        There is no such folder of recordings, or a campaign already and `overwrite` is false; a
+        room or a table cannot be read; decay times stand beside positions or recordings, which they
+        replace; the unit is in doubt, or no recording has the shape of the template.
     StoreError
         The disk refuses.
     """
-    _check_place(folder / "campaign.toml", overwrite)
+    if not folder.is_dir() and decay_times is None:
+        raise InputError(
+            "there is no such folder of recordings",
+            where=str(folder),
+            hint="check its name; without recordings, make it first",
+        )
+    if folder.exists():
+        _check_place(folder / "campaign.toml", overwrite)
     if decay_times is not None:
         if recordings is not None or positions is not None:
             raise InputError(
@@ -163,6 +173,7 @@ def draft_to_folder(
         because=because,
         decay_times=decay_times,
     )
+    make_folder(folder)
     write_text_atomically(folder / "campaign.toml", text)
     return text
 

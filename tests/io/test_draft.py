@@ -267,6 +267,13 @@ def test_decay_times_alone_become_a_campaign_that_reverberation_reads(
     assert run_command(monkeypatch, "init", ".", *box) == 0
     line = "perhaps: roomfit init . --shoebox 20 14 7 --decay-times T30.csv --overwrite\n"
     assert line in capsys.readouterr().out
+    elsewhere = ("init", "hall", *box, "--decay-times")
+    assert run_command(monkeypatch, *elsewhere, "absent.csv") == 2
+    assert not (tmp_path / "hall").exists()
+    assert run_command(monkeypatch, *elsewhere, "T30.csv") == 0  # the folder is made
+    assert run_command(monkeypatch, "reverberation", "hall/campaign.toml") == 0
+    assert run_command(monkeypatch, "init", "measurd") == 2
+    assert "there is no such folder of recordings" in capsys.readouterr().err
     own = ("init", ".", *box, "--decay-times", "T30.csv", "--overwrite")
     assert run_command(monkeypatch, *own) == 0
     assert "then: roomfit reverberation campaign.toml" in capsys.readouterr().out
