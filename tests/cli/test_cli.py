@@ -270,6 +270,23 @@ def test_check_says_one_cause_once_and_ends_with_1(tmp_path, monkeypatch, capsys
     text = campaign.read_text().replace("[room]", "[defaults]\nlatency_s = 0.005\n[room]")
     campaign.write_text(text)
     assert run_command(monkeypatch, "check", campaign) == 0
+    assert f"then: roomfit identify {campaign} --out result\n" in capsys.readouterr().out
+
+
+def test_a_folder_in_place_of_a_file_is_refused_with_the_file_in_it(tmp_path, monkeypatch, capsys):
+    campaign = write_campaign(tmp_path)
+    (tmp_path / "result.json").write_text("{}")
+    commands = (
+        ("check", tmp_path, campaign.name),
+        ("identify", tmp_path, "--out", tmp_path / "out", campaign.name),
+        ("compare", tmp_path, tmp_path, "result.json"),
+    )
+    for *command, name in commands:
+        assert run_command(monkeypatch, *command) == 2
+        assert f"give the file in it: {tmp_path / name}" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    assert run_command(monkeypatch, "check", tmp_path / "empty") == 2
+    assert "try" not in capsys.readouterr().err
 
 
 def test_identify_says_first_what_is_late_and_calls_nothing_identifiable(

@@ -172,6 +172,7 @@ def test_room_parameters_are_read_with_decimal_commas_too(tmp_path):
     [
         ("position,500\nseat,x\n", "line 2"),
         ("position,500\nseat,-1\n", "that no room has"),
+        ("position,500\nseat,900\n", "900 s"),
         ("position,500\n", "without values"),
         ("position,500\nseat,1,2\n", "more decay times than bands"),
         ("position,555\nseat,1\n", "centre"),

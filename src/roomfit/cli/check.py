@@ -9,6 +9,7 @@ from pathlib import Path
 
 from roomfit.cli.arguments import Commands, add_command, number_range
 from roomfit.cli.terminal import say
+from roomfit.report.progress import shown_progress
 
 _IN_DOUBT = 1
 
@@ -46,7 +47,7 @@ def run(options: argparse.Namespace) -> None:
     from roomfit.report.text import room_text
 
     room: Path = options.room
-    if room.suffix.lower() != ".toml":
+    if room.suffix.lower() != ".toml" and not room.is_dir():
         if options.out is not None:
             raise InputError("a room by itself has no positions to draw", found="--out")
         if options.bands is not None:
@@ -70,9 +71,10 @@ def run(options: argparse.Namespace) -> None:
         return  # of impedances: there are no recordings to examine
     from roomfit.commands import check_campaign_recordings  # all of roomfit: not for a room
 
-    checked = check_campaign_recordings(
-        campaign, options.out, between_hz=options.bands, overwrite=options.overwrite
-    )
+    with shown_progress("examining recordings (longer the first time, which compiles)"):
+        checked = check_campaign_recordings(
+            campaign, options.out, between_hz=options.bands, overwrite=options.overwrite
+        )
     say(f"\n{checked}")
     if options.out is not None:
         say(f"\nroom.png is in {options.out}")

@@ -28,7 +28,11 @@ def add(commands: Commands) -> None:
         type=Path,
     )
     parser.add_option(
-        "--shoebox", "In place of a room file: lengths along x, y, z.", nargs=3, type=number
+        "--shoebox",
+        "In place of a room file: lengths along x, y, z in m, or in --unit.",
+        nargs=3,
+        type=number,
+        metavar=("X", "Y", "Z"),
     )
     parser.add_option(
         "--recordings",
