@@ -151,7 +151,8 @@ def owner(folder: Path) -> None:
     box = ("--shoebox", "20", "14", "7")
     said = clock.run(folder, "init", ".", *box)
     said = clock.run(folder, *_advised(said, "perhaps"))
-    print(clock.run(folder, *_advised(said, "then")).split("\n\n")[0])
+    print(clock.run(folder, *_advised(said, "then"), "--out", "mean").split("\n\n")[0])
+    clock.tell(f"report: {(folder / 'mean' / 'reverberation.html').stat().st_size} bytes")
 
 
 def main() -> None:

@@ -33,6 +33,7 @@ from roomfit.experiment_design.campaign import design_arguments
 from roomfit.experiment_design.design import Design, design
 from roomfit.experiment_design.output import design_rows, write_design
 from roomfit.findings import Finding
+from roomfit.inversion.diffuse import DiffuseAbsorption, diffuse_absorption
 from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import measured_scene
 from roomfit.inversion.usable import CheckedRecordings, check_recordings
@@ -49,7 +50,7 @@ from roomfit.io.project import project_details
 from roomfit.io.responses import read_response
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.results import read_result, write_result
-from roomfit.io.reverberation import read_decay_times
+from roomfit.io.reverberation import read_decay_times, reverberation_arguments
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.io.workbook import workbook_bytes
 from roomfit.measurement import Measurement
@@ -67,7 +68,7 @@ from roomfit.report.comparison import (
 )
 from roomfit.report.figures import answer_figures, in_file_name, write_pictures
 from roomfit.report.pdf import report_pdf
-from roomfit.report.text import findings_text
+from roomfit.report.text import diffuse_rows, findings_text
 from roomfit.results import Result
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import PLAN_BANDS, demo_plan, write_measured_box
@@ -147,11 +148,7 @@ def draft_to_folder(
         The disk refuses.
     """
     if not folder.is_dir() and decay_times is None:
-        raise InputError(
-            "there is no such folder of recordings",
-            where=str(folder),
-            hint="check its name; without recordings, make it first",
-        )
+        raise InputError("there is no such folder of recordings", where=str(folder))
     if folder.exists():
         _check_place(folder / "campaign.toml", overwrite)
     if decay_times is not None:
@@ -176,6 +173,29 @@ def draft_to_folder(
     make_folder(folder)
     write_text_atomically(folder / "campaign.toml", text)
     return text
+
+
+def reverberation_to_folder(
+    campaign_file: Path, out: Path | None = None, *, overwrite: bool = False
+) -> DiffuseAbsorption:
+    """Find mean absorption from decay times; write reverberation.csv and .html into a folder.
+
+    Raises
+    ------
+    InputError
+        As of `reverberation_arguments` and `diffuse_absorption`; or the folder is not empty.
+    """
+    from roomfit.report.html import diffuse_page
+
+    if out is not None:
+        check_output_folder(out, overwrite=overwrite)
+    found = diffuse_absorption(**reverberation_arguments(campaign_file))
+    if out is not None:
+        heading, *rows = diffuse_rows(found)
+        with whole_output_folder(out, overwrite=overwrite) as folder:
+            write_text_atomically(folder / "reverberation.csv", csv_text(heading, rows))
+            write_text_atomically(folder / "reverberation.html", diffuse_page(found))
+    return found
 
 
 @reading_noted()
