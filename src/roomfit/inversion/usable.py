@@ -120,11 +120,12 @@ def check_recordings(
     causes = arrival_findings(own, given)
     # what follows from a wrong clock is no second fault: a decay that seems cut short, or to drown
     responses = as_advised(given, causes)
-    values = [m for m in measurements if isinstance(m, MeasuredValues)]
+    values = (m for m in measurements if isinstance(m, MeasuredValues))
+    advised: list[Measurement | MeasuredValues] = [*responses, *values]
     refused: dict[Measurement, InputError] = {}
     found = None
     while found is None and len(refused) < len(measurements):
-        kept = [m for m in (*responses, *values) if m not in refused]
+        kept = [m for m in advised if m not in refused]
         try:
             found = collect_measurements(scene, kept, bands, directivities or {}, decay_range_db)
         except InputError as error:
