@@ -309,6 +309,23 @@ def test_check_refuses_materials_that_the_room_does_not_have(tmp_path, monkeypat
     assert "did you mean 'carpet'" in capsys.readouterr().err
 
 
+def test_an_interrupt_that_falls_into_a_compiled_kernel_is_one(tmp_path, monkeypatch, capsys):
+    """Which numba's dispatcher reports as a fault of its own, with the interrupt as the cause."""
+    import roomfit.commands
+
+    causes = [KeyboardInterrupt(), KeyboardInterrupt(15), ValueError("a fault of ours")]
+
+    def interrupted(*_args: object, **_settings: object) -> None:
+        raise SystemError("returned a result with an exception set") from causes.pop(0)
+
+    monkeypatch.setattr(roomfit.commands, "compare_to_folder", interrupted)
+    for code in (130, 143):
+        assert run_command(monkeypatch, "compare", "a", "b") == code
+        assert capsys.readouterr().err.startswith("interrupted; nothing half-written")
+    with pytest.raises(SystemError):
+        run_command(monkeypatch, "compare", "a", "b")
+
+
 def test_a_demo_that_cannot_be_finished_leaves_nothing(tmp_path, monkeypatch):
     """Its campaign is written before it is identified: both appear, or neither."""
     import roomfit.commands
