@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import re
 import resource
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -64,6 +65,11 @@ def write_folder(folder: Path) -> None:
     (folder / "Saal.obj").write_text("\n".join(lines))
 
 
+def _advised(said: str, word: str) -> list[str]:
+    """Return the arguments of the command that a command proposes."""
+    return shlex.split(re.findall(rf"{word}: roomfit (.*)", said)[0])
+
+
 class Clock:
     """Prints what a step took."""
 
@@ -97,10 +103,10 @@ def consultant(folder: Path, *, fit: bool) -> None:
     write_folder(folder)
     clock = Clock("consultant: WAV files that begin 40 samples too early, a drawing, positions")
     said = clock.run(folder, "init", ".")
-    options = re.findall(r"perhaps: (.*)", said)[0].split()
-    said = clock.run(folder, "init", ".", *options)
+    words = _advised(said, "perhaps")
+    said = clock.run(folder, *words)
     if "--unit, one of" in said:
-        said = clock.run(folder, "init", ".", *options, "--unit", "cm")
+        said = clock.run(folder, *words, "--unit", "cm")
     said = " ".join(clock.run(folder, "check", "campaign.toml").split())
     latency = re.findall(r"set (latency_s = [\d.]+)", said)[0]
     file = folder / "campaign.toml"
@@ -144,8 +150,9 @@ def owner(folder: Path) -> None:
     clock = Clock("owner of a hall: T30 values")
     box = ("--shoebox", "20", "14", "7")
     said = clock.run(folder, "init", ".", *box)
-    clock.run(folder, "init", ".", *box, *re.findall(r"perhaps: (.*)", said)[0].split())
-    print(clock.run(folder, "reverberation", "campaign.toml").split("\n\n")[0])
+    said = clock.run(folder, *_advised(said, "perhaps"))
+    print(clock.run(folder, *_advised(said, "then"), "--out", "mean").split("\n\n")[0])
+    clock.tell(f"report: {(folder / 'mean' / 'reverberation.html').stat().st_size} bytes")
 
 
 def main() -> None:

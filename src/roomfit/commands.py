@@ -7,7 +7,7 @@ measurement, export materials, or run a demonstration on a room whose absorption
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 
 from roomfit.cache import (
     check_output_folder,
+    make_folder,
     shared_folder,
     sole_writer,
     user_cache,
@@ -32,7 +33,7 @@ from roomfit.experiment_design.campaign import design_arguments
 from roomfit.experiment_design.design import Design, design
 from roomfit.experiment_design.output import design_rows, write_design
 from roomfit.findings import Finding
-from roomfit.inversion.causes import arrival_findings
+from roomfit.inversion.diffuse import DiffuseAbsorption, diffuse_absorption
 from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import measured_scene
 from roomfit.inversion.usable import CheckedRecordings, check_recordings
@@ -49,7 +50,7 @@ from roomfit.io.project import project_details
 from roomfit.io.responses import read_response
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.results import read_result, write_result
-from roomfit.io.reverberation import read_decay_times
+from roomfit.io.reverberation import read_decay_times, reverberation_arguments
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.io.workbook import workbook_bytes
 from roomfit.measurement import Measurement
@@ -67,7 +68,7 @@ from roomfit.report.comparison import (
 )
 from roomfit.report.figures import answer_figures, in_file_name, write_pictures
 from roomfit.report.pdf import report_pdf
-from roomfit.report.text import findings_text
+from roomfit.report.text import diffuse_rows, findings_text
 from roomfit.results import Result
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import PLAN_BANDS, demo_plan, write_measured_box
@@ -135,16 +136,21 @@ def draft_to_folder(
 ) -> str:
     """Write a first campaign.toml into a folder, see `draft_campaign`, and return its text.
 
+    A folder for decay times alone is made if needed.
+
     Raises
     ------
     InputError
-        There is a campaign already and `overwrite` is false, a room or a table cannot be read, or
-        decay times stand beside positions or recordings, which they replace; the unit is in doubt,
-        or no recording has the shape of the template.
+        There is no such folder of recordings, or a campaign already and `overwrite` is false; a
+        room or a table cannot be read; decay times stand beside positions or recordings, which they
+        replace; the unit is in doubt, or no recording has the shape of the template.
     StoreError
         The disk refuses.
     """
-    _check_place(folder / "campaign.toml", overwrite)
+    if not folder.is_dir() and decay_times is None:
+        raise InputError("there is no such folder of recordings", where=str(folder))
+    if folder.exists():
+        _check_place(folder / "campaign.toml", overwrite)
     if decay_times is not None:
         if recordings is not None or positions is not None:
             raise InputError(
@@ -164,8 +170,32 @@ def draft_to_folder(
         because=because,
         decay_times=decay_times,
     )
+    make_folder(folder)
     write_text_atomically(folder / "campaign.toml", text)
     return text
+
+
+def reverberation_to_folder(
+    campaign_file: Path, out: Path | None = None, *, overwrite: bool = False
+) -> DiffuseAbsorption:
+    """Find mean absorption from decay times; write reverberation.csv and .html into a folder.
+
+    Raises
+    ------
+    InputError
+        As of `reverberation_arguments` and `diffuse_absorption`; or the folder is not empty.
+    """
+    from roomfit.report.html import diffuse_page
+
+    if out is not None:
+        check_output_folder(out, overwrite=overwrite)
+    found = diffuse_absorption(**reverberation_arguments(campaign_file))
+    if out is not None:
+        heading, *rows = diffuse_rows(found)
+        with whole_output_folder(out, overwrite=overwrite) as folder:
+            write_text_atomically(folder / "reverberation.csv", csv_text(heading, rows))
+            write_text_atomically(folder / "reverberation.html", diffuse_page(found))
+    return found
 
 
 @reading_noted()
@@ -676,7 +706,6 @@ def identify_to_folder(
     quick: bool = False,
     overwrite: bool = False,
     keep: bool = True,
-    noted: Callable[[Finding], None] | None = None,
     progress: Progress | None = None,
 ) -> Result:
     """Identify a campaign and write result.json, tables, pictures and report into a folder.
@@ -694,8 +723,6 @@ def identify_to_folder(
         Write into a folder that is not empty.
     keep : bool
         Keep the trace in the user's cache, so that a run that was interrupted continues from it.
-    noted : callable, optional
-        Takes what is wrong with arrivals, before the minutes that a fit may last.
     progress : callable, optional
 
     Raises
@@ -717,11 +744,6 @@ def identify_to_folder(
     arguments["settings"] = replace(arguments["settings"], quick=quick)
     cache = user_cache() if keep else None
     with located(str(campaign_file)):
-        if noted is not None:
-            measured = arguments["measurements"]
-            responses = [m for m in measured if isinstance(m, Measurement)]
-            for doubt in arrival_findings(measured_scene(arguments["scene"], measured), responses):
-                noted(doubt)
         answer = identify(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
     inputs = tuple(files_read())
     figures = answer_figures(answer)

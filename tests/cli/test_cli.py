@@ -270,6 +270,23 @@ def test_check_says_one_cause_once_and_ends_with_1(tmp_path, monkeypatch, capsys
     text = campaign.read_text().replace("[room]", "[defaults]\nlatency_s = 0.005\n[room]")
     campaign.write_text(text)
     assert run_command(monkeypatch, "check", campaign) == 0
+    assert f"then: roomfit identify {campaign} --out result\n" in capsys.readouterr().out
+
+
+def test_a_folder_in_place_of_a_file_is_refused_with_the_file_in_it(tmp_path, monkeypatch, capsys):
+    campaign = write_campaign(tmp_path)
+    (tmp_path / "result.json").write_text("{}")
+    commands = (
+        ("check", tmp_path, campaign.name),
+        ("identify", tmp_path, "--out", tmp_path / "out", campaign.name),
+        ("compare", tmp_path, tmp_path, "result.json"),
+    )
+    for *command, name in commands:
+        assert run_command(monkeypatch, *command) == 2
+        assert f"give the file in it: {tmp_path / name}" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    assert run_command(monkeypatch, "check", tmp_path / "empty") == 2
+    assert "try" not in capsys.readouterr().err
 
 
 def test_identify_says_first_what_is_late_and_calls_nothing_identifiable(
@@ -279,7 +296,8 @@ def test_identify_says_first_what_is_late_and_calls_nothing_identifiable(
     assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out") == 0
     shown, noted = capsys.readouterr()
     # before the minutes that a fit may last
-    assert noted.index("serious: All 2 files are 4.") < noted.index("tracing")
+    stages = ["serious: All 2 files are 4.", "no material identifiable: to set this", "tracing"]
+    assert sorted(map(noted.index, stages)) == [*map(noted.index, stages)]
     assert shown.split("\nFindings\n")[1].startswith("- serious: All 2 files are 4.")
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert not np.any([m["identifiable"] for m in result["materials"].values()])
@@ -289,6 +307,23 @@ def test_check_refuses_materials_that_the_room_does_not_have(tmp_path, monkeypat
     campaign = write_campaign(tmp_path, ("[materials.carpet]", "[materials.carpets]"))
     assert run_command(monkeypatch, "check", campaign) == 2
     assert "did you mean 'carpet'" in capsys.readouterr().err
+
+
+def test_an_interrupt_that_falls_into_a_compiled_kernel_is_one(tmp_path, monkeypatch, capsys):
+    """Which numba's dispatcher reports as a fault of its own, with the interrupt as the cause."""
+    import roomfit.commands
+
+    causes = [KeyboardInterrupt(), KeyboardInterrupt(15), ValueError("a fault of ours")]
+
+    def interrupted(*_args: object, **_settings: object) -> None:
+        raise SystemError("returned a result with an exception set") from causes.pop(0)
+
+    monkeypatch.setattr(roomfit.commands, "compare_to_folder", interrupted)
+    for code in (130, 143):
+        assert run_command(monkeypatch, "compare", "a", "b") == code
+        assert capsys.readouterr().err.startswith("interrupted; nothing half-written")
+    with pytest.raises(SystemError):
+        run_command(monkeypatch, "compare", "a", "b")
 
 
 def test_a_demo_that_cannot_be_finished_leaves_nothing(tmp_path, monkeypatch):

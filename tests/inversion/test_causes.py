@@ -117,6 +117,53 @@ def test_a_common_delay_is_one_sentence_with_the_key_to_set():
     assert measured_findings(set_so) == ()
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_two_seconds_before_every_sound_are_one_sentence_and_the_table_is_right(noise):
+    """Where the decay would seem cut short, or to drown in noise: 1.2345 and 2 s, one after it."""
+    rng, whole = np.random.default_rng(7), recordings()
+    without = check_recordings(SCENE, whole, BANDS)
+    for lead_s in (1.2345, 2.0):
+        lead = noise * rng.normal(size=round(lead_s * RATE_HZ))
+        files = changed(whole, lambda x, lead=lead: np.append(lead, x))
+        checked = check_recordings(SCENE, files, BANDS)
+        (found,) = checked.findings
+        assert found.code is Code.RECORDINGS_LATE
+        assert found.sentence.startswith(
+            f"All 12 files begin {lead_s:.2f} s before the sound is emitted"
+        )
+        # within three samples and a rounding, as onsets are
+        assert found.evidence["latency_s"] == pytest.approx(lead_s, abs=3 / RATE_HZ + 1e-5)
+        assert f"set latency_s = {found.evidence['latency_s']:.7g} or" in found.sentence
+        np.testing.assert_array_equal(checked.usable, without.usable)
+        np.testing.assert_allclose(checked.decay_range_db, without.decay_range_db, atol=2.0)
+        np.testing.assert_allclose(checked.decay_s, without.decay_s, rtol=0.01)
+        np.testing.assert_allclose(checked.onset_s, without.onset_s + lead_s, atol=2 / RATE_HZ)
+        set_so = [replace(m, latency_s=found.evidence["latency_s"]) for m in files]
+        assert voids(measured_findings(set_so)) == []
+
+
+def test_a_fit_that_refuses_a_file_names_the_cause_of_all():
+    """A decay that is cut short, or drowns, is what follows from half a second of silence."""
+    files = changed(recordings(), lambda x: np.append(np.zeros(RATE_HZ // 2), x[: RATE_HZ // 4]))
+    with pytest.raises(InputError, match="the decay") as refused:
+        measured_findings(files)
+    assert refused.value.hint.startswith("All 12 files begin 0.50 s before the sound is emitted")
+
+
+def test_files_that_begin_anywhere_are_one_sentence():
+    """A recorder that was started by hand; what to set leaves nothing to be found."""
+    rng = np.random.default_rng(8)
+    files = changed(
+        recordings(), lambda x: np.append(1e-4 * rng.normal(size=rng.integers(9_000, 90_000)), x)
+    )
+    checked = check_recordings(SCENE, files, BANDS)
+    (found,) = checked.findings
+    assert "each at another instant" in found.sentence
+    assert 'set time_zero = "direct"' in found.sentence
+    assert checked.usable.all()
+    assert voids(measured_findings([replace(m, time_zero="direct") for m in files])) == []
+
+
 def test_sources_with_delays_of_their_own_are_a_sentence_each():
     files = changed(recordings(), late(0.002), lambda m: m.source == "LS2")
     found = voids(measured_findings(changed(files, late(0.001), lambda m: m.source == "LS3")))
@@ -265,6 +312,11 @@ def test_which_recording_is_usable_in_which_band_is_a_table():
     # 2000 sqrt(T / V)
     assert checked.schroeder_hz == pytest.approx(2000 * np.sqrt(checked.decay_s / 153.6), rel=1e-3)
     np.testing.assert_allclose(checked.onset_s, checked.travel_s, atol=4 / RATE_HZ)
+    row = next(line for line in str(checked).split("\n") if "LS3_M4.wav" in line)
+    # arrival in ms, and three bands of which noise leaves too little
+    assert f"{1e3 * checked.travel_s[-1]:.1f}" in row and row.count("<") == 3
+    page = checked._repr_html_()
+    assert page.startswith("<pre>") and "2000" in page and "&lt;" in page
 
 
 # The room and its positions.

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import csv
+import re
+
 import numpy as np
 import pytest
 
@@ -172,6 +175,7 @@ def test_room_parameters_are_read_with_decimal_commas_too(tmp_path):
     [
         ("position,500\nseat,x\n", "line 2"),
         ("position,500\nseat,-1\n", "that no room has"),
+        ("position,500\nseat,900\n", "900 s"),
         ("position,500\n", "without values"),
         ("position,500\nseat,1,2\n", "more decay times than bands"),
         ("position,555\nseat,1\n", "centre"),
@@ -200,6 +204,21 @@ def test_the_command_prints_every_formula_with_a_room_or_volume_and_surface(
     assert ".18" in next(line for line in shown.splitlines() if line.startswith("room mean"))
     assert ("west" in shown) == room
     assert "nothing more is known of any of them" in " ".join(shown.split())
+    out = tmp_path / "page"
+    assert run_command(monkeypatch, "reverberation", campaign, "--out", out) == 0
+    assert run_command(monkeypatch, "reverberation", campaign, "--out", out) == 2  # not empty
+    page = (out / "reverberation.html").read_text()
+    # the same first number as in the lead and in the table, with its interval and the caution
+    lead = re.search(r"By Eyring the mean absorption of the room at 500 Hz is (0\.\d\d)", page)
+    assert lead is not None and lead[1] in ("0.16", "0.17")
+    assert "nothing more is known of any of them" in " ".join(page.split())
+    rows = list(csv.DictReader((out / "reverberation.csv").open()))
+    (own,) = [
+        r for r in rows if (r["formula"], r["material"], r["band_hz"]) == ("Eyring", "", "500")
+    ]
+    assert f"{float(own['absorption']):.2f}" == lead[1]
+    assert float(own["lower95"]) < float(own["absorption"]) < float(own["upper95"])
+    assert len(rows) == len(FORMULAS) * 2 * (7 if room else 2)  # materials and the mean
     assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out") == 2
     assert ("roomfit reverberation" in capsys.readouterr().err) == room
 

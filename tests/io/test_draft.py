@@ -246,8 +246,8 @@ def test_init_says_what_it_left_out_and_what_may_be_missing(folder, monkeypatch,
     (folder / "ir" / "sweep.wav").write_bytes(b"x")
     assert run_command(monkeypatch, "init", ".") == 0
     said = capsys.readouterr().out
-    assert "left out, of other names: ir/sweep.wav" in said
-    assert "perhaps: --room room.obj --positions positions.csv --overwrite" in said
+    assert "left out, names that do not fit: ir/sweep.wav" in said
+    assert "perhaps: roomfit init . --room room.obj --positions positions.csv --overwrite\n" in said
     (folder / "more.csv").write_text((folder / "positions.csv").read_text() + "\nMP9;1;1;1\n")
     room = ("--room", "room.obj", "--unit", "in")
     again = ("--positions", "more.csv", "--overwrite")
@@ -265,7 +265,15 @@ def test_decay_times_alone_become_a_campaign_that_reverberation_reads(
     box = ("--shoebox", "20", "14", "7")
     (tmp_path / "T30.csv").write_text("Ort;500 Hz;1 kHz\nT30;1,5;1,4\n")
     assert run_command(monkeypatch, "init", ".", *box) == 0
-    assert "perhaps: --decay-times T30.csv" in capsys.readouterr().out
+    line = "perhaps: roomfit init . --shoebox 20 14 7 --decay-times T30.csv --overwrite\n"
+    assert line in capsys.readouterr().out
+    elsewhere = ("init", "hall", *box, "--decay-times")
+    assert run_command(monkeypatch, *elsewhere, "absent.csv") == 2
+    assert not (tmp_path / "hall").exists()
+    assert run_command(monkeypatch, *elsewhere, "T30.csv") == 0  # the folder is made
+    assert run_command(monkeypatch, "reverberation", "hall/campaign.toml") == 0
+    assert run_command(monkeypatch, "init", "measurd") == 2
+    assert "there is no such folder of recordings" in capsys.readouterr().err
     own = ("init", ".", *box, "--decay-times", "T30.csv", "--overwrite")
     assert run_command(monkeypatch, *own) == 0
     assert "then: roomfit reverberation campaign.toml" in capsys.readouterr().out

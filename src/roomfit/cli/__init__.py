@@ -87,7 +87,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except RoomfitError as error:
         warn(error)
         sys.exit(2)
-    except KeyboardInterrupt as interrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        # what falls into a compiled kernel arrives as the cause of a SystemError
+        interrupt = error.__cause__ if isinstance(error, SystemError) else error
+        if not isinstance(interrupt, KeyboardInterrupt):
+            raise
         warn("interrupted; nothing half-written was left behind")
         # Python ends by a signal after an interrupt that fell into exec (a dataclass that was being
         # made), though it has been caught; the next exec forgets it

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from pathlib import Path
 
 from roomfit.cli.arguments import Commands, add_command, number_range
 from roomfit.cli.terminal import say
+from roomfit.report.progress import shown_progress
 
 _IN_DOUBT = 1
 
@@ -42,10 +44,10 @@ def run(options: argparse.Namespace) -> None:
     from roomfit.io.campaign import read_campaign
     from roomfit.io.inputs import check_campaign, check_room
     from roomfit.io.rooms.model import RoomSpec
-    from roomfit.report.text import recordings_text, room_text
+    from roomfit.report.text import room_text
 
     room: Path = options.room
-    if room.suffix.lower() != ".toml":
+    if room.suffix.lower() != ".toml" and not room.is_dir():
         if options.out is not None:
             raise InputError("a room by itself has no positions to draw", found="--out")
         if options.bands is not None:
@@ -69,10 +71,13 @@ def run(options: argparse.Namespace) -> None:
         return  # of impedances: there are no recordings to examine
     from roomfit.commands import check_campaign_recordings  # all of roomfit: not for a room
 
-    checked = check_campaign_recordings(
-        campaign, options.out, between_hz=options.bands, overwrite=options.overwrite
-    )
-    say(f"\n{recordings_text(checked)}")
+    with shown_progress("examining recordings (longer the first time, which compiles)"):
+        checked = check_campaign_recordings(
+            campaign, options.out, between_hz=options.bands, overwrite=options.overwrite
+        )
+    say(f"\n{checked}")
     if options.out is not None:
         say(f"\nroom.png is in {options.out}")
-    sys.exit(_IN_DOUBT if checked.in_doubt else 0)
+    if checked.in_doubt:
+        sys.exit(_IN_DOUBT)
+    say(f"\nthen: roomfit identify {shlex.quote(str(room))} --out result")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import textwrap
 from pathlib import Path
 
 from roomfit.cli.arguments import Commands, add_command, number
@@ -40,4 +41,5 @@ def run(options: argparse.Namespace) -> None:
     for file in written.files:
         say(file)
     for finding in written.findings:
-        say(f"  {finding.severity:<8} {finding.sentence}")
+        text = f"  {finding.severity:<8} {finding.sentence}"
+        say(textwrap.fill(text, 100, subsequent_indent=" " * 11, break_on_hyphens=False))

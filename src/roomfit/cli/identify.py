@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import logging
 from pathlib import Path
 
 from roomfit.cli.arguments import Commands, add_command, number_range
 from roomfit.cli.terminal import say
 from roomfit.report.progress import shown_progress
-
-_LOG = logging.getLogger("roomfit")
 
 
 def add(commands: Commands) -> None:
@@ -44,7 +41,6 @@ def run(options: argparse.Namespace) -> None:
             quick=options.quick,
             overwrite=options.overwrite,
             keep=not options.no_cache,
-            noted=lambda doubt: _LOG.warning("%s: %s", doubt.severity, doubt.sentence),
             progress=progress,
         )
     say(answer_text(answer))

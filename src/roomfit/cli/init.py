@@ -28,7 +28,11 @@ def add(commands: Commands) -> None:
         type=Path,
     )
     parser.add_option(
-        "--shoebox", "In place of a room file: lengths along x, y, z.", nargs=3, type=number
+        "--shoebox",
+        "In place of a room file: lengths along x, y, z in m, or in --unit.",
+        nargs=3,
+        type=number,
+        metavar=("X", "Y", "Z"),
     )
     parser.add_option(
         "--recordings",
@@ -79,8 +83,8 @@ def run(options: argparse.Namespace) -> None:
     file = options.folder / "campaign.toml"
     kinds = ("source", "receiver", "measurement")
     found = [count(len(written[f"{k}s"]), k) for k in kinds if f"{k}s" in written]
-    shape = "recordings one by one" if found else f"decay times of {options.decay_times}"
-    say(f"{file}: {', '.join([*found, written.get('recordings', shape)])}")
+    found += [written["recordings"]] if "recordings" in written else []
+    say(f"{file}: {', '.join(found) or f'decay times of {options.decay_times}'}")
     left = blanks(written)
     if left:
         say("to be filled in: " + ", ".join(left))
@@ -105,7 +109,7 @@ def _hints(options: argparse.Namespace, written: dict[str, Any]) -> Iterator[str
         if not recordings:
             yield f"no recordings lie in {folder}"
         elif others := [name for name in recordings if name not in used]:
-            yield f"left out, of other names: {in_short(others)}"
+            yield f"left out, names that do not fit: {in_short(others)}"
     if options.positions is not None:
         points = {*written["sources"], *written["receivers"]}
         idle = [name for name in read_positions(options.positions) if name not in points]
@@ -131,7 +135,13 @@ def _hints(options: argparse.Namespace, written: dict[str, Any]) -> Iterator[str
         lacking |= {"--positions": points_of, "--decay-times": [] if points_of else times}
     words = [f"{k} {shlex.quote(str(v[0]))}" for k, v in lacking.items() if len(v) == 1]
     if words:
-        yield f"perhaps: {' '.join(words)} --overwrite"
+        given = {k: getattr(options, k) for k in ("room", "shoebox", "recordings", "unit", "up")}
+        parts = [str(folder)]
+        for key, value in given.items():
+            if value is not None:
+                values = [f"{x:g}" for x in value] if key == "shoebox" else [str(value)]
+                parts += [f"--{key}", *values]
+        yield f"perhaps: roomfit init {shlex.join(parts)} {' '.join(words)} --overwrite"
 
 
 def _asked(room: Path) -> tuple[str | None, str]:

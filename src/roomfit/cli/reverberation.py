@@ -17,11 +17,15 @@ def add(commands: Commands) -> None:
     )
     parser = add_command(commands, "reverberation", about, run)
     parser.add_argument("campaign", type=Path, help="Campaign file (TOML) with [reverberation].")
+    parser.add_option("--out", "Folder for a page and a table; made if needed.", type=Path)
+    parser.add_overwrite()
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.inversion.diffuse import diffuse_absorption
-    from roomfit.io.reverberation import reverberation_arguments
+    from roomfit.commands import reverberation_to_folder
     from roomfit.report.text import diffuse_text
 
-    say(diffuse_text(diffuse_absorption(**reverberation_arguments(options.campaign))))
+    found = reverberation_to_folder(options.campaign, options.out, overwrite=options.overwrite)
+    say(diffuse_text(found))
+    if options.out is not None:
+        say(f"\nreverberation.html and reverberation.csv are in {options.out}")

@@ -7,7 +7,7 @@ arrivals and levels of the direct sound: a pattern is named once, in place of a 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -38,6 +38,7 @@ _FEWEST = 3
 _LEVEL = 1e-3
 _ONSET_SD_M, _ONSET_SD_SAMPLES = 0.01, 1.0
 _LEAST_SHIFT_M = 0.05
+_LEAD_S = 0.1  # no position is 34 m off: the recorder was started so long before the sound
 _MORE_THAN_OTHERS = 10.0  # chi-square by which a displaced point explains more than any other
 # Gains: the reverberant level of a source varies by 1 to 2 dB over a room, the direct sound's more.
 _LEAST_STEP_DB, _WITHIN_DB, _DIRECT_WITHIN_DB = 4.0, 1.2, 2.5
@@ -68,7 +69,8 @@ def arrival_findings(scene: Scene, measurements: Sequence[Measurement]) -> tuple
 
     Only recordings whose clock starts at emission are compared. Patterns are tried from the
     simplest on: every file begins at its direct sound; all of a source are late alike; coordinates
-    in another unit; two files, or two points, exchanged; one point displaced.
+    in another unit; every file begins long before, each at another instant; two files, or two
+    points, exchanged; one point displaced.
 
     Parameters
     ----------
@@ -87,7 +89,14 @@ def arrival_findings(scene: Scene, measurements: Sequence[Measurement]) -> tuple
         return ()
     off = np.abs(found.late_m) > found.tolerance_m
     if off.any():
-        for cause in (_begin_at_direct, _stretched, _alike_late, _other_unit, _exchanged):
+        for cause in (
+            _begin_at_direct,
+            _stretched,
+            _alike_late,
+            _other_unit,
+            _begin_anywhere,
+            _exchanged,
+        ):
             findings = cause(found)
             if findings:
                 return findings
@@ -181,16 +190,19 @@ def _alike_late(found: _Arrivals) -> tuple[Finding, ...]:
 def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> Finding:
     samples = abs(late_s) * measurements[0].response.sampling_rate_hz
     latencies = {m.latency_s for m in measurements}
-    latency_s = float(f"{latencies.pop() + late_s:.3g}") if len(latencies) == 1 else None
+    latency_s = round(latencies.pop() + late_s, 5) if len(latencies) == 1 else None  # 3 mm
     advice = (
-        f"add {late_s:.3g} to their latency_s"
+        f"add {late_s:.5f} to their latency_s"
         if latency_s is None
-        else f"set latency_s = {latency_s:g}"
+        else f"set latency_s = {latency_s:.7g}"
     )
     who = _files(measurements, n_all)
     order = "late" if late_s > 0.0 else "early"
+    how = f"are {1e3 * abs(late_s):.2f} ms {order}"
+    if late_s > _LEAD_S:
+        how = f"begin {late_s:.2f} s before the sound is emitted"
     text = (
-        f"{who[0].upper()}{who[1:]} are {1e3 * abs(late_s):.2f} ms {order} "
+        f"{who[0].upper()}{who[1:]} {how} "
         f'({samples:.0f} samples): {advice} or time_zero = "unknown".'
     )
     evidence = {"late_s": late_s, "latency_s": latency_s, "files": [m.where for m in measurements]}
@@ -230,6 +242,35 @@ def _other_unit(found: _Arrivals) -> tuple[Finding, ...]:
         if np.all(np.abs(late_m - np.median(late_m)) <= found.tolerance_m):
             return (_scaled(factor, what, len(late_m)),)
     return ()
+
+
+def _begin_anywhere(found: _Arrivals) -> tuple[Finding, ...]:
+    """Every file begins long before the sound, each at another instant."""
+    late_s = found.late_m / found.speed_m_s
+    if len(late_s) < 2 or late_s.min() < _LEAD_S:
+        return ()
+    text = (
+        f"All {len(late_s)} files begin before the sound is emitted, each at another instant, "
+        f'{late_s.min():.2f} to {late_s.max():.2f} s: set time_zero = "direct".'
+    )
+    return (Finding(Code.RECORDINGS_LATE, text, {"time_zero": "direct"}),)
+
+
+def as_advised(measurements: Sequence[Measurement], causes: Sequence[Finding]) -> list[Measurement]:
+    """Return recordings on the clock that the findings of `arrival_findings` say to set.
+
+    In their order; those of which nothing is said as they are.
+    """
+    advised = []
+    for m in measurements:
+        for cause in causes:
+            if cause.code is Code.RECORDINGS_LATE and m.time_zero == "emission":
+                if "time_zero" in cause.evidence:
+                    m = replace(m, time_zero="direct")
+                elif m.where in cause.evidence["files"]:
+                    m = replace(m, latency_s=m.latency_s + cause.evidence["late_s"])
+        advised.append(m)
+    return advised
 
 
 def _exchanged(found: _Arrivals) -> tuple[Finding, ...]:

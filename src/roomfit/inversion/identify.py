@@ -171,6 +171,7 @@ def identify(
     measured = collect_measurements(
         scene, measurements, bands, directivities or {}, settings.decay_range_db
     )
+    _warn_first(measured.findings)
     if settings.method == "posterior":
         check_sampler()
     priors = complete_priors(scene.room.materials, materials, bands)
@@ -223,6 +224,18 @@ def identify(
     findings = (*_quick_findings(settings), *_findings(measured, priors, traced, fits))
     result = combine(measured, priors, traced, fits, findings, settings)
     return replace(result, evaluations=made[0], seconds=time.perf_counter() - began)
+
+
+def _warn_first(findings: Sequence[Finding]) -> None:
+    """Log what voids the answer already, before the minutes that a fit may last."""
+    serious = [f for f in findings if f.code.voids_identifiability]
+    for finding in serious:
+        _LOG.warning("%s: %s", finding.severity, finding.sentence)
+    if serious:
+        _LOG.warning(
+            "the fit goes on, but will call no material identifiable: to set this right first, "
+            "stop it with Ctrl-C"
+        )
 
 
 def _outline(

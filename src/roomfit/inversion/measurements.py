@@ -244,7 +244,8 @@ def collect_measurements(
     ------
     InputError
         Nothing was measured, a name is not in the scene, a position is impossible, or a response
-        is silent, too short, or sampled at too low a rate.
+        is silent, too short, or sampled at too low a rate; with the one cause, if there is one, as
+        what to try.
     """
     responses = [m for m in measurements if isinstance(m, Measurement)]
     tabulated = [m for m in measurements if isinstance(m, MeasuredValues)]
@@ -258,7 +259,18 @@ def collect_measurements(
     responses, copies = counted_once(own, responses)
     own = measured_scene(own, [*responses, *fitted, *kept])
     causes = arrival_findings(own, responses)
-    pairs, findings = observe(own, responses, bands, decay_range_db)
+    try:
+        pairs, findings = observe(own, responses, bands, decay_range_db)
+    except InputError as error:
+        if not causes:
+            raise
+        raise InputError(
+            error.what,
+            where=error.where,
+            found=error.found,
+            needed=error.needed,
+            hint=" ".join(f.sentence for f in causes),
+        ) from error
     observed = [(m.pair, m.response) for m in pairs if m.measurement.use == "fit"]
     if causes:  # which also moves what seem to be echoes of walls
         findings = tuple(f for f in findings if f.code is not Code.TIME_ZERO_MISMATCH)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from roomfit.errors import InputError
 from roomfit.eyring import schroeder_hz
 from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import volume_m3
-from roomfit.inversion.causes import arrival_findings
+from roomfit.inversion.causes import arrival_findings, as_advised
 from roomfit.inversion.measurements import (
     Measurements,
     collect_measurements,
@@ -34,7 +35,9 @@ from roomfit.typing import BoolArray, FloatArray
 class CheckedRecordings:
     """Recordings by pair and band before a fit.
 
-    Rows are recordings in their order; those that a fit refuses have NaN throughout.
+    Rows are recordings in their order; those that a fit refuses have NaN throughout. Where
+    recordings are late alike, all but `onset_s` is what it is with the latency that the finding
+    says to set.
     """
 
     measurements: tuple[Measurement, ...]
@@ -48,6 +51,16 @@ class CheckedRecordings:
     decay_s: FloatArray  # (n_bands,), median reverberation time; NaN where none is known
     schroeder_hz: FloatArray  # (n_bands,)
     findings: tuple[Finding, ...]
+
+    def __str__(self) -> str:
+        """Return what the command line prints: a table of recordings by band, and findings."""
+        from roomfit.report.text import recordings_text
+
+        return recordings_text(self)
+
+    def _repr_html_(self) -> str:
+        """Return the same for notebooks."""
+        return f"<pre>{escape(str(self))}</pre>"
 
     @property
     def in_doubt(self) -> bool:
@@ -103,11 +116,16 @@ def check_recordings(
     (np.True_, 'the direct sound arrives 12.10')
     """
     own = measured_scene(scene, measurements)
-    responses = [m for m in measurements if isinstance(m, Measurement)]
+    given = [m for m in measurements if isinstance(m, Measurement)]
+    causes = arrival_findings(own, given)
+    # what follows from a wrong clock is no second fault: a decay that seems cut short, or to drown
+    responses = as_advised(given, causes)
+    values = (m for m in measurements if isinstance(m, MeasuredValues))
+    advised: list[Measurement | MeasuredValues] = [*responses, *values]
     refused: dict[Measurement, InputError] = {}
     found = None
     while found is None and len(refused) < len(measurements):
-        kept = [m for m in measurements if m not in refused]
+        kept = [m for m in advised if m not in refused]
         try:
             found = collect_measurements(scene, kept, bands, directivities or {}, decay_range_db)
         except InputError as error:
@@ -115,18 +133,18 @@ def check_recordings(
             if faulty is None:
                 raise
             refused[faulty] = error
-    findings = () if found is None else found.findings
-    if refused:
-        # what a fit refuses may be what shows the cause: coordinates in another unit
-        findings = (
-            *(f for f in arrival_findings(own, responses) if not findings),
-            *_unusable(refused, len(responses)),
-            *findings,
-        )
-    return _table(own, responses, bands, found, findings)
+    known = {f.code for f in causes}
+    others = () if found is None else found.findings
+    findings = (
+        *causes,
+        *_unusable(refused, len(given), " ".join(f.sentence for f in causes)),
+        *(f for f in others if f.code not in known),
+    )
+    return _table(own, dict(zip(given, responses, strict=True)), bands, found, findings)
 
 
-def _unusable(refused: dict[Measurement, InputError], n_all: int) -> tuple[Finding, ...]:
+def _unusable(refused: dict[Measurement, InputError], n_all: int, said: str) -> tuple[Finding, ...]:
+    """Return a finding for each reason; `said` is the cause of all, which is not repeated."""
     by_reason: dict[str, list[Measurement]] = {}
     for m, error in refused.items():
         by_reason.setdefault(error.what, []).append(m)
@@ -135,25 +153,27 @@ def _unusable(refused: dict[Measurement, InputError], n_all: int) -> tuple[Findi
         error = refused[files[0]]
         names = ", ".join(m.name for m in files[:4]) + (" and more" if files[4:] else "")
         who = f"all {n_all} files" if len(files) == n_all else f"{len(files)} of {n_all} files"
-        text = f"Of {who} ({names}): {what}: {error.found}. Try: {error.hint}."
+        hint = "" if error.hint == said else f" Try: {error.hint}."
+        text = f"Of {who} ({names}): {what}: {error.found}.{hint}"
         findings.append(Finding(Code.RECORDING_UNUSABLE, text, {"files": [m.where for m in files]}))
     return tuple(findings)
 
 
 def _table(
     scene: Scene,
-    responses: Sequence[Measurement],
+    responses: dict[Measurement, Measurement],
     bands: Bands,
     found: Measurements | None,
     findings: tuple[Finding, ...],
 ) -> CheckedRecordings:
+    """Return the table of recordings, those as given to those as advised."""
     pairs = {} if found is None else {p.measurement: p for p in found.responses}
     shape = len(responses), len(bands)
     onset_s, travel_s = np.full(shape[0], np.nan), np.full(shape[0], np.nan)
     noise_db, range_db = np.full(shape, np.nan), np.full(shape, np.nan)
     usable, has_t20 = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
-    for i, m in enumerate(responses):
-        pair: MeasuredPair | None = pairs.get(m)
+    for i, (m, advised) in enumerate(responses.items()):
+        pair: MeasuredPair | None = pairs.get(advised)
         if pair is None:
             continue
         clock = m.response if m.time_zero == "emission" else pair.response

@@ -256,11 +256,13 @@ def same_file(path: Path) -> tuple[int, int] | str:
 def _check_regular(mode: int, what: str, where: str) -> None:
     found = _kind(mode)
     if found:
+        meant = Path(where, "result.json" if what == "result" else "campaign.toml")
         raise InputError(
             f"the {what} cannot be read",
             where=where,
             found=found,
             needed="a regular file, or a link to one",
+            hint=f"give the file in it: {meant}" if meant.is_file() else None,
         )
 
 

@@ -370,8 +370,8 @@ def export_materials(
     InputError
         There is no such format, or the scattering is out of range.
     """
-    if wanted not in FORMATS:  # the other two are no text
-        check_known("no such format for an export", wanted, (*FORMATS, "excel", "gltf"))
+    if wanted not in FORMATS:  # the other three are no text
+        check_known("no such format for an export", wanted, (*FORMATS, "excel", "gltf", "pdf"))
     check_range("scattering coefficient", scattering, 0.0, 1.0)
     specified = table.scattering
     scatter = np.full(table.absorption.shape, scattering) if specified is None else specified

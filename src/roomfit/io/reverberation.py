@@ -116,9 +116,13 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands]:
         kept = values[: len(centres)]
         table[i, : len(kept)] = kept
     known = np.isfinite(table).any(axis=0)
-    if np.any(table <= 0.0) or np.any(table > 60.0) or not known.any():
+    wrong = table[(table <= 0.0) | (table > 60.0)]
+    if wrong.size or not known.any():
         raise InputError(
-            "a decay time that no room has", where=str(path), needed="above 0 and up to 60 s"
+            "a decay time that no room has",
+            where=str(path),
+            found=f"{wrong[0]:g} s" if wrong.size else "empty cells alone",
+            needed="above 0 and up to 60 s",
         )
     octaves = set(centres) <= set(OCTAVES_HZ)
     bands = Bands("octave" if octaves else "third-octave", np.array(centres)[known])

@@ -22,6 +22,7 @@ from matplotlib.figure import Figure
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding, Severity
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
+from roomfit.inversion.diffuse import FORMULAS, DiffuseAbsorption
 from roomfit.report.disagreement import disagreement_table
 from roomfit.report.figures import (
     absorption_figure,
@@ -33,6 +34,7 @@ from roomfit.report.html_tables import (
     absorption_tables,
     area_tables,
     certificate_tables,
+    coefficient_cell,
     error_tables,
     errors_of,
     fit_tables,
@@ -53,13 +55,16 @@ from roomfit.report.html_tables import (
     sti_tables,
 )
 from roomfit.report.room_figure import MOST_FACES, drawn_faces, room_figure
+from roomfit.report.text import DIFFUSE_WORDS
 from roomfit.report.wording import (
     DASH,
     Cell,
+    Row,
     Table,
     area,
     band_heads,
     band_ranges,
+    band_tables,
     coefficient,
     count,
     decay_time_key,
@@ -70,7 +75,7 @@ from roomfit.report.wording import (
 )
 from roomfit.results import ComparedPair, Result
 from roomfit.scene import Scene
-from roomfit.typing import BoolArray
+from roomfit.typing import BoolArray, FloatArray, IntArray
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE
 
 _SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "info")
@@ -445,6 +450,48 @@ def tables_page(title: str, lead: str, shown: Iterable[Table]) -> str:
     """Return a page of a few tables, in the style and under the policy of the report."""
     text: str = _template("list.html.j2").render(title=title, lead=lead, shown=tuple(shown))
     return _sealed(text)
+
+
+def diffuse_page(found: DiffuseAbsorption) -> str:
+    """Return mean absorption from decay times as a page: times, formulas, materials by Eyring."""
+
+    def interval(column: FloatArray) -> Cell:
+        return coefficient_cell(*map(float, column), sure=True, fixed=False)
+
+    def times(block: IntArray) -> list[Row]:
+        cells = [
+            Cell(number(found.decay_s[j], 2), (f"± {number(found.decay_sd_s[j], 2)}",))
+            for j in block
+        ]
+        return [Row("mean over positions", tuple(cells))]
+
+    def means(block: IntArray) -> list[Row]:
+        return [
+            Row(formula, tuple(interval(found.mean[i, :, j]) for j in block))
+            for i, formula in enumerate(FORMULAS)
+        ]
+
+    def materials(block: IntArray) -> list[Row]:
+        own = found.absorption[FORMULAS.index("Eyring")]
+        return [
+            Row(name, tuple(interval(own[k, :, j]) for j in block))
+            for k, name in enumerate(found.materials)
+        ]
+
+    centres = found.bands.centres_hz
+    captions = (
+        ("Decay time in s, with its standard deviation", "", times),
+        ("Mean absorption of the room, 95 % interval", "formula", means),
+        ("Materials by Eyring: their priors, moved together, and no more", "material", materials),
+    )
+    shown = [
+        t for words, corner, rows in captions for t in band_tables(words, corner, centres, rows)
+    ]
+    middle = int(np.argmin(np.abs(np.log(centres / 500.0))))
+    value, low, high = (number(x, 2) for x in found.mean[FORMULAS.index("Eyring"), :, middle])
+    first = f"By Eyring the mean absorption of the room at {hertz(centres[middle])} is {value} "
+    lead = f"{first}({low} to {high}). {DIFFUSE_WORDS}"
+    return tables_page("Mean absorption from decay times", lead, shown)
 
 
 def _sealed(page: str) -> str:

@@ -435,12 +435,26 @@ def room_text(title: str, check: RoomCheck) -> str:
     faults = [f for f in check.findings if f.severity == "serious"]
     doubts = [f for f in check.findings if f.severity != "serious"]
     if doubts:
-        rows += ["", "findings", *(f"  {f.severity:<8} {f.sentence}" for f in doubts)]
+        rows += ["", "findings"]
+        for f in doubts:
+            text = f"  {f.severity:<8} {f.sentence}"
+            rows += textwrap.wrap(text, 100, subsequent_indent=" " * 11, break_on_hyphens=False)
     if faults:
         rows += ["", "faults that forbid tracing", *(line for f in faults for line in _fault(f))]
     else:
         rows += ["", "The room can be traced."]
     return "\n".join(rows)
+
+
+DIFFUSE_WORDS = (
+    "Decay times determine the mean alone, as far as the field is diffuse; the formulas "
+    "differ by what that means, and intervals allow for it where priors tell walls apart; "
+    "elsewhere walls are taken to be alike. What stands for single materials is their priors, "
+    "moved together until they give this mean: nothing more is known of any of them. Where "
+    "walls are much alike Eyring was nearest in trials, in flat rooms with one soft surface "
+    "Fitzroy. Impulse "
+    "responses and positions would separate them (roomfit identify)."
+)
 
 
 def diffuse_text(found: DiffuseAbsorption) -> str:
@@ -461,16 +475,20 @@ def diffuse_text(found: DiffuseAbsorption) -> str:
         for name, values in named:
             cells = [_interval_cell(*column, sure=True) for column in values.T]
             rows.append(f"{name:<{width}}  " + "  ".join(f"{cell:>13}" for cell in cells))
-    words = (
-        "Decay times determine the mean alone, as far as the field is diffuse; the formulas "
-        "differ by what that means, and intervals allow for it where priors tell walls apart; "
-        "elsewhere walls are taken to be alike. What stands for single materials is their priors, "
-        "moved together until they give this mean: nothing more is known of any of them. Where "
-        "walls are much alike Eyring was nearest in trials, in flat rooms with one soft surface "
-        "Fitzroy. Impulse "
-        "responses and positions would separate them (roomfit identify)."
-    )
-    return "\n".join([*rows, "", textwrap.fill(words, 100)])
+    return "\n".join([*rows, "", textwrap.fill(DIFFUSE_WORDS, 100)])
+
+
+def diffuse_rows(found: DiffuseAbsorption) -> list[list[str]]:
+    """Return the rows of a table, the first the heading; material "" is the mean of the room."""
+    from roomfit.inversion.diffuse import FORMULAS
+
+    rows = [["formula", "material", "band_hz", "absorption", "lower95", "upper95"]]
+    for i, formula in enumerate(FORMULAS):
+        named = (("", found.mean[i]), *zip(found.materials, found.absorption[i], strict=True))
+        for name, values in named:
+            for centre, column in zip(found.bands.centres_hz, values.T, strict=True):
+                rows.append([formula, name, f"{centre:g}", *(f"{v:.5f}" for v in column)])
+    return rows
 
 
 def recordings_text(checked: CheckedRecordings) -> str:
