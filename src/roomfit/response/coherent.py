@@ -233,7 +233,7 @@ def spread_squared(
     n_materials = hits.shape[1]
     for o in range(len(offsets) - 1):
         root = roots[o]
-        slopes = np.empty(8 + n_materials)
+        slopes, along = np.empty(8 + n_materials), np.empty(root.shape[1])
         for i in range(offsets[o], offsets[o + 1]):
             v, a = away[row[i]], image_transform[row[i]]
             length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
@@ -245,12 +245,15 @@ def spread_squared(
             slopes[7] = 1.0
             for m in range(n_materials):
                 slopes[8 + m] = hits[row[i], m]
+            # sums side by side need not wait for each other
+            along[:] = 0.0
+            for j in range(len(slopes)):
+                slope = slopes[j]
+                for k in range(root.shape[1]):
+                    along[k] += slope * root[j, k]
             total = 0.0
-            for k in range(root.shape[1]):
-                dot = 0.0
-                for j in range(len(slopes)):
-                    dot += slopes[j] * root[j, k]
-                total += dot * dot
+            for k in range(len(along)):
+                total += along[k] * along[k]
             out[i] = total
 
 
