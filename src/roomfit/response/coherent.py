@@ -215,6 +215,20 @@ def binned_energies(
 
 
 @kernel()
+def binned_shares(
+    bins: IntArray, energy: FloatArray, coherence: FloatArray, out: FloatArray
+) -> None:
+    """Add g e, e^2 (1 - g^2) and (e (1 - g))^2 of every path into bins, (3, n_bins); -1 is none."""
+    for i in range(len(bins)):
+        b, e, g = bins[i], energy[i], coherence[i]
+        if b >= 0:
+            out[0, b] += g * e
+            out[1, b] += e * e * (1.0 - g * g)
+            random = e * (1.0 - g)
+            out[2, b] += random * random
+
+
+@kernel()
 def spread_squared(
     offsets: IntArray,
     row: IntArray,
