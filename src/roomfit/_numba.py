@@ -6,7 +6,6 @@ the kernels do not wait for each other.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -15,10 +14,6 @@ from threadpoolctl import threadpool_limits
 
 P = ParamSpec("P")
 R = TypeVar("R")
-
-# Threads of kernels that wait in loops for the next one take a fifth of all processor time. Read
-# when the first parallel kernel runs; who has set it keeps it.
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 
 def kernel(
