@@ -260,7 +260,7 @@ def many_paths(n_observations: int) -> tuple[ImagePaths, Times, tuple[FloatArray
 
 
 def test_observations_in_blocks_are_what_they_are_one_by_one() -> None:
-    """Forty, of which sixteen are in memory at a time: the same energies and derivatives."""
+    """Forty, of which a few are in memory at a time: the same energies and derivatives."""
     paths, moved, edges = many_paths(40)
     grid, a = replace(band_grid(BANK, 0.0, 0.1), is_double=True), np.array([0.2, 0.4])
     whole = coherent_response(paths, a, moved, grid, edges)

@@ -28,7 +28,7 @@ from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.parameters import physical_values, prior_residuals
-from roomfit.objective.problem import Objective
+from roomfit.objective.problem import Objective, Prediction
 from roomfit.signals.filters import FilterBank, filter_pressure
 from roomfit.signals.response import times_s
 from roomfit.solvers.least_squares import BandFit
@@ -71,13 +71,17 @@ class Score(NamedTuple):
     sd: float
 
 
-def scored(windows: FittedWindows, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+def scored(
+    windows: FittedWindows, columns: FloatArray, there: Prediction | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Return the score of further unknowns at 0, and their information, all others fitted along.
 
     Parameters
     ----------
     columns : float array, shape (n, n_more)
         Derivative of the first n expected data by each of them.
+    there : Prediction, optional
+        That of the fit, where it is known.
 
     Returns
     -------
@@ -91,7 +95,7 @@ def scored(windows: FittedWindows, columns: FloatArray) -> tuple[FloatArray, Flo
     misfit = max(fit.chi2_reduced, 1.0)
     weight = 1.0 / (misfit * objective.correlation_length() * fit.variance)
     residual = fit.measured - fit.expected
-    own = objective.predict(fit.vector).jacobian
+    own = (objective.predict(fit.vector) if there is None else there).jacobian
     shared, more = (np.zeros((residual.size, x.shape[1])) for x in (windows.shared, columns))
     shared[: len(windows.shared)] = windows.shared
     more[: len(columns)] = columns
@@ -175,12 +179,16 @@ def common(scores: FloatArray, information: FloatArray) -> Score:
     return Score(value, float(np.sqrt(ratio / information.sum())))
 
 
-def _asked(fitted: Sequence[FittedWindows], relative: Sequence[FloatArray]) -> Score:
+def _asked(
+    fitted: Sequence[FittedWindows],
+    predicted: Sequence[Prediction],
+    relative: Sequence[FloatArray],
+) -> Score:
     """Return what all bands ask of one unknown, given its relative derivatives, (n_windows, 1)."""
     scores = []
-    for w, own in zip(fitted, relative, strict=True):
-        signal = w.objective.predict(w.fit.vector).signal[: len(own)]
-        scores.append([float(x.item()) for x in scored(w, signal[:, None] * own)])
+    for w, there, own in zip(fitted, predicted, relative, strict=True):
+        signal = there.signal[: len(own), None]
+        scores.append([float(x.item()) for x in scored(w, signal * own, there)])
     return common(*np.array(scores).T)
 
 
@@ -212,7 +220,10 @@ def chain_findings(
         for w, own in zip(reached, chain_slopes(chosen, m, edges_s, peak), strict=True):
             slopes[w.band, w.files.index(m)] = own
     relative = [np.concatenate([slopes[w.band, i] for i in range(len(w.files))]) for w in fitted]
-    power, loss, window = (_asked(fitted, [r[:, k : k + 1] for r in relative]) for k in range(3))
+    predicted = [w.objective.predict(w.fit.vector) for w in fitted]
+    power, loss, window = (
+        _asked(fitted, predicted, [r[:, k : k + 1] for r in relative]) for k in range(3)
+    )
     rate_per_s = float(np.median([w.decay_rate_per_s for w in fitted]))
     sizes = [abs(s.value) / s.sd for s in (power, loss, window)]
     least = (_LEAST_EXPONENT, _LEAST_LOSS, _LEAST_RATE * rate_per_s)

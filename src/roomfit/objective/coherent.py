@@ -43,6 +43,7 @@ from roomfit.response.coherent import (
     ImagePaths,
     band_grid,
     binned_energies,
+    binned_shares,
     chosen_paths,
     coherent_response,
     image_energies,
@@ -240,7 +241,8 @@ def with_coherence(
     travel_s = images.lengths_m() / c
     spread += 2.0 * (_POSITION_SD_M / c) ** 2 + (_TIMING_SHARE * travel_s) ** 2
     phase = (2.0 * np.pi * term.energies.centre_hz) ** 2 * spread
-    phase += phase_sd**2 * images.hits.sum(axis=1)[images.row]
+    if phase_sd > 0.0:
+        phase += phase_sd**2 * images.hits.sum(axis=1)[images.row]
     return _with_gamma(term, np.exp(-phase))
 
 
@@ -275,22 +277,18 @@ def _early_variance(
     """
     observed, images = term.early[observation], term.images
     own = slice(images.offsets[observation], images.offsets[observation + 1])
-    inside = term.bins[own] >= 0
-    bins, e, g = (x[own][inside] for x in (term.bins, energy, images.coherence))
-    n_bins = observed.spreading.shape[1]
-    random = np.maximum(paths.energy - np.bincount(bins, g * e, n_bins), 0.0)
-    single = np.bincount(bins, e**2 * (1.0 - g**2), n_bins)
-    late = np.bincount(bins, (e * (1.0 - g)) ** 2, n_bins)
+    shares = np.zeros((3, observed.spreading.shape[1]))
+    binned_shares(term.bins[own], energy[own], images.coherence[own], shares)
+    pressures, single, late = shares
+    random = np.maximum(paths.energy - pressures, 0.0)
     spread = observed.fine_spreading @ random
     pieces = spread**2 + 2.0 * spread * coherent
-    pieces -= squares_in_windows(observed.fine_spreading, np.asarray(single, np.float64))
+    pieces -= squares_in_windows(observed.fine_spreading, single)
     pieces = np.maximum(pieces, 0.0)
     pieces /= term.energies.bandwidth_hz * np.diff(observed.fine_edges_s)
     first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])
     interference = np.add.reduceat(pieces, first)
-    timing = observed.timing_sd_s**2 * squares_in_windows(
-        observed.slopes, np.asarray(late, np.float64)
-    )
+    timing = observed.timing_sd_s**2 * squares_in_windows(observed.slopes, late)
     tracing = paths.tracing[: observed.energy.size]
     signal = gain * (observed.spreading @ random + np.add.reduceat(coherent, first))
     return {

@@ -296,12 +296,14 @@ def local_roots(geometry: Geometry, covariance: FloatArray) -> FloatArray:
 
     Returns
     -------
-    float array, shape (n_observations, 8 + n_materials, n)
+    float array, shape (n_observations, 8 + n_materials, 8 + n_materials or n)
         Times its transpose: the covariance of the observation's own entries.
     """
     values, vectors = np.linalg.eigh(covariance)
     root = geometry.sd[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    return np.ascontiguousarray(root[geometry.columns])
+    # no more columns than rows: a rotation from the right changes no covariance
+    own = np.linalg.qr(np.swapaxes(root[geometry.columns], 1, 2), mode="r")
+    return np.ascontiguousarray(np.swapaxes(own, 1, 2))
 
 
 def whole_covariance(geometry: Geometry, fitted: FloatArray | None = None) -> FloatArray:

@@ -32,6 +32,8 @@ RealArray: TypeAlias = NDArray[np.floating[Any]]
 # Taps of the gridding kernel and steps of its table between two taps.
 TAPS = 6
 TABLE_STEPS = 2048
+# Columns of a grid are filled up to so many: a remainder costs as much as all the others.
+_COLUMNS_AT_ONCE = 8
 
 
 @kernel()
@@ -83,17 +85,20 @@ def grid_impulses(
         The product A of a path's reflections, row by row.
     shifts : shape (n_observations, 6)
         Displacement of source and receiver, m.
-    impulses : shape (n_observations, n_grid, 8 + n_materials), or (n_observations, n_grid, 1)
+    table : shape (TABLE_STEPS + 2, TAPS)
+        Heights of the taps, by how far behind a grid point the impulse is.
+    impulses : shape (n_observations, n_grid, 8 + n_materials or more), or (.., .., 1)
         Zeros; filled with impulses of height s; hits s of every material; -dt/dsource s (3),
         dt/dreceiver s (3), and -dt/dln c s (1). A single column contains the first of them.
     """
     n_materials = hits.shape[1]
     n_grid, n_columns = impulses.shape[1], impulses.shape[2]
-    half = TAPS // 2
+    slowness = 1.0 / speed
     for o in numba.prange(len(offsets) - 1):
         own = impulses[o]
         # in the precision of the grid: eight single numbers are added at a time
-        values, height = np.empty(8 + n_materials, own.dtype), np.empty(1, own.dtype)
+        values = np.zeros(max(n_columns, 8 + n_materials), own.dtype)
+        height = np.empty(TAPS, own.dtype)
         for i in range(offsets[o], offsets[o + 1]):
             at = row[i]
             a = image_transform[at]
@@ -104,8 +109,9 @@ def grid_impulses(
             v0 -= a[0] * s0 + a[1] * s1 + a[2] * s2
             v1 -= a[3] * s0 + a[4] * s1 + a[5] * s2
             v2 -= a[6] * s0 + a[7] * s1 + a[8] * s2
-            d = math.sqrt(v0 * v0 + v1 * v1 + v2 * v2)
-            t = d / speed + latency[o]
+            square = v0 * v0 + v1 * v1 + v2 * v2
+            d = math.sqrt(square)
+            t = d * slowness + latency[o]
             s = root[i]
             values[0] = s
             for m in range(n_materials):
@@ -114,25 +120,27 @@ def grid_impulses(
                 values[1 + m] = h * s
             if n_columns > 1:
                 k = 1 + n_materials
-                u = s / (speed * d)
-                values[k] = u * (a[0] * v0 + a[3] * v1 + a[6] * v2)
-                values[k + 1] = u * (a[1] * v0 + a[4] * v1 + a[7] * v2)
-                values[k + 2] = u * (a[2] * v0 + a[5] * v1 + a[8] * v2)
-                values[k + 3] = u * v0
-                values[k + 4] = u * v1
-                values[k + 5] = u * v2
-                values[k + 6] = s * d / speed
+                u = s * slowness / d
+                v0, v1, v2 = u * v0, u * v1, u * v2
+                values[k] = a[0] * v0 + a[3] * v1 + a[6] * v2
+                values[k + 1] = a[1] * v0 + a[4] * v1 + a[7] * v2
+                values[k + 2] = a[2] * v0 + a[5] * v1 + a[8] * v2
+                values[k + 3] = v0
+                values[k + 4] = v1
+                values[k + 5] = v2
+                values[k + 6] = u * square
             place = (t - first_s) * rate_hz
-            low = math.floor(place) - half + 1
+            behind = math.floor(place)
+            low = behind - TAPS // 2 + 1
+            share = (place - behind) * TABLE_STEPS
+            step = int(share)
+            share -= step
+            for tap in range(TAPS):
+                height[tap] = table[step, tap] + share * (table[step + 1, tap] - table[step, tap])
             inside = low >= 0 and low + TAPS <= n_grid
             for tap in range(TAPS):
-                distance = (abs(low + tap - place)) * TABLE_STEPS
-                step = int(distance)
-                share = distance - step
-                height[0] = table[step] + share * (table[step + 1] - table[step])
-                # a remainder costs as much as all the sums of a tap
                 g = low + tap if inside else (low + tap) % n_grid
-                cell, times = own[g], height[0]
+                cell, times = own[g], height[tap]
                 for j in range(n_columns):
                     cell[j] += times * values[j]
 
@@ -207,6 +215,20 @@ def binned_energies(
 
 
 @kernel()
+def binned_shares(
+    bins: IntArray, energy: FloatArray, coherence: FloatArray, out: FloatArray
+) -> None:
+    """Add g e, e^2 (1 - g^2) and (e (1 - g))^2 of every path into bins, (3, n_bins); -1 is none."""
+    for i in range(len(bins)):
+        b, e, g = bins[i], energy[i], coherence[i]
+        if b >= 0:
+            out[0, b] += g * e
+            out[1, b] += e * e * (1.0 - g * g)
+            random = e * (1.0 - g)
+            out[2, b] += random * random
+
+
+@kernel()
 def spread_squared(
     offsets: IntArray,
     row: IntArray,
@@ -225,7 +247,7 @@ def spread_squared(
     n_materials = hits.shape[1]
     for o in range(len(offsets) - 1):
         root = roots[o]
-        slopes = np.empty(8 + n_materials)
+        slopes, along = np.empty(8 + n_materials), np.empty(root.shape[1])
         for i in range(offsets[o], offsets[o + 1]):
             v, a = away[row[i]], image_transform[row[i]]
             length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
@@ -237,12 +259,15 @@ def spread_squared(
             slopes[7] = 1.0
             for m in range(n_materials):
                 slopes[8 + m] = hits[row[i], m]
+            # sums side by side need not wait for each other
+            along[:] = 0.0
+            for j in range(len(slopes)):
+                slope = slopes[j]
+                for k in range(root.shape[1]):
+                    along[k] += slope * root[j, k]
             total = 0.0
-            for k in range(root.shape[1]):
-                dot = 0.0
-                for j in range(len(slopes)):
-                    dot += slopes[j] * root[j, k]
-                total += dot * dot
+            for k in range(len(along)):
+                total += along[k] * along[k]
             out[i] = total
 
 
@@ -253,8 +278,6 @@ _SAMPLES_PER_PERIOD = 8.0
 _PADDING_PERIODS = 16.0
 # Oversampling is 2: the shape parameter of Beatty, Nishimura and Pauly (2005), eq. 5.
 _BETA = np.pi * np.sqrt((TAPS / 2.0) ** 2 * 1.5**2 - 0.8)
-# Observations whose grids are in memory at a time.
-_AT_ONCE = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -302,7 +325,7 @@ class BandGrid:
     n: int
     filter: FloatArray  # (n // 2 + 1,), transfer function from impulses to filtered pressure
     slope: FloatArray  # (n // 2 + 1,), to minus its time derivative
-    table: FloatArray  # the gridding kernel
+    table: FloatArray  # the gridding kernel, see `grid_impulses`
     is_double: bool = False  # whether pressures are added in double precision
 
     @property
@@ -436,9 +459,10 @@ def band_grid(bank: FilterBank, first_s: float, last_s: float) -> BandGrid:
     argument = np.maximum(_BETA**2 - (np.pi * TAPS * (frequencies / rate_hz)) ** 2, 1e-12)
     argument = np.sqrt(argument)
     kernel = TAPS * np.sinh(argument) / (argument * i0(_BETA))
-    x = np.arange(TAPS // 2 * TABLE_STEPS + 2 * TABLE_STEPS) / TABLE_STEPS
+    behind = np.arange(TABLE_STEPS + 2)[:, None] / TABLE_STEPS
+    x = behind + TAPS // 2 - 1 - np.arange(TAPS)
     inside = np.maximum(1.0 - (2.0 * x / TAPS) ** 2, 0.0)
-    table = np.where(x <= TAPS / 2, i0(_BETA * np.sqrt(inside)) / i0(_BETA), 0.0)
+    table = np.where(np.abs(x) <= TAPS / 2, i0(_BETA * np.sqrt(inside)) / i0(_BETA), 0.0)
     transfer = np.where(used, shape / np.where(used, kernel, 1.0), 0.0) * rate_hz
     slope = -2j * np.pi * frequencies * transfer
     return BandGrid(first_s - padding_s, rate_hz, n, transfer, slope, table)
@@ -471,11 +495,14 @@ def coherent_response(
     """
     n_materials = len(paths.materials)
     n_columns = 8 + n_materials if derivative else 1
+    filled = -(-n_columns // _COLUMNS_AT_ONCE) * _COLUMNS_AT_ONCE if derivative else 1
     roots, transfer = _roots(paths, absorption), grid.filter.astype(grid.real)
     slope, parts = grid.slope.astype(grid.complex), []
-    for o in range(0, len(edges_s), _AT_ONCE):
-        own = edges_s[o : o + _AT_ONCE]
-        impulses: Any = np.zeros((len(own), grid.n, n_columns), dtype=grid.real)
+    # few enough for their grids to stay in memory that is at hand: new pages cost as much as sums
+    at_once = max(numba.get_num_threads(), 2)
+    for o in range(0, len(edges_s), at_once):
+        own = edges_s[o : o + at_once]
+        impulses: Any = np.zeros((len(own), grid.n, filled), dtype=grid.real)
         grid_impulses(
             paths.offsets[o : o + len(own) + 1],
             paths.row,
@@ -492,9 +519,10 @@ def coherent_response(
             grid.table,
             impulses,
         )
-        spectra = fft.rfft(np.ascontiguousarray(np.swapaxes(impulses, 1, 2)), axis=-1, workers=2)
+        columns: Any = np.ascontiguousarray(np.swapaxes(impulses[:, :, :n_columns], 1, 2))
+        spectra = fft.rfft(columns, axis=-1, workers=2)
         pressure = fft.irfft(spectra[:, 0] * transfer, grid.n, axis=-1, workers=2)
-        columns: Any = np.zeros((len(own), 0, grid.n), dtype=grid.real)
+        columns = np.zeros((len(own), 0, grid.n), dtype=grid.real)
         if derivative:
             level = fft.irfft(spectra[:, 1 : 1 + n_materials] * transfer, grid.n, workers=2)
             moved = fft.irfft(spectra * slope, grid.n, axis=-1, workers=2)

@@ -427,12 +427,13 @@ def grid_directed_impulses(
         own = impulses[o]
         for i in range(offsets[o], offsets[o + 1]):
             place = (time_s[i] - first_s) * rate_hz
-            low = int(np.floor(place)) - TAPS // 2 + 1
+            behind = int(np.floor(place))
+            share = (place - behind) * TABLE_STEPS
+            step = int(share)
+            share -= step
             for tap in range(TAPS):
-                distance = abs(low + tap - place) * TABLE_STEPS
-                step = int(distance)
-                height = table[step] + (distance - step) * (table[step + 1] - table[step])
-                g = (low + tap) % n_grid
+                height = table[step, tap] + share * (table[step + 1, tap] - table[step, tap])
+                g = (behind - TAPS // 2 + 1 + tap) % n_grid
                 for j in range(heights.shape[1]):
                     own[j, g] += height * heights[i, j]
 
