@@ -9,7 +9,15 @@ from typing import Any
 from nicegui import ui
 
 from roomfit.app import project
-from roomfit.app.elements import finding_html, findings, heading, markup, said, table_html
+from roomfit.app.elements import (
+    emptied,
+    finding_html,
+    findings,
+    heading,
+    markup,
+    said,
+    table_html,
+)
 from roomfit.app.server import Bench
 from roomfit.bands import OCTAVES_HZ
 from roomfit.errors import InputError
@@ -22,6 +30,8 @@ _NAMES = {project.FULL: "full answer", project.QUICK: "first answer"}
 def build(bench: Bench) -> Callable[[], Awaitable[None]]:
     """Draw the tab; return what draws it anew."""
     bands = {"from": 125.0, "to": 4000.0}
+    read = [(0.0, 0.0)]  # what the campaign said of them last
+    latest = [0]  # number of the view that was asked for last
 
     def start(*, quick: bool) -> None:
         try:
@@ -29,7 +39,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                 raise InputError("there is no project yet", hint="begin with the room")
             project.set_bands(bench.folder, bands["from"], bands["to"])
         except InputError as error:
-            said(error)
+            said(error, answer)
             return
         own = {"folder": str(bench.folder), "quick": quick}
         label = "First answer" if quick else "Full answer"
@@ -52,27 +62,35 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         ui.button("Full answer only", on_click=lambda: start(quick=False)).props(
             "no-caps outline color=quiet"
         )
+    stale = ui.element("div")
     answer = ui.element("div").style("width: 100%")
 
     async def refresh() -> None:
         found = project.best_result(bench.folder)
         name = project.FULL if found is None else found.parent.name
+        latest[0] += 1
+        own = latest[0]
         view = await bench.ask("result_view", name=name)
+        if answer.is_deleted or own != latest[0]:  # the page was closed, or asked once more
+            return
         if project.has_campaign(bench.folder):
             low, high = project.bands(bench.folder)
-            if low in octaves and high in octaves:
+            # what is chosen and not begun yet stays while the campaign's bands do
+            if low in octaves and high in octaves and read[0] != (low, high):
+                read[0] = (low, high)
                 bands.update({"from": low, "to": high})
-        if answer.is_deleted:  # the page was closed meanwhile
+        has_changed = view is not None and view.pop("stale")
+        if emptied(stale, has_changed) and has_changed:
+            text = "The campaign has changed since this answer was made."
+            with stale:
+                findings([{"severity": "warning", "sentence": text}])
+        if not emptied(answer, (name, view)):
             return
-        answer.clear()
         with answer:
             if view is None:
                 ui.label("No answer yet.").classes("soft")
                 return
             heading(f"Absorption: {_NAMES[name]}")
-            if view["stale"]:
-                text = "The campaign has changed since this answer was made."
-                findings([{"severity": "warning", "sentence": text}])
             with ui.element("div").classes("two").style("align-items: start"):
                 with ui.element("div"):
                     markup(absorption_html(view))

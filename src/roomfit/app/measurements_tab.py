@@ -12,6 +12,7 @@ from roomfit.app import project
 from roomfit.app.elements import (
     FileDrop,
     PlanView,
+    emptied,
     finding_html,
     findings,
     heading,
@@ -43,7 +44,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             project.set_recordings(bench.folder, shape["shape"])
             await refresh()
         except InputError as error:
-            said(error)
+            said(error, general)
 
     with ui.element("div").classes("panel").style("margin-bottom: 0.75rem"):
         FileDrop("Recordings, dropped here or chosen:", "recordings", RESPONSE_SUFFIXES, sent)
@@ -70,7 +71,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             project.set_position(bench.folder, kind, name, (x, y, z))
             await refresh()
         except InputError as error:
-            said(error)
+            said(error, general)
 
     async def moved(kind: str, name: str) -> None:
         values = [field.value for field in fields[kind, name]]
@@ -84,7 +85,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             point["position_m"] = [round(value, 4) for value in values]  # is not drawn anew
             await refresh()
         except InputError as error:
-            said(error)
+            said(error, general)
 
     def show_positions(points: list[Any]) -> None:
         """Draw the fields; while the names stay, only those of what has moved are written to."""
@@ -125,13 +126,14 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         view = await bench.ask("recordings_view", shape=shape["shape"])
         if general.is_deleted or own != latest[0]:  # the page was closed, or asked once more
             return
-        general.clear()
-        with general:
-            findings(view["findings"])
+        if emptied(general, view["findings"]):
+            with general:
+                findings(view["findings"])
         show_positions(view["positions"])
         plan.set_visibility(bool(view["plan"] and shown))
         plan.show(view["plan"], shown)
-        recordings.clear()
+        if not emptied(recordings, (view["bands_hz"], view["rows"])):
+            return
         with recordings:
             heading("Recordings")
             if not view["rows"]:

@@ -74,7 +74,7 @@ def _document(folder: Path) -> tomlkit.TOMLDocument:
 
 
 def edit(folder: Path, change: Callable[[tomlkit.TOMLDocument], None]) -> None:
-    """Change the campaign file; what is not changed stays as it is written.
+    """Change the campaign file; what is not changed stays as it is written, and so does its time.
 
     Raises
     ------
@@ -84,8 +84,10 @@ def edit(folder: Path, change: Callable[[tomlkit.TOMLDocument], None]) -> None:
         The disk refuses.
     """
     document = _document(folder)
+    before = tomlkit.dumps(document)
     change(document)
-    write_text_atomically(campaign_file(folder), tomlkit.dumps(document))
+    if (after := tomlkit.dumps(document)) != before:
+        write_text_atomically(campaign_file(folder), after)
 
 
 def _table(parent: Any, name: str) -> Any:
