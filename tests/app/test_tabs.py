@@ -1,4 +1,4 @@
-"""What a tab draws when answers come late, twice, or after its page was closed; without a browser."""
+"""What a tab draws when answers come late, twice, or to a page that was closed; no browser."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def test_an_older_answer_never_replaces_a_newer_one(name: str, folder: Path) -> 
 
 @pytest.mark.parametrize("name", BUILD)
 def test_an_equal_answer_leaves_everything_where_it_is(name: str, folder: Path) -> None:
-    """Elements that stay keep the focus, what is half typed, what is open, and a click under way."""
+    """What stays keeps the focus, what is half typed or open, and a click under way."""
     _, new, word = answers(name, folder)
 
     async def twice() -> None:
@@ -187,7 +187,9 @@ def test_bands_that_are_chosen_stay_until_the_campaign_says_others(folder: Path)
 
 def test_an_error_is_told_though_what_was_clicked_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
     told: list[str] = []
-    monkeypatch.setattr(ui, "notify", lambda text, **_: told.append(ui.context.client and text))
+    monkeypatch.setattr(
+        ui, "notify", lambda text, **_: told.append(f"{text}{ui.context.client.id[:0]}")
+    )
 
     async def fail() -> None:
         client = Client(page("/"))
