@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 from nicegui import events, ui
 from nicegui.element import Element
 
-_WORDS = {"serious": "Serious", "warning": "Look", "info": "Note"}
+_WORDS = {"serious": "Serious", "warning": "Warning", "info": "Note"}
 _SHOWN: WeakKeyDictionary[Element, object] = WeakKeyDictionary()
 
 
@@ -165,7 +165,7 @@ def table_html(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]
     )
     return (
         f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption)}">'
-        f'<table class="data"><caption>{escape(caption)}</caption>'
+        f'<table class="data"><caption><span>{escape(caption)}</span></caption>'
         f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
     )
 

@@ -29,7 +29,6 @@ _NAMES = {project.FULL: "full answer", project.QUICK: "first answer"}
 
 def build(bench: Bench) -> Callable[[], Awaitable[None]]:
     """Draw the tab; return what draws it anew."""
-    bands = {"from": 125.0, "to": 4000.0}
     read = [(0.0, 0.0)]  # what the campaign said of them last
     latest = [0]  # number of the view that was asked for last
 
@@ -37,7 +36,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         try:
             if not project.has_campaign(bench.folder):
                 raise InputError("there is no project yet", hint="begin with the room")
-            project.set_bands(bench.folder, bands["from"], bands["to"])
+            project.set_bands(bench.folder, fields[0].value, fields[1].value)
         except InputError as error:
             said(error, answer)
             return
@@ -50,11 +49,11 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         start(quick=False)
 
     octaves = {f: f"{short_hertz(f)} Hz" for f in OCTAVES_HZ}
-    with ui.element("div").classes("bar panel").style("margin-bottom: 0.75rem"):
-        for key, word in (("from", "Lowest octave"), ("to", "Highest octave")):
-            ui.select(octaves, label=word).bind_value(bands, key).props("outlined dense").style(
-                "width: 9rem"
-            )
+    with ui.element("div").classes("bar panel"):
+        fields = [
+            ui.select(octaves, label=word, value=value).props("outlined dense").style("width: 9rem")
+            for word, value in (("Lowest octave", 125.0), ("Highest octave", 4000.0))
+        ]
         ui.button("First answer, then the full one", on_click=both).props("no-caps")
         ui.button("First answer only", on_click=lambda: start(quick=True)).props(
             "no-caps outline color=quiet"
@@ -62,7 +61,10 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         ui.button("Full answer only", on_click=lambda: start(quick=False)).props(
             "no-caps outline color=quiet"
         )
-    stale = ui.element("div")
+    with ui.element("div") as stale:
+        text = "The campaign has changed since this answer was made."
+        findings([{"severity": "warning", "sentence": text}])
+    stale.set_visibility(False)
     answer = ui.element("div").style("width: 100%")
 
     async def refresh() -> None:
@@ -78,12 +80,9 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             # what is chosen and not begun yet stays while the campaign's bands do
             if low in octaves and high in octaves and read[0] != (low, high):
                 read[0] = (low, high)
-                bands.update({"from": low, "to": high})
-        has_changed = view is not None and view.pop("stale")
-        if emptied(stale, has_changed) and has_changed:
-            text = "The campaign has changed since this answer was made."
-            with stale:
-                findings([{"severity": "warning", "sentence": text}])
+                for field, value in zip(fields, (low, high), strict=True):
+                    field.set_value(value)
+        stale.set_visibility(view is not None and view.pop("stale"))
         if not emptied(answer, (name, view)):
             return
         with answer:

@@ -49,9 +49,11 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
     with ui.element("div").classes("panel").style("margin-bottom: 0.75rem"):
         FileDrop("Recordings, dropped here or chosen:", "recordings", RESPONSE_SUFFIXES, sent)
         with ui.element("div").classes("bar").style("margin-top: 0.5rem"):
-            ui.input("How they are named").bind_value(shape, "shape").props("outlined dense").style(
-                "flex: 1 1 16rem"
-            )
+            ui.input(
+                "How they are named",
+                value=shape["shape"],
+                on_change=lambda e: shape.update(shape=e.value),
+            ).props("outlined dense").style("flex: 1 1 16rem")
             ui.button("Use these names", on_click=use_shape).props("no-caps outline color=quiet")
     general = ui.element("div")
     with ui.element("div").classes("panel two").style("margin: 0.75rem 0"):
@@ -168,7 +170,11 @@ def recordings_html(view: Mapping[str, Any]) -> str:
             )
         notes = "".join(map(finding_html, row["notes"]))
         rows.append([*cells, f"<div>{notes}</div>"])
-    caption = "Per band: range of the decay / peak to noise, both in dB" if bands else "By name"
+    caption = (
+        "Per band: range of the decay / peak above the noise, in dB; what it is good for"
+        if bands
+        else "By name"
+    )
     return table_html(caption, heads, rows)
 
 

@@ -43,7 +43,7 @@ def build_page(bench: Bench) -> None:
                 on_change=lambda e: dark.set_value({"light": False, "dark": True}.get(e.value)),
             ).props("dense outlined").style("margin-left:auto; min-width: 9rem")
         work = ui.element("section").props('aria-label="Work" role="status"').classes("bar")
-        with ui.tabs().props("dense outside-arrows mobile-arrows align=left") as tabs:
+        with ui.tabs().props("dense no-caps outside-arrows mobile-arrows align=left") as tabs:
             for name, _ in _TABS:
                 ui.tab(name)
         refresh: dict[str, Callable[[], Awaitable[None]]] = {}

@@ -35,11 +35,12 @@ SHAPE = "{source}_{receiver}.wav"
 """By which recordings are named, unless the user says otherwise."""
 _LONGEST_NAME = 120
 _ENDINGS = {
-    **dict.fromkeys((*FORMATS, "excel", "gltf"), ".txt"),
+    **dict.fromkeys((*FORMATS, "excel", "gltf", "pdf"), ".txt"),
     "catt": ".geo",
     "csv": ".csv",
     "excel": ".xlsx",
     "gltf": ".gltf",
+    "pdf": ".pdf",
     "pyroomacoustics": ".py",
 }
 EXPORTS = tuple(_ENDINGS)
@@ -367,7 +368,8 @@ def export(folder: Path, wanted: str) -> list[str]:
         raise InputError("no such format", found=repr(wanted), needed=", ".join(EXPORTS))
     exports = folder / "exports"
     exports.mkdir(exist_ok=True)
-    out = exports / (wanted if wanted == "raven" else f"materials-{wanted}{_ENDINGS[wanted]}")
+    named = {"raven": "raven", "pdf": "report.pdf"}
+    out = exports / named.get(wanted, f"materials-{wanted}{_ENDINGS[wanted]}")
     written = export_result(
         result, wanted, inside(folder, out), campaign_file=campaign_file(folder), overwrite=True
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from html import escape
 from pathlib import Path
 from urllib.parse import quote
@@ -15,7 +15,6 @@ from roomfit.app.server import Bench
 from roomfit.errors import InputError
 
 _PROGRAMS = {
-    "excel": "Excel",
     "csv": "CSV",
     "catt": "CATT-Acoustic",
     "odeon": "ODEON",
@@ -24,6 +23,7 @@ _PROGRAMS = {
     "gltf": "glTF",
     "pyroomacoustics": "pyroomacoustics",
 }
+_WHOLE = {"pdf": "The report as PDF", "excel": "All of it as an Excel workbook"}
 _FILES = ("report.html", "absorption.csv", "result.json")
 
 
@@ -73,10 +73,14 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             + f'<li><a href="/files/{folder}/report.html" target="_blank" rel="noopener">'
             "Open the report in a tab of its own</a></li></ul>"
         )
+        show_buttons(_WHOLE)
         heading("Materials for other programs")
+        show_buttons(_PROGRAMS)
+
+    def show_buttons(offered: Mapping[str, str]) -> None:
         with ui.element("div").classes("bar"):
-            for wanted in project.EXPORTS:
-                ui.button(_PROGRAMS[wanted], on_click=lambda wanted=wanted: export(wanted)).props(
+            for wanted, text in offered.items():
+                ui.button(text, on_click=lambda wanted=wanted: export(wanted)).props(
                     "no-caps outline color=quiet"
                 )
 

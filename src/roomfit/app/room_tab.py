@@ -99,7 +99,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             ui.select(
                 ordered,
                 value=material["prior"] if material["prior"] in entries else None,
-                label=f"What {material['name']} is, by the catalogue (type to search)",
+                label=f"What {material['name']} is (search the catalogue)",
                 with_input=True,
                 clearable=True,
                 on_change=lambda e: change(

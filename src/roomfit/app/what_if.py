@@ -145,4 +145,6 @@ def _value(value: PredictedValue) -> dict[str, list[float | None]]:
     }
     if value.change is not None:
         own["before"] = numbers_or_null(value.change.before)
+        own["before_lower95"] = numbers_or_null(value.change.before_lower95)
+        own["before_upper95"] = numbers_or_null(value.change.before_upper95)
     return own

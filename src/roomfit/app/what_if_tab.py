@@ -123,9 +123,12 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             own = {"": "the responses themselves", **{n: n for n in known if n[0] != "."}}
             FileDrop("A dry recording of one channel:", project.DRY, RESPONSE_SUFFIXES, dry_sent)
             with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
-                ui.select(own, label="What to listen to").bind_value(state, "dry").props(
-                    "outlined dense"
-                ).style("flex: 1 1 16rem")
+                ui.select(
+                    own,
+                    label="What to listen to",
+                    value=state["dry"] if state["dry"] in own else "",
+                    on_change=lambda e: state.update(dry=e.value),
+                ).props("outlined dense").style("flex: 1 1 16rem")
                 ui.button("Make the sounds of what is set above", on_click=hear).props(
                     "no-caps outline color=quiet"
                 )
@@ -171,8 +174,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         draw_pairs()
         note.set_text(
             f"{count(len(view['pairs']), 'pair')}, {count(len(changes), 'material')} changed. "
-            "Lines: mean over the pairs and its 95 % interval; thin: each pair; dashed: as it is; "
-            "red: limits."
+            "Lines: mean over the pairs with its 95 % interval; dashed: the same as it is now; "
+            "thin: each pair; red: limits."
         )
 
     def draw_pairs() -> None:
@@ -246,7 +249,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             fields["entry"] = (
                 ui.select(
                     entries,
-                    label="becomes an entry of the catalogue (type to search)",
+                    label="Becomes (search the catalogue)",
                     with_input=True,
                     clearable=True,
                     on_change=lambda e: choose_entry(e.value),
@@ -254,7 +257,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                 .props("outlined dense")
                 .style("flex: 1 1 16rem")
             )
-            ui.button("As it was found, all", on_click=reset).props("no-caps outline color=quiet")
+            ui.button("Undo all changes", on_click=reset).props("no-caps outline color=quiet")
         if emptied(aims, room["names"]):
             with aims:
                 heading("Targets")
@@ -424,6 +427,15 @@ def chart_svg(
             at = [(px + dx, py) for px, py in at for dx in (-30.0, 30.0)]
         return f'<polyline points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in at)}" {style}/>'
 
+    def bars(which: str, beside: float, style: str) -> list[str]:
+        ends = enumerate(zip(mean[f"{which}lower95"], mean[f"{which}upper95"], strict=True))
+        return [
+            f'<line x1="{x(i) + beside:.1f}" x2="{x(i) + beside:.1f}" y1="{y(max(a, low)):.1f}" '
+            f'y2="{y(min(b, high)):.1f}" {style}/>'
+            for i, (a, b) in ends
+            if a is not None and b is not None and a < high and b > low
+        ]
+
     parts = []
     for value in ticks:
         parts.append(
@@ -431,6 +443,8 @@ def chart_svg(
             f'stroke="var(--line)"/><text x="{_LEFT - 4}" y="{y(value) + 4:.1f}" '
             f'text-anchor="end">{value:.6g}</text>'
         )
+    if len(words) > 1:
+        parts.append(f'<text x="{_LEFT - 4}" y="{_HIGH - 6}" text-anchor="end">Hz</text>')
     for i, word in enumerate(words):
         parts.append(
             f'<text x="{x(i):.1f}" y="{_HIGH - 6}" text-anchor="middle">{escape(word)}</text>'
@@ -439,13 +453,8 @@ def chart_svg(
     parts += [line(p, thin) for p in pairs[:200]]
     if "before" in mean:
         parts.append(line(mean["before"], 'fill="none" stroke="var(--ink)" stroke-dasharray="5 4"'))
-    for i, (a, b) in enumerate(zip(mean["lower95"], mean["upper95"], strict=True)):
-        if a is not None and b is not None:
-            ys = y(max(a, low)), y(min(b, high))
-            parts.append(
-                f'<line x1="{x(i):.1f}" x2="{x(i):.1f}" y1="{ys[0]:.1f}" y2="{ys[1]:.1f}" '
-                'stroke="var(--accent)" stroke-width="5" opacity="0.45"/>'
-            )
+        parts += bars("before_", -5.0, 'stroke="var(--ink)" stroke-width="1.2"')
+    parts += bars("", 0.0, 'stroke="var(--accent)" stroke-width="5" opacity="0.45"')
     parts.append(line(mean["predicted"], 'fill="none" stroke="var(--accent)" stroke-width="2.4"'))
     for limit in limits:
         at = [i for i, f in enumerate(bands_hz) if f in limit["bands_hz"]]
@@ -461,7 +470,7 @@ def chart_svg(
     spoken = escape(f"{label}, mean over the pairs by band: {means}; limits: {lines}")
     return (
         f"<h2>{escape(label)}</h2>"
-        f'<svg viewBox="0 0 {_WIDE:.0f} {_HIGH:.0f}" role="img" font-size="11" fill="currentColor" '
+        f'<svg viewBox="0 0 {_WIDE:.0f} {_HIGH:.0f}" role="img" font-size="13" fill="currentColor" '
         f'aria-label="{spoken}">{"".join(parts)}</svg>'
     )
 
