@@ -29,8 +29,6 @@ _SEEN = {"Identify": "Absorption: first answer", "Report": "Download result.json
 _SETTINGS = "\n[settings]\nn_rays = 3000\nn_scattering_rays = 1000\n"
 _MOST_GROWTH = 1.25
 _PRINTED_EVERY_S = 30.0
-_CHROMIUM = ["--no-sandbox", "--enable-precise-memory-info", "--js-flags=--expose-gc"]
-_HEAP = "() => { gc(); return performance.memory.usedJSHeapSize; }"
 
 
 def main() -> None:
@@ -83,18 +81,20 @@ def _soak(address: str, pid: int, options: argparse.Namespace) -> list[tuple[flo
     times_s: list[float] = []
     print("     s   server  workers  windows  files  steps step, s")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=options.browser, args=_CHROMIUM)
+        browser = playwright.chromium.launch(executable_path=options.browser, args=["--no-sandbox"])
         pages = [browser.new_context().new_page() for _ in range(options.users)]
-        for page in pages:
-            page.set_default_timeout(60_000)
+        looks = [page.context.new_cdp_session(page) for page in pages]
+        for page, look in zip(pages, looks, strict=True):
+            page.set_default_timeout(300_000)
             page.goto(address)
+            look.send("Performance.enable")
         while time.monotonic() - began < 60.0 * options.minutes:
             times_s.append(_step(rng.choice(pages), rng))
             pages[0].wait_for_timeout(1e3 * options.pause)
             if time.monotonic() - printed_at > _PRINTED_EVERY_S:
                 printed_at = time.monotonic()
                 workers = sum(_memory_mib(child) for child in children_of(pid))
-                windows = sum(page.evaluate(_HEAP) for page in pages) / 2**20
+                windows = sum(map(_heap_mib, looks))
                 memory_mib.append((_memory_mib(pid), workers, windows))
                 n_files = len(list(Path(f"/proc/{pid}/fd").iterdir()))
                 print(
@@ -104,6 +104,13 @@ def _soak(address: str, pid: int, options: argparse.Namespace) -> list[tuple[flo
                 )
         browser.close()
     return memory_mib
+
+
+def _heap_mib(look: Any) -> float:
+    """Return what the scripts of a window hold after all that can be collected is, in MiB."""
+    look.send("HeapProfiler.collectGarbage")  # gc() leaves documents that were reloaded
+    found = look.send("Performance.getMetrics")["metrics"]
+    return next(m["value"] for m in found if m["name"] == "JSHeapUsedSize") / 2**20
 
 
 def _step(page: Any, rng: random.Random) -> float:
