@@ -98,7 +98,8 @@ def what_if(_: Progress, folder: str, changes: list[str]) -> dict[str, Any]:
     """
     # nothing measured stands beside: means are over all pairs in every band
     room = replace(prepared(folder), observed=())
-    predicted = predict_change(room, [read_change(text) for text in changes])
+    own = [read_change(text) for text in changes]
+    predicted = predict_change(room, own, compare_pairs=False)
     return {
         "mean": _values(predicted.mean, predicted.sti),
         "pairs": [

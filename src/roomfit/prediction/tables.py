@@ -335,6 +335,9 @@ def _change(
             carried = new + share * (measured - old)
             carried_draws = drawn_new + share * (measured - drawn_old)
     low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
+    ends = carried, carried  # unknown where nothing was measured
+    if np.isfinite(measured).any():
+        ends = _interval(name, carried_draws, rest_sd)
     return ValueChange(
         old,
         *_interval(name, drawn_old, np.hypot(sds[0], sds[2])),
@@ -343,7 +346,7 @@ def _change(
         np.minimum(low, change),
         np.maximum(high, change),
         carried,
-        *_interval(name, carried_draws, rest_sd),
+        *ends,
     )
 
 
