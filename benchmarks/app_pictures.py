@@ -4,8 +4,9 @@
 
 PROJECT is a folder that `roomfit app` opens, with a result; an empty one is given the demo project,
 a target for STI and the full answer from 125 Hz to 8 kHz first. Each tab is taken at 1400 and at
-390 px, light and dark; in *What if* the brick is made more absorbing. Written are the tabs,
-as TAB-WIDTH-SCHEME.png.
+390 px, light and dark; in *What if* the brick is made more absorbing. Written are the tabs, as
+TAB-WIDTH-SCHEME.png, and what of them the documentation shows: app_TAB.png, app_dark.png and
+app_phone.png.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import Any
+
+from PIL import Image
 
 from app_soak import address_of
 
@@ -84,6 +87,26 @@ def main() -> None:
     finally:
         server.terminate()
         server.wait(30)
+    tabs = [tab.lower().replace(" ", "_") for tab in _SEEN]
+    for tab in tabs:
+        _sheet(options.out, [f"{tab}-1400-light"], 1, (1120, 1000), f"app_{tab}")
+    _sheet(options.out, [f"{tab}-1400-dark" for tab in tabs], 3, (560, 620), "app_dark")
+    phone = [f"{tab}-390-{scheme}" for scheme in ("light", "dark") for tab in tabs]
+    _sheet(options.out, phone, 5, (260, 640), "app_phone")
+
+
+def _sheet(out: Path, names: list[str], columns: int, most: tuple[int, int], name: str) -> None:
+    """Write screens beside each other, in 64 colours, each as wide and at most as high as said."""
+    screens = [Image.open(out / f"{one}.png").convert("RGB") for one in names]
+    screens = [s.resize((most[0], round(s.height * most[0] / s.width))) for s in screens]
+    high = min(most[1], max(s.height for s in screens))
+    rows = -(-len(screens) // columns)
+    sheet = Image.new("RGB", (columns * (most[0] + 8) - 8, rows * (high + 8) - 8), "white")
+    for i, screen in enumerate(screens):
+        row, column = divmod(i, columns)
+        at = column * (most[0] + 8), row * (high + 8)
+        sheet.paste(screen.crop((0, 0, most[0], min(high, screen.height))), at)
+    sheet.quantize(64).save(out / f"{name}.png", optimize=True)
 
 
 def _fill(folder: Path) -> None:

@@ -133,6 +133,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                         ).props("outline dense no-caps color=quiet")
 
     async def refresh() -> None:
+        if both.is_deleted:
+            return
         has = project.has_campaign(bench.folder)
         both.set_visibility(has)
         if not start.default_slot.children or has != room.get("has"):

@@ -88,14 +88,16 @@ def prepared(folder: str) -> PreparedRoom:
     return _ready[folder][1]
 
 
-def what_if(_: Progress, folder: str, changes: list[str]) -> dict[str, Any]:
+def what_if(progress: Progress, folder: str, changes: list[str]) -> dict[str, Any]:
     """Return what changes do, written as those of ``roomfit predict --set``.
 
     Raises
     ------
     InputError
-        The room is not prepared, or a change cannot be made.
+        There is no result, or a change cannot be made.
     """
+    if folder not in _ready:  # the process was ended meanwhile, and has begun anew
+        what_if_prepare(progress, folder)
     # nothing measured stands beside: means are over all pairs in every band
     room = replace(prepared(folder), observed=())
     own = [read_change(text) for text in changes]

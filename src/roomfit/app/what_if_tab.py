@@ -38,7 +38,7 @@ _LABELS = {
 }
 _STAGES = ((0.0, "tracing"), (0.8, "searching"))
 _SOUNDING = ((0.0, "tracing"), (0.6, "scaling"))
-_PREPARE_S, _CHANGE_S = 900.0, 60.0
+_PREPARE_S = 900.0  # a change may need it, too, where the process has begun anew
 _MOST = {"D50_percent": 100.0, "STI": 1.0}
 _SPEECH = "125 to 8k Hz together"
 _SOUND_HEADS = ("Pair", "Before", "After")
@@ -146,7 +146,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                 state["again"] = False
                 own = {"folder": str(bench.folder), "changes": written(changes, room["absorption"])}
                 asked = state["asked"]
-                found = await bench.what_if.ask("what_if", own, limit_s=_CHANGE_S)
+                found = await bench.what_if.ask("what_if", own, limit_s=_PREPARE_S)
                 if both.is_deleted:  # the page was closed meanwhile
                     return
                 if asked == state["asked"]:  # the room is still the one that was asked about
