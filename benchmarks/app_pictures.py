@@ -89,14 +89,14 @@ def main() -> None:
         server.wait(30)
     tabs = [tab.lower().replace(" ", "_") for tab in _SEEN]
     for tab in tabs:
-        _sheet(options.out, [f"{tab}-1400-light"], 1, (1120, 1000), f"app_{tab}")
-    _sheet(options.out, [f"{tab}-1400-dark" for tab in tabs], 3, (560, 620), "app_dark")
+        _sheet(options.out, [f"{tab}-1400-light"], 1, (1120, 900), f"app_{tab}")
+    _sheet(options.out, [f"{tab}-1400-dark" for tab in tabs], 3, (560, 480), "app_dark")
     phone = [f"{tab}-390-{scheme}" for scheme in ("light", "dark") for tab in tabs]
     _sheet(options.out, phone, 5, (260, 640), "app_phone")
 
 
 def _sheet(out: Path, names: list[str], columns: int, most: tuple[int, int], name: str) -> None:
-    """Write screens beside each other, in 64 colours, each as wide and at most as high as said."""
+    """Write screens beside each other, in few colours, each as wide and at most as high as said."""
     screens = [Image.open(out / f"{one}.png").convert("RGB") for one in names]
     screens = [s.resize((most[0], round(s.height * most[0] / s.width))) for s in screens]
     high = min(most[1], max(s.height for s in screens))
@@ -106,7 +106,8 @@ def _sheet(out: Path, names: list[str], columns: int, most: tuple[int, int], nam
         row, column = divmod(i, columns)
         at = column * (most[0] + 8), row * (high + 8)
         sheet.paste(screen.crop((0, 0, most[0], min(high, screen.height))), at)
-    sheet.quantize(64).save(out / f"{name}.png", optimize=True)
+    # coverage keeps the colour of a line that is thin
+    sheet.quantize(96, Image.Quantize.MAXCOVERAGE).save(out / f"{name}.png", optimize=True)
 
 
 def _fill(folder: Path) -> None:
