@@ -110,7 +110,7 @@ def _heap_mib(look: Any) -> float:
     """Return what the scripts of a window hold after all that can be collected is, in MiB."""
     look.send("HeapProfiler.collectGarbage")  # gc() leaves documents that were reloaded
     found = look.send("Performance.getMetrics")["metrics"]
-    return next(m["value"] for m in found if m["name"] == "JSHeapUsedSize") / 2**20
+    return float(next(m["value"] for m in found if m["name"] == "JSHeapUsedSize")) / 2**20
 
 
 def _step(page: Any, rng: random.Random) -> float:
