@@ -77,7 +77,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             return
         if project.has_campaign(bench.folder):
             low, high = project.bands(bench.folder)
-            # what is chosen and not begun yet stays while the campaign's bands do
+            # what is chosen and not started yet stays while the campaign's bands do
             if low in octaves and high in octaves and read[0] != (low, high):
                 read[0] = (low, high)
                 for field, value in zip(fields, (low, high), strict=True):

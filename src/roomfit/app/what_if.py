@@ -96,7 +96,7 @@ def what_if(progress: Progress, folder: str, changes: list[str]) -> dict[str, An
     InputError
         There is no result, or a change cannot be made.
     """
-    if folder not in _ready:  # the process was ended meanwhile, and has begun anew
+    if folder not in _ready:  # the process was ended meanwhile and started again
         what_if_prepare(progress, folder)
     # nothing measured stands beside: means are over all pairs in every band
     room = replace(prepared(folder), observed=())

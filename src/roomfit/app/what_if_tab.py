@@ -38,7 +38,7 @@ _LABELS = {
 }
 _STAGES = ((0.0, "tracing"), (0.8, "searching"))
 _SOUNDING = ((0.0, "tracing"), (0.6, "scaling"))
-_PREPARE_S = 900.0  # a change may need it, too, where the process has begun anew
+_PREPARE_S = 900.0  # a change may need it, too, where the process was started again
 _MOST = {"D50_percent": 100.0, "STI": 1.0}
 _SPEECH = "125 to 8k Hz together"
 _SOUND_HEADS = ("Pair", "Before", "After")
