@@ -84,9 +84,9 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
 
     def show_hung() -> None:
         out = bench.folder / project.TREATMENT
-        places = {f: _place(f) for f in (sorted(out.iterdir()) if out.is_dir() else ())}
+        written_files = {f: _place(f) for f in (sorted(out.iterdir()) if out.is_dir() else ())}
         has_question = (bench.folder / "treatment.toml").is_file()
-        if not emptied(hung, (has_question, places)):
+        if not emptied(hung, (has_question, written_files)):
             return
         with hung:
             heading("What to hang where")
@@ -97,7 +97,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             ui.button("Search for the cheapest that meets the targets", on_click=hang).props(
                 "no-caps outline color=quiet"
             )
-            for file, place in places.items():
+            for file, place in written_files.items():
                 if file.suffix == ".png":
                     markup(f'<img alt="{escape(file.stem)}" src="{escape(place)}" width="100%">')
                 elif not file.name.startswith("."):
