@@ -1,11 +1,13 @@
 """The workbench over time: simulated users at the demo project, and what memory it takes.
 
-Each user has a browser window, goes from tab to tab, chooses surfaces, types positions and reloads.
-Printed every half minute: memory of the server and of its workers in MiB (Linux), files that the
-server holds open, and how long a tab took. Memory that grows without end is a fault.
+Each user has a browser window, goes from tab to tab, chooses surfaces, types positions, moves
+sliders and reloads, on the demo project with a first answer at 1 kHz. Printed every half minute:
+memory of the server, of its workers and of the scripts of all windows in MiB (Linux), files that
+the server holds open, and how long a step took. Memory that grows without end is a fault: the
+medians of the second and of the last quarter of the time are compared.
 
     python benchmarks/app_soak.py --minutes 3 --users 3
-    python benchmarks/app_soak.py --minutes 60 --users 5
+    python benchmarks/app_soak.py --minutes 60 --users 5 --pause 3
 """
 
 from __future__ import annotations
@@ -20,20 +22,31 @@ import time
 from pathlib import Path
 from typing import Any
 
-_TABS = ("Room", "Measurements", "Identify", "Report")
+import numpy as np
+
+_TABS = ("Room", "Measurements", "Identify", "What if", "Report")
+_SEEN = {"Identify": "Absorption: first answer", "Report": "Download result.json"}
+_SETTINGS = "\n[settings]\nn_rays = 3000\nn_scattering_rays = 1000\n"
+_MOST_GROWTH = 1.25
+_PRINTED_EVERY_S = 30.0
 
 
 def main() -> None:
-    """Run and print; end with 1 where memory has doubled in the second half."""
+    """Run and print; end with 1 where memory has grown by more than a quarter."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=3.0)
     parser.add_argument("--users", type=int, default=3)
+    parser.add_argument("--pause", type=float, default=0.0, help="s between two steps")
     parser.add_argument("--browser", default="/usr/bin/chromium")
     options = parser.parse_args()
-    from roomfit.app import views
+    from roomfit.app import project, views
 
     with tempfile.TemporaryDirectory() as folder:
         views.demo(lambda _: None, folder)
+        campaign = Path(folder) / "campaign.toml"
+        campaign.write_text(campaign.read_text() + _SETTINGS)
+        project.set_bands(Path(folder), 1000.0, 1000.0)
+        views.identify(lambda _: None, folder, True)
         command = [sys.executable, "-m", "roomfit", "app", folder, "--port", "0", "--no-browser"]
         server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         try:
@@ -42,9 +55,12 @@ def main() -> None:
         finally:
             server.terminate()
             server.wait(15)
-    half = memory_mib[len(memory_mib) // 2 :]
-    print(f"server: {half[0]:.0f} MiB at half of the time, {half[-1]:.0f} MiB at the end")
-    sys.exit(1 if half[-1] > 2.0 * half[0] else 0)
+    n = len(memory_mib)
+    second = np.median(memory_mib[n // 4 : max(n // 2, n // 4 + 1)], axis=0)
+    last = np.median(memory_mib[3 * n // 4 :], axis=0)
+    for name, was, now in zip(("server", "workers", "windows"), second, last, strict=True):
+        print(f"{name}: {was:.1f} MiB in the second quarter, {now:.1f} MiB in the last")
+    sys.exit(1 if np.any(last > _MOST_GROWTH * second) else 0)
 
 
 def address_of(server: subprocess.Popen[str]) -> str:
@@ -56,35 +72,45 @@ def address_of(server: subprocess.Popen[str]) -> str:
     raise SystemExit("the workbench did not start")
 
 
-def _soak(address: str, pid: int, options: argparse.Namespace) -> list[float]:
+def _soak(address: str, pid: int, options: argparse.Namespace) -> list[tuple[float, float, float]]:
     from playwright.sync_api import sync_playwright
 
     rng = random.Random(1)
     began = printed_at = time.monotonic()
-    memory_mib, times_s = [_memory_mib(pid)], [0.0]
-    n_steps = 0
-    print(f"{'s':>6} {'server':>8} {'workers':>8} {'files':>6} {'steps':>6} {'tab, s':>7}")
+    memory_mib: list[tuple[float, float, float]] = []
+    times_s: list[float] = []
+    print("     s   server  workers  windows  files  steps step, s")
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=options.browser, args=["--no-sandbox"])
         pages = [browser.new_context().new_page() for _ in range(options.users)]
-        for page in pages:
-            page.set_default_timeout(60_000)
+        looks = [page.context.new_cdp_session(page) for page in pages]
+        for page, look in zip(pages, looks, strict=True):
+            page.set_default_timeout(300_000)
             page.goto(address)
+            look.send("Performance.enable")
         while time.monotonic() - began < 60.0 * options.minutes:
             times_s.append(_step(rng.choice(pages), rng))
-            n_steps += 1
-            if time.monotonic() - printed_at > 30.0:
+            pages[0].wait_for_timeout(1e3 * options.pause)
+            if time.monotonic() - printed_at > _PRINTED_EVERY_S:
                 printed_at = time.monotonic()
-                memory_mib.append(_memory_mib(pid))
                 workers = sum(_memory_mib(child) for child in children_of(pid))
+                windows = sum(map(_heap_mib, looks))
+                memory_mib.append((_memory_mib(pid), workers, windows))
                 n_files = len(list(Path(f"/proc/{pid}/fd").iterdir()))
                 print(
-                    f"{printed_at - began:6.0f} {memory_mib[-1]:8.0f} {workers:8.0f} {n_files:6d} "
-                    f"{n_steps:6d} {sorted(times_s)[len(times_s) // 2]:7.2f}",
+                    f"{printed_at - began:6.0f} {memory_mib[-1][0]:8.1f} {workers:8.1f} "
+                    f"{windows:8.1f} {n_files:6d} {len(times_s):6d} {np.median(times_s):7.2f}",
                     flush=True,
                 )
         browser.close()
     return memory_mib
+
+
+def _heap_mib(look: Any) -> float:
+    """Return what the scripts of a window hold after all that can be collected is, in MiB."""
+    look.send("HeapProfiler.collectGarbage")  # gc() leaves documents that were reloaded
+    found = look.send("Performance.getMetrics")["metrics"]
+    return float(next(m["value"] for m in found if m["name"] == "JSHeapUsedSize")) / 2**20
 
 
 def _step(page: Any, rng: random.Random) -> float:
@@ -104,8 +130,12 @@ def _step(page: Any, rng: random.Random) -> float:
         field = page.get_by_label("MP1 z in m")
         field.fill(f"{rng.uniform(1.1, 1.3):.3f}")
         field.press("Enter")
+    elif name == "What if":
+        slider = page.get_by_label(re.compile("^Absorption of .* at 1k Hz"))
+        slider.press(rng.choice(("ArrowRight", "ArrowLeft")))
+        page.get_by_text("1 material changed").wait_for()
     else:
-        page.get_by_text("No answer yet").last.wait_for()
+        page.get_by_text(_SEEN[name]).wait_for()
     return time.monotonic() - began
 
 

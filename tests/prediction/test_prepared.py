@@ -134,3 +134,19 @@ def test_what_is_not_known_before_a_change_is_said(given):
     with pytest.raises(InputError, match="not known before the change"):
         numbers_at(room, known.absorption, room.draws)
     assert predict_change(room, [change], exact=True).mean["T30_s"].change is None
+
+
+def test_means_and_pairs_are_the_same_where_pairs_are_not_compared(room):
+    """Bit by bit; what is left out is what a change does to every pair by itself."""
+    bare, change = replace(room, observed=()), [read_change(CHANGES[0])]
+    whole, brief = predict_change(bare, change), predict_change(bare, change, compare_pairs=False)
+    pairs = zip(whole.pairs, brief.pairs, strict=True)
+    tables = [(whole.mean, brief.mean), *((p.parameters, q.parameters) for p, q in pairs)]
+    for table, other in tables:
+        for name, value in table.items():
+            for key in ("predicted", "lower95", "upper95"):
+                np.testing.assert_array_equal(getattr(other[name], key), getattr(value, key))
+    for key in ("before_upper95", "change_lower95", "carried"):
+        one, other = (getattr(found.mean["C80_dB"].change, key) for found in (whole, brief))
+        np.testing.assert_array_equal(other, one)
+    assert all(p.parameters["C80_dB"].change is None for p in brief.pairs)

@@ -6,11 +6,13 @@ import contextlib
 from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from nicegui import events, ui
 from nicegui.element import Element
 
-_WORDS = {"serious": "Serious", "warning": "Look", "info": "Note"}
+_WORDS = {"serious": "Serious", "warning": "Warning", "info": "Note"}
+_SHOWN: WeakKeyDictionary[Element, object] = WeakKeyDictionary()
 
 
 class RoomView(Element, component="room_view.js"):
@@ -24,8 +26,10 @@ class RoomView(Element, component="room_view.js"):
     def show(self, room: Mapping[str, Any]) -> None:
         """Draw another room."""
         keys = ("vertices", "faces", "edges", "surfaces", "materials", "sources", "receivers")
-        self._props["room"] = {key: room[key] for key in keys}
-        self.update()
+        own = {key: room[key] for key in keys}
+        if own != self._props.get("room"):
+            self._props["room"] = own
+            self.update()
 
     def point_at(self, selected: int, mark: Sequence[float] | None) -> None:
         """Make one surface, or one place in m, stand out."""
@@ -95,6 +99,19 @@ def markup(content: str) -> ui.html:
     return ui.html(content, sanitize=False)
 
 
+def emptied(place: Element, content: object) -> bool:
+    """Empty an element that shows other content, to be drawn anew; return whether it was.
+
+    Where nothing has changed, the focus, what is half typed, what has been opened or plays, and a
+    click that is under way stay.
+    """
+    if place in _SHOWN and _SHOWN[place] == content:
+        return False
+    _SHOWN[place] = content
+    place.clear()
+    return True
+
+
 def heading(text: str, level: int = 2) -> None:
     """Show a heading."""
     markup(f"<h{level}>{escape(text)}</h{level}>")
@@ -148,14 +165,21 @@ def table_html(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]
     )
     return (
         f'<div class="scroll" tabindex="0" role="region" aria-label="{escape(caption)}">'
-        f'<table class="data"><caption>{escape(caption)}</caption>'
+        f'<table class="data"><caption><span>{escape(caption)}</span></caption>'
         f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
     )
 
 
-def said(error: Exception) -> None:
-    """Show what went wrong until somebody closes it, unless the page has gone."""
-    with contextlib.suppress(RuntimeError):  # what NiceGUI says of a page that has gone
+def said(error: Exception, page: Element) -> None:
+    """Show what went wrong until somebody closes it, unless the page has gone.
+
+    Parameters
+    ----------
+    page : Element
+        Any that is not drawn anew: what has been clicked may be.
+    """
+    # what NiceGUI says of a page that has gone
+    with contextlib.suppress(RuntimeError), page.client:
         ui.notify(
             str(error),
             type="negative",

@@ -9,7 +9,15 @@ from typing import Any
 from nicegui import ui
 
 from roomfit.app import project
-from roomfit.app.elements import finding_html, findings, heading, markup, said, table_html
+from roomfit.app.elements import (
+    emptied,
+    finding_html,
+    findings,
+    heading,
+    markup,
+    said,
+    table_html,
+)
 from roomfit.app.server import Bench
 from roomfit.bands import OCTAVES_HZ
 from roomfit.errors import InputError
@@ -21,15 +29,16 @@ _NAMES = {project.FULL: "full answer", project.QUICK: "first answer"}
 
 def build(bench: Bench) -> Callable[[], Awaitable[None]]:
     """Draw the tab; return what draws it anew."""
-    bands = {"from": 125.0, "to": 4000.0}
+    read = [(0.0, 0.0)]  # what the campaign said of them last
+    latest = [0]  # number of the view that was asked for last
 
     def start(*, quick: bool) -> None:
         try:
             if not project.has_campaign(bench.folder):
                 raise InputError("there is no project yet", hint="begin with the room")
-            project.set_bands(bench.folder, bands["from"], bands["to"])
+            project.set_bands(bench.folder, fields[0].value, fields[1].value)
         except InputError as error:
-            said(error)
+            said(error, answer)
             return
         own = {"folder": str(bench.folder), "quick": quick}
         label = "First answer" if quick else "Full answer"
@@ -40,11 +49,11 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         start(quick=False)
 
     octaves = {f: f"{short_hertz(f)} Hz" for f in OCTAVES_HZ}
-    with ui.element("div").classes("bar panel").style("margin-bottom: 0.75rem"):
-        for key, word in (("from", "Lowest octave"), ("to", "Highest octave")):
-            ui.select(octaves, label=word).bind_value(bands, key).props("outlined dense").style(
-                "width: 9rem"
-            )
+    with ui.element("div").classes("bar panel"):
+        fields = [
+            ui.select(octaves, label=word, value=value).props("outlined dense").style("width: 9rem")
+            for word, value in (("Lowest octave", 125.0), ("Highest octave", 4000.0))
+        ]
         ui.button("First answer, then the full one", on_click=both).props("no-caps")
         ui.button("First answer only", on_click=lambda: start(quick=True)).props(
             "no-caps outline color=quiet"
@@ -52,27 +61,35 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         ui.button("Full answer only", on_click=lambda: start(quick=False)).props(
             "no-caps outline color=quiet"
         )
+    with ui.element("div") as stale:
+        text = "The campaign has changed since this answer was made."
+        findings([{"severity": "warning", "sentence": text}])
+    stale.set_visibility(False)
     answer = ui.element("div").style("width: 100%")
 
     async def refresh() -> None:
         found = project.best_result(bench.folder)
         name = project.FULL if found is None else found.parent.name
+        latest[0] += 1
+        own = latest[0]
         view = await bench.ask("result_view", name=name)
+        if answer.is_deleted or own != latest[0]:  # the page was closed, or asked once more
+            return
         if project.has_campaign(bench.folder):
             low, high = project.bands(bench.folder)
-            if low in octaves and high in octaves:
-                bands.update({"from": low, "to": high})
-        if answer.is_deleted:  # the page was closed meanwhile
+            # what is chosen and not started yet stays while the campaign's bands do
+            if low in octaves and high in octaves and read[0] != (low, high):
+                read[0] = (low, high)
+                for field, value in zip(fields, (low, high), strict=True):
+                    field.set_value(value)
+        stale.set_visibility(view is not None and view.pop("stale"))
+        if not emptied(answer, (name, view)):
             return
-        answer.clear()
         with answer:
             if view is None:
                 ui.label("No answer yet.").classes("soft")
                 return
             heading(f"Absorption: {_NAMES[name]}")
-            if view["stale"]:
-                text = "The campaign has changed since this answer was made."
-                findings([{"severity": "warning", "sentence": text}])
             with ui.element("div").classes("two").style("align-items: start"):
                 with ui.element("div"):
                     markup(absorption_html(view))

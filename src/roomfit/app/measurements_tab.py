@@ -12,6 +12,7 @@ from roomfit.app import project
 from roomfit.app.elements import (
     FileDrop,
     PlanView,
+    emptied,
     finding_html,
     findings,
     heading,
@@ -43,14 +44,16 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             project.set_recordings(bench.folder, shape["shape"])
             await refresh()
         except InputError as error:
-            said(error)
+            said(error, general)
 
     with ui.element("div").classes("panel").style("margin-bottom: 0.75rem"):
         FileDrop("Recordings, dropped here or chosen:", "recordings", RESPONSE_SUFFIXES, sent)
         with ui.element("div").classes("bar").style("margin-top: 0.5rem"):
-            ui.input("How they are named").bind_value(shape, "shape").props("outlined dense").style(
-                "flex: 1 1 16rem"
-            )
+            ui.input(
+                "How they are named",
+                value=shape["shape"],
+                on_change=lambda e: shape.update(shape=e.value),
+            ).props("outlined dense").style("flex: 1 1 16rem")
             ui.button("Use these names", on_click=use_shape).props("no-caps outline color=quiet")
     general = ui.element("div")
     with ui.element("div").classes("panel two").style("margin: 0.75rem 0"):
@@ -70,7 +73,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             project.set_position(bench.folder, kind, name, (x, y, z))
             await refresh()
         except InputError as error:
-            said(error)
+            said(error, general)
 
     async def moved(kind: str, name: str) -> None:
         values = [field.value for field in fields[kind, name]]
@@ -84,7 +87,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             point["position_m"] = [round(value, 4) for value in values]  # is not drawn anew
             await refresh()
         except InputError as error:
-            said(error)
+            said(error, general)
 
     def show_positions(points: list[Any]) -> None:
         """Draw the fields; while the names stay, only those of what has moved are written to."""
@@ -125,13 +128,14 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         view = await bench.ask("recordings_view", shape=shape["shape"])
         if general.is_deleted or own != latest[0]:  # the page was closed, or asked once more
             return
-        general.clear()
-        with general:
-            findings(view["findings"])
+        if emptied(general, view["findings"]):
+            with general:
+                findings(view["findings"])
         show_positions(view["positions"])
         plan.set_visibility(bool(view["plan"] and shown))
         plan.show(view["plan"], shown)
-        recordings.clear()
+        if not emptied(recordings, (view["bands_hz"], view["rows"])):
+            return
         with recordings:
             heading("Recordings")
             if not view["rows"]:
@@ -166,7 +170,11 @@ def recordings_html(view: Mapping[str, Any]) -> str:
             )
         notes = "".join(map(finding_html, row["notes"]))
         rows.append([*cells, f"<div>{notes}</div>"])
-    caption = "Per band: range of the decay / peak to noise, both in dB" if bands else "By name"
+    caption = (
+        "Per band: range of the decay / peak above the noise, in dB; what it is good for"
+        if bands
+        else "By name"
+    )
     return table_html(caption, heads, rows)
 
 

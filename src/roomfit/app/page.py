@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from functools import partial
 from pathlib import Path
 
 from nicegui import ui
 
 from roomfit.app import identify_tab, measurements_tab, report_tab, room_tab, what_if_tab
-from roomfit.app.elements import heading, said
+from roomfit.app.elements import emptied, heading, said
 from roomfit.app.jobs import Job
 from roomfit.app.server import Bench
 from roomfit.errors import InputError
@@ -42,7 +43,7 @@ def build_page(bench: Bench) -> None:
                 on_change=lambda e: dark.set_value({"light": False, "dark": True}.get(e.value)),
             ).props("dense outlined").style("margin-left:auto; min-width: 9rem")
         work = ui.element("section").props('aria-label="Work" role="status"').classes("bar")
-        with ui.tabs().props("dense outside-arrows mobile-arrows align=left") as tabs:
+        with ui.tabs().props("dense no-caps outside-arrows mobile-arrows align=left") as tabs:
             for name, _ in _TABS:
                 ui.tab(name)
         refresh: dict[str, Callable[[], Awaitable[None]]] = {}
@@ -60,36 +61,34 @@ def build_page(bench: Bench) -> None:
             try:
                 await refresh[name]()
             except InputError as error:
-                said(error)
+                said(error, work)
 
-        drawn: list[tuple[object, ...]] = []
+        tell: list[Callable[[], None]] = []
 
         def look_at_work() -> None:
-            now = [
-                (j.number, j.state, round(j.fraction, 2), int(j.seconds))
-                for j in bench.jobs.listed
-                if j.state in ("waiting", "running", "failed")
-            ]
-            if now != drawn:
-                drawn[:] = now
-                work.clear()
+            at_work = ("waiting", "running", "failed")
+            now = [(j.number, j.state) for j in bench.jobs.listed if j.state in at_work]
+            if emptied(work, now):
                 with work:
-                    _show_work(bench)
+                    tell[:] = _show_work(bench)
+            for one in tell:
+                one()
 
         tabs.on_value_change(look)
         ui.timer(_LOOK_EVERY_S, look_at_work)
         ui.timer(_LOOK_EVERY_S, look)  # of its own: a tab may take minutes to be ready
 
 
-def _show_work(bench: Bench) -> None:
-    listed = [j for j in bench.jobs.listed if j.state in ("waiting", "running")]
-    for job in listed:
+def _show_work(bench: Bench) -> list[Callable[[], None]]:
+    """Draw what is at work; return what tells how far each is, without drawing it anew."""
+    tell: list[Callable[[], None]] = []
+    for job in [j for j in bench.jobs.listed if j.state in ("waiting", "running")]:
         with ui.element("div").classes("job panel"):
-            ui.label(job_text(job))
-            if job.state == "running":
-                ui.linear_progress(value=round(job.fraction, 2), show_value=False).style(
-                    "width: 12rem"
-                ).props["aria-label"] = job.label
+            text = ui.label(job_text(job))
+            part = ui.linear_progress(show_value=False).style("width: 12rem")
+            part.props["aria-label"] = job.label
+            part.set_visibility(job.state == "running")
+            tell.append(partial(_tell, job, text, part))
             ui.button("Cancel", on_click=lambda job=job: bench.jobs.cancel(job)).props(
                 "outline dense no-caps color=quiet padding='2px 10px'"
             )
@@ -99,6 +98,12 @@ def _show_work(bench: Bench) -> None:
             ui.button("Close", on_click=lambda job=job: _forget(job)).props(
                 "outline dense no-caps color=quiet"
             )
+    return tell
+
+
+def _tell(job: Job, text: ui.label, part: ui.linear_progress) -> None:
+    text.set_text(job_text(job))
+    part.set_value(round(job.fraction, 2))
 
 
 def _forget(job: Job) -> None:

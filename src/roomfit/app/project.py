@@ -35,11 +35,12 @@ SHAPE = "{source}_{receiver}.wav"
 """By which recordings are named, unless the user says otherwise."""
 _LONGEST_NAME = 120
 _ENDINGS = {
-    **dict.fromkeys((*FORMATS, "excel", "gltf"), ".txt"),
+    **dict.fromkeys((*FORMATS, "excel", "gltf", "pdf"), ".txt"),
     "catt": ".geo",
     "csv": ".csv",
     "excel": ".xlsx",
     "gltf": ".gltf",
+    "pdf": ".pdf",
     "pyroomacoustics": ".py",
 }
 EXPORTS = tuple(_ENDINGS)
@@ -74,7 +75,7 @@ def _document(folder: Path) -> tomlkit.TOMLDocument:
 
 
 def edit(folder: Path, change: Callable[[tomlkit.TOMLDocument], None]) -> None:
-    """Change the campaign file; what is not changed stays as it is written.
+    """Change the campaign file; what is not changed stays as it is written, and so does its time.
 
     Raises
     ------
@@ -84,8 +85,10 @@ def edit(folder: Path, change: Callable[[tomlkit.TOMLDocument], None]) -> None:
         The disk refuses.
     """
     document = _document(folder)
+    before = tomlkit.dumps(document)
     change(document)
-    write_text_atomically(campaign_file(folder), tomlkit.dumps(document))
+    if (after := tomlkit.dumps(document)) != before:
+        write_text_atomically(campaign_file(folder), after)
 
 
 def _table(parent: Any, name: str) -> Any:
@@ -365,7 +368,8 @@ def export(folder: Path, wanted: str) -> list[str]:
         raise InputError("no such format", found=repr(wanted), needed=", ".join(EXPORTS))
     exports = folder / "exports"
     exports.mkdir(exist_ok=True)
-    out = exports / (wanted if wanted == "raven" else f"materials-{wanted}{_ENDINGS[wanted]}")
+    named = {"raven": "raven", "pdf": "report.pdf"}
+    out = exports / named.get(wanted, f"materials-{wanted}{_ENDINGS[wanted]}")
     written = export_result(
         result, wanted, inside(folder, out), campaign_file=campaign_file(folder), overwrite=True
     )

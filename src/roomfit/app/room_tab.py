@@ -9,7 +9,15 @@ from typing import Any
 from nicegui import ui
 
 from roomfit.app import project
-from roomfit.app.elements import FileDrop, RoomView, finding_html, heading, markup, said
+from roomfit.app.elements import (
+    FileDrop,
+    RoomView,
+    emptied,
+    finding_html,
+    heading,
+    markup,
+    said,
+)
 from roomfit.app.server import Bench
 from roomfit.errors import InputError
 from roomfit.io.rooms import READERS
@@ -21,6 +29,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
     """Draw the tab; return what draws it anew."""
     room: dict[str, Any] = {}
     chosen = {"surface": -1}
+    lines: list[ui.element] = []
+    latest = [0]  # number of the view that was asked for last
     start = ui.element("div").style("width: 100%")
 
     def pick(surface: int) -> None:
@@ -32,36 +42,45 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
     with both:
         with ui.element("div"):
             view = RoomView(pick)
-            facts = ui.element("div").classes("soft")
+            facts = ui.label().classes("soft")
             faults = ui.element("div")
         with ui.element("div").classes("panel"):
             surfaces = ui.element("div")
             details = ui.element("div")
 
     def show_surfaces() -> None:
-        surfaces.clear()
-        with surfaces:
-            heading("Surfaces")
-            with ui.element("div").classes("surfaces").props('role="group" aria-label="Surfaces"'):
-                for i, own in enumerate(room["surfaces"][:500]):
-                    colour = room["materials"][own["material_index"]]["colour"]
-                    pressed = "true" if i == chosen["surface"] else "false"
-                    line = ui.element("button").classes("surface")
-                    line.props(f'type="button" aria-pressed="{pressed}"')
-                    line.on("click", lambda i=i: pick(i))
-                    with line:
-                        markup(
-                            f'<span class="swatch" style="background:{escape(colour)}"></span>'
-                            f"{escape(own['name'])}"
-                        )
-                        ui.label(f"{own['material']}, {own['area_m2']:.1f} m²").classes("right")
-        details.clear()
-        if 0 <= chosen["surface"] < len(room["surfaces"]):
-            with details:
-                show_details(room["surfaces"][chosen["surface"]])
-
-    def show_details(surface: dict[str, Any]) -> None:
+        colours = [m["colour"] for m in room["materials"]]
+        if emptied(surfaces, (room["surfaces"][:500], colours)):
+            lines.clear()
+            with surfaces:
+                heading("Surfaces")
+                group = ui.element("div").classes("surfaces")
+                with group.props('role="group" aria-label="Surfaces"'):
+                    for i, own in enumerate(room["surfaces"][:500]):
+                        lines.append(surface_line(i, own, colours[own["material_index"]]))
+        for i, line in enumerate(lines):
+            line.props["aria-pressed"] = "true" if i == chosen["surface"] else "false"
+        own = room["surfaces"][chosen["surface"]] if chosen["surface"] >= 0 else None
         names = [m["name"] for m in room["materials"]]
+        material: dict[str, Any] = next(
+            (m for m in room["materials"] if own and m["name"] == own["material"]), {}
+        )
+        if emptied(details, (own, names, material)) and own:
+            with details:
+                show_details(own, names, material)
+
+    def surface_line(i: int, own: dict[str, Any], colour: str) -> ui.element:
+        line = ui.element("button").classes("surface").props('type="button"')
+        line.on("click", lambda: pick(i))
+        with line:
+            markup(
+                f'<span class="swatch" style="background:{escape(colour)}"></span>'
+                f"{escape(own['name'])}"
+            )
+            ui.label(f"{own['material']}, {own['area_m2']:.1f} m²").classes("right")
+        return line
+
+    def show_details(surface: dict[str, Any], names: list[str], material: dict[str, Any]) -> None:
         heading(f"Surface {surface['name']}")
         ui.select(
             names,
@@ -73,7 +92,6 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                 lambda: project.set_surface_material(bench.folder, surface["name"], str(e.value))
             ),
         ).props("outlined dense").style("width: 100%; margin-bottom: 0.6rem")
-        material = next(m for m in room["materials"] if m["name"] == surface["material"])
         entries = {e.name: f"{e.name}: {e.description}" for e in catalogue().entries}
         likely = [n for n in suggested_entries(material["name"]) if n in entries]
         ordered = {n: entries[n] for n in (*likely, *(n for n in entries if n not in likely))}
@@ -81,7 +99,7 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             ui.select(
                 ordered,
                 value=material["prior"] if material["prior"] in entries else None,
-                label=f"What {material['name']} is, by the catalogue (type to search)",
+                label=f"What {material['name']} is (search the catalogue)",
                 with_input=True,
                 clearable=True,
                 on_change=lambda e: change(
@@ -96,15 +114,14 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
     async def change(action: Callable[[], None]) -> None:
         try:
             action()
-            await refresh()
-            names = [m["name"] for m in room["materials"]]
+            found = await bench.ask("room_view")
+            names = [m["name"] for m in found["materials"]]
             project.forget_unused_materials(bench.folder, names)
             await refresh()
         except InputError as error:
-            said(error)
+            said(error, both)
 
     def show_faults() -> None:
-        faults.clear()
         with faults:
             for finding in room["findings"]:
                 with ui.element("div").classes("bar"):
@@ -116,34 +133,39 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                         ).props("outline dense no-caps color=quiet")
 
     async def refresh() -> None:
+        if both.is_deleted:
+            return
         has = project.has_campaign(bench.folder)
         both.set_visibility(has)
         if not start.default_slot.children or has != room.get("has"):
             start.clear()
             with start:
-                _show_start(bench, has, refresh)
+                _show_start(bench, start, refresh)
         room["has"] = has
         if not has:
             return
+        latest[0] += 1
+        own = latest[0]
         found = await bench.ask("room_view")
-        if both.is_deleted:  # the page was closed meanwhile
+        if both.is_deleted or own != latest[0]:  # the page was closed, or asked once more
             return
+        if [s["name"] for s in found["surfaces"]] != [s["name"] for s in room.get("surfaces", ())]:
+            chosen["surface"] = -1
+            view.point_at(-1, None)
         room.update(found)
         view.show(room)
-        facts.clear()
-        with facts:
-            free = room["mean_free_path_m"]
-            path = "" if free is None else f", mean free path {free:.2f} m"
-            words = "can be traced" if room["traceable"] else "cannot be traced"
-            volume, surface = room["volume_m3"], room["surface_m2"]
-            ui.label(f"{volume:.1f} m³, {surface:.1f} m²{path}; {words}.")
-        show_faults()
+        free = room["mean_free_path_m"]
+        path = "" if free is None else f", mean free path {free:.2f} m"
+        words = "can be traced" if room["traceable"] else "cannot be traced"
+        facts.set_text(f"{room['volume_m3']:.1f} m³, {room['surface_m2']:.1f} m²{path}; {words}.")
+        if emptied(faults, room["findings"]):
+            show_faults()
         show_surfaces()
 
     return refresh
 
 
-def _show_start(bench: Bench, has: bool, refresh: Callable[[], Awaitable[None]]) -> None:
+def _show_start(bench: Bench, start: ui.element, refresh: Callable[[], Awaitable[None]]) -> None:
     unit: dict[str, str | None] = {"unit": None}
 
     async def use(**given: Any) -> None:
@@ -151,7 +173,7 @@ def _show_start(bench: Bench, has: bool, refresh: Callable[[], Awaitable[None]])
             await bench.ask("set_room", unit=unit["unit"], **given)
             await refresh()
         except InputError as error:
-            said(error)
+            said(error, start)
 
     async def sent(names: list[str]) -> None:
         await use(file=names[-1])
@@ -182,7 +204,7 @@ def _show_start(bench: Bench, has: bool, refresh: Callable[[], Awaitable[None]])
             on_change=lambda e: unit.update(unit=e.value),
         ).props("outlined dense").style("width: 11rem; margin: 0.5rem 0")
 
-    if has:
+    if project.has_campaign(bench.folder):
         with ui.expansion("Another room").classes("panel").style("margin-bottom: 0.75rem"):
             from_file()
             shoebox()

@@ -88,17 +88,20 @@ def prepared(folder: str) -> PreparedRoom:
     return _ready[folder][1]
 
 
-def what_if(_: Progress, folder: str, changes: list[str]) -> dict[str, Any]:
+def what_if(progress: Progress, folder: str, changes: list[str]) -> dict[str, Any]:
     """Return what changes do, written as those of ``roomfit predict --set``.
 
     Raises
     ------
     InputError
-        The room is not prepared, or a change cannot be made.
+        There is no result, or a change cannot be made.
     """
+    if folder not in _ready:  # the process was ended meanwhile and started again
+        what_if_prepare(progress, folder)
     # nothing measured stands beside: means are over all pairs in every band
     room = replace(prepared(folder), observed=())
-    predicted = predict_change(room, [read_change(text) for text in changes])
+    own = [read_change(text) for text in changes]
+    predicted = predict_change(room, own, compare_pairs=False)
     return {
         "mean": _values(predicted.mean, predicted.sti),
         "pairs": [
@@ -145,4 +148,6 @@ def _value(value: PredictedValue) -> dict[str, list[float | None]]:
     }
     if value.change is not None:
         own["before"] = numbers_or_null(value.change.before)
+        own["before_lower95"] = numbers_or_null(value.change.before_lower95)
+        own["before_upper95"] = numbers_or_null(value.change.before_upper95)
     return own

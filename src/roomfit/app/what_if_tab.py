@@ -13,7 +13,15 @@ from matplotlib.ticker import MaxNLocator
 from nicegui import ui
 
 from roomfit.app import project
-from roomfit.app.elements import BandSlider, FileDrop, heading, markup, said, table_html
+from roomfit.app.elements import (
+    BandSlider,
+    FileDrop,
+    emptied,
+    heading,
+    markup,
+    said,
+    table_html,
+)
 from roomfit.app.server import Bench
 from roomfit.errors import InputError
 from roomfit.io.door import json_content, read_text
@@ -30,7 +38,7 @@ _LABELS = {
 }
 _STAGES = ((0.0, "tracing"), (0.8, "searching"))
 _SOUNDING = ((0.0, "tracing"), (0.6, "scaling"))
-_PREPARE_S, _CHANGE_S = 900.0, 60.0
+_PREPARE_S = 900.0  # a change may need it, too, where the process was started again
 _MOST = {"D50_percent": 100.0, "STI": 1.0}
 _SPEECH = "125 to 8k Hz together"
 _SOUND_HEADS = ("Pair", "Before", "After")
@@ -43,19 +51,24 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
     # per material a name of the catalogue, or absorption per band
     changes: dict[str, str | list[float]] = {}
     targets: dict[str, float | None] = {}
+    fields: dict[str, ui.select] = {}
     state: dict[str, Any] = {
         "busy": False,
         "again": False,
         "material": None,
         "last": None,
         "dry": "",
+        "asked": 0,  # number of the view that was asked for last
     }
 
     with ui.element("div").classes("bar"):
         note = ui.label("").classes("soft")
     both = ui.element("div").style("width: 100%")
     with both:
-        controls = ui.element("div").classes("panel")
+        with ui.element("div").classes("panel"):
+            choices = ui.element("div").classes("bar")
+            sliders = ui.element("div")
+            aims = ui.element("div")
         charts = ui.element("div").classes("charts").style("margin: 0.75rem 0")
         with charts:
             pictures = {name: markup("").classes("panel") for name in _LABELS}
@@ -70,19 +83,21 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         bench.jobs.add("What to hang where", "treat", {"folder": str(bench.folder)}, _STAGES)
 
     def show_hung() -> None:
-        hung.clear()
+        out = bench.folder / project.TREATMENT
+        written_files = {f: _place(f) for f in (sorted(out.iterdir()) if out.is_dir() else ())}
+        has_question = (bench.folder / "treatment.toml").is_file()
+        if not emptied(hung, (has_question, written_files)):
+            return
         with hung:
             heading("What to hang where")
-            if not (bench.folder / "treatment.toml").is_file():
+            if not has_question:
                 text = "Write products and targets into treatment.toml in the project's folder."
                 ui.label(text).classes("soft")
                 return
             ui.button("Search for the cheapest that meets the targets", on_click=hang).props(
                 "no-caps outline color=quiet"
             )
-            out = bench.folder / project.TREATMENT
-            for file in sorted(out.iterdir()) if out.is_dir() else ():
-                place = _place(file)
+            for file, place in written_files.items():
                 if file.suffix == ".png":
                     markup(f'<img alt="{escape(file.stem)}" src="{escape(place)}" width="100%">')
                 elif not file.name.startswith("."):
@@ -98,22 +113,27 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         show_sounds()
 
     def show_sounds() -> None:
-        sounds.clear()
+        folder = bench.folder / project.DRY
+        known = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
+        made = bench.folder / project.LISTENED / "listen.json"
+        if not emptied(sounds, (known, made.is_file() and _place(made))):
+            return
         with sounds:
             heading("Before and after, to listen to")
-            folder = bench.folder / project.DRY
-            known = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
             own = {"": "the responses themselves", **{n: n for n in known if n[0] != "."}}
             FileDrop("A dry recording of one channel:", project.DRY, RESPONSE_SUFFIXES, dry_sent)
             with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
-                ui.select(own, label="What to listen to").bind_value(state, "dry").props(
-                    "outlined dense"
-                ).style("flex: 1 1 16rem")
+                ui.select(
+                    own,
+                    label="What to listen to",
+                    value=state["dry"] if state["dry"] in own else "",
+                    on_change=lambda e: state.update(dry=e.value),
+                ).props("outlined dense").style("flex: 1 1 16rem")
                 ui.button("Make the sounds of what is set above", on_click=hear).props(
                     "no-caps outline color=quiet"
                 )
-            if (bench.folder / project.LISTENED / "listen.json").is_file():
-                markup(sounds_html(bench.folder / project.LISTENED))
+            if made.is_file():
+                markup(sounds_html(made.parent))
 
     async def evaluate() -> None:
         """Evaluate what is chosen now; while one is under way, the newest waits, no other."""
@@ -125,17 +145,24 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             while True:
                 state["again"] = False
                 own = {"folder": str(bench.folder), "changes": written(changes, room["absorption"])}
-                state["last"] = await bench.what_if.ask("what_if", own, limit_s=_CHANGE_S)
-                draw()
+                asked = state["asked"]
+                found = await bench.what_if.ask("what_if", own, limit_s=_PREPARE_S)
+                if both.is_deleted:  # the page was closed meanwhile
+                    return
+                if asked == state["asked"]:  # the room is still the one that was asked about
+                    state["last"] = found
+                    draw()
                 if not state["again"]:
                     break
         except InputError as error:
-            said(error)
+            said(error, both)
         finally:
             state["busy"] = False
 
     def draw() -> None:
         view = state["last"]
+        if view is None:  # it is being prepared
+            return
         for name, picture in pictures.items():
             picture.set_visibility(name in view["mean"])
             if name in view["mean"]:
@@ -147,8 +174,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         draw_pairs()
         note.set_text(
             f"{count(len(view['pairs']), 'pair')}, {count(len(changes), 'material')} changed. "
-            "Lines: mean over the pairs and its 95 % interval; thin: each pair; dashed: as it is; "
-            "red: limits."
+            "Lines: mean over the pairs with its 95 % interval; dashed: the same as it is now; "
+            "thin: each pair; red: limits."
         )
 
     def draw_pairs() -> None:
@@ -156,6 +183,9 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             numbers.set_content(pairs_html(state["last"], room["bands_hz"]))
 
     async def choose_entry(value: str | None) -> None:
+        now = changes.get(state["material"])
+        if value == (now if isinstance(now, str) else None):
+            return  # said by the page itself, for another material was chosen
         if value is None:
             changes.pop(state["material"], None)
         else:
@@ -171,6 +201,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             return
         values[band] = value
         changes[material] = values
+        mark_changed()
+        fields["entry"].set_value(None)
         await evaluate()
 
     def spectrum(material: str) -> list[float]:
@@ -201,51 +233,62 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         targets[name] = value
         draw()
 
-    def show_controls() -> None:
-        controls.clear()
+    def build_controls() -> None:
         entries = {e.name: f"{e.name}: {e.description}" for e in catalogue().entries}
-        with controls, ui.element("div"):
-            with ui.element("div").classes("bar"):
-                marked = {m: f"{m} (changed)" if m in changes else m for m in room["absorption"]}
+        with choices:
+            fields["material"] = (
                 ui.select(
-                    marked,
+                    list(room["absorption"]),
                     value=state["material"],
                     label="Material",
                     on_change=lambda e: select(e.value),
-                ).props("outlined dense").style("width: 14rem")
-                now = changes.get(state["material"])
+                )
+                .props("outlined dense")
+                .style("width: 14rem")
+            )
+            fields["entry"] = (
                 ui.select(
                     entries,
-                    value=now if isinstance(now, str) else None,
-                    label="becomes an entry of the catalogue (type to search)",
+                    label="Becomes (search the catalogue)",
                     with_input=True,
                     clearable=True,
                     on_change=lambda e: choose_entry(e.value),
-                ).props("outlined dense").style("flex: 1 1 16rem")
-                ui.button("As it was found, all", on_click=reset).props(
-                    "no-caps outline color=quiet"
                 )
+                .props("outlined dense")
+                .style("flex: 1 1 16rem")
+            )
+            ui.button("Undo all changes", on_click=reset).props("no-caps outline color=quiet")
+        if emptied(aims, room["names"]):
+            with aims:
+                heading("Targets")
+                with ui.element("div").classes("bar"):
+                    for name in room["names"]:
+                        ui.number(
+                            _LABELS[name],
+                            value=targets.get(name),
+                            step=0.1,
+                            on_change=lambda e, name=name: aim(name, e.value),
+                        ).props("outlined dense clearable").style("width: 8rem")
+
+    def show_controls() -> None:
+        """Bring the sliders to the material that is chosen; what is above them stays."""
+        mark_changed()
+        now = changes.get(state["material"])
+        fields["entry"].set_value(now if isinstance(now, str) else None)
+        sliders.clear()
+        with sliders:
             heading(f"Absorption of {state['material']}")
             with ui.element("div").classes("sliders"):
                 values = spectrum(state["material"])
                 for band, centre_hz in enumerate(room["bands_hz"]):
                     word = f"{short_hertz(centre_hz)} Hz"
                     label = f"Absorption of {state['material']} at {word}"
-                    BandSlider(
-                        word,
-                        label,
-                        values[band],
-                        partial(slide, band),
-                    )
-            heading("Targets")
-            with ui.element("div").classes("bar"):
-                for name in room["names"]:
-                    ui.number(
-                        _LABELS[name],
-                        value=targets.get(name),
-                        step=0.1,
-                        on_change=lambda e, name=name: aim(name, e.value),
-                    ).props("outlined dense clearable").style("width: 8rem")
+                    BandSlider(word, label, values[band], partial(slide, band))
+
+    def mark_changed() -> None:
+        marked = {m: f"{m} (changed)" if m in changes else m for m in room["absorption"]}
+        if fields["material"].options != marked:
+            fields["material"].set_options(marked)
 
     async def refresh() -> None:
         if project.best_result(bench.folder) is None:
@@ -256,13 +299,15 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             "The room is traced for changes; this takes seconds, in a large room minutes."
         )
         state["last"] = None
+        state["asked"] += 1
+        asked = state["asked"]
         own = {"folder": str(bench.folder)}
         try:
             found = await bench.what_if.ask("what_if_prepare", own, limit_s=_PREPARE_S)
         except InputError:
             note.set_text("The room could not be prepared.")
             raise
-        if both.is_deleted:  # the page was closed meanwhile
+        if both.is_deleted or asked != state["asked"]:  # the page was closed, or asked once more
             return
         room.update(found)
         room["names"] = [n for n in _LABELS if n in found["mean"]]
@@ -273,7 +318,9 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
         both.set_visibility(True)
         show_hung()
         show_sounds()
-        show_controls()
+        if emptied(choices, (room["bands_hz"], room["absorption"], room["names"])):
+            build_controls()
+            show_controls()
         state["last"] = found
         draw()
         if changes:
@@ -380,6 +427,15 @@ def chart_svg(
             at = [(px + dx, py) for px, py in at for dx in (-30.0, 30.0)]
         return f'<polyline points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in at)}" {style}/>'
 
+    def bars(which: str, beside: float, style: str) -> list[str]:
+        ends = enumerate(zip(mean[f"{which}lower95"], mean[f"{which}upper95"], strict=True))
+        return [
+            f'<line x1="{x(i) + beside:.1f}" x2="{x(i) + beside:.1f}" y1="{y(max(a, low)):.1f}" '
+            f'y2="{y(min(b, high)):.1f}" {style}/>'
+            for i, (a, b) in ends
+            if a is not None and b is not None and a < high and b > low
+        ]
+
     parts = []
     for value in ticks:
         parts.append(
@@ -387,6 +443,8 @@ def chart_svg(
             f'stroke="var(--line)"/><text x="{_LEFT - 4}" y="{y(value) + 4:.1f}" '
             f'text-anchor="end">{value:.6g}</text>'
         )
+    if len(words) > 1:
+        parts.append(f'<text x="{_LEFT - 4}" y="{_HIGH - 6}" text-anchor="end">Hz</text>')
     for i, word in enumerate(words):
         parts.append(
             f'<text x="{x(i):.1f}" y="{_HIGH - 6}" text-anchor="middle">{escape(word)}</text>'
@@ -395,13 +453,8 @@ def chart_svg(
     parts += [line(p, thin) for p in pairs[:200]]
     if "before" in mean:
         parts.append(line(mean["before"], 'fill="none" stroke="var(--ink)" stroke-dasharray="5 4"'))
-    for i, (a, b) in enumerate(zip(mean["lower95"], mean["upper95"], strict=True)):
-        if a is not None and b is not None:
-            ys = y(max(a, low)), y(min(b, high))
-            parts.append(
-                f'<line x1="{x(i):.1f}" x2="{x(i):.1f}" y1="{ys[0]:.1f}" y2="{ys[1]:.1f}" '
-                'stroke="var(--accent)" stroke-width="5" opacity="0.45"/>'
-            )
+        parts += bars("before_", -5.0, 'stroke="var(--ink)" stroke-width="1.2"')
+    parts += bars("", 0.0, 'stroke="var(--accent)" stroke-width="5" opacity="0.45"')
     parts.append(line(mean["predicted"], 'fill="none" stroke="var(--accent)" stroke-width="2.4"'))
     for limit in limits:
         at = [i for i, f in enumerate(bands_hz) if f in limit["bands_hz"]]
@@ -417,7 +470,7 @@ def chart_svg(
     spoken = escape(f"{label}, mean over the pairs by band: {means}; limits: {lines}")
     return (
         f"<h2>{escape(label)}</h2>"
-        f'<svg viewBox="0 0 {_WIDE:.0f} {_HIGH:.0f}" role="img" font-size="11" fill="currentColor" '
+        f'<svg viewBox="0 0 {_WIDE:.0f} {_HIGH:.0f}" role="img" font-size="13" fill="currentColor" '
         f'aria-label="{spoken}">{"".join(parts)}</svg>'
     )
 

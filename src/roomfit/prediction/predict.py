@@ -387,6 +387,7 @@ def predict_change(
     changes: Sequence[Change] = (),
     *,
     exact: bool = False,
+    compare_pairs: bool = True,
     cache: Cache | None = None,
     progress: Progress | None = None,
 ) -> Predicted:
@@ -401,6 +402,10 @@ def predict_change(
         From all paths, in seconds; else carried over from the room as it was found by few of them,
         in half a second or less, and of bands that the last change had alike nothing anew: pictures
         of decays are then those before.
+    compare_pairs : bool
+        Also what changes do to every pair by itself; else, sooner, what they do to the means. Where
+        nothing was measured interference is then taken to be another after the change, so that
+        intervals of changes are too wide.
     cache, progress
         For what is exact.
 
@@ -421,17 +426,18 @@ def predict_change(
     elif changes:
         numbers = [numbers_at(room, expected, drawn), room.before]
     if len(numbers) > 1:
-        numbers[0] = tuple(
-            with_common_noise(after, before, few, bands, absorption.absorption, expected)
-            for after, before, few in zip(numbers[0], room.before, room.few, strict=True)
-        )
+        if compare_pairs or room.observed:  # what both states share
+            numbers[0] = tuple(
+                with_common_noise(after, before, few, bands, absorption.absorption, expected)
+                for after, before, few in zip(numbers[0], room.before, room.few, strict=True)
+            )
         areas_m2 = material_areas_m2(scene.room, int(pair_states(scene)[0]))
         doubts += prior_dominated(absorption, room.draws, changes, areas_m2, rng)
     observed = room.observed
     if not room.before:
         observed = with_sti(scene, bands, observed, numbers[-1], room.speech_db)
     means, sti = predicted_means(scene, numbers, observed)
-    pairs = predicted_pairs(scene, bands, numbers, observed)
+    pairs = predicted_pairs(scene, bands, numbers if compare_pairs else numbers[:1], observed)
     if not room.before:
         # the room as it was measured is not known: nothing stands beside the measurement
         pairs = tuple(

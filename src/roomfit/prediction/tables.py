@@ -339,6 +339,9 @@ def _change(
             carried_draws = drawn_new + share * (measured - drawn_old)
         apart_sd = np.sqrt(np.maximum(s**2 + t**2 - 2.0 * both, 0.0)) * (change if in_ratios else 1)
     low, high = _interval("change", drawn, apart_sd)
+    ends = carried, carried  # unknown where nothing was measured
+    if np.isfinite(measured).any():
+        ends = _interval(name, carried_draws, rest_sd)
     return ValueChange(
         old,
         *_interval(name, drawn_old, np.hypot(sds[0], sds[2])),
@@ -347,7 +350,7 @@ def _change(
         np.minimum(low, change),
         np.maximum(high, change),
         carried,
-        *_interval(name, carried_draws, rest_sd),
+        *ends,
     )
 
 
