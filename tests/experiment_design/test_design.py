@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import importlib
 import itertools
 import json
+import re
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
@@ -203,6 +205,20 @@ def test_rules_are_obeyed_by_the_choice_and_by_chance():
         choose(known, found, replace(rules, most_sources=1), 25, "mean", rng=fresh())
 
 
+def test_where_the_best_pair_leaves_no_other_a_design_is_found_without_it():
+    """The most informative of three pairs stands in the way of the two others."""
+    rng = np.random.default_rng(3)
+    known, found = unknowns(rng), pairs(rng, [0, 1, 2])
+    found = replace(
+        found, matrices=found.matrices * np.array([9.0, 1.0, 1.0])[:, None, None, None, None]
+    )
+    compatible = ~np.eye(3, dtype=np.bool_)
+    compatible[0] = compatible[:, 0] = False
+    rules = Rules(np.arange(3), compatible, np.ones(3, dtype=np.bool_))
+    assert choose(known, found, rules, 1, "mean", rng=fresh()) == (0,)
+    assert set(choose(known, found, rules, 2, "mean", rng=fresh())) == {1, 2}
+
+
 def test_materials_that_share_an_absorption_share_a_width_and_known_ones_have_none():
     known = Unknowns(
         np.array([0, -1, 0]), np.zeros((1, 2, 1)), np.ones((1, 2, 1, 1)),
@@ -311,6 +327,17 @@ def test_a_design_keeps_its_rules_in_a_room(small):
     again = designed(campaign, n_candidates=12, number=3, n_random=40)
     np.testing.assert_array_equal(again.chosen, found.chosen)
     np.testing.assert_array_equal(again.widths, found.widths)
+
+
+def test_what_the_rules_forbid_is_refused_before_anything_is_computed(small, monkeypatch):
+    def computed(*_: object) -> None:
+        raise AssertionError
+
+    module = importlib.import_module("roomfit.experiment_design.design")
+    monkeypatch.setattr(module, "information_of_candidates", computed)
+    with pytest.raises(InputError, match="leave no position") as said:
+        designed(small[1], n_candidates=12, number=12, receiver_distance_m=3.0)
+    assert re.fullmatch(r"\d+ of 12", said.value.found)
 
 
 def test_intervals_narrow_with_every_pair_and_more_than_by_chance(small):

@@ -25,6 +25,7 @@ _MEAN_BESIDE_WORST = 1e-3
 _LEAST_GAIN = 1e-9
 _MOST_EXCHANGES = 100
 _RANDOM_STARTS = 4
+_TRIES = 100  # of random designs, before so many pairs are said to be impossible
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +132,10 @@ def choose(
         at = int(np.argmin(scores))
         return float(scores[at]), at
 
-    designs = [_greedy(rules, n, best_addition)]
+    designs = [possible_design(rules, n)]
+    greedy = _greedy(rules, n, best_addition)
+    if len(greedy) == n:
+        designs[0] = greedy
     for _ in range(_RANDOM_STARTS if n > 1 else 0):
         drawn = random_design(rules, n, rng)
         if len(drawn) == n:
@@ -155,17 +159,35 @@ BestAddition: TypeAlias = Callable[[list[int], BoolArray], tuple[float, int]]
 
 
 def _greedy(rules: Rules, n: int, best_addition: BestAddition) -> list[int]:
+    """Return the best pair, the best beside it, ...; fewer than n where none is left to add."""
     chosen: list[int] = []
-    for number in range(n):
+    for _ in range(n):
         mask = allowed(rules, chosen)
         if not mask.any():
-            raise InputError(
-                "the rules leave no position for another measurement",
-                found=f"{number} of {n}",
-                hint="choose fewer, give more candidates, or lower the least distances in [design]",
-            )
+            break
         chosen.append(best_addition(chosen, mask)[1])
     return chosen
+
+
+def possible_design(rules: Rules, n: int) -> list[int]:
+    """Return some design that the rules allow, without any information: in no time.
+
+    Raises
+    ------
+    InputError
+        None of a hundred random designs has as many pairs.
+    """
+    rng, most = np.random.default_rng(1), 0
+    for _ in range(_TRIES):
+        found = random_design(rules, n, rng)
+        if len(found) == n:
+            return list(found)
+        most = max(most, len(found))
+    raise InputError(
+        "the rules leave no position for another measurement",
+        found=f"{most} of {n}",
+        hint="choose fewer, give more candidates, or lower the least distances in [design]",
+    )
 
 
 def _exchanged(

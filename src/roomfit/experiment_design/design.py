@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,7 +20,13 @@ from roomfit.experiment_design.candidates import (
     information_of_candidates,
     least_source_distance_m,
 )
-from roomfit.experiment_design.choose import Criterion, Rules, choose, random_design
+from roomfit.experiment_design.choose import (
+    Criterion,
+    Rules,
+    choose,
+    possible_design,
+    random_design,
+)
 from roomfit.experiment_design.information import (
     PairInformation,
     information_of,
@@ -47,6 +54,7 @@ from roomfit.uncertainty.posterior import AbsorptionPosterior
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_LOG = logging.getLogger("roomfit")
 _NUMBER, _NUMBER_AFTER_FIT = 6, 1  # pairs that are chosen where nothing else is asked for
 
 
@@ -189,6 +197,8 @@ def design(
         scene, options, distance_m, settings.seed, count_measured=not after_fit
     )
     n = options.number or (_NUMBER_AFTER_FIT if after_fit else _NUMBER)
+    possible_design(rules, n)  # else all would be computed before it is refused
+    _LOG.info("evaluating %d candidates", len(candidates.pairs) - len(rules.fixed))
     n_pairs = n + len({(int(s), int(r)) for s, r in scene.pairs})
     matrices, coherent, doubts = information_of_candidates(
         candidates,
@@ -204,6 +214,7 @@ def design(
     pairs = PairInformation(matrices, _gains(options.level, candidates))
     criterion = options.criterion or ("worst" if after_fit else "determinant")
     rng = np.random.default_rng(settings.seed)
+    _LOG.info("choosing")
     chosen = choose(known.unknowns, pairs, rules, n, criterion, rng=rng)
     rng = np.random.default_rng(settings.seed)
     return Design(
