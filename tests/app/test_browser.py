@@ -240,7 +240,7 @@ def test_what_if_shows_speech_limits_sounds_and_what_to_hang(
     for child in Path(f"/proc/{answered.pid}/task/{answered.pid}/children").read_text().split():
         os.kill(int(child), signal.SIGKILL)
     slider = page.get_by_label(re.compile("^Absorption of .* at 1k Hz"))
-    slider.press("Home")  # comes perhaps before the server knows, and is told as an error
+    slider.press("Home")  # perhaps before the server knows: then an error is shown
     page.wait_for_timeout(1000)
     slider.press("ArrowRight")
     page.wait_for_function(_DRAWN_ANEW, arg=before, timeout=_MINUTES_MS)
@@ -266,7 +266,7 @@ def test_the_full_answer_is_cancelled_begun_anew_and_outlives_its_page(
         cancel = page.get_by_role("button", name="Cancel")
         cancel.focus()
         page.get_by_text(re.compile(r"Full answer: .*, [1-9]\d* %")).wait_for(timeout=_MINUTES_MS)
-        # what is told of the work every second leaves the button where it is
+        # the progress that is shown every second leaves the button where it is
         assert page.evaluate("document.activeElement.textContent") == "Cancel"
         began = time.monotonic()
         cancel.press("Enter")

@@ -226,7 +226,7 @@ def test_a_worker_has_no_more_memory_than_it_may_have(tmp_path: Path) -> None:
     asyncio.run(whole())
 
 
-def test_the_time_that_remains_is_told_once_there_is_something_to_go_by() -> None:
+def test_the_time_that_remains_is_stated_once_there_is_something_to_go_by() -> None:
     job = Job(1, "a", "echo", {}, stages=((0.0, "one"), (0.5, "two")))
     assert job.remaining_s is None and job.stage == "one"
     job.state, job.fraction, job.began_s = "running", 0.75, time.monotonic() - 30.0

@@ -184,10 +184,11 @@ def test_bands_that_are_chosen_stay_until_the_campaign_says_others(folder: Path)
     asyncio.run(chosen())
 
 
-def test_an_error_is_told_though_what_was_clicked_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
+def test_an_error_is_shown_though_what_was_clicked_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    messages: list[str] = []
+    # as NiceGUI's own it fails where the page of what was clicked cannot be found
     monkeypatch.setattr(
-        ui, "notify", lambda text, **_: told.append(f"{text}{ui.context.client.id[:0]}")
+        ui, "notify", lambda text, **_: messages.append(f"{text}{ui.context.client.id[:0]}")
     )
 
     async def fail() -> None:
@@ -203,4 +204,4 @@ def test_an_error_is_told_though_what_was_clicked_is_gone(monkeypatch: pytest.Mo
             elements.said(InputError("no such thing"), place)
 
     asyncio.run(fail())
-    assert told == ["no such thing"]
+    assert messages == ["no such thing"]

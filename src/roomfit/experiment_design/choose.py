@@ -132,10 +132,8 @@ def choose(
         at = int(np.argmin(scores))
         return float(scores[at]), at
 
-    designs = [possible_design(rules, n)]
     greedy = _greedy(rules, n, best_addition)
-    if len(greedy) == n:
-        designs[0] = greedy
+    designs = [greedy if len(greedy) == n else possible_design(rules, n)]
     for _ in range(_RANDOM_STARTS if n > 1 else 0):
         drawn = random_design(rules, n, rng)
         if len(drawn) == n:
