@@ -58,7 +58,9 @@ def test_the_answer_moves_as_predicted_by_an_error_of_all_windows() -> None:
     fit = _converged(plain)
     time_s = np.concatenate([0.5 * (o.edges_s[1:] + o.edges_s[:-1]) for o in plain.observations])
     error = -0.01 * time_s / 0.02
-    (predicted,) = answer_steps(objective_of(plain), fit, (plain.measured() * error)[:, None]).T
+    objective = objective_of(plain)
+    jacobian = objective.predict(fit.vector).jacobian
+    (predicted,) = answer_steps(objective, fit, jacobian, (plain.measured() * error)[:, None]).T
     up, down = (_converged(_with_data(plain, 1.0 + s * error)).vector for s in (1.0, -1.0))
     observed = 0.5 * (up - down)
     # weights that follow the answer are neglected: a few percent of the step, or a few thousandths

@@ -86,8 +86,9 @@ def test_all_terms_together_are_the_covariance_that_is_reported(centre_hz):
     np.testing.assert_allclose(sum(parts.values()), fit.variance, rtol=1e-12)
     assert set(parts) == {"interference", "positions", "rays", "noise", "model", "ringing"}
     errors = {"air": 0.1 * fit.expected[:, None]}
-    reported = add_covariance(fit, answer_steps(objective, fit, errors["air"]))
-    found = costs_of_terms(objective, fit, errors)
+    there = objective.predict(fit.vector).jacobian
+    reported = add_covariance(fit, answer_steps(objective, fit, there, errors["air"]))
+    found = costs_of_terms(objective, fit, there, errors)
     expected = np.sqrt(np.diag(np.linalg.inv(reported.information)) * max(fit.chi2_reduced, 1.0))
     np.testing.assert_allclose(found[""], expected, rtol=1e-6)
     _, rows = prior_residuals(objective.parameters, fit.vector)

@@ -65,7 +65,7 @@ def test_an_error_that_all_data_share_moves_the_answer_as_stated_and_is_added_on
     error = np.linspace(0.1, 0.3, problem.observed.size)
     moved = fit_band(type(problem)(problem.matrix, problem.observed + error, problem.sd,
                                    problem.parameters))  # fmt: skip
-    steps = answer_steps(problem, fit, error[:, None])
+    steps = answer_steps(problem, fit, problem.predict(fit.vector).jacobian, error[:, None])
     np.testing.assert_allclose(steps[:, 0], moved.vector - fit.vector, atol=1e-6)
     misfit = max(fit.chi2_reduced, 1.0)
     wider = add_covariance(fit, steps)

@@ -47,6 +47,7 @@ from roomfit.inversion.outliers import (
 )
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import (
+    BEFORE_THE_LAST_PASS_SD,
     UNDECIDED,
     CoherentBand,
     CoherentBandFit,
@@ -154,6 +155,7 @@ class SequentialState:
     origin: FloatArray | None
     bands: tuple[CoherentBand | None, ...] = ()
     starts: tuple[FloatArray | None, ...] = ()  # answers by energies of bands that were let go of
+    first: tuple[FloatArray | None, ...] = ()  # answers by pressures of an earlier pass
     findings: tuple[Finding, ...] = ()
     images: ImagePaths | None = None  # of these paths, what all bands share; None: not made yet
 
@@ -195,8 +197,8 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
         state = replace(
             state, paths=paths, weights=weights, binned=binned, origin=origin, images=None
         )
+    state = replace(let_go(state), first=_vectors(fits))
     del low, fits
-    state = let_go(state)
     if coloured:
         even = _even(state, measured, guess, 0.0)
         state = replace(state, task=replace(state.task, measured=even))
@@ -206,6 +208,10 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
 def let_go(state: SequentialState) -> SequentialState:
     """Return a state without its bands, whose answers are kept: memory holds one generation."""
     return replace(state, bands=(), starts=_answers(state))
+
+
+def _vectors(fits: Sequence[CoherentBandFit | None]) -> tuple[FloatArray | None, ...]:
+    return tuple(None if f is None else f.fit.vector for f in fits)
 
 
 def _answers(state: SequentialState) -> tuple[FloatArray | None, ...]:
@@ -260,9 +266,9 @@ def rebuild(state: SequentialState) -> SequentialState:
         energies = energy_objective(windows, parameters, directivity, task.values[b])
         before = starts[b]
         fit = (
-            fit_band(energies, max_rounds=limit)
+            fit_band(energies, max_rounds=limit, settled_sd=BEFORE_THE_LAST_PASS_SD)
             if before is None
-            else score_band(energies, before, max_rounds=limit)
+            else score_band(energies, before, max_rounds=limit, settled_sd=BEFORE_THE_LAST_PASS_SD)
         )
         bands.append(CoherentBand(energies, fit, coherent, directivity))
     misfits = [
@@ -278,7 +284,12 @@ def rebuild(state: SequentialState) -> SequentialState:
                 files, n_data = fitted_in_band(task.measured, b), own.energy_fit.measured.size
                 factor = variance_inflation(own.coherent.energies, files, outliers, n_data)
                 energies = replace(own.energies, inflation=factor)
-                fit = score_band(energies, own.energy_fit.vector, max_rounds=limit)
+                fit = score_band(
+                    energies,
+                    own.energy_fit.vector,
+                    max_rounds=limit,
+                    settled_sd=BEFORE_THE_LAST_PASS_SD,
+                )
                 bands[b] = replace(own, energies=energies, energy_fit=fit)
     if task.directivity_parameters is not None:
         bands = _under_cavity_priors(task, bands)
@@ -406,7 +417,7 @@ def _gain_of_freeing(
 ) -> tuple[float, int]:
     """Return by how much the data are likelier, over all bands, and by how many more unknowns."""
     freer = rebuild(replace(state, task=replace(state.task, settings=settings)))
-    freed = forward_pass(freer.bands, settings, None)
+    freed = forward_pass(freer.bands, settings, None, _vectors(fits))
     gain = explained_more(fits, freed)
     before, after = (
         0 if g is None else int(np.count_nonzero(g.fitted & (g.sd > 0.0)))
@@ -444,7 +455,7 @@ def fit_coherent(
     """
     settings = task.settings
     state = initialise(task, traced)
-    fits = forward_pass(state.bands, settings, part(progress, 0.0, 0.8))
+    fits = forward_pass(state.bands, settings, part(progress, 0.0, 0.8), state.first)
     if settings.quick:
         fits, _ = leave_one_out_pass(state.bands, fits, settings)
         return CoherentFit(state, tuple(fits), _likelihoods(state, fits), None, state.findings)
@@ -461,22 +472,23 @@ def fit_coherent(
     ]
     outliers = outlier_files(misfits, LEAST_BY_PRESSURES)
     if outliers:
-        state, fits = let_go(replace(state, task=replace(state.task, outliers=outliers))), []
+        first, fits = _vectors(fits), []
+        state = let_go(replace(state, task=replace(state.task, outliers=outliers)))
         state = rebuild(state)
-        fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0))
+        fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0), first)
     position_sd_scale = estimate_position_sd_scale(state.task.scene, state.bands, fits)
     if position_sd_scale > 1.0:
         place, origin = inflate_position_sds(state.task.scene, state.origin, position_sd_scale)
-        moved, fits = replace(state.task, scene=place), []
+        moved, first, fits = replace(state.task, scene=place), _vectors(fits), []
         state = let_go(replace(state, task=moved, origin=origin))
         state = rebuild(state)
-        fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0))
+        fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0), first)
     findings = (*state.findings, *position_uncertainty_findings(position_sd_scale))
     findings = (*findings, *fixed_parameter_checks(state, fits))
     fits, final = leave_one_out_pass(state.bands, fits, settings)
     is_settled = final is None or agree(fits, final)
     while final is not None and not is_settled:
-        other = forward_pass(state.bands, settings, None, (fits, final))
+        other = forward_pass(state.bands, settings, None, _vectors(fits), final)
         other, found = leave_one_out_pass(state.bands, other, settings)
         is_settled = explained_more(fits, other) < UNDECIDED
         if not is_settled:

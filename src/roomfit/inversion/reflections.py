@@ -35,7 +35,8 @@ from roomfit.signals.filters import (
     statistical_bandwidth_hz,
     window_energies,
 )
-from roomfit.typing import BoolArray, FloatArray
+from roomfit.tracing.paths import Paths
+from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # Of the energy of a window, as predicted for a wall that absorbs nothing: so that the absorption
 # that was fitted does not choose which reflections are looked at.
@@ -102,10 +103,26 @@ def isolated_reflections(
     kernel = spreading_kernel(FilterBank(measured.bands))
     found: list[IsolatedReflection] = []
     for m in measured.responses:
-        chosen = [b for b in range(len(measured.bands)) if has_data_in_band(m, b)]
-        for band in chosen:
-            found += _isolated(measured, traced, m, absorption, (band, kernel))
+        first = _direct_and_first(traced.paths, m.pair)
+        if first is None:
+            continue
+        for band in [b for b in range(len(measured.bands)) if has_data_in_band(m, b)]:
+            found += _isolated(measured, traced, m, absorption, band, kernel, first)
     return tuple(found)
+
+
+def _direct_and_first(paths: Paths, pair: int) -> tuple[IntArray, IntArray] | None:
+    """Return the direct path of a pair and its first reflections, and what each of them struck.
+
+    Shapes (n,) and (n, n_materials); None without either.
+    """
+    own = np.flatnonzero((paths.pair == pair) & (paths.batch < 0))
+    struck = paths.hits_specular[own] + paths.hits_diffuse[own]
+    direct, single = (np.flatnonzero(struck.sum(axis=1) == n) for n in (0, 1))
+    if direct.size != 1 or not single.size:
+        return None
+    few = np.concatenate((direct, single))
+    return own[few], struck[few]
 
 
 def _isolated(
@@ -113,18 +130,13 @@ def _isolated(
     traced: TracedPaths,
     m: MeasuredPair,
     absorption: FloatArray,
-    reduction: tuple[int, SpreadingKernel],
+    band: int,
+    kernel: SpreadingKernel,
+    candidates: tuple[IntArray, IntArray],
 ) -> list[IsolatedReflection]:
-    band, kernel = reduction
+    own, struck = candidates
     scene, paths = measured.scene, traced.paths
     c = speed_of_sound_m_s(scene.air)
-    own = np.flatnonzero((paths.pair == m.pair) & (paths.batch < 0))
-    struck = paths.hits_specular[own] + paths.hits_diffuse[own]
-    direct, single = (np.flatnonzero(struck.sum(axis=1) == n) for n in (0, 1))
-    if direct.size != 1 or not single.size:
-        return []
-    few = np.concatenate((direct, single))
-    own, struck = own[few], struck[few]
     material = np.argmax(struck, axis=1)
     bank = FilterBank(Bands(measured.bands.kind, measured.bands.centres_hz[band : band + 1]))
     bandwidth_hz = float(statistical_bandwidth_hz(bank)[0])

@@ -100,7 +100,7 @@ def outline_findings(
         moved_m = float(_DISTANCES_M[int(np.nanargmax(scores))])
         findings += _mismatch(wall, moved_m, scores, reached[best], c)
         for echo in echoes:
-            arrival_s = _arrival_s(wall, moved_m, echo, c)
+            arrival_s = _arrivals_s(wall, np.array([moved_m]), echo, c)
             echo.prominence[np.abs(echo.time_s - arrival_s) < _MASK_S] = 0.0
     return tuple(findings)
 
@@ -150,41 +150,49 @@ def _large_walls(room: Room) -> list[_Wall]:
     return walls
 
 
-def _arrival_s(wall: _Wall, moved_m: float, echo: _Echoes, c: float) -> float:
-    """Return the arrival time of the reflection of a wall that is displaced outward."""
+def _arrivals_s(wall: _Wall, moved_m: FloatArray, echo: _Echoes, c: float) -> FloatArray:
+    """Return the arrival times of a wall's reflection by how far out it is moved, (n_moves,)."""
     behind_m = wall.offset_m + moved_m - float(echo.source_m @ wall.normal)
-    image_m = echo.source_m + 2.0 * behind_m * wall.normal
-    return float(np.linalg.norm(image_m - echo.receiver_m)) / c
+    images_m = echo.source_m + 2.0 * behind_m[:, None] * wall.normal
+    return np.asarray(np.linalg.norm(images_m - echo.receiver_m, axis=1)) / c
 
 
 def _is_reached(wall: _Wall, echo: _Echoes, c: float) -> bool:
     """Whether the wall, where specified, reflects to the receiver; behind a corner it does not."""
-    arrival_s = _arrival_s(wall, 0.0, echo, c)
+    arrival_s = _arrivals_s(wall, np.zeros(1), echo, c)
     return bool(np.any(np.abs(echo.arrivals_s - arrival_s) < _SAME_S))
 
 
-def _prominences(wall: _Wall, moved_m: float, echoes: list[_Echoes], c: float) -> FloatArray:
-    """Return the prominence at the wall's reflection in every response that can resolve it."""
+def _prominences(wall: _Wall, moved_m: FloatArray, echoes: list[_Echoes], c: float) -> FloatArray:
+    """Return the prominence at the wall's reflection by displacement, (n_moves, n_echoes).
+
+    NaN where a response cannot resolve it, and where a position would be too near to the wall.
+    """
+    is_specified = np.abs(moved_m) <= _TOLERANCE_M
     least_m = wall.offset_m + moved_m - _CLEAR_OF_POSITIONS_M
-    is_specified = abs(moved_m) <= _TOLERANCE_M
-    values = []
-    for echo in echoes:
-        if max(echo.source_m @ wall.normal, echo.receiver_m @ wall.normal) > least_m:
-            return np.zeros(0)
-        arrival_s = _arrival_s(wall, moved_m, echo, c)
-        at = int(np.searchsorted(echo.time_s, arrival_s))
-        if arrival_s - echo.direct_s < _CLEAR_OF_DIRECT_S or at >= echo.time_s.size:
-            continue
-        if is_specified or not echo.explained[at]:
-            values.append(float(echo.prominence[at]))
-    return np.array(values)
+    found = np.full((moved_m.size, len(echoes)), np.nan)
+    for echo, column in zip(echoes, found.T, strict=True):
+        arrival_s = _arrivals_s(wall, moved_m, echo, c)
+        at = np.searchsorted(echo.time_s, arrival_s)
+        resolved = (arrival_s - echo.direct_s >= _CLEAR_OF_DIRECT_S) & (at < echo.time_s.size)
+        at = np.minimum(at, echo.time_s.size - 1)
+        resolved &= is_specified | ~echo.explained[at]
+        column[resolved] = echo.prominence[at[resolved]]
+    nearest_m = max(
+        (float(p @ wall.normal) for e in echoes for p in (e.source_m, e.receiver_m)),
+        default=-np.inf,
+    )
+    found[nearest_m > least_m] = np.nan
+    return found
 
 
 def _scan(wall: _Wall, echoes: list[_Echoes], c: float) -> FloatArray:
     """Return the mean prominence for every displacement, NaN where too few responses resolve it."""
     least = max(_LEAST_RESPONSES, len(echoes) // 2)
-    prominences = [_prominences(wall, float(d), echoes, c) for d in _DISTANCES_M]
-    return np.array([s.mean() if s.size >= least else np.nan for s in prominences])
+    prominences = _prominences(wall, _DISTANCES_M, echoes, c)
+    resolved = np.isfinite(prominences)
+    mean = prominences.sum(axis=1, where=resolved) / np.maximum(resolved.sum(axis=1), 1)
+    return np.where(resolved.sum(axis=1) >= least, mean, np.nan)
 
 
 def _mismatch(
@@ -197,7 +205,8 @@ def _mismatch(
     rest = scores[(np.abs(_DISTANCES_M - moved_m) > 0.15) & np.isfinite(scores)]
     if here.size == 0 or rest.size < 20:
         return []
-    peak = _prominences(wall, moved_m, echoes, c)
+    peak = _prominences(wall, np.array([moved_m]), echoes, c)[0]
+    peak = peak[np.isfinite(peak)]
     share = float(np.mean(peak > 1.0))
     lead = best - max(float(here.max()), float(rest.max()))
     if best < _LEAST_SCORE or lead < _LEAST_LEAD or share < _LEAST_SHARE:

@@ -34,7 +34,7 @@ from roomfit.response.scattering import (
 from roomfit.scene import Scene, select_pairs
 from roomfit.settings import Settings
 from roomfit.signals.noise import NoiseEstimate
-from roomfit.solvers.least_squares import fit_band
+from roomfit.solvers.least_squares import fit_band, score_band
 from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
@@ -408,6 +408,7 @@ def _energy_fit(
         pair = int(np.searchsorted(pairs, m.pair))
         responses.append(replace(m, pair=pair, noise=NoiseEstimate(*noise), fit_end_s=own_end_s))
     retracer = Retracer(scene, own, trace_settings)
+    answers: list[FloatArray | None] = [None] * len(own)  # where the next trial begins
 
     def fit(coefficients: FloatArray) -> FloatArray:
         out = np.zeros(len(own))
@@ -418,7 +419,12 @@ def _energy_fit(
             for band, found in enumerate(made):
                 if found is not None and column_of_band.reshape(-1)[band] == number:
                     windows, parameters = found
-                    fitted = fit_band(Objective(parameters, (windows,)))
+                    objective = Objective(parameters, (windows,))
+                    before = answers[band]
+                    fitted = (
+                        fit_band(objective) if before is None else score_band(objective, before)
+                    )
+                    answers[band] = fitted.vector
                     out[band] = _CAUTION * fitted.log_likelihood
         return out
 

@@ -38,6 +38,9 @@ _AS_LIKELY = 0.1
 _AGREED = 0.25
 # Log-likelihoods nearer than this do not decide between two models.
 UNDECIDED = 2.0
+# How far from its answer a fit may end, in standard deviations of an absorption: before coherence
+# is renewed, and where each band is fitted once more under all others.
+_BEFORE_THE_NEXT_ROUND_SD, BEFORE_THE_LAST_PASS_SD = 1.0, 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +131,7 @@ def fit_in_rounds(
     covariance: FloatArray | None = None,
     rounds: int = 2,
     max_rounds: int = MAX_ROUNDS,
+    settled_sd: float | None = None,
 ) -> CoherentBandFit:
     """Fit, take the coherence that the fit's own geometry permits, and fit again.
 
@@ -142,13 +146,17 @@ def fit_in_rounds(
         1 or more; one is enough where nothing of the geometry is fitted.
     max_rounds : int
         How often weights are renewed in each of them at most.
+    settled_sd : float, optional
+        As for `score_band`, in the last round; those before it end a standard deviation away.
     """
     vector = start
-    for _ in range(rounds):
+    for left in reversed(range(rounds)):
         objective = band.objective(covariance, noise, joint)
-        fit = score_band(objective, vector, max_rounds=max_rounds)
-        vector = fit.vector
         first = position_of(objective.parameters, GEOMETRY)
+        is_last = left == 0 or first == vector.size
+        near = settled_sd if is_last else _BEFORE_THE_NEXT_ROUND_SD
+        fit = score_band(objective, vector, max_rounds=max_rounds, settled_sd=near)
+        vector = fit.vector
         if first == vector.size:
             break
         own = np.linalg.inv(fit.information)[first:, first:]
@@ -164,13 +172,21 @@ def forward_pass(
     bands: Sequence[CoherentBand | None],
     options: CoherentOptions,
     progress: Progress | None,
-    start: tuple[Sequence[CoherentBandFit | None], Marginal] | None = None,
+    starts: Sequence[FloatArray | None] = (),
+    known_before: Marginal | None = None,
 ) -> list[CoherentBandFit | None]:
     """Fit the bands from low to high, each under what the lower ones determine of the geometry.
 
     With the error of the model that the likelihood prefers: larger ones are tried only while the
-    data scatter more than the model says. They start at their fits by energies and the geometry of
-    the lower bands, or at the fits and the geometry of an earlier pass, with its coherence.
+    data scatter more than the model says.
+
+    Parameters
+    ----------
+    starts : sequence of float arrays, shape (n_free,), or None, optional
+        Where each band begins, as an earlier pass has found it, geometry last or left out; else at
+        its fit by energies.
+    known_before : Marginal, optional
+        The geometry where all begin, with its coherence; left out: that of the lower bands.
     """
     fits: list[CoherentBandFit | None] = []
     known: Marginal | None = None
@@ -181,18 +197,28 @@ def forward_pass(
         geometry = geometry_block(band.coherent.geometry)
         moved = np.zeros(int(geometry.fitted.sum())) if known is None else known.mean
         limit = options.max_rounds
-        vector, covariance = np.append(band.energy_fit.vector, moved), None
-        earlier = None if start is None else start[0][i]
-        if start is not None and earlier is not None:
-            vector = np.append(earlier.fit.vector[: band.energy_fit.vector.size], start[1].mean)
-            covariance = np.asarray(np.linalg.inv(start[1].information))
+        near = BEFORE_THE_LAST_PASS_SD if moved.size else None
+        vector, covariance = band.energy_fit.vector, None
+        if starts and (earlier := starts[i]) is not None:
+            vector = earlier[: vector.size]
+        if known_before is not None:
+            moved = known_before.mean
+            covariance = np.asarray(np.linalg.inv(known_before.information))
         best = fit_in_rounds(
-            band, vector, NOISES[0], known, covariance=covariance, max_rounds=limit
+            band,
+            np.append(vector, moved),
+            NOISES[0],
+            known,
+            covariance=covariance,
+            max_rounds=limit,
+            settled_sd=near,
         )
         for noise in NOISES[1:]:
             if best.fit.chi2_reduced <= 1.0:
                 break
-            fit = fit_in_rounds(band, best.fit.vector, noise, known, max_rounds=limit)
+            fit = fit_in_rounds(
+                band, best.fit.vector, noise, known, max_rounds=limit, settled_sd=near
+            )
             if fit.log_likelihood < best.log_likelihood - _AS_LIKELY:
                 break
             best = max(best, fit, key=lambda f: f.log_likelihood)

@@ -211,8 +211,9 @@ def with_shared_errors(
     }
     if coherent is not None:
         shared["lost coherence"] = (signal * lost_coherence(coherent, fit))[:, None]
-    costs = costs_of_terms(objective, fit, shared)
-    steps = answer_steps(objective, fit, np.concatenate(list(shared.values()), axis=1))
+    jacobian = objective.predict(fit.vector).jacobian
+    costs = costs_of_terms(objective, fit, jacobian, shared)
+    steps = answer_steps(objective, fit, jacobian, np.concatenate(list(shared.values()), axis=1))
     return replace(add_covariance(fit, steps), costs=costs)
 
 
@@ -341,7 +342,7 @@ def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
     windows = directed(fully_coherent(band.coherent), band.directivity)
     whole = Objective(band.parameters, (windows,))
     expected = fit.expected[: noise.size]
-    more, signal = whole.predict(fit.vector).expected - expected, expected - noise
+    more, signal = whole.expected(fit.vector) - expected, expected - noise
     weight = signal / fit.variance[: noise.size]
     early = np.isin(np.arange(noise.size), band.coherent.early_windows())
     slot = np.floor(_middle_s(energies) / _SLOT_S).astype(np.int64)

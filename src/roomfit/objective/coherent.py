@@ -151,7 +151,14 @@ class CoherentTerm:
 
     def expected(self, values: Values) -> FloatArray:
         """Return what the model expects in every window, shape (n_windows,)."""
-        return self.predict(values)[0]
+        expected = self.energies.expected(values)
+        in_pieces = self._in_pieces(values, derivative=False).energy
+        energy = np.add.reduceat(in_pieces, _first_pieces(self.early))
+        less, _ = self._as_energies(image_energies(self.coherent, values["absorption"]))
+        gains = np.append(values["gain"], 1.0)
+        gain = np.repeat([gains[o.gain] for o in self.early], [o.energy.size for o in self.early])
+        expected[self.early_windows()] += gain * (energy - less)
+        return expected
 
     def variance_parts(self, values: Values) -> dict[str, FloatArray]:
         """Return what the variance of every window is the sum of, by name, (n_windows,) each.

@@ -157,6 +157,7 @@ def fit_band(
     *,
     start: FloatArray | None = None,
     max_rounds: int = MAX_ROUNDS,
+    settled_sd: float | None = None,
     progress: Progress | None = None,
 ) -> BandFit:
     """Return the most likely values of one band's unknowns.
@@ -178,13 +179,19 @@ def fit_band(
     vector = solver(logarithms, first).x
     if progress is not None:
         progress(0.5)
-    fit = score_band(objective, vector, max_rounds=max_rounds)
+    fit = score_band(objective, vector, max_rounds=max_rounds, settled_sd=settled_sd)
     if progress is not None:
         progress(1.0)
     return replace(fit, evaluations=logarithms.evaluations + fit.evaluations)
 
 
-def score_band(objective: Objective, start: FloatArray, *, max_rounds: int = MAX_ROUNDS) -> BandFit:
+def score_band(
+    objective: Objective,
+    start: FloatArray,
+    *,
+    max_rounds: int = MAX_ROUNDS,
+    settled_sd: float | None = None,
+) -> BandFit:
     """Return the answer near a start, such as that of a coarser model, by Fisher scoring.
 
     Solved are the quasi-likelihood equations [1]_: the weighted residuals, their weights those at
@@ -202,6 +209,9 @@ def score_band(objective: Objective, start: FloatArray, *, max_rounds: int = MAX
     start : float array, shape (n_free,)
     max_rounds : int
         How many steps, each with its own weights, are tried at most.
+    settled_sd : float, optional
+        How far an absorption may still be from its answer, in its standard deviation; left out,
+        .02 of it.
 
     References
     ----------
@@ -214,11 +224,13 @@ def score_band(objective: Objective, start: FloatArray, *, max_rounds: int = MAX
     """
     at = _Weighed.at(objective, np.array(start, dtype=np.float64))
     names = [b.name for b in objective.parameters.blocks for _ in range(int(b.fitted.sum()))]
-    within = np.where(np.array(names) == "absorption", _SETTLED_SD, _AGREEMENT_SD)
+    settled_sd = _SETTLED_SD if settled_sd is None else settled_sd
+    agreement_sd = max(_AGREEMENT_SD, settled_sd)
+    within = np.where(np.array(names) == "absorption", settled_sd, agreement_sd)
     none = np.zeros_like(at.information)
     previous, more, damping, raised = at.vector, none, _FIRST_DAMPING, 2.0
     for number in range(max_rounds + 1):
-        agrees = bool(np.all(at.left_sd(none) <= _AGREEMENT_SD))
+        agrees = bool(np.all(at.left_sd(none) <= agreement_sd))
         if agrees and np.all(at.left_sd(more) <= within):
             return at.fit(Ending.CONVERGED, number + 1, previous)
         if number == max_rounds or damping > _MOST_DAMPING:

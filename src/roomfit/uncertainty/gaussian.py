@@ -172,7 +172,9 @@ def _is_uninformed(block: Block, information: FloatArray) -> BoolArray:
     return out
 
 
-def answer_steps(objective: Objective, fit: BandFit, errors: FloatArray) -> FloatArray:
+def answer_steps(
+    objective: Objective, fit: BandFit, jacobian: FloatArray, errors: FloatArray
+) -> FloatArray:
     """Return how far the answer moves if what is expected of the data is wrong by given errors.
 
     To first order ``H^-1 J^T W u`` for an error u, with H the information, J the Jacobian and W the
@@ -182,6 +184,8 @@ def answer_steps(objective: Objective, fit: BandFit, errors: FloatArray) -> Floa
     ----------
     fit : BandFit
         Its answer.
+    jacobian : float array, shape (n_data, n_free)
+        There.
     errors : float array, shape (n, n_errors)
         Of the first n data, in their unit.
 
@@ -191,8 +195,8 @@ def answer_steps(objective: Objective, fit: BandFit, errors: FloatArray) -> Floa
     """
     n = errors.shape[0]
     weight = 1.0 / (objective.correlation_length()[:n] * fit.variance[:n])
-    jacobian = objective.predict(fit.vector).jacobian[:n]
-    return np.asarray(np.linalg.solve(fit.information, jacobian.T @ (weight[:, None] * errors)))
+    pull = jacobian[:n].T @ (weight[:, None] * errors)
+    return np.asarray(np.linalg.solve(fit.information, pull))
 
 
 def add_covariance(fit: BandFit, steps: FloatArray) -> BandFit:
@@ -212,12 +216,14 @@ def add_covariance(fit: BandFit, steps: FloatArray) -> BandFit:
 
 
 def costs_of_terms(
-    objective: Objective, fit: BandFit, shared: Mapping[str, FloatArray]
+    objective: Objective, fit: BandFit, jacobian: FloatArray, shared: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
     """Return `sds_without` of a fit, its gains and other blocks of unknowns among what is known.
 
     Parameters
     ----------
+    jacobian : float array, shape (n_data, n_free)
+        At the answer.
     shared : mapping to float arrays, shape (n, n_errors)
         Errors that the first n data share, in their unit.
     """
@@ -230,7 +236,7 @@ def costs_of_terms(
         if b.name != "absorption" and last > first
     }
     return sds_without(
-        objective.predict(fit.vector).jacobian,
+        jacobian,
         rows.T @ rows,
         objective.variance_parts(fit.vector),
         shared,
