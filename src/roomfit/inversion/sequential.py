@@ -32,7 +32,8 @@ from roomfit.typing import FloatArray, Progress
 FIT_END_S = 0.2
 # Error of the model, ringing, and random phase of a reflection, from good to bad.
 NOISES = ((0.1, 0.0, 0.0), (0.2, 0.1, 0.0), (0.2, 0.1, 0.5), (0.4, 0.2, 0.5))
-# One as likely leads on to the next: a random phase is nothing where nothing is coherent.
+# One as likely leads on to the next, and so does a random phase that is less likely: it is nothing
+# where nothing is coherent, and the model may be wrong by more all the same.
 _AS_LIKELY = 0.1
 # Mean squared distance of geometries in standard deviations: half of one.
 _AGREED = 0.25
@@ -219,7 +220,8 @@ def forward_pass(
             fit = fit_in_rounds(
                 band, best.fit.vector, noise, known, max_rounds=limit, settled_sd=near
             )
-            if fit.log_likelihood < best.log_likelihood - _AS_LIKELY:
+            less_likely = fit.log_likelihood < best.log_likelihood - _AS_LIKELY
+            if less_likely and noise[0] > best.noise[0]:
                 break
             best = max(best, fit, key=lambda f: f.log_likelihood)
         fits.append(best)
