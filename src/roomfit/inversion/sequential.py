@@ -35,6 +35,8 @@ NOISES = ((0.1, 0.0, 0.0), (0.2, 0.1, 0.0), (0.2, 0.1, 0.5), (0.4, 0.2, 0.5))
 # One as likely leads on to the next, and so does a random phase that is less likely: it is nothing
 # where nothing is coherent, and the model may be wrong by more all the same.
 _AS_LIKELY = 0.1
+# Data that scatter by so much more than the model says will be fitted with a larger error of it.
+_HOPELESS = 2.0
 # Mean squared distance of geometries in standard deviations: half of one.
 _AGREED = 0.25
 # Log-likelihoods nearer than this do not decide between two models.
@@ -133,6 +135,7 @@ def fit_in_rounds(
     rounds: int = 2,
     max_rounds: int = MAX_ROUNDS,
     settled_sd: float | None = None,
+    most_chi2: float = np.inf,
 ) -> CoherentBandFit:
     """Fit, take the coherence that the fit's own geometry permits, and fit again.
 
@@ -149,6 +152,8 @@ def fit_in_rounds(
         How often weights are renewed in each of them at most.
     settled_sd : float, optional
         As for `score_band`, in the last round; those before it end a standard deviation away.
+    most_chi2 : float
+        Reduced chi-square above which one round says enough: the noise is not that of these data.
     """
     vector = start
     for left in reversed(range(rounds)):
@@ -158,7 +163,7 @@ def fit_in_rounds(
         near = settled_sd if is_last else _BEFORE_THE_NEXT_ROUND_SD
         fit = score_band(objective, vector, max_rounds=max_rounds, settled_sd=near)
         vector = fit.vector
-        if first == vector.size:
+        if first == vector.size or fit.chi2_reduced > most_chi2:
             break
         own = np.linalg.inv(fit.information)[first:, first:]
         covariance = np.asarray(own * max(fit.chi2_reduced, 1.0))
@@ -205,31 +210,50 @@ def forward_pass(
         if known_before is not None:
             moved = known_before.mean
             covariance = np.asarray(np.linalg.inv(known_before.information))
-        best = fit_in_rounds(
-            band,
-            np.append(vector, moved),
-            NOISES[0],
-            known,
-            covariance=covariance,
-            max_rounds=limit,
-            settled_sd=near,
-        )
-        for noise in NOISES[1:]:
-            if best.fit.chi2_reduced <= 1.0:
-                break
-            fit = fit_in_rounds(
-                band, best.fit.vector, noise, known, max_rounds=limit, settled_sd=near
-            )
-            less_likely = fit.log_likelihood < best.log_likelihood - _AS_LIKELY
-            if less_likely and noise[0] > best.noise[0]:
-                break
-            best = max(best, fit, key=lambda f: f.log_likelihood)
+        start = np.append(vector, moved)
+        best = _with_likeliest_noise(band, start, known, covariance, limit, near)
         fits.append(best)
         if options.model == "coherent" or _advantage(band, best) > 0.0:
             known = best.found
         if progress is not None:
             progress((i + 1) / len(bands))
     return fits
+
+
+def _with_likeliest_noise(
+    band: CoherentBand,
+    start: FloatArray,
+    joint: Marginal | None,
+    covariance: FloatArray | None,
+    max_rounds: int,
+    settled_sd: float | None,
+) -> CoherentBandFit:
+    """Fit with one of `NOISES` after the other while that is likelier; see `forward_pass`."""
+
+    def fitted(
+        noise: tuple[float, float, float], at: FloatArray, known: FloatArray | None
+    ) -> CoherentBandFit:
+        return fit_in_rounds(
+            band,
+            at,
+            noise,
+            joint,
+            covariance=known,
+            max_rounds=max_rounds,
+            settled_sd=settled_sd,
+            most_chi2=np.inf if noise == NOISES[-1] else _HOPELESS,
+        )
+
+    best = fitted(NOISES[0], start, covariance)
+    for noise in NOISES[1:]:
+        if best.fit.chi2_reduced <= 1.0:
+            break
+        fit = fitted(noise, best.fit.vector, None)
+        less_likely = fit.log_likelihood < best.log_likelihood - _AS_LIKELY
+        if less_likely and noise[0] > best.noise[0]:
+            break
+        best = max(best, fit, key=lambda f: f.log_likelihood)
+    return best
 
 
 def leave_one_out_pass(
