@@ -1,8 +1,8 @@
 """What each stage of the demo costs: evaluations and processor seconds.
 
-    python benchmarks/stages.py [--seed 1] [--box SEED]
+    python benchmarks/stages.py [--seed 1] [--box SEED] [--campaign FILE]
 
-The demo's campaign, or a box of another program, is identified twice, the second time counted, so
+The demo's campaign, a box of another program or any campaign is identified twice, the second time counted, so
 that no kernel is compiled meanwhile. Each stage is charged with what happens in it and in no other
 stage that it calls. A prediction comes with its derivative, an expectation does not. One thread.
 """
@@ -125,10 +125,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=1, help="of the demo")
     parser.add_argument("--box", type=int, help="seed of a box of another program instead")
+    parser.add_argument("--campaign", type=Path, help="a campaign file instead")
     options = parser.parse_args()
     numba.set_num_threads(1)
     with tempfile.TemporaryDirectory() as folder:
-        if options.box is None:
+        if options.campaign is not None:
+            campaign = options.campaign
+        elif options.box is None:
             rng = np.random.default_rng(options.seed)
             campaign = write_measured_box(demo_plan(), Path(folder), rng)
         else:

@@ -34,7 +34,7 @@ from roomfit.response.scattering import (
 from roomfit.scene import Scene, select_pairs
 from roomfit.settings import Settings
 from roomfit.signals.noise import NoiseEstimate
-from roomfit.solvers.least_squares import fit_band, score_band
+from roomfit.solvers.least_squares import fit_band
 from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
@@ -70,6 +70,8 @@ _LEAST_GAIN, _LARGEST_LOSS = 5.0, 4.0
 _TRIAL_BANDS, _HIGHEST_TRIAL_HZ = 3, 4500.0
 _TRIAL_S = 0.2
 _KEPT_TRACES = 2
+# Of an absorption, left to go where a fit ends: a few hundredths of a log-likelihood.
+_SETTLED_SD = 0.1
 # So many responses tell how walls scatter; of more, every second, third and so on is tried.
 _MOST_TRIED = 50
 
@@ -408,7 +410,6 @@ def _energy_fit(
         pair = int(np.searchsorted(pairs, m.pair))
         responses.append(replace(m, pair=pair, noise=NoiseEstimate(*noise), fit_end_s=own_end_s))
     retracer = Retracer(scene, own, trace_settings)
-    answers: list[FloatArray | None] = [None] * len(own)  # where the next trial begins
 
     def fit(coefficients: FloatArray) -> FloatArray:
         out = np.zeros(len(own))
@@ -420,11 +421,7 @@ def _energy_fit(
                 if found is not None and column_of_band.reshape(-1)[band] == number:
                     windows, parameters = found
                     objective = Objective(parameters, (windows,))
-                    before = answers[band]
-                    fitted = (
-                        fit_band(objective) if before is None else score_band(objective, before)
-                    )
-                    answers[band] = fitted.vector
+                    fitted = fit_band(objective, settled_sd=_SETTLED_SD)
                     out[band] = _CAUTION * fitted.log_likelihood
         return out
 
