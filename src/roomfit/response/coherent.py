@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.special import i0
 
-from roomfit._numba import kernel
+from roomfit._numba import in_threads, kernel
 from roomfit.errors import InputError
 from roomfit.signals.filters import FilterBank, energy_bandwidth_hz, frequency_response
 from roomfit.tracing.paths import Paths, paths_of_pairs
@@ -54,8 +54,10 @@ def root_energies(
     return out
 
 
-@kernel(parallel=True)
+@kernel()
 def grid_impulses(
+    first: int,
+    last: int,
     offsets: IntArray,
     row: IntArray,
     away: FloatArray,
@@ -72,6 +74,8 @@ def grid_impulses(
     impulses: RealArray,
 ) -> None:
     """Add every path's impulse, times its derivatives, to the grids of its observation.
+
+    Of some observations, for threads.
 
     Parameters
     ----------
@@ -94,7 +98,7 @@ def grid_impulses(
     n_materials = hits.shape[1]
     n_grid, n_columns = impulses.shape[1], impulses.shape[2]
     slowness = 1.0 / speed
-    for o in numba.prange(len(offsets) - 1):
+    for o in range(first, last):
         own = impulses[o]
         # in the precision of the grid: eight single numbers are added at a time
         values = np.zeros(max(n_columns, 8 + n_materials), own.dtype)
@@ -145,8 +149,10 @@ def grid_impulses(
                     cell[j] += times * values[j]
 
 
-@kernel(parallel=True)
+@kernel()
 def window_products(
+    first_observation: int,
+    last_observation: int,
     starts: IntArray,
     edges: FloatArray,
     pressure: RealArray,
@@ -155,6 +161,8 @@ def window_products(
     slopes: FloatArray,
 ) -> None:
     """Integrate y^2 and 2 y dy over windows, in samples.
+
+    Of some observations, for threads.
 
     Parameters
     ----------
@@ -169,7 +177,7 @@ def window_products(
     slopes : shape (n_windows, n_columns)
     """
     n_columns = derivatives.shape[1]
-    for o in numba.prange(len(starts) - 1):
+    for o in range(first_observation, last_observation):
         y, dy = pressure[o], derivatives[o]
         weighed = np.empty(len(y))
         for e in range(starts[o], starts[o + 1] - 1):
@@ -198,7 +206,7 @@ def window_products(
                 slopes[w, j] = 2.0 * a
 
 
-@kernel()
+@kernel(allocates=False)
 def binned_energies(
     bins: IntArray,
     row: IntArray,
@@ -214,7 +222,7 @@ def binned_energies(
             by_hits[m, bins[i]] += hits[row[i], m] * energy[i]
 
 
-@kernel()
+@kernel(allocates=False)
 def binned_shares(
     bins: IntArray, energy: FloatArray, coherence: FloatArray, out: FloatArray
 ) -> None:
@@ -503,7 +511,9 @@ def coherent_response(
     for o in range(0, len(edges_s), at_once):
         own = edges_s[o : o + at_once]
         impulses: Any = np.zeros((len(own), grid.n, filled), dtype=grid.real)
-        grid_impulses(
+        in_threads(
+            grid_impulses,
+            len(own),
             paths.offsets[o : o + len(own) + 1],
             paths.row,
             paths.image_to_receiver_m,
@@ -561,7 +571,8 @@ def integrated_products(
     edges = (np.concatenate(edges_s) - grid.first_s) * grid.rate_hz
     n_windows = int(starts[-1]) - len(edges_s)
     energy, slopes = np.zeros(n_windows), np.zeros((n_windows, derivatives.shape[1]))
-    window_products(starts, edges, pressure, derivatives, energy, slopes)
+    arrays = (starts, edges, pressure, derivatives, energy, slopes)
+    in_threads(window_products, len(edges_s), *arrays)
     return energy / grid.rate_hz, slopes / grid.rate_hz
 
 

@@ -13,13 +13,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeAlias
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
 from roomfit._checks import float_array
-from roomfit._numba import kernel
+from roomfit._numba import in_threads, kernel
 from roomfit.errors import InputError
 from roomfit.response.coherent import (
     TABLE_STEPS,
@@ -126,8 +125,9 @@ def weigh_directed(
     )
     pieces = pieces_of(rows.offsets)
     sums = np.zeros((len(pieces), 4 + coefficients.size if derivative else 1))
-    small = len(rows) < ROWS_WORTH_THREADS
-    (_weigh_directed_serial if small else _weigh_directed_parallel)(
+    in_threads(
+        _weigh_directed_pieces,
+        len(pieces),
         pieces,
         (rows.weight_per_m2, rows.length_m, rows.hits, pattern.basis),
         np.array(pattern.b, dtype=np.float64),
@@ -135,6 +135,7 @@ def weigh_directed(
         power_table(reflected, rows.max_hits)[0],
         attenuation[0],
         sums,
+        worth_it=len(rows) >= ROWS_WORTH_THREADS,
     )
     out = np.zeros((rows.n_windows, sums.shape[1]))
     _sum_pieces(pieces, sums, out)
@@ -173,11 +174,12 @@ def weigh_parts(
     pieces = pieces_of(rows.offsets)
     n_batches = max(rows.n_batches, rows.largest_batch + 1)
     sums = np.zeros((len(pieces), 2 + n_batches))
-    small = len(rows) < ROWS_WORTH_THREADS
     b, basis = np.zeros(3), np.zeros((0, 3))
     if pattern is not None:
         b, basis = np.array(pattern.b, dtype=np.float64), pattern.basis  # type: ignore[assignment]
-    (_weigh_parts_serial if small else _weigh_parts_parallel)(
+    in_threads(
+        _weigh_parts_pieces,
+        len(pieces),
         pieces,
         (rows.weight_per_m2, rows.length_m, rows.hits, basis),
         rows.batch,
@@ -185,6 +187,7 @@ def weigh_parts(
         power_table(reflected, rows.max_hits)[0],
         attenuation[0],
         sums,
+        worth_it=len(rows) >= ROWS_WORTH_THREADS,
     )
     out = np.zeros((rows.n_windows, sums.shape[1]))
     _sum_pieces(pieces, sums, out)
@@ -192,7 +195,7 @@ def weigh_parts(
     return EnergyParts(columns[0], columns[1], columns[2:])
 
 
-@kernel()
+@kernel(allocates=False)
 def _sum_pieces(pieces: IntArray, sums: FloatArray, out: FloatArray) -> None:
     for p in range(len(pieces)):
         for k in range(sums.shape[1]):
@@ -251,7 +254,9 @@ def _weigh_directed_piece(
 
 
 @kernel(allocates=False)
-def _weigh_directed_serial(
+def _weigh_directed_pieces(
+    first: int,
+    last: int,
     pieces: IntArray,
     rows: DirectedRows,
     b: FloatArray,
@@ -260,21 +265,7 @@ def _weigh_directed_serial(
     attenuation: float,
     sums: FloatArray,
 ) -> None:
-    for p in range(len(pieces)):
-        _weigh_directed_piece(pieces[p], rows, b, reflected, powers, attenuation, sums[p])
-
-
-@kernel(parallel=True)
-def _weigh_directed_parallel(
-    pieces: IntArray,
-    rows: DirectedRows,
-    b: FloatArray,
-    reflected: FloatArray,
-    powers: FloatArray,
-    attenuation: float,
-    sums: FloatArray,
-) -> None:
-    for p in numba.prange(len(pieces)):
+    for p in range(first, last):
         _weigh_directed_piece(pieces[p], rows, b, reflected, powers, attenuation, sums[p])
 
 
@@ -306,7 +297,9 @@ def _weigh_parts_piece(
 
 
 @kernel(allocates=False)
-def _weigh_parts_serial(
+def _weigh_parts_pieces(
+    first: int,
+    last: int,
     pieces: IntArray,
     rows: DirectedRows,
     batch: IntArray,
@@ -315,21 +308,7 @@ def _weigh_parts_serial(
     attenuation: float,
     sums: FloatArray,
 ) -> None:
-    for p in range(len(pieces)):
-        _weigh_parts_piece(pieces[p], rows, batch, b, powers, attenuation, sums[p])
-
-
-@kernel(parallel=True)
-def _weigh_parts_parallel(
-    pieces: IntArray,
-    rows: DirectedRows,
-    batch: IntArray,
-    b: FloatArray,
-    powers: FloatArray,
-    attenuation: float,
-    sums: FloatArray,
-) -> None:
-    for p in numba.prange(len(pieces)):
+    for p in range(first, last):
         _weigh_parts_piece(pieces[p], rows, batch, b, powers, attenuation, sums[p])
 
 
@@ -382,8 +361,16 @@ def coherent_slopes(
     heights = np.column_stack([amplitude, slope]) * root[:, None]
     impulses: Any = np.zeros((len(edges_s), 4, grid.n), dtype=grid.real)
     arrivals = arrival_times_s(images, times)
-    grid_directed_impulses(
-        images.offsets, arrivals, heights, grid.first_s, grid.rate_hz, grid.table, impulses
+    in_threads(
+        grid_directed_impulses,
+        len(edges_s),
+        images.offsets,
+        arrivals,
+        heights,
+        grid.first_s,
+        grid.rate_hz,
+        grid.table,
+        impulses,
     )
     spectra = fft.rfft(impulses, axis=-1, workers=2) * grid.filter.astype(grid.real)
     pressure = fft.irfft(spectra, grid.n, workers=2)
@@ -402,8 +389,10 @@ def arrival_times_s(images: ImagePaths, times: Times) -> FloatArray:
     return np.asarray(length / times.speed_m_s + late)
 
 
-@kernel(parallel=True)
+@kernel(allocates=False)
 def grid_directed_impulses(
+    first: int,
+    last: int,
     offsets: IntArray,
     time_s: FloatArray,
     heights: FloatArray,
@@ -414,6 +403,8 @@ def grid_directed_impulses(
 ) -> None:
     """Add impulses of several heights at each path's time to the grids of its observation.
 
+    Of some observations, for threads.
+
     Parameters
     ----------
     offsets : shape (n_observations + 1,)
@@ -423,7 +414,7 @@ def grid_directed_impulses(
         Zeros; filled.
     """
     n_grid = impulses.shape[2]
-    for o in numba.prange(len(offsets) - 1):
+    for o in range(first, last):
         own = impulses[o]
         for i in range(offsets[o], offsets[o + 1]):
             place = (time_s[i] - first_s) * rate_hz

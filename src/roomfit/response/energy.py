@@ -12,11 +12,10 @@ from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any, cast
 
-import numba
 import numpy as np
 
 from roomfit._checks import check_shape, float_array, read_only
-from roomfit._numba import kernel
+from roomfit._numba import in_threads, kernel
 from roomfit.errors import InputError
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, IntArray
@@ -340,7 +339,7 @@ def row_energy(
     return energy
 
 
-@kernel()
+@kernel(allocates=False)
 def slope_at_black(
     weight: float, length: float, row_hits: IntArray, powers: FloatArray, attenuation: float, m: int
 ) -> float:
@@ -355,7 +354,7 @@ def slope_at_black(
     return slope
 
 
-@kernel()
+@kernel(allocates=False)
 def _weigh_piece(
     piece: IntArray,
     weight: FloatArray,
@@ -394,8 +393,10 @@ def _weigh_piece(
                 )
 
 
-@kernel()
-def weigh_serial(
+@kernel(allocates=False)
+def weigh_pieces(
+    first: int,
+    last: int,
     pieces: IntArray,
     weight: FloatArray,
     hits: IntArray,
@@ -406,31 +407,16 @@ def weigh_serial(
     energies: FloatArray,
     slopes: FloatArray,
 ) -> None:
-    """Fill energies (n_pieces, n_bands) and slopes by x (n_pieces, n_bands, n_materials or 0)."""
-    for p in range(len(pieces)):
+    """Fill energies (n_pieces, n_bands) and slopes by x (n_pieces, n_bands, n_materials or 0).
+
+    Of some pieces, for threads.
+    """
+    for p in range(first, last):
         piece, energy, slope = pieces[p], energies[p], slopes[p]
         _weigh_piece(piece, weight, hits, length, reflected, powers, attenuation, energy, slope)
 
 
-@kernel(parallel=True)
-def weigh_parallel(
-    pieces: IntArray,
-    weight: FloatArray,
-    hits: IntArray,
-    length: FloatArray,
-    reflected: FloatArray,
-    powers: FloatArray,
-    attenuation: FloatArray,
-    energies: FloatArray,
-    slopes: FloatArray,
-) -> None:
-    """Do what `weigh_serial` does, the pieces spread over threads."""
-    for p in numba.prange(len(pieces)):
-        piece, energy, slope = pieces[p], energies[p], slopes[p]
-        _weigh_piece(piece, weight, hits, length, reflected, powers, attenuation, energy, slope)
-
-
-@kernel()
+@kernel(allocates=False)
 def sum_pieces(
     pieces: IntArray,
     energies: FloatArray,
@@ -450,7 +436,7 @@ def sum_pieces(
                 derivative[m, b, w] -= slopes[p, b, m]
 
 
-@kernel()
+@kernel(allocates=False)
 def weigh_batches(
     offsets: IntArray,
     batch: IntArray,
@@ -541,8 +527,9 @@ def weigh(
     pieces = pieces_of(rows.offsets)
     energies = np.zeros((len(pieces), n_bands))
     slopes = np.zeros((len(pieces), n_bands, n_materials if derivative else 0))
-    small = rows.weight_per_m2.size * n_bands < ROWS_WORTH_THREADS
-    (weigh_serial if small else weigh_parallel)(
+    in_threads(
+        weigh_pieces,
+        len(pieces),
         pieces,
         rows.weight_per_m2,
         rows.hits,
@@ -552,6 +539,7 @@ def weigh(
         attenuation,
         energies,
         slopes,
+        worth_it=rows.weight_per_m2.size * n_bands >= ROWS_WORTH_THREADS,
     )
     energy = np.zeros((n_bands, rows.n_windows))
     by_absorption = np.zeros((n_materials if derivative else 0, n_bands, rows.n_windows))
