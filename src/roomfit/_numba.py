@@ -62,12 +62,9 @@ def in_threads(
     are then the same for any number of threads, and for none where they are not worth it. To start
     one takes a tenth of a millisecond. numba's own parallel loops take seconds to compile.
     """
-    n_parts = min(numba.get_num_threads(), n) if worth_it else 1
-    if n_parts < 2:
-        loop(0, n, *arguments)
-        return
+    n_parts = max(min(numba.get_num_threads(), n), 1) if worth_it else 1
     ends = [n * i // n_parts for i in range(n_parts + 1)]
-    with ThreadPoolExecutor(n_parts - 1) as pool:
+    with ThreadPoolExecutor(n_parts) as pool:
         others = [pool.submit(loop, a, b, *arguments) for a, b in pairwise(ends[1:])]
         loop(0, ends[1], *arguments)
         for other in others:

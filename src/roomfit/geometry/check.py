@@ -79,7 +79,7 @@ def _bounce(
     for r in range(len(starts_m)):
         last = -1
         for _ in range(n_bounces):
-            nearest, hit = np.inf, np.int64(-1)
+            nearest, hit = np.inf, int(np.int64(-1))
             for i in range(len(corners_m)):
                 distance = flight_m(corners_m, i, row(starts_m, r), row(directions, r))
                 if _ON_WALL_M < distance < nearest and i != last:

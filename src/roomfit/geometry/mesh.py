@@ -293,8 +293,7 @@ def weld(points_m: FloatArray) -> IntArray:
 
     `points_m` has the shape (n_points, 3).
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
+    from scipy.sparse import coo_matrix, csgraph
     from scipy.spatial import cKDTree  # heavy, and a box needs none of them
 
     # equal points first: a file that repeats each corner for every face has thousands of pairs
@@ -302,7 +301,7 @@ def weld(points_m: FloatArray) -> IntArray:
     pairs = cKDTree(points_m[first]).query_pairs(WELD_TOLERANCE_M, output_type="ndarray")
     n = len(first)
     links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    n_groups, group = connected_components(links, directed=False)
+    n_groups, group = csgraph.connected_components(links, directed=False)
     earliest = np.full(n_groups, len(points_m))
     np.minimum.at(earliest, group, first)
     return np.asarray(earliest[group[inverse.reshape(-1)]])

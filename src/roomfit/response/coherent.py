@@ -151,8 +151,6 @@ def grid_impulses(
 
 @kernel()
 def window_products(
-    first_observation: int,
-    last_observation: int,
     starts: IntArray,
     edges: FloatArray,
     pressure: RealArray,
@@ -161,8 +159,6 @@ def window_products(
     slopes: FloatArray,
 ) -> None:
     """Integrate y^2 and 2 y dy over windows, in samples.
-
-    Of some observations, for threads.
 
     Parameters
     ----------
@@ -177,7 +173,7 @@ def window_products(
     slopes : shape (n_windows, n_columns)
     """
     n_columns = derivatives.shape[1]
-    for o in range(first_observation, last_observation):
+    for o in range(len(starts) - 1):
         y, dy = pressure[o], derivatives[o]
         weighed = np.empty(len(y))
         for e in range(starts[o], starts[o + 1] - 1):
@@ -571,8 +567,7 @@ def integrated_products(
     edges = (np.concatenate(edges_s) - grid.first_s) * grid.rate_hz
     n_windows = int(starts[-1]) - len(edges_s)
     energy, slopes = np.zeros(n_windows), np.zeros((n_windows, derivatives.shape[1]))
-    arrays = (starts, edges, pressure, derivatives, energy, slopes)
-    in_threads(window_products, len(edges_s), *arrays)
+    window_products(starts, edges, pressure, derivatives, energy, slopes)
     return energy / grid.rate_hz, slopes / grid.rate_hz
 
 

@@ -207,53 +207,6 @@ DirectedRows: TypeAlias = tuple[FloatArray, FloatArray, IntArray, NDArray[np.flo
 
 
 @kernel(allocates=False)
-def _weigh_directed_piece(
-    piece: IntArray,
-    rows: DirectedRows,
-    b: FloatArray,
-    reflected: FloatArray,
-    powers: FloatArray,
-    attenuation: float,
-    sums: FloatArray,
-) -> None:
-    """Fill the sums of a piece: energy, its derivative by absorption, and by b; or energy alone.
-
-    With q the pattern basis, N = 1 + b b / 3 and c = 1 + b q, the factor of a row is ``c**2 / N``
-    and its derivative by b ``2 c q / N - 2 c**2 b / (3 N**2)``.
-    """
-    weight, length, hits, basis = rows
-    norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
-    energy = x = y = z = 0.0
-    n_materials = max(sums.size - 4, 0)
-    for r in range(piece[1], piece[2]):
-        c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-        once = c * row_energy(weight[r], length[r], hits[r], powers, attenuation)
-        own = c * once
-        energy += own
-        if n_materials:
-            x += once * basis[r, 0]
-            y += once * basis[r, 1]
-            z += once * basis[r, 2]
-            for m in range(n_materials):
-                sums[1 + m] -= own * hits[r, m]
-    sums[0] = energy / norm
-    if n_materials:
-        turned = energy / (3.0 * norm)
-        sums[n_materials + 1] = 2.0 * (x - turned * b[0]) / norm
-        sums[n_materials + 2] = 2.0 * (y - turned * b[1]) / norm
-        sums[n_materials + 3] = 2.0 * (z - turned * b[2]) / norm
-    for m in range(n_materials):
-        if reflected[m] >= NEARLY_BLACK:
-            sums[1 + m] /= reflected[m] * norm
-            continue
-        sums[1 + m] = 0.0
-        for r in range(piece[1], piece[2]):
-            c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-            own = weight[r] * c * c / norm
-            sums[1 + m] -= slope_at_black(own, length[r], hits[r], powers, attenuation, m)
-
-
-@kernel(allocates=False)
 def _weigh_directed_pieces(
     first: int,
     last: int,
@@ -263,37 +216,45 @@ def _weigh_directed_pieces(
     reflected: FloatArray,
     powers: FloatArray,
     attenuation: float,
-    sums: FloatArray,
+    every: FloatArray,
 ) -> None:
-    for p in range(first, last):
-        _weigh_directed_piece(pieces[p], rows, b, reflected, powers, attenuation, sums[p])
+    """Fill energy of some pieces, its derivative by absorption and by b, or energy alone.
 
-
-@kernel(allocates=False)
-def _weigh_parts_piece(
-    piece: IntArray,
-    rows: DirectedRows,
-    batch: IntArray,
-    b: FloatArray,
-    powers: FloatArray,
-    attenuation: float,
-    sums: FloatArray,
-) -> None:
-    """Fill the sums of a piece: energy, squares of image paths, and every batch."""
+    With q the pattern basis, N = 1 + b b / 3 and c = 1 + b q, the factor of a row is ``c**2 / N``
+    and its derivative by b ``2 c q / N - 2 c**2 b / (3 N**2)``.
+    """
     weight, length, hits, basis = rows
     norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
-    energy = squares = 0.0
-    for r in range(piece[1], piece[2]):
-        own = row_energy(weight[r], length[r], hits[r], powers, attenuation)
-        if len(basis):
+    for p in range(first, last):
+        sums = every[p]
+        energy = x = y = z = 0.0
+        n_materials = max(sums.size - 4, 0)
+        for r in range(pieces[p, 1], pieces[p, 2]):
             c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-            own *= c * c / norm
-        energy += own
-        if batch[r] < 0:
-            squares += own * own
-        else:
-            sums[2 + batch[r]] += own
-    sums[0], sums[1] = energy, squares
+            once = c * row_energy(weight[r], length[r], hits[r], powers, attenuation)
+            own = c * once
+            energy += own
+            if n_materials:
+                x += once * basis[r, 0]
+                y += once * basis[r, 1]
+                z += once * basis[r, 2]
+                for m in range(n_materials):
+                    sums[1 + m] -= own * hits[r, m]
+        sums[0] = energy / norm
+        if n_materials:
+            turned = energy / (3.0 * norm)
+            sums[n_materials + 1] = 2.0 * (x - turned * b[0]) / norm
+            sums[n_materials + 2] = 2.0 * (y - turned * b[1]) / norm
+            sums[n_materials + 3] = 2.0 * (z - turned * b[2]) / norm
+        for m in range(n_materials):
+            if reflected[m] >= NEARLY_BLACK:
+                sums[1 + m] /= reflected[m] * norm
+                continue
+            sums[1 + m] = 0.0
+            for r in range(pieces[p, 1], pieces[p, 2]):
+                c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
+                own = weight[r] * c * c / norm
+                sums[1 + m] -= slope_at_black(own, length[r], hits[r], powers, attenuation, m)
 
 
 @kernel(allocates=False)
@@ -306,10 +267,25 @@ def _weigh_parts_pieces(
     b: FloatArray,
     powers: FloatArray,
     attenuation: float,
-    sums: FloatArray,
+    every: FloatArray,
 ) -> None:
+    """Fill energy of some pieces, squares of image paths, and every batch."""
+    weight, length, hits, basis = rows
+    norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
     for p in range(first, last):
-        _weigh_parts_piece(pieces[p], rows, batch, b, powers, attenuation, sums[p])
+        sums = every[p]
+        energy = squares = 0.0
+        for r in range(pieces[p, 1], pieces[p, 2]):
+            own = row_energy(weight[r], length[r], hits[r], powers, attenuation)
+            if len(basis):
+                c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
+                own *= c * c / norm
+            energy += own
+            if batch[r] < 0:
+                squares += own * own
+            else:
+                sums[2 + batch[r]] += own
+        sums[0], sums[1] = energy, squares
 
 
 def image_departure(images: ImagePaths) -> NDArray[np.float32]:
@@ -361,17 +337,8 @@ def coherent_slopes(
     heights = np.column_stack([amplitude, slope]) * root[:, None]
     impulses: Any = np.zeros((len(edges_s), 4, grid.n), dtype=grid.real)
     arrivals = arrival_times_s(images, times)
-    in_threads(
-        grid_directed_impulses,
-        len(edges_s),
-        images.offsets,
-        arrivals,
-        heights,
-        grid.first_s,
-        grid.rate_hz,
-        grid.table,
-        impulses,
-    )
+    added = (images.offsets, arrivals, heights, grid.first_s, grid.rate_hz, grid.table, impulses)
+    in_threads(grid_directed_impulses, len(edges_s), *added)
     spectra = fft.rfft(impulses, axis=-1, workers=2) * grid.filter.astype(grid.real)
     pressure = fft.irfft(spectra, grid.n, workers=2)
     own, moved = (np.ascontiguousarray(p) for p in (pressure[:, 0], pressure[:, 1:]))

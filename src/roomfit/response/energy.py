@@ -355,45 +355,6 @@ def slope_at_black(
 
 
 @kernel(allocates=False)
-def _weigh_piece(
-    piece: IntArray,
-    weight: FloatArray,
-    hits: IntArray,
-    length: FloatArray,
-    reflected: FloatArray,
-    powers: FloatArray,
-    attenuation: FloatArray,
-    energy: FloatArray,
-    slope: FloatArray,
-) -> None:
-    """Add the rows of a piece into energy (n_bands,) and slope by x (n_bands, n_materials).
-
-    A slope without materials, shape (n_bands, 0), asks for energies alone.
-    """
-    start, stop = piece[1], piece[2]
-    for low in range(start, stop, _BLOCK):
-        high = min(low + _BLOCK, stop)
-        for b in range(len(attenuation)):
-            total = 0.0
-            for r in range(low, high):
-                e = row_energy(weight[r], length[r], hits[r], powers[b], attenuation[b])
-                total += e
-                for m in range(slope.shape[1]):
-                    slope[b, m] += e * hits[r, m]
-            energy[b] += total
-    for b in range(len(attenuation)):
-        for m in range(slope.shape[1]):
-            if reflected[b, m] >= NEARLY_BLACK:
-                slope[b, m] /= reflected[b, m]
-                continue
-            slope[b, m] = 0.0
-            for r in range(start, stop):
-                slope[b, m] += slope_at_black(
-                    weight[r], length[r], hits[r], powers[b], attenuation[b], m
-                )
-
-
-@kernel(allocates=False)
 def weigh_pieces(
     first: int,
     last: int,
@@ -407,13 +368,34 @@ def weigh_pieces(
     energies: FloatArray,
     slopes: FloatArray,
 ) -> None:
-    """Fill energies (n_pieces, n_bands) and slopes by x (n_pieces, n_bands, n_materials or 0).
+    """Add the rows of some pieces into energies (n_pieces, n_bands) and slopes by x; for threads.
 
-    Of some pieces, for threads.
+    Slopes have the shape (n_pieces, n_bands, n_materials); without materials, shape
+    (n_pieces, n_bands, 0), they ask for energies alone.
     """
     for p in range(first, last):
-        piece, energy, slope = pieces[p], energies[p], slopes[p]
-        _weigh_piece(piece, weight, hits, length, reflected, powers, attenuation, energy, slope)
+        start, stop = pieces[p, 1], pieces[p, 2]
+        energy, slope = energies[p], slopes[p]
+        for low in range(start, stop, _BLOCK):
+            high = min(low + _BLOCK, stop)
+            for b in range(len(attenuation)):
+                total = 0.0
+                for r in range(low, high):
+                    e = row_energy(weight[r], length[r], hits[r], powers[b], attenuation[b])
+                    total += e
+                    for m in range(slope.shape[1]):
+                        slope[b, m] += e * hits[r, m]
+                energy[b] += total
+        for b in range(len(attenuation)):
+            for m in range(slope.shape[1]):
+                if reflected[b, m] >= NEARLY_BLACK:
+                    slope[b, m] /= reflected[b, m]
+                    continue
+                slope[b, m] = 0.0
+                for r in range(start, stop):
+                    slope[b, m] += slope_at_black(
+                        weight[r], length[r], hits[r], powers[b], attenuation[b], m
+                    )
 
 
 @kernel(allocates=False)

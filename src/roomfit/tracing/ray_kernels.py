@@ -453,7 +453,7 @@ def _catch_in_grid(
         left = min(to_x, to_y, to_z)
         cell = (x * cells[1] + y) * cells[2] + z
         for i in range(spheres.first[cell], spheres.first[cell + 1]):
-            k = np.int64(spheres.members[i])
+            k = int(np.int64(spheres.members[i]))
             nearest, length = chord(spheres, k, o, d, flight)
             if length > 0.0 and entered <= nearest < left:
                 arrived = travelled + nearest
