@@ -77,6 +77,26 @@ def test_importing_the_front_door_imports_no_other_package():
     assert done.stdout.strip() == "[]"
 
 
+def test_a_check_of_recordings_loads_no_pictures_and_no_statistics():
+    """Half of its time were packages that it does not use."""
+    heavy = (
+        "matplotlib",
+        "jinja2",
+        "scipy.stats",
+        "scipy.signal",
+        "scipy.optimize",
+        "scipy.spatial",
+    )
+    program = (
+        "import sys, roomfit.commands, roomfit.inversion.usable, roomfit.report.text\n"
+        f"print([m for m in {heavy} if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
 def test_the_version_is_that_of_the_installed_package():
     from importlib.metadata import version
 

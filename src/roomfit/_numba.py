@@ -7,6 +7,8 @@ the kernels do not wait for each other.
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
@@ -17,18 +19,16 @@ R = TypeVar("R")
 
 
 def kernel(
-    *, parallel: bool = False, allocates: bool = True, inlined: bool = False
+    *, allocates: bool = True, inlined: bool = False
 ) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Compile a module-level function with numba and keep the machine code on disk.
 
     Strict IEEE arithmetic in float64 and no fast-math, so that the same input gives the same bits
-    on every run and for any number of threads. A parallel kernel must write each thread's result
-    to its own place and never sum across threads.
+    on every run. It is compiled once for each type of its arguments, of which a number written into
+    a call is one by itself.
 
     Parameters
     ----------
-    parallel : bool
-        Whether `numba.prange` loops are spread over threads.
     allocates : bool
         Whether the function, or one that it calls, makes arrays. Where none does, False spares the
         counting of references, which costs more than a short function that takes tuples of arrays.
@@ -41,9 +41,9 @@ def kernel(
         "cache": True,
         "nogil": True,
         "error_model": "numpy",
-        "parallel": parallel,
         "fastmath": False,
         "_nrt": allocates,
+        "no_cfunc_wrapper": True,
         "forceinline": inlined,
     }
 
@@ -51,6 +51,24 @@ def kernel(
         return cast(Callable[P, R], numba.njit(**options)(function))
 
     return decorate
+
+
+def in_threads(
+    loop: Callable[..., None], n: int, *arguments: object, worth_it: bool = True
+) -> None:
+    """Call a compiled ``loop(begin, end, *arguments)`` for parts of 0 to n, one in each thread.
+
+    It must write what belongs to each step to its own place and never sum across steps: the bits
+    are then the same for any number of threads, and for none where they are not worth it. To start
+    one takes a tenth of a millisecond. numba's own parallel loops take seconds to compile.
+    """
+    n_parts = max(min(numba.get_num_threads(), n), 1) if worth_it else 1
+    ends = [n * i // n_parts for i in range(n_parts + 1)]
+    with ThreadPoolExecutor(n_parts) as pool:
+        others = [pool.submit(loop, a, b, *arguments) for a, b in pairwise(ends[1:])]
+        loop(0, ends[1], *arguments)
+        for other in others:
+            other.result()
 
 
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,56 +26,30 @@ from roomfit.cache import (
     write_json_atomically,
     write_text_atomically,
 )
-from roomfit.coverage.estimate import CoverageResult, estimate_coverage
-from roomfit.coverage.synthetic_room import CoverageSettings
 from roomfit.errors import InputError, located
-from roomfit.experiment_design.campaign import design_arguments
-from roomfit.experiment_design.design import Design, design
-from roomfit.experiment_design.output import design_rows, write_design
-from roomfit.findings import Finding
-from roomfit.inversion.diffuse import DiffuseAbsorption, diffuse_absorption
-from roomfit.inversion.identify import identify
-from roomfit.inversion.measurements import measured_scene
-from roomfit.inversion.usable import CheckedRecordings, check_recordings
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import files_read, read_text, reading_noted
-from roomfit.io.draft import draft_campaign, matching_files, read_positions
 from roomfit.io.encoding import csv_text, input_digests
-from roomfit.io.exports import export_materials, read_material_table
-from roomfit.io.gltf import gltf_text
 from roomfit.io.inputs import campaign_room, identify_arguments
 from roomfit.io.inputs import check_campaign as check_campaign
 from roomfit.io.inputs import check_room as check_room
-from roomfit.io.project import project_details
-from roomfit.io.responses import read_response
-from roomfit.io.responses.recordings import ResponseSpec
-from roomfit.io.results import read_result, write_result
-from roomfit.io.reverberation import read_decay_times, reverberation_arguments
-from roomfit.io.rooms.model import RoomSpec
-from roomfit.io.workbook import workbook_bytes
-from roomfit.measurement import Measurement
-from roomfit.prediction.campaign import WantedPairs, predict_arguments
-from roomfit.prediction.changes import Change
-from roomfit.prediction.listen import convolved, listen
-from roomfit.prediction.output import listen_content, write_predicted
-from roomfit.prediction.predict import Predicted, predict, prepare_prediction
-from roomfit.report.comparison import (
-    Comparison,
-    compare_results,
-    comparison_figure,
-    comparison_page,
-    comparison_rows,
-)
-from roomfit.report.figures import answer_figures, in_file_name, write_pictures
-from roomfit.report.pdf import report_pdf
-from roomfit.report.text import diffuse_rows, findings_text
-from roomfit.results import Result
 from roomfit.settings import Settings
-from roomfit.synthetic.boxes import PLAN_BANDS, demo_plan, write_measured_box
-from roomfit.treatment.campaign import hardest_changes, read_treatment, treat_arguments
-from roomfit.treatment.output import write_treatment
-from roomfit.treatment.treat import Treatment, treat
-from roomfit.typing import BoolArray, FloatArray, Progress, part
+from roomfit.typing import FloatArray, Progress, part
+
+if TYPE_CHECKING:
+    from roomfit.coverage.estimate import CoverageResult
+    from roomfit.coverage.synthetic_room import CoverageSettings
+    from roomfit.experiment_design.design import Design
+    from roomfit.findings import Finding
+    from roomfit.inversion.diffuse import DiffuseAbsorption
+    from roomfit.inversion.usable import CheckedRecordings
+    from roomfit.io.rooms.model import RoomSpec
+    from roomfit.prediction.campaign import WantedPairs
+    from roomfit.prediction.changes import Change
+    from roomfit.prediction.predict import Predicted
+    from roomfit.report.comparison import Comparison
+    from roomfit.results import Result
+    from roomfit.treatment.treat import Treatment
 
 _LOG = logging.getLogger("roomfit")
 
@@ -103,8 +77,7 @@ def check_campaign_recordings(
     StoreError
         The disk refuses.
     """
-    from roomfit.report.figures import png
-    from roomfit.report.room_figure import room_figure
+    from roomfit.inversion.usable import check_recordings
 
     if out is not None:
         check_output_folder(out, overwrite=overwrite)
@@ -118,6 +91,10 @@ def check_campaign_recordings(
             own["settings"].decay_range_db,
         )
     if out is not None:
+        from roomfit.inversion.measurements import measured_scene
+        from roomfit.report.figures import png
+        from roomfit.report.room_figure import room_figure
+
         picture = png(room_figure(measured_scene(own["scene"], own["measurements"])))
         with whole_output_folder(out, overwrite=overwrite) as folder:
             write_bytes_atomically(folder / "room.png", picture)
@@ -147,6 +124,9 @@ def draft_to_folder(
     StoreError
         The disk refuses.
     """
+    from roomfit.io.draft import draft_campaign, matching_files, read_positions
+    from roomfit.io.reverberation import read_decay_times
+
     if not folder.is_dir() and decay_times is None:
         raise InputError("there is no such folder of recordings", where=str(folder))
     if folder.exists():
@@ -185,7 +165,10 @@ def reverberation_to_folder(
     InputError
         As of `reverberation_arguments` and `diffuse_absorption`; or the folder is not empty.
     """
+    from roomfit.inversion.diffuse import diffuse_absorption
+    from roomfit.io.reverberation import reverberation_arguments
     from roomfit.report.html import diffuse_page
+    from roomfit.report.text import diffuse_rows
 
     if out is not None:
         check_output_folder(out, overwrite=overwrite)
@@ -218,20 +201,22 @@ def compare_to_folder(
     StoreError
         The disk refuses.
     """
+    from roomfit.io.results import read_result
+    from roomfit.report import comparison
     from roomfit.report.figures import png
 
     if out is not None:
         check_output_folder(out, overwrite=overwrite)
-    compared = compare_results(read_result(first), read_result(second))
+    compared = comparison.compare_results(read_result(first), read_result(second))
     if out is not None:
         labels = ("/".join(first.parts[-2:]), "/".join(second.parts[-2:]))
-        heading, *rows = comparison_rows(compared)
+        heading, *rows = comparison.comparison_rows(compared)
         with whole_output_folder(out, overwrite=overwrite) as folder:
             write_text_atomically(folder / "compared.csv", csv_text(heading, rows))
-            write_text_atomically(folder / "compared.html", comparison_page(compared, labels))
-            write_bytes_atomically(
-                folder / "compared.png", png(comparison_figure(compared, labels))
-            )
+            page = comparison.comparison_page(compared, labels)
+            write_text_atomically(folder / "compared.html", page)
+            picture = png(comparison.comparison_figure(compared, labels))
+            write_bytes_atomically(folder / "compared.png", picture)
     return compared
 
 
@@ -291,6 +276,8 @@ def export_result(
     >>> print(written.findings[0].sentence)
     The result has no scattering; 0.1 was written for every material.
     """
+    from roomfit.io.exports import export_materials, read_material_table
+
     out = Path(out)
     if wanted in ("excel", "gltf", "pdf"):
         _check_place(out, overwrite)
@@ -313,8 +300,12 @@ def export_result(
 
 def _whole_export(result_file: Path, wanted: str, campaign_file: Path | None) -> bytes:
     if wanted == "excel":
+        from roomfit.io.workbook import workbook_bytes
+
         return workbook_bytes(result_file)
     if wanted == "pdf":
+        from roomfit.report.pdf import report_pdf
+
         # the page that was written beside the result
         own = result_file.suffix.lower() in (".html", ".htm")
         page = result_file if own else result_file.with_name("report.html")
@@ -325,6 +316,9 @@ def _whole_export(result_file: Path, wanted: str, campaign_file: Path | None) ->
             needed="the campaign that the result was identified from",
             hint="add --campaign campaign.toml",
         )
+    from roomfit.io.exports import read_material_table
+    from roomfit.io.gltf import gltf_text
+
     room = campaign_room(read_campaign(campaign_file, to_fit=False))
     return gltf_text(room, read_material_table(result_file)).encode()
 
@@ -385,7 +379,10 @@ def design_to_folder(
     StoreError
         The disk refuses.
     """
-    from roomfit.experiment_design.output import design_gain, design_map
+    from roomfit.experiment_design.campaign import design_arguments
+    from roomfit.experiment_design.design import design
+    from roomfit.experiment_design.output import design_gain, design_map, write_design
+    from roomfit.io.results import read_result
     from roomfit.report.figures import png
 
     check_output_folder(out, overwrite=overwrite)
@@ -429,8 +426,11 @@ def predict_to_folder(
     StoreError
         The disk refuses.
     """
-    from roomfit.prediction.output import change_figure, predicted_decay_figure
-    from roomfit.report.figures import png
+    from roomfit.io.results import read_result
+    from roomfit.prediction.campaign import predict_arguments
+    from roomfit.prediction.output import change_figure, predicted_decay_figure, write_predicted
+    from roomfit.prediction.predict import predict
+    from roomfit.report.figures import in_file_name, png
 
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
@@ -472,8 +472,13 @@ def treat_to_folder(
     StoreError
         The disk refuses.
     """
+    from roomfit.io.results import read_result
+    from roomfit.prediction.campaign import predict_arguments
+    from roomfit.prediction.predict import prepare_prediction
     from roomfit.report.figures import png
-    from roomfit.treatment.output import treatment_figure
+    from roomfit.treatment.campaign import hardest_changes, read_treatment, treat_arguments
+    from roomfit.treatment.output import treatment_figure, write_treatment
+    from roomfit.treatment.treat import treat
 
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
@@ -512,6 +517,11 @@ def _what_to_measure(
 
     By the experiment design after a fit; none where its rules leave no place for a receiver.
     """
+    from roomfit.experiment_design.campaign import design_arguments
+    from roomfit.experiment_design.design import design
+    from roomfit.experiment_design.output import design_rows
+    from roomfit.io.results import read_result
+
     first = answer.arrangements[0]
     names = answer.room.scene.room.materials
     if first.is_sure or not first.decisive or first.decisive[0][0] not in names:
@@ -563,6 +573,15 @@ def listen_to_folder(
         The disk refuses.
     """
     import soundfile
+
+    from roomfit.io.responses import read_response
+    from roomfit.io.responses.recordings import ResponseSpec
+    from roomfit.io.results import read_result
+    from roomfit.measurement import Measurement
+    from roomfit.prediction.campaign import predict_arguments
+    from roomfit.prediction.listen import convolved, listen
+    from roomfit.prediction.output import listen_content
+    from roomfit.report.figures import in_file_name
 
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
@@ -625,6 +644,7 @@ def estimate_coverage_to_folder(
     InputError, CannotTell, StoreError
         See `roomfit.estimate_coverage`.
     """
+    from roomfit.coverage.estimate import estimate_coverage
     from roomfit.coverage.output import coverage_csv, coverage_figure, coverage_json
     from roomfit.report.figures import png
 
@@ -638,62 +658,6 @@ def estimate_coverage_to_folder(
             write_bytes_atomically(folder / "calibration.png", picture)
             write_json_atomically(folder / "calibration.json", coverage_json(result))
     return result
-
-
-def demo_text(answer: Result, true_absorption: FloatArray) -> str:
-    """Return a table of true and identified absorption, and how the errors compare to a baseline.
-
-    Parameters
-    ----------
-    answer : Result
-    true_absorption : float array, shape (n_materials, n_bands)
-    """
-    parts = [_table(answer, true_absorption), _summary(answer, true_absorption)]
-    parts.append(findings_text(answer.findings))
-    return "\n\n".join(p for p in parts if p)
-
-
-def _table(answer: Result, true_absorption: FloatArray) -> str:
-    width = max(len(n) for n in answer.materials)
-    cell = f"{'true':>5} {'found':>5} {'95 %':>9} "
-    lines = [
-        "Absorption: true, found and its 95 % interval; ! = the true value lies outside, "
-        "? = not identifiable",
-        f"{'Hz':<{width}}  " + " ".join(f"{f:^22g}" for f in answer.bands.centres_hz),
-        f"{'':<{width}}  " + " ".join(f"{cell:<22}" for _ in answer.bands.centres_hz),
-    ]
-    covered = _covered(answer, true_absorption)
-    for i, name in enumerate(answer.materials):
-        cells = []
-        for j in range(len(answer.bands)):
-            mark = ("" if covered[i, j] else "!") + ("" if answer.identifiable[i, j] else "?")
-            bounds = f"{answer.lower95[i, j]:.2f}-{answer.upper95[i, j]:.2f}"
-            text = f"{true_absorption[i, j]:5.2f} {answer.absorption[i, j]:5.2f} {bounds}{mark}"
-            cells.append(f"{text:<22}")
-        lines.append(f"{name:<{width}}  " + " ".join(cells).rstrip())
-    return "\n".join(lines)
-
-
-def _summary(answer: Result, true_absorption: FloatArray) -> str:
-    error = np.abs(answer.absorption - true_absorption)
-    covered = _covered(answer, true_absorption)
-    uniform = np.abs(answer.mean_absorption[0] - true_absorption)
-    sure = answer.identifiable
-    lines = [
-        f"median error {np.median(error):.3f}, 90 % of errors below {np.quantile(error, 0.9):.3f}, "
-        f"largest {error.max():.3f}",
-        f"baseline, one absorption for all walls: median error {np.median(uniform):.3f}",
-        f"coverage: the interval contains the truth in {covered.sum()} of {covered.size} cases "
-        f"({100 * covered.mean():.0f} %)",
-        f"called identifiable: {sure.sum()} of {sure.size}, of which {(sure & ~covered).sum()} "
-        "outside their interval",
-        f"{answer.seconds:.1f} s for the identification",
-    ]
-    return "\n".join(lines)
-
-
-def _covered(answer: Result, true_absorption: FloatArray) -> BoolArray:
-    return np.asarray((answer.lower95 <= true_absorption) & (true_absorption <= answer.upper95))
 
 
 @sole_writer
@@ -734,6 +698,11 @@ def identify_to_folder(
     StoreError
         The disk refuses.
     """
+    from roomfit.inversion.identify import identify
+    from roomfit.inversion.measurements import measured_scene
+    from roomfit.io.project import project_details
+    from roomfit.io.results import write_result
+    from roomfit.report.figures import answer_figures, write_pictures
     from roomfit.report.html import report_html
 
     # checked now rather than after minutes of work; made only when there is something to put in
@@ -782,6 +751,7 @@ def run_demo(
         The disk refuses.
     """
     from roomfit.report.figures import absorption_figure, png
+    from roomfit.synthetic.boxes import PLAN_BANDS, demo_plan, write_measured_box
 
     with whole_output_folder(out, overwrite=overwrite) as folder:
         (folder / "campaign").mkdir()

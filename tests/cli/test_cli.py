@@ -328,12 +328,12 @@ def test_an_interrupt_that_falls_into_a_compiled_kernel_is_one(tmp_path, monkeyp
 
 def test_a_demo_that_cannot_be_finished_leaves_nothing(tmp_path, monkeypatch):
     """Its campaign is written before it is identified: both appear, or neither."""
-    import roomfit.commands
+    import roomfit.synthetic.boxes
 
     def interrupted(*_args: object, **_settings: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(roomfit.commands, "write_measured_box", interrupted)
+    monkeypatch.setattr(roomfit.synthetic.boxes, "write_measured_box", interrupted)
     assert run_command(monkeypatch, "demo", "--out", tmp_path / "demo") == 130
     assert list(tmp_path.iterdir()) == []
 

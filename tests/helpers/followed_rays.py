@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from numpy.typing import ArrayLike
 
 from roomfit._checks import float_array, read_only
@@ -81,7 +80,7 @@ def follow_rays(
     return FollowedRays(read_only(hits), read_only(present), ray_statistics(n_rays, [tally]))
 
 
-@kernel(parallel=True)
+@kernel()
 def _follow(
     walls: Walls,
     job: Job,
@@ -91,7 +90,7 @@ def _follow(
     present: BoolArray,
     tally: Tally,
 ) -> None:
-    for ray in prange(len(directions)):
+    for ray in range(len(directions)):
         _follow_ray(walls, job, directions, lengths_m, ray, hits, present, tally)
 
 

@@ -69,34 +69,34 @@ COMMANDS = "roomfit.commands."
 STUBS: dict[str, dict[str, Any]] = {
     "identify": {
         COMMANDS + "read_campaign": lambda *_: SimpleNamespace(project=None, path=Path("c.toml")),
-        COMMANDS + "project_details": lambda *_: {},
+        "roomfit.io.project.project_details": lambda *_: {},
         COMMANDS + "identify_arguments": lambda *_: {**empty(), "settings": Settings()},
-        COMMANDS + "identify": nothing,
-        COMMANDS + "measured_scene": nothing,
-        COMMANDS + "answer_figures": nothing,
+        "roomfit.inversion.identify.identify": nothing,
+        "roomfit.inversion.measurements.measured_scene": nothing,
+        "roomfit.report.figures.answer_figures": nothing,
         "roomfit.report.html.report_html": word,
-        COMMANDS + "write_result": writes("result.json", "absorption.csv"),
-        COMMANDS + "write_pictures": writes("absorption.png"),
+        "roomfit.io.results.write_result": writes("result.json", "absorption.csv"),
+        "roomfit.report.figures.write_pictures": writes("absorption.png"),
     },
     "predict": {
-        COMMANDS + "read_result": nothing,
-        COMMANDS + "predict_arguments": lambda *_: {},
-        COMMANDS + "predict": lambda **_: SimpleNamespace(
+        "roomfit.io.results.read_result": nothing,
+        "roomfit.prediction.campaign.predict_arguments": lambda *_: {},
+        "roomfit.prediction.predict.predict": lambda **_: SimpleNamespace(
             compares_states=True, pairs=(SimpleNamespace(source="S", receiver="R"),)
         ),
-        COMMANDS + "write_predicted": writes("predicted.json", "predicted.csv"),
+        "roomfit.prediction.output.write_predicted": writes("predicted.json", "predicted.csv"),
         "roomfit.prediction.output.change_figure": nothing,
         "roomfit.prediction.output.predicted_decay_figure": nothing,
     },
     "design": {
-        COMMANDS + "design_arguments": lambda *_: {},
-        COMMANDS + "design": nothing,
-        COMMANDS + "write_design": writes("design.json", "design.csv"),
+        "roomfit.experiment_design.campaign.design_arguments": lambda *_: {},
+        "roomfit.experiment_design.design.design": nothing,
+        "roomfit.experiment_design.output.write_design": writes("design.json", "design.csv"),
         "roomfit.experiment_design.output.design_map": nothing,
         "roomfit.experiment_design.output.design_gain": nothing,
     },
     "coverage": {
-        COMMANDS + "estimate_coverage": covered,
+        "roomfit.coverage.estimate.estimate_coverage": covered,
         "roomfit.coverage.output.coverage_csv": word,
         "roomfit.coverage.output.coverage_figure": nothing,
         "roomfit.coverage.output.coverage_json": lambda _: {"word": WORD[0]},

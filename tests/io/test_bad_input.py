@@ -256,15 +256,19 @@ def test_a_broken_campaign_leaves_the_earlier_results_although_overwrite_was_ask
 @pytest.mark.parametrize("when", ["trace", "write_result", "png"])
 def test_an_interruption_ends_with_130_and_leaves_no_result(tmp_path, monkeypatch, capsys, when):
     """Before the trace ends, before the tables are written, and between tables and pictures."""
-    import roomfit.commands
     import roomfit.inversion.trace_plan
+    import roomfit.io.results
     import roomfit.report.figures
 
     def interrupted(*_args: object, **_settings: object) -> None:
         raise KeyboardInterrupt
 
-    owners = {"trace": roomfit.inversion.trace_plan, "png": roomfit.report.figures}
-    monkeypatch.setattr(owners.get(when, roomfit.commands), when, interrupted)
+    owners = {
+        "trace": roomfit.inversion.trace_plan,
+        "write_result": roomfit.io.results,
+        "png": roomfit.report.figures,
+    }
+    monkeypatch.setattr(owners[when], when, interrupted)
     campaign = write_campaign(tmp_path / "campaign")
     before = files_of(tmp_path)
     assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "a" / "out") == 130
@@ -368,7 +372,7 @@ def test_what_is_refused_after_the_trace_leaves_no_folder(tmp_path, monkeypatch,
 
 def test_digests_are_of_what_was_read_and_names_may_be_any(tmp_path, monkeypatch, capsys):
     """The campaign, whose name is no UTF-8 and whose walls have two $, changes during the fit."""
-    import roomfit.commands
+    import roomfit.inversion.identify
     import roomfit.report.html
 
     campaign = write_campaign(
@@ -382,14 +386,14 @@ def test_digests_are_of_what_was_read_and_names_may_be_any(tmp_path, monkeypatch
     except OSError:
         pytest.skip("the disk takes no such name")
     before = {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in campaign.parent.iterdir()}
-    identify = roomfit.commands.identify
+    identify = roomfit.inversion.identify.identify
 
     def slow(**arguments: object) -> object:
         campaign.write_text("something else")
         (campaign.parent / "LS1_MP1.wav").unlink()
         return identify(**arguments)
 
-    monkeypatch.setattr(roomfit.commands, "identify", slow)
+    monkeypatch.setattr(roomfit.inversion.identify, "identify", slow)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out") == 0

@@ -79,9 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     arguments : sequence of str, optional
         Without the name of the program; left out, those of this process.
     """
-    # threads that wait for work in loops took a sixth of the processor's time, and searching for
-    # objects that refer to each other a twentieth; what the caller has set stays
-    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    # searching for objects that refer to each other took a twentieth of the processor's time
     gc.set_threshold(20_000, 20, 50)
     try:
         with _ended_like_an_interrupt():

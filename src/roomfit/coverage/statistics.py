@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import ndtri
-from scipy.stats import beta
+from scipy.special import betaincinv, ndtri
 
 from roomfit.bands import Bands
 from roomfit.logit import Z95, logit
@@ -126,8 +125,8 @@ def grouped_proportion(hit: BoolArray, counted: BoolArray) -> Proportion:
         spread = groups / (groups - 1) * float(np.sum((hits - p * sizes) ** 2)) / n**2
         effect = max(spread / (p * (1.0 - p) / n), 1.0)
     effective, count = n / effect, k / effect
-    low = float(beta.ppf(0.025, count, effective - count + 1.0)) if k > 0 else 0.0
-    high = float(beta.ppf(0.975, count + 1.0, effective - count)) if k < n else 1.0
+    low = float(betaincinv(count, effective - count + 1.0, 0.025)) if k > 0 else 0.0
+    high = float(betaincinv(count + 1.0, effective - count, 0.975)) if k < n else 1.0
     return Proportion(k, n, low, high)
 
 

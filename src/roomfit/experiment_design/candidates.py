@@ -8,7 +8,6 @@ from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import qmc
 
 from roomfit._checks import check_known
 from roomfit.air import Air, speed_of_sound_m_s
@@ -144,6 +143,8 @@ def spread_positions(room: Room, region: Region, n: int, seed: int) -> FloatArra
     InputError
         Hardly any position in the region is allowed.
     """
+    from scipy.stats import qmc  # heavy
+
     sampler = qmc.Sobol(3, scramble=True, rng=np.random.default_rng(seed))
     found = np.zeros((0, 3))
     tried = 0

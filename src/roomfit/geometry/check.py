@@ -11,14 +11,15 @@ from roomfit.findings import Code, Finding
 from roomfit.geometry.build import listed
 from roomfit.geometry.inside import (
     along,
-    corner,
     cross,
     dot,
     flight_m,
     interior_points,
     minus,
     nearest_triangles,
+    put,
     row,
+    triangle_at,
 )
 from roomfit.geometry.mesh import (
     Edges,
@@ -78,7 +79,7 @@ def _bounce(
     for r in range(len(starts_m)):
         last = -1
         for _ in range(n_bounces):
-            nearest, hit = np.inf, -1
+            nearest, hit = np.inf, int(np.int64(-1))
             for i in range(len(corners_m)):
                 distance = flight_m(corners_m, i, row(starts_m, r), row(directions, r))
                 if _ON_WALL_M < distance < nearest and i != last:
@@ -88,19 +89,19 @@ def _bounce(
                 break
             hits[r] += 1
             last = hit
-            starts_m[r, :] = along(row(starts_m, r), row(directions, r), nearest)
+            put(starts_m, r, along(row(starts_m, r), row(directions, r), nearest))
             _reflect(corners_m, hit, directions, r)
     return hits, escaped
 
 
-@kernel()
+@kernel(allocates=False)
 def _reflect(corners_m: FloatArray, i: int, directions: FloatArray, r: int) -> None:
     """Mirror direction r at triangle i, in place."""
-    a = corner(corners_m, i, 0)
-    n = cross(minus(corner(corners_m, i, 1), a), minus(corner(corners_m, i, 2), a))
+    a, b, c = triangle_at(corners_m, i)
+    n = cross(minus(b, a), minus(c, a))
     d = row(directions, r)
     d = along(d, n, -2.0 * dot(d, n) / dot(n, n))
-    directions[r, :] = along((0.0, 0.0, 0.0), d, 1.0 / np.sqrt(dot(d, d)))
+    put(directions, r, along((0.0, 0.0, 0.0), d, 1.0 / np.sqrt(dot(d, d))))
 
 
 # Escapes per hit above which a mesh is no room; a decay to -60 dB takes about 100 hits.

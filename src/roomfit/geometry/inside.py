@@ -20,25 +20,25 @@ Vector: TypeAlias = tuple[float, float, float]
 MISSED = -1.0
 
 
-@kernel()
+@kernel(allocates=False)
 def minus(a: Vector, b: Vector) -> Vector:
     """Return a - b."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@kernel()
+@kernel(allocates=False)
 def dot(a: Vector, b: Vector) -> float:
     """Return the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@kernel()
+@kernel(allocates=False)
 def cross(a: Vector, b: Vector) -> Vector:
     """Return the vector product."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@kernel()
+@kernel(allocates=False)
 def along(start: Vector, direction: Vector, distance: float) -> Vector:
     """Return start + distance * direction."""
     return (
@@ -48,19 +48,36 @@ def along(start: Vector, direction: Vector, distance: float) -> Vector:
     )
 
 
-@kernel()
+@kernel(allocates=False)
 def row(table: FloatArray, i: int) -> Vector:
     """Return row i of an (n, 3) array."""
     return table[i, 0], table[i, 1], table[i, 2]
 
 
-@kernel()
+@kernel(allocates=False, inlined=True)
+def put(table: FloatArray, i: int, x: Vector) -> None:
+    """Write a vector to row i of an (n, 3) array."""
+    table[i, 0], table[i, 1], table[i, 2] = x
+
+
+@kernel(allocates=False)
 def corner(corners_m: FloatArray, i: int, k: int) -> Vector:
     """Return corner k of triangle i of an (n, 3, 3) array."""
     return corners_m[i, k, 0], corners_m[i, k, 1], corners_m[i, k, 2]
 
 
-@kernel()
+@kernel(allocates=False)
+def triangle_at(corners_m: FloatArray, i: int) -> tuple[Vector, Vector, Vector]:
+    """Return the three corners of triangle i of an (n, 3, 3) array."""
+    t = corners_m[i]
+    return (
+        (t[0, 0], t[0, 1], t[0, 2]),
+        (t[1, 0], t[1, 1], t[1, 2]),
+        (t[2, 0], t[2, 1], t[2, 2]),
+    )
+
+
+@kernel(allocates=False)
 def flight_m(corners_m: FloatArray, i: int, start: Vector, direction: Vector) -> float:
     """Return the distance along a unit direction to triangle i, or a negative one for a miss [1]_.
 
@@ -69,9 +86,8 @@ def flight_m(corners_m: FloatArray, i: int, start: Vector, direction: Vector) ->
     .. [1] T. Moller, B. Trumbore, "Fast, minimum storage ray/triangle intersection", J. Graphics
            Tools 2, 21-28 (1997).
     """
-    a = corner(corners_m, i, 0)
-    ab = minus(corner(corners_m, i, 1), a)
-    ac = minus(corner(corners_m, i, 2), a)
+    a, b, c = triangle_at(corners_m, i)
+    ab, ac = minus(b, a), minus(c, a)
     h = cross(direction, ac)
     determinant = dot(ab, h)
     if determinant == 0.0:
@@ -87,13 +103,13 @@ def flight_m(corners_m: FloatArray, i: int, start: Vector, direction: Vector) ->
     return dot(ac, k) / determinant
 
 
-@kernel()
+@kernel(allocates=False)
 def square_distance_m2(corners_m: FloatArray, i: int, x: Vector) -> float:
     """Return the squared distance from a point to triangle i.
 
     The foot of the perpendicular lies within the triangle, or else a side is nearest.
     """
-    a, b, c = corner(corners_m, i, 0), corner(corners_m, i, 1), corner(corners_m, i, 2)
+    a, b, c = triangle_at(corners_m, i)
     n = cross(minus(b, a), minus(c, a))
     square = dot(n, n)
     if (
@@ -106,7 +122,7 @@ def square_distance_m2(corners_m: FloatArray, i: int, x: Vector) -> float:
     return min(_square_to_side(a, b, x), _square_to_side(b, c, x), _square_to_side(c, a, x))
 
 
-@kernel()
+@kernel(allocates=False)
 def _square_to_side(a: Vector, b: Vector, x: Vector) -> float:
     side = minus(b, a)
     square = dot(side, side)
@@ -212,7 +228,8 @@ def _filled(from_cell: IntArray, to_cell: IntArray, side: int) -> tuple[IntArray
         for x in range(from_cell[i, 0], to_cell[i, 0] + 1):
             for y in range(from_cell[i, 1], to_cell[i, 1] + 1):
                 first[x * side + y + 1] += 1
-    first = np.cumsum(first)
+    for k in range(side * side):
+        first[k + 1] += first[k]
     walls = np.zeros(first[-1], dtype=np.int64)
     filled = first[:-1].copy()
     for i in range(len(from_cell)):

@@ -13,9 +13,6 @@ from typing import Any
 import mapbox_earcut
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from roomfit._checks import float_array, int_array
 from roomfit.errors import InputError
@@ -296,12 +293,15 @@ def weld(points_m: FloatArray) -> IntArray:
 
     `points_m` has the shape (n_points, 3).
     """
+    from scipy.sparse import coo_matrix, csgraph
+    from scipy.spatial import cKDTree  # heavy, and a box needs none of them
+
     # equal points first: a file that repeats each corner for every face has thousands of pairs
     _, first, inverse = np.unique(points_m, axis=0, return_index=True, return_inverse=True)
     pairs = cKDTree(points_m[first]).query_pairs(WELD_TOLERANCE_M, output_type="ndarray")
     n = len(first)
     links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    n_groups, group = connected_components(links, directed=False)
+    n_groups, group = csgraph.connected_components(links, directed=False)
     earliest = np.full(n_groups, len(points_m))
     np.minimum.at(earliest, group, first)
     return np.asarray(earliest[group[inverse.reshape(-1)]])
@@ -353,6 +353,8 @@ def _lines(ends: IntArray) -> IntArray:
 def _split(
     vertices_m: FloatArray, ends: IntArray, triangle: IntArray, lonely: IntArray
 ) -> tuple[IntArray, IntArray]:
+    from scipy.spatial import cKDTree
+
     posts = np.unique(ends[lonely])
     tree = cKDTree(vertices_m[posts])
     pieces, owners = [np.delete(ends, lonely, axis=0)], [np.delete(triangle, lonely)]

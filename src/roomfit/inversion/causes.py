@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from roomfit.air import speed_of_sound_m_s
 from roomfit.errors import InputError
@@ -350,8 +350,8 @@ def _displaced(found: _Arrivals) -> tuple[Finding, ...]:
     best = max(gains, key=lambda point: gains[point][0])
     gain, n_free, rest, n_left = gains[best]
     second = max((g[0] for point, g in gains.items() if point is not best), default=0.0)
-    sure = chi2.sf(gain, n_free) * len(gains) < _LEVEL and gain - second > _MORE_THAN_OTHERS
-    if not sure or chi2.sf(rest, n_left) < _LEVEL:
+    sure = chdtrc(n_free, gain) * len(gains) < _LEVEL and gain - second > _MORE_THAN_OTHERS
+    if not sure or chdtrc(n_left, rest) < _LEVEL:
         return ()
     return _displacement(found, best, np.asarray(~columns[best].any(axis=1)), delays)
 

@@ -18,8 +18,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import butter, sosfilt
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from roomfit.bands import Bands, bands_in_words
 from roomfit.findings import Code, Finding
@@ -302,7 +301,7 @@ def fixed_absorption_findings(
             step = float(np.clip(more[0] / information[0, 0], -3.0, 3.0))
             freed[w.band] = float(expit(logit(np.array([own])) + step)[0])
         clear = [b for b, gain in gains.items() if gain >= _LEAST_GAIN]
-        if not clear or 2.0 * sum(gains.values()) <= float(chi2.ppf(1.0 - _CHANCE, n)):
+        if not clear or 2.0 * sum(gains.values()) <= float(chdtri(n, _CHANCE)):
             continue
         notes = [f"{known[b]:.2f} fixed, about {freed[b]:.2f} likelier" for b in clear]
         findings.append(
@@ -421,6 +420,8 @@ def _noise_rates(m: MeasuredPair) -> tuple[float, float, float, float] | None:
     size = round(_TAIL_SHARE * (end - direct)) // _TAIL_BLOCKS
     if before.stop - begin < 1e-3 * rate_hz or size < 2 or rate_hz < 2.5 * _TAIL_HZ:
         return None
+    from scipy.signal import butter, sosfilt  # half a second
+
     energy = sosfilt(butter(4, _TAIL_HZ, btype="high", fs=rate_hz, output="sos"), x) ** 2
     blocks = energy[end - _TAIL_BLOCKS * size : end].reshape(_TAIL_BLOCKS, size).mean(axis=1)
     early = float(energy[before].mean())

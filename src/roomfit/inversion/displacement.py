@@ -14,7 +14,6 @@ from fnmatch import fnmatchcase
 from typing import TypeAlias
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.findings import Code, Finding
@@ -484,6 +483,8 @@ def _swept(worth: Worth, shift_m: FloatArray, sd_m: FloatArray) -> FloatArray:
 
 def _highest(worth: Worth, shift_m: FloatArray, entry: int, reach_m: float) -> FloatArray:
     """Return offsets with one of them at its best within a reach; the top is sharp."""
+    from scipy.optimize import minimize_scalar  # heavy, and rarely needed
+
     way = np.eye(shift_m.size)[entry]
     found = minimize_scalar(
         lambda d: -worth(shift_m + d * way),

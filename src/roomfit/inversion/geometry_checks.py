@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from roomfit.findings import Code, Finding
 from roomfit.inversion.sequential import CoherentBand, CoherentBandFit
@@ -136,7 +136,7 @@ def estimate_position_sd_scale(
         return 1.0
     variance = np.diag(np.linalg.inv(last.information))
     mean = float(np.mean((last.mean**2 + variance)[is_position]))
-    return 1.0 if mean <= chi2.ppf(_LEVEL, n) / n else min(float(np.sqrt(mean)), _LARGEST_SCALE)
+    return 1.0 if mean <= chdtri(n, 1.0 - _LEVEL) / n else min(float(np.sqrt(mean)), _LARGEST_SCALE)
 
 
 def inflate_position_sds(

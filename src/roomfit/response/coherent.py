@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.special import i0
 
-from roomfit._numba import kernel
+from roomfit._numba import in_threads, kernel
 from roomfit.errors import InputError
 from roomfit.signals.filters import FilterBank, energy_bandwidth_hz, frequency_response
 from roomfit.tracing.paths import Paths, paths_of_pairs
@@ -54,8 +54,10 @@ def root_energies(
     return out
 
 
-@kernel(parallel=True)
+@kernel()
 def grid_impulses(
+    first: int,
+    last: int,
     offsets: IntArray,
     row: IntArray,
     away: FloatArray,
@@ -72,6 +74,8 @@ def grid_impulses(
     impulses: RealArray,
 ) -> None:
     """Add every path's impulse, times its derivatives, to the grids of its observation.
+
+    Of some observations, for threads.
 
     Parameters
     ----------
@@ -94,7 +98,7 @@ def grid_impulses(
     n_materials = hits.shape[1]
     n_grid, n_columns = impulses.shape[1], impulses.shape[2]
     slowness = 1.0 / speed
-    for o in numba.prange(len(offsets) - 1):
+    for o in range(first, last):
         own = impulses[o]
         # in the precision of the grid: eight single numbers are added at a time
         values = np.zeros(max(n_columns, 8 + n_materials), own.dtype)
@@ -145,7 +149,7 @@ def grid_impulses(
                     cell[j] += times * values[j]
 
 
-@kernel(parallel=True)
+@kernel()
 def window_products(
     starts: IntArray,
     edges: FloatArray,
@@ -169,7 +173,7 @@ def window_products(
     slopes : shape (n_windows, n_columns)
     """
     n_columns = derivatives.shape[1]
-    for o in numba.prange(len(starts) - 1):
+    for o in range(len(starts) - 1):
         y, dy = pressure[o], derivatives[o]
         weighed = np.empty(len(y))
         for e in range(starts[o], starts[o + 1] - 1):
@@ -198,7 +202,7 @@ def window_products(
                 slopes[w, j] = 2.0 * a
 
 
-@kernel()
+@kernel(allocates=False)
 def binned_energies(
     bins: IntArray,
     row: IntArray,
@@ -214,7 +218,7 @@ def binned_energies(
             by_hits[m, bins[i]] += hits[row[i], m] * energy[i]
 
 
-@kernel()
+@kernel(allocates=False)
 def binned_shares(
     bins: IntArray, energy: FloatArray, coherence: FloatArray, out: FloatArray
 ) -> None:
@@ -503,7 +507,9 @@ def coherent_response(
     for o in range(0, len(edges_s), at_once):
         own = edges_s[o : o + at_once]
         impulses: Any = np.zeros((len(own), grid.n, filled), dtype=grid.real)
-        grid_impulses(
+        in_threads(
+            grid_impulses,
+            len(own),
             paths.offsets[o : o + len(own) + 1],
             paths.row,
             paths.image_to_receiver_m,

@@ -13,13 +13,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeAlias
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
 from roomfit._checks import float_array
-from roomfit._numba import kernel
+from roomfit._numba import in_threads, kernel
 from roomfit.errors import InputError
 from roomfit.response.coherent import (
     TABLE_STEPS,
@@ -126,8 +125,9 @@ def weigh_directed(
     )
     pieces = pieces_of(rows.offsets)
     sums = np.zeros((len(pieces), 4 + coefficients.size if derivative else 1))
-    small = len(rows) < ROWS_WORTH_THREADS
-    (_weigh_directed_serial if small else _weigh_directed_parallel)(
+    in_threads(
+        _weigh_directed_pieces,
+        len(pieces),
         pieces,
         (rows.weight_per_m2, rows.length_m, rows.hits, pattern.basis),
         np.array(pattern.b, dtype=np.float64),
@@ -135,6 +135,7 @@ def weigh_directed(
         power_table(reflected, rows.max_hits)[0],
         attenuation[0],
         sums,
+        worth_it=len(rows) >= ROWS_WORTH_THREADS,
     )
     out = np.zeros((rows.n_windows, sums.shape[1]))
     _sum_pieces(pieces, sums, out)
@@ -173,11 +174,12 @@ def weigh_parts(
     pieces = pieces_of(rows.offsets)
     n_batches = max(rows.n_batches, rows.largest_batch + 1)
     sums = np.zeros((len(pieces), 2 + n_batches))
-    small = len(rows) < ROWS_WORTH_THREADS
     b, basis = np.zeros(3), np.zeros((0, 3))
     if pattern is not None:
         b, basis = np.array(pattern.b, dtype=np.float64), pattern.basis  # type: ignore[assignment]
-    (_weigh_parts_serial if small else _weigh_parts_parallel)(
+    in_threads(
+        _weigh_parts_pieces,
+        len(pieces),
         pieces,
         (rows.weight_per_m2, rows.length_m, rows.hits, basis),
         rows.batch,
@@ -185,6 +187,7 @@ def weigh_parts(
         power_table(reflected, rows.max_hits)[0],
         attenuation[0],
         sums,
+        worth_it=len(rows) >= ROWS_WORTH_THREADS,
     )
     out = np.zeros((rows.n_windows, sums.shape[1]))
     _sum_pieces(pieces, sums, out)
@@ -192,7 +195,7 @@ def weigh_parts(
     return EnergyParts(columns[0], columns[1], columns[2:])
 
 
-@kernel()
+@kernel(allocates=False)
 def _sum_pieces(pieces: IntArray, sums: FloatArray, out: FloatArray) -> None:
     for p in range(len(pieces)):
         for k in range(sums.shape[1]):
@@ -204,133 +207,85 @@ DirectedRows: TypeAlias = tuple[FloatArray, FloatArray, IntArray, NDArray[np.flo
 
 
 @kernel(allocates=False)
-def _weigh_directed_piece(
-    piece: IntArray,
+def _weigh_directed_pieces(
+    first: int,
+    last: int,
+    pieces: IntArray,
     rows: DirectedRows,
     b: FloatArray,
     reflected: FloatArray,
     powers: FloatArray,
     attenuation: float,
-    sums: FloatArray,
+    every: FloatArray,
 ) -> None:
-    """Fill the sums of a piece: energy, its derivative by absorption, and by b; or energy alone.
+    """Fill energy of some pieces, its derivative by absorption and by b, or energy alone.
 
     With q the pattern basis, N = 1 + b b / 3 and c = 1 + b q, the factor of a row is ``c**2 / N``
     and its derivative by b ``2 c q / N - 2 c**2 b / (3 N**2)``.
     """
     weight, length, hits, basis = rows
     norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
-    energy = x = y = z = 0.0
-    n_materials = max(sums.size - 4, 0)
-    for r in range(piece[1], piece[2]):
-        c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-        once = c * row_energy(weight[r], length[r], hits[r], powers, attenuation)
-        own = c * once
-        energy += own
-        if n_materials:
-            x += once * basis[r, 0]
-            y += once * basis[r, 1]
-            z += once * basis[r, 2]
-            for m in range(n_materials):
-                sums[1 + m] -= own * hits[r, m]
-    sums[0] = energy / norm
-    if n_materials:
-        turned = energy / (3.0 * norm)
-        sums[n_materials + 1] = 2.0 * (x - turned * b[0]) / norm
-        sums[n_materials + 2] = 2.0 * (y - turned * b[1]) / norm
-        sums[n_materials + 3] = 2.0 * (z - turned * b[2]) / norm
-    for m in range(n_materials):
-        if reflected[m] >= NEARLY_BLACK:
-            sums[1 + m] /= reflected[m] * norm
-            continue
-        sums[1 + m] = 0.0
-        for r in range(piece[1], piece[2]):
+    for p in range(first, last):
+        sums = every[p]
+        energy = x = y = z = 0.0
+        n_materials = max(sums.size - 4, 0)
+        for r in range(pieces[p, 1], pieces[p, 2]):
             c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-            own = weight[r] * c * c / norm
-            sums[1 + m] -= slope_at_black(own, length[r], hits[r], powers, attenuation, m)
+            once = c * row_energy(weight[r], length[r], hits[r], powers, attenuation)
+            own = c * once
+            energy += own
+            if n_materials:
+                x += once * basis[r, 0]
+                y += once * basis[r, 1]
+                z += once * basis[r, 2]
+                for m in range(n_materials):
+                    sums[1 + m] -= own * hits[r, m]
+        sums[0] = energy / norm
+        if n_materials:
+            turned = energy / (3.0 * norm)
+            sums[n_materials + 1] = 2.0 * (x - turned * b[0]) / norm
+            sums[n_materials + 2] = 2.0 * (y - turned * b[1]) / norm
+            sums[n_materials + 3] = 2.0 * (z - turned * b[2]) / norm
+        for m in range(n_materials):
+            if reflected[m] >= NEARLY_BLACK:
+                sums[1 + m] /= reflected[m] * norm
+                continue
+            sums[1 + m] = 0.0
+            for r in range(pieces[p, 1], pieces[p, 2]):
+                c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
+                own = weight[r] * c * c / norm
+                sums[1 + m] -= slope_at_black(own, length[r], hits[r], powers, attenuation, m)
 
 
 @kernel(allocates=False)
-def _weigh_directed_serial(
+def _weigh_parts_pieces(
+    first: int,
+    last: int,
     pieces: IntArray,
-    rows: DirectedRows,
-    b: FloatArray,
-    reflected: FloatArray,
-    powers: FloatArray,
-    attenuation: float,
-    sums: FloatArray,
-) -> None:
-    for p in range(len(pieces)):
-        _weigh_directed_piece(pieces[p], rows, b, reflected, powers, attenuation, sums[p])
-
-
-@kernel(parallel=True)
-def _weigh_directed_parallel(
-    pieces: IntArray,
-    rows: DirectedRows,
-    b: FloatArray,
-    reflected: FloatArray,
-    powers: FloatArray,
-    attenuation: float,
-    sums: FloatArray,
-) -> None:
-    for p in numba.prange(len(pieces)):
-        _weigh_directed_piece(pieces[p], rows, b, reflected, powers, attenuation, sums[p])
-
-
-@kernel(allocates=False)
-def _weigh_parts_piece(
-    piece: IntArray,
     rows: DirectedRows,
     batch: IntArray,
     b: FloatArray,
     powers: FloatArray,
     attenuation: float,
-    sums: FloatArray,
+    every: FloatArray,
 ) -> None:
-    """Fill the sums of a piece: energy, squares of image paths, and every batch."""
+    """Fill energy of some pieces, squares of image paths, and every batch."""
     weight, length, hits, basis = rows
     norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
-    energy = squares = 0.0
-    for r in range(piece[1], piece[2]):
-        own = row_energy(weight[r], length[r], hits[r], powers, attenuation)
-        if len(basis):
-            c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-            own *= c * c / norm
-        energy += own
-        if batch[r] < 0:
-            squares += own * own
-        else:
-            sums[2 + batch[r]] += own
-    sums[0], sums[1] = energy, squares
-
-
-@kernel(allocates=False)
-def _weigh_parts_serial(
-    pieces: IntArray,
-    rows: DirectedRows,
-    batch: IntArray,
-    b: FloatArray,
-    powers: FloatArray,
-    attenuation: float,
-    sums: FloatArray,
-) -> None:
-    for p in range(len(pieces)):
-        _weigh_parts_piece(pieces[p], rows, batch, b, powers, attenuation, sums[p])
-
-
-@kernel(parallel=True)
-def _weigh_parts_parallel(
-    pieces: IntArray,
-    rows: DirectedRows,
-    batch: IntArray,
-    b: FloatArray,
-    powers: FloatArray,
-    attenuation: float,
-    sums: FloatArray,
-) -> None:
-    for p in numba.prange(len(pieces)):
-        _weigh_parts_piece(pieces[p], rows, batch, b, powers, attenuation, sums[p])
+    for p in range(first, last):
+        sums = every[p]
+        energy = squares = 0.0
+        for r in range(pieces[p, 1], pieces[p, 2]):
+            own = row_energy(weight[r], length[r], hits[r], powers, attenuation)
+            if len(basis):
+                c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
+                own *= c * c / norm
+            energy += own
+            if batch[r] < 0:
+                squares += own * own
+            else:
+                sums[2 + batch[r]] += own
+        sums[0], sums[1] = energy, squares
 
 
 def image_departure(images: ImagePaths) -> NDArray[np.float32]:
@@ -382,9 +337,8 @@ def coherent_slopes(
     heights = np.column_stack([amplitude, slope]) * root[:, None]
     impulses: Any = np.zeros((len(edges_s), 4, grid.n), dtype=grid.real)
     arrivals = arrival_times_s(images, times)
-    grid_directed_impulses(
-        images.offsets, arrivals, heights, grid.first_s, grid.rate_hz, grid.table, impulses
-    )
+    added = (images.offsets, arrivals, heights, grid.first_s, grid.rate_hz, grid.table, impulses)
+    in_threads(grid_directed_impulses, len(edges_s), *added)
     spectra = fft.rfft(impulses, axis=-1, workers=2) * grid.filter.astype(grid.real)
     pressure = fft.irfft(spectra, grid.n, workers=2)
     own, moved = (np.ascontiguousarray(p) for p in (pressure[:, 0], pressure[:, 1:]))
@@ -402,8 +356,10 @@ def arrival_times_s(images: ImagePaths, times: Times) -> FloatArray:
     return np.asarray(length / times.speed_m_s + late)
 
 
-@kernel(parallel=True)
+@kernel(allocates=False)
 def grid_directed_impulses(
+    first: int,
+    last: int,
     offsets: IntArray,
     time_s: FloatArray,
     heights: FloatArray,
@@ -414,6 +370,8 @@ def grid_directed_impulses(
 ) -> None:
     """Add impulses of several heights at each path's time to the grids of its observation.
 
+    Of some observations, for threads.
+
     Parameters
     ----------
     offsets : shape (n_observations + 1,)
@@ -423,7 +381,7 @@ def grid_directed_impulses(
         Zeros; filled.
     """
     n_grid = impulses.shape[2]
-    for o in numba.prange(len(offsets) - 1):
+    for o in range(first, last):
         own = impulses[o]
         for i in range(offsets[o], offsets[o + 1]):
             place = (time_s[i] - first_s) * rate_hz

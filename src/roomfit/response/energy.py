@@ -12,11 +12,10 @@ from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any, cast
 
-import numba
 import numpy as np
 
 from roomfit._checks import check_shape, float_array, read_only
-from roomfit._numba import kernel
+from roomfit._numba import in_threads, kernel
 from roomfit.errors import InputError
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, IntArray
@@ -340,7 +339,7 @@ def row_energy(
     return energy
 
 
-@kernel()
+@kernel(allocates=False)
 def slope_at_black(
     weight: float, length: float, row_hits: IntArray, powers: FloatArray, attenuation: float, m: int
 ) -> float:
@@ -355,82 +354,51 @@ def slope_at_black(
     return slope
 
 
-@kernel()
-def _weigh_piece(
-    piece: IntArray,
+@kernel(allocates=False)
+def weigh_pieces(
+    first: int,
+    last: int,
+    pieces: IntArray,
     weight: FloatArray,
     hits: IntArray,
     length: FloatArray,
     reflected: FloatArray,
     powers: FloatArray,
     attenuation: FloatArray,
-    energy: FloatArray,
-    slope: FloatArray,
+    energies: FloatArray,
+    slopes: FloatArray,
 ) -> None:
-    """Add the rows of a piece into energy (n_bands,) and slope by x (n_bands, n_materials).
+    """Add the rows of some pieces into energies (n_pieces, n_bands) and slopes by x; for threads.
 
-    A slope without materials, shape (n_bands, 0), asks for energies alone.
+    Slopes have the shape (n_pieces, n_bands, n_materials); without materials, shape
+    (n_pieces, n_bands, 0), they ask for energies alone.
     """
-    start, stop = piece[1], piece[2]
-    for low in range(start, stop, _BLOCK):
-        high = min(low + _BLOCK, stop)
+    for p in range(first, last):
+        start, stop = pieces[p, 1], pieces[p, 2]
+        energy, slope = energies[p], slopes[p]
+        for low in range(start, stop, _BLOCK):
+            high = min(low + _BLOCK, stop)
+            for b in range(len(attenuation)):
+                total = 0.0
+                for r in range(low, high):
+                    e = row_energy(weight[r], length[r], hits[r], powers[b], attenuation[b])
+                    total += e
+                    for m in range(slope.shape[1]):
+                        slope[b, m] += e * hits[r, m]
+                energy[b] += total
         for b in range(len(attenuation)):
-            total = 0.0
-            for r in range(low, high):
-                e = row_energy(weight[r], length[r], hits[r], powers[b], attenuation[b])
-                total += e
-                for m in range(slope.shape[1]):
-                    slope[b, m] += e * hits[r, m]
-            energy[b] += total
-    for b in range(len(attenuation)):
-        for m in range(slope.shape[1]):
-            if reflected[b, m] >= NEARLY_BLACK:
-                slope[b, m] /= reflected[b, m]
-                continue
-            slope[b, m] = 0.0
-            for r in range(start, stop):
-                slope[b, m] += slope_at_black(
-                    weight[r], length[r], hits[r], powers[b], attenuation[b], m
-                )
+            for m in range(slope.shape[1]):
+                if reflected[b, m] >= NEARLY_BLACK:
+                    slope[b, m] /= reflected[b, m]
+                    continue
+                slope[b, m] = 0.0
+                for r in range(start, stop):
+                    slope[b, m] += slope_at_black(
+                        weight[r], length[r], hits[r], powers[b], attenuation[b], m
+                    )
 
 
-@kernel()
-def weigh_serial(
-    pieces: IntArray,
-    weight: FloatArray,
-    hits: IntArray,
-    length: FloatArray,
-    reflected: FloatArray,
-    powers: FloatArray,
-    attenuation: FloatArray,
-    energies: FloatArray,
-    slopes: FloatArray,
-) -> None:
-    """Fill energies (n_pieces, n_bands) and slopes by x (n_pieces, n_bands, n_materials or 0)."""
-    for p in range(len(pieces)):
-        piece, energy, slope = pieces[p], energies[p], slopes[p]
-        _weigh_piece(piece, weight, hits, length, reflected, powers, attenuation, energy, slope)
-
-
-@kernel(parallel=True)
-def weigh_parallel(
-    pieces: IntArray,
-    weight: FloatArray,
-    hits: IntArray,
-    length: FloatArray,
-    reflected: FloatArray,
-    powers: FloatArray,
-    attenuation: FloatArray,
-    energies: FloatArray,
-    slopes: FloatArray,
-) -> None:
-    """Do what `weigh_serial` does, the pieces spread over threads."""
-    for p in numba.prange(len(pieces)):
-        piece, energy, slope = pieces[p], energies[p], slopes[p]
-        _weigh_piece(piece, weight, hits, length, reflected, powers, attenuation, energy, slope)
-
-
-@kernel()
+@kernel(allocates=False)
 def sum_pieces(
     pieces: IntArray,
     energies: FloatArray,
@@ -450,7 +418,7 @@ def sum_pieces(
                 derivative[m, b, w] -= slopes[p, b, m]
 
 
-@kernel()
+@kernel(allocates=False)
 def weigh_batches(
     offsets: IntArray,
     batch: IntArray,
@@ -541,8 +509,9 @@ def weigh(
     pieces = pieces_of(rows.offsets)
     energies = np.zeros((len(pieces), n_bands))
     slopes = np.zeros((len(pieces), n_bands, n_materials if derivative else 0))
-    small = rows.weight_per_m2.size * n_bands < ROWS_WORTH_THREADS
-    (weigh_serial if small else weigh_parallel)(
+    in_threads(
+        weigh_pieces,
+        len(pieces),
         pieces,
         rows.weight_per_m2,
         rows.hits,
@@ -552,6 +521,7 @@ def weigh(
         attenuation,
         energies,
         slopes,
+        worth_it=rows.weight_per_m2.size * n_bands >= ROWS_WORTH_THREADS,
     )
     energy = np.zeros((n_bands, rows.n_windows))
     by_absorption = np.zeros((n_materials if derivative else 0, n_bands, rows.n_windows))

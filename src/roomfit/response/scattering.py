@@ -6,9 +6,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numba import prange
 
-from roomfit._numba import kernel
+from roomfit._numba import in_threads, kernel
 from roomfit.errors import InputError
 from roomfit.materials.priors import Scattering
 from roomfit.response.energy import EnergyRows, reweighed_rows
@@ -74,25 +73,30 @@ def scattering_weights(paths: Paths, scattering: Scattering) -> FloatArray:
             needed="a sampling coefficient between 0 and 1",
             hint="trace again with the coefficient that is wanted",
         )
-    factor = np.empty(len(paths))
+    factor, hits = np.empty(len(paths)), (paths.hits_diffuse, paths.hits_specular)
     if len(traced) > 1:
         changes = _log_changes(traced, wanted)
-        _mixture_ratios(changes, paths.hits_diffuse, paths.hits_specular, factor)
+        in_threads(_mixture_ratios, len(paths), changes, *hits, factor)
         return factor
     changed = wanted != traced[0]
     ratios = np.ones((2, len(wanted)))
     ratios[0, changed] = wanted[changed] / traced[0, changed]
     ratios[1, changed] = (1.0 - wanted[changed]) / (1.0 - traced[0, changed])
-    _ratios_to_the_hits(ratios, paths.hits_diffuse, paths.hits_specular, factor)
+    in_threads(_ratios_to_the_hits, len(paths), ratios, *hits, factor)
     return factor
 
 
-@kernel(parallel=True)
+@kernel(allocates=False)
 def _ratios_to_the_hits(
-    ratios: FloatArray, diffuse: IntArray, specular: IntArray, factor: FloatArray
+    first: int,
+    last: int,
+    ratios: FloatArray,
+    diffuse: IntArray,
+    specular: IntArray,
+    factor: FloatArray,
 ) -> None:
     """Fill the product over materials of both ratios to the power of the hits; 0 ** 0 is 1."""
-    for i in prange(len(factor)):
+    for i in range(first, last):
         product = 1.0
         for m in range(ratios.shape[1]):
             if ratios[0, m] != 1.0:
@@ -101,13 +105,18 @@ def _ratios_to_the_hits(
         factor[i] = product
 
 
-@kernel(parallel=True)
+@kernel(allocates=False)
 def _mixture_ratios(
-    changes: FloatArray, diffuse: IntArray, specular: IntArray, factor: FloatArray
+    first: int,
+    last: int,
+    changes: FloatArray,
+    diffuse: IntArray,
+    specular: IntArray,
+    factor: FloatArray,
 ) -> None:
     """Fill the wanted probability of each path over the mean of the traced ones."""
     n_groups, _, n_materials = changes.shape
-    for i in prange(len(factor)):
+    for i in range(first, last):
         mean = 0.0
         for g in range(n_groups):
             log_ratio = 0.0

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roomfit._numba import kernel
-from roomfit.geometry.inside import Vector, cross, dot, minus, row
+from roomfit.geometry.inside import Vector, cross, dot, minus, put, row
 from roomfit.tracing.reflectors import Blockers, Walls
 from roomfit.typing import FloatArray, IntArray
 
@@ -33,12 +33,6 @@ _FLAT = 1e-3
 def height(planes: FloatArray, p: int, x: Vector) -> float:
     """Return how far inside plane p (normal inwards, offset) a point lies."""
     return float(planes[p, 0] * x[0] + planes[p, 1] * x[1] + planes[p, 2] * x[2] - planes[p, 3])
-
-
-@kernel(allocates=False, inlined=True)
-def put(table: FloatArray, i: int, x: Vector) -> None:
-    """Write a vector to row i of an (n, 3) array."""
-    table[i, 0], table[i, 1], table[i, 2] = x
 
 
 @kernel(allocates=False)

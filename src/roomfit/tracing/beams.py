@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roomfit._numba import kernel
-from roomfit.geometry.inside import Vector, along, corner, cross, dot, minus, row
+from roomfit.geometry.inside import Vector, along, corner, cross, dot, minus, put, row
 from roomfit.tracing.beam_clipping import (
     ROWS,
     Shadows,
@@ -26,7 +26,6 @@ from roomfit.tracing.beam_clipping import (
     height,
     lit_pieces,
     no_shadows,
-    put,
     sides,
     without_repeats,
 )

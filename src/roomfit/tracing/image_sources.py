@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from scipy.spatial import cKDTree
 
 from roomfit.air import speed_of_sound_m_s
 from roomfit.errors import InputError
@@ -142,6 +141,8 @@ def _one_of_each(own: IntArray, found: Found, tolerance_m: float) -> IntArray:
     own = own[np.argsort(found.order[own], kind="stable")]
     if own.size < 2:
         return own
+    from scipy.spatial import cKDTree  # heavy, and a box needs none
+
     tree = cKDTree(found.position_m[own])
     near = tree.query_pairs(10.0 * tolerance_m, output_type="ndarray")
     return np.delete(own, np.unique(near.max(axis=1)) if len(near) else [])

@@ -17,7 +17,6 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import prange
 from numba.extending import overload
 
 from roomfit._numba import kernel
@@ -120,19 +119,18 @@ def enters_grid(spheres: Spheres, o: Vector, d: Vector, flight_m: float) -> tupl
 
 
 @kernel(allocates=False)
-def cell_at(spheres: Spheres, x: float, axis: int) -> int:
+def cell_at(x: float, low_m: float, cell_m: float, n: int) -> int:
     """Return the cell along one axis in which a coordinate lies, the nearest one if outside."""
-    cell = math.floor((x - spheres.low_m[axis]) / spheres.cell_m[axis])
-    return int(min(max(cell, 0), spheres.cells[axis] - 1))
+    return int(min(max(math.floor((x - low_m) / cell_m), 0), n - 1))
 
 
 @kernel(allocates=False)
-def leaves_cell(spheres: Spheres, cell: int, axis: int, o: float, d: float) -> float:
+def leaves_cell(o: float, d: float, cell: int, low_m: float, cell_m: float) -> float:
     """Return the distance at which a ray passes the wall of its cell across one axis, in metres."""
     if d == 0.0:
         return math.inf
     wall = cell + 1 if d > 0.0 else cell
-    return float((spheres.low_m[axis] + wall * spheres.cell_m[axis] - o) / d)
+    return (low_m + wall * cell_m - o) / d
 
 
 # A wall nearer to the receiver than this share of the distance is no screen but rounding.
@@ -251,8 +249,10 @@ class Tally(NamedTuple):
     escape_direction: FloatArray  # (n_chunks, ESCAPES_KEPT, 3)
 
 
-@kernel(parallel=True)
+@kernel()
 def trace_chunks(
+    first_chunk: int,
+    last_chunk: int,
     walls: Walls,
     spheres: Spheres,
     job: Job,
@@ -261,7 +261,7 @@ def trace_chunks(
     caught: Caught,
     tally: Tally,
 ) -> None:
-    """Trace consecutive rays, each chunk into its own part of `caught` and `tally`.
+    """Trace consecutive rays, each chunk into its own part of `caught` and `tally`; for threads.
 
     Parameters
     ----------
@@ -270,9 +270,9 @@ def trace_chunks(
     first_ray : int
         Number of the first of them among all rays of the source.
     """
-    for chunk in prange(len(caught.found)):
-        specular = np.zeros(len(job.scattering), np.uint16)
-        diffuse = np.zeros(len(job.scattering), np.uint16)
+    specular = np.zeros(len(job.scattering), np.uint16)
+    diffuse = np.zeros(len(job.scattering), np.uint16)
+    for chunk in range(first_chunk, last_chunk):
         _trace_chunk(
             walls, spheres, job, directions, first_ray, chunk, specular, diffuse, caught, tally
         )
@@ -441,18 +441,19 @@ def _catch_in_grid(
     start, end = enters_grid(spheres, o, d, flight)
     if start > end:
         return
-    x = cell_at(spheres, o[0] + start * d[0], 0)
-    y = cell_at(spheres, o[1] + start * d[1], 1)
-    z = cell_at(spheres, o[2] + start * d[2], 2)
-    to_x = leaves_cell(spheres, x, 0, o[0], d[0])
-    to_y = leaves_cell(spheres, y, 1, o[1], d[1])
-    to_z = leaves_cell(spheres, z, 2, o[2], d[2])
+    low, size, cells = spheres.low_m, spheres.cell_m, spheres.cells
+    x = cell_at(o[0] + start * d[0], low[0], size[0], cells[0])
+    y = cell_at(o[1] + start * d[1], low[1], size[1], cells[1])
+    z = cell_at(o[2] + start * d[2], low[2], size[2], cells[2])
+    to_x = leaves_cell(o[0], d[0], x, low[0], size[0])
+    to_y = leaves_cell(o[1], d[1], y, low[1], size[1])
+    to_z = leaves_cell(o[2], d[2], z, low[2], size[2])
     entered = -np.inf
     while True:
         left = min(to_x, to_y, to_z)
-        cell = (x * spheres.cells[1] + y) * spheres.cells[2] + z
+        cell = (x * cells[1] + y) * cells[2] + z
         for i in range(spheres.first[cell], spheres.first[cell + 1]):
-            k = spheres.members[i]
+            k = int(np.int64(spheres.members[i]))
             nearest, length = chord(spheres, k, o, d, flight)
             if length > 0.0 and entered <= nearest < left:
                 arrived = travelled + nearest
@@ -463,19 +464,19 @@ def _catch_in_grid(
         entered = left
         if left == to_x:
             x += 1 if d[0] > 0.0 else -1
-            if x < 0 or x == spheres.cells[0]:
+            if x < 0 or x == cells[0]:
                 return
-            to_x = leaves_cell(spheres, x, 0, o[0], d[0])
+            to_x = leaves_cell(o[0], d[0], x, low[0], size[0])
         elif left == to_y:
             y += 1 if d[1] > 0.0 else -1
-            if y < 0 or y == spheres.cells[1]:
+            if y < 0 or y == cells[1]:
                 return
-            to_y = leaves_cell(spheres, y, 1, o[1], d[1])
+            to_y = leaves_cell(o[1], d[1], y, low[1], size[1])
         else:
             z += 1 if d[2] > 0.0 else -1
-            if z < 0 or z == spheres.cells[2]:
+            if z < 0 or z == cells[2]:
                 return
-            to_z = leaves_cell(spheres, z, 2, o[2], d[2])
+            to_z = leaves_cell(o[2], d[2], z, low[2], size[2])
 
 
 @kernel(allocates=False)

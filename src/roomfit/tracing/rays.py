@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomfit._checks import float_array, read_only
+from roomfit._numba import in_threads
 from roomfit.air import speed_of_sound_m_s
 from roomfit.errors import InputError
 from roomfit.findings import Finding
@@ -137,7 +138,7 @@ def _trace_block(
     own = directions[rays.start : rays.stop]
     while True:
         caught, tally = _new_caught(n_chunks, capacity, len(job.scattering)), new_tally(n_chunks)
-        trace_chunks(walls, spheres, job, own, rays.start, caught, tally)
+        in_threads(trace_chunks, n_chunks, walls, spheres, job, own, rays.start, caught, tally)
         found = int(caught.found.max(initial=0))
         if found <= capacity:
             return caught, tally

@@ -18,11 +18,10 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from roomfit._numba import kernel
 from roomfit.errors import InputError
-from roomfit.geometry.inside import Vector
+from roomfit.geometry.inside import Vector, corner, row
 from roomfit.geometry.mesh import area_vectors_m2, corners_m, is_double_sided
 from roomfit.scene import Room, triangle_material
 from roomfit.typing import BoolArray, FloatArray, IntArray
@@ -210,10 +209,10 @@ def _parallelograms(
     fits = (np.abs(misfit).max(axis=1) < 0.5 * EDGE_M) & (kind[own] == kind[far]) & (own < far)
     apex, mate = np.zeros(n, dtype=np.int64), np.arange(n)
     free = np.ones(n, dtype=np.bool_)
-    for a, corner, b in zip(own[fits], own_apex[fits], far[fits], strict=True):
+    for a, tip, b in zip(own[fits], own_apex[fits], far[fits], strict=True):
         if free[a] and free[b]:
             free[a] = free[b] = False
-            apex[a], mate[a], mate[b] = corner, b, -1
+            apex[a], mate[a], mate[b] = tip, b, -1
     return apex, mate
 
 
@@ -338,6 +337,8 @@ def convex_planes(room: Room) -> Planes | None:
 def _fills_its_hull(
     points: FloatArray, corners: FloatArray, vectors: FloatArray, areas: FloatArray
 ) -> bool:
+    from scipy.spatial import ConvexHull, QhullError  # heavy, and for rays alone
+
     try:
         hull = ConvexHull(points)
     except QhullError:  # all corners in one plane
@@ -396,13 +397,13 @@ def material_in_plane(planes: Planes, k: int, p: Vector) -> int:
 
 @kernel(allocates=False)
 def _piece_material(planes: Planes, k: int, p: Vector) -> int:
-    n = planes.normal[k]
+    n = row(planes.normal, k)
     best, found = -np.inf, 0
     for i in range(planes.first_piece[k], planes.first_piece[k + 1]):
         depth = np.inf
         for side in range(3):
-            a = planes.piece_corners_m[i, side]
-            b = planes.piece_corners_m[i, (side + 1) % 3]
+            a = corner(planes.piece_corners_m, i, side)
+            b = corner(planes.piece_corners_m, i, (side + 1) % 3)
             ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
             px, py, pz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
             inside = (

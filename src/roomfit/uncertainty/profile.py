@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from roomfit.logit import Z95
 from roomfit.objective.parameters import (
@@ -290,6 +289,8 @@ def _between(
     .. [1] F. N. Fritsch, R. E. Carlson, "Monotone piecewise cubic interpolation", SIAM J. Numer.
            Anal. 17, 238-246 (1980).
     """
+    from scipy.interpolate import CubicHermiteSpline  # heavy, and not of a first answer
+
     (x0, y0, d0), (x1, y1, d1) = inside, outside
     most = 3.0 * (y1 - y0) / (x1 - x0)
     x = np.linspace(x0, x1, 101)
@@ -319,6 +320,8 @@ def profile_curve(found: Profile, n_points: int = 200) -> tuple[FloatArray, Floa
     -------
     free, rise : float arrays, shape (n_points,)
     """
+    from scipy.interpolate import PchipInterpolator
+
     rise = np.maximum(found.rise, 0.0)
     bottom = int(np.argmin(rise))
     root = np.sqrt(rise) * np.where(np.arange(rise.size) < bottom, -1.0, 1.0)

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from roomfit._checks import nearest
 from roomfit.errors import InputError, located
@@ -153,6 +152,8 @@ def _check_size(model: RoomModel, vertices_m: FloatArray, where: str) -> None:
     check_limit("polygon_pairs", int((lengths[lengths > 100] ** 2).sum()), where)
     if not (np.abs(vertices_m) < 1e9).all():
         return  # which no mesh can have
+    from scipy.spatial import cKDTree  # heavy, and a box needs none
+
     distinct = np.unique(vertices_m, axis=0)
     if len(distinct):
         tree = cKDTree(distinct)

@@ -1,0 +1,61 @@
+"""Compiled kernels: loops in threads, and nothing compiled twice."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from roomfit._numba import in_threads, kernel
+from roomfit.typing import FloatArray
+
+
+@kernel(allocates=False)
+def _count(first: int, last: int, step: int, seen: FloatArray) -> None:
+    for i in range(first, last):
+        seen[i] += step * i
+
+
+@pytest.mark.parametrize("worth_it", [True, False])
+@pytest.mark.parametrize("n", [0, 1, 2, 7, 1000])
+def test_threads_take_every_step_once(n, worth_it):
+    seen = np.zeros(n)
+    in_threads(_count, n, 3, seen, worth_it=worth_it)
+    assert seen.tolist() == [3 * i for i in range(n)]
+
+
+PROGRAM = """
+from roomfit.geometry import check, inside
+from roomfit.materials.priors import uniform_scattering
+from roomfit.scene import scene_of, shoebox_room
+from roomfit.tracing import ray_kernels
+from roomfit.tracing.trace import TraceSettings, trace
+
+room = shoebox_room((20.0, 15.0, 6.0), "plaster")
+check.examine(room.mesh)
+receivers = {f"R{i}": (4.0 + i, 3.0, 1.5) for i in range(12)}  # enough for a grid of cells
+scene = scene_of(room, {"S": (1.0, 1.0, 1.5)}, receivers)
+settings = TraceSettings(duration_s=0.1, n_rays=500, image_order=1)
+trace(scene, settings, uniform_scattering(("plaster",), 0.3))
+for module in (check, inside, ray_kernels):
+    for name, found in vars(module).items():
+        print(name, len(getattr(found, "signatures", ())))
+"""
+
+
+@pytest.mark.slow
+def test_no_kernel_is_compiled_twice_for_a_trace(tmp_path):
+    """A number written into a call, or int32 beside int64, compiles all that follows again."""
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+    )
+    times = {name: int(n) for name, n in (line.split() for line in done.stdout.splitlines())}
+    assert times["_record"] == times["_reflect"] == times["_trace_ray"] == 1
+    assert {name for name, n in times.items() if n > 1} == set()
