@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -113,19 +114,22 @@ def in_band(binned: BinnedPaths, centre_hz: float) -> BinnedPaths:
     A sixteenth of a period, since a band of a filter does not resolve time finer than several
     periods, or a 400th of the time after emission, where windows have grown to 40 times that.
     """
-    first = _bin_starts(binned.edges_s, centre_hz)
+    first = _bin_starts(binned.edges_s.tobytes(), centre_hz)
     edges_s = binned.edges_s[np.append(first, binned.edges_s.size - 1)]
     rows = tuple(regrouped_rows(rows, first) for rows in rows_at(binned, centre_hz))
     return BinnedPaths(edges_s, rows)
 
 
-def _bin_starts(edges_s: FloatArray, centre_hz: float) -> IntArray:
+@lru_cache(maxsize=64)
+def _bin_starts(edges_s: bytes, centre_hz: float) -> IntArray:
     least = max(int(1.0 / (16.0 * centre_hz * BIN_S)), 1)
     # a list: its numbers are read one by one, which an array does ten times more slowly
-    edges = edges_s.tolist()
+    edges = np.frombuffer(edges_s).tolist()
     starts = []
     at = 0
     while at < len(edges) - 1:
         starts.append(at)
         at += max(least, int(edges[at] / (_BINS_PER_TIME * BIN_S)))
-    return np.array(starts)
+    found = np.array(starts)
+    found.setflags(write=False)
+    return found
