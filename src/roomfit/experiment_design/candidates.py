@@ -424,11 +424,11 @@ def information_of_candidates(
     fineness, late = _late_images(scene, known, plan)
     # rays serve all receivers of a source
     groups = scene.pairs[:, 0] if late is None else np.arange(len(scene.pairs))
-    n_groups = np.unique(groups).size
-    for number, group in enumerate(np.unique(groups)):
-        at = np.flatnonzero(groups == group)
+    names = np.unique(groups)
+    for number, name in enumerate(names):
+        at = np.flatnonzero(groups == name)
         own = select_pairs(scene, at)
-        done = part(progress, number / n_groups, (number + 1) / n_groups)
+        done = part(progress, number / names.size, (number + 1) / names.size)
         traced = trace(own, fineness, plan.scattering, part(done, 0.0, _TRACING))
         paths = traced.paths if late is None else concatenate((traced.paths, late))
         n_bands = len(known.bands)

@@ -362,9 +362,14 @@ def frequency_axis(axes: Axes, centres_hz: FloatArray) -> None:
 
 
 def band_panels(
-    n: int, height_in: float, *, most_columns: int = 3, narrow: bool = False
+    n: int,
+    height_in: float,
+    *,
+    most_columns: int = 3,
+    narrow: bool = False,
+    sharex: bool = True,
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with n panels in rows that share their scales, and the panels.
+    """Return a figure with n panels in rows that share their y scale, and the panels.
 
     `narrow` is for the screen of a telephone: two panels in a row. `frame_panels` completes it.
     """
@@ -376,15 +381,9 @@ def band_panels(
         size_in = NARROW_IN, 1.7 * rows + 0.7
     elif columns > 3:
         size_in = size_in[0], 0.75 * height_in * rows + 0.6
-    return _panels(n, columns, size_in, sharex=True)
-
-
-def _panels(
-    n: int, columns: int, size_in: tuple[float, float], *, sharex: bool
-) -> tuple[Figure, list[Axes]]:
     figure = PlainFigure(figsize=size_in, layout="none")
     FigureCanvasAgg(figure)
-    grid = figure.subplots(-(-n // columns), columns, sharex=sharex, sharey=True, squeeze=False)
+    grid = figure.subplots(rows, columns, sharex=sharex, sharey=True, squeeze=False)
     for unused in grid.ravel()[n:]:
         unused.set_visible(False)
     return figure, list(grid.ravel()[:n])
@@ -442,18 +441,9 @@ def frame_panels(
     gap_in: float = 0.27,
     each_x: bool = False,
 ) -> None:
-    """Give panels that share their y scale numbers, labels and a legend, and all its place.
+    """Give `band_panels` grid, numbers, labels and a legend below its title, and all its place.
 
-    Parameters
-    ----------
-    across, up : str
-        Labels of the scales.
-    title : str
-        Above the legend.
-    gap_in : float
-        Between panels, in inches.
-    each_x : bool
-        Panels have x scales of their own.
+    `gap_in` is between panels, in inches; with `each_x` they have x scales of their own.
     """
     grid = panels[0].get_subplotspec().get_gridspec()  # type: ignore[union-attr]
     rows, columns = grid.nrows, grid.ncols
@@ -628,9 +618,7 @@ def profiles_figure(answer: Result) -> Figure | None:
     shown = shown_profiles(answer)
     if not shown:
         return None
-    columns = min(len(shown), 3)
-    size_in = max(3.4 * columns, 4.6), 2.1 * -(-len(shown) // columns) + 0.6
-    figure, panels = _panels(len(shown), columns, size_in, sharex=False)
+    figure, panels = band_panels(len(shown), 2.1, sharex=False)
     for axes, (band, line) in zip(panels, shown, strict=True):
         a, low, high = (
             float(x[line.entry, band]) for x in (answer.absorption, answer.lower95, answer.upper95)

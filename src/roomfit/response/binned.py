@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -99,13 +99,6 @@ def bin_paths(
         for band, f in enumerate(bands.centres_hz)
     }
     return BinnedPaths(edges, rows, by_band)
-
-
-def paths_at(paths: Paths, factors: FloatArray | None, band: int) -> Paths:
-    """Return the paths with the weights that they have in a band."""
-    if factors is None:
-        return paths
-    return replace(paths, weight_per_m2=paths.weight_per_m2 * factors[band])
 
 
 def in_band(binned: BinnedPaths, centre_hz: float) -> BinnedPaths:
