@@ -7,7 +7,7 @@ measurement, export materials, or run a demonstration on a room whose absorption
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -671,6 +671,7 @@ def identify_to_folder(
     overwrite: bool = False,
     keep: bool = True,
     progress: Progress | None = None,
+    answered: Callable[[Result], None] | None = None,
 ) -> Result:
     """Identify a campaign and write result.json, tables, pictures and report into a folder.
 
@@ -687,7 +688,8 @@ def identify_to_folder(
         Write into a folder that is not empty.
     keep : bool
         Keep the trace in the user's cache, so that a run that was interrupted continues from it.
-    progress : callable, optional
+    progress, answered : callable, optional
+        `answered` is called with the answer before report and pictures are drawn.
 
     Raises
     ------
@@ -714,6 +716,8 @@ def identify_to_folder(
     cache = user_cache() if keep else None
     with located(str(campaign_file)):
         answer = identify(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
+    if answered is not None:
+        answered(answer)
     inputs = tuple(files_read())
     figures = answer_figures(answer)
     page = report_html(

@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import io
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from report_cases import answer_of, scene_of
 from roomfit.report.figures import (
+    absorption_figure,
+    answer_figures,
     corner_figure,
+    decay_figure,
     identifiability_figure,
+    png,
     profiles_figure,
     shown_profiles,
+    svg,
+    write_pictures,
 )
 from roomfit.report.html_tables import prior_tables
 from roomfit.uncertainty.profile import Profile
@@ -83,3 +92,56 @@ def test_the_prior_stands_in_a_table_of_its_own(answer):
     (table,) = prior_tables(answer)
     assert [row.head for row in table.rows] == list(answer.materials)
     assert len(table.rows[0].cells) == 6
+
+
+def numbers_of(figure):
+    """The numbers that label scales, and where they stand, in points from the lower left corner."""
+    turned = r'<text [^>]*transform="translate\(([-.\d]+)[ ,]([-.\d]+)\)[^>]*>([.\dk]+)</text>'
+    plain = r'<text [^>]*?x="([-.\d]+)" y="([-.\d]+)"[^>]*>([.\dk]+)</text>'
+    text, height = svg(figure, "a", "b"), 72.0 * figure.get_figheight()
+    found = re.findall(plain, text) + re.findall(turned, text)
+    return [(word, np.array([float(x), height - float(y)])) for x, y, word in found]
+
+
+def test_numbers_of_panels_stand_at_their_values_whatever_the_limits(answer):
+    """Three materials and the mean in one row: four scales of bands, one of absorption."""
+    figure = absorption_figure(answer)
+    for low, high in ((0.0, 1.0), (0.1, 0.35)):
+        figure.axes[0].set_ylim(low, high)
+        numbers = numbers_of(figure)
+        levels = {float(w): at for w, at in numbers if "." in w}
+        assert len(levels) >= 3
+        for level, at in levels.items():
+            assert low <= level <= high
+            expected = figure.axes[0].transData.transform((1000.0, level)) * 72.0 / figure.dpi
+            # the base line of ten-point numbers that have their middle there
+            assert at[1] == pytest.approx(expected[1] - 3.6, abs=1.0)
+            assert at[0] < 72.0 * figure.axes[0].get_position().x0 * figure.get_figwidth()
+        places = [at[0] for w, at in numbers if w == "1k"]
+        for axes, x in zip(figure.axes, sorted(places), strict=True):
+            expected = axes.transData.transform((1000.0, low)) * 72.0 / figure.dpi
+            assert x == pytest.approx(expected[0], abs=8.0)  # left of its middle, or there
+
+
+def test_each_decay_picture_is_what_its_pair_would_be_by_itself(answer, tmp_path):
+    """Curves, levels and names of the others are not in it; what all share is drawn once."""
+    figure = decay_figure(answer, *answer.pairs)
+    write_pictures(tmp_path, answer, figures={"decays": figure})
+    pictures = [imread(file) for file in sorted(tmp_path.glob("decay_*.png"))]
+    assert len(pictures) == len(answer.pairs) > 1
+    parts = [a for x in (figure, *figure.axes) for a in x.get_children() if a.get_gid()]
+    for i, picture in enumerate(pictures):
+        for part in parts:
+            part.set_visible(part.get_gid() == f"class:curve-{i}")
+        alone = imread(io.BytesIO(png(figure)))
+        # the same but for frames and grid, of which curves lie above here and below there
+        assert np.mean(np.abs(alone - picture).max(axis=2) > 0.3) < 1e-3
+        others = [np.mean(np.abs(alone - p).max(axis=2) > 0.3) for p in pictures]
+        assert int(np.argmin(others)) == i and sorted(others)[1] > 1e-3
+
+
+def test_pairs_without_curves_have_no_decay_picture(answer, tmp_path):
+    values = replace(answer, pairs=tuple(replace(p, decay=None) for p in answer.pairs))
+    assert "decays" not in answer_figures(values)
+    write_pictures(tmp_path, values)
+    assert not list(tmp_path.glob("decay_*.png"))

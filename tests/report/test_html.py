@@ -223,7 +223,7 @@ def test_a_choice_shows_the_curves_of_its_pair_and_the_worst_comes_first(case):
         label = text.split(f'<label for="pick-{i}">')[1].split("</label>")[0]
         assert label.startswith(f"{pair.source} to {pair.receiver}")
         # two curves, the evaluated range and the decay times in each of six bands
-        assert drawing(text, "decay").count(f'<g class="curve-{i}">') == 4 * len(answer.bands)
+        assert drawing(text, "decay").count(f'<g class="curve-{i}">') == 1 + 4 * len(answer.bands)
     assert 'g[class^="curve-"] { display: none; }' in style
 
 
@@ -345,7 +345,7 @@ def test_forty_pairs_in_third_octaves_stay_below_two_and_a_half_megabytes():
     page = read_page(text)
     assert len(table(page, "S3 to R9")["T20"]) == len(answer.bands) == 21
     assert len([c for c in page.tables if c.startswith("S3 to R9")]) == 3
-    assert drawing(text, "decay").count('<g class="curve-39">') == 4 * 21
+    assert drawing(text, "decay").count('<g class="curve-39">') == 1 + 4 * 21
 
 
 # Answers of every kind.

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import logging
+import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
 
+import roomfit
 from roomfit.cli import main
 from roomfit.report import progress
 from roomfit.report.progress import remaining_s, shown_progress
@@ -71,7 +74,7 @@ def test_elsewhere_every_stage_is_a_line(capsys):
     [
         ("-q", [], ["tracing"]),
         ("--verbose", ["tracing", "image sources to order"], []),
-        (None, ["evaluating the measurements", "tracing", "drawing"], ["image sources to"]),
+        (None, ["evaluating the measurements", "tracing", "predicting"], ["image sources to"]),
     ],
 )
 def test_a_command_shows_as_much_as_is_asked_for(tmp_path, capsys, option, shown, hidden):
@@ -83,6 +86,46 @@ def test_a_command_shows_as_much_as_is_asked_for(tmp_path, capsys, option, shown
     assert not any(text in err for text in hidden)
     assert bool(err) == (option != "-q")
     assert LOG.level == logging.NOTSET
+
+
+def test_the_answer_is_printed_before_the_report_is_drawn(tmp_path, monkeypatch, capsys):
+    campaign = write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 500"))
+
+    def drawn(*_, **__):
+        printed.append(capsys.readouterr().out)
+        return "page"
+
+    printed: list[str] = []
+    monkeypatch.setattr("roomfit.report.html.report_html", drawn)
+    main(["identify", str(campaign), "--out", str(tmp_path / "out"), "--quick", "-q"])
+    assert len(printed) == 1
+    assert "carpet" in printed[0] and "Findings" in printed[0]
+    assert capsys.readouterr().out.startswith("\nreport.html, result.json")
+    assert (tmp_path / "out" / "report.html").read_text() == "page"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
+def test_an_answer_that_nobody_reads_is_written_all_the_same(tmp_path):
+    """To a pipe that is closed and to a full device; the exit code tells of both."""
+    campaign = write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 500"))
+    source = Path(roomfit.__file__).parents[1]
+    program = (
+        f"import sys; sys.path.insert(0, {str(source)!r}); from roomfit.cli import main; main()"
+    )
+    command = [sys.executable, "-c", program, "identify", campaign, "--quick", "-q"]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*command, "--out", tmp_path / "full"], stdout=full, stderr=subprocess.PIPE, check=False
+        )
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"the disk is full")
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run([*command, "--out", tmp_path / "pipe"], stdout=write, check=False)
+    os.close(write)
+    assert done.returncode == 1
+    for name in ("full", "pipe"):
+        assert (tmp_path / name / "result.json").exists()
 
 
 def test_quiet_still_shows_errors(tmp_path, capsys):

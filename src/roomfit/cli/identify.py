@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from contextlib import ExitStack, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from roomfit.cli.arguments import Commands, add_command, number_range
 from roomfit.cli.terminal import say
 from roomfit.report.progress import shown_progress
+
+if TYPE_CHECKING:
+    from roomfit.results import Result
 
 
 def add(commands: Commands) -> None:
@@ -33,16 +39,24 @@ def run(options: argparse.Namespace) -> None:
     from roomfit.commands import identify_to_folder
     from roomfit.report.text import answer_text
 
-    with shown_progress("identifying") as progress:
-        answer = identify_to_folder(
+    with ExitStack() as line:
+
+        def show(answer: Result) -> None:
+            line.close()  # that of the progress
+            # a reader who has gone, or a full disk, is met again at the end, with all files written
+            with suppress(OSError):
+                say(answer_text(answer))
+                sys.stdout.flush()
+
+        identify_to_folder(
             options.campaign,
             options.out,
             between_hz=options.bands,
             quick=options.quick,
             overwrite=options.overwrite,
             keep=not options.no_cache,
-            progress=progress,
+            progress=line.enter_context(shown_progress("identifying")),
+            answered=show,
         )
-    say(answer_text(answer))
     files = "absorption.csv" if options.quick else "absorption.csv and pictures"
     say(f"\nreport.html, result.json, {files} are in {options.out}")

@@ -22,11 +22,12 @@ from roomfit.findings import Code, Finding
 from roomfit.geometry.inside import distance_to_walls_m, is_inside
 from roomfit.geometry.mesh import refuse, volume_m3
 from roomfit.inversion.scattering import band_factors, specified_scattering
+from roomfit.inversion.sequential import FIT_END_S
 from roomfit.inversion.solve import prior_speed_sd
 from roomfit.inversion.trace_plan import TracePlan, fits_pressures, plan_trace
 from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import LATENCY_SD_S, Level
-from roomfit.objective.coherent import DELAY_SD_S
+from roomfit.objective.coherent import DELAY_SD_S, RINGING_PERIODS
 from roomfit.objective.parameters import Geometry
 from roomfit.prediction.decay import scene_decay_s
 from roomfit.response.directivity import Directivities
@@ -40,7 +41,7 @@ from roomfit.scene import (
     select_pairs,
 )
 from roomfit.settings import Settings
-from roomfit.tracing.paths import TraceSettings
+from roomfit.tracing.paths import Paths, TraceSettings, concatenate, select
 from roomfit.tracing.trace import trace
 from roomfit.typing import BoolArray, FloatArray, IntArray, Progress, part
 
@@ -384,6 +385,8 @@ def _used(whole: Scene, pairs: IntArray) -> Scene:
 # Rays caught by all receivers of one source: more would fill memory for nothing.
 _MOST_CAUGHT = 4e6
 _FEWEST_RAYS = 2_000
+# Of a pair: a window late in the decay has a thousand or more.
+_LATE_IMAGES = 100_000
 # The part of the time that tracing takes.
 _TRACING = 0.3
 
@@ -419,13 +422,17 @@ def information_of_candidates(
     findings = list(plan.findings)
     found: list[FloatArray] = []
     indices: list[IntArray] = []
-    sources = np.unique(scene.pairs[:, 0])
-    for number, source in enumerate(sources):
-        at = np.flatnonzero(scene.pairs[:, 0] == source)
+    fineness, late = _late_images(scene, known, plan)
+    # rays serve all receivers of a source
+    groups = scene.pairs[:, 0] if late is None else np.arange(len(scene.pairs))
+    names = np.unique(groups)
+    for number, name in enumerate(names):
+        at = np.flatnonzero(groups == name)
         own = select_pairs(scene, at)
-        done = part(progress, number / sources.size, (number + 1) / sources.size)
-        traced = trace(own, plan.settings, plan.scattering, part(done, 0.0, _TRACING))
-        paths, n_bands = traced.paths, len(known.bands)
+        done = part(progress, number / names.size, (number + 1) / names.size)
+        traced = trace(own, fineness, plan.scattering, part(done, 0.0, _TRACING))
+        paths = traced.paths if late is None else concatenate((traced.paths, late))
+        n_bands = len(known.bands)
         scattering = specified_scattering(known.priors, plan.scattering.coefficients, n_bands)
         factors, degenerate = band_factors(directivities, own, known.bands, paths, scattering)
         # a candidate near a wall is no doubt about anything
@@ -440,6 +447,27 @@ def information_of_candidates(
     return matrices, expected.coherent, tuple(findings)
 
 
+def _late_images(
+    scene: Scene, known: PriorInformation, plan: TracePlan
+) -> tuple[TraceSettings, Paths | None]:
+    """Return how to trace each pair of a box without rays, and late images of one for all of them.
+
+    What comes after all that is added as pressures is so much that its energies are alike wherever
+    source and receiver stand: every n-th image of the first pair, of n times the weight. None where
+    there are rays.
+    """
+    if plan.settings.n_rays:
+        return plan.settings, None
+    early_s = FIT_END_S + 2.0 * RINGING_PERIODS / float(known.bands.centres_hz[0])
+    early_s = min(early_s, plan.settings.duration_s)
+    paths = trace(select_pairs(scene, slice(0, 1)), plan.settings, plan.scattering).paths
+    far = np.flatnonzero(paths.length_m > early_s * speed_of_sound_m_s(scene.air))
+    every = max(far.size // _LATE_IMAGES, 1)
+    late = select(paths, far[::every])
+    late = replace(late, weight_per_m2=far.size / max(len(late), 1) * late.weight_per_m2)
+    return replace(plan.settings, duration_s=early_s), late
+
+
 def _plan(
     scene: Scene, known: PriorInformation, options: DesignOptions, settings: Settings
 ) -> TracePlan:
@@ -451,7 +479,10 @@ def _plan(
     plan = plan_trace(
         first, known.priors, decay_s, observed_s, settings, coherent=fits_pressures(settings)
     )
-    return replace(plan, settings=_with_fewer_rays(plan.settings, scene))
+    # what a box's images need to be moved follows from where they stand
+    moved = plan.settings.keep_image_transforms and scene.room.shoebox_m is None
+    fineness = replace(plan.settings, keep_image_transforms=moved)
+    return replace(plan, settings=_with_fewer_rays(fineness, scene))
 
 
 def _with_fewer_rays(settings: TraceSettings, scene: Scene) -> TraceSettings:

@@ -18,6 +18,7 @@ from roomfit.experiment_design.prior import PriorInformation, Unknowns
 from roomfit.inversion.sequential import FIT_END_S
 from roomfit.logit import Z95, expit
 from roomfit.objective.coherent import (
+    RINGING_PERIODS,
     CoherentTerm,
     coherent_term,
     with_coherence,
@@ -26,6 +27,7 @@ from roomfit.objective.energy import (
     EnergyTerm,
     Observation,
     fine_edges_s,
+    first_windows,
     in_air,
 )
 from roomfit.objective.observation import absorption_block
@@ -41,8 +43,8 @@ from roomfit.objective.parameters import (
 )
 from roomfit.objective.problem import Objective
 from roomfit.objective.windows import window_edges_s
-from roomfit.response.binned import BinnedPaths, bin_paths, in_band, paths_at
-from roomfit.response.coherent import image_paths
+from roomfit.response.binned import BinnedPaths, bin_paths, in_band
+from roomfit.response.coherent import ImagePaths, image_paths, images_of
 from roomfit.response.energy import EnergyRows, first_rows, weigh
 from roomfit.scene import Scene, distances_m, select_pairs
 from roomfit.signals.filters import (
@@ -306,9 +308,7 @@ def _objectives(
     direct_s = float(distances_m(alone)[0] / c)
     timing_sd_s = float(np.sqrt(2.0) * expected.position_sd_m / c)
     binned = bin_paths(alone, known.bands, paths, expected.duration_s, factors)
-    image = np.flatnonzero(paths.batch < 0)
-    images = select(paths, image)
-    weights = None if factors is None else factors[:, image]
+    images: ImagePaths | None = None
     objectives = []
     for f in filters:
         absorption = replace(
@@ -330,12 +330,19 @@ def _objectives(
         energies = replace(
             energies, model_error=_PRESSURE_MODEL_ERROR, ringing_error=_PRESSURE_RINGING_ERROR
         )
+        if images is None:
+            # those that any band adds as pressures, of which the lowest rings longest
+            last_s = float(first_windows(energies.observations[0], FIT_END_S).edges_s[-1])
+            last_s = max(last_s, FIT_END_S) + RINGING_PERIODS / f.centre_hz
+            images = image_paths(paths, np.zeros(1, dtype=np.int64), 0.0, c * last_s)
         term = coherent_term(
             known.bands,
             f.band,
             energies,
             f.attenuation_per_m,
-            image_paths(paths_at(images, weights, f.band), np.zeros(1, dtype=np.int64), 0.0),
+            images_of(
+                images, np.zeros(1, dtype=np.int64), None if factors is None else factors[f.band]
+            ),
             binned,
             expected.geometry,
             FIT_END_S,

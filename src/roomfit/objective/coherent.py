@@ -55,7 +55,7 @@ from roomfit.signals.filters import FilterBank
 from roomfit.typing import FloatArray, IntArray
 
 # Of its centre: so much later an arrival does not ring into a window any more.
-_RINGING_PERIODS = 4.0
+RINGING_PERIODS = 4.0
 # A path less coherent than this is left to the energies.
 _LEAST_COHERENCE = 1e-3
 # Relative error of a travel time that no fitted parameter stands for.
@@ -434,7 +434,7 @@ def coherent_term(
     last = max(float(o.edges_s[-1]) for o in observed)
     grid = band_grid(bank, first, last)
     length_m = images.lengths_m()
-    near = length_m <= c * (last + _RINGING_PERIODS / energies.centre_hz)
+    near = length_m <= c * (last + RINGING_PERIODS / energies.centre_hz)
     weight = images.weight * np.exp(-attenuation_per_m * length_m)
     images, travel = chosen_paths(replace(images, weight=weight), near), length_m[near] / c
     bin_edges_s = in_band(BinnedPaths(binned.edges_s, ()), energies.centre_hz).edges_s

@@ -126,7 +126,8 @@ def follow_decay(
 def scene_decay_s(scene: Scene, bands: Bands, absorption: FloatArray) -> FloatArray:
     """Return the reverberation time of a scene by Eyring's formula in every band, (n_bands,)."""
     mesh = scene.room.mesh
-    areas = material_areas_m2(scene.room, int(pair_states(scene)[0]))
+    state = int(pair_states(scene)[0]) if len(scene.pairs) else 0
+    areas = material_areas_m2(scene.room, state)
     mean = np.maximum(areas @ absorption / areas.sum(), 1e-4)
     room = (volume_m3(mesh), surface_area_m2(mesh), speed_of_sound_m_s(scene.air))
     return eyring_time_s(mean, *room, attenuation_per_m(scene.air, bands))

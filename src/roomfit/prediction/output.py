@@ -24,6 +24,7 @@ from roomfit.report.figures import (
     OKABE_ITO,
     band_panels,
     figure_legend,
+    frame_panels,
     literal,
     new_figure,
 )
@@ -456,12 +457,13 @@ def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
         axes.set_title(label, fontsize=9)
     panels[0].set_ylim(LOWEST_DB, 2.0)
     panels[0].set_xlim(0.0, shown_s)
-    figure.supxlabel("time after emission (s)", fontsize=10)
-    figure.supylabel("energy decay curve (dB)", fontsize=10)
     title = f"{literal(pair.source)} to {literal(pair.receiver)}"
     if predicted.changes:
         title += " with " + literal("; ".join(predicted.changes), 80)
-    figure_legend(figure, panels[0], 3, title)
+    frame_panels(
+        figure, panels, "time after emission (s)", "energy decay curve (dB)",
+        legend_columns=3, title=title,
+    )  # fmt: skip
     return figure
 
 

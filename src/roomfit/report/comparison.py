@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from scipy.special import ndtr, ndtri
 
 from roomfit.errors import InputError
-from roomfit.report.figures import OKABE_ITO, band_panels, figure_legend, frequency_axis, literal
+from roomfit.report.figures import OKABE_ITO, band_panels, frame_panels, frequency_axis, literal
 from roomfit.report.html import tables_page
 from roomfit.report.wording import (
     DASH,
@@ -282,9 +282,7 @@ def comparison_figure(compared: Comparison, labels: tuple[str, str]) -> Figure:
         axes.set_title(literal(compared.materials[i], 30), fontsize=10, loc="left")
     frequency_axis(panels[0], centres)
     panels[0].set_ylim(-0.03, 1.03)
-    figure.supxlabel("band centre (Hz)", fontsize=10)
-    figure.supylabel("absorption coefficient", fontsize=10)
-    figure_legend(figure, panels[0], 4)
+    frame_panels(figure, panels, "band centre (Hz)", "absorption coefficient")
     return figure
 
 

@@ -10,19 +10,27 @@ import html
 import io
 import re
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.image import imsave
+from matplotlib.legend import Legend
+from matplotlib.lines import Line2D
+from matplotlib.patches import PathPatch, Rectangle
+from matplotlib.path import Path as MplPath
 from matplotlib.text import Text
-from matplotlib.ticker import FuncFormatter, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+from matplotlib.transforms import IdentityTransform
 
 from roomfit.cache import write_bytes_atomically
 from roomfit.logit import expit
@@ -65,21 +73,29 @@ def write_pictures(
     StoreError
         The disk refuses.
     """
-    for name, figure in (answer_figures(answer) if figures is None else figures).items():
+    drawn = dict(answer_figures(answer) if figures is None else figures)
+    decays = drawn.pop("decays", None)
+    for name, figure in drawn.items():
         write_bytes_atomically(folder / f"{name}.png", png(figure))
-    with_decay = [(i, p) for i, p in enumerate(answer.pairs, start=1) if p.decay]
-    decays = None
-    for i, pair in with_decay[:MOST_DECAY_PICTURES]:
+    if decays is None:
+        return
+    with_curves = [(i, p) for i, p in enumerate(answer.pairs, start=1) if has_curves(p)]
+    shown = with_curves[:MOST_DECAY_PICTURES]
+    if len(shown) < len(with_curves):
+        # curves of so many have few points
+        decays = decay_figure(answer, *(pair for _, pair in shown))
+    for (i, pair), picture in zip(shown, _one_by_one(decays, len(shown)), strict=True):
         names = filter(None, (pair.source, pair.receiver, pair.state))
-        name = f"decay_{i:02d}_{in_file_name(*names)}.png"
-        decays = decay_figure(answer, pair, again=decays)
-        write_bytes_atomically(folder / name, png(decays))
+        write_bytes_atomically(folder / f"decay_{i:02d}_{in_file_name(*names)}.png", picture)
         if progress is not None:
             progress(i / len(answer.pairs))
 
 
 def answer_figures(answer: Result) -> dict[str, Figure]:
-    """Return what the report and files show alike, by the name of the file."""
+    """Return what the report and files show alike, by the name of the file.
+
+    "decays" are those of all pairs, of which each picture and each choice in the report shows one.
+    """
     found = {
         "absorption": absorption_figure(answer),
         "identifiable": identifiability_figure(answer),
@@ -89,7 +105,18 @@ def answer_figures(answer: Result) -> dict[str, Figure]:
         found["profiles"] = bent
     if corner is not None:
         found[f"corner_{corner[0]:g}_hz"] = corner[1]
+    pairs = [pair for pair in answer.pairs if has_curves(pair)]
+    if pairs:
+        found["decays"] = decay_figure(answer, *pairs)
     return found
+
+
+def has_curves(pair: ComparedPair) -> bool:
+    """Return whether there are decay curves to draw: values alone have none."""
+    decay = pair.decay
+    if decay is None or not decay.time_s.size:
+        return False
+    return bool((np.isfinite(decay.measured_db) | np.isfinite(decay.predicted_db)).any())
 
 
 def in_file_name(*names: str) -> str:
@@ -165,13 +192,28 @@ class PlainFigure(Figure):
 
     def draw(self, renderer: Any) -> None:
         """Draw on a renderer, as every way of showing and saving a figure does."""
-        for text in self.findobj(Text):
+        for text in _texts(self):
             text.set_parse_math(False)
-        # ticks get their texts when they are drawn; control characters have been refused in names,
-        # and what else the type lacks is drawn as a box
-        with mpl.rc_context({"text.parse_math": False}), warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Glyph .* missing from")
+        # ticks get their texts when they are drawn
+        with mpl.rc_context({"text.parse_math": False}), _unknown_letters_as_boxes():
             super().draw(renderer)
+
+
+@contextmanager
+def _unknown_letters_as_boxes() -> Iterator[None]:
+    # control characters have been refused in names, and what else the type lacks is a box
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from")
+        yield
+
+
+def _texts(artist: Artist) -> Iterator[Text]:
+    """Yield the texts within an artist, but for hidden ones: axes would make ticks for nothing."""
+    if isinstance(artist, Text):
+        yield artist
+    elif artist.get_visible():
+        for child in artist.get_children():
+            yield from _texts(child)
 
 
 def new_figure(width_in: float, height_in: float, *, formulas: bool = False) -> Figure:
@@ -185,11 +227,41 @@ def new_figure(width_in: float, height_in: float, *, formulas: bool = False) -> 
 def png(figure: Figure, dpi: int = 130) -> bytes:
     """Return a figure as the bytes of a PNG file."""
     # the same bytes as `savefig`, which draws everything twice
-    stream = io.BytesIO()
     figure.set_dpi(dpi)
-    canvas: Any = FigureCanvasAgg(figure)
-    canvas.print_png(stream)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return _encoded(canvas)
+
+
+def _encoded(canvas: FigureCanvasAgg) -> bytes:
+    """Return what has been drawn as a PNG file."""
+    stream, dpi = io.BytesIO(), canvas.figure.dpi
+    # two thirds of the time of the usual level, for files a fifteenth larger
+    fast = {"compress_level": 3, "dpi": (dpi, dpi)}
+    imsave(stream, canvas.buffer_rgba(), format="png", dpi=dpi, pil_kwargs=fast)
     return stream.getvalue()
+
+
+def _one_by_one(figure: Figure, n_pairs: int, dpi: int = 130) -> list[bytes]:
+    """Return a picture of each pair of `decay_figure`; what they share is drawn once."""
+    figure.set_dpi(dpi)
+    canvas = FigureCanvasAgg(figure)
+    own: list[list[Artist]] = [[] for _ in range(n_pairs)]
+    for artist in (a for x in (figure, *figure.axes) for a in x.get_children()):
+        group = str(artist.get_gid() or "").removeprefix(_CURVES)
+        if group.isdecimal():
+            artist.set_visible(False)
+            own[int(group)].append(artist)
+    canvas.draw()
+    shared, pictures = canvas.copy_from_bbox(figure.bbox), []
+    with _unknown_letters_as_boxes():
+        for artists in own:
+            canvas.restore_region(shared)
+            for artist in sorted(artists, key=lambda a: a.get_zorder()):
+                artist.set_visible(True)
+                artist.draw(canvas.get_renderer())
+            pictures.append(_encoded(canvas))
+    return pictures
 
 
 def svg(figure: Figure, name: str, title: str) -> str:
@@ -283,46 +355,122 @@ def frequency_axis(axes: Axes, centres_hz: FloatArray) -> None:
     if len(centres_hz) > 10:
         named = centres_hz[np.abs(np.log2(centres_hz / 500.0) / 2.0 % 1.0 - 0.5) > 0.475]
     axes.set_xscale("log", base=2)
-    axes.set_xticks(list(named))
+    axes.xaxis.set_major_locator(FixedLocator(named))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda f, _: short_hertz(f)))
     axes.set_xlim(centres_hz[0] / 1.32, centres_hz[-1] * 1.32)
 
 
 def band_panels(
-    n: int, height_in: float, *, most_columns: int = 3, narrow: bool = False
+    n: int,
+    height_in: float,
+    *,
+    most_columns: int = 3,
+    narrow: bool = False,
+    sharex: bool = True,
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure with n panels in rows that share their scales, and the panels.
+    """Return a figure with n panels in rows that share their y scale, and the panels.
 
-    `narrow` is for the screen of a telephone: two panels in a row.
+    `narrow` is for the screen of a telephone: two panels in a row. `frame_panels` completes it.
     """
+    columns = min(n, 2 if narrow else most_columns if n <= _MANY_PANELS else 4)
+    rows = -(-n // columns)
+    # a single panel must leave room for the legend above it
+    size_in = max(_WIDTH_IN / max(columns, 3) * columns, 4.6), height_in * rows + 0.6
     if narrow:
-        columns = min(n, 2)
-        rows = -(-n // columns)
-        figure = new_figure(NARROW_IN, 1.7 * rows + 0.7)
-    else:
-        columns = min(n, most_columns) if n <= _MANY_PANELS else 4
-        rows = -(-n // columns)
-        width_in = _WIDTH_IN / max(columns, 3) * columns
-        # a single panel must leave room for the legend above it
-        figure = new_figure(max(width_in, 4.6), height_in * (3 / max(columns, 3)) * rows + 0.6)
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    panels = list(grid.ravel())
-    for unused in panels[n:]:
+        size_in = NARROW_IN, 1.7 * rows + 0.7
+    elif columns > 3:
+        size_in = size_in[0], 0.75 * height_in * rows + 0.6
+    figure = PlainFigure(figsize=size_in, layout="none")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(rows, columns, sharex=sharex, sharey=True, squeeze=False)
+    for unused in grid.ravel()[n:]:
         unused.set_visible(False)
-    # the last panel of a column, not only of the figure, has the scale below it
-    for i in range(max(n - columns, 0), n):
-        panels[i].tick_params(labelbottom=True)
-    for axes in panels[:n]:
-        axes.grid(alpha=0.25)
-    return figure, panels[:n]
+    return figure, list(grid.ravel()[:n])
 
 
-def figure_legend(figure: Figure, axes: Axes, columns: int, title: str = "") -> None:
+class _Scales(Artist):
+    """Grid, ticks and numbers of panels, wherever their limits are: two lines and one text.
+
+    matplotlib's own are five artists a tick, made and measured anew for every panel.
+    """
+
+    def __init__(self, panels: Sequence[Axes], columns: int, *, each_x: bool) -> None:
+        super().__init__()
+        self.panels, self.columns, self.each_x = panels, columns, each_x
+        self.set_zorder(-1.0)
+        for part in (part for axes in panels for part in (axes.xaxis, axes.yaxis, axes.patch)):
+            part.set_visible(False)
+
+    def draw(self, renderer: Any) -> None:
+        """Draw below the curves of all panels."""
+        point, shown = renderer.points_to_pixels(1.0), Text(parse_math=False)
+        shown.set_figure(self.get_figure())
+        grid, ticks = [], []
+        for i, axes in enumerate(self.panels):
+            numbered = self.each_x or i + self.columns >= len(self.panels), i % self.columns == 0
+            for along, axis in enumerate((axes.xaxis, axes.yaxis)):
+                low, high = np.sort(axis.get_view_interval())
+                at = np.array([x for x in axis.get_majorticklocs() if low <= x <= high])
+                feet, up = np.tile(axes.bbox.min, (len(at), 1)), np.eye(2)[1 - along]
+                feet[:, along] = axes.transData.transform(np.column_stack((at, at)))[:, along]
+                grid.append(np.stack((feet, feet + axes.bbox.size * up), axis=1))
+                ticks.append(np.stack((feet, feet - 3.5 * point * up), axis=1))
+                words = axis.get_major_formatter().format_ticks(at) if numbered[along] else []
+                shown.set(ha=("center", "right")[along], va=("top", "center_baseline")[along])
+                for foot, word in zip(feet - 7.0 * point * up, words, strict=False):
+                    shown.set(position=foot, text=word)
+                    shown.draw(renderer)
+        for ends, colour, alpha in ((grid, "#b0b0b0", 0.25), (ticks, "#000000", 1.0)):
+            points = np.concatenate(ends).reshape(-1, 2)
+            path = MplPath(points, np.tile([MplPath.MOVETO, MplPath.LINETO], len(points) // 2))
+            line = PathPatch(path, fill=False, ec=colour, alpha=alpha, lw=0.8, snap=True)
+            line.set_figure(self.get_figure())
+            line.set_transform(IdentityTransform())
+            line.draw(renderer)
+
+
+def frame_panels(
+    figure: Figure,
+    panels: Sequence[Axes],
+    across: str,
+    up: str,
+    *,
+    legend_columns: int = 4,
+    title: str = "",
+    gap_in: float = 0.27,
+    each_x: bool = False,
+) -> None:
+    """Give `band_panels` grid, numbers, labels and a legend below its title, and all its place.
+
+    `gap_in` is between panels, in inches; with `each_x` they have x scales of their own.
+    """
+    grid = panels[0].get_subplotspec().get_gridspec()  # type: ignore[union-attr]
+    rows, columns = grid.nrows, grid.ncols
+    figure.add_artist(_Scales(panels, columns, each_x=each_x))
+    legend = figure_legend(figure, panels[0], legend_columns, title)
+    above = -(-len(legend.texts) // legend_columns)
+    width_in, height_in = figure.get_size_inches()
+    # words of 9 and 10 points with the space around them
+    left_in, right_in, bottom_in = 0.62, 0.14, 0.57
+    top_in = 0.35 + 0.19 * above + (0.22 if title else 0.0)
+    between_in = 0.53 if each_x or len(panels) % columns else 0.34
+    wide_in = (width_in - left_in - right_in - gap_in * (columns - 1)) / columns
+    tall_in = (height_in - bottom_in - top_in - between_in * (rows - 1)) / rows
+    figure.subplots_adjust(
+        left=left_in / width_in, right=1.0 - right_in / width_in, wspace=gap_in / wide_in,
+        bottom=bottom_in / height_in, top=1.0 - top_in / height_in, hspace=between_in / tall_in,
+    )  # fmt: skip
+    middle = 0.5 * (bottom_in + height_in - top_in) / height_in
+    figure.supxlabel(across, fontsize=10, y=0.1 / height_in)
+    figure.supylabel(up, fontsize=10, x=0.08 / width_in, y=middle, ha="left")
+
+
+def figure_legend(figure: Figure, axes: Axes, columns: int, title: str = "") -> Legend:
     found = (a.get_legend_handles_labels() for a in (axes, *figure.axes))
     # what is only in another panel is named, too
     once = {x: h for handles, labels in found for h, x in zip(handles, labels, strict=True)}
-    figure.legend(
+    return figure.legend(
         once.values(), once, loc="outside upper center", ncols=columns, frameon=False, fontsize=9,
         title=title or None,
     )  # fmt: skip
@@ -394,10 +542,12 @@ def absorption_figure(
     frequency_axis(panels[0], centres)
     panels[0].set_ylim(-0.03, 1.03)
     if narrow:
-        panels[0].set_xticks(panels[0].get_xticks()[::2])
-    figure.supxlabel(say(f"{answer.bands.kind} band centre (Hz)"), fontsize=10)
-    figure.supylabel(say("absorption coefficient"), fontsize=10)
-    figure_legend(figure, panels[0], 2 if narrow else 4)
+        axis = panels[0].xaxis
+        axis.set_major_locator(FixedLocator(axis.get_majorticklocs()[::2]))
+    frame_panels(
+        figure, panels, say(f"{answer.bands.kind} band centre (Hz)"), say("absorption coefficient"),
+        legend_columns=2 if narrow else 4, gap_in=0.17,
+    )  # fmt: skip
     return figure
 
 
@@ -468,11 +618,8 @@ def profiles_figure(answer: Result) -> Figure | None:
     shown = shown_profiles(answer)
     if not shown:
         return None
-    columns = min(len(shown), 3)
-    rows = -(-len(shown) // columns)
-    figure = new_figure(max(3.4 * columns, 4.6), 2.1 * rows + 0.6)
-    panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    for axes, (band, line) in zip(panels.ravel(), shown, strict=False):
+    figure, panels = band_panels(len(shown), 2.1, sharex=False)
+    for axes, (band, line) in zip(panels, shown, strict=True):
         a, low, high = (
             float(x[line.entry, band]) for x in (answer.absorption, answer.lower95, answer.upper95)
         )
@@ -488,12 +635,8 @@ def profiles_figure(answer: Result) -> Figure | None:
         centre = answer.bands.centres_hz[band]
         title = f"{literal(answer.materials[line.entry], 24)}, {centre:g} Hz"
         axes.set_title(title, fontsize=9, y=1.0)
-        axes.grid(alpha=0.25)
-    for axes in panels.ravel()[len(shown) :]:
-        axes.set_visible(False)
-    figure.supxlabel("absorption coefficient", fontsize=10)
-    figure.supylabel("rise of the cost, all else fitted again", fontsize=10)
-    figure_legend(figure, panels[0, 0], 4)
+    up = "rise of the cost, all else fitted again"
+    frame_panels(figure, panels, "absorption coefficient", up, each_x=True)
     return figure
 
 
@@ -543,7 +686,10 @@ def corner_figure(answer: Result) -> tuple[float, Figure] | None:
 # ---------------------------------------------------------------- decay curves
 
 
-def decay_figure(answer: Result, *pairs: ComparedPair, again: Figure | None = None) -> Figure:
+_CURVES = "class:curve-"
+
+
+def decay_figure(answer: Result, *pairs: ComparedPair) -> Figure:
     """Return measured and predicted energy decay curves, one panel a band.
 
     Parameters
@@ -552,8 +698,6 @@ def decay_figure(answer: Result, *pairs: ComparedPair, again: Figure | None = No
     pairs : ComparedPair
         With decay curves. Of several, the curves and words of the i-th are in the SVG groups
         ``curve-i``, and a page shows one of them at a time; curves have fewer points then.
-    again : Figure, optional
-        That of another pair, drawn already: it is emptied and filled, panels in their places.
 
     Raises
     ------
@@ -563,25 +707,14 @@ def decay_figure(answer: Result, *pairs: ComparedPair, again: Figure | None = No
     decays = [pair.decay for pair in pairs if pair.decay is not None]
     if len(decays) < len(pairs):
         raise ValueError("room parameters without a response have no decay curve")
-    if again is None:
-        figure, panels = band_panels(len(answer.bands), 2.3)
-        figure.supxlabel("time after emission (s)", fontsize=10)
-        figure.supylabel("energy decay curve (dB)", fontsize=10)
-    else:
-        figure, panels = again, again.axes[: len(answer.bands)]
-        figure.set_layout_engine("none")
-        for old in (
-            *figure.legends,
-            *(a for p in panels for a in (*p.lines, *p.patches, *p.texts)),
-        ):
-            old.remove()
+    figure, panels = band_panels(len(answer.bands), 2.3)
+    groups = [f"{_CURVES}{i}" if len(pairs) > 1 else None for i in range(len(pairs))]
     share = _POINTS_IN_ALL // (2 * len(pairs) * len(panels))
     n_points = int(np.clip(share, _FEWEST_POINTS, _MOST_POINTS)) if len(pairs) > 1 else None
     shown_s = 1e-3
     for j, axes in enumerate(panels):
         axes.set_title(f"{answer.bands.centres_hz[j]:g} Hz", fontsize=9, loc="left", y=1.0)
-        for i, (pair, decay) in enumerate(zip(pairs, decays, strict=True)):
-            group = f"class:curve-{i}" if len(pairs) > 1 else None
+        for pair, decay, group in zip(pairs, decays, groups, strict=True):
             _decay_curves(axes, decay, j, n_points, group, evaluated_range_db(pair, j))
             axes.text(
                 1.0, 1.03, decay_times(pair, j), transform=axes.transAxes, ha="right", va="bottom",
@@ -591,12 +724,14 @@ def decay_figure(answer: Result, *pairs: ComparedPair, again: Figure | None = No
             shown_s = max(shown_s, float(decay.time_s[known].max(initial=0.0)))
     panels[0].set_ylim(LOWEST_DB, 2.0)
     panels[0].set_xlim(0.0, shown_s)
-    title = ""
-    if len(pairs) == 1:
-        title = f"{literal(pairs[0].source)} to {literal(pairs[0].receiver)}"
-        title += f", {literal(pairs[0].state)}" if pairs[0].state else ""
-        title += "" if pairs[0].use == "fit" else ", not fitted"
-    figure_legend(figure, panels[0], 4, title)
+    # the titles stand where that of the legend would
+    frame_panels(figure, panels, "time after emission (s)", "energy decay curve (dB)", title=" ")
+    top = 1.0 - 0.1 / figure.get_figheight()
+    for pair, group in zip(pairs, groups, strict=True):
+        title = f"{literal(pair.source)} to {literal(pair.receiver)}"
+        title += f", {literal(pair.state)}" if pair.state else ""
+        title += "" if pair.use == "fit" else ", not fitted"
+        figure.text(0.5, top, title, ha="center", va="top", gid=group, parse_math=False)
     return figure
 
 
@@ -612,20 +747,27 @@ def _decay_curves(
         ("measured", decay.measured_db[band], {"color": "black", "lw": 1.6}),
         ("predicted", decay.predicted_db[band], {"color": OKABE_ITO[1], "lw": 1.6, "ls": "--"}),
     )
+    # added as artists: `plot` and its like look for new limits each time
+    drawn: list[Artist] = []
+    whole = axes.get_yaxis_transform()
     if evaluated is not None:
-        axes.axhspan(
-            *evaluated, color=OKABE_ITO[4], alpha=0.16, lw=0, gid=group, label="evaluated range"
-        )
+        low, high = evaluated
+        look = {"color": OKABE_ITO[4], "alpha": 0.16, "lw": 0, "label": "evaluated range"}
+        drawn.append(Rectangle((0.0, low), 1.0, high - low, transform=whole, **look))
     if decay.noise_db is not None and decay.noise_db[band] > LOWEST_DB - 15.0:
         floor = float(decay.noise_db[band])
-        axes.axhline(floor, color="0.45", lw=1.0, ls=":", gid=group, label="noise, subtracted")
+        look = {"color": "0.45", "lw": 1.0, "ls": ":", "label": "noise, subtracted"}
+        drawn.append(Line2D([0.0, 1.0], [floor, floor], transform=whole, **look))
     for label, level_db, look in looks:
         observed = np.where(level_db > LOWEST_DB - 15.0, level_db, np.nan)
         known = np.flatnonzero(np.isfinite(observed))
         kept = known
         if n_points is not None and known.size > n_points:
             kept = known[np.linspace(0, known.size - 1, n_points).round().astype(int)]
-        axes.plot(decay.time_s[kept], observed[kept], label=label, gid=group, **look)
+        drawn.append(Line2D(decay.time_s[kept], observed[kept], label=label, **look))
+    for artist in drawn:
+        artist.set_gid(group)
+        axes.add_artist(artist)
 
 
 # ISO 3382-1:2009, section 3 and 5: below the level of steady state.

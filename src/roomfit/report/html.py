@@ -27,7 +27,7 @@ from roomfit.report.disagreement import disagreement_table
 from roomfit.report.figures import (
     absorption_figure,
     answer_figures,
-    decay_figure,
+    has_curves,
     svg,
 )
 from roomfit.report.html_tables import (
@@ -435,7 +435,7 @@ def report_html(
         disagreement=disagreement_table(answer, scene),
         error_tables=(*error_tables(answer), *sti_tables(answer)),
         overview=overview_table(answer),
-        decay=_decays(answer, choices) if choices else None,
+        decay=_decays(drawn["decays"], len(choices)) if choices else None,
         curves=tuple(pair_title(pair) for pair in choices),
         chosen=_worst(choices),
         without_curve=len(answer.pairs) - len(choices),
@@ -537,14 +537,6 @@ def _fragment_cell(cell: Cell) -> Markup:
     )
 
 
-def has_curves(pair: ComparedPair) -> bool:
-    """Return whether there are decay curves to draw: values alone have none."""
-    decay = pair.decay
-    if decay is None or not decay.time_s.size:
-        return False
-    return bool((np.isfinite(decay.measured_db) | np.isfinite(decay.predicted_db)).any())
-
-
 def _drawing(
     figure: Figure, name: str, title: str, caption: str, narrow: Figure | None = None
 ) -> Markup:
@@ -637,19 +629,19 @@ def _certainty(drawn: Mapping[str, Figure]) -> tuple[Markup, ...]:
     return tuple(drawings)
 
 
-def _decays(answer: Result, pairs: tuple[ComparedPair, ...]) -> Markup:
+def _decays(figure: Figure, n_pairs: int) -> Markup:
     caption = (
         "Energy left in the room relative to the whole, after each time; above each panel the "
         "decay time, measured → predicted, and shaded the range of levels from which it was read. "
         "Where the measured curve meets the dotted line the noise takes over: later energy is "
         "extrapolated."
     )
-    if len(pairs) > 1:
+    if n_pairs > 1:
         caption += " Shown first: the pair whose parameters are furthest off."
     return _drawing(
-        decay_figure(answer, *pairs),
+        figure,
         "decay",
-        f"Measured and predicted energy decay curves of {count(len(pairs), 'pair')}, one panel a "
+        f"Measured and predicted energy decay curves of {count(n_pairs, 'pair')}, one panel a "
         "band; the tables below hold the parameters derived from them.",
         caption,
     )

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -100,32 +101,28 @@ def bin_paths(
     return BinnedPaths(edges, rows, by_band)
 
 
-def paths_at(paths: Paths, factors: FloatArray | None, band: int) -> Paths:
-    """Return the paths with the weights that they have in a band."""
-    if factors is None:
-        return paths
-    return replace(paths, weight_per_m2=paths.weight_per_m2 * factors[band])
-
-
 def in_band(binned: BinnedPaths, centre_hz: float) -> BinnedPaths:
     """Return the same paths in bins as coarse as a band permits.
 
     A sixteenth of a period, since a band of a filter does not resolve time finer than several
     periods, or a 400th of the time after emission, where windows have grown to 40 times that.
     """
-    first = _bin_starts(binned.edges_s, centre_hz)
+    first = _bin_starts(binned.edges_s.tobytes(), centre_hz)
     edges_s = binned.edges_s[np.append(first, binned.edges_s.size - 1)]
     rows = tuple(regrouped_rows(rows, first) for rows in rows_at(binned, centre_hz))
     return BinnedPaths(edges_s, rows)
 
 
-def _bin_starts(edges_s: FloatArray, centre_hz: float) -> IntArray:
+@lru_cache(maxsize=64)
+def _bin_starts(edges_s: bytes, centre_hz: float) -> IntArray:
     least = max(int(1.0 / (16.0 * centre_hz * BIN_S)), 1)
     # a list: its numbers are read one by one, which an array does ten times more slowly
-    edges = edges_s.tolist()
+    edges = np.frombuffer(edges_s).tolist()
     starts = []
     at = 0
     while at < len(edges) - 1:
         starts.append(at)
         at += max(least, int(edges[at] / (_BINS_PER_TIME * BIN_S)))
-    return np.array(starts)
+    found = np.array(starts)
+    found.setflags(write=False)
+    return found
