@@ -243,7 +243,15 @@ def with_coherence(
     phase = (2.0 * np.pi * term.energies.centre_hz) ** 2 * spread
     if phase_sd > 0.0:
         phase += phase_sd**2 * images.hits.sum(axis=1)[images.row]
-    return _with_gamma(term, np.exp(-phase))
+    known = _with_gamma(term, np.exp(-phase))
+    # high bands know few times, all early: windows after them hold no pressure
+    last_s = float(travel_s.max(where=known.images.coherence > 0.0, initial=0.0))
+    last_s += _RINGING_PERIODS / term.energies.centre_hz
+    edges_s = np.array([o.edges_s[[0, -1]] for o in term.early])
+    if last_s > 0.8 * edges_s.max():
+        return known
+    grid = band_grid(term.grid.bank, float(edges_s.min()), last_s)
+    return replace(known, grid=replace(grid, is_double=term.grid.is_double))
 
 
 def fully_coherent(term: CoherentTerm) -> CoherentTerm:

@@ -18,7 +18,6 @@ from scipy.sparse import block_diag, csr_array
 from roomfit.objective.directivity import DIRECTIVITY, BandDirectivities, DirectedTerm, vectors_of
 from roomfit.objective.energy import (
     EnergyTerm,
-    late_shares,
     model_variance,
     parts_of,
     variance_of_batches,
@@ -226,7 +225,7 @@ def kept_paths(
         np.repeat(np.arange(len(observations)), [o.energy.size for o in observations]),
         noise,
         np.stack([beat * noise, 2.0 * beat], axis=1),
-        csr_array(block_diag([late_shares(o.edges_s) for o in observations])),
+        csr_array(block_diag([o.late_shares for o in observations])),
         np.concatenate(first),
     )
 

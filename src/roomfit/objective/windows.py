@@ -109,7 +109,7 @@ def windows_decay_s(edges_s: FloatArray, energy: FloatArray, name: str) -> float
 
 
 def in_windows(spreading: csr_array, rows: FloatArray) -> FloatArray:
-    """Return ``shares @ rows.T`` without turning the rows round in memory.
+    """Return ``shares @ rows.T``, all rows side by side.
 
     Parameters
     ----------
@@ -120,8 +120,8 @@ def in_windows(spreading: csr_array, rows: FloatArray) -> FloatArray:
     -------
     float array, shape (n_windows, n_rows)
     """
-    out = np.zeros((spreading.shape[0], len(rows)))
-    _add_up(spreading.indptr, spreading.indices, spreading.data, np.ascontiguousarray(rows), out)
+    out, columns = np.zeros((spreading.shape[0], len(rows))), np.ascontiguousarray(rows.T)
+    _add_up(spreading.indptr, spreading.indices, spreading.data, columns, out)
     return out
 
 
@@ -145,14 +145,13 @@ def _add_up_squares(
 
 @kernel()
 def _add_up(
-    pointers: IntArray, bins: IntArray, spreading: FloatArray, rows: FloatArray, out: FloatArray
+    pointers: IntArray, bins: IntArray, spreading: FloatArray, columns: FloatArray, out: FloatArray
 ) -> None:
     for w in range(len(pointers) - 1):
-        for r in range(len(rows)):
-            total = 0.0
-            for e in range(pointers[w], pointers[w + 1]):
-                total += spreading[e] * rows[r, bins[e]]
-            out[w, r] = total
+        for e in range(pointers[w], pointers[w + 1]):
+            share, at = spreading[e], bins[e]
+            for r in range(columns.shape[1]):
+                out[w, r] += share * columns[at, r]
 
 
 def window_edges_s(

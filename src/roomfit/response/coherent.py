@@ -326,6 +326,7 @@ class BandGrid:
     filter: FloatArray  # (n // 2 + 1,), transfer function from impulses to filtered pressure
     slope: FloatArray  # (n // 2 + 1,), to minus its time derivative
     table: FloatArray  # the gridding kernel, see `grid_impulses`
+    bank: FilterBank  # of the one band
     is_double: bool = False  # whether pressures are added in double precision
 
     @property
@@ -465,7 +466,7 @@ def band_grid(bank: FilterBank, first_s: float, last_s: float) -> BandGrid:
     table = np.where(np.abs(x) <= TAPS / 2, i0(_BETA * np.sqrt(inside)) / i0(_BETA), 0.0)
     transfer = np.where(used, shape / np.where(used, kernel, 1.0), 0.0) * rate_hz
     slope = -2j * np.pi * frequencies * transfer
-    return BandGrid(first_s - padding_s, rate_hz, n, transfer, slope, table)
+    return BandGrid(first_s - padding_s, rate_hz, n, transfer, slope, table, bank)
 
 
 def coherent_response(
@@ -496,12 +497,17 @@ def coherent_response(
     n_materials = len(paths.materials)
     n_columns = 8 + n_materials if derivative else 1
     filled = -(-n_columns // _COLUMNS_AT_ONCE) * _COLUMNS_AT_ONCE if derivative else 1
-    roots, transfer = _roots(paths, absorption), grid.filter.astype(grid.real)
-    slope, parts = grid.slope.astype(grid.complex), []
+    roots = _roots(paths, paths.weight * paths.coherence, absorption)
+    transfer, slope = grid.filter.astype(grid.real), grid.slope.astype(grid.complex)
+    n_products, parts = 8 + 2 * n_materials if derivative else 0, []
     # few enough for their grids to stay in memory that is at hand: new pages cost as much as sums
     at_once = max(numba.get_num_threads(), 2)
     for o in range(0, len(edges_s), at_once):
         own = edges_s[o : o + at_once]
+        if paths.offsets[o] == paths.offsets[o + len(own)]:  # nothing is coherent
+            n_windows = sum(e.size - 1 for e in own)
+            parts.append((np.zeros(n_windows), np.zeros((n_windows, n_products))))
+            continue
         impulses: Any = np.zeros((len(own), grid.n, filled), dtype=grid.real)
         grid_impulses(
             paths.offsets[o : o + len(own) + 1],
@@ -567,10 +573,12 @@ def integrated_products(
 
 def image_energies(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
     """Return the energy of every path, whatever its coherence, shape (n_paths,)."""
-    return np.asarray(_roots(replace(paths, coherence=np.ones(paths.weight.size)), absorption) ** 2)
+    roots = _roots(paths, paths.weight, absorption)
+    roots *= roots
+    return roots
 
 
-def _roots(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
+def _roots(paths: ImagePaths, weight: FloatArray, absorption: FloatArray) -> FloatArray:
     a = np.asarray(absorption, dtype=np.float64)
     # on the spot: this is done at every evaluation of a fit
     if a.shape != (len(paths.materials),) or not np.all((a >= 0.0) & (a <= 1.0)):
@@ -581,7 +589,6 @@ def _roots(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
         )
     highest = int(paths.hits.max(initial=0))
     powers = np.sqrt(1.0 - a)[:, None] ** np.arange(highest + 1, dtype=np.float64)
-    weight = paths.weight * paths.coherence
     roots = root_energies(weight, paths.row, paths.hits, np.asarray(powers))
     return roots if paths.sign is None else roots * paths.sign
 

@@ -9,6 +9,7 @@ by b are exact for both.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeAlias
@@ -38,7 +39,6 @@ from roomfit.response.energy import (
     pieces_of,
     power_table,
     reflected_and_attenuation,
-    row_energy,
     slope_at_black,
 )
 from roomfit.scene import Point
@@ -94,59 +94,15 @@ class RowPattern:
         return np.asarray((1.0 + self.basis @ self.b) ** 2 / (1.0 + self.b @ self.b / 3.0))
 
 
-def weigh_directed(
-    rows: EnergyRows,
-    pattern: RowPattern,
-    coefficients: FloatArray,
-    attenuation_per_m: float,
-    *,
-    derivative: bool = True,
-) -> FloatArray:
-    """Return energies of one band as `roomfit.response.energy.weigh` does, of a directed source.
-
-    One pass over the rows for all of it: ``weight a**2 exp(-m length) product of (1 - a)**hits``,
-    with the amplitude a of each direction. Same bits for any number of threads.
-
-    Parameters
-    ----------
-    coefficients : float array, shape (n_materials,)
-        Energy absorption, 0 to 1.
-    attenuation_per_m : float
-        Energy attenuation of the air, 0 or more.
-    derivative : bool
-        False leaves derivatives out.
-
-    Returns
-    -------
-    float array, shape (n_windows, 1 + n_materials + 3), or (n_windows, 1) without derivatives
-        Energy, its derivative by absorption, and by b.
-    """
-    reflected, attenuation = reflected_and_attenuation(
-        rows, coefficients[:, None], np.array([attenuation_per_m])
-    )
-    pieces = pieces_of(rows.offsets)
-    sums = np.zeros((len(pieces), 4 + coefficients.size if derivative else 1))
-    small = len(rows) < ROWS_WORTH_THREADS
-    (_weigh_directed_serial if small else _weigh_directed_parallel)(
-        pieces,
-        (rows.weight_per_m2, rows.length_m, rows.hits, pattern.basis),
-        np.array(pattern.b, dtype=np.float64),
-        reflected[0],
-        power_table(reflected, rows.max_hits)[0],
-        attenuation[0],
-        sums,
-    )
-    out = np.zeros((rows.n_windows, sums.shape[1]))
-    _sum_pieces(pieces, sums, out)
-    return out
-
-
 class EnergyParts(NamedTuple):
-    """What the variance of energies is made of, for a gain of 1."""
+    """Energies of one band, and what their variance is made of, for a gain of 1."""
 
     energy: FloatArray  # (n_windows,), of all rows
     squares: FloatArray  # (n_windows,), sum of the squares of single image paths
     batches: FloatArray  # (n_batches, n_windows), energy of the rays of each batch
+    # (n_windows, n_materials + 3), derivative of the energy by absorption and by b of the source;
+    # without columns where none was asked for
+    slopes: FloatArray
 
 
 def weigh_parts(
@@ -154,11 +110,14 @@ def weigh_parts(
     pattern: RowPattern | None,
     coefficients: FloatArray,
     attenuation_per_m: float,
+    *,
+    derivative: bool = False,
 ) -> EnergyParts:
     """Return energies of one band, squares of its image paths and its batches of rays in one pass.
 
-    Rays have no squares: they sample very many weak reflections, whose squares vanish. Same bits
-    for any number of threads.
+    Rows are ``weight a**2 exp(-m length) product of (1 - a)**hits`` with the amplitude a of each
+    direction. Rays have no squares: they sample very many weak reflections, whose squares vanish.
+    Same bits for any number of threads.
 
     Parameters
     ----------
@@ -166,30 +125,35 @@ def weigh_parts(
         None for an omnidirectional source.
     coefficients : float array, shape (n_materials,)
         Energy absorption, 0 to 1.
+    attenuation_per_m : float
+        Energy attenuation of the air, 0 or more.
+    derivative : bool
+        Whether slopes are wanted.
     """
     reflected, attenuation = reflected_and_attenuation(
         rows, coefficients[:, None], np.array([attenuation_per_m])
     )
     pieces = pieces_of(rows.offsets)
     n_batches = max(rows.n_batches, rows.largest_batch + 1)
-    sums = np.zeros((len(pieces), 2 + n_batches))
+    first = 2 + n_batches
+    sums = np.zeros((len(pieces), first + (coefficients.size + 3 if derivative else 0)))
     small = len(rows) < ROWS_WORTH_THREADS
     b, basis = np.zeros(3), np.zeros((0, 3))
     if pattern is not None:
         b, basis = np.array(pattern.b, dtype=np.float64), pattern.basis  # type: ignore[assignment]
     (_weigh_parts_serial if small else _weigh_parts_parallel)(
         pieces,
-        (rows.weight_per_m2, rows.length_m, rows.hits, basis),
-        rows.batch,
+        (rows.weight_per_m2, rows.length_m, rows.hits, basis, rows.batch),
         b,
+        reflected[0],
         power_table(reflected, rows.max_hits)[0],
         attenuation[0],
+        first,
         sums,
     )
     out = np.zeros((rows.n_windows, sums.shape[1]))
     _sum_pieces(pieces, sums, out)
-    columns = np.ascontiguousarray(out.T)
-    return EnergyParts(columns[0], columns[1], columns[2:])
+    return EnergyParts(out[:, 0].copy(), out[:, 1].copy(), out[:, 2:first].T, out[:, first:])
 
 
 @kernel()
@@ -199,138 +163,120 @@ def _sum_pieces(pieces: IntArray, sums: FloatArray, out: FloatArray) -> None:
             out[pieces[p, 0], k] += sums[p, k]
 
 
-DirectedRows: TypeAlias = tuple[FloatArray, FloatArray, IntArray, NDArray[np.float32] | FloatArray]
-"""Weight, length, hits and pattern basis of every row."""
-
-
-@kernel(allocates=False)
-def _weigh_directed_piece(
-    piece: IntArray,
-    rows: DirectedRows,
-    b: FloatArray,
-    reflected: FloatArray,
-    powers: FloatArray,
-    attenuation: float,
-    sums: FloatArray,
-) -> None:
-    """Fill the sums of a piece: energy, its derivative by absorption, and by b; or energy alone.
-
-    With q the pattern basis, N = 1 + b b / 3 and c = 1 + b q, the factor of a row is ``c**2 / N``
-    and its derivative by b ``2 c q / N - 2 c**2 b / (3 N**2)``.
-    """
-    weight, length, hits, basis = rows
-    norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
-    energy = x = y = z = 0.0
-    n_materials = max(sums.size - 4, 0)
-    for r in range(piece[1], piece[2]):
-        c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-        once = c * row_energy(weight[r], length[r], hits[r], powers, attenuation)
-        own = c * once
-        energy += own
-        if n_materials:
-            x += once * basis[r, 0]
-            y += once * basis[r, 1]
-            z += once * basis[r, 2]
-            for m in range(n_materials):
-                sums[1 + m] -= own * hits[r, m]
-    sums[0] = energy / norm
-    if n_materials:
-        turned = energy / (3.0 * norm)
-        sums[n_materials + 1] = 2.0 * (x - turned * b[0]) / norm
-        sums[n_materials + 2] = 2.0 * (y - turned * b[1]) / norm
-        sums[n_materials + 3] = 2.0 * (z - turned * b[2]) / norm
-    for m in range(n_materials):
-        if reflected[m] >= NEARLY_BLACK:
-            sums[1 + m] /= reflected[m] * norm
-            continue
-        sums[1 + m] = 0.0
-        for r in range(piece[1], piece[2]):
-            c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-            own = weight[r] * c * c / norm
-            sums[1 + m] -= slope_at_black(own, length[r], hits[r], powers, attenuation, m)
-
-
-@kernel(allocates=False)
-def _weigh_directed_serial(
-    pieces: IntArray,
-    rows: DirectedRows,
-    b: FloatArray,
-    reflected: FloatArray,
-    powers: FloatArray,
-    attenuation: float,
-    sums: FloatArray,
-) -> None:
-    for p in range(len(pieces)):
-        _weigh_directed_piece(pieces[p], rows, b, reflected, powers, attenuation, sums[p])
-
-
-@kernel(parallel=True)
-def _weigh_directed_parallel(
-    pieces: IntArray,
-    rows: DirectedRows,
-    b: FloatArray,
-    reflected: FloatArray,
-    powers: FloatArray,
-    attenuation: float,
-    sums: FloatArray,
-) -> None:
-    for p in numba.prange(len(pieces)):
-        _weigh_directed_piece(pieces[p], rows, b, reflected, powers, attenuation, sums[p])
+DirectedRows: TypeAlias = tuple[
+    FloatArray, FloatArray, IntArray, NDArray[np.float32] | FloatArray, IntArray
+]
+"""Weight, length, hits, pattern basis and batch of every row."""
 
 
 @kernel(allocates=False)
 def _weigh_parts_piece(
     piece: IntArray,
     rows: DirectedRows,
-    batch: IntArray,
     b: FloatArray,
+    reflected: FloatArray,
     powers: FloatArray,
     attenuation: float,
+    first: int,
     sums: FloatArray,
 ) -> None:
-    """Fill the sums of a piece: energy, squares of image paths, and every batch."""
-    weight, length, hits, basis = rows
+    """Fill the sums of a piece: energy, squares of image paths, every batch, from `first` slopes.
+
+    With q the pattern basis, N = 1 + b b / 3 and c = 1 + b q, the factor of a row is ``c**2 / N``
+    and its derivative by b ``2 c q / N - 2 c**2 b / (3 N**2)``.
+    """
+    weight, length, hits, basis, batch = rows
     norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
-    energy = squares = 0.0
+    energy = squares = x = y = z = 0.0
+    # sums of the first three materials stay in registers, which halves the time
+    by0 = by1 = by2 = 0.0
+    n = hits.shape[1]
+    with_slopes = sums.size > first
     for r in range(piece[1], piece[2]):
-        own = row_energy(weight[r], length[r], hits[r], powers, attenuation)
+        h0 = h1 = h2 = hits[r, 0]
+        own = weight[r] * powers[0, h0]
+        if n > 1:
+            h1 = hits[r, 1]
+            own *= powers[1, h1]
+        if n > 2:
+            h2 = hits[r, 2]
+            own *= powers[2, h2]
+        for m in range(3, n):
+            own *= powers[m, hits[r, m]]
+        if attenuation != 0.0:
+            own *= math.exp(-attenuation * length[r])
         if len(basis):
             c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-            own *= c * c / norm
+            once = c * own / norm
+            own = c * once
+            x += once * basis[r, 0]
+            y += once * basis[r, 1]
+            z += once * basis[r, 2]
         energy += own
         if batch[r] < 0:
             squares += own * own
         else:
             sums[2 + batch[r]] += own
+        by0 -= own * h0
+        by1 -= own * h1
+        by2 -= own * h2
+        if with_slopes:
+            for m in range(3, n):
+                sums[first + m] -= own * hits[r, m]
     sums[0], sums[1] = energy, squares
+    if not with_slopes:
+        return
+    sums[first] = by0
+    if n > 1:
+        sums[first + 1] = by1
+    if n > 2:
+        sums[first + 2] = by2
+    if len(basis):
+        turned = energy / (3.0 * norm)
+        sums[first + n] = 2.0 * (x - turned * b[0])
+        sums[first + n + 1] = 2.0 * (y - turned * b[1])
+        sums[first + n + 2] = 2.0 * (z - turned * b[2])
+    for m in range(n):
+        if reflected[m] >= NEARLY_BLACK:
+            sums[first + m] /= reflected[m]
+            continue
+        sums[first + m] = 0.0
+        for r in range(piece[1], piece[2]):
+            own = weight[r]
+            if len(basis):
+                c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
+                own *= c * c / norm
+            sums[first + m] -= slope_at_black(own, length[r], hits[r], powers, attenuation, m)
 
 
 @kernel(allocates=False)
 def _weigh_parts_serial(
     pieces: IntArray,
     rows: DirectedRows,
-    batch: IntArray,
     b: FloatArray,
+    reflected: FloatArray,
     powers: FloatArray,
     attenuation: float,
+    first: int,
     sums: FloatArray,
 ) -> None:
     for p in range(len(pieces)):
-        _weigh_parts_piece(pieces[p], rows, batch, b, powers, attenuation, sums[p])
+        _weigh_parts_piece(pieces[p], rows, b, reflected, powers, attenuation, first, sums[p])
 
 
 @kernel(parallel=True)
 def _weigh_parts_parallel(
     pieces: IntArray,
     rows: DirectedRows,
-    batch: IntArray,
     b: FloatArray,
+    reflected: FloatArray,
     powers: FloatArray,
     attenuation: float,
+    first: int,
     sums: FloatArray,
 ) -> None:
     for p in numba.prange(len(pieces)):
-        _weigh_parts_piece(pieces[p], rows, batch, b, powers, attenuation, sums[p])
+        _weigh_parts_piece(pieces[p], rows, b, reflected, powers, attenuation, first, sums[p])
 
 
 def image_departure(images: ImagePaths) -> NDArray[np.float32]:
