@@ -265,25 +265,41 @@ def rebuild(state: SequentialState) -> SequentialState:
             else score_band(energies, before, max_rounds=limit)
         )
         bands.append(CoherentBand(energies, fit, coherent, directivity))
+    return with_outliers(replace(state, bands=tuple(bands), images=images))
+
+
+def with_outliers(state: SequentialState) -> SequentialState:
+    """Return the same bands with larger variances for files that others contradict.
+
+    By energies, or by pressures if the task says so, which know more.
+    """
+    task, limit = state.task, state.task.settings.max_rounds
+    bands = [
+        own if own is None or own.energies.inflation is None else _refitted(own, None, limit)
+        for own in state.bands
+    ]
     misfits = [
         file_misfits(fitted_in_band(task.measured, b), own.coherent.energies, own.energy_fit, None)
         for b, own in enumerate(bands)
         if own is not None
     ]
-    # what pressures say of a file later knows more
     outliers = {**outlier_files(misfits, LEAST_BY_ENERGIES), **task.outliers}
     if outliers:
         for b, own in enumerate(bands):
             if own is not None:
                 files, n_data = fitted_in_band(task.measured, b), own.energy_fit.measured.size
                 factor = variance_inflation(own.coherent.energies, files, outliers, n_data)
-                energies = replace(own.energies, inflation=factor)
-                fit = score_band(energies, own.energy_fit.vector, max_rounds=limit)
-                bands[b] = replace(own, energies=energies, energy_fit=fit)
+                bands[b] = _refitted(own, factor, limit)
     if task.directivity_parameters is not None:
         bands = _under_cavity_priors(task, bands)
     findings = outlier_findings(task.measured, outliers)
-    return replace(state, bands=tuple(bands), findings=findings, images=images)
+    return replace(state, bands=tuple(bands), findings=findings)
+
+
+def _refitted(own: CoherentBand, inflation: FloatArray | None, limit: int) -> CoherentBand:
+    energies = replace(own.energies, inflation=inflation)
+    fit = score_band(energies, own.energy_fit.vector, max_rounds=limit)
+    return replace(own, energies=energies, energy_fit=fit)
 
 
 def _images(state: SequentialState) -> ImagePaths:
@@ -461,8 +477,10 @@ def fit_coherent(
     ]
     outliers = outlier_files(misfits, LEAST_BY_PRESSURES)
     if outliers:
-        state, fits = let_go(replace(state, task=replace(state.task, outliers=outliers))), []
-        state = rebuild(state)
+        state, fits = replace(state, task=replace(state.task, outliers=outliers)), []
+        # what is known of a directivity by other bands depends on the outliers
+        is_directed = state.task.directivity_parameters is not None
+        state = rebuild(let_go(state)) if is_directed else with_outliers(state)
         fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0))
     position_sd_scale = estimate_position_sd_scale(state.task.scene, state.bands, fits)
     if position_sd_scale > 1.0:
@@ -612,7 +630,7 @@ def _relative_errors(
         task.scene.air,
         task.bands,
         windows,
-        (state.paths, state.binned),
+        state.paths,
         physical_values(objective.parameters, fit.vector)[0]["absorption"],
         task.scattering or known,
     )

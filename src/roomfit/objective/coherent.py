@@ -35,7 +35,7 @@ from roomfit.objective.parameters import (
     times_of,
 )
 from roomfit.objective.problem import Rows, Values
-from roomfit.objective.windows import in_windows, squares_in_windows
+from roomfit.objective.windows import in_windows, squares_in_windows, with_squares
 from roomfit.response.binned import BinnedPaths, in_band, regrouped
 from roomfit.response.coherent import (
     BandGrid,
@@ -289,9 +289,9 @@ def _early_variance(
     binned_shares(term.bins[own], energy[own], images.coherence[own], shares)
     pressures, single, late = shares
     random = np.maximum(paths.energy - pressures, 0.0)
-    spread = observed.fine_spreading @ random
+    spread, squares = with_squares(observed.fine_spreading, random, single)
     pieces = spread**2 + 2.0 * spread * coherent
-    pieces -= squares_in_windows(observed.fine_spreading, single)
+    pieces -= squares
     pieces = np.maximum(pieces, 0.0)
     pieces /= term.energies.bandwidth_hz * np.diff(observed.fine_edges_s)
     first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])

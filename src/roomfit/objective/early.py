@@ -9,7 +9,7 @@ as the mean path of their window does.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -45,7 +45,8 @@ _TINY = float(np.finfo(np.float64).tiny)
 class KeptPaths:
     """The windows of a band and what paths that stay bring to them, linearised at one answer."""
 
-    term: EnergyTerm  # rows of the paths that stay
+    # without rows and their bases: what is linearised needs no path any more
+    term: EnergyTerm
     directivity: BandDirectivities | None
     log_reflected: FloatArray  # (n_materials,), ln(1 - a) of that answer
     b: FloatArray  # (n_sources, 3), of that answer
@@ -213,8 +214,8 @@ def kept_paths(
     widths_s = np.concatenate([np.diff(o.edges_s) for o in observations])
     beat = noise / (term.bandwidth_hz * widths_s)
     return KeptPaths(
-        term,
-        directivity,
+        replace(term, rows=()),
+        None if directivity is None else replace(directivity, basis=()),
         np.log(left),
         b,
         energy,

@@ -12,7 +12,12 @@ from scipy.sparse import csr_array
 from roomfit._checks import float_array
 from roomfit.errors import InputError
 from roomfit.objective.problem import Objective, Rows, Values, count_evaluation
-from roomfit.objective.windows import in_windows, squares_in_windows
+from roomfit.objective.windows import (
+    columns_in_windows,
+    in_windows,
+    squares_in_windows,
+    with_squares,
+)
 from roomfit.response.directivity import EnergyParts, RowPattern, weigh_parts
 from roomfit.response.energy import EnergyRows, batch_energies, rows_in_air
 from roomfit.typing import BoolArray, FloatArray, IntArray
@@ -100,18 +105,17 @@ class EnergyTerm:
         count_evaluation()
         gains = np.append(values["gain"], 1.0)  # index -1: absolute level
         signals, by_absorption, by_gain, by_pattern, paths = [], [], [], [], []
-        last = 1 + values["absorption"].size
-        n_slopes = last + 2 if self.patterns else last - 1
         for o, observation in enumerate(self.observations):
             gain = gains[observation.gain]
             parts = parts_of(self, o, values["absorption"], derivative=True)
-            paths.append(_without_batches(parts, observation))
-            columns = np.column_stack((parts.energy, parts.slopes[:, :n_slopes]))
-            found = gain * (observation.spreading @ columns)
-            signal = found[:, 0]
+            found = columns_in_windows(observation.spreading, parts.columns)
+            last = 2 + len(parts.batches)
+            tracing = variance_of_batches(found[:, 2:last])
+            paths.append(Weighed(parts.energy, parts.squares, tracing))
+            signal = gain * found[:, 0]
             signals.append(signal)
-            by_absorption.append(found[:, 1:last])
-            by_pattern.append(found[:, last:])
+            by_absorption.append(gain * found[:, last:-3])
+            by_pattern.append(gain * found[:, -3:])
             per_gain = np.zeros((signal.size, values["gain"].size))
             if observation.gain >= 0:
                 per_gain[:, observation.gain] = signal / gain
@@ -251,9 +255,10 @@ def observation_variance(
     """Return the parts of `EnergyTerm.variance` of one observation by name, (n_windows,) each."""
     observed = problem.observations[observation]
     positions = observed.timing_sd_s**2 * squares_in_windows(observed.slopes, paths.squares)
-    overlapping = (observed.fine_spreading @ paths.energy) ** 2
-    overlapping -= squares_in_windows(observed.fine_spreading, paths.squares)
-    pieces = np.maximum(overlapping, 0.0) / (problem.bandwidth_hz * np.diff(observed.fine_edges_s))
+    spread, squares = with_squares(observed.fine_spreading, paths.energy, paths.squares)
+    pieces = np.maximum(spread**2 - squares, 0.0) / (
+        problem.bandwidth_hz * np.diff(observed.fine_edges_s)
+    )
     first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])
     interference = np.add.reduceat(pieces, first)
     return {

@@ -120,9 +120,23 @@ def in_windows(spreading: csr_array, rows: FloatArray) -> FloatArray:
     -------
     float array, shape (n_windows, n_rows)
     """
-    out, columns = np.zeros((spreading.shape[0], len(rows))), np.ascontiguousarray(rows.T)
+    return columns_in_windows(spreading, np.ascontiguousarray(rows.T))
+
+
+def columns_in_windows(spreading: csr_array, columns: FloatArray) -> FloatArray:
+    """Return ``shares @ columns``, shape (n_windows, n_columns)."""
+    out = np.zeros((spreading.shape[0], columns.shape[1]))
     _add_up(spreading.indptr, spreading.indices, spreading.data, columns, out)
     return out
+
+
+def with_squares(
+    spreading: csr_array, row: FloatArray, squares: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return ``shares @ row`` and ``shares**2 @ squares`` in one pass, (n_windows,) each."""
+    once, twice = np.empty((2, spreading.shape[0]))
+    _add_up_both(spreading.indptr, spreading.indices, spreading.data, row, squares, once, twice)
+    return once, twice
 
 
 def squares_in_windows(spreading: csr_array, row: FloatArray) -> FloatArray:
@@ -141,6 +155,25 @@ def _add_up_squares(
         for e in range(pointers[w], pointers[w + 1]):
             total += spreading[e] * spreading[e] * row[bins[e]]
         out[w] = total
+
+
+@kernel()
+def _add_up_both(
+    pointers: IntArray,
+    bins: IntArray,
+    spreading: FloatArray,
+    row: FloatArray,
+    squares: FloatArray,
+    once: FloatArray,
+    twice: FloatArray,
+) -> None:
+    for w in range(len(pointers) - 1):
+        a = b = 0.0
+        for e in range(pointers[w], pointers[w + 1]):
+            share, at = spreading[e], bins[e]
+            a += share * row[at]
+            b += share * share * squares[at]
+        once[w], twice[w] = a, b
 
 
 @kernel()

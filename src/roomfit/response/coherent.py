@@ -303,7 +303,8 @@ class ImagePaths:
 
     def lengths_m(self) -> FloatArray:
         """Return the length of every path, shape (n_paths,)."""
-        return np.asarray(np.linalg.norm(self.image_to_receiver_m, axis=1)[self.row])
+        squares = np.einsum("ij,ij->i", self.image_to_receiver_m, self.image_to_receiver_m)
+        return np.asarray(np.sqrt(squares)[self.row])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -593,15 +594,15 @@ def _roots(paths: ImagePaths, weight: FloatArray, absorption: FloatArray) -> Flo
     return roots if paths.sign is None else roots * paths.sign
 
 
-def _stand_in(departure: FloatArray, arrival: FloatArray) -> FloatArray:
+def _stand_in(departure: FloatArray, arrival: FloatArray) -> NDArray[np.float32]:
     """Return matrices that turn each departure into its arrival, (n, 3, 3).
 
     Signs on the diagonal where these do, as in a box; otherwise one reflection.
     """
     signs = np.where(departure * arrival < 0.0, -1.0, 1.0)
-    out = signs[:, :, None] * np.eye(3)
+    out = signs[:, :, None].astype(np.float32) * np.eye(3, dtype=np.float32)
     other = np.flatnonzero(np.abs(departure * signs - arrival).max(axis=1) > 1e-5)
     step = departure[other] - arrival[other]
     squared = np.einsum("ni,ni->n", step, step)[:, None, None]
     out[other] = np.eye(3) - 2.0 * step[:, :, None] * step[:, None, :] / squared
-    return np.asarray(out)
+    return out

@@ -100,9 +100,9 @@ class EnergyParts(NamedTuple):
     energy: FloatArray  # (n_windows,), of all rows
     squares: FloatArray  # (n_windows,), sum of the squares of single image paths
     batches: FloatArray  # (n_batches, n_windows), energy of the rays of each batch
-    # (n_windows, n_materials + 3), derivative of the energy by absorption and by b of the source;
-    # without columns where none was asked for
-    slopes: FloatArray
+    # (n_windows, 2 + n_batches + n_materials + 3), all of these, then the derivative of the energy
+    # by absorption and by b of the source; without the latter where none was asked for
+    columns: FloatArray
 
 
 def weigh_parts(
@@ -153,7 +153,7 @@ def weigh_parts(
     )
     out = np.zeros((rows.n_windows, sums.shape[1]))
     _sum_pieces(pieces, sums, out)
-    return EnergyParts(out[:, 0].copy(), out[:, 1].copy(), out[:, 2:first].T, out[:, first:])
+    return EnergyParts(out[:, 0].copy(), out[:, 1].copy(), out[:, 2:first].T, out)
 
 
 @kernel()

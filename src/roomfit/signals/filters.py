@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -199,11 +199,21 @@ def filter_pressure(bank: FilterBank, response: ImpulseResponse) -> FloatArray:
     # rings run into the padding from both ends, and meet there only where they have died
     length = fft.next_fast_len(n + int(np.ceil(ringing_s(bank).max() * rate_hz)), real=True)
     spectrum = fft.rfft(response.pressure, length)
-    magnitudes = frequency_response(bank, fft.rfftfreq(length, 1.0 / rate_hz))
+    centres_hz = tuple(bank.bands.centres_hz.tolist())
+    magnitudes = _magnitudes(bank.bands.kind, centres_hz, length, rate_hz)
     filtered = np.empty((len(bank.bands), n))
     for band, magnitude in enumerate(magnitudes):
         filtered[band] = fft.irfft(spectrum * magnitude, length)[:n]
     return filtered
+
+
+@lru_cache(maxsize=8)
+def _magnitudes(
+    kind: BandKind, centres_hz: tuple[float, ...], length: int, rate_hz: float
+) -> FloatArray:
+    """Return the bands on the frequencies of a transform: all responses of a room have the same."""
+    bank = FilterBank(Bands(kind, np.array(centres_hz)))
+    return frequency_response(bank, fft.rfftfreq(length, 1.0 / rate_hz))
 
 
 def window_energies(bank: FilterBank, response: ImpulseResponse, edges_s: FloatArray) -> FloatArray:
