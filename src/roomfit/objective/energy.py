@@ -256,9 +256,8 @@ def observation_variance(
     observed = problem.observations[observation]
     positions = observed.timing_sd_s**2 * squares_in_windows(observed.slopes, paths.squares)
     spread, squares = with_squares(observed.fine_spreading, paths.energy, paths.squares)
-    pieces = np.maximum(spread**2 - squares, 0.0) / (
-        problem.bandwidth_hz * np.diff(observed.fine_edges_s)
-    )
+    pieces = np.maximum(spread**2 - squares, 0.0)
+    pieces = pieces / (problem.bandwidth_hz * np.diff(observed.fine_edges_s))
     first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])
     interference = np.add.reduceat(pieces, first)
     return {

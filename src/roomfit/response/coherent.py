@@ -451,8 +451,8 @@ def band_grid(bank: FilterBank, first_s: float, last_s: float) -> BandGrid:
     top_hz = float(bank.bands.upper_hz[0] ** 2 / bank.bands.exact_centres_hz[0])
     rate_hz = 0.5 * _SAMPLES_PER_PERIOD * top_hz
     padding_s = _PADDING_PERIODS / (top_hz - float(bank.bands.exact_centres_hz[0]))
-    n = fft.next_fast_len(int(np.ceil((last_s - first_s + 2.0 * padding_s) * rate_hz)), real=True)
-    n += n % 2
+    half = int(np.ceil(0.5 * (last_s - first_s + 2.0 * padding_s) * rate_hz))
+    n = 2 * int(fft.next_fast_len(half, real=True))  # one more than a fast odd length may be slow
     frequencies = fft.rfftfreq(n, 1.0 / rate_hz)
     shape = frequency_response(bank, frequencies)[0]
     shape = shape / np.sqrt(2.0 * energy_bandwidth_hz(bank)[0])
@@ -502,7 +502,7 @@ def coherent_response(
     transfer, slope = grid.filter.astype(grid.real), grid.slope.astype(grid.complex)
     n_products, parts = 8 + 2 * n_materials if derivative else 0, []
     # few enough for their grids to stay in memory that is at hand: new pages cost as much as sums
-    at_once = max(numba.get_num_threads(), 2)
+    at_once, workers = max(numba.get_num_threads(), 2), min(numba.get_num_threads(), 2)
     for o in range(0, len(edges_s), at_once):
         own = edges_s[o : o + at_once]
         if paths.offsets[o] == paths.offsets[o + len(own)]:  # nothing is coherent
@@ -527,12 +527,12 @@ def coherent_response(
             impulses,
         )
         columns: Any = np.ascontiguousarray(np.swapaxes(impulses[:, :, :n_columns], 1, 2))
-        spectra = fft.rfft(columns, axis=-1, workers=2)
-        pressure = fft.irfft(spectra[:, 0] * transfer, grid.n, axis=-1, workers=2)
+        spectra = fft.rfft(columns, axis=-1, workers=workers)
+        pressure = fft.irfft(spectra[:, 0] * transfer, grid.n, axis=-1, workers=workers)
         columns = np.zeros((len(own), 0, grid.n), dtype=grid.real)
         if derivative:
-            level = fft.irfft(spectra[:, 1 : 1 + n_materials] * transfer, grid.n, workers=2)
-            moved = fft.irfft(spectra * slope, grid.n, axis=-1, workers=2)
+            level = fft.irfft(spectra[:, 1 : 1 + n_materials] * transfer, grid.n, workers=workers)
+            moved = fft.irfft(spectra * slope, grid.n, axis=-1, workers=workers)
             columns = np.concatenate((level, moved), axis=1)
         parts.append(integrated_products(pressure, columns, grid, own))
     energy, slopes = (np.concatenate(column) for column in zip(*parts, strict=True))

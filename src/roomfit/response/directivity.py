@@ -331,8 +331,9 @@ def coherent_slopes(
     grid_directed_impulses(
         images.offsets, arrivals, heights, grid.first_s, grid.rate_hz, grid.table, impulses
     )
-    spectra = fft.rfft(impulses, axis=-1, workers=2) * grid.filter.astype(grid.real)
-    pressure = fft.irfft(spectra, grid.n, workers=2)
+    workers = min(numba.get_num_threads(), 2)
+    spectra = fft.rfft(impulses, axis=-1, workers=workers) * grid.filter.astype(grid.real)
+    pressure = fft.irfft(spectra, grid.n, workers=workers)
     own, moved = (np.ascontiguousarray(p) for p in (pressure[:, 0], pressure[:, 1:]))
     return integrated_products(own, moved, grid, edges_s)[1]
 

@@ -286,14 +286,20 @@ def energy_share(
     return np.diff(np.interp(periods, kernel.periods, kernel.cumulative), axis=1)
 
 
-def spreading_reach_s(kernel: SpreadingKernel, band: int) -> float:
+def spreading_reach_s(
+    kernel: SpreadingKernel, band: int, least_share: float = _LEAST_SHARE
+) -> float:
     """Return how far from a window's edges `spreading_matrix` looks for impulses that reach it."""
-    reached = kernel.periods[np.searchsorted(kernel.cumulative, _LEAST_SHARE)]
+    reached = kernel.periods[np.searchsorted(kernel.cumulative, least_share)]
     return -float(reached) / float(kernel.centres_hz[band])
 
 
 def spreading_matrix(
-    kernel: SpreadingKernel, band: int, delays_s: FloatArray, edges_s: ArrayLike
+    kernel: SpreadingKernel,
+    band: int,
+    delays_s: FloatArray,
+    edges_s: ArrayLike,
+    least_share: float = _LEAST_SHARE,
 ) -> csr_array:
     """Return `energy_share` of many impulses as a sparse matrix.
 
@@ -302,26 +308,35 @@ def spreading_matrix(
     Returns
     -------
     sparse array, shape (n_windows, n_impulses)
-        Without what an impulse leaves in windows that less than 1e-7 of it reaches on either side.
+        Without what an impulse leaves in windows that less than `least_share` of it reaches on
+        either side.
     """
-    return _banded(kernel, band, delays_s, edges_s, kernel.cumulative)
+    return _banded(kernel, (band, least_share), delays_s, edges_s, kernel.cumulative)
 
 
 def spreading_slopes_per_s(
-    kernel: SpreadingKernel, band: int, delays_s: FloatArray, edges_s: ArrayLike
+    kernel: SpreadingKernel,
+    band: int,
+    delays_s: FloatArray,
+    edges_s: ArrayLike,
+    least_share: float = _LEAST_SHARE,
 ) -> csr_array:
     """Return the derivative of `spreading_matrix` by the delays, 1/s."""
     rate = -kernel.centres_hz[band] * kernel.density
-    return _banded(kernel, band, delays_s, edges_s, rate)
+    return _banded(kernel, (band, least_share), delays_s, edges_s, rate)
 
 
 def _banded(
-    kernel: SpreadingKernel, band: int, delays_s: FloatArray, edges_s: ArrayLike, table: FloatArray
+    kernel: SpreadingKernel,
+    reach: tuple[int, float],
+    delays_s: FloatArray,
+    edges_s: ArrayLike,
+    table: FloatArray,
 ) -> csr_array:
     """Return the difference of a tabulated function between both edges of every window."""
     edges = np.asarray(edges_s, dtype=np.float64)
-    centre = float(kernel.centres_hz[band])
-    span_s = spreading_reach_s(kernel, band)
+    centre = float(kernel.centres_hz[reach[0]])
+    span_s = spreading_reach_s(kernel, *reach)
     first = np.searchsorted(delays_s, edges[:-1] - span_s)
     last = np.searchsorted(delays_s, edges[1:] + span_s)
     pointers = np.concatenate(([0], np.cumsum(last - first)))
