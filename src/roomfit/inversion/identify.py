@@ -48,13 +48,7 @@ from roomfit.inversion.model_checks import (
     sampling_findings,
     schroeder_findings,
 )
-from roomfit.inversion.paths import (
-    TracedPaths,
-    redirected,
-    traced_paths,
-    traced_with,
-    trim_memory,
-)
+from roomfit.inversion.paths import TracedPaths, redirected, traced_paths, traced_with
 from roomfit.inversion.reflections import (
     isolated_reflections,
     reflection_findings,
@@ -192,7 +186,6 @@ def identify(
             done = part(progress, number / rounds, (number + 1) / rounds)
             start = _eyring_start(measured)
             traced = traced_paths(measured, priors, settings, start, cache, part(done, 0.02, 0.45))
-            trim_memory()
             pressures = is_coherent(measured.responses, settings) and (
                 traced.far_images or settings.model == "coherent"
             )
@@ -204,7 +197,6 @@ def identify(
                 _LOG.info("finding confidence intervals")
                 fits = coherent_answers(coherent, settings, refine, part(done, 0.85, 0.98))
                 del task, coherent  # with all bands, the most that is in memory
-                trim_memory()
             else:
                 late = part(done, 0.45, 0.98)
                 fits = estimate_energies(measured, priors, traced, start, settings, refine, late)

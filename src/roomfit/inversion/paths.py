@@ -37,9 +37,8 @@ Retrace = Callable[[Scene], tuple[Paths, FloatArray | None, BinnedPaths]]
 
 def trim_memory() -> None:
     """Give back what was freed and glibc keeps for later: arrays of up to 32 MB each."""
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
-    if trim is not None:
-        trim(0)
+    if sys.platform == "linux":
+        getattr(ctypes.CDLL(None), "malloc_trim", int)(0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,6 +163,7 @@ def traced_paths(
     factors, degenerate = band_factors(measurements.directivities, scene, bands, paths, scattering)
     binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
     unknown = [k.name for k in priors if k.known is None]
+    trim_memory()
     return TracedPaths(
         paths,
         binned,

@@ -88,8 +88,6 @@ _OF_THE_DATA, _CROSSINGS_AS_ONE = 1.0 / 3.0, 5.0
 _MOST_PATH_BYTES = 480e6
 # Image sources of all pairs together, where there is nothing else, and for pressures: 1 GB.
 _MOST_IMAGES_OF_ALL, _MOST_COHERENT_OF_ALL = 10e6, 4e6
-# Where walls scatter, faint images of more than so many are thinned so long after pressures end.
-_MOST_WHOLE_IMAGES, _RINGING_S = 1e6, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,8 +132,7 @@ def plan_trace(
 
     Image sources are so many a pair as the settings say, and 4 million of all pairs together for
     pressures, 10 million where there is nothing else: of 200 pairs each has 20,000, which is .2 s
-    of a room of 70 m³. Where walls scatter and images are more than a million, late and faint ones
-    are thinned.
+    of a room of 70 m³.
 
     Parameters
     ----------
@@ -189,11 +186,6 @@ def plan_trace(
             image_order=_ANY_ORDER,
             image_until_s=until_s,
         )
-        n_images = 4.0 / 3.0 * np.pi * (speed_of_sound_m_s(scene.air) * until_s) ** 3
-        n_images *= len(scene.pairs) / volume_m3(scene.room.mesh)
-        if n_images > _MOST_WHOLE_IMAGES and np.any(scattering.coefficients):
-            whole_s = settings.coherent_until_s + _RINGING_S
-            fineness = replace(fineness, whole_images_until_s=whole_s)
     elif coherent and not images_alone:
         findings.append(_few_images())
     if until_s == 0.0 and scene.room.shoebox_m is None:

@@ -133,14 +133,7 @@ class EnergyTerm:
 
     def expected(self, values: Values) -> FloatArray:
         """Return what the model expects in every window, shape (n_windows,)."""
-        count_evaluation()
-        gains = np.append(values["gain"], 1.0)  # index -1: absolute level
-        found = []
-        for o, observation in enumerate(self.observations):
-            energy = parts_of(self, o, values["absorption"]).energy
-            signal = gains[observation.gain] * (observation.spreading @ energy)
-            found.append(signal + observation.noise)
-        return np.concatenate(found)
+        return self.predict(values)[0]
 
     def variance_parts(self, values: Values) -> dict[str, FloatArray]:
         """Return what the variance of every window is the sum of, by name, (n_windows,) each.

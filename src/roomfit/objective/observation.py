@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -195,6 +196,7 @@ def _observation(
     shortest: tuple[float, float],
 ) -> Observation:
     bank, kernel = reduction
+    rough = replace(kernel, least_share=_LEAST_OF_VARIANCE)
     bandwidth_hz = float(statistical_bandwidth_hz(bank)[0])
     end_s = min(float(m.fit_end_s[band]), float(bin_edges_s[-1]))
     periods, fine_s = shortest
@@ -215,8 +217,8 @@ def _observation(
         unit * per_second * np.diff(edges),
         spreading_matrix(kernel, band, bin_centres_s, edges),
         fine,
-        spreading_matrix(kernel, band, bin_centres_s, fine, _LEAST_OF_VARIANCE),
-        spreading_slopes_per_s(kernel, band, bin_centres_s, edges, _LEAST_OF_VARIANCE),
+        spreading_matrix(rough, band, bin_centres_s, fine),
+        spreading_slopes_per_s(rough, band, bin_centres_s, edges),
         timing_sd_s,
         gain,
     )

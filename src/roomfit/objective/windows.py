@@ -141,20 +141,7 @@ def with_squares(
 
 def squares_in_windows(spreading: csr_array, row: FloatArray) -> FloatArray:
     """Return ``shares**2 @ row`` without an array of squares, shape (n_windows,)."""
-    out = np.empty(spreading.shape[0])
-    _add_up_squares(spreading.indptr, spreading.indices, spreading.data, row, out)
-    return out
-
-
-@kernel()
-def _add_up_squares(
-    pointers: IntArray, bins: IntArray, spreading: FloatArray, row: FloatArray, out: FloatArray
-) -> None:
-    for w in range(len(pointers) - 1):
-        total = 0.0
-        for e in range(pointers[w], pointers[w + 1]):
-            total += spreading[e] * spreading[e] * row[bins[e]]
-        out[w] = total
+    return with_squares(spreading, row, row)[1]
 
 
 @kernel()

@@ -574,9 +574,7 @@ def integrated_products(
 
 def image_energies(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
     """Return the energy of every path, whatever its coherence, shape (n_paths,)."""
-    roots = _roots(paths, paths.weight, absorption)
-    roots *= roots
-    return roots
+    return np.square(_roots(paths, paths.weight, absorption))
 
 
 def _roots(paths: ImagePaths, weight: FloatArray, absorption: FloatArray) -> FloatArray:

@@ -112,6 +112,7 @@ class SpreadingKernel:
     periods: FloatArray  # (n_steps,), time in periods of the centre, uniform, symmetric about 0
     density: FloatArray  # (n_steps,), squared impulse response: share of energy per period
     cumulative: FloatArray  # (n_steps,), share of energy up to that time, from 0 to 1
+    least_share: float = _LEAST_SHARE  # on either side; less is left out of sparse matrices
 
 
 def frequency_response(bank: FilterBank, frequencies_hz: ArrayLike) -> FloatArray:
@@ -212,8 +213,8 @@ def _magnitudes(
     kind: BandKind, centres_hz: tuple[float, ...], length: int, rate_hz: float
 ) -> FloatArray:
     """Return the bands on the frequencies of a transform: all responses of a room have the same."""
-    bank = FilterBank(Bands(kind, np.array(centres_hz)))
-    return frequency_response(bank, fft.rfftfreq(length, 1.0 / rate_hz))
+    frequencies_hz = fft.rfftfreq(length, 1.0 / rate_hz)
+    return frequency_response(FilterBank(Bands(kind, np.array(centres_hz))), frequencies_hz)
 
 
 def window_energies(bank: FilterBank, response: ImpulseResponse, edges_s: FloatArray) -> FloatArray:
@@ -286,20 +287,14 @@ def energy_share(
     return np.diff(np.interp(periods, kernel.periods, kernel.cumulative), axis=1)
 
 
-def spreading_reach_s(
-    kernel: SpreadingKernel, band: int, least_share: float = _LEAST_SHARE
-) -> float:
+def spreading_reach_s(kernel: SpreadingKernel, band: int) -> float:
     """Return how far from a window's edges `spreading_matrix` looks for impulses that reach it."""
-    reached = kernel.periods[np.searchsorted(kernel.cumulative, least_share)]
+    reached = kernel.periods[np.searchsorted(kernel.cumulative, kernel.least_share)]
     return -float(reached) / float(kernel.centres_hz[band])
 
 
 def spreading_matrix(
-    kernel: SpreadingKernel,
-    band: int,
-    delays_s: FloatArray,
-    edges_s: ArrayLike,
-    least_share: float = _LEAST_SHARE,
+    kernel: SpreadingKernel, band: int, delays_s: FloatArray, edges_s: ArrayLike
 ) -> csr_array:
     """Return `energy_share` of many impulses as a sparse matrix.
 
@@ -308,35 +303,26 @@ def spreading_matrix(
     Returns
     -------
     sparse array, shape (n_windows, n_impulses)
-        Without what an impulse leaves in windows that less than `least_share` of it reaches on
-        either side.
+        Without what an impulse leaves in windows that less than the kernel's least share reaches.
     """
-    return _banded(kernel, (band, least_share), delays_s, edges_s, kernel.cumulative)
+    return _banded(kernel, band, delays_s, edges_s, kernel.cumulative)
 
 
 def spreading_slopes_per_s(
-    kernel: SpreadingKernel,
-    band: int,
-    delays_s: FloatArray,
-    edges_s: ArrayLike,
-    least_share: float = _LEAST_SHARE,
+    kernel: SpreadingKernel, band: int, delays_s: FloatArray, edges_s: ArrayLike
 ) -> csr_array:
     """Return the derivative of `spreading_matrix` by the delays, 1/s."""
     rate = -kernel.centres_hz[band] * kernel.density
-    return _banded(kernel, (band, least_share), delays_s, edges_s, rate)
+    return _banded(kernel, band, delays_s, edges_s, rate)
 
 
 def _banded(
-    kernel: SpreadingKernel,
-    reach: tuple[int, float],
-    delays_s: FloatArray,
-    edges_s: ArrayLike,
-    table: FloatArray,
+    kernel: SpreadingKernel, band: int, delays_s: FloatArray, edges_s: ArrayLike, table: FloatArray
 ) -> csr_array:
     """Return the difference of a tabulated function between both edges of every window."""
     edges = np.asarray(edges_s, dtype=np.float64)
-    centre = float(kernel.centres_hz[reach[0]])
-    span_s = spreading_reach_s(kernel, *reach)
+    centre = float(kernel.centres_hz[band])
+    span_s = spreading_reach_s(kernel, band)
     first = np.searchsorted(delays_s, edges[:-1] - span_s)
     last = np.searchsorted(delays_s, edges[1:] + span_s)
     pointers = np.concatenate(([0], np.cumsum(last - first)))

@@ -107,52 +107,6 @@ def select(paths: Paths, keep: BoolArray | IntArray) -> Paths:
     return replace(paths, **columns, image_transform=transform)
 
 
-# Image paths of a pair and 10 ms that together have this share of the weight are thinned to one in
-# so many.
-_FAINT, _ONE_IN = 0.1, 8
-
-
-def thinned(images: Paths, whole_until_m: float, slot_m: float) -> Paths:
-    """Return fewer image paths: of the late and faint ones every eighth, with the weight of all.
-
-    Where walls scatter, image paths of many hits bring next to nothing. Those of a pair and a slot
-    of lengths are sorted by weight; the last of them, a tenth of the weight, are faint. Every
-    eighth in this order keeps all kinds of paths among them, whatever the walls absorb.
-
-    Parameters
-    ----------
-    whole_until_m : float
-        Shorter paths stay.
-    slot_m : float
-    """
-    late = np.flatnonzero(images.length_m >= whole_until_m)
-    if not late.size:
-        return images
-    slot = np.floor(images.length_m[late] / slot_m).astype(np.int64)
-    group = images.pair[late] * (int(slot.max()) + 1) + slot
-    order = np.lexsort((-images.weight_per_m2[late], group))
-    late, group = late[order], group[order]
-    starts = np.flatnonzero(np.append(True, group[1:] != group[:-1]))
-    n = np.diff(np.append(starts, late.size))
-    weight = images.weight_per_m2[late]
-    whole = np.repeat(np.add.reduceat(weight, starts), n)
-    before = np.cumsum(weight) - weight
-    before -= np.repeat(before[starts], n)
-    faint = before > (1.0 - _FAINT) * whole
-    # how many faint ones of the group come before: each group's first of eight is its fourth
-    rank = np.cumsum(faint) - faint
-    rank -= np.repeat(rank[starts], n)
-    kept = ~faint | (rank % _ONE_IN == _ONE_IN // 2)
-    sums = (np.add.reduceat(np.where(own, weight, 0.0), starts) for own in (faint, faint & kept))
-    all_of_them, chosen = sums
-    kept |= np.repeat(chosen == 0.0, n)  # too few to choose from
-    factor = np.divide(all_of_them, chosen, out=np.ones(starts.size), where=chosen > 0.0)
-    weights, keep = np.array(images.weight_per_m2), np.ones(len(images), dtype=np.bool_)
-    weights[late] = np.where(faint, np.repeat(factor, n), 1.0) * weight
-    keep[late[~kept]] = False
-    return select(replace(images, weight_per_m2=weights), keep)
-
-
 def concatenate(parts: Sequence[Paths]) -> Paths:
     """Return all paths of several traces of one scene as one.
 
@@ -260,7 +214,6 @@ class TraceSettings:
     estimator: Estimator = "spheres"
     image_until_s: float | None = None  #: Where image sources end; None for the whole duration
     keep_image_transforms: bool = False  #: Image paths keep the product of their reflections
-    whole_images_until_s: float | None = None  #: Later image paths are `thinned`; None: none are
 
     def __post_init__(self) -> None:
         limits: tuple[tuple[str, float, float, float], ...] = (

@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from roomfit.air import speed_of_sound_m_s
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.geometry.inside import distance_to_walls_m
 from roomfit.materials.priors import Scattering
 from roomfit.scene import Scene, distances_m
 from roomfit.tracing.image_sources import trace_images
-from roomfit.tracing.paths import Paths, TraceSettings, thinned
+from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.rays import RayStatistics, Trace, trace_rays
 from roomfit.tracing.states import as_one_state, in_every_state
 from roomfit.typing import FloatArray, Progress, part
@@ -23,8 +22,6 @@ _CLEARANCE = 0.999
 _SMALLEST_RADIUS_M = 0.005
 _TOLERABLE_LEAK = 1e-3
 _SHARE_OF_IMAGES = 0.1
-# Late images are thinned in slots of so much time.
-_SLOT_S = 0.01
 
 
 def trace(
@@ -103,9 +100,6 @@ def trace(
             with_image_transforms=settings.keep_image_transforms,
             progress=part(progress, 0.0, share),
         )
-        if settings.whole_images_until_s is not None:
-            c = speed_of_sound_m_s(scene.air)
-            images = thinned(images, settings.whole_images_until_s * c, _SLOT_S * c)
     radii: FloatArray | None = None
     findings: tuple[Finding, ...] = ()
     if settings.n_rays:
