@@ -196,10 +196,10 @@ def _observation(
     shortest: tuple[float, float],
 ) -> Observation:
     bank, kernel = reduction
-    rough = replace(kernel, least_share=_LEAST_OF_VARIANCE)
     bandwidth_hz = float(statistical_bandwidth_hz(bank)[0])
     end_s = min(float(m.fit_end_s[band]), float(bin_edges_s[-1]))
     periods, fine_s = shortest
+    rough = kernel if fine_s else replace(kernel, least_share=_LEAST_OF_VARIANCE)
     edges = window_edges_s(m.direct_s, end_s, bandwidth_hz, periods=periods, fine_s=fine_s)
     fine = fine_edges_s(edges, bandwidth_hz)
     unit = _ENERGY_PER_PRESSURE_SQUARED if m.measurement.level == "absolute" else 1.0
