@@ -2,9 +2,10 @@
 
     python benchmarks/stages.py [--seed 1] [--box SEED] [--campaign FILE]
 
-The demo's campaign, a box of another program or any campaign is identified twice, the second time counted, so
-that no kernel is compiled meanwhile. Each stage is charged with what happens in it and in no other
-stage that it calls. A prediction comes with its derivative, an expectation does not. One thread.
+The demo's campaign, a box of another program or any campaign is identified twice, the second time
+counted, so that no kernel is compiled meanwhile. Each stage is charged with what happens in it and
+in no other stage that it calls. A prediction comes with its derivative, an expectation does not.
+One thread.
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import roomfit
+from roomfit.air import attenuation_per_m
 from roomfit.bands import bands_between
 from roomfit.inversion.measurements import collect_measurements
 from roomfit.inversion.scattering import GRID, _grid_sd
@@ -45,10 +46,10 @@ def test_the_error_is_the_change_of_the_energies_with_the_coefficient():
     ((term, _),) = energy_terms(
         found.scene, BANDS, priors, found.responses, binned, np.array([0.2])
     )
-    absorption, air = np.array([0.15, 0.4, 0.3]), 1e-3
+    absorption, air = np.array([0.15, 0.4, 0.3]), attenuation_per_m(found.scene.air, BANDS)
     # the ceiling's coefficient was specified
     sd = np.array([0.05, 0.03, 0.0])
-    error = scattering_error(paths, binned, term, absorption, air, (SAMPLED, sd))
+    error = scattering_error(paths, term, absorption, (SAMPLED, sd))
 
     def energies(step: float) -> np.ndarray:
         wanted = Scattering(found.scene.room.materials, SAMPLED + step * sd)
@@ -61,7 +62,7 @@ def test_the_error_is_the_change_of_the_energies_with_the_coefficient():
                 @ weigh(
                     first_rows(coarse.rows[o.pair], o.spreading.shape[1]),
                     absorption[:, None],
-                    np.array([air]),
+                    air,
                 ).energy[0]
                 for o in term.observations
             ]
@@ -84,7 +85,7 @@ def test_known_scattering_and_smooth_walls_have_no_error():
         found.scene, BANDS, priors, found.responses, binned, np.array([0.2])
     )
     for s, sd in ((SAMPLED, np.zeros(3)), (np.zeros(3), np.full(3, 0.1))):
-        assert not scattering_error(paths, binned, term, SAMPLED, 0.0, (s, sd)).any()
+        assert not scattering_error(paths, term, SAMPLED, (s, sd)).any()
 
 
 @pytest.mark.parametrize(

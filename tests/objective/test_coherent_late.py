@@ -123,3 +123,19 @@ def test_rows_of_bins_are_carried_into_windows_as_a_matrix_product_would() -> No
     dense[3] = 0.0
     rows = rng.random((5, 50))
     np.testing.assert_allclose(in_windows(csr_array(dense), rows), dense @ rows.T, rtol=1e-13)
+
+
+def test_pressures_that_are_known_early_need_no_later_grid() -> None:
+    """Where late times are uncertain the grid ends early, and nothing else changes."""
+    term = small_term(CENTRE_HZ)
+    covariance = np.diag(np.where(np.arange(14) == 9, 1e4, 1e-9))  # of ln c: late is uncertain
+    short = with_coherence(term, covariance)
+    assert 0 < short.coherent.row.size < short.images.weight.size
+    assert short.grid.n < term.grid.n
+    long, at = replace(short, grid=term.grid), objective_of(short)
+    vector = start_vector(at.parameters)
+    found, expected = at.predict(vector), objective_of(long).predict(vector)
+    # of the largest: the filter has 1e-7 of its energy beyond the padding
+    for a, b in ((found.expected, expected.expected), (found.jacobian, expected.jacobian)):
+        np.testing.assert_allclose(a, b, rtol=1e-4, atol=2e-6 * np.abs(b).max())
+    np.testing.assert_allclose(at.variance(vector), objective_of(long).variance(vector), rtol=1e-3)

@@ -16,7 +16,6 @@ from roomfit.response.directivity import (
     RowPattern,
     amplitude_and_slope,
     directed_rows,
-    weigh_directed,
     weigh_parts,
 )
 from roomfit.response.energy import (
@@ -355,6 +354,14 @@ def drawn_pattern(seed: int, n_rows: int, *, single: bool) -> RowPattern:
     return RowPattern(rng.normal(0.0, 0.7, 3), basis.astype(np.float32) if single else basis)
 
 
+def weigh_directed(
+    rows: EnergyRows, pattern: RowPattern, a: FloatArray, air: float, *, derivative: bool = True
+) -> FloatArray:
+    """Return energy and slopes of one pass as columns."""
+    found = weigh_parts(rows, pattern, a, air, derivative=derivative)
+    return np.column_stack((found.energy, found.columns[:, 2 + len(found.batches) :]))
+
+
 def directed_in_steps(
     rows: EnergyRows, pattern: RowPattern, a: FloatArray, air: float
 ) -> FloatArray:
@@ -443,6 +450,15 @@ def test_parts_of_the_variance_in_one_pass_equal_three(seed: int, single: bool, 
     near = 1e-12 if pattern is None or not single else 1e-5
     for own, other in zip((found.energy, found.squares, found.batches), expected, strict=True):
         np.testing.assert_allclose(own, other, rtol=near, atol=1e-12 * other.max())
+    whole = weigh_parts(rows, pattern, a, 0.01, derivative=True)
+    for own, other in zip(whole[:3], found[:3], strict=True):
+        np.testing.assert_array_equal(own, other)
+    by_absorption = weigh(turned, walls, air).derivative
+    assert by_absorption is not None
+    largest = 1e-12 * np.abs(by_absorption).max()
+    np.testing.assert_allclose(
+        whole.columns[:, -6:-3].T, by_absorption[:, 0], rtol=near, atol=largest
+    )
 
 
 def test_parts_of_the_variance_have_the_same_bits_for_any_number_of_threads() -> None:

@@ -158,6 +158,7 @@ class SequentialState:
     first: tuple[FloatArray | None, ...] = ()  # answers by pressures of an earlier pass
     findings: tuple[Finding, ...] = ()
     images: ImagePaths | None = None  # of these paths, what all bands share; None: not made yet
+    outliers: Mapping[MeasuredPair, float] = field(default_factory=dict)  # by energies
 
     @property
     def geometry(self) -> Geometry | None:
@@ -169,7 +170,9 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
     """Return the bands ready to be fitted, paths found anew where positions must have moved."""
     settings, measured, retrace = task.settings, task.measured, traced.again
     binned = cut_at(traced.binned, settings.late_end_s)
-    state = rebuild(SequentialState(task, traced.paths, traced.factors, binned, None))
+    state = with_outliers(
+        rebuild(SequentialState(task, traced.paths, traced.factors, binned, None))
+    )
     if settings.model == "energy":
         return state
     coloured = False
@@ -178,7 +181,7 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
         coloured = any(new is not old for new, old in zip(even, measured, strict=True))
         if coloured:
             state = let_go(replace(state, task=replace(task, measured=even)))
-            state = rebuild(state)
+            state = with_outliers(rebuild(state))
     moves = retrace is not None and settings.positions == "fit"
     if not (moves or coloured) or settings.quick:
         return state
@@ -202,7 +205,7 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
     if coloured:
         even = _even(state, measured, guess, 0.0)
         state = replace(state, task=replace(state.task, measured=even))
-    return rebuild(state)
+    return with_outliers(rebuild(state))
 
 
 def let_go(state: SequentialState) -> SequentialState:
@@ -220,10 +223,10 @@ def _answers(state: SequentialState) -> tuple[FloatArray | None, ...]:
 
 
 def rebuild(state: SequentialState) -> SequentialState:
-    """Return the same task and paths with bands made anew.
+    """Return the same task and paths with bands made anew, see `with_outliers` for what follows.
 
-    The energies of every band are fitted by themselves, in the windows that pressures need, and
-    outliers are found. Fits of bands made before are where these begin.
+    The energies of every band are fitted by themselves, in the windows that pressures need. Fits of
+    bands made before are where these begin.
     """
     task, limit = state.task, state.task.settings.max_rounds
     unknown = task.directivity_parameters
@@ -276,25 +279,33 @@ def rebuild(state: SequentialState) -> SequentialState:
         for b, own in enumerate(bands)
         if own is not None
     ]
-    # what pressures say of a file later knows more
-    outliers = {**outlier_files(misfits, LEAST_BY_ENERGIES), **task.outliers}
-    if outliers:
-        for b, own in enumerate(bands):
-            if own is not None:
-                files, n_data = fitted_in_band(task.measured, b), own.energy_fit.measured.size
-                factor = variance_inflation(own.coherent.energies, files, outliers, n_data)
-                energies = replace(own.energies, inflation=factor)
-                fit = score_band(
-                    energies,
-                    own.energy_fit.vector,
-                    max_rounds=limit,
-                    settled_sd=BEFORE_THE_LAST_PASS_SD,
-                )
-                bands[b] = replace(own, energies=energies, energy_fit=fit)
+    outliers = outlier_files(misfits, LEAST_BY_ENERGIES)
+    return replace(state, bands=tuple(bands), images=images, outliers=outliers)
+
+
+def with_outliers(state: SequentialState) -> SequentialState:
+    """Return the same bands with larger variances for files that others contradict.
+
+    By energies, or by pressures if the task says so, which know more.
+    """
+    task, bands = state.task, list(state.bands)
+    outliers = {**state.outliers, **task.outliers}
+    for b, own in enumerate(bands):
+        if own is not None and outliers:
+            files, n_data = fitted_in_band(task.measured, b), own.energy_fit.measured.size
+            factor = variance_inflation(own.coherent.energies, files, outliers, n_data)
+            energies = replace(own.energies, inflation=factor)
+            fit = score_band(
+                energies,
+                own.energy_fit.vector,
+                max_rounds=task.settings.max_rounds,
+                settled_sd=BEFORE_THE_LAST_PASS_SD,
+            )
+            bands[b] = replace(own, energies=energies, energy_fit=fit)
     if task.directivity_parameters is not None:
         bands = _under_cavity_priors(task, bands)
     findings = outlier_findings(task.measured, outliers)
-    return replace(state, bands=tuple(bands), findings=findings, images=images)
+    return replace(state, bands=tuple(bands), findings=findings)
 
 
 def _images(state: SequentialState) -> ImagePaths:
@@ -416,7 +427,8 @@ def _gain_of_freeing(
     settings: CoherentOptions,
 ) -> tuple[float, int]:
     """Return by how much the data are likelier, over all bands, and by how many more unknowns."""
-    freer = rebuild(replace(state, task=replace(state.task, settings=settings)))
+    freer = replace(state, task=replace(state.task, settings=settings))
+    freer = with_outliers(rebuild(freer))
     freed = forward_pass(freer.bands, settings, None, _vectors(fits))
     gain = explained_more(fits, freed)
     before, after = (
@@ -473,15 +485,17 @@ def fit_coherent(
     outliers = outlier_files(misfits, LEAST_BY_PRESSURES)
     if outliers:
         first, fits = _vectors(fits), []
-        state = let_go(replace(state, task=replace(state.task, outliers=outliers)))
-        state = rebuild(state)
+        state = replace(state, task=replace(state.task, outliers=outliers))
+        # what is known of a directivity by other bands depends on the outliers
+        is_directed = state.task.directivity_parameters is not None
+        state = with_outliers(rebuild(let_go(state)) if is_directed else state)
         fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0), first)
     position_sd_scale = estimate_position_sd_scale(state.task.scene, state.bands, fits)
     if position_sd_scale > 1.0:
         place, origin = inflate_position_sds(state.task.scene, state.origin, position_sd_scale)
         moved, first, fits = replace(state.task, scene=place), _vectors(fits), []
         state = let_go(replace(state, task=moved, origin=origin))
-        state = rebuild(state)
+        state = with_outliers(rebuild(state))
         fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0), first)
     findings = (*state.findings, *position_uncertainty_findings(position_sd_scale))
     findings = (*findings, *fixed_parameter_checks(state, fits))
@@ -624,7 +638,7 @@ def _relative_errors(
         task.scene.air,
         task.bands,
         windows,
-        (state.paths, state.binned),
+        state.paths,
         physical_values(objective.parameters, fit.vector)[0]["absorption"],
         task.scattering or known,
     )

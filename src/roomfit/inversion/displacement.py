@@ -264,8 +264,10 @@ def outline_of(
         periods=_PERIODS,
         fine_s=_FINE_S,
     )
-    stay = replace(traced.binned, rows=tuple(chosen_rows(r, ~moves) for r in traced.binned.rows))
-    bases = None if unknown is None else row_bases(unknown, scene, paths, stay)
+    bases = None
+    if unknown is not None:
+        rows = tuple(chosen_rows(r, ~moves) for r in traced.binned.rows)
+        bases = row_bases(unknown, scene, paths, replace(traced.binned, rows=rows))
     out = []
     for band, own in enumerate(made):
         if own is None or bands.centres_hz[band] < _LEAST_HZ or answers[band].model == "prior":

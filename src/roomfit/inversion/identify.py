@@ -196,6 +196,7 @@ def identify(
                 coherent = fit_coherent(task, traced, part(done, 0.45, 0.85))
                 _LOG.info("finding confidence intervals")
                 fits = coherent_answers(coherent, settings, refine, part(done, 0.85, 0.98))
+                del task, coherent  # with all bands, the most that is in memory
             else:
                 late = part(done, 0.45, 0.98)
                 fits = estimate_energies(measured, priors, traced, start, settings, refine, late)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -31,6 +33,12 @@ from roomfit.typing import FloatArray, Progress, part
 
 Retrace = Callable[[Scene], tuple[Paths, FloatArray | None, BinnedPaths]]
 """Traces a scene whose positions have moved: paths, their factors in each band, the same binned."""
+
+
+def trim_memory() -> None:
+    """Give back what was freed and glibc keeps for later: arrays of up to 32 MB each."""
+    if sys.platform == "linux":
+        getattr(ctypes.CDLL(None), "malloc_trim", int)(0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,6 +155,7 @@ def traced_paths(
         if trial is not None:
             doubts = suspected_scattering(trial[0], scene.room.materials, trial[1])
         del trial  # with two traces of its own
+    trim_memory()
     done = part(progress, 0.5 if chosen else 0.0, 1.0)
     found = cached_trace(scene, plan.settings, plan.scattering, cache, done)
     paths = found.value.paths
@@ -154,6 +163,7 @@ def traced_paths(
     factors, degenerate = band_factors(measurements.directivities, scene, bands, paths, scattering)
     binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
     unknown = [k.name for k in priors if k.known is None]
+    trim_memory()
     return TracedPaths(
         paths,
         binned,

@@ -84,7 +84,7 @@ def shared_error_covariance(measured: Measurements, traced: TracedPaths) -> Shar
             scene.air,
             bands,
             windows,
-            (traced.paths, traced.binned),
+            traced.paths,
             walls,
             (traced.scattering, traced.scattering_sd),
         )

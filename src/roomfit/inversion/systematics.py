@@ -14,7 +14,7 @@ from typing import cast
 
 import numpy as np
 
-from roomfit.air import Air, attenuation_per_m, pressure_decay_per_m, speed_of_sound_m_s
+from roomfit.air import Air, pressure_decay_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, steps_per_octave
 from roomfit.inversion.sequential import CoherentBand
 from roomfit.logit import Z95, expit, logit
@@ -25,11 +25,11 @@ from roomfit.objective.energy import EnergyTerm, parts_of
 from roomfit.objective.parameters import Parameters, physical_values
 from roomfit.objective.problem import Objective
 from roomfit.objective.windows import in_windows
-from roomfit.response.binned import BinnedPaths, in_band, rows_at
-from roomfit.response.energy import first_rows, reweighed_rows, weigh
+from roomfit.response.directivity import directed_rows
+from roomfit.response.energy import weigh
 from roomfit.solvers.least_squares import BandFit
 from roomfit.tracing.paths import Paths
-from roomfit.typing import FloatArray
+from roomfit.typing import FloatArray, IntArray
 from roomfit.uncertainty.gaussian import (
     WIDEST_IDENTIFIABLE,
     BandEstimate,
@@ -229,7 +229,7 @@ def relative_errors(
     air: Air,
     bands: Bands,
     energies: EnergyTerm,
-    traced: tuple[Paths, BinnedPaths],
+    paths: Paths,
     absorption: FloatArray,
     scattering: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
@@ -239,13 +239,14 @@ def relative_errors(
     ----------
     bands : Bands
         Among them that of `energies`.
+    paths : Paths
+        From which `energies` was made.
     scattering : float arrays, shapes (n_materials, n_bands) and (n_materials,)
         See `scattering_error`; coefficients of every band.
     """
     band = int(np.argmin(np.abs(bands.centres_hz - energies.centre_hz)))
     own = scattering[0][:, band], scattering[1]
-    attenuation = float(attenuation_per_m(air, bands)[band])
-    scattered = scattering_error(*traced, energies, absorption, attenuation, own)
+    scattered = scattering_error(paths, energies, absorption, own)
     return np.stack((air_error(air, bands, band, energies), scattered), axis=1)
 
 
@@ -270,10 +271,8 @@ def air_error(air: Air, bands: Bands, band: int, energies: EnergyTerm) -> FloatA
 
 def scattering_error(
     paths: Paths,
-    binned: BinnedPaths,
     energies: EnergyTerm,
     absorption: FloatArray,
-    attenuation_per_m: float,
     scattering: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
     """Return the relative error of each window by scattering that is not exactly known.
@@ -285,13 +284,9 @@ def scattering_error(
     Parameters
     ----------
     paths : Paths
-    binned : BinnedPaths
-        Of `paths`, with their weights in the band of `energies`.
     energies : EnergyTerm
-        Its rows may hold the attenuation already.
+        Of the same paths, each a row.
     absorption : float array, shape (n_materials,)
-    attenuation_per_m : float
-        Energy attenuation of the air in the band.
     scattering : two float arrays, shape (n_materials,)
         Coefficients in the band, and the standard deviation that all of them share, 0 where one was
         specified. Walls taken for smooth have no such error: no diffuse reflection was traced.
@@ -304,19 +299,15 @@ def scattering_error(
     own = (sd > 0.0) & (s > 0.0) & (s < 1.0)
     if not own.any():
         return np.zeros(sum(o.energy.size for o in energies.observations))
-    factors = paths.hits_diffuse[:, own] @ (sd[own] / s[own])
-    factors -= paths.hits_specular[:, own] @ (sd[own] / (1.0 - s[own]))
     found = []
-    walls, air = absorption[:, None], np.array([attenuation_per_m])
-    for observed in energies.observations:
-        rows = rows_at(binned, energies.centre_hz)[observed.pair]
-        both = BinnedPaths(binned.edges_s, (rows, reweighed_rows(rows, factors)))
+    walls, air = absorption[:, None], np.array([energies.attenuation_per_m])
+    for rows, observed in zip(energies.rows, energies.observations, strict=True):
+        path = cast(IntArray, rows.path)
+        factors = paths.hits_diffuse[path][:, own] @ (sd[own] / s[own])
+        factors -= paths.hits_specular[path][:, own] @ (sd[own] / (1.0 - s[own]))
         energy, change = (
-            observed.spreading
-            @ weigh(
-                first_rows(r, observed.spreading.shape[1]), walls, air, derivative=False
-            ).energy[0]
-            for r in in_band(both, energies.centre_hz).rows
+            observed.spreading @ weigh(r, walls, air, derivative=False).energy[0]
+            for r in (rows, directed_rows(rows, factors))
         )
         found.append(np.divide(change, energy, out=np.zeros_like(energy), where=energy > 0.0))
     return np.concatenate(found)

@@ -175,7 +175,7 @@ def plan_trace(
         n_rays=0,
         image_order=_ANY_ORDER if images_alone else _IMAGE_ORDER,
         seed=settings.seed,
-        keep_image_transforms=coherent,
+        keep_image_transforms=coherent and scene.room.shoebox_m is None,
     )
     until_s = 0.0
     if coherent and not images_alone:

@@ -35,7 +35,7 @@ from roomfit.objective.parameters import (
     times_of,
 )
 from roomfit.objective.problem import Rows, Values
-from roomfit.objective.windows import in_windows, squares_in_windows
+from roomfit.objective.windows import in_windows, squares_in_windows, with_squares
 from roomfit.response.binned import BinnedPaths, in_band, regrouped
 from roomfit.response.coherent import (
     BandGrid,
@@ -250,7 +250,15 @@ def with_coherence(
     phase = (2.0 * np.pi * term.energies.centre_hz) ** 2 * spread
     if phase_sd > 0.0:
         phase += phase_sd**2 * images.hits.sum(axis=1)[images.row]
-    return _with_gamma(term, np.exp(-phase))
+    known = _with_gamma(term, np.exp(-phase))
+    # high bands know few times, all early: windows after them hold no pressure
+    last_s = float(travel_s.max(where=known.images.coherence > 0.0, initial=0.0))
+    last_s += RINGING_PERIODS / term.energies.centre_hz
+    edges_s = np.array([o.edges_s[[0, -1]] for o in term.early])
+    if last_s > 0.8 * edges_s.max():
+        return known
+    grid = band_grid(term.grid.bank, float(edges_s.min()), last_s)
+    return replace(known, grid=replace(grid, is_double=term.grid.is_double))
 
 
 def fully_coherent(term: CoherentTerm) -> CoherentTerm:
@@ -288,9 +296,9 @@ def _early_variance(
     binned_shares(term.bins[own], energy[own], images.coherence[own], shares)
     pressures, single, late = shares
     random = np.maximum(paths.energy - pressures, 0.0)
-    spread = observed.fine_spreading @ random
+    spread, squares = with_squares(observed.fine_spreading, random, single)
     pieces = spread**2 + 2.0 * spread * coherent
-    pieces -= squares_in_windows(observed.fine_spreading, single)
+    pieces -= squares
     pieces = np.maximum(pieces, 0.0)
     pieces /= term.energies.bandwidth_hz * np.diff(observed.fine_edges_s)
     first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])

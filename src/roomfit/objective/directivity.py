@@ -105,6 +105,10 @@ class DirectedTerm:
     # empty
     image_basis: FloatArray
     coherent_basis: FloatArray
+    # of the last prediction, by its b: the windows with the weights of b, for the variance there
+    _last: dict[bytes, EnergyTerm | CoherentTerm] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     @property
     def energies(self) -> EnergyTerm:
@@ -118,7 +122,10 @@ class DirectedTerm:
     def predict(self, values: Values) -> Rows:
         """Return what the model expects in every window."""
         b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
-        expected, signal, derivatives = self._weighed(b).predict(values)
+        own = self._weighed(b)
+        expected, signal, derivatives = own.predict(values)
+        self._last.clear()
+        self._last[b.tobytes()] = own
         slopes = self._slopes(derivatives.pop(PATTERN), b, values) @ self.directivity.unknown.root
         return expected, signal, {**derivatives, DIRECTIVITY: slopes}
 
@@ -130,7 +137,8 @@ class DirectedTerm:
     def variance_parts(self, values: Values) -> dict[str, FloatArray]:
         """Return what the variance of every window is the sum of, by name, (n_windows,) each."""
         b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
-        return self._weighed(b).variance_parts(values)
+        own = self._last.pop(b.tobytes(), None)
+        return (self._weighed(b) if own is None else own).variance_parts(values)
 
     def correlation_length(self, start: Values) -> FloatArray:
         """Return how many neighbours share the information of each window, shape (n_windows,)."""

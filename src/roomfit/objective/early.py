@@ -9,7 +9,7 @@ as the mean path of their window does.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -18,7 +18,6 @@ from scipy.sparse import block_diag, csr_array
 from roomfit.objective.directivity import DIRECTIVITY, BandDirectivities, DirectedTerm, vectors_of
 from roomfit.objective.energy import (
     EnergyTerm,
-    late_shares,
     model_variance,
     parts_of,
     variance_of_batches,
@@ -46,7 +45,8 @@ _TINY = float(np.finfo(np.float64).tiny)
 class KeptPaths:
     """The windows of a band and what paths that stay bring to them, linearised at one answer."""
 
-    term: EnergyTerm  # rows of the paths that stay
+    # without rows and their bases: what is linearised needs no path any more
+    term: EnergyTerm
     directivity: BandDirectivities | None
     log_reflected: FloatArray  # (n_materials,), ln(1 - a) of that answer
     b: FloatArray  # (n_sources, 3), of that answer
@@ -214,8 +214,8 @@ def kept_paths(
     widths_s = np.concatenate([np.diff(o.edges_s) for o in observations])
     beat = noise / (term.bandwidth_hz * widths_s)
     return KeptPaths(
-        term,
-        directivity,
+        replace(term, rows=()),
+        None if directivity is None else replace(directivity, basis=()),
         np.log(left),
         b,
         energy,
@@ -226,7 +226,7 @@ def kept_paths(
         np.repeat(np.arange(len(observations)), [o.energy.size for o in observations]),
         noise,
         np.stack([beat * noise, 2.0 * beat], axis=1),
-        csr_array(block_diag([late_shares(o.edges_s) for o in observations])),
+        csr_array(block_diag([o.late_shares for o in observations])),
         np.concatenate(first),
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, cast
 
 import numpy as np
@@ -12,15 +12,14 @@ from scipy.sparse import csr_array
 from roomfit._checks import float_array
 from roomfit.errors import InputError
 from roomfit.objective.problem import Objective, Rows, Values, count_evaluation
-from roomfit.objective.windows import in_windows, squares_in_windows
-from roomfit.response.directivity import EnergyParts, RowPattern, weigh_directed, weigh_parts
-from roomfit.response.energy import (
-    EnergyResponse,
-    EnergyRows,
-    batch_energies,
-    rows_in_air,
-    weigh,
+from roomfit.objective.windows import (
+    columns_in_windows,
+    in_windows,
+    squares_in_windows,
+    with_squares,
 )
+from roomfit.response.directivity import EnergyParts, RowPattern, weigh_parts
+from roomfit.response.energy import EnergyRows, batch_energies, rows_in_air
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 _RINGING_S = 2e-3
@@ -54,11 +53,13 @@ class Observation:
     slopes: csr_array
     timing_sd_s: float  # standard deviation of arrival times, from that of the positions
     gain: int  # which unknown gain applies; -1 where the level is absolute
+    late_shares: FloatArray = field(init=False)  # (n_windows, n_windows), see `late_shares`
 
     def __post_init__(self) -> None:
         edges = float_array("window edges", self.edges_s, (None,), unit="s")
         n = len(edges) - 1
         object.__setattr__(self, "edges_s", edges)
+        object.__setattr__(self, "late_shares", late_shares(edges))
         for name in ("energy", "noise"):
             values = float_array(f"window {name}", getattr(self, name), (n,), low=0.0)
             object.__setattr__(self, name, values)
@@ -89,6 +90,8 @@ class EnergyTerm:
     ringing_error: float = 0.1
     # of each observation's rows, None where its source is omnidirectional; empty: all are
     patterns: tuple[RowPattern | None, ...] = ()
+    # what the last prediction weighed, by its absorption: the variance there takes no second pass
+    _last: dict[bytes, tuple[Weighed, ...]] = field(default_factory=dict, init=False, repr=False)
 
     def measured(self) -> FloatArray:
         """Return the measured window energies, all observations end to end, (n_windows,)."""
@@ -101,24 +104,24 @@ class EnergyTerm:
         """
         count_evaluation()
         gains = np.append(values["gain"], 1.0)  # index -1: absolute level
-        signals, by_absorption, by_gain, by_pattern = [], [], [], []
-        last = 1 + values["absorption"].size
+        signals, by_absorption, by_gain, by_pattern, paths = [], [], [], [], []
         for o, observation in enumerate(self.observations):
             gain = gains[observation.gain]
-            if self.patterns:
-                columns = responses_of(self, o, values["absorption"])
-            else:
-                walls, air = values["absorption"][:, None], np.array([self.attenuation_per_m])
-                columns = columns_of(weigh(self.rows[o], walls, air))
-            found = gain * (observation.spreading @ columns)
-            signal = found[:, 0]
+            parts = parts_of(self, o, values["absorption"], derivative=True)
+            found = columns_in_windows(observation.spreading, parts.columns)
+            last = 2 + len(parts.batches)
+            tracing = variance_of_batches(found[:, 2:last])
+            paths.append(Weighed(parts.energy, parts.squares, tracing))
+            signal = gain * found[:, 0]
             signals.append(signal)
-            by_absorption.append(found[:, 1:last])
-            by_pattern.append(found[:, last:])
+            by_absorption.append(gain * found[:, last:-3])
+            by_pattern.append(gain * found[:, -3:])
             per_gain = np.zeros((signal.size, values["gain"].size))
             if observation.gain >= 0:
                 per_gain[:, observation.gain] = signal / gain
             by_gain.append(per_gain)
+        self._last.clear()
+        self._last[values["absorption"].tobytes()] = tuple(paths)
         signal = np.concatenate(signals)
         derivatives = {
             "absorption": np.concatenate(by_absorption),
@@ -130,14 +133,7 @@ class EnergyTerm:
 
     def expected(self, values: Values) -> FloatArray:
         """Return what the model expects in every window, shape (n_windows,)."""
-        count_evaluation()
-        gains = np.append(values["gain"], 1.0)  # index -1: absolute level
-        found = []
-        for o, observation in enumerate(self.observations):
-            energy = responses_of(self, o, values["absorption"], derivative=False)[:, 0]
-            signal = gains[observation.gain] * (observation.spreading @ energy)
-            found.append(signal + observation.noise)
-        return np.concatenate(found)
+        return self.predict(values)[0]
 
     def variance_parts(self, values: Values) -> dict[str, FloatArray]:
         """Return what the variance of every window is the sum of, by name, (n_windows,) each.
@@ -216,46 +212,34 @@ class Weighed:
     tracing: FloatArray  # (n_windows,), monte-Carlo variance of each window's energy
 
 
-def responses_of(
-    problem: EnergyTerm, observation: int, absorption: FloatArray, *, derivative: bool = True
-) -> FloatArray:
-    """Return the energy of one observation's bins for a gain of 1, and its derivatives.
-
-    By absorption, and by b of the source where the term has patterns: columns of the shape
-    (n_bins, 1 + n_materials + 3), (n_bins, 1 + n_materials) without patterns, (n_bins, 1) without
-    derivatives.
-    """
-    rows, attenuation = problem.rows[observation], problem.attenuation_per_m
-    pattern = problem.patterns[observation] if problem.patterns else None
-    if pattern is not None:
-        return weigh_directed(rows, pattern, absorption, attenuation, derivative=derivative)
-    found = weigh(rows, absorption[:, None], np.array([attenuation]), derivative=derivative)
-    return columns_of(found, 3 if problem.patterns else 0)
-
-
-def columns_of(found: EnergyResponse, n_known: int = 0) -> FloatArray:
-    """Return energy and derivatives of one band as columns, zeros by what is known behind them."""
-    if found.derivative is None:
-        return found.energy.T
-    known = np.zeros((n_known, found.energy.shape[1]))
-    return np.concatenate((found.energy, found.derivative[:, 0], known)).T.copy()
-
-
 def weighed(problem: EnergyTerm, absorption: FloatArray) -> tuple[Weighed, ...]:
     """Return what the variance of each observation is made of, absorption (n_materials,)."""
-    found = []
-    for o, observed in enumerate(problem.observations):
-        pattern = problem.patterns[o] if problem.patterns else None
-        parts = weigh_parts(problem.rows[o], pattern, absorption, problem.attenuation_per_m)
-        tracing = variance_of_batches(in_windows(observed.spreading, parts.batches))
-        found.append(Weighed(parts.energy, parts.squares, tracing))
-    return tuple(found)
+    known = problem._last.pop(absorption.tobytes(), None)
+    if known is not None:
+        return known
+    return tuple(
+        _without_batches(parts_of(problem, o, absorption), observed)
+        for o, observed in enumerate(problem.observations)
+    )
 
 
-def parts_of(problem: EnergyTerm, observation: int, absorption: FloatArray) -> EnergyParts:
+def _without_batches(parts: EnergyParts, observed: Observation) -> Weighed:
+    tracing = variance_of_batches(in_windows(observed.spreading, parts.batches))
+    return Weighed(parts.energy, parts.squares, tracing)
+
+
+def parts_of(
+    problem: EnergyTerm, observation: int, absorption: FloatArray, *, derivative: bool = False
+) -> EnergyParts:
     """Return energies, squares and batches of one observation's bins, for a gain of 1."""
     pattern = problem.patterns[observation] if problem.patterns else None
-    return weigh_parts(problem.rows[observation], pattern, absorption, problem.attenuation_per_m)
+    return weigh_parts(
+        problem.rows[observation],
+        pattern,
+        absorption,
+        problem.attenuation_per_m,
+        derivative=derivative,
+    )
 
 
 def observation_variance(
@@ -264,9 +248,9 @@ def observation_variance(
     """Return the parts of `EnergyTerm.variance` of one observation by name, (n_windows,) each."""
     observed = problem.observations[observation]
     positions = observed.timing_sd_s**2 * squares_in_windows(observed.slopes, paths.squares)
-    overlapping = (observed.fine_spreading @ paths.energy) ** 2
-    overlapping -= squares_in_windows(observed.fine_spreading, paths.squares)
-    pieces = np.maximum(overlapping, 0.0) / (problem.bandwidth_hz * np.diff(observed.fine_edges_s))
+    spread, squares = with_squares(observed.fine_spreading, paths.energy, paths.squares)
+    pieces = np.maximum(spread**2 - squares, 0.0)
+    pieces = pieces / (problem.bandwidth_hz * np.diff(observed.fine_edges_s))
     first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])
     interference = np.add.reduceat(pieces, first)
     return {
@@ -289,7 +273,7 @@ def noise_and_model_variance(
     """
     noise = observed.noise * (observed.noise + 2.0 * signal)
     noise /= problem.bandwidth_hz * np.diff(observed.edges_s)
-    ringing = late_shares(observed.edges_s) @ signal
+    ringing = observed.late_shares @ signal
     return {
         "noise": noise,
         **model_variance(problem, observed.energy - observed.noise, signal, ringing),
@@ -395,6 +379,8 @@ def tracing_variance(
 
 def variance_of_batches(windows: FloatArray) -> FloatArray:
     """Return the same from the energies of every window and batch, (n_windows, n_batches)."""
-    if windows.shape[1] < 2:
+    n = windows.shape[1]
+    if n < 2:
         return np.zeros(len(windows))
-    return np.asarray(windows.shape[1] * np.var(windows, axis=1, ddof=1))
+    off = windows - windows.sum(axis=1, keepdims=True) / n
+    return np.asarray(n / (n - 1.0) * np.einsum("ij,ij->i", off, off))

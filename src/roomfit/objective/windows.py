@@ -109,7 +109,7 @@ def windows_decay_s(edges_s: FloatArray, energy: FloatArray, name: str) -> float
 
 
 def in_windows(spreading: csr_array, rows: FloatArray) -> FloatArray:
-    """Return ``shares @ rows.T`` without turning the rows round in memory.
+    """Return ``shares @ rows.T``, all rows side by side.
 
     Parameters
     ----------
@@ -120,39 +120,58 @@ def in_windows(spreading: csr_array, rows: FloatArray) -> FloatArray:
     -------
     float array, shape (n_windows, n_rows)
     """
-    out = np.zeros((spreading.shape[0], len(rows)))
-    _add_up(spreading.indptr, spreading.indices, spreading.data, np.ascontiguousarray(rows), out)
+    return columns_in_windows(spreading, np.ascontiguousarray(rows.T))
+
+
+def columns_in_windows(spreading: csr_array, columns: FloatArray) -> FloatArray:
+    """Return ``shares @ columns``, shape (n_windows, n_columns)."""
+    out = np.zeros((spreading.shape[0], columns.shape[1]))
+    _add_up(spreading.indptr, spreading.indices, spreading.data, columns, out)
     return out
+
+
+def with_squares(
+    spreading: csr_array, row: FloatArray, squares: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return ``shares @ row`` and ``shares**2 @ squares`` in one pass, (n_windows,) each."""
+    once, twice = np.empty((2, spreading.shape[0]))
+    _add_up_both(spreading.indptr, spreading.indices, spreading.data, row, squares, once, twice)
+    return once, twice
 
 
 def squares_in_windows(spreading: csr_array, row: FloatArray) -> FloatArray:
     """Return ``shares**2 @ row`` without an array of squares, shape (n_windows,)."""
-    out = np.empty(spreading.shape[0])
-    _add_up_squares(spreading.indptr, spreading.indices, spreading.data, row, out)
-    return out
+    return with_squares(spreading, row, row)[1]
 
 
 @kernel()
-def _add_up_squares(
-    pointers: IntArray, bins: IntArray, spreading: FloatArray, row: FloatArray, out: FloatArray
+def _add_up_both(
+    pointers: IntArray,
+    bins: IntArray,
+    spreading: FloatArray,
+    row: FloatArray,
+    squares: FloatArray,
+    once: FloatArray,
+    twice: FloatArray,
 ) -> None:
     for w in range(len(pointers) - 1):
-        total = 0.0
+        a = b = 0.0
         for e in range(pointers[w], pointers[w + 1]):
-            total += spreading[e] * spreading[e] * row[bins[e]]
-        out[w] = total
+            share, at = spreading[e], bins[e]
+            a += share * row[at]
+            b += share * share * squares[at]
+        once[w], twice[w] = a, b
 
 
 @kernel()
 def _add_up(
-    pointers: IntArray, bins: IntArray, spreading: FloatArray, rows: FloatArray, out: FloatArray
+    pointers: IntArray, bins: IntArray, spreading: FloatArray, columns: FloatArray, out: FloatArray
 ) -> None:
     for w in range(len(pointers) - 1):
-        for r in range(len(rows)):
-            total = 0.0
-            for e in range(pointers[w], pointers[w + 1]):
-                total += spreading[e] * rows[r, bins[e]]
-            out[w, r] = total
+        for e in range(pointers[w], pointers[w + 1]):
+            share, at = spreading[e], bins[e]
+            for r in range(columns.shape[1]):
+                out[w, r] += share * columns[at, r]
 
 
 def window_edges_s(

@@ -307,7 +307,8 @@ class ImagePaths:
 
     def lengths_m(self) -> FloatArray:
         """Return the length of every path, shape (n_paths,)."""
-        return np.asarray(np.linalg.norm(self.image_to_receiver_m, axis=1)[self.row])
+        squares = np.einsum("ij,ij->i", self.image_to_receiver_m, self.image_to_receiver_m)
+        return np.asarray(np.sqrt(squares)[self.row])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -330,6 +331,7 @@ class BandGrid:
     filter: FloatArray  # (n // 2 + 1,), transfer function from impulses to filtered pressure
     slope: FloatArray  # (n // 2 + 1,), to minus its time derivative
     table: FloatArray  # the gridding kernel, see `grid_impulses`
+    bank: FilterBank  # of the one band
     is_double: bool = False  # whether pressures are added in double precision
 
     @property
@@ -453,8 +455,8 @@ def band_grid(bank: FilterBank, first_s: float, last_s: float) -> BandGrid:
     top_hz = float(bank.bands.upper_hz[0] ** 2 / bank.bands.exact_centres_hz[0])
     rate_hz = 0.5 * _SAMPLES_PER_PERIOD * top_hz
     padding_s = _PADDING_PERIODS / (top_hz - float(bank.bands.exact_centres_hz[0]))
-    n = fft.next_fast_len(int(np.ceil((last_s - first_s + 2.0 * padding_s) * rate_hz)), real=True)
-    n += n % 2
+    half = int(np.ceil(0.5 * (last_s - first_s + 2.0 * padding_s) * rate_hz))
+    n = 2 * int(fft.next_fast_len(half, real=True))  # one more than a fast odd length may be slow
     frequencies = fft.rfftfreq(n, 1.0 / rate_hz)
     shape = frequency_response(bank, frequencies)[0]
     shape = shape / np.sqrt(2.0 * energy_bandwidth_hz(bank)[0])
@@ -469,7 +471,7 @@ def band_grid(bank: FilterBank, first_s: float, last_s: float) -> BandGrid:
     table = np.where(np.abs(x) <= TAPS / 2, i0(_BETA * np.sqrt(inside)) / i0(_BETA), 0.0)
     transfer = np.where(used, shape / np.where(used, kernel, 1.0), 0.0) * rate_hz
     slope = -2j * np.pi * frequencies * transfer
-    return BandGrid(first_s - padding_s, rate_hz, n, transfer, slope, table)
+    return BandGrid(first_s - padding_s, rate_hz, n, transfer, slope, table, bank)
 
 
 def coherent_response(
@@ -500,12 +502,17 @@ def coherent_response(
     n_materials = len(paths.materials)
     n_columns = 8 + n_materials if derivative else 1
     filled = -(-n_columns // _COLUMNS_AT_ONCE) * _COLUMNS_AT_ONCE if derivative else 1
-    roots, transfer = _roots(paths, absorption), grid.filter.astype(grid.real)
-    slope, parts = grid.slope.astype(grid.complex), []
+    roots = _roots(paths, paths.weight * paths.coherence, absorption)
+    transfer, slope = grid.filter.astype(grid.real), grid.slope.astype(grid.complex)
+    n_products, parts = 8 + 2 * n_materials if derivative else 0, []
     # few enough for their grids to stay in memory that is at hand: new pages cost as much as sums
-    at_once = max(numba.get_num_threads(), 2)
+    at_once, workers = max(numba.get_num_threads(), 2), min(numba.get_num_threads(), 2)
     for o in range(0, len(edges_s), at_once):
         own = edges_s[o : o + at_once]
+        if paths.offsets[o] == paths.offsets[o + len(own)]:  # nothing is coherent
+            n_windows = sum(e.size - 1 for e in own)
+            parts.append((np.zeros(n_windows), np.zeros((n_windows, n_products))))
+            continue
         impulses: Any = np.zeros((len(own), grid.n, filled), dtype=grid.real)
         in_threads(
             grid_impulses,
@@ -526,12 +533,12 @@ def coherent_response(
             impulses,
         )
         columns: Any = np.ascontiguousarray(np.swapaxes(impulses[:, :, :n_columns], 1, 2))
-        spectra = fft.rfft(columns, axis=-1, workers=2)
-        pressure = fft.irfft(spectra[:, 0] * transfer, grid.n, axis=-1, workers=2)
+        spectra = fft.rfft(columns, axis=-1, workers=workers)
+        pressure = fft.irfft(spectra[:, 0] * transfer, grid.n, axis=-1, workers=workers)
         columns = np.zeros((len(own), 0, grid.n), dtype=grid.real)
         if derivative:
-            level = fft.irfft(spectra[:, 1 : 1 + n_materials] * transfer, grid.n, workers=2)
-            moved = fft.irfft(spectra * slope, grid.n, axis=-1, workers=2)
+            level = fft.irfft(spectra[:, 1 : 1 + n_materials] * transfer, grid.n, workers=workers)
+            moved = fft.irfft(spectra * slope, grid.n, axis=-1, workers=workers)
             columns = np.concatenate((level, moved), axis=1)
         parts.append(integrated_products(pressure, columns, grid, own))
     energy, slopes = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -573,10 +580,10 @@ def integrated_products(
 
 def image_energies(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
     """Return the energy of every path, whatever its coherence, shape (n_paths,)."""
-    return np.asarray(_roots(replace(paths, coherence=np.ones(paths.weight.size)), absorption) ** 2)
+    return np.square(_roots(paths, paths.weight, absorption))
 
 
-def _roots(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
+def _roots(paths: ImagePaths, weight: FloatArray, absorption: FloatArray) -> FloatArray:
     a = np.asarray(absorption, dtype=np.float64)
     # on the spot: this is done at every evaluation of a fit
     if a.shape != (len(paths.materials),) or not np.all((a >= 0.0) & (a <= 1.0)):
@@ -587,20 +594,19 @@ def _roots(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
         )
     highest = int(paths.hits.max(initial=0))
     powers = np.sqrt(1.0 - a)[:, None] ** np.arange(highest + 1, dtype=np.float64)
-    weight = paths.weight * paths.coherence
     roots = root_energies(weight, paths.row, paths.hits, np.asarray(powers))
     return roots if paths.sign is None else roots * paths.sign
 
 
-def _stand_in(departure: FloatArray, arrival: FloatArray) -> FloatArray:
+def _stand_in(departure: FloatArray, arrival: FloatArray) -> NDArray[np.float32]:
     """Return matrices that turn each departure into its arrival, (n, 3, 3).
 
     Signs on the diagonal where these do, as in a box; otherwise one reflection.
     """
     signs = np.where(departure * arrival < 0.0, -1.0, 1.0)
-    out = signs[:, :, None] * np.eye(3)
+    out = signs[:, :, None].astype(np.float32) * np.eye(3, dtype=np.float32)
     other = np.flatnonzero(np.abs(departure * signs - arrival).max(axis=1) > 1e-5)
     step = departure[other] - arrival[other]
     squared = np.einsum("ni,ni->n", step, step)[:, None, None]
     out[other] = np.eye(3) - 2.0 * step[:, :, None] * step[:, None, :] / squared
-    return np.asarray(out)
+    return out

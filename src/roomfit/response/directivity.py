@@ -9,10 +9,12 @@ by b are exact for both.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeAlias
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
@@ -37,7 +39,6 @@ from roomfit.response.energy import (
     pieces_of,
     power_table,
     reflected_and_attenuation,
-    row_energy,
     slope_at_black,
 )
 from roomfit.scene import Point
@@ -93,61 +94,15 @@ class RowPattern:
         return np.asarray((1.0 + self.basis @ self.b) ** 2 / (1.0 + self.b @ self.b / 3.0))
 
 
-def weigh_directed(
-    rows: EnergyRows,
-    pattern: RowPattern,
-    coefficients: FloatArray,
-    attenuation_per_m: float,
-    *,
-    derivative: bool = True,
-) -> FloatArray:
-    """Return energies of one band as `roomfit.response.energy.weigh` does, of a directed source.
-
-    One pass over the rows for all of it: ``weight a**2 exp(-m length) product of (1 - a)**hits``,
-    with the amplitude a of each direction. Same bits for any number of threads.
-
-    Parameters
-    ----------
-    coefficients : float array, shape (n_materials,)
-        Energy absorption, 0 to 1.
-    attenuation_per_m : float
-        Energy attenuation of the air, 0 or more.
-    derivative : bool
-        False leaves derivatives out.
-
-    Returns
-    -------
-    float array, shape (n_windows, 1 + n_materials + 3), or (n_windows, 1) without derivatives
-        Energy, its derivative by absorption, and by b.
-    """
-    reflected, attenuation = reflected_and_attenuation(
-        rows, coefficients[:, None], np.array([attenuation_per_m])
-    )
-    pieces = pieces_of(rows.offsets)
-    sums = np.zeros((len(pieces), 4 + coefficients.size if derivative else 1))
-    in_threads(
-        _weigh_directed_pieces,
-        len(pieces),
-        pieces,
-        (rows.weight_per_m2, rows.length_m, rows.hits, pattern.basis),
-        np.array(pattern.b, dtype=np.float64),
-        reflected[0],
-        power_table(reflected, rows.max_hits)[0],
-        attenuation[0],
-        sums,
-        worth_it=len(rows) >= ROWS_WORTH_THREADS,
-    )
-    out = np.zeros((rows.n_windows, sums.shape[1]))
-    _sum_pieces(pieces, sums, out)
-    return out
-
-
 class EnergyParts(NamedTuple):
-    """What the variance of energies is made of, for a gain of 1."""
+    """Energies of one band, and what their variance is made of, for a gain of 1."""
 
     energy: FloatArray  # (n_windows,), of all rows
     squares: FloatArray  # (n_windows,), sum of the squares of single image paths
     batches: FloatArray  # (n_batches, n_windows), energy of the rays of each batch
+    # (n_windows, 2 + n_batches + n_materials + 3), all of these, then the derivative of the energy
+    # by absorption and by b of the source; without the latter where none was asked for
+    columns: FloatArray
 
 
 def weigh_parts(
@@ -155,11 +110,14 @@ def weigh_parts(
     pattern: RowPattern | None,
     coefficients: FloatArray,
     attenuation_per_m: float,
+    *,
+    derivative: bool = False,
 ) -> EnergyParts:
     """Return energies of one band, squares of its image paths and its batches of rays in one pass.
 
-    Rays have no squares: they sample very many weak reflections, whose squares vanish. Same bits
-    for any number of threads.
+    Rows are ``weight a**2 exp(-m length) product of (1 - a)**hits`` with the amplitude a of each
+    direction. Rays have no squares: they sample very many weak reflections, whose squares vanish.
+    Same bits for any number of threads.
 
     Parameters
     ----------
@@ -167,13 +125,18 @@ def weigh_parts(
         None for an omnidirectional source.
     coefficients : float array, shape (n_materials,)
         Energy absorption, 0 to 1.
+    attenuation_per_m : float
+        Energy attenuation of the air, 0 or more.
+    derivative : bool
+        Whether slopes are wanted.
     """
     reflected, attenuation = reflected_and_attenuation(
         rows, coefficients[:, None], np.array([attenuation_per_m])
     )
     pieces = pieces_of(rows.offsets)
     n_batches = max(rows.n_batches, rows.largest_batch + 1)
-    sums = np.zeros((len(pieces), 2 + n_batches))
+    first = 2 + n_batches
+    sums = np.zeros((len(pieces), first + (coefficients.size + 3 if derivative else 0)))
     b, basis = np.zeros(3), np.zeros((0, 3))
     if pattern is not None:
         b, basis = np.array(pattern.b, dtype=np.float64), pattern.basis  # type: ignore[assignment]
@@ -181,18 +144,18 @@ def weigh_parts(
         _weigh_parts_pieces,
         len(pieces),
         pieces,
-        (rows.weight_per_m2, rows.length_m, rows.hits, basis),
-        rows.batch,
+        (rows.weight_per_m2, rows.length_m, rows.hits, basis, rows.batch),
         b,
+        reflected[0],
         power_table(reflected, rows.max_hits)[0],
         attenuation[0],
+        first,
         sums,
         worth_it=len(rows) >= ROWS_WORTH_THREADS,
     )
     out = np.zeros((rows.n_windows, sums.shape[1]))
     _sum_pieces(pieces, sums, out)
-    columns = np.ascontiguousarray(out.T)
-    return EnergyParts(columns[0], columns[1], columns[2:])
+    return EnergyParts(out[:, 0].copy(), out[:, 1].copy(), out[:, 2:first].T, out)
 
 
 @kernel(allocates=False)
@@ -202,59 +165,10 @@ def _sum_pieces(pieces: IntArray, sums: FloatArray, out: FloatArray) -> None:
             out[pieces[p, 0], k] += sums[p, k]
 
 
-DirectedRows: TypeAlias = tuple[FloatArray, FloatArray, IntArray, NDArray[np.float32] | FloatArray]
-"""Weight, length, hits and pattern basis of every row."""
-
-
-@kernel(allocates=False)
-def _weigh_directed_pieces(
-    first: int,
-    last: int,
-    pieces: IntArray,
-    rows: DirectedRows,
-    b: FloatArray,
-    reflected: FloatArray,
-    powers: FloatArray,
-    attenuation: float,
-    every: FloatArray,
-) -> None:
-    """Fill energy of some pieces, its derivative by absorption and by b, or energy alone.
-
-    With q the pattern basis, N = 1 + b b / 3 and c = 1 + b q, the factor of a row is ``c**2 / N``
-    and its derivative by b ``2 c q / N - 2 c**2 b / (3 N**2)``.
-    """
-    weight, length, hits, basis = rows
-    norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
-    for p in range(first, last):
-        sums = every[p]
-        energy = x = y = z = 0.0
-        n_materials = max(sums.size - 4, 0)
-        for r in range(pieces[p, 1], pieces[p, 2]):
-            c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-            once = c * row_energy(weight[r], length[r], hits[r], powers, attenuation)
-            own = c * once
-            energy += own
-            if n_materials:
-                x += once * basis[r, 0]
-                y += once * basis[r, 1]
-                z += once * basis[r, 2]
-                for m in range(n_materials):
-                    sums[1 + m] -= own * hits[r, m]
-        sums[0] = energy / norm
-        if n_materials:
-            turned = energy / (3.0 * norm)
-            sums[n_materials + 1] = 2.0 * (x - turned * b[0]) / norm
-            sums[n_materials + 2] = 2.0 * (y - turned * b[1]) / norm
-            sums[n_materials + 3] = 2.0 * (z - turned * b[2]) / norm
-        for m in range(n_materials):
-            if reflected[m] >= NEARLY_BLACK:
-                sums[1 + m] /= reflected[m] * norm
-                continue
-            sums[1 + m] = 0.0
-            for r in range(pieces[p, 1], pieces[p, 2]):
-                c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-                own = weight[r] * c * c / norm
-                sums[1 + m] -= slope_at_black(own, length[r], hits[r], powers, attenuation, m)
+DirectedRows: TypeAlias = tuple[
+    FloatArray, FloatArray, IntArray, NDArray[np.float32] | FloatArray, IntArray
+]
+"""Weight, length, hits, pattern basis and batch of every row."""
 
 
 @kernel(allocates=False)
@@ -263,29 +177,84 @@ def _weigh_parts_pieces(
     last: int,
     pieces: IntArray,
     rows: DirectedRows,
-    batch: IntArray,
     b: FloatArray,
+    reflected: FloatArray,
     powers: FloatArray,
     attenuation: float,
+    slopes: int,
     every: FloatArray,
 ) -> None:
-    """Fill energy of some pieces, squares of image paths, and every batch."""
-    weight, length, hits, basis = rows
+    """Fill the sums of some pieces: energy, squares of image paths, every batch, and derivatives.
+
+    The latter from column `slopes` on, by absorption and by b.
+
+    With q the pattern basis, N = 1 + b b / 3 and c = 1 + b q, the factor of a row is ``c**2 / N``
+    and its derivative by b ``2 c q / N - 2 c**2 b / (3 N**2)``.
+    """
+    weight, length, hits, basis, batch = rows
     norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
     for p in range(first, last):
         sums = every[p]
-        energy = squares = 0.0
+        energy = squares = x = y = z = 0.0
+        # sums of the first three materials stay in registers, which halves the time
+        by0 = by1 = by2 = 0.0
+        n = hits.shape[1]
+        with_slopes = sums.size > slopes
         for r in range(pieces[p, 1], pieces[p, 2]):
-            own = row_energy(weight[r], length[r], hits[r], powers, attenuation)
+            h0 = h1 = h2 = hits[r, 0]
+            own = weight[r] * powers[0, h0]
+            if n > 1:
+                h1 = hits[r, 1]
+                own *= powers[1, h1]
+            if n > 2:
+                h2 = hits[r, 2]
+                own *= powers[2, h2]
+            for m in range(3, n):
+                own *= powers[m, hits[r, m]]
+            if attenuation != 0.0:
+                own *= math.exp(-attenuation * length[r])
             if len(basis):
                 c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-                own *= c * c / norm
+                once = c * own / norm
+                own = c * once
+                x += once * basis[r, 0]
+                y += once * basis[r, 1]
+                z += once * basis[r, 2]
             energy += own
             if batch[r] < 0:
                 squares += own * own
             else:
                 sums[2 + batch[r]] += own
+            by0 -= own * h0
+            by1 -= own * h1
+            by2 -= own * h2
+            if with_slopes:
+                for m in range(3, n):
+                    sums[slopes + m] -= own * hits[r, m]
         sums[0], sums[1] = energy, squares
+        if not with_slopes:
+            continue
+        sums[slopes] = by0
+        if n > 1:
+            sums[slopes + 1] = by1
+        if n > 2:
+            sums[slopes + 2] = by2
+        if len(basis):
+            turned = energy / (3.0 * norm)
+            sums[slopes + n] = 2.0 * (x - turned * b[0])
+            sums[slopes + n + 1] = 2.0 * (y - turned * b[1])
+            sums[slopes + n + 2] = 2.0 * (z - turned * b[2])
+        for m in range(n):
+            if reflected[m] >= NEARLY_BLACK:
+                sums[slopes + m] /= reflected[m]
+                continue
+            sums[slopes + m] = 0.0
+            for r in range(pieces[p, 1], pieces[p, 2]):
+                own = weight[r]
+                if len(basis):
+                    c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
+                    own *= c * c / norm
+                sums[slopes + m] -= slope_at_black(own, length[r], hits[r], powers, attenuation, m)
 
 
 def image_departure(images: ImagePaths) -> NDArray[np.float32]:
@@ -339,8 +308,9 @@ def coherent_slopes(
     arrivals = arrival_times_s(images, times)
     added = (images.offsets, arrivals, heights, grid.first_s, grid.rate_hz, grid.table, impulses)
     in_threads(grid_directed_impulses, len(edges_s), *added)
-    spectra = fft.rfft(impulses, axis=-1, workers=2) * grid.filter.astype(grid.real)
-    pressure = fft.irfft(spectra, grid.n, workers=2)
+    workers = min(numba.get_num_threads(), 2)
+    spectra = fft.rfft(impulses, axis=-1, workers=workers) * grid.filter.astype(grid.real)
+    pressure = fft.irfft(spectra, grid.n, workers=workers)
     own, moved = (np.ascontiguousarray(p) for p in (pressure[:, 0], pressure[:, 1:]))
     return integrated_products(own, moved, grid, edges_s)[1]
 

@@ -94,10 +94,12 @@ def decay_curve(
         net = (pressure[first : first + end] ** 2 - floor) / rate_hz
         net[:begin] = 0.0
         energy_left[band, : end + 1] = _backward_sum(net) + tail
+    # nothing is known after the last band's end, which may be most of a file
+    known = int(np.flatnonzero(energy_left.any(axis=0)).max(initial=0)) + 2
     return DecayCurve(
         bank.bands,
-        time_s,
-        energy_left,
+        time_s[:known].copy(),
+        energy_left[:, :known].copy(),
         onset_s,
         noise.usable_end_s,
         np.where(noise.tail_energy > 0.0, _fall_db(energy_left[:, 0], noise.tail_energy), 0.0),

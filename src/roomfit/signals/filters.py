@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -112,6 +112,7 @@ class SpreadingKernel:
     periods: FloatArray  # (n_steps,), time in periods of the centre, uniform, symmetric about 0
     density: FloatArray  # (n_steps,), squared impulse response: share of energy per period
     cumulative: FloatArray  # (n_steps,), share of energy up to that time, from 0 to 1
+    least_share: float = _LEAST_SHARE  # on either side; less is left out of sparse matrices
 
 
 def frequency_response(bank: FilterBank, frequencies_hz: ArrayLike) -> FloatArray:
@@ -199,11 +200,21 @@ def filter_pressure(bank: FilterBank, response: ImpulseResponse) -> FloatArray:
     # rings run into the padding from both ends, and meet there only where they have died
     length = fft.next_fast_len(n + int(np.ceil(ringing_s(bank).max() * rate_hz)), real=True)
     spectrum = fft.rfft(response.pressure, length)
-    magnitudes = frequency_response(bank, fft.rfftfreq(length, 1.0 / rate_hz))
+    centres_hz = tuple(bank.bands.centres_hz.tolist())
+    magnitudes = _magnitudes(bank.bands.kind, centres_hz, length, rate_hz)
     filtered = np.empty((len(bank.bands), n))
     for band, magnitude in enumerate(magnitudes):
         filtered[band] = fft.irfft(spectrum * magnitude, length)[:n]
     return filtered
+
+
+@lru_cache(maxsize=8)
+def _magnitudes(
+    kind: BandKind, centres_hz: tuple[float, ...], length: int, rate_hz: float
+) -> FloatArray:
+    """Return the bands on the frequencies of a transform: all responses of a room have the same."""
+    frequencies_hz = fft.rfftfreq(length, 1.0 / rate_hz)
+    return frequency_response(FilterBank(Bands(kind, np.array(centres_hz))), frequencies_hz)
 
 
 def window_energies(bank: FilterBank, response: ImpulseResponse, edges_s: FloatArray) -> FloatArray:
@@ -278,7 +289,7 @@ def energy_share(
 
 def spreading_reach_s(kernel: SpreadingKernel, band: int) -> float:
     """Return how far from a window's edges `spreading_matrix` looks for impulses that reach it."""
-    reached = kernel.periods[np.searchsorted(kernel.cumulative, _LEAST_SHARE)]
+    reached = kernel.periods[np.searchsorted(kernel.cumulative, kernel.least_share)]
     return -float(reached) / float(kernel.centres_hz[band])
 
 
@@ -292,7 +303,7 @@ def spreading_matrix(
     Returns
     -------
     sparse array, shape (n_windows, n_impulses)
-        Without what an impulse leaves in windows that less than 1e-7 of it reaches on either side.
+        Without what an impulse leaves in windows that less than the kernel's least share reaches.
     """
     return _banded(kernel, band, delays_s, edges_s, kernel.cumulative)
 
