@@ -707,8 +707,7 @@ def identify_to_folder(
     from roomfit.report.figures import answer_figures, write_pictures
     from roomfit.report.html import report_html
 
-    # checked now rather than after minutes of work; made only when there is something to put in
-    check_output_folder(out, overwrite=overwrite)
+    check_output_folder(out, overwrite=overwrite)  # now rather than after minutes of work
     campaign = read_campaign(campaign_file)
     project = project_details(campaign.project, campaign.path.parent)
     arguments = identify_arguments(campaign, between_hz)

@@ -228,12 +228,12 @@ def png(figure: Figure, dpi: int = 130) -> bytes:
     """Return a figure as the bytes of a PNG file."""
     # the same bytes as `savefig`, which draws everything twice
     figure.set_dpi(dpi)
-    canvas = FigureCanvasAgg(figure)
+    canvas: Any = FigureCanvasAgg(figure)
     canvas.draw()
     return _encoded(canvas)
 
 
-def _encoded(canvas: FigureCanvasAgg) -> bytes:
+def _encoded(canvas: Any) -> bytes:
     """Return what has been drawn as a PNG file."""
     stream, dpi = io.BytesIO(), canvas.figure.dpi
     # two thirds of the time of the usual level, for files a fifteenth larger
@@ -245,7 +245,7 @@ def _encoded(canvas: FigureCanvasAgg) -> bytes:
 def _one_by_one(figure: Figure, n_pairs: int, dpi: int = 130) -> list[bytes]:
     """Return a picture of each pair of `decay_figure`; what they share is drawn once."""
     figure.set_dpi(dpi)
-    canvas = FigureCanvasAgg(figure)
+    canvas: Any = FigureCanvasAgg(figure)
     own: list[list[Artist]] = [[] for _ in range(n_pairs)]
     for artist in (a for x in (figure, *figure.axes) for a in x.get_children()):
         group = str(artist.get_gid() or "").removeprefix(_CURVES)
@@ -355,7 +355,7 @@ def frequency_axis(axes: Axes, centres_hz: FloatArray) -> None:
     if len(centres_hz) > 10:
         named = centres_hz[np.abs(np.log2(centres_hz / 500.0) / 2.0 % 1.0 - 0.5) > 0.475]
     axes.set_xscale("log", base=2)
-    axes.xaxis.set_major_locator(FixedLocator(named))
+    axes.xaxis.set_major_locator(FixedLocator(list(named)))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda f, _: short_hertz(f)))
     axes.set_xlim(centres_hz[0] / 1.32, centres_hz[-1] * 1.32)
@@ -381,7 +381,7 @@ def band_panels(
         size_in = NARROW_IN, 1.7 * rows + 0.7
     elif columns > 3:
         size_in = size_in[0], 0.75 * height_in * rows + 0.6
-    figure = PlainFigure(figsize=size_in, layout="none")
+    figure = PlainFigure(figsize=size_in)
     FigureCanvasAgg(figure)
     grid = figure.subplots(rows, columns, sharex=sharex, sharey=True, squeeze=False)
     for unused in grid.ravel()[n:]:
@@ -404,8 +404,9 @@ class _Scales(Artist):
 
     def draw(self, renderer: Any) -> None:
         """Draw below the curves of all panels."""
+        figure: Any = self.get_figure()
         point, shown = renderer.points_to_pixels(1.0), Text(parse_math=False)
-        shown.set_figure(self.get_figure())
+        shown.set_figure(figure)
         grid, ticks = [], []
         for i, axes in enumerate(self.panels):
             numbered = self.each_x or i + self.columns >= len(self.panels), i % self.columns == 0
@@ -416,7 +417,7 @@ class _Scales(Artist):
                 feet[:, along] = axes.transData.transform(np.column_stack((at, at)))[:, along]
                 grid.append(np.stack((feet, feet + axes.bbox.size * up), axis=1))
                 ticks.append(np.stack((feet, feet - 3.5 * point * up), axis=1))
-                words = axis.get_major_formatter().format_ticks(at) if numbered[along] else []
+                words = axis.get_major_formatter().format_ticks(list(at)) if numbered[along] else []
                 shown.set(ha=("center", "right")[along], va=("top", "center_baseline")[along])
                 for foot, word in zip(feet - 7.0 * point * up, words, strict=False):
                     shown.set(position=foot, text=word)
@@ -425,7 +426,7 @@ class _Scales(Artist):
             points = np.concatenate(ends).reshape(-1, 2)
             path = MplPath(points, np.tile([MplPath.MOVETO, MplPath.LINETO], len(points) // 2))
             line = PathPatch(path, fill=False, ec=colour, alpha=alpha, lw=0.8, snap=True)
-            line.set_figure(self.get_figure())
+            line.set_figure(figure)
             line.set_transform(IdentityTransform())
             line.draw(renderer)
 
@@ -543,7 +544,7 @@ def absorption_figure(
     panels[0].set_ylim(-0.03, 1.03)
     if narrow:
         axis = panels[0].xaxis
-        axis.set_major_locator(FixedLocator(axis.get_majorticklocs()[::2]))
+        axis.set_major_locator(FixedLocator(list(axis.get_majorticklocs()[::2])))
     frame_panels(
         figure, panels, say(f"{answer.bands.kind} band centre (Hz)"), say("absorption coefficient"),
         legend_columns=2 if narrow else 4, gap_in=0.17,
@@ -748,6 +749,7 @@ def _decay_curves(
         ("predicted", decay.predicted_db[band], {"color": OKABE_ITO[1], "lw": 1.6, "ls": "--"}),
     )
     # added as artists: `plot` and its like look for new limits each time
+    look: dict[str, Any]
     drawn: list[Artist] = []
     whole = axes.get_yaxis_transform()
     if evaluated is not None:
