@@ -119,7 +119,7 @@ def _follow_ray(
                     hits[due + 1, ray, m] = hits[due, ray, m]
             due += 1
         if wall < 0:
-            note_escape(o, d, ray, tally)
+            note_escape(o, ray, tally)
             return
         if hit > 0:
             tally.free_paths[ray] += 1

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -229,26 +230,13 @@ def _with_likeliest_noise(
     settled_sd: float | None,
 ) -> CoherentBandFit:
     """Fit with one of `NOISES` after the other while that is likelier; see `forward_pass`."""
-
-    def fitted(
-        noise: tuple[float, float, float], at: FloatArray, known: FloatArray | None
-    ) -> CoherentBandFit:
-        return fit_in_rounds(
-            band,
-            at,
-            noise,
-            joint,
-            covariance=known,
-            max_rounds=max_rounds,
-            settled_sd=settled_sd,
-            most_chi2=np.inf if noise == NOISES[-1] else _HOPELESS,
-        )
-
-    best = fitted(NOISES[0], start, covariance)
+    fitted = partial(fit_in_rounds, band, joint=joint, max_rounds=max_rounds, settled_sd=settled_sd)
+    best = fitted(start, NOISES[0], covariance=covariance, most_chi2=_HOPELESS)
     for noise in NOISES[1:]:
         if best.fit.chi2_reduced <= 1.0:
             break
-        fit = fitted(noise, best.fit.vector, None)
+        most = np.inf if noise == NOISES[-1] else _HOPELESS
+        fit = fitted(best.fit.vector, noise, most_chi2=most)
         less_likely = fit.log_likelihood < best.log_likelihood - _AS_LIKELY
         if less_likely and noise[0] > best.noise[0]:
             break

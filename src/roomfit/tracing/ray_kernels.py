@@ -246,7 +246,6 @@ class Tally(NamedTuple):
     sum_m: FloatArray  # (n_chunks,), of the free paths
     sum_m2: FloatArray  # (n_chunks,), of their squares
     escape_from_m: FloatArray  # (n_chunks, ESCAPES_KEPT, 3), start of the last flight of the first
-    escape_direction: FloatArray  # (n_chunks, ESCAPES_KEPT, 3)
 
 
 @kernel()
@@ -338,7 +337,7 @@ def _trace_ray(
                 spheres, job, o, d, flight, travelled, ray, chunk, specular, diffuse, caught
             )
         if wall < 0:
-            note_escape(o, d, chunk, tally)
+            note_escape(o, chunk, tally)
             return hit, max(hit - 1, 0), sum_m, sum_m2
         if hit > 0:  # the way from the source to the first wall is no free path
             sum_m += flight
@@ -508,11 +507,10 @@ def _record(
 
 
 @kernel(allocates=False)
-def note_escape(o: Vector, d: Vector, chunk: int, tally: Tally) -> None:
+def note_escape(o: Vector, chunk: int, tally: Tally) -> None:
     """Count a ray that met no wall; keep where the first ones came from."""
     n = tally.escapes[chunk]
     tally.escapes[chunk] += 1
     if n < ESCAPES_KEPT:
         for axis in range(3):
             tally.escape_from_m[chunk, n, axis] = o[axis]
-            tally.escape_direction[chunk, n, axis] = d[axis]

@@ -126,7 +126,6 @@ def new_tally(n_chunks: int) -> Tally:
         np.zeros(n_chunks),
         np.zeros(n_chunks),
         np.zeros((n_chunks, ESCAPES_KEPT, 3)),
-        np.zeros((n_chunks, ESCAPES_KEPT, 3)),
     )
 
 
@@ -208,7 +207,6 @@ class RayStatistics:
     mean_free_path_m: float  # 0 without free paths
     relative_variance: float  # Of the free paths, over their squared mean: Kuttruff's gamma squared
     escapes_from_m: FloatArray  # (n, 3), where the first escaped rays began their last flight
-    escape_directions: FloatArray  # (n, 3), unit vectors of these flights
 
     @property
     def escape_fraction(self) -> float:
@@ -225,7 +223,6 @@ def ray_statistics(n_rays: int, tallies: Sequence[Tally]) -> RayStatistics:
     square = sum(float(t.sum_m2.sum()) for t in tallies) / max(n, 1)
     kept = [np.arange(ESCAPES_KEPT) < t.escapes[:, None] for t in tallies]
     starts = [t.escape_from_m[k] for t, k in zip(tallies, kept, strict=True)]
-    directions = [t.escape_direction[k] for t, k in zip(tallies, kept, strict=True)]
     return RayStatistics(
         n_rays,
         hits,
@@ -234,7 +231,6 @@ def ray_statistics(n_rays: int, tallies: Sequence[Tally]) -> RayStatistics:
         mean,
         max(square / mean**2 - 1.0, 0.0) if mean > 0.0 else 0.0,
         read_only(np.concatenate([np.empty((0, 3)), *starts])[:_ESCAPES_REPORTED].copy()),
-        read_only(np.concatenate([np.empty((0, 3)), *directions])[:_ESCAPES_REPORTED].copy()),
     )
 
 

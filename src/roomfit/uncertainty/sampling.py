@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -210,6 +210,29 @@ def exponents(parameters: Parameters, kept: FloatArray) -> FloatArray:
     return out
 
 
+class _Law(NamedTuple):
+    """What a density of free numbers is made of, in the words of `Surrogate` and `Windows`."""
+
+    farthest: float  # no free number may be farther from zero
+    first: int  # where the absorptions begin, whose bounds are `low` and `high`
+    low: FloatArray
+    high: FloatArray
+    # (n,) and (n, n)
+    centre: FloatArray
+    prior: FloatArray
+    prior_mean: FloatArray
+    data: FloatArray
+    pull: FloatArray
+    # (n_data,), (n_data, n), (n_data, n, n): of no data where `data` and `pull` suffice
+    measured: FloatArray
+    signal: FloatArray
+    background: FloatArray
+    slopes: FloatArray
+    curvature: FloatArray
+    weight: FloatArray
+    energies: BoolArray
+
+
 @kernel()
 def walk_points(
     points: FloatArray,
@@ -217,22 +240,7 @@ def walk_points(
     sizes: FloatArray,
     noise: FloatArray,
     chances: FloatArray,
-    farthest: float,
-    first: int,
-    low: FloatArray,
-    high: FloatArray,
-    centre: FloatArray,
-    prior: FloatArray,
-    prior_mean: FloatArray,
-    data: FloatArray,
-    pull: FloatArray,
-    measured: FloatArray,
-    signal: FloatArray,
-    background: FloatArray,
-    slopes: FloatArray,
-    curvature: FloatArray,
-    weight: FloatArray,
-    energies: BoolArray,
+    law: _Law,
 ) -> FloatArray:
     """Move points by Metropolis steps under a law and return what each has gained, (n_points,).
 
@@ -244,70 +252,22 @@ def walk_points(
         A step of size 1 has the covariance ``root @ root.T``.
     sizes, chances, noise : shapes (n_steps,), (n_steps, n_points), (n_steps, n_points, n)
         The chance of every step: its size, the log of an even number from 0 to 1, normal numbers.
-    farthest : float
-        No free number may be farther from zero.
-    first : int
-        Where the absorptions begin, whose bounds are `low` and `high`.
-    centre, prior_mean, pull : shape (n,)
-    prior, data : shape (n, n)
-    measured, signal, background, weight, energies : shape (n_data,)
-        Of no data where `data` and `pull` suffice.
-    slopes, curvature : shapes (n_data, n), (n_data, n, n)
-        See `roomfit.uncertainty.sampling.Windows`.
     """
     n = points.shape[1]
     zero = np.empty(n)
-    _exponents(centre, first, low, high, zero)
+    _exponents(law.centre, law.first, law.low, law.high, zero)
     gain = np.empty(len(points))
     here, trial, away = np.empty(n), np.empty(n), np.empty(n)
     for p in range(len(points)):
         here[:] = points[p]
-        now = start = _log_density(
-            here,
-            away,
-            zero,
-            farthest,
-            first,
-            low,
-            high,
-            prior,
-            prior_mean,
-            data,
-            pull,
-            measured,
-            signal,
-            background,
-            slopes,
-            curvature,
-            weight,
-            energies,
-        )
+        now = start = _log_density(here, away, zero, law)
         for s in range(len(sizes)):
             for i in range(n):
                 step = 0.0
                 for j in range(i + 1):  # a Cholesky root is zero above its diagonal
                     step += root[i, j] * noise[s, p, j]
                 trial[i] = here[i] + sizes[s] * step
-            there = _log_density(
-                trial,
-                away,
-                zero,
-                farthest,
-                first,
-                low,
-                high,
-                prior,
-                prior_mean,
-                data,
-                pull,
-                measured,
-                signal,
-                background,
-                slopes,
-                curvature,
-                weight,
-                energies,
-            )
+            there = _log_density(trial, away, zero, law)
             if chances[s, p] < there - now:  # false where both are minus infinity, whose gap is nan
                 now = there
                 here[:] = trial
@@ -329,30 +289,13 @@ def _exponents(
 
 
 @kernel()
-def _log_density(
-    kept: FloatArray,
-    away: FloatArray,
-    zero: FloatArray,
-    farthest: float,
-    first: int,
-    low: FloatArray,
-    high: FloatArray,
-    prior: FloatArray,
-    prior_mean: FloatArray,
-    data: FloatArray,
-    pull: FloatArray,
-    measured: FloatArray,
-    signal: FloatArray,
-    background: FloatArray,
-    slopes: FloatArray,
-    curvature: FloatArray,
-    weight: FloatArray,
-    energies: BoolArray,
-) -> float:
+def _log_density(kept: FloatArray, away: FloatArray, zero: FloatArray, law: _Law) -> float:
     """Return the log density of a `Surrogate` at one point, up to a constant; `away` is scratch.
 
     Minus infinity far outside, and where a window's likelihood is no number.
     """
+    farthest, first, low, high, _, prior, prior_mean, data, pull = law[:9]
+    measured, signal, background, slopes, curvature, weight, energies = law[9:]
     n = len(kept)
     for i in range(n):
         if not abs(kept[i]) < farthest:
@@ -467,12 +410,7 @@ class Surrogate:
         first, columns = absorption_columns(self.parameters)
         block = absorption_of(self.parameters)
         w = _no_windows(n) if self.windows is None else self.windows
-        gain = walk_points(
-            here,
-            root,
-            sizes,
-            rng.standard_normal((steps, *here.shape)),
-            np.log(rng.random((steps, len(here)))),
+        law = _Law(
             FARTHEST_FREE,
             first,
             np.array(block.lower[columns]),
@@ -489,6 +427,14 @@ class Surrogate:
             np.array(w.curvature),
             np.array(w.weight),
             np.array(w.energies),
+        )
+        gain = walk_points(
+            here,
+            root,
+            sizes,
+            rng.standard_normal((steps, *here.shape)),
+            np.log(rng.random((steps, len(here)))),
+            law,
         )
         return here, gain
 
