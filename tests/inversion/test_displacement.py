@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -210,3 +211,27 @@ def test_only_a_box_has_lengths_that_are_uncertain():
     room = replace(roomfit.shoebox_room((6, 5, 3), "plaster"), shoebox_m=None)
     with pytest.raises(InputError, match="only a box"):
         replace(room, lengths_sd_m=(0.1, 0.1, 0.1))
+
+
+def named_by(worth):
+    """Return what is named of one displaced loudspeaker, sought from 0.8 m on."""
+    ends = {"sources": (SimpleNamespace(name="S"),), "receivers": (SimpleNamespace(name="R"),)}
+    scene = SimpleNamespace(room=SimpleNamespace(shoebox_m=None), **ends)
+    own = whole_displacement.Offset("array", 0, 0.01, False, frozenset({"S"}), frozenset())
+    outline = SimpleNamespace(
+        offsets=(own,), moved_m=np.zeros(1), measured=SimpleNamespace(scene=scene)
+    )
+    return whole_displacement._named(outline, worth, np.zeros(1), np.array([0.8]))
+
+
+def test_a_displacement_between_two_steps_of_the_grid_is_found_at_its_top():
+    found = named_by(lambda m: 200.0 * float(np.exp(-0.5 * ((m[0] - 0.87) / 0.05) ** 2)))
+    assert found.evidence["metres"] == pytest.approx(0.87, abs=5e-3)
+    assert found.evidence["sd_m"] < 0.01
+    assert "0.87 +- 0.00 m" in found.sentence
+
+
+def test_a_displacement_without_a_top_is_stated_without_a_deviation():
+    found = named_by(lambda m: 200.0 * float(m[0] > 0.42))
+    assert "about 0.5 m" in found.sentence
+    assert "+-" not in found.sentence

@@ -580,9 +580,11 @@ def _named(
         ways.append((-1, unit[whole[0]] + unit[lengths[0]]))
     trials = [(worth(start_m + d * w), k, d, w) for k, w in ways for d in (*-_GRID_M, *_GRID_M)]
     value, k, size_m, way = max(trials, key=lambda t: t[0])
-    step_m = _parabola(worth, start_m + size_m * way, way, value)
-    finer = worth(start_m + (size_m + step_m) * way)
-    if finer > value:
+    for _ in range(5):  # the top is narrower than the grid
+        step_m = _parabola(worth, start_m + size_m * way, way, value)
+        finer = worth(start_m + (size_m + step_m) * way)
+        if finer <= value:
+            break
         value, size_m = finer, size_m + step_m
     shift_m, gain = start_m + size_m * way, value - worth(start_m)
     entry = lengths[0] if k < 0 else k
@@ -609,6 +611,8 @@ def _finding(
     """Return what stands elsewhere: an offset by its index, or the wall at the origin, -1."""
     offset, walls, (size_m, sd_m) = outline.offsets[k], _walls(outline, along), found
     axis, size = _AXES[along], f"{abs(size_m):.2f} +- {sd_m:.2f} m"
+    if sd_m >= _WORTH_TELLING_M:  # no top, so far as second differences say
+        size = f"about {abs(size_m):.1f} m"
     way = f"{'+' if size_m > 0.0 else '-'}{axis}"
     if k < 0:
         what, kind = f"{walls[0]} stands {size} {'inside' if size_m < 0.0 else 'outside'}", "wall"

@@ -160,8 +160,7 @@ def fit_in_rounds(
     for left in reversed(range(rounds)):
         objective = band.objective(covariance, noise, joint)
         first = position_of(objective.parameters, GEOMETRY)
-        is_last = left == 0 or first == vector.size
-        near = settled_sd if is_last else _BEFORE_THE_NEXT_ROUND_SD
+        near = _BEFORE_THE_NEXT_ROUND_SD if left and first < vector.size else settled_sd
         fit = score_band(objective, vector, max_rounds=max_rounds, settled_sd=near)
         vector = fit.vector
         if first == vector.size or fit.chi2_reduced > most_chi2:
@@ -203,7 +202,6 @@ def forward_pass(
             continue
         geometry = geometry_block(band.coherent.geometry)
         moved = np.zeros(int(geometry.fitted.sum())) if known is None else known.mean
-        limit = options.max_rounds
         near = BEFORE_THE_LAST_PASS_SD if moved.size else None
         vector, covariance = band.energy_fit.vector, None
         if starts and (earlier := starts[i]) is not None:
@@ -211,7 +209,7 @@ def forward_pass(
         if known_before is not None:
             moved = known_before.mean
             covariance = np.asarray(np.linalg.inv(known_before.information))
-        start = np.append(vector, moved)
+        start, limit = np.append(vector, moved), options.max_rounds
         best = _with_likeliest_noise(band, start, known, covariance, limit, near)
         fits.append(best)
         if options.model == "coherent" or _advantage(band, best) > 0.0:
