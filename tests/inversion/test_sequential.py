@@ -18,7 +18,7 @@ def tried(monkeypatch: pytest.MonkeyPatch, said: list[tuple[float, float]], **op
     """
     noises, starts = [], []
 
-    def fit(band, start, noise, **_):
+    def fit(band, start, noise, joint, **_):
         likelihood, chi2 = said[NOISES.index(noise)]
         noises.append(noise)
         starts.append(start)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -36,7 +35,8 @@ NOISES = ((0.1, 0.0, 0.0), (0.2, 0.1, 0.0), (0.2, 0.1, 0.5), (0.4, 0.2, 0.5))
 # One as likely leads on to the next, and so does a random phase that is less likely: it is nothing
 # where nothing is coherent, and the model may be wrong by more all the same.
 _AS_LIKELY = 0.1
-# Data that scatter by so much more than the model says will be fitted with a larger error of it.
+# Data that scatter by so much more than the model says will be fitted with a larger error of it:
+# one round says enough of this one.
 _HOPELESS = 2.0
 # Mean squared distance of geometries in standard deviations: half of one.
 _AGREED = 0.25
@@ -136,7 +136,6 @@ def fit_in_rounds(
     rounds: int = 2,
     max_rounds: int = MAX_ROUNDS,
     settled_sd: float | None = None,
-    most_chi2: float = np.inf,
 ) -> CoherentBandFit:
     """Fit, take the coherence that the fit's own geometry permits, and fit again.
 
@@ -153,8 +152,6 @@ def fit_in_rounds(
         How often weights are renewed in each of them at most.
     settled_sd : float, optional
         As for `score_band`, in the last round; those before it end a standard deviation away.
-    most_chi2 : float
-        Reduced chi-square above which one round says enough: the noise is not that of these data.
     """
     vector = start
     for left in reversed(range(rounds)):
@@ -163,7 +160,7 @@ def fit_in_rounds(
         near = _BEFORE_THE_NEXT_ROUND_SD if left and first < vector.size else settled_sd
         fit = score_band(objective, vector, max_rounds=max_rounds, settled_sd=near)
         vector = fit.vector
-        if first == vector.size or fit.chi2_reduced > most_chi2:
+        if first == vector.size or (noise != NOISES[-1] and fit.chi2_reduced > _HOPELESS):
             break
         own = np.linalg.inv(fit.information)[first:, first:]
         covariance = np.asarray(own * max(fit.chi2_reduced, 1.0))
@@ -209,37 +206,32 @@ def forward_pass(
         if known_before is not None:
             moved = known_before.mean
             covariance = np.asarray(np.linalg.inv(known_before.information))
-        start, limit = np.append(vector, moved), options.max_rounds
-        best = _with_likeliest_noise(band, start, known, covariance, limit, near)
+        limit = options.max_rounds
+        best = fit_in_rounds(
+            band,
+            np.append(vector, moved),
+            NOISES[0],
+            known,
+            covariance=covariance,
+            max_rounds=limit,
+            settled_sd=near,
+        )
+        for noise in NOISES[1:]:
+            if best.fit.chi2_reduced <= 1.0:
+                break
+            fit = fit_in_rounds(
+                band, best.fit.vector, noise, known, max_rounds=limit, settled_sd=near
+            )
+            less_likely = fit.log_likelihood < best.log_likelihood - _AS_LIKELY
+            if less_likely and noise[0] > best.noise[0]:
+                break
+            best = max(best, fit, key=lambda f: f.log_likelihood)
         fits.append(best)
         if options.model == "coherent" or _advantage(band, best) > 0.0:
             known = best.found
         if progress is not None:
             progress((i + 1) / len(bands))
     return fits
-
-
-def _with_likeliest_noise(
-    band: CoherentBand,
-    start: FloatArray,
-    joint: Marginal | None,
-    covariance: FloatArray | None,
-    max_rounds: int,
-    settled_sd: float | None,
-) -> CoherentBandFit:
-    """Fit with one of `NOISES` after the other while that is likelier; see `forward_pass`."""
-    fitted = partial(fit_in_rounds, band, joint=joint, max_rounds=max_rounds, settled_sd=settled_sd)
-    best = fitted(start, NOISES[0], covariance=covariance, most_chi2=_HOPELESS)
-    for noise in NOISES[1:]:
-        if best.fit.chi2_reduced <= 1.0:
-            break
-        most = np.inf if noise == NOISES[-1] else _HOPELESS
-        fit = fitted(best.fit.vector, noise, most_chi2=most)
-        less_likely = fit.log_likelihood < best.log_likelihood - _AS_LIKELY
-        if less_likely and noise[0] > best.noise[0]:
-            break
-        best = max(best, fit, key=lambda f: f.log_likelihood)
-    return best
 
 
 def leave_one_out_pass(

@@ -107,7 +107,9 @@ class EnergyTerm:
         signals, by_absorption, by_gain, by_pattern, paths = [], [], [], [], []
         for o, observation in enumerate(self.observations):
             gain = gains[observation.gain]
-            parts = parts_of(self, o, values["absorption"], derivative=True)
+            pattern = self.patterns[o] if self.patterns else None
+            walls, air = values["absorption"], self.attenuation_per_m
+            parts = weigh_parts(self.rows[o], pattern, walls, air, derivative=True)
             found = columns_in_windows(observation.spreading, parts.columns)
             last = 2 + len(parts.batches)
             tracing = variance_of_batches(found[:, 2:last])
@@ -217,29 +219,18 @@ def weighed(problem: EnergyTerm, absorption: FloatArray) -> tuple[Weighed, ...]:
     known = problem._last.pop(absorption.tobytes(), None)
     if known is not None:
         return known
-    return tuple(
-        _without_batches(parts_of(problem, o, absorption), observed)
-        for o, observed in enumerate(problem.observations)
-    )
+    found = []
+    for o, observed in enumerate(problem.observations):
+        parts = parts_of(problem, o, absorption)
+        tracing = variance_of_batches(in_windows(observed.spreading, parts.batches))
+        found.append(Weighed(parts.energy, parts.squares, tracing))
+    return tuple(found)
 
 
-def _without_batches(parts: EnergyParts, observed: Observation) -> Weighed:
-    tracing = variance_of_batches(in_windows(observed.spreading, parts.batches))
-    return Weighed(parts.energy, parts.squares, tracing)
-
-
-def parts_of(
-    problem: EnergyTerm, observation: int, absorption: FloatArray, *, derivative: bool = False
-) -> EnergyParts:
+def parts_of(problem: EnergyTerm, observation: int, absorption: FloatArray) -> EnergyParts:
     """Return energies, squares and batches of one observation's bins, for a gain of 1."""
     pattern = problem.patterns[observation] if problem.patterns else None
-    return weigh_parts(
-        problem.rows[observation],
-        pattern,
-        absorption,
-        problem.attenuation_per_m,
-        derivative=derivative,
-    )
+    return weigh_parts(problem.rows[observation], pattern, absorption, problem.attenuation_per_m)
 
 
 def observation_variance(
