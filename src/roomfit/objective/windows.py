@@ -143,7 +143,7 @@ def squares_in_windows(spreading: csr_array, row: FloatArray) -> FloatArray:
     """Return ``shares**2 @ row`` without an array of squares, shape (n_windows,)."""
     once, twice = np.empty((2, spreading.shape[0]))
     _add_up_both(spreading.indptr, spreading.indices, spreading.data, row, row, once, twice)
-    return twice
+    return np.asarray(twice)
 
 
 @kernel()
