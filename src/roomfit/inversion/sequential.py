@@ -35,9 +35,6 @@ NOISES = ((0.1, 0.0, 0.0), (0.2, 0.1, 0.0), (0.2, 0.1, 0.5), (0.4, 0.2, 0.5))
 # One as likely leads on to the next, and so does a random phase that is less likely: it is nothing
 # where nothing is coherent, and the model may be wrong by more all the same.
 _AS_LIKELY = 0.1
-# Data that scatter by so much more than the model says will be fitted with a larger error of it:
-# one round says enough of this one.
-_HOPELESS = 2.0
 # Mean squared distance of geometries in standard deviations: half of one.
 _AGREED = 0.25
 # Log-likelihoods nearer than this do not decide between two models.
@@ -160,7 +157,7 @@ def fit_in_rounds(
         near = _BEFORE_THE_NEXT_ROUND_SD if left and first < vector.size else settled_sd
         fit = score_band(objective, vector, max_rounds=max_rounds, settled_sd=near)
         vector = fit.vector
-        if first == vector.size or (noise != NOISES[-1] and fit.chi2_reduced > _HOPELESS):
+        if first == vector.size:
             break
         own = np.linalg.inv(fit.information)[first:, first:]
         covariance = np.asarray(own * max(fit.chi2_reduced, 1.0))
