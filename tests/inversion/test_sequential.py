@@ -35,6 +35,26 @@ def tried(monkeypatch: pytest.MonkeyPatch, said: list[tuple[float, float]], **op
     return noises, best.noise, [float(s[0]) for s in starts]
 
 
+@pytest.mark.parametrize(("n_geometry", "settled_sd"), [(0, None), (3, 0.1)])
+def test_only_what_is_fitted_once_more_ends_early(monkeypatch, n_geometry, settled_sd):
+    """Without an unknown position no pass follows, and the fit ends as near as any other."""
+    asked = []
+
+    def fit(*_, **how):
+        asked.append(how["settled_sd"])
+        answer = SimpleNamespace(chi2_reduced=0.5)
+        return SimpleNamespace(fit=answer, log_likelihood=0.0, found=None)
+
+    monkeypatch.setattr(sequential, "fit_in_rounds", fit)
+    free = SimpleNamespace(fitted=np.ones(n_geometry, dtype=bool))
+    monkeypatch.setattr(sequential, "geometry_block", lambda _: free)
+    band = SimpleNamespace(
+        coherent=SimpleNamespace(geometry=None), energy_fit=SimpleNamespace(vector=np.array([0.1]))
+    )
+    forward_pass([band], CoherentOptions(model="coherent"), None)
+    assert asked == [settled_sd]
+
+
 @pytest.mark.parametrize(
     ("said", "n_tried", "chosen"),
     [
