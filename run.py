@@ -65,7 +65,8 @@ def main(arguments: list[str]) -> None:
         if not rest or quick:
             for name, *options in CHECKS:
                 call(BIN / name, *options)
-            rest = ["-n", "2", "--dist", "loadfile", *(["-m", "not slow"] if quick else [])]
+            rest = ["-n", "2", "--dist", "loadfile", "--no-loadscope-reorder"]
+            rest += ["-m", "not slow"] if quick else []
         call(PYTHON, "-m", "pytest", *rest, MPLBACKEND="Agg", **few)
     else:
         sys.stderr.write(f"{__doc__}\n")

@@ -24,7 +24,6 @@ from roomfit.bands import Bands, bands_between
 from roomfit.io.responses import read_response
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.signals.decay import ParameterName, decay_curve, room_parameters
-from roomfit.signals.filters import FilterBank
 from roomfit.signals.response import ImpulseResponse, find_onset
 from roomfit.typing import FloatArray
 
@@ -95,13 +94,12 @@ def bras(path: Path) -> Published:
 
 def compare(title: str, path: Path, bands: Bands, published: Published) -> None:
     response, findings = read_response(ResponseSpec(path))
-    bank = FilterBank(bands)
     started = time.perf_counter()
     onset_s = find_onset(response)
-    curve = decay_curve(bank, response, onset_s)
+    curve = decay_curve(bands, response, onset_s)
     freed = room_parameters(curve)
     seconds = time.perf_counter() - started
-    kept = room_parameters(decay_curve(bank, response, onset_s, keep_noise=True))
+    kept = room_parameters(decay_curve(bands, response, onset_s, keep_noise=True))
     theirs = by_pyrato(response, bands)
 
     print(f"\n{title}: {len(response.pressure) / response.sampling_rate_hz:.2f} s, ", end="")

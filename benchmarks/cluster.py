@@ -34,16 +34,16 @@ def main() -> None:
         folder = Path(name)
         campaigns = [written(folder / f"room {n}", n) for n in range(wanted.rooms)]
         compile_kernels()
-        begin = time.perf_counter()
-        identify_rooms(campaigns, folder / "one")
-        alone_s = time.perf_counter() - begin
-        print(f"{wanted.rooms} rooms one after the other: {alone_s:.1f} s")
+        here_s = rooms_s(campaigns, folder / "here")
+        print(f"{wanted.rooms} rooms in this process, its kernels on all cores: {here_s:.1f} s")
+        with cluster_pool(n_workers=1, warm=compile_kernels) as pool:
+            alone_s = rooms_s(campaigns, folder / "one", pool)
+        print(f"one worker: {alone_s:.1f} s")
         with cluster_pool(n_workers=WORKERS, warm=compile_kernels) as pool:
-            begin = time.perf_counter()
-            identify_rooms(campaigns, folder / "two", pool=pool)
-            together_s = time.perf_counter() - begin
+            together_s = rooms_s(campaigns, folder / "two", pool)
             print(
-                f"{WORKERS} workers: {together_s:.1f} s, {alone_s / together_s:.2f} times as fast"
+                f"{WORKERS} workers: {together_s:.1f} s, {alone_s / together_s:.2f} times as fast "
+                f"as one, {here_s / together_s:.2f} times as fast as this process"
             )
             each_s = duration_s(pool, wanted.tasks, 0.0) / wanted.tasks
         task_s = alone_s / wanted.rooms
@@ -61,6 +61,12 @@ def main() -> None:
         f"on paper: one scheduler hands out {1.0 / each_s:.0f} tasks/s, so that it keeps "
         f"{5.0 / each_s:.0f} workers busy with bundles of 5 s and {task_s / each_s:.0f} with rooms"
     )
+
+
+def rooms_s(campaigns: list[Path], folder: Path, pool: Executor | None = None) -> float:
+    begin = time.perf_counter()
+    identify_rooms(campaigns, folder, pool=pool)
+    return time.perf_counter() - begin
 
 
 def duration_s(pool: Executor, n_tasks: int, seconds: float) -> float:

@@ -23,7 +23,8 @@ from roomfit.air import Air, speed_of_sound_m_s
 from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.materials.priors import uniform_scattering
-from roomfit.response.energy import batch_energies, energy_rows, weigh
+from roomfit.response.directivity import weigh_parts
+from roomfit.response.energy import energy_rows, weigh
 from roomfit.scene import Point, Room, Scene
 from roomfit.suh2001.room import paper_scene
 from roomfit.tracing.paths import Estimator, TraceSettings
@@ -60,7 +61,8 @@ def cost(scene: Scene, estimator: Estimator, s: float, settings: TraceSettings) 
     for pair in range(len(scene.pairs)):
         rows = energy_rows(paths, pair, edges, c)
         energy = weigh(rows, absorption, np.zeros(1), derivative=False).energy[0]
-        batches, observed = batch_energies(rows, absorption, np.zeros(1))[:, 0], energy > 0.0
+        batches = weigh_parts(rows, None, absorption[:, 0], 0.0).batches
+        observed = energy > 0.0
         variance = len(batches) * np.var(batches, axis=0, ddof=1)
         squares.append(variance[observed] / energy[observed] ** 2)
     return Cost(float(np.mean(np.concatenate(squares))), seconds, int((paths.batch >= 0).sum()))

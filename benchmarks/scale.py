@@ -27,7 +27,7 @@ from roomfit.geometry.mesh import Mesh, Surface, corners_m
 from roomfit.materials.priors import uniform_scattering
 from roomfit.response.energy import energy_rows, weigh
 from roomfit.scene import Point, Room, Scene
-from roomfit.signals.filters import FilterBank, filter_pressure
+from roomfit.signals.filters import filter_pressure
 from roomfit.signals.response import ImpulseResponse
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
@@ -91,13 +91,12 @@ def write_responses(scene: Scene, bands: Bands, folder: Path) -> None:
     edges = np.arange(0.0, DURATION_S, STEP_S)
     n = round(DURATION_S * RATE_HZ)
     times = np.arange(n) / RATE_HZ
-    bank = FilterBank(bands)
     for pair, (s, r) in enumerate(scene.pairs):
         rows = energy_rows(paths, pair, edges, c)
         energy = weigh(rows, coefficients, attenuation_per_m(scene.air, bands), derivative=False)
         noise = ImpulseResponse(rng.standard_normal(n), float(RATE_HZ))
         pressure = np.zeros(n)
-        for filtered, found in zip(filter_pressure(bank, noise), energy.energy, strict=True):
+        for filtered, found in zip(filter_pressure(bands, noise), energy.energy, strict=True):
             # a short window may catch no ray: smooth over a few
             smooth = np.convolve(found, np.ones(5) / 5.0, "same")
             pressure += filtered * np.sqrt(np.interp(times, edges[:-1] + 0.5 * STEP_S, smooth))

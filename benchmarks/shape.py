@@ -15,8 +15,9 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from types import FrameType
+from types import CodeType, FrameType
 from typing import Any
 
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "roomfit"
@@ -205,16 +206,23 @@ def deepest_stacks() -> tuple[list[str], list[str]]:
     to_kernel: list[str] = []
     deepest: list[str] = []
 
+    @cache  # taken apart at every call, paths took most of the time
+    def own_path(filename: str) -> str:
+        path = Path(filename)
+        return path.relative_to(SOURCE).as_posix() if path.is_relative_to(SOURCE) else ""
+
+    def name_of(code: CodeType) -> str:
+        path = own_path(code.co_filename)
+        return f"{path}:{code.co_name}" if path and not code.co_name.startswith("<") else ""
+
     def watch(frame: FrameType, event: str, _argument: Any) -> None:
-        if event != "call":
-            return
+        if event != "call" or not name_of(frame.f_code):
+            return  # what others call makes no stack of ours longer
         stack: list[str] = []
         at: FrameType | None = frame
         while at is not None:
-            code = at.f_code
-            own = SOURCE.as_posix() in Path(code.co_filename).as_posix()
-            if own and not code.co_name.startswith("<"):
-                stack.append(f"{Path(code.co_filename).relative_to(SOURCE)}:{code.co_name}")
+            if name := name_of(at.f_code):
+                stack.append(name)
             at = at.f_back
         if len(stack) > len(deepest):
             deepest[:] = stack[::-1]

@@ -19,7 +19,50 @@ settings.load_profile("roomfit")
 # of the cache name a folder of their own.
 os.environ["ROOMFIT_CACHE"] = "off"
 
+# The files that take longest, so that none begins when another worker has nothing left to do. The
+# second needs hardly a kernel: while the first compiles them, it compiles none of them as well.
+LONGEST = (
+    "inversion/test_identify.py",
+    "test_output_folders.py",
+    "suh2001/test_command.py",
+    "app/test_browser.py",
+    "test_docs.py",
+    "inversion/test_identify_rooms.py",
+    "prediction/test_predict.py",
+    "test_workers.py",
+    "test_cache.py",
+    "test_batch.py",
+    "test_shape.py",
+    "inversion/test_displacement.py",
+    "coverage/test_coverage.py",
+    "prediction/test_known_change.py",
+    "report/test_html.py",
+    "inversion/test_states.py",
+    "report/test_progress.py",
+    "io/test_bad_input.py",
+    "inversion/test_coherent.py",
+    "impedance/test_fit.py",
+    "inversion/test_directivity.py",
+    "inversion/test_causes.py",
+    "report/test_known_parameters.py",
+    "fuzz/test_fuzz.py",
+    "io/test_responses.py",
+    "prediction/test_predictive_draws.py",
+    "test_kernels.py",
+    "cli/test_cli.py",
+    "inversion/test_chain.py",
+    "app/test_security.py",
+    "app/test_project.py",
+)
 DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Hand the longest files to the workers of xdist first, in its order and by --dist loadfile."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        tests = Path(__file__).parent
+        rank = {(tests / name).resolve(strict=True): i for i, name in enumerate(LONGEST)}
+        items.sort(key=lambda item: rank.get(item.path.resolve(), len(rank)))
 
 
 @pytest.fixture(scope="session")

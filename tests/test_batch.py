@@ -102,6 +102,7 @@ def test_a_room_that_fails_stops_no_other_and_the_table_says_why(
     assert "3 rooms: 1 done, 2 refused." in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_what_is_done_is_not_done_again_unless_something_changed(
     rooms: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -123,6 +124,7 @@ def test_what_is_done_is_not_done_again_unless_something_changed(
     assert again[1].decay_s[0] == 0.5
 
 
+@pytest.mark.slow
 def test_a_fault_of_the_program_in_one_room_is_a_row_of_the_table_and_tried_again(
     rooms: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -154,6 +156,7 @@ def test_a_damaged_record_of_a_failure_is_a_row_that_says_so(
     assert row.status == "failed" and "record of a failure" in row.message
 
 
+@pytest.mark.slow
 def test_shards_together_do_every_room_once(rooms: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert [r.status for r in identify_rooms(rooms, out, shard=(2, 2))] == ["waiting", "done"]

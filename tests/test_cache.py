@@ -76,6 +76,7 @@ def specified_apart(value: object) -> str:
     return f"{type(value).__name__} {value!r}"
 
 
+@pytest.mark.slow
 @given(values, values)
 def test_digests_are_equal_for_equal_values_and_for_no_others(one, other):
     assert (digest(one) == digest(other)) == (specified_apart(one) == specified_apart(other))
@@ -270,6 +271,7 @@ def test_incomplete_files_of_living_runs_stay_and_those_of_killed_ones_go(own_ca
     assert sorted(own_cache.iterdir()) == [living]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["read-only", "full", "a file"])
 def test_no_fault_of_the_cache_fails_a_run(tmp_path, monkeypatch, own_cache, capsys, fault):
     from roomfit.cli import main
@@ -289,6 +291,7 @@ def test_no_fault_of_the_cache_fails_a_run(tmp_path, monkeypatch, own_cache, cap
     assert "cache-not-written" in codes
 
 
+@pytest.mark.slow
 def test_runs_that_share_a_cache_do_not_disturb_each_other(tmp_path):
     """Four processes write, find and remove the same twenty files."""
     program = [sys.executable, shared_cache.__file__, str(tmp_path)]

@@ -23,6 +23,7 @@ def test_a_job_of_slurm_is_one_process_with_one_thread_that_ends_before_its_wall
     assert "#SBATCH --cpus-per-task=1" in script
     assert "#SBATCH --mem=4G" in script
     assert "NUMBA_NUM_THREADS=1" in script
+    assert "MALLOC_TRIM_THRESHOLD_=268435456" in script
     assert "--nthreads 1 " in script
     assert "--nworkers" not in script or "--nworkers 1 " in script
     hours, minutes = re.findall(r"#SBATCH -t (\d+):(\d+):00", script)[0]
@@ -48,4 +49,5 @@ def test_the_pods_of_kubernetes_call_commands_with_options_that_exist() -> None:
     assert f"tcp://{service['metadata']['name']}:8786" in words
     threads = {e["name"]: e["value"] for e in pod["spec"]["containers"][0]["env"]}
     assert threads["NUMBA_NUM_THREADS"] == "1"
+    assert threads["MALLOC_TRIM_THRESHOLD_"] == "268435456"
     assert words[words.index("--nthreads") + 1] == "1"

@@ -77,6 +77,7 @@ def test_importing_the_front_door_imports_no_other_package():
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_a_check_of_recordings_loads_no_pictures_and_no_statistics():
     """Half of its time were packages that it does not use."""
     heavy = (

@@ -57,46 +57,61 @@ from pathlib import Path
 from test_output_folders import NEW, write
 
 STEPS = ("open", "os.", "shutil.", "tempfile.", "ctypes.call_function", "ctypes.dlsym", "fcntl.")
-left = int(sys.argv[2])
 
-def watch(event, arguments):
-    global left
-    if event.startswith(STEPS):
-        left -= 1
-        if left == 0:
-            os.kill(os.getpid(), signal.SIGKILL)
+def kill_at(step):
+    left = step
 
-sys.addaudithook(watch)
-write(Path(sys.argv[1]), NEW)
+    def watch(event, arguments):
+        nonlocal left
+        if event.startswith(STEPS):
+            left -= 1
+            if left == 0:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+    sys.addaudithook(watch)
+
+for line in sys.stdin:
+    step, out = line.split(maxsplit=1)
+    child = os.fork()  # a hook cannot be taken away again
+    if child == 0:
+        kill_at(int(step))
+        write(Path(out.strip()), NEW)
+        sys.exit()
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
 """
 
 
+@pytest.mark.slow
 @POSIX
 @pytest.mark.parametrize("before", [OLD, {}], ids=["over a result", "new"])
 def test_killed_at_any_step_the_old_result_is_there_or_the_new_one(tmp_path, before):
-    """The process is killed before its n-th touch of the disk, for every n until it ends."""
-    found = []
-    for step in range(1, 400):
-        out = tmp_path / str(step) / "out"
-        if before:
-            write(out, before)
-            fill(out, FOREIGN)
-        else:
-            out.parent.mkdir()
-        done = subprocess.run(
-            [sys.executable, "-c", PROGRAM, str(out), str(step)], env=ENVIRONMENT, check=False
-        )
-        content = content_of(out)
-        foreign = FOREIGN if before else {}
-        assert content in (before | foreign, NEW | foreign), (step, content)
-        found.append(content.get("result.json"))
-        # the next run finds what is left, and removes it
-        write(out, NEW)
-        assert content_of(out) == NEW | foreign
-        assert [p.name for p in out.parent.iterdir()] == ["out"]
-        if done.returncode == 0:
-            break
-    assert done.returncode == 0
+    """A process of its own is killed before its n-th touch of the disk, for every n."""
+    found, ended = [], -signal.SIGKILL
+    with subprocess.Popen(
+        [sys.executable, "-c", PROGRAM],
+        env=ENVIRONMENT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    ) as parent:  # fmt: skip
+        for step in range(1, 400):
+            out = tmp_path / str(step) / "out"
+            if before:
+                write(out, before)
+                fill(out, FOREIGN)
+            else:
+                out.parent.mkdir()
+            parent.stdin.write(f"{step} {out}\n")
+            parent.stdin.flush()
+            ended = int(parent.stdout.readline())
+            content = content_of(out)
+            foreign = FOREIGN if before else {}
+            assert content in (before | foreign, NEW | foreign), (step, content)
+            found.append(content.get("result.json"))
+            # the next run finds what is left, and removes it
+            write(out, NEW)
+            assert content_of(out) == NEW | foreign
+            assert [p.name for p in out.parent.iterdir()] == ["out"]
+            if ended != -signal.SIGKILL:
+                break
+    assert ended == 0
     assert len(found) > 10 and "new" in found[:-1] and found[0] == before.get("result.json")
 
 
@@ -201,6 +216,7 @@ def test_a_request_to_end_leaves_nothing(tmp_path, number):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 @POSIX
 def test_an_interrupt_that_falls_into_a_destructor_is_not_lost():
     """Python prints it as ignored and goes on; the command line asks again."""
@@ -263,6 +279,7 @@ def test_output_to_a_full_device_is_reported(tmp_path):
     assert done.stderr.startswith(b"the disk is full") and b"Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 @POSIX
 @pytest.mark.parametrize(
     "command", ["identify", "predict", "design", "coverage", "paper", "impedance"]
@@ -282,6 +299,7 @@ def test_a_command_killed_at_any_step_leaves_the_old_result_or_the_new_one(tmp_p
     assert found == sorted(found, reverse=True)  # once the new one is there, it stays
 
 
+@pytest.mark.slow
 @POSIX
 def test_no_replicate_is_lost_while_another_run_puts_its_tables_into_the_folder(tmp_path):
     """`roomfit coverage` may run on several machines into one folder."""

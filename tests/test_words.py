@@ -91,6 +91,7 @@ def test_longer_words_that_begin_alike_and_strings_are_left_alone() -> None:
     assert private_words('shelled = replaces("told")  # held') == []
 
 
+@pytest.mark.slow
 def test_identifiers_are_in_the_words_of_the_field() -> None:
     files = sorted(SOURCE.rglob("*.py"))
     assert len(files) > 20

@@ -257,11 +257,14 @@ def test_an_own_cluster_listens_on_the_loopback_alone_and_ends_with_its_block(
     psutil = pytest.importorskip("psutil")
     this = psutil.Process()
     before = {p.pid for p in this.children(recursive=True)}
+    trimming = os.getenv("MALLOC_TRIM_THRESHOLD_")
     with cluster_pool(n_workers=2) as executor:
         family = [this, *(p for p in this.children(recursive=True) if p.pid not in before)]
         listening = [c for p in family for c in p.net_connections("inet") if c.status == "LISTEN"]
         assert {c.laddr.ip for c in listening} == {"127.0.0.1"}
         pids = in_pool(executor, [partial(number_into, tmp_path, n, 0.2) for n in range(10)])
+        # dask's own value has every array given back to the system
+        assert executor.submit(os.getenv, "MALLOC_TRIM_THRESHOLD_").result() == trimming
     assert len(set(pids)) == 2
     assert os.getpid() not in pids
     deadline = time.monotonic() + 60.0

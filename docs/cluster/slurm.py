@@ -17,7 +17,11 @@ def cluster() -> SLURMCluster:
         processes=1,
         memory="4GB",
         walltime="03:30:00",
-        job_script_prologue=["export NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1"],
+        job_script_prologue=[
+            "export NUMBA_NUM_THREADS=1 OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1",
+            # arrays are not given back to the system one by one (dask's own value is 64 kB)
+            "export MALLOC_TRIM_THRESHOLD_=268435456 MALLOC_MMAP_THRESHOLD_=33554432",
+        ],
         # before the walltime, and not all at the same time
         worker_extra_args=["--lifetime", "3h", "--lifetime-stagger", "10m"],
         # put the name of the cluster's inner network in place of the loopback

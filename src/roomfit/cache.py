@@ -618,7 +618,13 @@ def nearest_existing(path: Path) -> Path:
 
 
 def _cannot_be_made(path: Path, error: OSError) -> StoreError:
-    return StoreError("the output folder cannot be made", where=str(path), found=str(error))
+    return StoreError(
+        "the output folder cannot be made",
+        where=str(path),
+        found=error.strerror or str(error),
+        needed="a folder in which files may be written",
+        hint="choose another place, or change who may write there",
+    )
 
 
 def _give_usual_permissions(path: Path, most: int) -> None:

@@ -118,6 +118,7 @@ def test_names_become_sources_and_receivers_whose_places_are_asked_for(box: Path
             project.set_recordings(box, wrong)
 
 
+@pytest.mark.slow
 def test_the_demo_is_checked_recording_by_recording(tmp_path: Path) -> None:
     views.demo(nothing, str(tmp_path))
     view = views.recordings_view(nothing, str(tmp_path), "recordings/{source}_{receiver}.wav")

@@ -134,6 +134,7 @@ def test_a_certificate_stands_in_the_result_file(
         assert np.all(np.array(cluster["lower"]) <= np.array(cluster["upper"]))
 
 
+@pytest.mark.slow
 def test_auto_proves_what_is_affordable(tmp_path: Path) -> None:
     """Two materials and a gain: energies are certified, and the answer's distance is reported."""
     changes = (("to_hz = 1000", 'to_hz = 500\nmodel = "energy"'), *CHANGES[1:])

@@ -365,6 +365,7 @@ def test_a_synthetic_table_has_the_parameters_of_the_response(tmp_path):
 # What is counted.
 
 
+@pytest.mark.slow
 @given(st.integers(1, 40), st.integers(0, 40))
 def test_independent_values_have_the_exact_binomial_interval(n, k):
     k = min(k, n)

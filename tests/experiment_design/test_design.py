@@ -351,6 +351,7 @@ def test_intervals_narrow_with_every_pair_and_more_than_by_chance(small):
     assert means[-1] < np.median(found.random_means[:, -1])
 
 
+@pytest.mark.slow
 def test_records_in_memory_are_designed_as_a_campaign_is(small):
     """A room, two points and what was measured: the same choice, and no file."""
     _, campaign, found = small
@@ -409,6 +410,7 @@ def test_a_campaign_without_measurements_can_be_designed(tmp_path):
         designed(campaign, n_candidates=0)
 
 
+@pytest.mark.slow
 def test_late_images_of_one_pair_of_a_box_stand_for_those_of_all(tmp_path, monkeypatch):
     """Expected intervals are within a per cent or so of those with every image of every pair."""
     live = ("scattering = 0.0", "scattering = 0.0\nprior = {mean = 0.25, sd = 0.1}")
@@ -484,6 +486,7 @@ def result_json(folder, phi: float):
     return path
 
 
+@pytest.mark.slow
 def test_after_a_fit_the_next_measurement_shrinks_the_widest_interval(
     small, tmp_path, monkeypatch, capsys
 ):

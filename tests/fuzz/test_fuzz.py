@@ -32,6 +32,7 @@ def fuzz(*arguments: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_what_once_failed_and_damaged_files_of_every_format_are_read_or_refused():
     """In one process, which takes most of the time to start."""
     printed = fuzz("--corpus", "--cases", "175", "--seed", "20")

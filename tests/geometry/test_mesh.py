@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from roomfit.errors import InputError
 from roomfit.findings import Code
+from roomfit.geometry import inside
 from roomfit.geometry.build import Face, build_mesh, oriented
 from roomfit.geometry.check import examine, find_leaks
 from roomfit.geometry.inside import distance_to_walls_m, interior_points, is_inside
@@ -346,3 +347,51 @@ def test_a_box_in_millimetres_taken_for_metres_makes_one_ask_for_the_unit():
 
     assert codes(found) == [Code.UNUSUAL_SIZE]
     assert "is the unit right?" in found[0].sentence
+
+
+def moved_box(by_m: float) -> Mesh:
+    box = shoebox_mesh((6.0, 4.0, 3.0))
+    return replace(box, vertices_m=box.vertices_m + by_m)
+
+
+def test_a_box_holds_the_points_that_rays_find_inside(monkeypatch):
+    """With the rays that any other mesh needs as the reference."""
+    mesh = moved_box(-1.5)
+    points = np.random.default_rng(4).uniform(-3.0, 6.0, (500, 3))
+    found = is_inside(mesh, points)
+    assert 0 < np.count_nonzero(found) < 250
+    monkeypatch.setattr(inside, "is_box", lambda _: False)
+    np.testing.assert_array_equal(found, is_inside(mesh, points))
+
+
+def test_only_a_closed_box_along_the_axes_is_one():
+    box = moved_box(0.7)
+    turned = box.vertices_m @ np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+    bent = np.array(box.vertices_m)
+    bent[-1, 2] += 0.1
+    twice = np.array(box.triangles)
+    twice[1] = twice[0]
+    assert inside.is_box(box)
+    for other in (
+        replace(box, vertices_m=turned),
+        replace(box, vertices_m=bent),
+        replace(box, triangles=twice),
+        holed_box(0.5),
+    ):
+        assert not inside.is_box(other)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_few_points_find_the_nearest_triangles_that_many_do(monkeypatch, seed):
+    """Beside the kernel, with a triangle without area among them."""
+    rng = np.random.default_rng(seed)
+    corners = rng.normal(size=(12, 3, 3))
+    corners[3, 2] = 0.5 * (corners[3, 0] + corners[3, 1])
+    triangles = np.arange(36).reshape(12, 3)
+    mesh = Mesh(corners.reshape(-1, 3), triangles, np.zeros(12, dtype=int), (WALL,))
+    points = 2.0 * rng.normal(size=(200, 3))
+    distance, triangle = inside.nearest_triangles(mesh, points)
+    monkeypatch.setattr(inside, "_FEW", (0, 0))
+    expected, index = inside.nearest_triangles(mesh, points)
+    np.testing.assert_allclose(distance, expected, rtol=1e-12, atol=1e-15)
+    np.testing.assert_array_equal(triangle, index)

@@ -32,7 +32,6 @@ from roomfit.response.binned import BinnedPaths, bin_paths, in_band
 from roomfit.response.coherent import image_paths
 from roomfit.scene import Point, Room, Scene, material_areas_m2
 from roomfit.signals.filters import (
-    FilterBank,
     energy_share,
     spreading_kernel,
     statistical_bandwidth_hz,
@@ -92,9 +91,8 @@ def small_geometry() -> Geometry:
 
 def energy_term(bands: Bands, scene: Scene, binned: BinnedPaths) -> EnergyTerm:
     """Return the energies of both observations, one gain for both."""
-    bank = FilterBank(bands)
-    bandwidth = float(statistical_bandwidth_hz(bank)[0])
-    kernel = spreading_kernel(bank)
+    bandwidth = float(statistical_bandwidth_hz(bands)[0])
+    kernel = spreading_kernel(bands)
     centres = 0.5 * (binned.edges_s[1:] + binned.edges_s[:-1])
     observations = []
     for pair in range(2):

@@ -8,7 +8,9 @@ import numpy as np
 
 from roomfit.geometry.mesh import Mesh, Surface, corners_m, shoebox_mesh
 from roomfit.materials.priors import Scattering
-from roomfit.response.energy import EnergyRows, batch_energies
+from roomfit.objective.energy import Observation, variance_of_batches
+from roomfit.objective.windows import in_windows
+from roomfit.response.energy import EnergyRows
 from roomfit.response.scattering import scattering_weights
 from roomfit.scene import Room, Scene, triangle_material
 from roomfit.tracing.paths import Paths
@@ -151,7 +153,25 @@ def with_scattering(paths: Paths, scattering: Scattering) -> Paths:
     )
 
 
+def batch_energies(rows: EnergyRows, coefficients: FloatArray, air_per_m: FloatArray) -> FloatArray:
+    """Return the energies of each batch of rays, (n_batches, n_bands, n_windows), row by row."""
+    window = np.repeat(np.arange(rows.n_windows), np.diff(rows.offsets))
+    rays = rows.batch >= 0
+    out = np.zeros((max(rows.n_batches, rows.largest_batch + 1), air_per_m.size, rows.n_windows))
+    for band, m in enumerate(air_per_m):
+        left = np.prod((1.0 - coefficients[:, band]) ** rows.hits, axis=1)
+        energy = rows.weight_per_m2 * np.exp(-m * rows.length_m) * left
+        np.add.at(out[:, band], (rows.batch[rays], window[rays]), energy[rays])
+    return out
+
+
 def monte_carlo_sd(rows: EnergyRows, coefficients: FloatArray, air_per_m: FloatArray) -> FloatArray:
     """Return the standard error of window energies from independent batches of rays."""
     batches = batch_energies(rows, coefficients, air_per_m)
     return np.asarray(np.sqrt(len(batches) * np.var(batches, axis=0, ddof=1)))
+
+
+def tracing_variance(rows: EnergyRows, observed: Observation, absorption: FloatArray) -> FloatArray:
+    """Return the Monte-Carlo variance of each window's energy, batches weighed for it alone."""
+    batches = batch_energies(rows, absorption.reshape(-1, 1), np.zeros(1))[:, 0]
+    return variance_of_batches(in_windows(observed.spreading, batches))

@@ -150,6 +150,7 @@ def test_a_window_that_would_take_an_hour_is_refused_with_one_that_would_not():
         check_cost(box_scene(), len(f), 1.02e-3 * advised_ms, 7.0)
 
 
+@pytest.mark.slow
 def test_a_hall_of_thousands_of_walls_is_refused_before_its_paths_are_looked_for():
     hall = hall_room()
     corners = hall.mesh.vertices_m
@@ -186,6 +187,7 @@ def coloured_data(rng):
     return scene, data, r0
 
 
+@pytest.mark.slow
 def test_spectra_of_sources_that_are_taken_for_flat_are_the_cause_that_is_named():
     rng = np.random.default_rng(6)
     scene, data, _ = coloured_data(rng)

@@ -110,6 +110,7 @@ def test_positions_that_are_wrong_and_not_estimated_do_not_fit():
     assert [f.code for f in answer.findings] == [Code.IMPEDANCE_DOES_NOT_FIT]
 
 
+@pytest.mark.slow
 def test_a_gain_that_is_taken_for_known_is_the_cause_that_is_named():
     observed, r0 = image_data(np.random.default_rng(12))
     louder = Observed(F_HZ, TAU_S, observed.pressure * 1.5, observed.noise * 1.5)
@@ -162,6 +163,7 @@ def test_a_single_frequency_that_determines_nothing_is_refused_before_any_comput
         assert not material.impedance_shown.any() and not material.identified.any()
 
 
+@pytest.mark.slow
 def test_walls_in_which_sound_runs_along_do_not_fit():
     """A layer of 5 kPa s/m2, 100 mm, with a reflection that no impedance has."""
     scene = box_scene()
@@ -183,6 +185,7 @@ def test_walls_in_which_sound_runs_along_do_not_fit():
     assert other.verdict.word == "identified"
 
 
+@pytest.mark.slow
 def test_auto_finds_the_laws_that_made_the_walls():
     observed, r0 = image_data(np.random.default_rng(16))
     wanted = {"wool": WallModel("auto"), "slots": WallModel("resonator")}
@@ -198,6 +201,7 @@ def test_auto_finds_the_laws_that_made_the_walls():
     assert mass.lower95 <= 0.297 <= mass.upper95
 
 
+@pytest.mark.slow
 def test_noise_that_is_unspecified_is_estimated_and_makes_the_verdict_weaker():
     observed, r0 = image_data(np.random.default_rng(17))
     answer = identified(Observed(F_HZ, TAU_S, observed.pressure), nuisances=EXACT)

@@ -117,6 +117,7 @@ def test_a_common_delay_is_one_sentence_with_the_key_to_set():
     assert measured_findings(set_so) == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 1e-4])
 def test_two_seconds_before_every_sound_are_one_sentence_and_the_table_is_right(noise):
     """Where the decay would seem cut short, or to drown in noise: 1.2345 and 2 s, one after it."""
@@ -150,6 +151,7 @@ def test_a_fit_that_refuses_a_file_names_the_cause_of_all():
     assert refused.value.hint.startswith("All 12 files begin 0.50 s before the sound is emitted")
 
 
+@pytest.mark.slow
 def test_files_that_begin_anywhere_are_one_sentence():
     """A recorder that was started by hand; what to set leaves nothing to be found."""
     rng = np.random.default_rng(8)
@@ -245,6 +247,7 @@ def test_a_microphone_off_by_a_decimetre_is_named_with_a_distance(delay_s):
     assert 0.05 < found[0].evidence["metres"] < 0.2
 
 
+@pytest.mark.slow
 def test_positions_as_specified_are_taken_for_displaced_less_than_once_in_a_hundred():
     """Errors of exactly the specified standard deviation, 2 cm a coordinate; one in a thousand
     is what chi-square promises for Gaussian errors."""

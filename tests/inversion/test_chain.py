@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt
 
 import roomfit
 from roomfit.findings import Code, Finding
@@ -16,6 +17,7 @@ from roomfit.inversion.chain import (
     chain_slopes,
     common,
     gate_findings,
+    high_passed,
     scored,
     tail_findings,
 )
@@ -26,7 +28,7 @@ from roomfit.inversion.solve import coherent_task
 from roomfit.materials.priors import unknown_material
 from roomfit.objective.parameters import Block, Parameters
 from roomfit.objective.problem import Objective
-from roomfit.signals.filters import FilterBank, window_energies
+from roomfit.signals.filters import window_energies
 from roomfit.signals.response import ImpulseResponse
 from roomfit.solvers.least_squares import score_band
 from roomfit.synthetic.boxes import (
@@ -70,7 +72,7 @@ def test_slopes_are_those_of_finite_differences():
         return x * np.exp(-0.5 * by * t)
 
     for band in range(2):
-        bank = FilterBank(roomfit.Bands(BANDS.kind, BANDS.centres_hz[band : band + 1]))
+        bank = roomfit.Bands(BANDS.kind, BANDS.centres_hz[band : band + 1])
         for column, change in enumerate((compressed, saturated, windowed)):
             up, down = (
                 np.log(window_energies(bank, ImpulseResponse(change(s), RATE_HZ), edges_s[band])[0])
@@ -159,7 +161,11 @@ def line_score(seed: int, further: float) -> tuple[float, float]:
     objective = Objective(Parameters((block,)), (term,))  # type: ignore[arg-type]
     # the unknown that is missing is a misfit, which would widen the standard deviation
     fit = replace(score_band(objective, np.full(2, 0.25)), chi2_reduced=1.0)
-    windows = FittedWindows(0, objective, fit, None, (), np.zeros((40, 0)), 1.0)  # type: ignore[arg-type]
+    there, one = objective.predict(fit.vector), objective.correlation_length()
+    by_wall, none = np.zeros((0, 2)), {"none": np.zeros((40, 0))}
+    windows = FittedWindows(
+        *(0, objective.parameters, there, by_wall, one, fit, None, (), none, 1.0)  # type: ignore[arg-type]
+    )
     score, information = scored(windows, term.further[:, None])
     return float(score[0] / information[0, 0]), float(information[0, 0] ** -0.5)
 
@@ -323,3 +329,14 @@ def test_stationary_noise_and_rooms_that_still_ring_are_no_windows():
     for seed in range(20):
         assert tail_findings(files_of(seed, windowed=False)) == ()  # type: ignore[arg-type]
         assert tail_findings(files_of(seed, windowed=False, rings=True)) == ()  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("rate_hz", [8000.0, 44_100.0])
+def test_noise_is_sought_through_the_causal_filter_of_scipy(rate_hz):
+    """To rounding, and nothing comes before the sound."""
+    x = np.zeros(3001)
+    x[1000:] = np.random.default_rng(2).standard_normal(2001)
+    peer = sosfilt(butter(4, 500.0, btype="high", fs=rate_hz, output="sos"), x)
+    found = high_passed(x, 500.0, rate_hz)
+    np.testing.assert_allclose(found, peer, atol=1e-12)
+    assert np.abs(found[:1000]).max() < 1e-12

@@ -108,6 +108,7 @@ def test_intervals_allow_for_what_formulas_disagree_on_and_for_nothing_where_the
     )
 
 
+@pytest.mark.slow
 def test_intervals_of_simulated_rooms_hold_as_far_as_the_pages_say():
     """Twenty rooms of a kind, of `benchmarks/reverberation.py`; binomial bounds of 99 %."""
     rows = covered(20, seed=2)

@@ -25,7 +25,7 @@ from roomfit.inversion.displacement import (
 from roomfit.io.campaign import read_campaign
 from roomfit.io.inputs import identify_arguments
 from roomfit.materials.priors import unknown_material
-from roomfit.objective.problem import Objective
+from roomfit.objective.problem import Objective, counted_evaluations
 from roomfit.scene import PointGroup, Scene
 from roomfit.synthetic.boxes import (
     SAMPLING_RATE_HZ,
@@ -95,6 +95,7 @@ def findings(result: roomfit.Result):
     return [f for f in result.findings if f.code == Code.DISPLACEMENT_DETECTED]
 
 
+@pytest.mark.slow
 def test_all_positions_that_are_30_cm_off_are_named_with_direction_and_size():
     result = fitted(specified(simulated(500)[0], shift_m=(0.3, 0.0, 0.0)), 500)
     (finding,) = findings(result)
@@ -105,12 +106,14 @@ def test_all_positions_that_are_30_cm_off_are_named_with_direction_and_size():
     assert not result.identifiable.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [500, 502])
 def test_a_room_described_correctly_is_not_doubted(seed):
     """No false alarm in these; the rate over more rooms stands in decision 0035."""
     assert findings(fitted(specified(simulated(seed)[0]), seed)) == []
 
 
+@pytest.mark.slow
 def test_an_offset_within_its_stated_deviation_is_fitted_and_reported():
     scene = specified(simulated(500)[0], shift_m=(0.15, 0.0, 0.0))
     scene = replace(scene, groups=(PointGroup("array", ("*",), (0.1, 0.0, 0.0)),))
@@ -123,6 +126,7 @@ def test_an_offset_within_its_stated_deviation_is_fitted_and_reported():
     assert sd < 0.1 and result.geometry.prior_sd[at] == 0.1
 
 
+@pytest.mark.slow
 def test_what_is_open_of_an_offset_is_in_the_covariance(monkeypatch):
     """As large as fits at other places are apart; here made 3 in the logit, to be seen."""
     real = []
@@ -164,6 +168,32 @@ def test_derivatives_are_those_of_finite_differences(monkeypatch):
             numeric = (ahead - behind) / (2.0 * step)
             scale = np.abs(found.jacobian[:, k]).max()
             np.testing.assert_allclose(found.jacobian[:, k], numeric, atol=1e-6 * scale)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("shift_m", "share"), [(0.0, 0.7), (0.3, 1.0)])
+def test_what_high_bands_rule_out_costs_less_and_changes_nothing(monkeypatch, shift_m, share):
+    """Whether the room is described correctly or not."""
+    kept = []
+
+    def keep(outline):
+        kept.append(outline)
+        return located(outline)
+
+    def located_and_counted():
+        with counted_evaluations() as made:
+            return located(kept[0]), made[0]
+
+    monkeypatch.setattr(whole, "located", keep)
+    fitted(specified(simulated(500)[0], shift_m=(shift_m, 0.0, 0.0)), 500)
+    found, n = located_and_counted()
+    monkeypatch.setattr(whole_displacement, "_RULED_OUT", np.inf)
+    of_all, n_of_all = located_and_counted()
+    np.testing.assert_array_equal(found.shift_m, of_all.shift_m)
+    assert (found.finding is None) == (of_all.finding is None) == (shift_m == 0.0)
+    if found.finding is not None:
+        assert found.finding.sentence == of_all.finding.sentence
+    assert n <= share * n_of_all
 
 
 def test_offsets_move_positions_and_the_far_wall():
@@ -225,13 +255,13 @@ def named_by(worth):
 
 
 def test_a_displacement_between_two_steps_of_the_grid_is_found_at_its_top():
-    found = named_by(lambda m: 200.0 * float(np.exp(-0.5 * ((m[0] - 0.87) / 0.05) ** 2)))
+    found = named_by(lambda m, _=False: 200.0 * float(np.exp(-0.5 * ((m[0] - 0.87) / 0.05) ** 2)))
     assert found.evidence["metres"] == pytest.approx(0.87, abs=5e-3)
     assert found.evidence["sd_m"] < 0.01
-    assert "stand 0.87 +- " in found.sentence
+    assert "stand 0.870 +- 0.004 m" in found.sentence
 
 
 def test_a_displacement_without_a_top_is_stated_without_a_deviation():
-    found = named_by(lambda m: 200.0 * float(m[0] > 0.42))
+    found = named_by(lambda m, _=False: 200.0 * float(m[0] > 0.42))
     assert "about 0.5 m" in found.sentence
     assert "+-" not in found.sentence

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 import soundfile
 
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
@@ -69,6 +70,7 @@ def equalised_tilts_db(folder: Path, **options: float) -> FloatArray:
     return np.array([tilt_db(m.response.pressure) for m in equalised])
 
 
+@pytest.mark.slow
 def test_known_walls_determine_the_source_below_the_schroeder_frequency_too(tmp_path: Path) -> None:
     """Against the same box and a source of flat magnitude.
 

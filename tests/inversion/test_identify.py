@@ -97,6 +97,7 @@ def test_the_papers_methods_agree_with_least_squares_within_its_interval(tmp_pat
     assert np.all(apart <= 0.25 * width + 0.002)
 
 
+@pytest.mark.slow
 def test_what_is_kept_for_validation_cannot_change_the_answer(tmp_path, few_rays):
     """Another file for the pair that is not fitted: the same numbers, and another comparison."""
     changes = ((SECOND_FILE, f'{SECOND_FILE}\nuse = "validate"'),)
@@ -152,6 +153,7 @@ def test_an_absolute_level_is_taken_at_its_word(tmp_path, plain):
     )
 
 
+@pytest.mark.slow
 def test_latency_is_subtracted_exactly(tmp_path, plain):
     delayed = 40
     path = write_campaign(
@@ -162,6 +164,7 @@ def test_latency_is_subtracted_exactly(tmp_path, plain):
     assert_same_absorption(plain, identify(**load_campaign(path)), 2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("time_zero", ["direct", "unknown"])
 def test_a_file_without_a_clock_is_put_on_that_of_the_geometry(tmp_path, plain, time_zero):
     """The direct sound's onset is found within 3 samples, 13 cm at this low sampling rate."""
@@ -173,6 +176,7 @@ def test_a_file_without_a_clock_is_put_on_that_of_the_geometry(tmp_path, plain, 
     assert Code.TIME_ZERO_MISMATCH not in codes(answer)
 
 
+@pytest.mark.slow
 def test_an_absorption_that_is_given_stays_exactly(tmp_path, few_rays):
     """Also where it is specified for each band, at 0 and at 1."""
     answer = answer_to(
@@ -269,6 +273,7 @@ def test_two_seeds_give_two_answers(tmp_path, monkeypatch):
     np.testing.assert_allclose(found[0].absorption, found[1].absorption, atol=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["least-squares", "simplex", "annealing"])
 def test_nothing_left_to_fit_is_a_prediction(tmp_path, few_rays, method):
     given = [
@@ -287,6 +292,7 @@ def test_nothing_left_to_fit_is_a_prediction(tmp_path, few_rays, method):
     np.testing.assert_allclose(t20.predicted, t20.measured, rtol=0.15)
 
 
+@pytest.mark.slow
 def test_more_surfaces_of_one_material_change_nothing(tmp_path, plain):
     """The four walls named one by one instead of as a group."""
     one_by_one = "\n".join(f'{w} = "walls"' for w in ("west", "east", "south", "north"))
@@ -316,6 +322,7 @@ def test_a_material_that_no_sound_meets_is_not_determined(tmp_path):
         assert found.identifiable.tolist() == [True, False]
 
 
+@pytest.mark.slow
 def test_every_evaluation_that_was_made_is_counted(tmp_path, few_rays, monkeypatch):
     """In trials of scattering, first fits, rounds and profiles: a response alone is predicted."""
     original, calls = roomfit.objective.energy.EnergyTerm.predict, []
@@ -329,6 +336,7 @@ def test_every_evaluation_that_was_made_is_counted(tmp_path, few_rays, monkeypat
     assert answer.evaluations == len(calls) > 100
 
 
+@pytest.mark.slow
 def test_result_and_table_keep_the_contract(tmp_path, few_rays):
     campaign = write_campaign(
         tmp_path / "c",
@@ -439,6 +447,7 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path, few_rays):
     assert json_text(contents[0]) == json_text(contents[1])
 
 
+@pytest.mark.slow
 def test_a_file_that_drowns_in_one_band_is_left_out_of_that_band_only(tmp_path, few_rays):
     """A loud hum-like noise around 500 Hz in one of two files with a gain of its own."""
     campaign = write_campaign(tmp_path, ('file = "LS1', 'level = "per-file"\nfile = "LS1'))
@@ -485,6 +494,7 @@ def test_a_hall_is_read_although_silence_comes_before_its_first_reflection(tmp_p
     np.testing.assert_allclose(answer.mean_absorption[0], 0.4, atol=0.1)
 
 
+@pytest.mark.slow
 def test_intervals_of_energies_alone_allow_for_what_windows_share(tmp_path, few_rays, monkeypatch):
     """The noise of the rays and the air move the answer as a whole: intervals only widen."""
     reported = ("[identify]", '[identify]\nmodel = "energy"')

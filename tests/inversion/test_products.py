@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 import roomfit.io.campaign
 from roomfit.cache import json_text
@@ -34,6 +35,7 @@ sd = 0.1
 """
 
 
+@pytest.mark.slow
 def test_a_campaign_with_a_product_is_answered_and_its_file_draws_the_same(tmp_path, monkeypatch):
     """One source, two receivers: what tells left from right is hardly more than the product."""
     monkeypatch.setattr(roomfit.io.campaign, "DEFAULTS", Settings(n_rays=4000))
@@ -71,6 +73,7 @@ def test_a_campaign_with_a_product_is_answered_and_its_file_draws_the_same(tmp_p
     assert np.all(spread < 0.16)
 
 
+@pytest.mark.slow
 def test_a_result_of_independent_walls_holds_no_covariance_of_the_prior(tmp_path, monkeypatch):
     """The file is as it was; readers of it find none, and take walls for independent."""
     monkeypatch.setattr(roomfit.io.campaign, "DEFAULTS", Settings(n_rays=2000))

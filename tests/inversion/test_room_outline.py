@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import butter, hilbert, sosfiltfilt
 
 from roomfit.air import Air, speed_of_sound_m_s
 from roomfit.findings import Code
@@ -83,6 +85,22 @@ def test_an_echo_stands_out_and_smooth_noise_does_not():
     assert int(np.argmax(prominence)) == pytest.approx(4_000, abs=5)
     assert prominence.max() > 2.0
     assert abs(np.mean(prominence)) < 0.05
+
+
+@pytest.mark.parametrize("rate_hz", [8_000.0, 44_100.0])
+def test_prominence_is_that_of_a_butterworth_filter_forth_and_back(rate_hz):
+    """By scipy's own filters, with silence about the file; nothing wraps from end to beginning."""
+    rng, n = np.random.default_rng(6), round(0.4 * rate_hz)
+    pressure = rng.standard_normal(n) * np.exp(-20.0 * np.arange(n) / rate_hz)
+    pressure[: n // 10] *= 1e-3
+    edges_hz = (800.0, min(8000.0, 0.45 * rate_hz))
+    band = butter(4, edges_hz, btype="band", fs=rate_hz, output="sos")
+    squared = np.abs(hilbert(sosfiltfilt(band, np.pad(pressure, n))))[n:-n] ** 2
+    energy = uniform_filter1d(squared, max(round(3e-4 * rate_hz), 1))
+    level = np.log(energy + 1e-9 * energy.max())
+    expected = level - uniform_filter1d(level, round(0.01 * rate_hz))
+    found = echo_prominence(ImpulseResponse(pressure, rate_hz))
+    np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def l_shaped_echoes(tmp_path: Path) -> tuple[Scene, list[tuple[int, ImpulseResponse]]]:

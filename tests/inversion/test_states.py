@@ -81,6 +81,7 @@ def joint():
     return identify(both, data, smooth(both.room.materials), BANDS, settings=FEW)
 
 
+@pytest.mark.slow
 def test_both_states_are_found_and_share_what_did_not_change():
     result = joint()
     truth = np.array([*TRUTH.values(), 0.7])
@@ -98,6 +99,7 @@ def test_both_states_are_found_and_share_what_did_not_change():
     assert result.state_means["closed"][0, 0] > result.mean_absorption[0, 0] + 0.05
 
 
+@pytest.mark.slow
 def test_a_state_that_changes_nothing_changes_nothing():
     """Where levels are absolute, a name for the state of some responses is only a name."""
     data = measured(None, level="absolute")
@@ -111,6 +113,7 @@ def test_a_state_that_changes_nothing_changes_nothing():
     np.testing.assert_allclose(split.upper95, plain.upper95, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_pressures_are_fitted_in_every_state():
     both = scene({"closed": CLOSED})
     data = [*measured(None), *measured(0.7, "closed")]
@@ -125,6 +128,7 @@ def test_pressures_are_fitted_in_every_state():
     assert result.lower95[curtain, 0] > result.upper95[south, 0]
 
 
+@pytest.mark.slow
 def test_a_change_to_a_material_of_another_state_is_that_state():
     both, found = scene({"closed": CLOSED}), absorption_posterior(joint())
     # image sources alone; sound is followed for longer where the room is livelier before

@@ -15,7 +15,7 @@ from roomfit.inversion.systematics import air_error, lost_coherence
 from roomfit.objective.coherent import CoherentTerm, fully_coherent
 from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.parameters import start_vector
-from roomfit.signals.filters import FilterBank, frequency_response, window_energies
+from roomfit.signals.filters import frequency_response, window_energies
 from roomfit.signals.response import ImpulseResponse
 from roomfit.solvers.least_squares import BandFit, score_band
 from roomfit.synthetic.boxes import SyntheticBox, pressure_response
@@ -88,7 +88,7 @@ def test_the_error_of_the_air_covers_its_mean_over_a_band(kind: str) -> None:
     for band, centre in enumerate(bands.exact_centres_hz):
         own = Bands(bands.kind, bands.centres_hz[band : band + 1])
         frequencies = np.linspace(0.4 * centre, 2.2 * centre, 4001)
-        weight = frequency_response(FilterBank(own), frequencies)[0] ** 2
+        weight = frequency_response(own, frequencies)[0] ** 2
         mean = np.average(2.0 * pressure_decay_per_m(air, frequencies), weights=weight)
         off = (mean - attenuation_per_m(air, own)[0]) * speed_of_sound_m_s(air) * middle
         error = air_error(air, bands, band, problem)
@@ -121,7 +121,7 @@ def test_lost_coherence_is_what_pressures_of_images_lack_or_have_beyond_their_en
     truth = SyntheticBox(
         *((4.0, 3.1, 2.5), octaves.centres_hz, np.tile(walls[:, None], 3), np.zeros(3)), SPEED_M_S
     )
-    own = FilterBank(Bands("octave", np.array([CENTRE_HZ])))
+    own = Bands("octave", np.array([CENTRE_HZ]))
     pressures, rate_hz = [], 24_000.0
     for (_, r), observed in zip(scene.pairs, band.coherent.energies.observations, strict=True):
         ends = scene.sources[0].position_m, scene.receivers[r].position_m

@@ -198,6 +198,77 @@ def test_a_truncated_wav_is_refused_although_readers_open_it(refusal, tmp_path, 
     assert words in refusal(campaign)
 
 
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (b"\xff\xfe[\x00r\x00", "TOML in UTF-8"),
+        (None, "give the file in it"),
+        (b"", "the campaign file is empty"),
+        (b"[identify]\nfrom_hz = 500\nto_hz = 250\n", "exchange the two"),
+    ],
+    ids=["UTF-16", "folder", "empty", "bands"],
+)
+def test_what_is_given_for_a_campaign_is_named_with_what_to_try(refusal, tmp_path, given, words):
+    campaign = write_campaign(tmp_path / "campaign")
+    if given is None:
+        campaign = campaign.parent
+    elif b"identify" in given:
+        text = campaign.read_text()
+        campaign.write_text(text[: text.index("[identify]")] + given.decode())
+    else:
+        campaign.write_bytes(given)
+    message = refusal(campaign)
+    assert words in message
+    assert "\n  found " in message and "\n  try " in message
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"hello\n" * 100, None, b"RIFF"], ids=["empty", "text", "folder", "head"]
+)
+def test_what_is_given_for_a_recording_is_named_with_what_to_try(refusal, tmp_path, content):
+    campaign = write_campaign(tmp_path / "campaign")
+    wav = tmp_path / "campaign" / "LS1_MP1.wav"
+    wav.unlink()
+    if content is None:
+        wav.mkdir()
+    else:
+        wav.write_bytes(content)
+    message = refusal(campaign)
+    assert all(f"\n  {key} " in message for key in ("where", "found", "try"))
+    assert "LS1_MP1.wav" in message
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("[room]\n", "the result is not JSON"),
+        ("{}", "this is no result of roomfit"),
+        ('{"format": "roomfit-result", "format_version": 9}', "cannot read that result"),
+    ],
+)
+def test_what_is_given_for_a_result_is_named_with_what_to_try(
+    tmp_path, monkeypatch, capsys, content, words
+):
+    (tmp_path / "r.json").write_text(content)
+    given = (tmp_path / "r.json", "--format", "catt", "--out", tmp_path / "w.geo")
+    assert run_command(monkeypatch, "export", *given) == 2
+    message = one_message(capsys.readouterr().err)
+    assert words in message and "r.json" in message
+    assert "\n  needed " in message and "\n  try " in message
+    assert [p.name for p in tmp_path.iterdir()] == ["r.json"]
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder that takes no file")
+def test_an_output_folder_where_none_can_be_made_is_refused_without_names_of_ours(
+    tmp_path, monkeypatch, capsys
+):
+    campaign = write_campaign(tmp_path / "campaign")
+    assert run_command(monkeypatch, "identify", campaign, "--out", "/proc/out") == 2
+    message = one_message(capsys.readouterr().err)
+    assert "the output folder cannot be made\n  where   /proc/out\n" in message
+    assert ".roomfit" not in message and "\n  try " in message
+
+
 def test_a_mat_file_without_a_sampling_rate_is_refused(refusal, tmp_path):
     campaign = write_campaign(
         tmp_path / "campaign", (FIRST_FILE, 'file = "a.mat"\nvariable = "RIR"')
@@ -253,6 +324,7 @@ def test_a_broken_campaign_leaves_the_earlier_results_although_overwrite_was_ask
     assert (tmp_path / "out" / "result.json").read_text() == "old"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("when", ["trace", "write_result", "png"])
 def test_an_interruption_ends_with_130_and_leaves_no_result(tmp_path, monkeypatch, capsys, when):
     """Before the trace ends, before the tables are written, and between tables and pictures."""
@@ -280,6 +352,7 @@ def files_of(folder: Path) -> list[Path]:
     return sorted(p for p in folder.rglob("*") if p.is_file())
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path, monkeypatch, capsys):
     import roomfit.cache
 
@@ -314,6 +387,7 @@ def test_a_receiver_sphere_that_cuts_a_wall_is_shrunk_with_a_finding(tmp_path):
     assert "'MP1'" in shrunk[0].sentence or "MP1" in shrunk[0].sentence
 
 
+@pytest.mark.slow
 def test_time_zero_metres_from_the_geometry_is_a_serious_finding(tmp_path):
     from roomfit.inversion.identify import identify
 
@@ -326,6 +400,7 @@ def test_time_zero_metres_from_the_geometry_is_a_serious_finding(tmp_path):
     assert any(f.severity == "serious" for f in late)
 
 
+@pytest.mark.slow
 def test_as_a_program_of_its_own_the_message_is_all_that_is_shown(tmp_path):
     """In a process of its own: no warning of any library stands beside the message."""
     campaign = write_campaign(tmp_path / "campaign")
@@ -370,6 +445,7 @@ def test_what_is_refused_after_the_trace_leaves_no_folder(tmp_path, monkeypatch,
     assert not (tmp_path / "deep").exists()
 
 
+@pytest.mark.slow
 def test_digests_are_of_what_was_read_and_names_may_be_any(tmp_path, monkeypatch, capsys):
     """The campaign, whose name is no UTF-8 and whose walls have two $, changes during the fit."""
     import roomfit.inversion.identify

@@ -47,6 +47,7 @@ def opened(path: Path) -> list[str]:
     return found
 
 
+@pytest.mark.slow
 def test_no_reader_opens_a_file_beside_the_door():
     outside = [p for p in SOURCE.rglob("*.py") if p.relative_to(SOURCE).as_posix() not in OWN]
     found = [place for p in outside if p.name != "door.py" for place in opened(p)]
@@ -161,6 +162,7 @@ def test_utf_8_with_a_byte_order_mark_is_text(tmp_path):
     assert door.json_content(read_text(tmp_path / "a.json", "file"), "file") == {}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("program", "words"),
     [

@@ -618,6 +618,7 @@ def good_files(tmp_path_factory) -> dict[str, bytes]:
     return {name: (source / name).read_bytes() for name in ("fuzz.wav", "fuzz.mat")}
 
 
+@pytest.mark.slow
 @settings(max_examples=150)
 @given(name=st.sampled_from(sorted(FULL_SPEC)), content=st.binary(max_size=400))
 def test_random_bytes_never_end_in_a_traceback(folder, name, content):

@@ -396,6 +396,7 @@ def ptb(real_data: Path, **changes) -> RoomSpec:
     return RoomSpec(polygons=PolygonSpec(corners, (folder / "planes.csv",), **changes))
 
 
+@pytest.mark.slow
 def test_the_studio_loads_in_spite_of_its_faults(real_data):
     """Every fault its README names becomes a finding, and none forbids tracing."""
     room, findings = read_room(ptb(real_data))
@@ -418,6 +419,7 @@ def test_the_studio_of_phase_two_has_its_published_volume(real_data):
     assert volume_m3(room.mesh) == pytest.approx(390.0, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_curtains_of_the_studio_count_on_both_sides(real_data):
     """Closed: planes 301 and 391 with 40.15 and 17.26 m2 by the table, each side."""
     room, _ = read_room(ptb(real_data, drop=tuple(range(351, 357))))

@@ -146,6 +146,7 @@ def test_entities_that_multiply_or_lead_elsewhere_bring_nothing(tmp_path):
         assert "secret" not in str([f.surface for f in model.faces])
 
 
+@pytest.mark.slow
 def test_any_damage_is_a_room_or_a_refusal(tmp_path):
     """Thirty bytes turned at random, six times."""
     rng, whole = np.random.default_rng(7), collada_box()
@@ -286,6 +287,7 @@ def test_a_space_without_boundaries_has_floor_walls_and_ceiling(tmp_path):
     assert areas_of(room) == {"floor": 30.0, "wall": 66.0, "ceiling": 30.0}
 
 
+@pytest.mark.slow
 def test_of_several_spaces_one_must_be_named(tmp_path):
     file = written(tmp_path, "a.ifc", ifc_house(spaces=2).encode())
     with pytest.raises(InputError, match=r"several spaces(.|\n)*'room 0', 'room 1'"):

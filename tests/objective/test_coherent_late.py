@@ -25,7 +25,7 @@ from roomfit.objective.parameters import start_vector
 from roomfit.objective.windows import in_windows, window_edges_s
 from roomfit.response.binned import bin_paths, in_band
 from roomfit.response.energy import weigh
-from roomfit.signals.filters import FilterBank, spreading_kernel, spreading_matrix
+from roomfit.signals.filters import spreading_kernel, spreading_matrix
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 
@@ -105,7 +105,7 @@ def test_bins_that_grow_late_hold_the_same_rows_and_expect_the_same_energies() -
     assert len(grown.rows[0]) == len(fine.rows[0])
     edges = window_edges_s(0.01, 0.85, 2800.0)
     a, still = np.full((3, 1), 0.2), np.zeros(1)
-    kernel = spreading_kernel(FilterBank(bands))
+    kernel = spreading_kernel(bands)
     found = []
     for binned in (fine, grown):
         middles = 0.5 * (binned.edges_s[1:] + binned.edges_s[:-1])

@@ -43,7 +43,7 @@ from roomfit.signals.decay import (
     jnd_of,
     room_parameters,
 )
-from roomfit.signals.filters import FilterBank, statistical_bandwidth_hz
+from roomfit.signals.filters import statistical_bandwidth_hz
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, value_gradients
 from roomfit.signals.response import ImpulseResponse
 from roomfit.synthetic.boxes import WALLS, SyntheticBox, pressure_response
@@ -144,7 +144,7 @@ def test_a_pure_exponential_has_the_textbook_values():
 def test_smearing_and_its_transpose_agree():
     """<S x, y> = <x, S' y>, and nothing is lost of what lies inside."""
     rng = np.random.default_rng(1)
-    spreading = band_spreading(FilterBank(ONE_BAND), 800, 5e-4)
+    spreading = band_spreading(ONE_BAND, 800, 5e-4)
     x, y = rng.random(800), rng.random(800)
     assert spread_energy(spreading, x) @ y == pytest.approx(
         x @ before_spreading(spreading, y), rel=1e-12
@@ -181,14 +181,13 @@ def exponential_problem(T: float, centre_hz: float) -> ValuesTerm:
     (problem,) = value_terms(scene, bands, [measured], binned)
     assert problem is not None
     problem = replace(problem, model_error_jnd=0.0)
-    bank = FilterBank(bands)
     none = replace(rows, weight_per_m2=np.zeros(n))
     return replace(
         problem,
         edges_s=edges,
         rows=(rows,),
         squared_image_rows=(none,),
-        spreading=band_spreading(bank, n, 5e-4),
+        spreading=band_spreading(bands, n, 5e-4),
         observations=(replace(problem.observations[0], direct_s=0.0),),
     )
 
@@ -198,7 +197,7 @@ def test_interference_scatters_decay_times_as_the_standard_says(T):
     """ISO 3382-2 (from Davy): s(T30) = .55 T (B T)^-1/2, s(T20) = .88 T (B T)^-1/2."""
     problem = exponential_problem(T, 1000.0)
     (covariance,) = value_covariances(problem, START["absorption"])
-    b = float(statistical_bandwidth_hz(FilterBank(ONE_BAND))[0])
+    b = float(statistical_bandwidth_hz(ONE_BAND)[0])
     t20, t30 = np.sqrt(np.diag(covariance)) / (T / np.sqrt(b * T))
     # the standard's factors are themselves rounded, and hold for a line through the level
     assert t20 == pytest.approx(0.88, rel=0.06)
@@ -533,7 +532,7 @@ def test_pressures_in_a_smooth_box_give_what_is_measured_there():
         source, receiver = scene.pairs[o.pair]
         ends = scene.sources[source].position_m, scene.receivers[receiver].position_m
         pressure = pressure_response(box, *ends, 0.5, 8000, np.zeros(len(wide)))
-        curve = decay_curve(FilterBank(bands), ImpulseResponse(pressure, 8000), o.direct_s)
+        curve = decay_curve(bands, ImpulseResponse(pressure, 8000), o.direct_s)
         true = room_parameters(curve).of("T20_s")[0]
         k = at + o.names.index("T20_s")
         energy = weigh(term.rows[i], truth[:, None], np.zeros(1), derivative=False).energy

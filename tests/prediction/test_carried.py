@@ -59,6 +59,7 @@ def simulated(few: FewRows, states: np.ndarray, *, n_rooms: int, n_parts: int) -
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("after", [0.05, 0.5])
 def test_values_scatter_together_as_those_of_random_pressures_do(few, after):
     """Within .08: 1,200 rooms know no correlation to .03, and one of .5 to .022."""

@@ -170,6 +170,7 @@ def test_no_change_is_carried_over_as_it_was_and_has_no_direction(campaign):
     assert "rises" not in said.sentence and "falls" not in said.sentence
 
 
+@pytest.mark.slow
 def test_a_direction_is_said_where_the_data_support_it_and_not_where_they_do_not(campaign):
     """Walls of 0.15 become 0.1: known within some per cent T rises; unknown, it may fall."""
     sure = changed(campaign, posterior(0.05), "walls=0.1")
@@ -227,6 +228,7 @@ def test_a_material_that_was_not_found_is_predicted_but_not_compared(campaign):
         change_figure(found)
 
 
+@pytest.mark.slow
 def test_files_and_text_hold_all_four(campaign, tmp_path):
     found = changed(campaign, posterior(0.1), "carpet=x0.5+-0.1,x0.6+-0.1")
     content = json.loads(json.dumps(predicted_content(found, ()), default=list))

@@ -19,14 +19,14 @@ from roomfit.prediction.changes import Change
 from roomfit.prediction.listen import convolved, energy_ratio, listen, scaled_response
 from roomfit.prediction.predict import predict
 from roomfit.signals.decay import decay_curve, room_parameters
-from roomfit.signals.filters import FilterBank, filter_pressure
+from roomfit.signals.filters import filter_pressure
 from roomfit.signals.noise import estimate_noise
 from roomfit.signals.response import ImpulseResponse
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 from small_campaign import ABSORPTION, run_command, write_campaign
 
 BANDS = bands_between("octave", 250, 2000)
-BANK = FilterBank(BANDS)
+BANK = BANDS
 RATE_HZ = 16000
 TIMES = np.arange(24000) / RATE_HZ
 

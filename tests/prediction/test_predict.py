@@ -29,7 +29,7 @@ from roomfit.prediction.decay import scene_decay_s
 from roomfit.prediction.predict import Predicted, predict
 from roomfit.response.energy import energy_rows, thinned_rows, weigh
 from roomfit.scene import Point, Scene
-from roomfit.signals.filters import FilterBank, statistical_bandwidth_hz
+from roomfit.signals.filters import statistical_bandwidth_hz
 from roomfit.synthetic.boxes import add_noise
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
@@ -138,6 +138,7 @@ def test_a_covariance_that_is_none_is_refused():
 # ---------------------------------------------------------------- what is predicted
 
 
+@pytest.mark.slow
 def test_every_source_meets_every_receiver_measured_or_not(campaign, tmp_path):
     text = campaign.path.read_text()
     more = text.replace("[[measurements]]", "[sources.LS2]\nposition = [3, 2.5, 1.4]\n"
@@ -158,6 +159,7 @@ def test_every_source_meets_every_receiver_measured_or_not(campaign, tmp_path):
     assert [p.source for p in measured_only.pairs] == ["LS1", "LS1"]
 
 
+@pytest.mark.slow
 def test_the_spread_is_the_slope_times_the_spread_of_the_absorption(campaign):
     """Slopes by predicting twice; 64 mirrored draws know a spread to 13 % (one sd): three sd."""
     sd = 0.02
@@ -185,6 +187,7 @@ def test_an_interval_is_at_least_as_wide_as_what_it_is_made_of(predicted):
         np.testing.assert_allclose(width, 2 * 1.96 * np.hypot(*parts), rtol=0.15)
 
 
+@pytest.mark.slow
 def test_what_is_not_absorption_is_the_noise_of_the_pair_and_the_error_of_the_model(campaign):
     """In a room that decays as Eyring says, known exactly: ISO 3382-2 and 5 % times 0.3.
 
@@ -196,7 +199,7 @@ def test_what_is_not_absorption_is_the_noise_of_the_pair_and_the_error_of_the_mo
     a = np.full((3, 2), 0.05)
     exact = AbsorptionPosterior(NAMES, BANDS, a, a, a, np.zeros((2, 3, 3)))
     found = predict_campaign(read_campaign(path), exact, n_draws=2)
-    bandwidth_hz = statistical_bandwidth_hz(FilterBank(BANDS))
+    bandwidth_hz = statistical_bandwidth_hz(BANDS)
     for name, factor in (("T20_s", 0.88), ("T30_s", 0.55)):
         time_s = values(found, name)
         noise = np.sqrt(values(found, name, "sd_rest") ** 2 - (0.3 * 0.05 * time_s) ** 2)
@@ -221,6 +224,7 @@ def test_the_noise_of_a_mean_falls_with_the_number_of_pairs_and_the_model_s_erro
         np.testing.assert_allclose(mean.predicted, values(predicted, name).mean(axis=0))
 
 
+@pytest.mark.slow
 def test_draws_of_more_absorption_move_every_value_the_way_it_goes(campaign):
     """All draws a tenth above the estimate: their intervals lie about what is predicted there."""
     known = posterior(0.02)
@@ -255,6 +259,7 @@ def test_another_seed_draws_other_absorptions_and_traces_other_rays(campaign):
     assert [f.seed for f in found] == [1, 2]
 
 
+@pytest.mark.slow
 def test_a_changed_material_is_predicted_as_if_it_had_been_found_so(campaign):
     known = posterior(0.0)
     other = known.absorption.copy()
@@ -277,6 +282,7 @@ def test_more_absorption_means_less_reverberation_and_level(campaign, predicted)
         assert np.all(values(more, name) > values(predicted, name))
 
 
+@pytest.mark.slow
 def test_an_uncertain_change_widens_the_intervals(campaign, predicted):
     loose = predict_campaign(campaign, posterior(0.02), [read_change("carpet=x1+-0.4")], n_draws=32)
     tight = predict_campaign(campaign, posterior(0.02), [read_change("carpet=x1")], n_draws=32)
@@ -321,6 +327,7 @@ def test_a_factor_beyond_all_absorption_is_clipped_with_a_finding(campaign):
     assert np.all(np.isfinite(values(found, "T20_s")))
 
 
+@pytest.mark.slow
 def test_another_room_takes_its_materials_by_name_and_names_the_missing(campaign, tmp_path):
     text = campaign.path.read_text().replace("[3.9, 3.1, 2.5]", "[4.9, 4.1, 2.9]")
     for name in ("LS1_MP1.wav", "LS1_MP2.wav"):
@@ -362,6 +369,7 @@ def test_a_room_of_one_absorption_and_much_scattering_decays_as_eyring_says(camp
     )
 
 
+@pytest.mark.slow
 def test_records_in_memory_predict_what_a_campaign_does(campaign, predicted):
     """The absorption of exactly the room, with its scattering: no file and no matching of names."""
     given = identify_arguments(campaign)

@@ -20,7 +20,7 @@ from roomfit.prediction.changes import Change
 from roomfit.prediction.output import predict_text, predicted_content, predicted_csv
 from roomfit.prediction.predict import numbers_at, predict, predict_change, prepare_prediction
 from roomfit.signals.decay import decay_curve
-from roomfit.signals.filters import FilterBank, filter_pressure
+from roomfit.signals.filters import filter_pressure
 from roomfit.signals.response import ImpulseResponse
 from roomfit.signals.speech import modulation_transfer, speech_levels, speech_transmission
 from roomfit.treatment.output import treatment_content
@@ -61,13 +61,14 @@ def gaussian_response(decay, rng) -> np.ndarray:
     t = np.arange(int(RATE_HZ * decay.time_s[-1])) / RATE_HZ
     white = ImpulseResponse(rng.normal(size=t.size), RATE_HZ)
     pressure = np.zeros(t.size)
-    for level, band in zip(decay.predicted_db, filter_pressure(FilterBank(SPEECH), white),
+    for level, band in zip(decay.predicted_db, filter_pressure(SPEECH, white),
                            strict=True):  # fmt: skip
         left = 10.0 ** (0.1 * np.interp(t, decay.time_s, level))
         pressure += np.sqrt(np.maximum(-np.gradient(left), 0.0)) * band
     return pressure
 
 
+@pytest.mark.slow
 def test_the_index_and_its_scatter_are_those_of_gaussian_responses(scene, plain):
     """The interference alone: 30 responses of the predicted decay, a tenth off at one sd."""
     pair = plain.pairs[0]
@@ -75,7 +76,7 @@ def test_the_index_and_its_scatter_are_those_of_gaussian_responses(scene, plain)
     onset_s = np.linalg.norm(np.subtract((1.5, 1.2, 1.5), (4.0, 3.5, 1.2))) / 343.0
     for _ in range(30):
         response = ImpulseResponse(gaussian_response(pair.decay, rng), RATE_HZ)
-        curve = decay_curve(FilterBank(SPEECH), response, float(onset_s))
+        curve = decay_curve(SPEECH, response, float(onset_s))
         found.append(float(speech_transmission(modulation_transfer(curve))))
     # 160 points of a curve in dB lose what is early by a jnd's third
     assert np.mean(found) == pytest.approx(float(pair.sti.predicted[0]), abs=0.015)

@@ -44,6 +44,7 @@ def room(given):
     return prepare_prediction(alternatives=[[read_change(c)] for c in CHANGES], **given)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", CHANGES)
 def test_a_prepared_room_predicts_a_change_as_predict_does(given, room, text):
     """Means within a third of a just noticeable difference, widths of intervals within a quarter.

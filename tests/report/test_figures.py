@@ -140,6 +140,7 @@ def test_each_decay_picture_is_what_its_pair_would_be_by_itself(answer, tmp_path
         assert int(np.argmin(others)) == i and sorted(others)[1] > 1e-3
 
 
+@pytest.mark.slow
 def test_pairs_without_curves_have_no_decay_picture(answer, tmp_path):
     values = replace(answer, pairs=tuple(replace(p, decay=None) for p in answer.pairs))
     assert "decays" not in answer_figures(values)

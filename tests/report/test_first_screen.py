@@ -26,7 +26,6 @@ from roomfit.report.room_figure import material_colour, room_figure
 from roomfit.report.wording import DASH
 from roomfit.results import Compared
 from roomfit.signals.decay import decay_curve, in_jnd
-from roomfit.signals.filters import FilterBank
 from roomfit.signals.response import ImpulseResponse
 from roomfit.uncertainty.gaussian import WIDEST_IDENTIFIABLE
 
@@ -311,7 +310,7 @@ def test_the_noise_level_of_a_decay_is_where_decay_and_noise_are_alike(noise_db)
     time_s = np.arange(2 * rate_hz) / rate_hz
     decaying = rng.standard_normal(time_s.size) * np.exp(-0.5 * time_s / 0.08)
     steady = rng.standard_normal(time_s.size) * 10.0 ** (noise_db / 20.0)
-    bank = FilterBank(bands_between("octave", 500, 2000))
+    bank = bands_between("octave", 500, 2000)
     curve = decay_curve(bank, ImpulseResponse(decaying + steady, rate_hz, 0.0), 0.0)
     # the end is sought where the level has come near the noise: 4 dB of margin
     np.testing.assert_allclose(_decay(curve, curve).noise_db, noise_db, atol=4.0)

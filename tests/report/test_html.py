@@ -404,6 +404,7 @@ def odd_cases():
 ODD = odd_cases()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ODD)
 def test_an_odd_answer_makes_a_whole_page_without_nan(name):
     answer, scene = ODD[name]
@@ -415,6 +416,7 @@ def test_an_odd_answer_makes_a_whole_page_without_nan(name):
             assert all(len(cell) > 1 for cell in cells if cell[0] == DASH), "a dash without reason"
 
 
+@pytest.mark.slow
 def test_missing_values_are_reported_with_their_reason():
     answer, scene = ODD["some values missing"]
     page = read_page(report_html(answer, scene, title="t"))
@@ -473,6 +475,7 @@ def test_names_in_the_fragment_are_shown_and_never_obeyed():
     assert HOSTILE in "".join(page.words)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "names", [("$a$ and $b$", "_hidden", "]]>"), ("\\frac{a}", "a  b", "--><b>")]
 )

@@ -85,6 +85,7 @@ def test_errors_on_the_console_are_those_of_the_pair():
         np.testing.assert_allclose([float(x) for x in cells], np.ravel(expected), atol=0.0501)
 
 
+@pytest.mark.slow
 def test_decay_pictures_name_the_decay_time_that_is_known():
     for names in SUBSETS:
         answer = with_parameters(names, curves=True)
@@ -145,6 +146,7 @@ def predicted_with(names):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_predictions_show_the_parameters_that_are_there():
     for names in SUBSETS:
         predicted = predicted_with(names)
@@ -161,6 +163,7 @@ def test_predictions_show_the_parameters_that_are_there():
         assert title == "1000 Hz" + (f": {SYMBOLS[time]} 1.00 s" if time else "")
 
 
+@pytest.mark.slow
 def test_identify_ends_well_with_a_table_that_holds_t30_alone(tmp_path, monkeypatch, capsys):
     """The times are Eyring's of an absorption of 0.25: V = 30 m3, S = 59 m2."""
     both = [f'[[measurements]]\nsource = "LS1"\nreceiver = "{r}"\nfile = "LS1_{r}.wav"\n'

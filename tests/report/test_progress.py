@@ -79,7 +79,8 @@ def test_elsewhere_every_stage_is_a_line(capsys):
 )
 def test_a_command_shows_as_much_as_is_asked_for(tmp_path, capsys, option, shown, hidden):
     campaign = write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 500"))
-    main(["identify", str(campaign), "--out", str(tmp_path / "out"), *([option] if option else [])])
+    own = [option] if option else []
+    main(["identify", str(campaign), "--out", str(tmp_path / "out"), "--quick", *own])
     out, err = capsys.readouterr()
     assert "carpet" in out  # the answer in any case
     assert all(text in err for text in shown)
@@ -104,6 +105,7 @@ def test_the_answer_is_printed_before_the_report_is_drawn(tmp_path, monkeypatch,
     assert (tmp_path / "out" / "report.html").read_text() == "page"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
 def test_an_answer_that_nobody_reads_is_written_all_the_same(tmp_path):
     """To a pipe that is closed and to a full device; the exit code tells of both."""
@@ -134,6 +136,7 @@ def test_quiet_still_shows_errors(tmp_path, capsys):
     assert "does not exist" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_library_prints_nothing(tmp_path):
     write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 500"))
     program = (

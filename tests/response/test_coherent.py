@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from coherent_cases import objective_of, small_geometry, small_term
+from coherent_cases import objective_of, small_geometry, small_paths, small_term
 from roomfit.bands import Bands
 from roomfit.objective.coherent import with_coherence
 from roomfit.objective.parameters import start_vector, times_of, whole_covariance
@@ -16,12 +16,14 @@ from roomfit.response.coherent import (
     Times,
     band_grid,
     coherent_response,
+    image_paths,
     images_of,
 )
-from roomfit.signals.filters import FilterBank, energy_bandwidth_hz, frequency_response
+from roomfit.signals.filters import energy_bandwidth_hz, frequency_response
+from roomfit.tracing.paths import paths_of_pairs
 from roomfit.typing import FloatArray
 
-BANK = FilterBank(Bands("octave", np.array([500.0])))
+BANK = Bands("octave", np.array([500.0]))
 SPEED = 340.0
 
 
@@ -60,6 +62,7 @@ def test_two_paths_interfere_as_their_autocorrelation_says() -> None:
     assert found.energy[0] == pytest.approx(expected, rel=2e-4)
 
 
+@pytest.mark.slow
 def test_a_windows_energy_is_the_integral_of_the_squared_pressure() -> None:
     """Against the inverse Fourier integral of the filter, point by point."""
     paths, a = two_paths(), np.array([0.2, 0.4])
@@ -272,6 +275,21 @@ def test_observations_in_blocks_are_what_they_are_one_by_one() -> None:
         for name in ("energy", "by_log_reflected", "by_times"):
             found, expected = getattr(whole, name)[rows], getattr(one, name)
             np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13 * expected.max())
+
+
+def test_the_images_of_one_pair_are_those_among_all_pairs() -> None:
+    """With a list of each pair's paths, and where it is searched for; longer ones are left out."""
+    _, paths = small_paths()
+    every = image_paths(paths, np.arange(2), 0.01, 15.0)
+    assert 0 < every.weight.size < len(paths)
+    assert every.lengths_m().max() <= 15.0 + 1e-9
+    for pair in range(2):
+        own = images_of(every, np.array([pair]), None)
+        for of_pair in (None, paths_of_pairs(paths)):
+            alone = image_paths(paths, np.array([pair]), 0.01, 15.0, of_pair)
+            np.testing.assert_array_equal(alone.weight, own.weight)
+            np.testing.assert_array_equal(alone.hits, own.hits[own.row])
+            np.testing.assert_array_equal(alone.path, every.path[own.row])  # type: ignore[index]
 
 
 def test_images_of_some_observations_have_the_weights_of_their_band() -> None:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from absorption_reference import surviving_energy
-from rays_reference import monte_carlo_sd
+from rays_reference import batch_energies, monte_carlo_sd
 from roomfit.errors import InputError
 from roomfit.objective.energy import squared_image_rows
 from roomfit.response.directivity import (
@@ -21,7 +21,6 @@ from roomfit.response.directivity import (
 from roomfit.response.energy import (
     ROWS_WORTH_THREADS,
     EnergyRows,
-    batch_energies,
     merge_equal_rows,
     rows_in_air,
     weigh,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from roomfit.air import Air, attenuation_per_m
-from roomfit.bands import bands_between
+from roomfit.bands import Bands, bands_between
 from roomfit.findings import Code
 from roomfit.io.responses import read_response
 from roomfit.io.responses.recordings import ResponseSpec
@@ -21,7 +21,6 @@ from roomfit.signals.decay import (
     decay_curve,
     room_parameters,
 )
-from roomfit.signals.filters import FilterBank
 from roomfit.signals.response import (
     ImpulseResponse,
     compare_onset,
@@ -29,11 +28,11 @@ from roomfit.signals.response import (
     time_zero_from_direct,
 )
 
-OCTAVES = FilterBank(bands_between("octave", 125.0, 4000.0))
+OCTAVES = bands_between("octave", 125.0, 4000.0)
 
 
 def analysed(
-    response: ImpulseResponse, bank: FilterBank = OCTAVES, *, keep_noise: bool = False
+    response: ImpulseResponse, bank: Bands = OCTAVES, *, keep_noise: bool = False
 ) -> RoomParameters:
     check_is_response(response)
     curve = decay_curve(bank, response, find_onset(response), keep_noise=keep_noise)
@@ -86,7 +85,7 @@ def test_the_living_room_has_its_published_clarity(real_data):
         ResponseSpec(real_data / "openair_iso3382" / "living_room_1.wav")
     )
     assert [finding.code for finding in findings] == [Code.DC_OFFSET]
-    bank = FilterBank(bands_between("octave", 63.0, 8000.0))
+    bank = bands_between("octave", 63.0, 8000.0)
     kept = analysed(response, bank, keep_noise=True).of("C80_dB")
     np.testing.assert_allclose(kept[2:], published[2:], atol=0.5)
     freed = analysed(response, bank)
@@ -181,6 +180,7 @@ def test_air_attenuation_has_the_values_of_iso_9613(real_data):
         np.testing.assert_allclose(per_km, np.array(line[2:], dtype=float), rtol=0.01)
 
 
+@pytest.mark.slow
 def test_pyrato_finds_the_same_times_in_the_same_responses(real_data):
     """pyrato 1.1, one time shift a band, filters of order 6, truncated where noise begins.
 

@@ -7,7 +7,7 @@ import pytest
 
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
-from roomfit.signals.filters import FilterBank, filter_pressure
+from roomfit.signals.filters import filter_pressure
 from roomfit.signals.loudspeaker import SourceMagnitude, equalise, power_gain, source_magnitude
 from roomfit.signals.noise import NoiseEstimate, estimate_noise
 from roomfit.signals.response import ImpulseResponse
@@ -28,8 +28,7 @@ def ringing(length_s: float, noise: float, seed: int) -> ImpulseResponse:
 
 
 def noise_of(response: ImpulseResponse) -> NoiseEstimate:
-    bank = FilterBank(BANDS)
-    return estimate_noise(bank, response, filter_pressure(bank, response), 0.02)
+    return estimate_noise(BANDS, response, filter_pressure(BANDS, response), 0.02)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -40,7 +39,7 @@ def test_a_decay_that_is_cut_is_not_taken_for_noise(seed):
     decay itself. Seeds fixed; 80 others passed as well.
     """
     found = noise_of(ringing(0.32, 10.0**-3.5, seed))
-    share = filter_pressure(FilterBank(BANDS), ringing(0.32, 0.0, seed))[:, -800:]
+    share = filter_pressure(BANDS, ringing(0.32, 0.0, seed))[:, -800:]
     assert np.mean(found.reached) <= 1 / 6
     low = found.floor < 0.1 * np.mean(share**2, axis=1)
     assert np.mean(low) >= 5 / 6
@@ -54,7 +53,7 @@ def test_noise_that_follows_a_decay_is_found(seed):
     """
     found = noise_of(ringing(1.0, 0.01, seed))
     alone = filter_pressure(
-        FilterBank(BANDS), ImpulseResponse(ringing(1.0, 0.01, seed).pressure[8000:], RATE_HZ)
+        BANDS, ImpulseResponse(ringing(1.0, 0.01, seed).pressure[8000:], RATE_HZ)
     )
     assert found.reached.all()
     level = 10.0 * np.log10(found.floor / np.mean(alone[:, 1000:-1000] ** 2, axis=1))
@@ -65,8 +64,8 @@ def test_noise_before_the_sound_stands_for_that_of_a_cut_file():
     """Noise 50 dB down in a file cut at -36 dB: at 2 and 4 kHz the 20 ms before tell its level."""
     late = ringing(0.32, 10.0**-2.5, 1)
     found = noise_of(late)
-    alone = filter_pressure(FilterBank(BANDS), ringing(0.32, 0.0, 1))
-    whole = filter_pressure(FilterBank(BANDS), late)
+    alone = filter_pressure(BANDS, ringing(0.32, 0.0, 1))
+    whole = filter_pressure(BANDS, late)
     noise = np.mean((whole - alone) ** 2, axis=1)
     # 16 and 33 independent values: 1.1 and 0.8 dB, three of those
     assert np.all(np.abs(10.0 * np.log10(found.floor[4:] / noise[4:])) < 3.3)

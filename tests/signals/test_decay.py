@@ -21,12 +21,12 @@ from roomfit.signals.decay import (
     reduced_alike,
     room_parameters,
 )
-from roomfit.signals.filters import FilterBank, energy_bandwidth_hz, filter_pressure
+from roomfit.signals.filters import energy_bandwidth_hz, filter_pressure
 from roomfit.signals.noise import estimate_noise
 from roomfit.signals.response import ImpulseResponse
 
 RATE_HZ = 48_000.0
-OCTAVES = FilterBank(bands_between("octave", 125.0, 4000.0))
+OCTAVES = bands_between("octave", 125.0, 4000.0)
 TRUE_T_S = np.array([1.6, 0.9, 1.3, 0.7, 1.0, 0.5])
 
 
@@ -37,7 +37,7 @@ def tones(duration_s: float, noise_db: float | None = None, delay_s: float = 0.0
     """
     t = np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
     pressure = np.zeros(len(t))
-    for centre, decay in zip(OCTAVES.bands.exact_centres_hz, TRUE_T_S, strict=True):
+    for centre, decay in zip(OCTAVES.exact_centres_hz, TRUE_T_S, strict=True):
         pressure += np.cos(2 * np.pi * centre * t) * 10 ** (-3 * t / decay)
     pressure = np.concatenate((np.zeros(round(delay_s * RATE_HZ)), pressure))
     if noise_db is not None:
@@ -288,7 +288,7 @@ def test_measured_and_predicted_curves_of_the_same_energy_have_the_same_paramete
     energy = filter_pressure(OCTAVES, response) ** 2 / RATE_HZ
     edges = (np.arange(0, energy.shape[1] + 1, 48) - 0.5) / RATE_HZ
     binned = energy[:, : 48 * (len(edges) - 1)].reshape(len(energy), -1, 48).sum(axis=2)
-    predicted = echogram_decay_curve(OCTAVES.bands, binned, edges, 0.05)
+    predicted = echogram_decay_curve(OCTAVES, binned, edges, 0.05)
     a, b = room_parameters(measured), room_parameters(predicted)
     np.testing.assert_allclose(a.of("T30_s"), b.of("T30_s"), rtol=0.003)
     np.testing.assert_allclose(a.of("C80_dB"), b.of("C80_dB"), atol=0.05)
@@ -327,7 +327,7 @@ def test_noise_is_found_behind_a_flutter_that_outlasts_the_decay():
     for k in range(1, 10):  # every 35 ms, falling by 60 dB in 1.2 s
         pressure[int(0.035 * k * rate_hz)] += 1.5 * np.exp(-6.9 * 0.035 * k / 1.2)
     response = ImpulseResponse(pressure, rate_hz)
-    bank = FilterBank(bands_between("octave", 1000, 1000))
+    bank = bands_between("octave", 1000, 1000)
     found = estimate_noise(bank, response, filter_pressure(bank, response), 0.0)
     assert found.reached[0]
     # white noise of 1e-4 rms: the octave holds its share of half the sampling rate; a fifth of the
@@ -378,7 +378,7 @@ def test_a_bent_decay_is_predicted_as_noise_lets_it_be_measured() -> None:
         for _ in range(8):
             white = rng.standard_normal((2, t.size))
             pressure = white[0] * np.sqrt(power) + white[1] * np.sqrt(floor)
-            curve = decay_curve(FilterBank(octave), ImpulseResponse(pressure, rate_hz), 0.0)
+            curve = decay_curve(octave, ImpulseResponse(pressure, rate_hz), 0.0)
             measured.append(room_parameters(curve).of("T30_s")[0])
             alike.append(room_parameters(reduced_alike(predicted, curve)).of("T30_s")[0])
         assert 0.65 < np.mean(measured) / true_s < 0.85
@@ -394,6 +394,6 @@ def test_a_decay_far_above_its_noise_is_left_as_it_is() -> None:
     t = np.arange(rate_hz) / rate_hz
     white = np.random.default_rng(2).standard_normal((2, t.size))
     pressure = white[0] * np.exp(-t * 3.0 * np.log(10.0) / 0.5) + 1e-3 * white[1]
-    curve = decay_curve(FilterBank(octave), ImpulseResponse(pressure, rate_hz), 0.0)
+    curve = decay_curve(octave, ImpulseResponse(pressure, rate_hz), 0.0)
     before, after = (room_parameters(c) for c in (predicted, reduced_alike(predicted, curve)))
     np.testing.assert_allclose(after.values, before.values, rtol=2e-3)

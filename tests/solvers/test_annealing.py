@@ -44,6 +44,7 @@ def test_a_fall_is_always_accepted(change: float, temperature: float, seed: int)
     assert accepts(change, temperature, np.random.default_rng(seed))
 
 
+@pytest.mark.slow
 def test_cooled_slowly_annealing_finds_the_lowest_of_many_minima_and_the_simplex_does_not() -> None:
     """Ten seeds each: all of the one, few of the other."""
 

@@ -152,6 +152,7 @@ def test_diagonal_neighbours_decide_between_four_and_eight() -> None:
     assert grid_minima(errors, grid, 8) == ((0.0, 1.0),)
 
 
+@pytest.mark.slow
 def test_an_oblique_valley_has_false_minima_on_a_grid_and_one_in_truth() -> None:
     """What happens in Figure 5 of the paper, in closed form."""
     shape = landscape(lambda x: float(np.sum(oblique_valley(x)[0] ** 2)), oblique_valley)

@@ -141,6 +141,7 @@ def test_an_interrupt_ends_the_run_at_once_and_leaves_nothing(tmp_path: Path) ->
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_folder_that_holds_something_is_left_alone(tmp_path: Path) -> None:
     """Exit code 2 and a message, before any work."""
     (tmp_path / "mine.txt").write_text("keep")

@@ -102,6 +102,7 @@ def test_each_case_has_one_minimum_on_the_grid_and_in_truth(
         np.testing.assert_allclose(shape.minima.x, [[0.65, 0.35]], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_islands_of_figure_5_are_artefacts_of_its_grid(
     problems: dict[str, PaperProblem],
 ) -> None:

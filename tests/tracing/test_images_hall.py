@@ -20,6 +20,7 @@ SOURCE = [2.71, 1.13, 1.57]
 RECEIVERS = [[11.3, -2.17, 5.21], [23.9, 4.31, 6.07]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n_triangles", "order"), [(212, 2), (1012, 2)])
 def test_a_hall_of_seats_has_the_images_that_trying_everything_finds(
     n_triangles: int, order: int

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 import pytest
-from scipy.stats import kstest
+from scipy.stats import kstest, qmc
 
 from images_reference import SPEED_M_S, box_room, box_with_sheet, l_shaped_room, scene_of
 from rays_reference import box_without, crossings, direct_energy_per_m2
@@ -254,6 +254,18 @@ def test_batches_are_dealt_out_in_turn_and_sobol_points_cover_each():
         assert np.all(np.abs(own.mean(axis=0)) < 0.03)
     assert not np.array_equal(directions, sobol_directions(1000, 7, (2, 0)))
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("n", [1, 2, 60, 1000])
+def test_directions_are_the_scrambled_sobol_points_of_scipy(n):
+    """To the last bit, for sizes that are a power of two and others."""
+    directions = sobol_directions(n, 1, (3, 1))
+    points = qmc.Sobol(2, rng=np.random.default_rng((3, 1, 0))).random_base2(10)[:n]
+    across = np.sqrt(1.0 - (1.0 - 2.0 * points[:, 0]) ** 2)
+    azimuth = 2.0 * np.pi * points[:, 1]
+    np.testing.assert_array_equal(directions[:, 2], 1.0 - 2.0 * points[:, 0])
+    np.testing.assert_allclose(directions[:, 0], across * np.cos(azimuth), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(directions[:, 1], across * np.sin(azimuth), rtol=1e-12, atol=1e-12)
 
 
 def test_the_fibonacci_sphere_is_the_standard_one():

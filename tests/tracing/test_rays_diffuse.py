@@ -87,6 +87,7 @@ def test_no_ray_is_lost_in_a_closed_room(room: Room, s: float):
     assert np.all(np.diff(rays.hits.sum(axis=2, dtype=np.int64), axis=0) >= 0)
 
 
+@pytest.mark.slow
 def test_no_ray_is_lost_in_a_real_room_and_few_in_one_with_leaks(real_data: Path):
     """Half a million hits in a mesh of 504 triangles; the studio leaks at less than one in 1000."""
     closed, _ = read_room(RoomSpec(file=real_data / "bras_cr2" / "scene9.ac", unit="m", up="y"))

@@ -66,6 +66,7 @@ def _rays(low: FloatArray, high: FloatArray, n: int, seed: int) -> tuple[FloatAr
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_triangles", [12, 92, 2012])
 def test_the_tree_finds_the_same_facet_at_the_same_distance_as_trying_every_one(n_triangles):
     """Equal bit for bit, also for rays along the axes and rays that start on a wall."""

@@ -7,6 +7,7 @@ seed fails about once in 500.
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -337,3 +338,22 @@ def test_images_may_end_at_a_time_and_rays_go_on_from_there():
     expected, _ = energies(exact.paths, a, edges)
     found, sd = energies(mixed.paths, a, edges)
     assert np.all(np.abs(found - expected) <= 4.5 * sd + 1e-3 * expected)
+
+
+def test_image_paths_are_let_go_of_as_they_are_joined_with_rays() -> None:
+    """The peak is that of the paths and some of their arrays once more, not of all twice."""
+    scene = scene_of(box_room(), [[1.2, 1.5, 1.1]], [[4.1, 2.9, 1.2]])
+    scattering = uniform_scattering(scene.room.materials, 0.3)
+    chosen = replace(settings(64, 1000), duration_s=0.3)
+    n_paths = len(trace(scene, chosen, scattering).paths)  # compiles
+    tracemalloc.start()
+    try:
+        images = [trace_images(scene, 1000, 0.3, scattering)]
+        size, _ = tracemalloc.get_traced_memory()
+        tracemalloc.reset_peak()
+        found = trace_rays(scene, chosen, scattering, images=images.pop)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(found.paths) == n_paths > 20_000
+    assert peak < 1.6 * size

@@ -159,6 +159,7 @@ def test_the_schema_knows_every_key():
     assert "whole pieces" in found["$defs"]["HungTable"]["properties"]["piece_m2"]["description"]
 
 
+@pytest.mark.slow
 def test_the_command_writes_what_it_says(tmp_path, capsys, monkeypatch):
     campaign = write_campaign(tmp_path / "campaign")
     rows = [

@@ -153,6 +153,7 @@ def observed_apart(rng, truth, noise: float):
     return 1.0 / (1.0 + np.exp(-fit.x)), np.linalg.inv(fit.jac.T @ fit.jac)
 
 
+@pytest.mark.slow
 def test_the_mean_of_many_hard_walls_is_held_though_an_assumed_prior_pulls_them_all_up():
     """Four walls of .01 to .04 and two of .1 to .6, each seen with an error of .02.
 

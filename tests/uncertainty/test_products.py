@@ -419,6 +419,7 @@ def answered(case: Posynomial, walls: tuple[MaterialPrior, ...]):
     return band_estimate(problem.parameters, fitted(problem), np.ones(len(walls)), "energy")
 
 
+@pytest.mark.slow
 def test_the_wall_that_is_measured_less_well_gains_and_its_interval_holds_the_truth():
     """Random boxes whose two panels are drawn from the product's law.
 

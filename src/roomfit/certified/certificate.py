@@ -28,7 +28,7 @@ from roomfit.certified.search import (
     tools_for,
 )
 from roomfit.errors import InputError
-from roomfit.objective.energy import EnergyTerm, only_energies, tracing_variance
+from roomfit.objective.energy import EnergyTerm, only_energies, weighed
 from roomfit.objective.parameters import Parameters, physical_values
 from roomfit.objective.problem import Objective
 from roomfit.solvers.certificate import Certificate, Cluster, Status
@@ -278,13 +278,8 @@ def tracing_delta(
     """
     values, _ = physical_values(parameters, vector)
     gains = np.append(values["gain"], 1.0)
-    variance = np.concatenate(
-        [
-            gains[observed.gain] ** 2
-            * tracing_variance(rows, observed, values["absorption"][:, None], np.zeros(1))
-            for rows, observed in zip(energies.rows, energies.observations, strict=True)
-        ]
-    )
+    paths = zip(energies.observations, weighed(energies, values["absorption"]), strict=True)
+    variance = np.concatenate([gains[o.gain] ** 2 * found.tracing for o, found in paths])
     off = energies.predict(values)[0] - energies.measured()
     linear = float(np.sqrt(np.sum((2.0 * precision * off) ** 2 * variance)))
     return max(float(np.sum(precision * variance)) + 2.0 * linear, _LEAST_DELTA)

@@ -30,7 +30,7 @@ from roomfit.response.directivity import Pattern, UnknownDirectivity
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.settings import Settings
 from roomfit.signals.decay import PARAMETER_NAMES, decay_curve, room_parameters
-from roomfit.signals.filters import FilterBank, filter_pressure
+from roomfit.signals.filters import filter_pressure
 from roomfit.signals.iso3382 import ValueName
 from roomfit.signals.response import ImpulseResponse, padded
 from roomfit.synthetic.boxes import (
@@ -335,18 +335,17 @@ def _values(
     response: ImpulseResponse, bands: Bands, direct_s: float
 ) -> dict[ValueName, FloatArray]:
     """Return all parameters of a response in absolute pressures."""
-    bank = FilterBank(bands)
-    parameters = room_parameters(decay_curve(bank, response, direct_s))
+    parameters = room_parameters(decay_curve(bands, response, direct_s))
     others: dict[ValueName, FloatArray] = {name: parameters.of(name) for name in PARAMETER_NAMES}
-    return {"G_dB": _strength_db(bank, response), **others}
+    return {"G_dB": _strength_db(bands, response), **others}
 
 
-def _strength_db(bank: FilterBank, response: ImpulseResponse) -> FloatArray:
+def _strength_db(bands: Bands, response: ImpulseResponse) -> FloatArray:
     """Return G: energy over that of the direct sound at 10 m, ISO 3382-1, equation A.2."""
     impulse: FloatArray = np.zeros(len(response.pressure))
     impulse[impulse.size // 2] = 1.0 / (4.0 * np.pi * 10.0)
     free = ImpulseResponse(impulse, response.sampling_rate_hz)
-    energy, reference = (np.sum(filter_pressure(bank, r) ** 2, axis=1) for r in (response, free))
+    energy, reference = (np.sum(filter_pressure(bands, r) ** 2, axis=1) for r in (response, free))
     return np.asarray(10.0 * np.log10(energy / reference))
 
 

@@ -48,7 +48,6 @@ from roomfit.response.coherent import ImagePaths, image_paths, images_of
 from roomfit.response.energy import EnergyRows, first_rows, weigh
 from roomfit.scene import Scene, distances_m, select_pairs
 from roomfit.signals.filters import (
-    FilterBank,
     SpreadingKernel,
     spreading_kernel,
     spreading_matrix,
@@ -78,10 +77,10 @@ class BandFilter:
 
 def band_filters(bands: Bands, attenuation_per_m: FloatArray) -> tuple[BandFilter, ...]:
     """Return the filter of every band."""
-    kernel = spreading_kernel(FilterBank(bands))
+    kernel = spreading_kernel(bands)
     found = []
     for band, centre_hz in enumerate(bands.centres_hz):
-        alone = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
+        alone = Bands(bands.kind, bands.centres_hz[band : band + 1])
         width_hz = float(statistical_bandwidth_hz(alone)[0])
         attenuation = float(attenuation_per_m[band])
         found.append(BandFilter(band, float(centre_hz), width_hz, kernel, attenuation))

@@ -15,6 +15,7 @@ from roomfit.geometry.inside import (
     dot,
     flight_m,
     interior_points,
+    is_box,
     minus,
     nearest_triangles,
     put,
@@ -130,7 +131,7 @@ def examine(mesh: Mesh) -> tuple[bool, float | None, tuple[Finding, ...]]:
     volume = volume_m3(mesh)
     edges = edges_of(mesh)
     open_edges = unmatched(edges)
-    leak, leak_findings = _leak(mesh)
+    leak, leak_findings = (0.0, []) if is_box(mesh) else _leak(mesh)
     findings = [*leak_findings, *_slivers(mesh)]
     if volume > 0.0 and not 1.0 <= volume <= 1e6:
         text = f"A volume of {volume:.3g} m3 is unusual for a room: is the unit right?"

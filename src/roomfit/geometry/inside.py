@@ -12,12 +12,14 @@ from typing import TypeAlias
 import numpy as np
 
 from roomfit._numba import kernel
-from roomfit.geometry.mesh import Mesh, corners_m, is_double_sided
+from roomfit.geometry.mesh import Mesh, corners_m, edges_of, is_double_sided, unmatched
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 Vector: TypeAlias = tuple[float, float, float]
 
 MISSED = -1.0
+# Points and triangles up to which kernels take longer to compile than numpy to run, often.
+_FEW = (2000, 24)
 
 
 @kernel(allocates=False)
@@ -151,11 +153,23 @@ def is_inside(mesh: Mesh, points_m: FloatArray) -> BoolArray:
     """
     walls = corners_m(mesh)[~is_double_sided(mesh)]
     points = _rows(points_m)
+    if is_box(mesh):  # the kernels take seconds to compile
+        low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
+        return np.asarray(np.all((points > low) & (points < high), axis=1))
     odd = np.zeros(len(points), dtype=np.int64)
     for direction in _DIRECTIONS:
         first, kept, cell = _shafts(walls, points, direction)
         odd += _odd_crossings(walls, points, cell, first, kept, direction)
     return np.asarray(2 * odd > _N_DIRECTIONS)
+
+
+def is_box(mesh: Mesh) -> bool:
+    """Whether a mesh is a closed box along the axes, of twelve triangles and nothing else."""
+    if len(mesh.triangles) != 12 or len(mesh.vertices_m) != 8 or is_double_sided(mesh).any():
+        return False
+    corners, ends = corners_m(mesh), (mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0))
+    in_face = np.concatenate([np.all(corners == end, axis=1) for end in ends], axis=1)
+    return bool(np.all(in_face.sum(axis=0) == 2)) and not unmatched(edges_of(mesh)).size
 
 
 def interior_points(mesh: Mesh, n: int, rng: np.random.Generator) -> FloatArray:
@@ -183,8 +197,26 @@ def distance_to_walls_m(mesh: Mesh, points_m: FloatArray) -> FloatArray:
 
 def nearest_triangles(mesh: Mesh, points_m: FloatArray) -> tuple[FloatArray, IntArray]:
     """Return distance in m and index of the triangle nearest to each point, each (n_points,)."""
-    squares, triangle = _nearest(corners_m(mesh), _rows(points_m))
-    return np.sqrt(squares), triangle
+    corners, points = corners_m(mesh), _rows(points_m)
+    if len(points) > _FEW[0] or len(corners) > _FEW[1]:
+        squares, triangle = _nearest(corners, points)
+        return np.sqrt(squares), triangle
+    every = _squares_m2(corners, points)
+    triangle = np.argmin(every, axis=1)
+    return np.sqrt(every[np.arange(len(points)), triangle]), triangle
+
+
+def _squares_m2(corners_m: FloatArray, points_m: FloatArray) -> FloatArray:
+    """Return `square_distance_m2` of every point and triangle, (n_points, n_triangles)."""
+    sides = np.roll(corners_m, -1, axis=1) - corners_m
+    normal = np.cross(sides[:, 0], sides[:, 1])
+    to = points_m[:, None, None] - corners_m
+    squares, square = np.sum(sides**2, axis=2), np.sum(normal**2, axis=1)
+    share = np.clip(np.sum(to * sides, axis=3) / np.where(squares > 0.0, squares, 1.0), 0.0, 1.0)
+    to_side = np.sum((to - share[..., None] * sides) ** 2, axis=3).min(axis=2)
+    is_above = np.all(np.sum(to * np.cross(normal[:, None], sides), axis=3) >= 0.0, axis=2)
+    height = np.sum(to[:, :, 0] * normal, axis=2) ** 2 / np.where(square > 0.0, square, 1.0)
+    return np.asarray(np.where(is_above & (square > 0.0), height, to_side))
 
 
 def _rows(points_m: FloatArray) -> FloatArray:

@@ -13,11 +13,12 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy import fft
 from scipy.special import chdtri
 
 from roomfit.bands import Bands, bands_in_words
@@ -26,9 +27,9 @@ from roomfit.logit import expit, logit
 from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.energy import EnergyTerm
-from roomfit.objective.parameters import physical_values, prior_residuals
-from roomfit.objective.problem import Objective, Prediction
-from roomfit.signals.filters import FilterBank, filter_pressure
+from roomfit.objective.parameters import Parameters, prior_residuals
+from roomfit.objective.problem import Prediction
+from roomfit.signals.filters import filter_pressure
 from roomfit.signals.response import times_s
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray
@@ -42,7 +43,7 @@ _LEAST_EXPONENT, _LEAST_LOSS, _LEAST_RATE = 0.04, 0.05, 0.05
 _FEWEST_BANDS = 2  # one value that all share
 # Noise is sought in the last two fifths of a file and until 3 ms before the direct sound, above
 # 500 Hz; rates of its parts are alike within a quarter.
-_TAIL_SHARE, _TAIL_BLOCKS, _TAIL_HZ = 0.4, 8, 500.0
+_TAIL_SHARE, _TAIL_BLOCKS, _TAIL_HZ, _RINGING_S = 0.4, 8, 500.0, 0.05
 _EDGE_S, _BEFORE_S, _ALIKE, _FEWEST_FILES = 0.5e-3, 3e-3, 0.25, 3
 # Stretches of equal samples of a gate last so long at least; between them sound is louder than so
 # many of the smallest steps.
@@ -55,11 +56,14 @@ class FittedWindows(NamedTuple):
     """One band whose windows were fitted as pressures."""
 
     band: int
-    objective: Objective  # windows first
+    parameters: Parameters
+    there: Prediction  # of the fit, windows first
+    by_wall: FloatArray  # (n_data, n_materials), by all absorptions; no rows where none is fixed
+    neighbours: FloatArray  # (n_data,), how many share the information of each
     fit: BandFit
     energies: EnergyTerm  # the windows, for their edges and noise
     files: tuple[MeasuredPair, ...]  # one an observation
-    shared: FloatArray  # (n_windows, n_errors), errors of all windows, one sd each
+    shared: Mapping[str, FloatArray]  # (n_windows, n) each, errors of all windows, one sd a column
     decay_rate_per_s: float  # of energy, as measured
 
 
@@ -70,17 +74,13 @@ class Score(NamedTuple):
     sd: float
 
 
-def scored(
-    windows: FittedWindows, columns: FloatArray, there: Prediction | None = None
-) -> tuple[FloatArray, FloatArray]:
+def scored(windows: FittedWindows, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the score of further unknowns at 0, and their information, all others fitted along.
 
     Parameters
     ----------
     columns : float array, shape (n, n_more)
         Derivative of the first n expected data by each of them.
-    there : Prediction, optional
-        That of the fit, where it is known.
 
     Returns
     -------
@@ -89,17 +89,17 @@ def scored(
         Its covariance where the model is right: the value of one unknown by itself is
         score / information, with the standard deviation information**-0.5.
     """
-    objective, fit = windows.objective, windows.fit
+    fit, own = windows.fit, windows.there.jacobian
     # a misfit widens intervals, and makes further unknowns less certain by as much
     misfit = max(fit.chi2_reduced, 1.0)
-    weight = 1.0 / (misfit * objective.correlation_length() * fit.variance)
+    weight = 1.0 / (misfit * windows.neighbours * fit.variance)
     residual = fit.measured - fit.expected
-    own = (objective.predict(fit.vector) if there is None else there).jacobian
-    shared, more = (np.zeros((residual.size, x.shape[1])) for x in (windows.shared, columns))
-    shared[: len(windows.shared)] = windows.shared
+    every = np.concatenate(list(windows.shared.values()), axis=1)
+    shared, more = (np.zeros((residual.size, x.shape[1])) for x in (every, columns))
+    shared[: len(every)] = every
     more[: len(columns)] = columns
     jacobian = np.concatenate((own, shared), axis=1)
-    prior, rows = prior_residuals(objective.parameters, fit.vector)
+    prior, rows = prior_residuals(windows.parameters, fit.vector)
     hessian = jacobian.T @ (weight[:, None] * jacobian)
     n = own.shape[1]
     hessian[:n, :n] += rows.T @ rows
@@ -135,10 +135,10 @@ def chain_slopes(
     -------
     list of float array, shape (n_windows, 3)
     """
-    bank, size = FilterBank(bands), np.abs(m.response.pressure)
+    size = np.abs(m.response.pressure)
     logs = np.log(np.where(size > 0.0, size / peak, 1.0))
     changes = [
-        filter_pressure(bank, replace(m.response, pressure=m.response.pressure * factor))
+        filter_pressure(bands, replace(m.response, pressure=m.response.pressure * factor))
         for factor in (logs, -((size / peak) ** 2))
     ]
     rate_hz = m.response.sampling_rate_hz
@@ -146,7 +146,7 @@ def chain_slopes(
     boundaries_s -= 0.5 / rate_hz
     out = []
     for pressure, by_power, by_loss, own_s in zip(
-        filter_pressure(bank, m.response), *changes, edges_s, strict=True
+        filter_pressure(bands, m.response), *changes, edges_s, strict=True
     ):
         whole, *parts = (
             np.diff(np.interp(own_s, boundaries_s, np.append(0.0, np.cumsum(x))))
@@ -178,16 +178,12 @@ def common(scores: FloatArray, information: FloatArray) -> Score:
     return Score(value, float(np.sqrt(ratio / information.sum())))
 
 
-def _asked(
-    fitted: Sequence[FittedWindows],
-    predicted: Sequence[Prediction],
-    relative: Sequence[FloatArray],
-) -> Score:
+def _asked(fitted: Sequence[FittedWindows], relative: Sequence[FloatArray]) -> Score:
     """Return what all bands ask of one unknown, given its relative derivatives, (n_windows, 1)."""
     scores = []
-    for w, there, own in zip(fitted, predicted, relative, strict=True):
-        signal = there.signal[: len(own), None]
-        scores.append([float(x.item()) for x in scored(w, signal * own, there)])
+    for w, own in zip(fitted, relative, strict=True):
+        signal = w.there.signal[: len(own), None]
+        scores.append([float(x.item()) for x in scored(w, signal * own)])
     return common(*np.array(scores).T)
 
 
@@ -219,10 +215,7 @@ def chain_findings(
         for w, own in zip(reached, chain_slopes(chosen, m, edges_s, peak), strict=True):
             slopes[w.band, w.files.index(m)] = own
     relative = [np.concatenate([slopes[w.band, i] for i in range(len(w.files))]) for w in fitted]
-    predicted = [w.objective.predict(w.fit.vector) for w in fitted]
-    power, loss, window = (
-        _asked(fitted, predicted, [r[:, k : k + 1] for r in relative]) for k in range(3)
-    )
+    power, loss, window = (_asked(fitted, [r[:, k : k + 1] for r in relative]) for k in range(3))
     rate_per_s = float(np.median([w.decay_rate_per_s for w in fitted]))
     sizes = [abs(s.value) / s.sd for s in (power, loss, window)]
     least = (_LEAST_EXPONENT, _LEAST_LOSS, _LEAST_RATE * rate_per_s)
@@ -288,12 +281,8 @@ def fixed_absorption_findings(
         if known is None:
             continue
         for w in fitted:
-            values, _ = physical_values(w.objective.parameters, w.fit.vector)
-            columns = np.concatenate(
-                [t.predict(values)[2]["absorption"][:, [i]] for t in w.objective.terms]
-            )
             own = float(np.clip(known[w.band], 1e-3, 1.0 - 1e-3))
-            more, information = scored(w, own * (1.0 - own) * columns)
+            more, information = scored(w, own * (1.0 - own) * w.by_wall[:, [i]])
             if information[0, 0] <= 0.0:
                 continue
             n += 1
@@ -407,6 +396,15 @@ def _gaps(m: MeasuredPair) -> int:
     )
 
 
+def high_passed(x: FloatArray, from_hz: float, rate_hz: float) -> FloatArray:
+    """Return a signal through a causal digital Butterworth filter of order 4, which rings after."""
+    n = fft.next_fast_len(x.size + round(_RINGING_S * rate_hz), real=True)
+    s = 1j * np.tan(np.pi * fft.rfftfreq(n)) / np.tan(np.pi * from_hz / rate_hz)
+    poles = np.exp(0.125j * np.pi * np.arange(5, 13, 2))[:, None]
+    gain = s**4 / np.prod(1.0 - poles * s, axis=0)
+    return np.asarray(fft.irfft(fft.rfft(x, n) * gain, n)[: x.size])
+
+
 def _noise_rates(m: MeasuredPair) -> tuple[float, float, float, float] | None:
     """Return rates of one file in 1/s: of its end, of this end's halves, and from before the sound.
 
@@ -420,9 +418,7 @@ def _noise_rates(m: MeasuredPair) -> tuple[float, float, float, float] | None:
     size = round(_TAIL_SHARE * (end - direct)) // _TAIL_BLOCKS
     if before.stop - begin < 1e-3 * rate_hz or size < 2 or rate_hz < 2.5 * _TAIL_HZ:
         return None
-    from scipy.signal import butter, sosfilt  # half a second
-
-    energy = sosfilt(butter(4, _TAIL_HZ, btype="high", fs=rate_hz, output="sos"), x) ** 2
+    energy = high_passed(x, _TAIL_HZ, rate_hz) ** 2
     blocks = energy[end - _TAIL_BLOCKS * size : end].reshape(_TAIL_BLOCKS, size).mean(axis=1)
     early = float(energy[before].mean())
     if not (early > 0.0 and np.all(blocks > 0.0)):

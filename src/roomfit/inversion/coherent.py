@@ -45,7 +45,7 @@ from roomfit.inversion.outliers import (
     outlier_findings,
     variance_inflation,
 )
-from roomfit.inversion.paths import TracedPaths
+from roomfit.inversion.paths import TracedPaths, trim_memory
 from roomfit.inversion.sequential import (
     BEFORE_THE_LAST_PASS_SD,
     UNDECIDED,
@@ -59,9 +59,8 @@ from roomfit.inversion.sequential import (
     log_likelihoods,
 )
 from roomfit.inversion.systematics import (
-    batch_spread,
-    lost_coherence,
     relative_errors,
+    shared_errors,
     with_both_intervals,
     with_shared_errors,
 )
@@ -170,9 +169,7 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
     """Return the bands ready to be fitted, paths found anew where positions must have moved."""
     settings, measured, retrace = task.settings, task.measured, traced.again
     binned = cut_at(traced.binned, settings.late_end_s)
-    state = with_outliers(
-        rebuild(SequentialState(task, traced.paths, traced.factors, binned, None))
-    )
+    state = rebuild(SequentialState(task, traced.paths, traced.factors, binned, None))
     if settings.model == "energy":
         return state
     coloured = False
@@ -181,7 +178,7 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
         coloured = any(new is not old for new, old in zip(even, measured, strict=True))
         if coloured:
             state = let_go(replace(state, task=replace(task, measured=even)))
-            state = with_outliers(rebuild(state))
+            state = rebuild(state)
     moves = retrace is not None and settings.positions == "fit"
     if not (moves or coloured) or settings.quick:
         return state
@@ -205,11 +202,11 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
     if coloured:
         even = _even(state, measured, guess, 0.0)
         state = replace(state, task=replace(state.task, measured=even))
-    return with_outliers(rebuild(state))
+    return rebuild(state)
 
 
 def let_go(state: SequentialState) -> SequentialState:
-    """Return a state without its bands, whose answers are kept: memory holds one generation."""
+    """Return a state without its bands, whose answers are kept: if no other name holds them."""
     return replace(state, bands=(), starts=_answers(state))
 
 
@@ -223,11 +220,12 @@ def _answers(state: SequentialState) -> tuple[FloatArray | None, ...]:
 
 
 def rebuild(state: SequentialState) -> SequentialState:
-    """Return the same task and paths with bands made anew, see `with_outliers` for what follows.
+    """Return the same task and paths with bands made anew, as `with_outliers` leaves them.
 
     The energies of every band are fitted by themselves, in the windows that pressures need. Fits of
     bands made before are where these begin.
     """
+    trim_memory()
     task, limit = state.task, state.task.settings.max_rounds
     unknown = task.directivity_parameters
     # what the free numbers of a directivity mean changes with its prior
@@ -280,7 +278,7 @@ def rebuild(state: SequentialState) -> SequentialState:
         if own is not None
     ]
     outliers = outlier_files(misfits, LEAST_BY_ENERGIES)
-    return replace(state, bands=tuple(bands), images=images, outliers=outliers)
+    return with_outliers(replace(state, bands=tuple(bands), images=images, outliers=outliers))
 
 
 def with_outliers(state: SequentialState) -> SequentialState:
@@ -380,7 +378,7 @@ def absorption_so_far(
             out[:, i] = physical_values(parameters, vector)[0]["absorption"]
     for i, fit in enumerate(fits):
         if fit is not None:
-            out[:, i] = physical_values(fit.objective.parameters, fit.fit.vector)[0]["absorption"]
+            out[:, i] = physical_values(fit.parameters, fit.fit.vector)[0]["absorption"]
     return out
 
 
@@ -391,6 +389,7 @@ def _even(
     schroeder_factor: float,
 ) -> tuple[MeasuredPair, ...]:
     task = state.task
+    trim_memory()
     return equalise_sources(
         task.scene, task.bands, measured, state.paths, absorption, schroeder_factor=schroeder_factor
     )
@@ -427,8 +426,7 @@ def _gain_of_freeing(
     settings: CoherentOptions,
 ) -> tuple[float, int]:
     """Return by how much the data are likelier, over all bands, and by how many more unknowns."""
-    freer = replace(state, task=replace(state.task, settings=settings))
-    freer = with_outliers(rebuild(freer))
+    freer = rebuild(replace(state, task=replace(state.task, settings=settings)))
     freed = forward_pass(freer.bands, settings, None, _vectors(fits))
     gain = explained_more(fits, freed)
     before, after = (
@@ -448,6 +446,7 @@ class CoherentFit:
     log_likelihoods: FloatArray
     geometry: FittedGeometry | None  # None where no band was coherent
     findings: tuple[Finding, ...]
+    windows: tuple[FittedWindows | None, ...]  # of the fits
 
 
 def fit_coherent(
@@ -470,14 +469,15 @@ def fit_coherent(
     fits = forward_pass(state.bands, settings, part(progress, 0.0, 0.8), state.first)
     if settings.quick:
         fits, _ = leave_one_out_pass(state.bands, fits, settings)
-        return CoherentFit(state, tuple(fits), _likelihoods(state, fits), None, state.findings)
+        likelihoods, windows = _likelihoods(state, fits), _fitted_windows(state, fits)
+        return CoherentFit(state, tuple(fits), likelihoods, None, state.findings, windows)
     _log_first_answer(state, fits)
     misfits = [
         file_misfits(
             fitted_in_band(state.task.measured, b),
             own.coherent.energies,
             fit.fit,
-            fit.objective.inflation,
+            own.energies.inflation,
         )
         for b, (own, fit) in enumerate(zip(state.bands, fits, strict=True))
         if own is not None and fit is not None
@@ -488,36 +488,40 @@ def fit_coherent(
         state = replace(state, task=replace(state.task, outliers=outliers))
         # what is known of a directivity by other bands depends on the outliers
         is_directed = state.task.directivity_parameters is not None
-        state = with_outliers(rebuild(let_go(state)) if is_directed else state)
+        state = let_go(state) if is_directed else state
+        state = rebuild(state) if is_directed else with_outliers(state)
         fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0), first)
     position_sd_scale = estimate_position_sd_scale(state.task.scene, state.bands, fits)
     if position_sd_scale > 1.0:
         place, origin = inflate_position_sds(state.task.scene, state.origin, position_sd_scale)
         moved, first, fits = replace(state.task, scene=place), _vectors(fits), []
         state = let_go(replace(state, task=moved, origin=origin))
-        state = with_outliers(rebuild(state))
+        state = rebuild(state)
         fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0), first)
     findings = (*state.findings, *position_uncertainty_findings(position_sd_scale))
     findings = (*findings, *fixed_parameter_checks(state, fits))
     fits, final = leave_one_out_pass(state.bands, fits, settings)
     is_settled = final is None or agree(fits, final)
     while final is not None and not is_settled:
+        trim_memory()
         other = forward_pass(state.bands, settings, None, _vectors(fits), final)
         other, found = leave_one_out_pass(state.bands, other, settings)
         is_settled = explained_more(fits, other) < UNDECIDED
         if not is_settled:
             fits, final = other, found
+        del other
+    trim_memory()
     geometry = state.geometry
     estimate = None if geometry is None or final is None else fitted_geometry(geometry, final)
     findings = (*findings, *_source_findings(state), *geometry_findings(estimate))
-    likelihoods = _likelihoods(state, fits)
-    pressures = _as_pressures(state, fits, likelihoods)
+    likelihoods, windows = _likelihoods(state, fits), _fitted_windows(state, fits)
+    pressures = [w for w in windows if w and likelihoods[w.band, 1] > likelihoods[w.band, 0]]
     findings = (
         *findings,
         *chain_findings(task.bands, pressures, is_directed=task.directivity_parameters is not None),
         *fixed_absorption_findings(task.bands, task.priors, pressures),
     )
-    return CoherentFit(state, tuple(fits), likelihoods, estimate, findings)
+    return CoherentFit(state, tuple(fits), likelihoods, estimate, findings, windows)
 
 
 def _log_first_answer(state: SequentialState, fits: Sequence[CoherentBandFit | None]) -> None:
@@ -531,10 +535,10 @@ def _log_first_answer(state: SequentialState, fits: Sequence[CoherentBandFit | N
     for b, (own, fit) in enumerate(zip(state.bands, fits, strict=True)):
         if own is None:
             continue
-        objective, found = own.energies, own.energy_fit
+        parameters, found = own.energies.parameters, own.energy_fit
         if fit is not None and likelihoods[b, 1] > likelihoods[b, 0]:
-            objective, found = fit.objective, fit.fit
-        how = objective.parameters, found.vector, found.information, found.chi2_reduced
+            parameters, found = fit.parameters, fit.fit
+        how = parameters, found.vector, found.information, found.chi2_reduced
         at = absorption_intervals(*how)
         numbers = 100.0 * np.stack([at.absorption, at.lower95, at.upper95], axis=1)
         entries = [f"{a:.0f} ({low:.0f}-{high:.0f})" for a, low, high in numbers]
@@ -553,28 +557,38 @@ def _likelihoods(state: SequentialState, fits: Sequence[CoherentBandFit | None])
     return found
 
 
-def _as_pressures(
-    state: SequentialState, fits: Sequence[CoherentBandFit | None], likelihoods: FloatArray
-) -> tuple[FittedWindows, ...]:
-    """Return the bands that pressures explain better than energies."""
-    found = []
+def _fitted_windows(
+    state: SequentialState, fits: Sequence[CoherentBandFit | None]
+) -> tuple[FittedWindows | None, ...]:
+    """Return what questions to each fit need, one at a time: what was fitted is large."""
+    task, found = state.task, list[FittedWindows | None]()
     for b, (own, fit) in enumerate(zip(state.bands, fits, strict=True)):
-        if own is None or fit is None or not likelihoods[b, 1] > likelihoods[b, 0]:
+        if own is None or fit is None:
+            found.append(None)
             continue
-        files = fitted_in_band(state.task.measured, b)
-        decay_s = np.median([m.noise.tail_time_constant_s[b] for m in files])
+        files = fitted_in_band(task.measured, b)
+        objective, by_wall = fit.objective(own), np.zeros((0, len(task.priors)))
+        if any(p.known is not None for p in task.priors):
+            values, _ = physical_values(fit.parameters, fit.fit.vector)
+            by_wall = np.concatenate([t.predict(values)[2]["absorption"] for t in objective.terms])
         windows = own.coherent.energies
-        relative = _relative_errors(state, fit.objective, fit.fit, windows)
-        noise = np.concatenate([o.noise for o in windows.observations])
-        signal = fit.fit.expected[: noise.size] - noise
-        lost = lost_coherence(own, fit.fit)
-        spread = batch_spread(
-            windows, fit.objective.parameters, fit.fit.vector, _sources(state.task, b)
-        )
-        shared = np.column_stack((signal[:, None] * relative, signal * lost, spread))
+        relative = _relative_errors(state, objective, fit.fit, windows)
         found.append(
-            FittedWindows(b, fit.objective, fit.fit, windows, files, shared, 1.0 / float(decay_s))
+            FittedWindows(
+                band=b,
+                parameters=fit.parameters,
+                there=objective.predict(fit.fit.vector),
+                by_wall=by_wall,
+                neighbours=objective.correlation_length(),
+                fit=fit.fit,
+                energies=windows,
+                files=files,
+                shared=shared_errors(objective, fit.fit, _sources(task, b), relative, own),
+                decay_rate_per_s=1.0
+                / float(np.median([m.noise.tail_time_constant_s[b] for m in files])),
+            )
         )
+        del objective  # before the next one is made
     return tuple(found)
 
 
@@ -599,17 +613,15 @@ def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
     """
     state, task = fit.state, fit.state.task
     areas_m2 = material_areas_m2(task.scene.room)
-    each = zip(state.bands, fit.fits, fit.log_likelihoods, strict=True)
-    for number, (band, found, likelihoods) in enumerate(each):
-        if band is None or found is None:
+    each = zip(state.bands, fit.fits, fit.windows, fit.log_likelihoods, strict=True)
+    for band, found, windows, likelihoods in each:
+        if band is None or found is None or windows is None:
             yield None
             continue
-        objective, windows = found.objective, band.coherent.energies
-        relative = _relative_errors(state, objective, found.fit, windows)
-        sources = _sources(task, number)
-        noisy = with_shared_errors(objective, found.fit, sources, relative, band)
+        objective = found.objective(band)
+        noisy = with_shared_errors(objective, found.fit, windows.shared, windows.there)
         own = band_estimate(objective.parameters, noisy, areas_m2, "coherent")
-        own = replace(own, window_decays_s=_window_decays_s(windows, found.fit))
+        own = replace(own, window_decays_s=_window_decays_s(windows.energies, found.fit))
         beaten = task.settings.model != "coherent" and likelihoods[0] - likelihoods[1] >= UNDECIDED
         yield FittedBand(own) if beaten else FittedBand(own, objective, found.fit)
 
@@ -690,7 +702,8 @@ def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
             objective = replace(objective, inflation=factor)
         own_fit = fit_band(objective, max_rounds=task.settings.max_rounds)
         relative = _relative_errors(state, objective, own_fit, windows)
-        noisy = with_shared_errors(objective, own_fit, _sources(task, number), relative)
+        shared = shared_errors(objective, own_fit, _sources(task, number), relative)
+        noisy = with_shared_errors(objective, own_fit, shared)
         answer = band_estimate(objective.parameters, noisy, areas_m2, "energy")
         yield FittedBand(answer, objective, own_fit)
 

@@ -8,7 +8,7 @@ within it; what is not is only suspected, and found out where it is farther off 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import TypeAlias
@@ -55,7 +55,7 @@ from roomfit.scene import (
     material_areas_m2,
     position_findings,
 )
-from roomfit.signals.filters import FilterBank, SpreadingKernel, spreading_kernel
+from roomfit.signals.filters import SpreadingKernel, spreading_kernel
 from roomfit.solvers.least_squares import BandFit, score_band
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import hits
@@ -79,6 +79,8 @@ LARGEST_SHIFT_SD = 3.5
 _WALL_SD_M = 0.035
 # Log-likelihood that a displacement beyond what is specified must gain: decision 0035.
 LEAST_GAIN = 10.0
+# Lower bands regained at most 5 of what higher ones lost: decision 0040.
+_RULED_OUT = 50.0
 _GRID_M = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.2])
 # A stated offset is sought at least so far about the best of the grid, to within 2 mm.
 _LEAST_REACH_M, _NEAR_M = 0.06, 2e-3
@@ -107,8 +109,11 @@ class Offset:
         return f"{self.group or 'length'} {_AXES[self.axis]}"
 
 
-Worth: TypeAlias = Callable[[FloatArray], float]
-"""Log-likelihood of a vector of offsets; minus infinity where a point leaves the room."""
+Worth: TypeAlias = Callable[..., float]
+"""Log-likelihood of a vector of offsets; minus infinity where a point leaves the room.
+
+With True behind it also where high bands rule it out, so that the others need not be asked.
+"""
 
 
 def offsets_of(scene: Scene) -> tuple[Offset, ...]:
@@ -120,7 +125,9 @@ def offsets_of(scene: Scene) -> tuple[Offset, ...]:
     found = []
     every = [frozenset(p.name for p in points) for points in (scene.sources, scene.receivers)]
     for group in scene.groups:
-        own = [frozenset(n for n in k if _is_member(n, group.members)) for k in every]
+        own = [
+            frozenset(n for n in k if any(fnmatchcase(n, p) for p in group.members)) for k in every
+        ]
         stated_m = np.broadcast_to(np.asarray(group.sd_m), 3)
         if any(own):
             found += [Offset(group.name, a, float(stated_m[a]), True, *own) for a in range(3)]
@@ -136,10 +143,6 @@ def offsets_of(scene: Scene) -> tuple[Offset, ...]:
             for a in range(3)
         ]
     return tuple(o for o in found if o.sd_m > 0.0)
-
-
-def _is_member(name: str, patterns: Sequence[str]) -> bool:
-    return any(fnmatchcase(name, p) for p in patterns)
 
 
 def displaced(scene: Scene, offsets: Sequence[Offset], shift_m: FloatArray) -> Scene:
@@ -201,7 +204,7 @@ class Outline:
     until_s: float
     order: int
     kernel: SpreadingKernel
-    bands: tuple[OutlineBand, ...]
+    bands: tuple[OutlineBand, ...]  # the highest first
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -290,8 +293,8 @@ def outline_of(
         out.append(OutlineBand(band, kept, parameters, vector, float(attenuation[band]), files))
     if not out:
         return None
-    kernel = spreading_kernel(FilterBank(bands))
-    return Outline(measured, traced, offsets, moved_m, until_s, order, kernel, tuple(out))
+    kernel = spreading_kernel(bands)
+    return Outline(measured, traced, offsets, moved_m, until_s, order, kernel, tuple(out[::-1]))
 
 
 def _starting_at(parameters: Parameters, absorption: FloatArray) -> Parameters:
@@ -302,8 +305,8 @@ def _starting_at(parameters: Parameters, absorption: FloatArray) -> Parameters:
     return Parameters(tuple(own if b.name == "absorption" else b for b in parameters.blocks))
 
 
-def displaced_terms(outline: Outline, shift_m: FloatArray) -> tuple[DisplacedTerm, ...]:
-    """Return the windows of every band with the offsets moved on by so much."""
+def displaced_terms(outline: Outline, shift_m: FloatArray) -> Iterator[DisplacedTerm]:
+    """Return the windows of every band with the offsets moved on by so much, made one by one."""
     before, traced = outline.measured.scene, outline.traced
     scene = displaced(before, outline.offsets, shift_m)
     c = speed_of_sound_m_s(scene.air)
@@ -312,7 +315,6 @@ def displaced_terms(outline: Outline, shift_m: FloatArray) -> tuple[DisplacedTer
     bands, directivities = outline.measured.bands, outline.measured.directivities
     factors, _ = band_factors(directivities, scene, bands, images, traced.scattering)
     farther_m = distances_m(scene) - distances_m(before)
-    terms = []
     for own in outline.bands:
         weight = images.weight_per_m2 * np.exp(-own.attenuation_per_m * images.length_m)
         if factors is not None:
@@ -323,8 +325,7 @@ def displaced_terms(outline: Outline, shift_m: FloatArray) -> tuple[DisplacedTer
         )
         times_s = (images.length_m - late_m[:, None]) / c
         kernel = outline.kernel, own.band
-        terms.append(displaced_term(own.kept, images, times_s, weight, kernel))
-    return tuple(terms)
+        yield displaced_term(own.kept, images, times_s, weight, kernel)
 
 
 def worth_of(outline: Outline) -> Worth:
@@ -333,12 +334,12 @@ def worth_of(outline: Outline) -> Worth:
     Windows follow a normal law whose scale is fitted in each band, so that a model that misses some
     of them alike at every place neither gains nor loses; neighbours count as for absorption.
     """
-    vectors = [own.start for own in outline.bands]
+    vectors, least = [own.start for own in outline.bands], [-np.inf] * len(outline.bands)
     known: dict[bytes, float] = {}
 
-    def at(shift_m: FloatArray, max_rounds: int) -> float:
+    def at(shift_m: FloatArray, roughly: bool, max_rounds: int) -> float:
         key = np.round(shift_m, 4).tobytes()
-        if key in known:
+        if key in known and (roughly or known[key] > -np.inf):
             return known[key]
         if not _is_possible(displaced(outline.measured.scene, outline.offsets, shift_m)):
             return -np.inf
@@ -349,12 +350,15 @@ def worth_of(outline: Outline) -> Worth:
             prior, _ = prior_residuals(objective.parameters, fit.vector)
             total += _log_likelihood(objective, fit) - 0.5 * float(prior @ prior)
             if max_rounds > 2:
-                vectors[i] = fit.vector
+                vectors[i], least[i] = fit.vector, total - _RULED_OUT
+            elif roughly and total < least[i]:
+                total = -np.inf
+                break
         known[key] = total
         return total
 
-    at(np.zeros(len(outline.offsets)), 12)
-    return lambda shift_m: at(shift_m, 2)
+    at(np.zeros(len(outline.offsets)), False, 12)
+    return lambda shift_m, roughly=False: at(shift_m, roughly, 2)
 
 
 def _is_possible(scene: Scene) -> bool:
@@ -381,8 +385,10 @@ def located(outline: Outline) -> Located:
     sd_m = np.array([o.sd_m if o.is_stated else _tolerance_m(o) for o in offsets])
     worth = worth_of(outline)
 
-    def posterior(shift_m: FloatArray) -> float:
-        return worth(shift_m) - 0.5 * float(np.sum(((outline.moved_m + shift_m) / sd_m) ** 2))
+    def posterior(shift_m: FloatArray, roughly: bool = False) -> float:
+        return worth(shift_m, roughly) - 0.5 * float(
+            np.sum(((outline.moved_m + shift_m) / sd_m) ** 2)
+        )
 
     shift_m = _swept(posterior, np.zeros(n), sd_m)
     for _ in range(n if stated.any() else 0):
@@ -472,14 +478,14 @@ def _swept(worth: Worth, shift_m: FloatArray, sd_m: FloatArray) -> FloatArray:
     """
     ways = np.eye(shift_m.size)
     grids = [[t * min(s, _REACH_M) for t in _WITHIN_SD] for s in sd_m]
-    gains = [max(worth(shift_m + d * w) for d in g) for w, g in zip(ways, grids, strict=True)]
+    gains = [max(worth(shift_m + d * w, True) for d in g) for w, g in zip(ways, grids, strict=True)]
     at, best = np.array(shift_m), worth(shift_m)
     for k in [i for i in np.argsort(gains)[::-1] if gains[i] > best]:
         for trial in [at + d * ways[k] for d in grids[k]]:
-            if (found := worth(trial)) > best:
+            if (found := worth(trial, True)) > best:
                 at, best = trial, found
-        at = _refined(worth, at, [int(k)])
-        best = worth(at)
+        trial = at + _parabola(worth, at, ways[k], best) * ways[k]
+        at, best = (trial, value) if (value := worth(trial)) > best else (at, best)
     return at
 
 
@@ -496,16 +502,6 @@ def _highest(worth: Worth, shift_m: FloatArray, entry: int, reach_m: float) -> F
     )
     at = shift_m + float(found.x) * way
     return at if worth(at) > worth(shift_m) else shift_m
-
-
-def _refined(worth: Worth, shift_m: FloatArray, entries: Sequence[int]) -> FloatArray:
-    """Return offsets with a step of each along a parabola, where that is better."""
-    at = np.array(shift_m)
-    for k in entries:
-        way = np.eye(at.size)[k]
-        trial = at + _parabola(worth, at, way, worth(at)) * way
-        at = trial if worth(trial) > worth(at) else at
-    return at
 
 
 def _parabola(worth: Worth, at: FloatArray, way: FloatArray, here: float) -> float:
@@ -529,7 +525,7 @@ def _stated_step(outline: Outline, posterior: Worth, shift_m: FloatArray) -> Flo
             for d in (*-_GRID_M, *_GRID_M):
                 if abs(d) < 2.0 * LARGEST_SHIFT_SD * offset.sd_m:
                     trials.append(shift_m + d * np.eye(shift_m.size)[k])
-    values = [posterior(t) for t in trials]
+    values = [posterior(t, True) for t in trials]
     if not values or max(values) <= here + 0.5:
         return None
     return trials[int(np.argmax(values))]
@@ -551,7 +547,7 @@ def _farthest(outline: Outline, worth: Worth, shift_m: FloatArray) -> FloatArray
         for d in (*-_GRID_M, *_GRID_M):
             if abs(d) <= limits_m[k]:
                 continue
-            found = worth(start_m + d * way)
+            found = worth(start_m + d * way, True)
             if found > inside and found - here > best:
                 best, at = found - here, start_m + d * way
     went = np.abs(outline.moved_m + shift_m) > limits_m
@@ -578,8 +574,12 @@ def _named(
     ways = [(k, unit[k]) for k in along]
     if whole and lengths:
         ways.append((-1, unit[whole[0]] + unit[lengths[0]]))
-    trials = [(worth(start_m + d * w), k, d, w) for k, w in ways for d in (*-_GRID_M, *_GRID_M)]
+    trials = [
+        (worth(start_m + d * w, True), k, d, w) for k, w in ways for d in (*-_GRID_M, *_GRID_M)
+    ]
     value, k, size_m, way = max(trials, key=lambda t: t[0])
+    if not np.isfinite(value):  # no single displacement keeps the high bands
+        return None
     for _ in range(5):  # the top is narrower than the grid
         step_m = _parabola(worth, start_m + size_m * way, way, value)
         finer = worth(start_m + (size_m + step_m) * way)
@@ -598,11 +598,17 @@ def _named(
         farther_m = ends @ (outline.moved_m + shift_m)[pair]
         deviations_m = np.sqrt(np.diag(ends @ covariance @ ends.T))
         evidence["metres_farther"] = {
-            w: [round(float(x), 2), round(float(s), 2)]
+            w: [round(float(x), 3), round(float(s), 3)]
             for w, x, s in zip(_walls(outline, axis), farther_m, deviations_m, strict=True)
             if s < _WORTH_TELLING_M
         }
     return _finding(outline, k, axis, (float(size_m), _sd_along(worth, shift_m, way)), evidence)
+
+
+def _metres(x_m: float, sd_m: float, sign: str = "") -> str:
+    """Return a length with its standard deviation, never of 0.00 m."""
+    digits = 2 if sd_m >= 0.005 else 3
+    return f"{x_m:{sign}.{digits}f} +- {sd_m:.{digits}f} m"
 
 
 def _finding(
@@ -610,7 +616,7 @@ def _finding(
 ) -> Finding:
     """Return what stands elsewhere: an offset by its index, or the wall at the origin, -1."""
     offset, walls, (size_m, sd_m) = outline.offsets[k], _walls(outline, along), found
-    axis, size = _AXES[along], f"{abs(size_m):.2f} +- {sd_m:.2f} m"
+    axis, size = _AXES[along], _metres(abs(size_m), sd_m)
     if sd_m >= _WORTH_TELLING_M:  # no top, so far as second differences say
         size = f"about {abs(size_m):.1f} m"
     way = f"{'+' if size_m > 0.0 else '-'}{axis}"
@@ -630,7 +636,7 @@ def _finding(
     ends = ""
     if isinstance(farther, dict) and farther:
         ends = "; counted from all positions " + " and ".join(
-            f"{w} is {x:+.2f} +- {s:.2f} m farther" for w, (x, s) in farther.items()
+            f"{w} is {_metres(x, s, '+')} farther" for w, (x, s) in farther.items()
         )
     stated_m = LENGTH_SD_M if k < 0 else offset.sd_m
     return Finding(

@@ -16,8 +16,8 @@ from roomfit.response.coherent import image_energies, image_paths
 from roomfit.scene import Scene
 from roomfit.signals.loudspeaker import SourceMagnitude, equalise, power_gain, source_magnitude
 from roomfit.signals.response import ImpulseResponse
-from roomfit.tracing.paths import Paths
-from roomfit.typing import FloatArray
+from roomfit.tracing.paths import Paths, paths_of_pairs
+from roomfit.typing import FloatArray, IntArray
 
 # After the direct sound: how long a response is compared with its image sources.
 _COMPARED_S = 0.1
@@ -57,12 +57,13 @@ def equalise_sources(
     ]
     # octave filters begin an octave below the centre, others nearer
     lowest_hz = float(bands.lower_hz[0] ** 2 / bands.exact_centres_hz[0])
+    of_pair = paths_of_pairs(paths)
     magnitudes: dict[str, SourceMagnitude] = {}
     for source in dict.fromkeys(m.measurement.source for m in fitted):
         own = [m for m in fitted if m.measurement.source == source]
         magnitudes[source] = source_magnitude(
             [m.response for m in own],
-            [_expected(scene, bands, m, paths, absorption) for m in own],
+            [_expected(scene, bands, m, paths, of_pair, absorption) for m in own],
             [m.direct_s + _COMPARED_S for m in own],
             lowest_hz,
             schroeder_factor * _median_schroeder_hz(scene, own),
@@ -88,7 +89,12 @@ def _median_schroeder_hz(scene: Scene, measured: list[MeasuredPair]) -> float:
 
 
 def _expected(
-    scene: Scene, bands: Bands, m: MeasuredPair, paths: Paths, absorption: FloatArray
+    scene: Scene,
+    bands: Bands,
+    m: MeasuredPair,
+    paths: Paths,
+    of_pair: list[IntArray],
+    absorption: FloatArray,
 ) -> ImpulseResponse:
     """Return the pressure of the image sources of a pair, on the time axis of its response."""
     rate_hz, n = m.response.sampling_rate_hz, m.response.pressure.size
@@ -96,7 +102,8 @@ def _expected(
     attenuation = attenuation_per_m(scene.air, bands)
     total = np.zeros(n + 1, dtype=np.complex128)
     c = speed_of_sound_m_s(scene.air)
-    images = image_paths(paths, np.array([m.pair]), 0.0, c * (n / rate_hz - m.response.time_zero_s))
+    last_m = c * (n / rate_hz - m.response.time_zero_s)
+    images = image_paths(paths, np.array([m.pair]), 0.0, last_m, of_pair)
     length_m = images.lengths_m()
     at = np.round((length_m / c + m.response.time_zero_s) * rate_hz).astype(np.int64)
     inside = (at >= 0) & (at < n)

@@ -48,7 +48,7 @@ from roomfit.inversion.model_checks import (
     sampling_findings,
     schroeder_findings,
 )
-from roomfit.inversion.paths import TracedPaths, redirected, traced_paths, traced_with
+from roomfit.inversion.paths import TracedPaths, redirected, traced_paths, traced_with, trim_memory
 from roomfit.inversion.reflections import (
     isolated_reflections,
     reflection_findings,
@@ -197,6 +197,7 @@ def identify(
                 _LOG.info("finding confidence intervals")
                 fits = coherent_answers(coherent, settings, refine, part(done, 0.85, 0.98))
                 del task, coherent  # with all bands, the most that is in memory
+                trim_memory()
             else:
                 late = part(done, 0.45, 0.98)
                 fits = estimate_energies(measured, priors, traced, start, settings, refine, late)
@@ -222,6 +223,7 @@ def identify(
         )
     fits = replace(fits, answers=estimates)
     _LOG.info("predicting the measured pairs")
+    trim_memory()
     findings = (*_quick_findings(settings), *_findings(measured, priors, traced, fits))
     result = combine(measured, priors, traced, fits, findings, settings)
     return replace(result, evaluations=made[0], seconds=time.perf_counter() - began)

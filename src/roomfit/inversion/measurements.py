@@ -36,7 +36,7 @@ from roomfit.signals.decay import (
     range_findings,
     room_parameters,
 )
-from roomfit.signals.filters import FilterBank, check_sampling_rate, filter_pressure
+from roomfit.signals.filters import check_sampling_rate, filter_pressure
 from roomfit.signals.iso3382 import MeasuredValues, joined_values
 from roomfit.signals.noise import NoiseEstimate, estimate_noise
 from roomfit.signals.response import (
@@ -350,14 +350,13 @@ def observe(
         A response is silent or too short, rates differ, or a band reaches above half of the
         sampling rate.
     """
-    bank = FilterBank(bands)
     c = speed_of_sound_m_s(scene.air)
     pair_of = {name: i for i, name in enumerate(pair_names(scene))}
     pairs = [pair_of[m.pair_name] for m in measurements]
     travel_s = [float(d) for d in (distances_m(scene) / c)[pairs]]
     findings: list[Finding] = []
     for m in measurements:
-        check_sampling_rate(bank, m.response.sampling_rate_hz, m.where)
+        check_sampling_rate(bands, m.response.sampling_rate_hz, m.where)
         _check_same_rate(m, measurements[0])
         check_is_response(m.response, m.where)
         findings += m.findings
@@ -372,8 +371,8 @@ def observe(
         if m.time_zero == "emission":
             onset_s = find_onset(response, m.where)
             findings += compare_onset(onset_s, direct_s, c, name, response.sampling_rate_hz)
-        noise = estimate_noise(bank, response, filter_pressure(bank, response), direct_s)
-        curve = decay_curve(bank, response, direct_s)
+        noise = estimate_noise(bands, response, filter_pressure(bands, response), direct_s)
+        curve = decay_curve(bands, response, direct_s)
         parameters = room_parameters(curve)
         check_decay_range(curve, m.where)
         findings += range_findings(parameters, name)

@@ -25,7 +25,6 @@ from roomfit.response.binned import rows_at
 from roomfit.response.energy import first_rows, weigh
 from roomfit.scene import Room
 from roomfit.signals.filters import (
-    FilterBank,
     SpreadingKernel,
     energy_bandwidth_hz,
     energy_share,
@@ -35,7 +34,7 @@ from roomfit.signals.filters import (
     statistical_bandwidth_hz,
     window_energies,
 )
-from roomfit.tracing.paths import Paths
+from roomfit.tracing.paths import Paths, paths_of_pairs
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # Of the energy of a window, as predicted for a wall that absorbs nothing: so that the absorption
@@ -100,10 +99,11 @@ def isolated_reflections(
     absorption : float array, shape (n_materials, n_bands)
         Of all other paths, and of the prediction.
     """
-    kernel = spreading_kernel(FilterBank(measured.bands))
+    kernel = spreading_kernel(measured.bands)
     found: list[IsolatedReflection] = []
+    of_pair = paths_of_pairs(traced.paths)
     for m in measured.responses:
-        first = _direct_and_first(traced.paths, m.pair)
+        first = _direct_and_first(traced.paths, of_pair[m.pair])
         if first is None:
             continue
         for band in [b for b in range(len(measured.bands)) if has_data_in_band(m, b)]:
@@ -111,12 +111,12 @@ def isolated_reflections(
     return tuple(found)
 
 
-def _direct_and_first(paths: Paths, pair: int) -> tuple[IntArray, IntArray] | None:
-    """Return the direct path of a pair and its first reflections, and what each of them struck.
+def _direct_and_first(paths: Paths, own: IntArray) -> tuple[IntArray, IntArray] | None:
+    """Return the direct path of a pair's own and the first reflections, and what each struck.
 
     Shapes (n,) and (n, n_materials); None without either.
     """
-    own = np.flatnonzero((paths.pair == pair) & (paths.batch < 0))
+    own = own[paths.batch[own] < 0]
     struck = paths.hits_specular[own] + paths.hits_diffuse[own]
     direct, single = (np.flatnonzero(struck.sum(axis=1) == n) for n in (0, 1))
     if direct.size != 1 or not single.size:
@@ -138,8 +138,8 @@ def _isolated(
     scene, paths = measured.scene, traced.paths
     c = speed_of_sound_m_s(scene.air)
     material = np.argmax(struck, axis=1)
-    bank = FilterBank(Bands(measured.bands.kind, measured.bands.centres_hz[band : band + 1]))
-    bandwidth_hz = float(statistical_bandwidth_hz(bank)[0])
+    one = Bands(measured.bands.kind, measured.bands.centres_hz[band : band + 1])
+    bandwidth_hz = float(statistical_bandwidth_hz(one)[0])
     half_s = max(1e-3, 1.0 / bandwidth_hz) + 2.0 * timing_sd_s(scene, m)
     arrival_s = paths.length_m[own] / c
     windows = np.stack((arrival_s - half_s, arrival_s + half_s), axis=1)
@@ -171,9 +171,9 @@ def _isolated(
     energy = weigh(rows, alpha, air, derivative=False).energy[0]
     spreading = spreading_matrix(kernel, band, centres_s[: energy.size], edges)
     others = np.maximum(summed(spreading @ energy) - expected * hard, 0.0)
-    energy_measured = summed(window_energies(bank, m.response, edges)[0])
+    energy_measured = summed(window_energies(one, m.response, edges)[0])
     rate_hz = m.response.sampling_rate_hz
-    per_second = m.noise.floor[band] * rate_hz**2 / (2.0 * float(energy_bandwidth_hz(bank)[0]))
+    per_second = m.noise.floor[band] * rate_hz**2 / (2.0 * float(energy_bandwidth_hz(one)[0]))
     noise = np.full(own.size, per_second * 2.0 * half_s)
 
     gain = (energy_measured[0] - noise[0]) / (hard[0] + others[0])

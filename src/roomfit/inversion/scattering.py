@@ -15,13 +15,16 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands, bands_in_words
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.inversion.measurements import Measurements
 from roomfit.logit import Z95
 from roomfit.materials.priors import MaterialPrior, Scattering, in_bands
-from roomfit.objective.observation import energy_terms
+from roomfit.objective.energy import EnergyTerm
+from roomfit.objective.observation import energy_terms, with_paths
+from roomfit.objective.parameters import Parameters
 from roomfit.objective.problem import Objective
 from roomfit.response.binned import BinnedPaths, bin_paths
 from roomfit.response.directivity import Directivities, directivity_factors, known_directivities
@@ -410,17 +413,21 @@ def _energy_fit(
         pair = int(np.searchsorted(pairs, m.pair))
         responses.append(replace(m, pair=pair, noise=NoiseEstimate(*noise), fit_end_s=own_end_s))
     retracer = Retracer(scene, own, trace_settings)
+    windows: list[tuple[EnergyTerm, Parameters] | None] = []  # the same for every coefficient
+    air_per_m = attenuation_per_m(scene.air, own)
 
     def fit(coefficients: FloatArray) -> FloatArray:
         out = np.zeros(len(own))
         columns, column_of_band = np.unique(coefficients, axis=1, return_inverse=True)
         for number, column in enumerate(columns.T):
             binned = retracer.at(Scattering(scene.room.materials, column))
-            made = energy_terms(scene, own, known, tuple(responses), binned, start[chosen])
-            for band, found in enumerate(made):
+            if not windows:
+                made = energy_terms(scene, own, known, tuple(responses), binned, start[chosen])
+                windows.extend(None if w is None else (replace(w[0], rows=()), w[1]) for w in made)
+            for band, found in enumerate(windows):
                 if found is not None and column_of_band.reshape(-1)[band] == number:
-                    windows, parameters = found
-                    objective = Objective(parameters, (windows,))
+                    term = with_paths(found[0], binned, float(air_per_m[band]))
+                    objective = Objective(found[1], (term,))
                     fitted = fit_band(objective, settled_sd=_SETTLED_SD)
                     out[band] = _CAUTION * fitted.log_likelihood
         return out
@@ -467,21 +474,22 @@ def band_factors(
     InputError
         A directivity cannot be read, or a wall was traced smooth and is to scatter.
     """
-    factors: FloatArray = np.ones((len(bands), len(paths)))
     findings: tuple[Finding, ...] = ()
     traced = paths.sampling_scattering
+    sources = known_directivities(directivities, scene.sources)
+    is_directed = any(s is not None for s in sources)
     differs = len(traced) > 1 or np.any(scattering != traced[0][:, None])
+    if not (differs or is_directed):
+        return None, ()
+    factors: FloatArray = np.ones((len(bands), len(paths)))
     if differs:
         for band in range(len(bands)):
             wanted = Scattering(paths.materials, scattering[:, band])
             factors[band] = scattering_weights(paths, wanted)
         findings = _degenerate_weight_findings(bands, paths, factors)
-    sources = known_directivities(directivities, scene.sources)
-    if any(s is not None for s in sources):
+    if is_directed:
         for band in range(len(bands)):
             factors[band] *= directivity_factors(paths, sources, scene.pairs[:, 0].tolist(), band)
-    elif not differs:
-        return None, ()
     return factors, findings
 
 

@@ -119,8 +119,14 @@ class CoherentBandFit:
     log_likelihood: float
     # what this band and those before say of the geometry; None where nothing of it is fitted
     found: Marginal | None
-    objective: Objective  # with the coherence of the last round
-    noise: tuple[float, float, float]  # as for `CoherentBand.objective`
+    parameters: Parameters
+    # as for `CoherentBand.objective`, of the last round
+    covariance: FloatArray | None
+    noise: tuple[float, float, float]
+
+    def objective(self, band: CoherentBand) -> Objective:
+        """Return what was fitted, made anew: kept of every fit, paths would fill the memory."""
+        return band.objective(self.covariance, self.noise, self.parameters.joint)
 
 
 def fit_in_rounds(
@@ -152,20 +158,22 @@ def fit_in_rounds(
     """
     vector = start
     for left in reversed(range(rounds)):
-        objective = band.objective(covariance, noise, joint)
-        first = position_of(objective.parameters, GEOMETRY)
+        used, objective = covariance, band.objective(covariance, noise, joint)
+        parameters = objective.parameters
+        first = position_of(parameters, GEOMETRY)
         near = _BEFORE_THE_NEXT_ROUND_SD if left and first < vector.size else settled_sd
         fit = score_band(objective, vector, max_rounds=max_rounds, settled_sd=near)
         vector = fit.vector
+        likelihood = float(objective.log_likelihood(fit.expected, fit.variance).sum())
+        del objective  # before the next one is made
         if first == vector.size:
             break
         own = np.linalg.inv(fit.information)[first:, first:]
         covariance = np.asarray(own * max(fit.chi2_reduced, 1.0))
-    likelihood = float(objective.log_likelihood(fit.expected, fit.variance).sum())
     found = None
     if first < vector.size:
-        found = marginal(fit, first, geometry_information(objective.parameters))
-    return CoherentBandFit(fit, likelihood, found, objective, noise)
+        found = marginal(fit, first, geometry_information(parameters))
+    return CoherentBandFit(fit, likelihood, found, parameters, used, noise)
 
 
 def forward_pass(
@@ -251,7 +259,7 @@ def leave_one_out_pass(
     *_, final = trusted[-1]
     covariance = np.asarray(np.linalg.inv(final.information))
     for i, band, fit, found in trusted:
-        joint = cavity_prior(final, found, geometry_information(fit.objective.parameters))
+        joint = cavity_prior(final, found, geometry_information(fit.parameters))
         n = fit.fit.vector.size - final.mean.size
         start = np.concatenate((fit.fit.vector[:n], final.mean))
         again[i] = fit_in_rounds(
@@ -320,7 +328,7 @@ def log_likelihoods(band: CoherentBand, fit: CoherentBandFit) -> tuple[float, fl
     Of the same windows, the geometry's prior counted against the latter.
     """
     n = band.energy_fit.vector.size
-    prior, rows = prior_residuals(fit.objective.parameters, fit.fit.vector)
+    prior, rows = prior_residuals(fit.parameters, fit.fit.vector)
     moved = prior[np.any(rows[:, n:] != 0.0, axis=1)]
     alone = band.energy_fit
     each = band.energies.log_likelihood(alone.expected, alone.variance)

@@ -30,6 +30,7 @@ from roomfit.inversion.sequential import CoherentOptions
 from roomfit.inversion.systematics import (
     fitted_energies,
     relative_errors,
+    shared_errors,
     widened_by_neighbours,
     with_shared_errors,
 )
@@ -88,7 +89,8 @@ def shared_error_covariance(measured: Measurements, traced: TracedPaths) -> Shar
             walls,
             (traced.scattering, traced.scattering_sd),
         )
-        return with_shared_errors(objective, fit, sources, relative)
+        shared = shared_errors(objective, fit, sources, relative)
+        return with_shared_errors(objective, fit, shared)
 
     return add_shared_errors
 

@@ -8,7 +8,7 @@ incoherent. And a band shares absorption that changes within it with its neighbo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import cast
 
@@ -23,7 +23,7 @@ from roomfit.objective.coherent import CoherentTerm, fully_coherent
 from roomfit.objective.directivity import DirectedTerm, directed
 from roomfit.objective.energy import EnergyTerm, parts_of
 from roomfit.objective.parameters import Parameters, physical_values
-from roomfit.objective.problem import Objective
+from roomfit.objective.problem import Objective, Prediction
 from roomfit.objective.windows import in_windows
 from roomfit.response.directivity import directed_rows
 from roomfit.response.energy import weigh
@@ -170,19 +170,17 @@ def widened(answer: BandEstimate, covariance: FloatArray, areas_m2: FloatArray) 
     )
 
 
-def with_shared_errors(
+def shared_errors(
     objective: Objective,
     fit: BandFit,
     sources: Sequence[int],
     relative: FloatArray,
     coherent: CoherentBand | None = None,
-) -> BandFit:
-    """Return a fit whose information allows for the errors that its windows share.
+) -> dict[str, FloatArray]:
+    """Return the errors that a fit's windows share by name, (n_windows, n), one sd a column.
 
-    The covariance of the answer's shifts (`roomfit.uncertainty.gaussian.answer_steps`) is added:
-    over the batches of rays [1]_, by one standard deviation of what `relative` holds, and by
-    reflections that interfere and are taken for energies that add. `costs` of the fit says how
-    well the unknowns were known without one term or the other.
+    Over the batches of rays, by one standard deviation of what `relative` holds, and by reflections
+    that interfere and are taken for energies that add.
 
     Parameters
     ----------
@@ -195,11 +193,6 @@ def with_shared_errors(
         Of the expected energy, see `air_error` and `scattering_error`.
     coherent : CoherentBand, optional
         The band, where pressures were fitted.
-
-    References
-    ----------
-    .. [1] B. Efron, "The Jackknife, the Bootstrap and Other Resampling Plans", SIAM (1982),
-           section 3: the delete-one variance of an estimate, here linearised.
     """
     energies = fitted_energies(objective, fit.vector)
     noise = np.concatenate([o.noise for o in energies.observations])
@@ -211,7 +204,27 @@ def with_shared_errors(
     }
     if coherent is not None:
         shared["lost coherence"] = (signal * lost_coherence(coherent, fit))[:, None]
-    jacobian = objective.predict(fit.vector).jacobian
+    return shared
+
+
+def with_shared_errors(
+    objective: Objective,
+    fit: BandFit,
+    shared: Mapping[str, FloatArray],
+    there: Prediction | None = None,
+) -> BandFit:
+    """Return a fit whose information allows for the errors that its windows share.
+
+    The covariance of the answer's shifts (`roomfit.uncertainty.gaussian.answer_steps`) by these
+    `shared_errors` is added [1]_. `costs` of the fit says how well the unknowns were known without
+    one term or the other. `there` is the fit's prediction, where it is known.
+
+    References
+    ----------
+    .. [1] B. Efron, "The Jackknife, the Bootstrap and Other Resampling Plans", SIAM (1982),
+           section 3: the delete-one variance of an estimate, here linearised.
+    """
+    jacobian = (objective.predict(fit.vector) if there is None else there).jacobian
     costs = costs_of_terms(objective, fit, jacobian, shared)
     steps = answer_steps(objective, fit, jacobian, np.concatenate(list(shared.values()), axis=1))
     return replace(add_covariance(fit, steps), costs=costs)

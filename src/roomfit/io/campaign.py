@@ -63,7 +63,11 @@ def read_toml(path: Path, what: str = "campaign file") -> dict[str, Any]:
         return tomllib.loads(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise InputError(
-            f"the {what} is not text", where=str(path), needed="TOML in UTF-8"
+            f"the {what} is not text",
+            where=str(path),
+            found=f"a file that begins with {content[:12]!r}",
+            needed="TOML in UTF-8",
+            hint="save it as UTF-8; recordings and rooms are named in it, and not given for it",
         ) from error
     # whole numbers of thousands of digits are another ValueError
     except (ValueError, RecursionError) as error:
@@ -577,6 +581,7 @@ def _bands(path: Path, table: IdentifyTable) -> Bands:
             where=f"{path}, identify",
             found=f"from_hz = {table.from_hz:g}, to_hz = {table.to_hz:g}",
             needed="from_hz <= to_hz",
+            hint="exchange the two",
         )
     with located(f"{path}, identify.bands"):
         if isinstance(table.bands, str):

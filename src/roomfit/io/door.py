@@ -262,7 +262,7 @@ def _check_regular(mode: int, what: str, where: str) -> None:
             where=where,
             found=found,
             needed="a regular file, or a link to one",
-            hint=f"give the file in it: {meant}" if meant.is_file() else None,
+            hint=f"give the file in it: {meant}" if meant.is_file() else "give the file itself",
         )
 
 
@@ -382,7 +382,12 @@ def json_content(text: str, what: str) -> Any:
     try:
         return json.loads(text.removeprefix("\ufeff"))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"the {what} is not JSON", found=str(error)[:200]) from error
+        raise InputError(
+            f"the {what} is not JSON",
+            found=str(error)[:200],
+            needed="one JSON text, whole",
+            hint="check that it is the file that was meant; make or copy it again",
+        ) from error
 
 
 @contextlib.contextmanager

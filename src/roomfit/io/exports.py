@@ -243,13 +243,16 @@ def _from_json(text: str) -> MaterialTable:
     content = json_content(text, "result")
     if not isinstance(content, dict) or content.get("format") != "roomfit-result":
         raise InputError(
-            "this is no result of roomfit", needed='"format": "roomfit-result" in the file'
+            "this is no result of roomfit",
+            needed='"format": "roomfit-result" in the file',
+            hint="give a result.json that roomfit identify has written",
         )
     if content.get("format_version") != 1:
         raise InputError(
             "this version of roomfit cannot read that result",
             found=f"format_version {content.get('format_version')}",
             needed="format_version 1",
+            hint="identify again, or export with the version of roomfit that wrote it",
         )
     with complete(
         "result", "bands_hz, and for each material absorption, lower95, upper95, identifiable"

@@ -30,12 +30,7 @@ from roomfit.materials.catalogue import (
 )
 from roomfit.materials.priors import MaterialPrior, complete_priors, in_bands
 from roomfit.measurement import Measurement
-from roomfit.response.directivity import (
-    Directivity,
-    UnknownDirectivity,
-    aimed,
-    unit_vector,
-)
+from roomfit.response.directivity import Directivity, UnknownDirectivity, aimed, unit_vector
 from roomfit.scene import (
     Room,
     RoomCheck,

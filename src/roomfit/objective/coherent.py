@@ -51,7 +51,6 @@ from roomfit.response.coherent import (
 )
 from roomfit.response.energy import first_rows, shared_zeros
 from roomfit.scene import Scene
-from roomfit.signals.filters import FilterBank
 from roomfit.typing import FloatArray, IntArray
 
 # Of its centre: so much later an arrival does not ring into a window any more.
@@ -257,7 +256,7 @@ def with_coherence(
     edges_s = np.array([o.edges_s[[0, -1]] for o in term.early])
     if last_s > 0.8 * edges_s.max():
         return known
-    grid = band_grid(term.grid.bank, float(edges_s.min()), last_s)
+    grid = band_grid(term.grid.bands, float(edges_s.min()), last_s)
     return replace(known, grid=replace(grid, is_double=term.grid.is_double))
 
 
@@ -437,10 +436,10 @@ def coherent_term(
     """
     observed = tuple(first_windows(o, end_s) for o in energies.observations)
     c = geometry.speed_m_s
-    bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
+    one = Bands(bands.kind, bands.centres_hz[band : band + 1])
     first = min(float(o.edges_s[0]) for o in observed)
     last = max(float(o.edges_s[-1]) for o in observed)
-    grid = band_grid(bank, first, last)
+    grid = band_grid(one, first, last)
     length_m = images.lengths_m()
     near = length_m <= c * (last + RINGING_PERIODS / energies.centre_hz)
     weight = images.weight * np.exp(-attenuation_per_m * length_m)

@@ -19,7 +19,7 @@ from roomfit.objective.windows import (
     with_squares,
 )
 from roomfit.response.directivity import EnergyParts, RowPattern, weigh_parts
-from roomfit.response.energy import EnergyRows, batch_energies, rows_in_air
+from roomfit.response.energy import EnergyRows, rows_in_air
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 _RINGING_S = 2e-3
@@ -360,16 +360,8 @@ def late_shares(edges_s: FloatArray) -> FloatArray:
     return np.asarray(np.tril(np.diff(arrived, axis=0), -1))
 
 
-def tracing_variance(
-    rows: EnergyRows, observed: Observation, coefficients: FloatArray, attenuation: FloatArray
-) -> FloatArray:
-    """Return the Monte-Carlo variance of each window's energy, from independent batches."""
-    batches = batch_energies(rows, coefficients, attenuation)[:, 0]
-    return variance_of_batches(in_windows(observed.spreading, batches))
-
-
 def variance_of_batches(windows: FloatArray) -> FloatArray:
-    """Return the same from the energies of every window and batch, (n_windows, n_batches)."""
+    """Return the Monte-Carlo variance of windows from the energies of batches, (n_windows, n)."""
     n = windows.shape[1]
     if n < 2:
         return np.zeros(len(windows))

@@ -22,10 +22,9 @@ from roomfit.objective.energy import (
 from roomfit.objective.parameters import Block, Parameters
 from roomfit.objective.windows import band_spreading, spread_energy, window_edges_s
 from roomfit.response.binned import BIN_S, BinnedPaths, in_band
-from roomfit.response.energy import EnergyRows, first_rows, weigh
+from roomfit.response.energy import first_rows, weigh
 from roomfit.scene import Scene
 from roomfit.signals.filters import (
-    FilterBank,
     SpreadingKernel,
     energy_bandwidth_hz,
     spreading_kernel,
@@ -76,16 +75,16 @@ def energy_terms(
     noise would determine neither the walls nor its gain.
     """
     attenuation = attenuation_per_m(scene.air, bands)
-    kernel = spreading_kernel(FilterBank(bands))
+    kernel = spreading_kernel(bands)
     for band in range(len(bands)):
         fitted = fitted_in_band(measured, band)
         coarse = in_band(binned, float(bands.centres_hz[band]))
         labels = [_gain_label(m) for m in fitted]  # "" where the level is absolute
         gain_labels = tuple(dict.fromkeys(label for label in labels if label))
-        bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
+        one = Bands(bands.kind, bands.centres_hz[band : band + 1])
         observations = tuple(
             _observation(
-                (bank, kernel),
+                (one, kernel),
                 band,
                 m,
                 coarse.edges_s,
@@ -99,20 +98,19 @@ def energy_terms(
             yield None
             continue
         absorption = absorption_block(priors, band, float(start[band]))
-        # what reaches no window would be weighed for nothing
-        rows = tuple(
-            first_rows(coarse.rows[m.pair], observed.spreading.shape[1])
-            for m, observed in zip(fitted, observations, strict=True)
-        )
-        gain = _gain_block(gain_labels, observations, rows, absorption, float(attenuation[band]))
-        term = EnergyTerm(
-            float(bands.centres_hz[band]),
-            float(statistical_bandwidth_hz(bank)[0]),
-            float(attenuation[band]),
-            rows,
-            observations,
-        )
-        yield in_air(term), Parameters((absorption, gain))
+        centre_hz, bandwidth_hz = float(bands.centres_hz[band]), statistical_bandwidth_hz(one)[0]
+        term = EnergyTerm(centre_hz, float(bandwidth_hz), 0.0, (), observations)
+        term = with_paths(term, binned, float(attenuation[band]))
+        gain = _gain_block(gain_labels, term, absorption)
+        yield term, Parameters((absorption, gain))
+
+
+def with_paths(term: EnergyTerm, binned: BinnedPaths, attenuation_per_m: float) -> EnergyTerm:
+    """Return the windows of a band with other paths, in the same bins, the air's loss in them."""
+    rows = in_band(binned, term.centre_hz).rows
+    # what reaches no window would be weighed for nothing
+    own = tuple(first_rows(rows[o.pair], o.spreading.shape[1]) for o in term.observations)
+    return in_air(replace(term, rows=own, attenuation_per_m=attenuation_per_m))
 
 
 def prior_only_band_findings(bands: Bands, fitted: Sequence[bool]) -> tuple[Finding, ...]:
@@ -181,13 +179,13 @@ def spread_over_time(bands: Bands, energies: FloatArray) -> FloatArray:
     """Return bin energies as the band filters would show them, shape (n_bands, n_bins)."""
     spread = []
     for band, row in enumerate(energies):
-        bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
-        spread.append(spread_energy(band_spreading(bank, row.size, BIN_S), row))
+        one = Bands(bands.kind, bands.centres_hz[band : band + 1])
+        spread.append(spread_energy(band_spreading(one, row.size, BIN_S), row))
     return np.stack(spread)
 
 
 def _observation(
-    reduction: tuple[FilterBank, SpreadingKernel],
+    reduction: tuple[Bands, SpreadingKernel],
     band: int,
     m: MeasuredPair,
     bin_edges_s: FloatArray,
@@ -195,8 +193,8 @@ def _observation(
     gain: int,
     shortest: tuple[float, float],
 ) -> Observation:
-    bank, kernel = reduction
-    bandwidth_hz = float(statistical_bandwidth_hz(bank)[0])
+    one, kernel = reduction
+    bandwidth_hz = float(statistical_bandwidth_hz(one)[0])
     end_s = min(float(m.fit_end_s[band]), float(bin_edges_s[-1]))
     periods, fine_s = shortest
     rough = kernel if fine_s else replace(kernel, least_share=_LEAST_OF_VARIANCE)
@@ -205,7 +203,7 @@ def _observation(
     unit = _ENERGY_PER_PRESSURE_SQUARED if m.measurement.level == "absolute" else 1.0
     # noise power in the unit of `window_energies`: a single sample of height 1 has the energy 1
     rate_hz = m.response.sampling_rate_hz
-    per_second = m.noise.floor[band] * rate_hz**2 / (2.0 * float(energy_bandwidth_hz(bank)[0]))
+    per_second = m.noise.floor[band] * rate_hz**2 / (2.0 * float(energy_bandwidth_hz(one)[0]))
     centres = 0.5 * (bin_edges_s[1:] + bin_edges_s[:-1])
     bin_centres_s = centres[
         : int(np.searchsorted(centres, edges[-1] + spreading_reach_s(kernel, band)))
@@ -213,7 +211,7 @@ def _observation(
     return Observation(
         m.pair,
         edges,
-        unit * window_energies(bank, m.response, edges)[0],
+        unit * window_energies(one, m.response, edges)[0],
         unit * per_second * np.diff(edges),
         spreading_matrix(kernel, band, bin_centres_s, edges),
         fine,
@@ -285,24 +283,13 @@ def absorption_block(priors: tuple[MaterialPrior, ...], band: int, start: float)
     )
 
 
-def _gain_block(
-    labels: tuple[str, ...],
-    observations: tuple[Observation, ...],
-    rows: tuple[EnergyRows, ...],
-    absorption: Block,
-    attenuation: float,
-) -> Block:
+def _gain_block(labels: tuple[str, ...], term: EnergyTerm, absorption: Block) -> Block:
     """Unknown levels, starting where measured and predicted energy agree as a whole."""
-    sums = np.zeros((2, len(labels)))
-    for own, observed in zip(rows, observations, strict=True):
+    sums, air = np.zeros((2, len(labels))), np.array([term.attenuation_per_m])
+    for own, observed in zip(term.rows, term.observations, strict=True):
         if observed.gain < 0:
             continue
-        energy = weigh(
-            own,
-            absorption.start[:, None],
-            np.array([attenuation]),
-            derivative=False,
-        ).energy[0]
+        energy = weigh(own, absorption.start[:, None], air, derivative=False).energy[0]
         sums[0, observed.gain] += float(np.maximum(observed.energy - observed.noise, 0.0).sum())
         sums[1, observed.gain] += float((observed.spreading @ energy).sum())
     for label, (found, expected) in zip(labels, sums.T, strict=True):

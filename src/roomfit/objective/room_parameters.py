@@ -27,9 +27,9 @@ from roomfit.objective.windows import (
 )
 from roomfit.response.binned import BinnedPaths, regrouped, rows_at
 from roomfit.response.coherent import root_energies
+from roomfit.response.directivity import weigh_parts
 from roomfit.response.energy import (
     EnergyRows,
-    batch_energies,
     power_table,
     rows_in_air,
     thinned_rows,
@@ -40,7 +40,6 @@ from roomfit.response.energy import (
 from roomfit.scene import Scene, distances_m, pair_names
 from roomfit.signals.decay import DecayCurve, echogram_decay_curve, jnd_of
 from roomfit.signals.filters import (
-    FilterBank,
     energy_bandwidth_hz,
     frequency_response,
     statistical_bandwidth_hz,
@@ -319,16 +318,16 @@ def curve_by_pressures(
     powers = power_table(np.sqrt(1.0 - absorption)[None], rows.max_hits)[0]
     own = image.astype(np.int32)
     root = root_energies(rows.weight_per_m2[own], own, rows.hits, powers)
-    bank, bin_s = FilterBank(term.bands), float(edges[1] - edges[0])
+    bands, bin_s = term.bands, float(edges[1] - edges[0])
     # sixteen samples a period: phases within a tenth of a radian
     n = int(np.ceil(16.0 * bin_s * float(term.bands.exact_centres_hz[0])))
     size = fft.next_fast_len(2 * n * (edges.size - 1), real=True)
     place = np.clip(np.round((at_s - edges[0]) / bin_s * n), 0, size - 1).astype(np.int64)
-    shape = frequency_response(bank, fft.rfftfreq(size, bin_s / n))[0]
+    shape = frequency_response(bands, fft.rfftfreq(size, bin_s / n))[0]
     spectrum = fft.rfft(np.bincount(place, root, size)) * shape
     pressure = fft.irfft(spectrum, size)[: n * (edges.size - 1)]
     together = np.sum(pressure.reshape(-1, n) ** 2, axis=1)
-    together *= n / (2.0 * energy_bandwidth_hz(bank)[0] * bin_s)
+    together *= n / (2.0 * energy_bandwidth_hz(bands)[0] * bin_s)
     alone = np.bincount(window_of_rows(rows)[image], root**2, edges.size - 1)
     rest = spread_energy(term.spreading, np.maximum(energy - alone, 0.0))
     return echogram_decay_curve(term.bands, rest + together, edges, observed.direct_s)
@@ -340,8 +339,8 @@ def _tracing(term: ValuesTerm, i: int, absorption: FloatArray, gradients: FloatA
     n = gradients.shape[0]
     if rows.n_batches < 2:
         return np.zeros((n, n))
-    batches = batch_energies(rows, absorption[:, None], np.array([term.attenuation_per_m]))
-    parts = batches[:, 0, :] @ before_spreading(term.spreading, gradients).T
+    batches = weigh_parts(rows, None, absorption, term.attenuation_per_m).batches
+    parts = batches @ before_spreading(term.spreading, gradients).T
     return np.asarray(len(parts) * np.cov(parts.T, ddof=1).reshape(n, n))
 
 
@@ -400,20 +399,19 @@ def value_terms(
             terms.append(None)
             continue
         one = Bands(bands.kind, bands.centres_hz[band : band + 1])
-        bank = FilterBank(one)
         m = float(attenuation[band])
         fine_rows = rows_at(coarse, centre_hz)
         rows = {o.pair: _lattice_rows(scene, fine_rows[o.pair], m) for o in observations}
         terms.append(
             ValuesTerm(
                 one,
-                float(statistical_bandwidth_hz(bank)[0]),
+                float(statistical_bandwidth_hz(one)[0]),
                 0.0,
                 coarse.edges_s,
                 tuple(rows[o.pair] for o in observations),
                 tuple(squared_image_rows(rows[o.pair]) for o in observations),
                 observations,
-                bin_spreading(bank, coarse),
+                bin_spreading(one, coarse),
             )
         )
     return tuple(terms)
@@ -474,10 +472,10 @@ def coarser(binned: BinnedPaths, n: int) -> BinnedPaths:
     return regrouped(binned, binned.edges_s[: n * kept + 1 : n], joined)
 
 
-def bin_spreading(bank: FilterBank, binned: BinnedPaths) -> Spreading:
-    """Return the energy spreading of the first band of a bank over the bins of paths."""
+def bin_spreading(bands: Bands, binned: BinnedPaths) -> Spreading:
+    """Return the energy spreading of the first of some bands over the bins of paths."""
     width_s = float(binned.edges_s[1] - binned.edges_s[0])
-    return band_spreading(bank, binned.edges_s.size - 1, width_s)
+    return band_spreading(bands, binned.edges_s.size - 1, width_s)
 
 
 def predicted_values(
@@ -499,7 +497,7 @@ def predicted_values(
     found = np.empty((len(binned.rows), len(names), len(bands)))
     for band in range(len(bands)):
         one = Bands(bands.kind, bands.centres_hz[band : band + 1])
-        spreading = bin_spreading(FilterBank(one), coarse)
+        spreading = bin_spreading(one, coarse)
         chosen = slice(band, band + 1)
         for pair, rows in enumerate(rows_at(coarse, bands.centres_hz[band])):
             own = absorption[:, chosen], attenuation[chosen]

@@ -14,7 +14,7 @@ from scipy.sparse import csr_array
 
 from roomfit._numba import kernel
 from roomfit.bands import BandKind, Bands
-from roomfit.signals.filters import FilterBank, energy_share, ringing_s, spreading_kernel
+from roomfit.signals.filters import energy_share, ringing_s, spreading_kernel
 from roomfit.typing import ComplexArray, FloatArray, IntArray
 
 
@@ -31,19 +31,19 @@ class Spreading:
     squares: ComplexArray  # (length // 2 + 1,), of the squares of these shares
 
 
-def band_spreading(bank: FilterBank, n_bins: int, bin_s: float) -> Spreading:
-    """Return the spreading of the first band of a bank on so many bins of one width."""
-    return _band_spreading(bank.bands.kind, float(bank.bands.centres_hz[0]), n_bins, bin_s)
+def band_spreading(bands: Bands, n_bins: int, bin_s: float) -> Spreading:
+    """Return the spreading of the first of some bands on so many bins of one width."""
+    return _band_spreading(bands.kind, float(bands.centres_hz[0]), n_bins, bin_s)
 
 
 # of the bands of a few fits: each pair of a room has the same
 @lru_cache(maxsize=32)
 def _band_spreading(kind: BandKind, centre_hz: float, n_bins: int, bin_s: float) -> Spreading:
-    bank = FilterBank(Bands(kind, np.array([centre_hz])))
-    reach = min(n_bins, int(np.ceil(float(ringing_s(bank)[0]) / bin_s)))
+    bands = Bands(kind, np.array([centre_hz]))
+    reach = min(n_bins, int(np.ceil(float(ringing_s(bands)[0]) / bin_s)))
     lags = np.arange(-reach, reach + 1)
     edges_s = bin_s * (np.arange(-reach, reach + 2) - 0.5)
-    share = energy_share(spreading_kernel(bank), 0, [0.0], edges_s)[0]
+    share = energy_share(spreading_kernel(bands), 0, [0.0], edges_s)[0]
     length = fft.next_fast_len(n_bins + reach, real=True)
     kernels = np.zeros((2, length))
     np.add.at(kernels[0], lags % length, share)
@@ -109,16 +109,9 @@ def windows_decay_s(edges_s: FloatArray, energy: FloatArray, name: str) -> float
 
 
 def in_windows(spreading: csr_array, rows: FloatArray) -> FloatArray:
-    """Return ``shares @ rows.T``, all rows side by side.
+    """Return ``shares @ rows.T``, all rows side by side, shape (n_windows, n_rows).
 
-    Parameters
-    ----------
-    spreading : sparse array, shape (n_windows, n_bins)
-    rows : float array, shape (n_rows, n_bins)
-
-    Returns
-    -------
-    float array, shape (n_windows, n_rows)
+    Of shares, (n_windows, n_bins), and rows, (n_rows, n_bins).
     """
     return columns_in_windows(spreading, np.ascontiguousarray(rows.T))
 

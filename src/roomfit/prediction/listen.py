@@ -30,7 +30,6 @@ from roomfit.scene import Scene
 from roomfit.settings import Settings
 from roomfit.signals.decay import PARAMETER_NAMES
 from roomfit.signals.filters import (
-    FilterBank,
     check_sampling_rate,
     frequency_response,
     ringing_s,
@@ -92,7 +91,7 @@ def scaled_response(
     noise is never scaled by itself, and where it masks the decay it carries no more than what is
     predicted of it, as well as the exponential D that leads to the noise is known.
 
-    The magnitudes of the bands are squares of those of `FilterBank`, so that they add up to one at
+    The magnitudes of the bands are squares of those of `frequency_response`: they add up to one at
     every frequency, without delay. What is added to the response is the sum of bands times gain
     minus one: where every ratio is 1 it comes back bit by bit.
 
@@ -104,12 +103,12 @@ def scaled_response(
     array([2. , 1. , 0.5])
     """
     ratios = float_array("ratios", ratio, (len(bands), len(time_s)), low=0.0)
-    bank, rate_hz = FilterBank(bands), response.sampling_rate_hz
-    check_sampling_rate(bank, rate_hz)
+    rate_hz = response.sampling_rate_hz
+    check_sampling_rate(bands, rate_hz)
     t, n = times_s(response), len(response.pressure)
-    length = fft.next_fast_len(n + int(np.ceil(ringing_s(bank).max() * rate_hz)), real=True)
+    length = fft.next_fast_len(n + int(np.ceil(ringing_s(bands).max() * rate_hz)), real=True)
     frequencies = fft.rfftfreq(length, 1.0 / rate_hz)
-    magnitudes = frequency_response(bank, frequencies) ** 2
+    magnitudes = frequency_response(bands, frequencies) ** 2
     magnitudes[0, frequencies <= bands.exact_centres_hz[0]] = 1.0
     magnitudes[-1, frequencies >= bands.exact_centres_hz[-1]] = 1.0
     spectrum = fft.rfft(response.pressure, length)

@@ -432,7 +432,7 @@ def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
     for j, axes in enumerate(panels):
         axes.fill_between(
             decay.time_s, decay.lower_db[j], decay.upper_db[j], color=OKABE_ITO[1], alpha=0.25,
-            lw=0.0, label="95 % of the absorptions that are possible",
+            lw=0.0, label="95 % interval (absorption alone)",
         )  # fmt: skip
         axes.plot(
             decay.time_s,

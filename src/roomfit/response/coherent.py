@@ -11,6 +11,7 @@ windows.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -21,8 +22,9 @@ from scipy import fft
 from scipy.special import i0
 
 from roomfit._numba import in_threads, kernel
+from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.signals.filters import FilterBank, energy_bandwidth_hz, frequency_response
+from roomfit.signals.filters import energy_bandwidth_hz, frequency_response
 from roomfit.tracing.paths import Paths, paths_of_pairs
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
@@ -331,7 +333,7 @@ class BandGrid:
     filter: FloatArray  # (n // 2 + 1,), transfer function from impulses to filtered pressure
     slope: FloatArray  # (n // 2 + 1,), to minus its time derivative
     table: FloatArray  # the gridding kernel, see `grid_impulses`
-    bank: FilterBank  # of the one band
+    bands: Bands  # of the one band
     is_double: bool = False  # whether pressures are added in double precision
 
     @property
@@ -356,7 +358,11 @@ class CoherentResponse:
 
 
 def image_paths(
-    paths: Paths, pairs: IntArray, attenuation_per_m: float, longest_m: float = np.inf
+    paths: Paths,
+    pairs: IntArray,
+    attenuation_per_m: float,
+    longest_m: float = np.inf,
+    of_pair: Sequence[IntArray] | None = None,
 ) -> ImagePaths:
     """Return the image paths of each observation's pair, fully coherent.
 
@@ -369,19 +375,17 @@ def image_paths(
         Energy attenuation of the air.
     longest_m : float
         Longer paths are left out.
+    of_pair : sequence of int arrays, optional
+        The paths of every pair, of `roomfit.tracing.paths.paths_of_pairs`: spares a search of all.
 
     Notes
     -----
     Paths without `image_transform` get the reflection that turns the departure into the arrival in
     its place: right to first order in a source's displacement, and exact in a box.
     """
-    image = (paths.batch < 0) & (paths.length_m <= longest_m)
-    of_pair = (
-        paths_of_pairs(paths)
-        if len(pairs) > 1
-        else {int(p): np.flatnonzero(paths.pair == p) for p in pairs}
-    )
-    own = [of_pair[pair][image[of_pair[pair]]] for pair in pairs.tolist()]
+    of_pair = paths_of_pairs(paths) if of_pair is None else of_pair
+    every = [of_pair[pair] for pair in pairs.tolist()]
+    own = [o[(paths.batch[o] < 0) & (paths.length_m[o] <= longest_m)] for o in every]
     chosen = np.concatenate([np.zeros(0, dtype=np.int64), *own])
     length = paths.length_m[chosen]
     arrival = paths.arrival[chosen].astype(np.float64)
@@ -437,8 +441,8 @@ def chosen_paths(paths: ImagePaths, keep: BoolArray) -> ImagePaths:
     )
 
 
-def band_grid(bank: FilterBank, first_s: float, last_s: float) -> BandGrid:
-    """Return a grid for the only band of a bank that contains the times from first to last.
+def band_grid(bands: Bands, first_s: float, last_s: float) -> BandGrid:
+    """Return a grid for the only one of some bands that contains the times from first to last.
 
     Notes
     -----
@@ -450,16 +454,16 @@ def band_grid(bank: FilterBank, first_s: float, last_s: float) -> BandGrid:
     .. [1] P. J. Beatty, D. G. Nishimura, J. M. Pauly, "Rapid gridding reconstruction with a
            minimal oversampling ratio", IEEE Trans. Med. Imaging 24, 799-808 (2005).
     """
-    if len(bank.bands) != 1:
-        raise InputError("a grid belongs to one band", found=f"{len(bank.bands)} bands")
-    top_hz = float(bank.bands.upper_hz[0] ** 2 / bank.bands.exact_centres_hz[0])
+    if len(bands) != 1:
+        raise InputError("a grid belongs to one band", found=f"{len(bands)} bands")
+    top_hz = float(bands.upper_hz[0] ** 2 / bands.exact_centres_hz[0])
     rate_hz = 0.5 * _SAMPLES_PER_PERIOD * top_hz
-    padding_s = _PADDING_PERIODS / (top_hz - float(bank.bands.exact_centres_hz[0]))
+    padding_s = _PADDING_PERIODS / (top_hz - float(bands.exact_centres_hz[0]))
     half = int(np.ceil(0.5 * (last_s - first_s + 2.0 * padding_s) * rate_hz))
     n = 2 * int(fft.next_fast_len(half, real=True))  # one more than a fast odd length may be slow
     frequencies = fft.rfftfreq(n, 1.0 / rate_hz)
-    shape = frequency_response(bank, frequencies)[0]
-    shape = shape / np.sqrt(2.0 * energy_bandwidth_hz(bank)[0])
+    shape = frequency_response(bands, frequencies)[0]
+    shape = shape / np.sqrt(2.0 * energy_bandwidth_hz(bands)[0])
     used = shape > 0.0
     # the Fourier transform of the gridding kernel within its pass band, and its table in time
     argument = np.maximum(_BETA**2 - (np.pi * TAPS * (frequencies / rate_hz)) ** 2, 1e-12)
@@ -471,7 +475,7 @@ def band_grid(bank: FilterBank, first_s: float, last_s: float) -> BandGrid:
     table = np.where(np.abs(x) <= TAPS / 2, i0(_BETA * np.sqrt(inside)) / i0(_BETA), 0.0)
     transfer = np.where(used, shape / np.where(used, kernel, 1.0), 0.0) * rate_hz
     slope = -2j * np.pi * frequencies * transfer
-    return BandGrid(first_s - padding_s, rate_hz, n, transfer, slope, table, bank)
+    return BandGrid(first_s - padding_s, rate_hz, n, transfer, slope, table, bands)
 
 
 def coherent_response(

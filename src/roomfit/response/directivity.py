@@ -34,9 +34,9 @@ from roomfit.response.coherent import (
 )
 from roomfit.response.energy import (
     NEARLY_BLACK,
+    PIECE,
     ROWS_WORTH_THREADS,
     EnergyRows,
-    pieces_of,
     power_table,
     reflected_and_attenuation,
     slope_at_black,
@@ -133,36 +133,26 @@ def weigh_parts(
     reflected, attenuation = reflected_and_attenuation(
         rows, coefficients[:, None], np.array([attenuation_per_m])
     )
-    pieces = pieces_of(rows.offsets)
     n_batches = max(rows.n_batches, rows.largest_batch + 1)
     first = 2 + n_batches
-    sums = np.zeros((len(pieces), first + (coefficients.size + 3 if derivative else 0)))
+    out = np.zeros((rows.n_windows, first + (coefficients.size + 3 if derivative else 0)))
     b, basis = np.zeros(3), np.zeros((0, 3))
     if pattern is not None:
         b, basis = np.array(pattern.b, dtype=np.float64), pattern.basis  # type: ignore[assignment]
     in_threads(
-        _weigh_parts_pieces,
-        len(pieces),
-        pieces,
+        _weigh_windows,
+        rows.n_windows,
+        rows.offsets,
         (rows.weight_per_m2, rows.length_m, rows.hits, basis, rows.batch),
         b,
         reflected[0],
         power_table(reflected, rows.max_hits)[0],
         attenuation[0],
         first,
-        sums,
+        out,
         worth_it=len(rows) >= ROWS_WORTH_THREADS,
     )
-    out = np.zeros((rows.n_windows, sums.shape[1]))
-    _sum_pieces(pieces, sums, out)
     return EnergyParts(out[:, 0].copy(), out[:, 1].copy(), out[:, 2:first].T, out)
-
-
-@kernel(allocates=False)
-def _sum_pieces(pieces: IntArray, sums: FloatArray, out: FloatArray) -> None:
-    for p in range(len(pieces)):
-        for k in range(sums.shape[1]):
-            out[pieces[p, 0], k] += sums[p, k]
 
 
 DirectedRows: TypeAlias = tuple[
@@ -171,11 +161,11 @@ DirectedRows: TypeAlias = tuple[
 """Weight, length, hits, pattern basis and batch of every row."""
 
 
-@kernel(allocates=False)
-def _weigh_parts_pieces(
+@kernel()
+def _weigh_windows(
     first: int,
     last: int,
-    pieces: IntArray,
+    offsets: IntArray,
     rows: DirectedRows,
     b: FloatArray,
     reflected: FloatArray,
@@ -184,77 +174,91 @@ def _weigh_parts_pieces(
     slopes: int,
     every: FloatArray,
 ) -> None:
-    """Fill the sums of some pieces: energy, squares of image paths, every batch, and derivatives.
+    """Fill the sums of some windows: energy, squares of image paths, every batch, and derivatives.
 
-    The latter from column `slopes` on, by absorption and by b.
+    The latter from column `slopes` on, by absorption and by b. Of at most `PIECE` rows at a time.
 
     With q the pattern basis, N = 1 + b b / 3 and c = 1 + b q, the factor of a row is ``c**2 / N``
     and its derivative by b ``2 c q / N - 2 c**2 b / (3 N**2)``.
     """
     weight, length, hits, basis, batch = rows
     norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
-    for p in range(first, last):
-        sums = every[p]
-        energy = squares = x = y = z = 0.0
-        # sums of the first three materials stay in registers, which halves the time
-        by0 = by1 = by2 = 0.0
-        n = hits.shape[1]
-        with_slopes = sums.size > slopes
-        for r in range(pieces[p, 1], pieces[p, 2]):
-            h0 = h1 = h2 = hits[r, 0]
-            own = weight[r] * powers[0, h0]
-            if n > 1:
-                h1 = hits[r, 1]
-                own *= powers[1, h1]
-            if n > 2:
-                h2 = hits[r, 2]
-                own *= powers[2, h2]
-            for m in range(3, n):
-                own *= powers[m, hits[r, m]]
-            if attenuation != 0.0:
-                own *= math.exp(-attenuation * length[r])
-            if len(basis):
-                c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-                once = c * own / norm
-                own = c * once
-                x += once * basis[r, 0]
-                y += once * basis[r, 1]
-                z += once * basis[r, 2]
-            energy += own
-            if batch[r] < 0:
-                squares += own * own
-            else:
-                sums[2 + batch[r]] += own
-            by0 -= own * h0
-            by1 -= own * h1
-            by2 -= own * h2
-            if with_slopes:
-                for m in range(3, n):
-                    sums[slopes + m] -= own * hits[r, m]
-        sums[0], sums[1] = energy, squares
-        if not with_slopes:
-            continue
-        sums[slopes] = by0
-        if n > 1:
-            sums[slopes + 1] = by1
-        if n > 2:
-            sums[slopes + 2] = by2
-        if len(basis):
-            turned = energy / (3.0 * norm)
-            sums[slopes + n] = 2.0 * (x - turned * b[0])
-            sums[slopes + n + 1] = 2.0 * (y - turned * b[1])
-            sums[slopes + n + 2] = 2.0 * (z - turned * b[2])
-        for m in range(n):
-            if reflected[m] >= NEARLY_BLACK:
-                sums[slopes + m] /= reflected[m]
-                continue
-            sums[slopes + m] = 0.0
-            for r in range(pieces[p, 1], pieces[p, 2]):
-                own = weight[r]
+    n, sums, h3, h4, h5 = hits.shape[1], np.empty(every.shape[1]), 0, 0, 0
+    others = 6 if n > 5 else 3
+    with_slopes = sums.size > slopes
+    for w in range(first, last):
+        for start in range(offsets[w], offsets[w + 1], PIECE):
+            stop = min(start + PIECE, offsets[w + 1])
+            sums[:] = 0.0
+            energy = squares = x = y = z = 0.0
+            # sums of the first materials stay in registers, which halves the time
+            by0 = by1 = by2 = by3 = by4 = by5 = 0.0
+            for r in range(start, stop):
+                h0 = h1 = h2 = hits[r, 0]
+                own = weight[r] * powers[0, h0]
+                if n > 1:
+                    h1 = hits[r, 1]
+                    own *= powers[1, h1]
+                if n > 2:
+                    h2 = hits[r, 2]
+                    own *= powers[2, h2]
+                if n > 5:
+                    h3, h4, h5 = hits[r, 3], hits[r, 4], hits[r, 5]
+                    own = own * powers[3, h3] * powers[4, h4] * powers[5, h5]
+                for m in range(others, n):
+                    own *= powers[m, hits[r, m]]
+                if attenuation != 0.0:
+                    own *= math.exp(-attenuation * length[r])
                 if len(basis):
                     c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-                    own *= c * c / norm
-                sums[slopes + m] -= slope_at_black(own, length[r], hits[r], powers, attenuation, m)
+                    once = c * own / norm
+                    own = c * once
+                    x += once * basis[r, 0]
+                    y += once * basis[r, 1]
+                    z += once * basis[r, 2]
+                energy += own
+                if batch[r] < 0:
+                    squares += own * own
+                else:
+                    sums[2 + batch[r]] += own
+                by0 -= own * h0
+                by1 -= own * h1
+                by2 -= own * h2
+                by3 -= own * h3
+                by4 -= own * h4
+                by5 -= own * h5
+                if with_slopes:
+                    for m in range(others, n):
+                        sums[slopes + m] -= own * hits[r, m]
+            sums[0], sums[1] = energy, squares
+            if with_slopes:
+                sums[slopes] = by0
+                if n > 1:
+                    sums[slopes + 1] = by1
+                if n > 2:
+                    sums[slopes + 2] = by2
+                if n > 5:
+                    sums[slopes + 3], sums[slopes + 4], sums[slopes + 5] = by3, by4, by5
+                if len(basis):
+                    turned = energy / (3.0 * norm)
+                    sums[slopes + n] = 2.0 * (x - turned * b[0])
+                    sums[slopes + n + 1] = 2.0 * (y - turned * b[1])
+                    sums[slopes + n + 2] = 2.0 * (z - turned * b[2])
+                for m in range(n):
+                    if reflected[m] >= NEARLY_BLACK:
+                        sums[slopes + m] /= reflected[m]
+                        continue
+                    sums[slopes + m] = 0.0
+                    for r in range(start, stop):
+                        own = weight[r]
+                        if len(basis):
+                            c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
+                            own *= c * c / norm
+                        sums[slopes + m] -= slope_at_black(
+                            own, length[r], hits[r], powers, attenuation, m
+                        )
+            for k in range(sums.size):
+                every[w, k] += sums[k]
 
 
 def image_departure(images: ImagePaths) -> NDArray[np.float32]:

@@ -291,22 +291,9 @@ _BLOCK = 256
 NEARLY_BLACK = 1e-6
 
 
-@kernel()
 def power_table(reflected: FloatArray, max_hits: int) -> FloatArray:
-    """Return ``x ** h`` for h = 0 to max_hits, shape (n_bands, n_materials, max_hits + 1).
-
-    Parameters
-    ----------
-    reflected : float array, shape (n_bands, n_materials)
-        x = 1 - a. ``0 ** 0`` is 1.
-    """
-    n_bands, n_materials = reflected.shape
-    table = np.empty((n_bands, n_materials, max_hits + 1))
-    for b in range(n_bands):
-        for m in range(n_materials):
-            for h in range(max_hits + 1):
-                table[b, m, h] = reflected[b, m] ** float(h)
-    return table
+    """Return ``x ** h`` for x = 1 - a and h = 0 to max_hits, (n_bands, n_materials, n_hits)."""
+    return np.asarray(reflected[:, :, None] ** np.arange(max_hits + 1.0))
 
 
 @kernel()
@@ -416,27 +403,6 @@ def sum_pieces(
             energy[b, w] += energies[p, b]
             for m in range(slopes.shape[2]):
                 derivative[m, b, w] -= slopes[p, b, m]
-
-
-@kernel(allocates=False)
-def weigh_batches(
-    offsets: IntArray,
-    batch: IntArray,
-    weight: FloatArray,
-    hits: IntArray,
-    length: FloatArray,
-    powers: FloatArray,
-    attenuation: FloatArray,
-    energy: FloatArray,
-) -> None:
-    """Add the rows of rays to energy (n_batches, n_bands, n_windows), image rows left out."""
-    for w in range(len(offsets) - 1):
-        for r in range(offsets[w], offsets[w + 1]):
-            if batch[r] >= 0:
-                for b in range(len(attenuation)):
-                    energy[batch[r], b, w] += row_energy(
-                        weight[r], length[r], hits[r], powers[b], attenuation[b]
-                    )
 
 
 # Two milliseconds of work: threads wake in microseconds, but a busy machine keeps the last of them
@@ -566,29 +532,6 @@ def weigh_points(rows: EnergyRows, absorption: FloatArray) -> FloatArray:
     energy = np.zeros((rows.n_windows, len(absorption)))
     _weigh_points(rows.offsets, rows.weight_per_m2, rows.hits, powers, energy)
     return np.ascontiguousarray(energy.T)
-
-
-def batch_energies(
-    rows: EnergyRows, coefficients: FloatArray, attenuation_per_m: FloatArray
-) -> FloatArray:
-    """Return the window energies of each Monte-Carlo batch, (n_batches, n_bands, n_windows).
-
-    Their sum and the energy of the image paths, which are in no batch, make up `weigh`'s energy.
-    """
-    reflected, attenuation = reflected_and_attenuation(rows, coefficients, attenuation_per_m)
-    n_batches = max(rows.n_batches, rows.largest_batch + 1)
-    energy = np.zeros((n_batches, len(attenuation), rows.n_windows))
-    weigh_batches(
-        rows.offsets,
-        rows.batch,
-        rows.weight_per_m2,
-        rows.hits,
-        rows.length_m,
-        power_table(reflected, rows.max_hits),
-        attenuation,
-        energy,
-    )
-    return energy
 
 
 def reflected_and_attenuation(

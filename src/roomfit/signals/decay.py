@@ -17,7 +17,6 @@ from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.signals.filters import (
-    FilterBank,
     filter_pressure,
     ringing_s,
     statistical_bandwidth_hz,
@@ -47,7 +46,7 @@ class DecayCurve:
 
 
 def decay_curve(
-    bank: FilterBank, response: ImpulseResponse, onset_s: float, *, keep_noise: bool = False
+    bands: Bands, response: ImpulseResponse, onset_s: float, *, keep_noise: bool = False
 ) -> DecayCurve:
     """Return the decay curves of a measured response.
 
@@ -77,15 +76,15 @@ def decay_curve(
     """
     check_travel(response, onset_s)
     rate_hz = response.sampling_rate_hz
-    leads_s = _LEAD * ringing_s(bank)
+    leads_s = _LEAD * ringing_s(bands)
     long = padded(response, float(leads_s.max()))
-    filtered = filter_pressure(bank, long)
-    noise = estimate_noise(bank, long, filtered, onset_s)
+    filtered = filter_pressure(bands, long)
+    noise = estimate_noise(bands, long, filtered, onset_s)
 
     # boundaries between samples: each sample stands for half an interval on either side
     first = max(0, int((onset_s - leads_s.max() + long.time_zero_s) * rate_hz))
     time_s = (np.arange(first, filtered.shape[1] + 1) - 0.5) / rate_hz - long.time_zero_s
-    energy_left = np.zeros((len(bank.bands), len(time_s)))
+    energy_left = np.zeros((len(bands), len(time_s)))
     for band, pressure in enumerate(filtered):
         begin, end = np.searchsorted(time_s, (onset_s - leads_s[band], noise.usable_end_s[band]))
         floor, tail = noise.floor[band], noise.tail_energy[band]
@@ -97,7 +96,7 @@ def decay_curve(
     # nothing is known after the last band's end, which may be most of a file
     known = int(np.flatnonzero(energy_left.any(axis=0)).max(initial=0)) + 2
     return DecayCurve(
-        bank.bands,
+        bands,
         time_s[:known].copy(),
         energy_left[:, :known].copy(),
         onset_s,
@@ -151,7 +150,7 @@ def reduced_alike(predicted: DecayCurve, measured: DecayCurve) -> DecayCurve:
     """
     left, constant_s = predicted.energy_left.copy(), predicted.tail_time_constant_s.copy()
     ends_s, usable_db = predicted.usable_end_s.copy(), predicted.usable_db.copy()
-    bandwidths = statistical_bandwidth_hz(FilterBank(predicted.bands))
+    bandwidths = statistical_bandwidth_hz(predicted.bands)
     for band, (end_s, tau) in enumerate(
         zip(measured.usable_end_s, measured.tail_time_constant_s, strict=True)
     ):

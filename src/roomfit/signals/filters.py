@@ -83,25 +83,6 @@ _LEAST_SHARE = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FilterBank:
-    """Zero-phase band filters whose squared magnitudes add up to one.
-
-    It has no sampling rate: the same bank filters files of any rate and spreads predictions.
-
-    Notes
-    -----
-    With u the distance of a frequency from the nearer band edge in band widths on a logarithmic
-    axis (-1/2 at the centre, 0 at the edge, 1/2 at the neighbour's centre), the magnitude is
-    ``cos(pi / 4 (1 + sin(pi u)))`` between these centres [1]_: 1 at the own centre, -3 dB at the
-    edge, and nothing from the neighbour's centre on. It meets class 1 of [2]_. The inner sine
-    makes the edges smooth at both ends, so the ringing dies with the third power of time, not
-    with the second.
-    """
-
-    bands: Bands  # Octaves or third octaves
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class SpreadingKernel:
     """How a filter bank spreads the energy of an impulse over time.
 
@@ -115,10 +96,21 @@ class SpreadingKernel:
     least_share: float = _LEAST_SHARE  # on either side; less is left out of sparse matrices
 
 
-def frequency_response(bank: FilterBank, frequencies_hz: ArrayLike) -> FloatArray:
-    """Return the magnitude of every band, 0 to 1, shape (n_bands, n_frequencies); zero phase."""
+def frequency_response(bands: Bands, frequencies_hz: ArrayLike) -> FloatArray:
+    """Return the magnitude of every band's filter, 0 to 1, shape (n_bands, n_frequencies).
+
+    Filters have zero phase, and squared magnitudes that add up to one.
+
+    Notes
+    -----
+    With u the distance of a frequency from the nearer band edge in band widths on a logarithmic
+    axis (-1/2 at the centre, 0 at the edge, 1/2 at the neighbour's centre), the magnitude is
+    ``cos(pi / 4 (1 + sin(pi u)))`` between these centres [1]_: 1 at the own centre, -3 dB at the
+    edge, and nothing from the neighbour's centre on. It meets class 1 of [2]_. The inner sine
+    makes the edges smooth at both ends, so the ringing dies with the third power of time, not
+    with the second.
+    """
     f = np.abs(np.asarray(frequencies_hz, dtype=np.float64))
-    bands = bank.bands
     width = np.log(bands.upper_hz / bands.lower_hz)
     with np.errstate(divide="ignore"):  # 0 Hz lies infinitely many octaves below every band
         distance = np.abs(np.log(f[None, :] / bands.exact_centres_hz[:, None])) / width[:, None]
@@ -126,20 +118,20 @@ def frequency_response(bank: FilterBank, frequencies_hz: ArrayLike) -> FloatArra
     return np.asarray(np.cos(0.25 * np.pi * (1.0 + np.sin(np.pi * u))) * (u < 0.5))
 
 
-def ringing_s(bank: FilterBank) -> FloatArray:
+def ringing_s(bands: Bands) -> FloatArray:
     """Return how long each band rings before and after an impulse, shape (n_bands,).
 
     Less than 1e-11 of the energy lies farther away.
     """
-    return np.asarray(_span_periods(bank) / bank.bands.exact_centres_hz)
+    return np.asarray(_span_periods(bands) / bands.exact_centres_hz)
 
 
-def energy_bandwidth_hz(bank: FilterBank) -> FloatArray:
+def energy_bandwidth_hz(bands: Bands) -> FloatArray:
     """Return the integral of the squared magnitude of each band, shape (n_bands,)."""
-    return _integrals_of_powers(bank.bands.kind, tuple(bank.bands.centres_hz.tolist()))[0]
+    return _integrals_of_powers(bands.kind, tuple(bands.centres_hz.tolist()))[0]
 
 
-def statistical_bandwidth_hz(bank: FilterBank) -> FloatArray:
+def statistical_bandwidth_hz(bands: Bands) -> FloatArray:
     """Return the bandwidth B that sets how random a band's energy is, shape (n_bands,).
 
     The energy of white noise through a band during T has the relative variance ``1 / (B T)``, with
@@ -150,13 +142,11 @@ def statistical_bandwidth_hz(bank: FilterBank) -> FloatArray:
     ----------
     .. [1] J. S. Bendat, A. G. Piersol, "Random Data", 4th ed., Wiley (2010), section 8.3.
     """
-    once, twice = _integrals_of_powers(bank.bands.kind, tuple(bank.bands.centres_hz.tolist()))
+    once, twice = _integrals_of_powers(bands.kind, tuple(bands.centres_hz.tolist()))
     return np.asarray(once**2 / twice)
 
 
-def check_sampling_rate(
-    bank: FilterBank, sampling_rate_hz: float, where: str | None = None
-) -> None:
+def check_sampling_rate(bands: Bands, sampling_rate_hz: float, where: str | None = None) -> None:
     """Refuse a sampling rate at which some band does not fit below half of it.
 
     Raises
@@ -164,7 +154,6 @@ def check_sampling_rate(
     InputError
         With the band and the lowest rate at which it can be analysed.
     """
-    bands = bank.bands
     # a filter ends where the next band of its kind has its centre
     top_hz = float(bands.upper_hz[-1] ** 2 / bands.exact_centres_hz[-1])
     if top_hz > 0.5 * sampling_rate_hz:
@@ -178,7 +167,7 @@ def check_sampling_rate(
         )
 
 
-def filter_pressure(bank: FilterBank, response: ImpulseResponse) -> FloatArray:
+def filter_pressure(bands: Bands, response: ImpulseResponse) -> FloatArray:
     """Return the pressure in every band, without delay.
 
     The filters ring before an impulse as much as after it: use `padded` first where sound begins
@@ -195,14 +184,14 @@ def filter_pressure(bank: FilterBank, response: ImpulseResponse) -> FloatArray:
         A band reaches above half the sampling rate.
     """
     rate_hz = response.sampling_rate_hz
-    check_sampling_rate(bank, rate_hz)
+    check_sampling_rate(bands, rate_hz)
     n = len(response.pressure)
     # rings run into the padding from both ends, and meet there only where they have died
-    length = fft.next_fast_len(n + int(np.ceil(ringing_s(bank).max() * rate_hz)), real=True)
+    length = fft.next_fast_len(n + int(np.ceil(ringing_s(bands).max() * rate_hz)), real=True)
     spectrum = fft.rfft(response.pressure, length)
-    centres_hz = tuple(bank.bands.centres_hz.tolist())
-    magnitudes = _magnitudes(bank.bands.kind, centres_hz, length, rate_hz)
-    filtered = np.empty((len(bank.bands), n))
+    centres_hz = tuple(bands.centres_hz.tolist())
+    magnitudes = _magnitudes(bands.kind, centres_hz, length, rate_hz)
+    filtered = np.empty((len(bands), n))
     for band, magnitude in enumerate(magnitudes):
         filtered[band] = fft.irfft(spectrum * magnitude, length)[:n]
     return filtered
@@ -214,10 +203,10 @@ def _magnitudes(
 ) -> FloatArray:
     """Return the bands on the frequencies of a transform: all responses of a room have the same."""
     frequencies_hz = fft.rfftfreq(length, 1.0 / rate_hz)
-    return frequency_response(FilterBank(Bands(kind, np.array(centres_hz))), frequencies_hz)
+    return frequency_response(Bands(kind, np.array(centres_hz)), frequencies_hz)
 
 
-def window_energies(bank: FilterBank, response: ImpulseResponse, edges_s: FloatArray) -> FloatArray:
+def window_energies(bands: Bands, response: ImpulseResponse, edges_s: FloatArray) -> FloatArray:
     """Return the measured energy of every band in every time window (the first front end).
 
     `edges_s`, shape (n_windows + 1,): rising times after emission. Before and after the file there
@@ -230,20 +219,20 @@ def window_energies(bank: FilterBank, response: ImpulseResponse, edges_s: FloatA
         a^2 in every band: the sum over paths of energy times `energy_share` is its expectation.
     """
     rate_hz = response.sampling_rate_hz
-    long = padded(response, float(ringing_s(bank).max()))
+    long = padded(response, float(ringing_s(bands).max()))
     # sample k stands for the time from half a sample before to half a sample after it
     boundaries = (np.arange(len(long.pressure) + 1) - 0.5) / rate_hz - long.time_zero_s
-    lone_sample = 2.0 * energy_bandwidth_hz(bank) / rate_hz
-    energies = np.empty((len(bank.bands), len(edges_s) - 1))
-    for band, pressure in enumerate(filter_pressure(bank, long)):
+    lone_sample = 2.0 * energy_bandwidth_hz(bands) / rate_hz
+    energies = np.empty((len(bands), len(edges_s) - 1))
+    for band, pressure in enumerate(filter_pressure(bands, long)):
         cumulative = np.concatenate(([0.0], np.cumsum(pressure**2)))
         energies[band] = np.diff(np.interp(edges_s, boundaries, cumulative)) / lone_sample[band]
     return energies
 
 
-def spreading_kernel(bank: FilterBank) -> SpreadingKernel:
-    """Return how the bank spreads an impulse over time: the second front end's table."""
-    return SpreadingKernel(bank.bands.exact_centres_hz, *_spreading_table(bank.bands.kind))
+def spreading_kernel(bands: Bands) -> SpreadingKernel:
+    """Return how the bands spread an impulse over time: the second front end's table."""
+    return SpreadingKernel(bands.exact_centres_hz, *_spreading_table(bands.kind))
 
 
 @cache
@@ -251,7 +240,7 @@ def _spreading_table(kind: BandKind) -> tuple[FloatArray, FloatArray, FloatArray
     """Return periods, density and cumulative share of the bands of a kind, made once."""
     # The table is made for a bank with one band at the reference frequency of 1 kHz, whose exact
     # centre is its nominal one, and long enough that what wraps is far below the cut-off share.
-    reference = FilterBank(Bands(kind, np.array([1000.0])))
+    reference = Bands(kind, np.array([1000.0]))
     span = round(_span_periods(reference) * _STEPS_PER_PERIOD)
     length = 16 * span
     frequencies = fft.rfftfreq(length, 1.0 / (1000.0 * _STEPS_PER_PERIOD))
@@ -325,7 +314,8 @@ def _banded(
     span_s = spreading_reach_s(kernel, band)
     first = np.searchsorted(delays_s, edges[:-1] - span_s)
     last = np.searchsorted(delays_s, edges[1:] + span_s)
-    pointers = np.concatenate(([0], np.cumsum(last - first)))
+    # of 32 bits, or the columns would become 64
+    pointers = np.concatenate(([0], np.cumsum(last - first))).astype(np.int32)
     values, columns = np.empty(pointers[-1]), np.empty(pointers[-1], dtype=np.int32)
     delays, steps_per_s = np.array(delays_s), centre * _STEPS_PER_PERIOD
     differences_over_windows(
@@ -334,8 +324,8 @@ def _banded(
     return csr_array((values, columns, pointers), shape=(len(edges) - 1, len(delays_s)))
 
 
-def _span_periods(bank: FilterBank) -> float:
-    width = np.log2(bank.bands.upper_hz[0] / bank.bands.lower_hz[0])
+def _span_periods(bands: Bands) -> float:
+    width = np.log2(bands.upper_hz[0] / bands.lower_hz[0])
     return float(_SPAN_PERIODS * np.round(1.0 / width))
 
 
@@ -347,6 +337,6 @@ def _integrals_of_powers(
     bands = Bands(kind, np.array(centres_hz))
     # fine enough for the trapezoidal rule
     f = np.geomspace(bands.lower_hz[0] / 2.0, bands.upper_hz[-1] * 2.0, 4096 * (1 + len(bands)))
-    squared = frequency_response(FilterBank(bands), f) ** 2
+    squared = frequency_response(bands, f) ** 2
     once, twice = (np.asarray(np.trapezoid(squared**n, f, axis=1)) for n in (1, 2))
     return read_only(once), read_only(twice)

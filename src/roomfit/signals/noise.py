@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roomfit.signals.filters import FilterBank, statistical_bandwidth_hz
+from roomfit.bands import Bands
+from roomfit.signals.filters import statistical_bandwidth_hz
 from roomfit.signals.response import (
     TAIL_SHARE,
     ImpulseResponse,
@@ -43,7 +44,7 @@ class NoiseEstimate:
 
 
 def estimate_noise(
-    bank: FilterBank, response: ImpulseResponse, filtered: FloatArray, onset_s: float
+    bands: Bands, response: ImpulseResponse, filtered: FloatArray, onset_s: float
 ) -> NoiseEstimate:
     """Return the noise floor and the usable end of every band.
 
@@ -81,7 +82,7 @@ def estimate_noise(
             bandwidth,
             level_before(pressure[:start] ** 2, rate_hz, bandwidth),
         )
-        for pressure, bandwidth in zip(filtered, statistical_bandwidth_hz(bank), strict=True)
+        for pressure, bandwidth in zip(filtered, statistical_bandwidth_hz(bands), strict=True)
     ]
     # undecided bands follow the others: one file is cut in all of them, or in none
     evidence = sum(float(np.clip(h.evidence, -_CLEAR, _CLEAR)) for h in decays)

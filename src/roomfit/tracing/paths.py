@@ -91,8 +91,8 @@ _PER_PATH = (
 def paths_of_pairs(paths: Paths) -> list[IntArray]:
     """Return the indices of the paths of every pair, rising: one search for all pairs."""
     order = np.argsort(paths.pair, kind="stable")
-    ends = np.searchsorted(paths.pair[order], np.arange(1, paths.n_pairs))
-    return np.split(order, ends)
+    ends = np.cumsum(np.bincount(paths.pair, minlength=paths.n_pairs))
+    return np.split(order, ends[:-1])
 
 
 def hits(paths: Paths) -> IntArray:

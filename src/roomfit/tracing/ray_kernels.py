@@ -248,7 +248,7 @@ class Tally(NamedTuple):
     escape_from_m: FloatArray  # (n_chunks, ESCAPES_KEPT, 3), start of the last flight of the first
 
 
-@kernel()
+@kernel(allocates=False)
 def trace_chunks(
     first_chunk: int,
     last_chunk: int,
@@ -257,6 +257,7 @@ def trace_chunks(
     job: Job,
     directions: FloatArray,
     first_ray: int,
+    met: IntArray,
     caught: Caught,
     tally: Tally,
 ) -> None:
@@ -268,39 +269,22 @@ def trace_chunks(
         Start directions of these rays.
     first_ray : int
         Number of the first of them among all rays of the source.
+    met : uint16 array, shape (2, n_chunks, n_materials)
+        Memory for the specular and diffuse hits of a ray.
     """
-    specular = np.zeros(len(job.scattering), np.uint16)
-    diffuse = np.zeros(len(job.scattering), np.uint16)
     for chunk in range(first_chunk, last_chunk):
-        _trace_chunk(
-            walls, spheres, job, directions, first_ray, chunk, specular, diffuse, caught, tally
-        )
-
-
-@kernel(allocates=False)
-def _trace_chunk(
-    walls: Walls,
-    spheres: Spheres,
-    job: Job,
-    directions: FloatArray,
-    first_ray: int,
-    chunk: int,
-    specular: IntArray,
-    diffuse: IntArray,
-    caught: Caught,
-    tally: Tally,
-) -> None:
-    for i in range(chunk * CHUNK_RAYS, min((chunk + 1) * CHUNK_RAYS, len(directions))):
-        specular[:] = 0
-        diffuse[:] = 0
-        d = (directions[i, 0], directions[i, 1], directions[i, 2])
-        hits, free_paths, sum_m, sum_m2 = _trace_ray(
-            walls, spheres, job, d, first_ray + i, chunk, specular, diffuse, caught, tally
-        )
-        tally.hits[chunk] += hits
-        tally.free_paths[chunk] += free_paths
-        tally.sum_m[chunk] += sum_m
-        tally.sum_m2[chunk] += sum_m2
+        specular, diffuse = met[0, chunk], met[1, chunk]
+        for i in range(chunk * CHUNK_RAYS, min((chunk + 1) * CHUNK_RAYS, len(directions))):
+            specular[:] = 0
+            diffuse[:] = 0
+            d = (directions[i, 0], directions[i, 1], directions[i, 2])
+            hits, free_paths, sum_m, sum_m2 = _trace_ray(
+                walls, spheres, job, d, first_ray + i, chunk, specular, diffuse, caught, tally
+            )
+            tally.hits[chunk] += hits
+            tally.free_paths[chunk] += free_paths
+            tally.sum_m[chunk] += sum_m
+            tally.sum_m2[chunk] += sum_m2
 
 
 @kernel(allocates=False)

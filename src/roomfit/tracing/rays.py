@@ -8,7 +8,7 @@ traced block by block and packed into path arrays.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
@@ -81,18 +81,32 @@ def sobol_directions(n_rays: int, n_batches: int, seed: tuple[int, ...]) -> Floa
     float array, shape (n_rays, 3)
         Ray i is point ``i // n_batches`` of batch ``i % n_batches``.
     """
-    from scipy.stats import qmc  # heavy, and needed by rays alone
-
     directions = np.empty((n_rays, 3))
     for batch in range(min(n_batches, n_rays)):
-        rng = np.random.default_rng((*seed, batch))
+        rng = np.random.default_rng((*seed, batch)).spawn(1)[0]
         own = directions[batch::n_batches]
-        points = qmc.Sobol(2, scramble=True, rng=rng).random_base2(
-            max(len(own) - 1, 0).bit_length()
-        )
-        u = points[: len(own)]
+        u = _sobol_points(len(own), rng)
         own[:] = _on_sphere(1.0 - 2.0 * u[:, 0], 2.0 * np.pi * u[:, 1])
     return directions
+
+
+def _sobol_points(n: int, rng: np.random.Generator, bits: int = 30) -> FloatArray:
+    """Return scrambled Sobol points of the unit square, shape (n, 2).
+
+    The bits of ``scipy.stats.qmc.Sobol(2, rng=parent)``, `rng` its child: directions of Joe and Kuo
+    (2008), random lower triangles and a shift of Matousek (1998). Loading scipy.stats takes
+    longer than tracing a small room.
+    """
+    powers = 1 << np.arange(bits)
+    vectors = np.tile(powers[::-1], (2, 1))
+    for k in range(1, bits):
+        vectors[1, k] = vectors[1, k - 1] ^ (vectors[1, k - 1] >> 1)
+    points = rng.integers(0, 2, (2, bits), np.uint32) @ powers[:, None]
+    lower = np.tril(rng.integers(0, 2, (2, bits, bits), np.uint32), -1) + np.eye(bits, dtype=int)
+    scrambled = powers[::-1] @ (lower @ (vectors[:, None] // powers[::-1, None] % 2) % 2)
+    for k in range(max(n - 1, 0).bit_length()):  # of Gray's code, each half mirrors the one before
+        points = np.concatenate((points, points[:, ::-1] ^ scrambled[:, k, None]), axis=1)
+    return np.asarray(points[:, :n].T * 2.0**-bits)
 
 
 def _on_sphere(z: FloatArray, azimuth: FloatArray) -> FloatArray:
@@ -137,7 +151,8 @@ def _trace_block(
     own = directions[rays.start : rays.stop]
     while True:
         caught, tally = _new_caught(n_chunks, capacity, len(job.scattering)), new_tally(n_chunks)
-        in_threads(trace_chunks, n_chunks, walls, spheres, job, own, rays.start, caught, tally)
+        met = np.zeros((2, n_chunks, len(job.scattering)), np.uint16)
+        in_threads(trace_chunks, n_chunks, walls, spheres, job, own, rays.start, met, caught, tally)
         found = int(caught.found.max(initial=0))
         if found <= capacity:
             return caught, tally
@@ -259,7 +274,7 @@ def trace_rays(
     *,
     receiver_radii_m: ArrayLike | None = None,
     memory_limit_bytes: int = MEMORY_LIMIT_BYTES,
-    images: Paths | None = None,
+    images: Callable[[], Paths] | None = None,
 ) -> Trace:
     """Send rays from every source that a pair needs and record each crossing of its receivers.
 
@@ -281,15 +296,16 @@ def trace_rays(
         More, at `path_bytes` a path and 24 bytes a ray, is refused: before the trace where so many
         paths are expected, on the way where so many are found. The peak is that, once again the
         largest array of the paths, and about 100 MB.
-    images : Paths, optional
-        Exact paths up to `settings.image_order` and `settings.image_until_s`, which come first;
-        rays that they cover are left out.
+    images : callable, optional
+        Gives exact paths up to `settings.image_order` and `settings.image_until_s`, which come
+        first; rays that they cover are left out. They are let go of as they are copied.
 
     Raises
     ------
     InputError
         Scattering of other materials, or too many paths for the memory.
     """
+    exact = None if images is None else images()
     radii = _radii(scene, settings, receiver_radii_m)
     coefficients = np.atleast_2d(coefficients_in_order(scattering, scene.room.materials))
     sources = np.unique(scene.pairs[:, 0]).tolist() if settings.n_rays else []
@@ -307,7 +323,7 @@ def trace_rays(
     for done, ((own, s), source) in enumerate(parts):
         for last, piece, tally in _trace_source(scene, own, walls, source, radii, s):
             piece.weight_per_m2[:] /= len(coefficients)
-            if images is not None:
+            if exact is not None:
                 late = ~covered_by_images(piece, settings.image_order, reach_m)
                 piece = Piece._make([column[late] for column in piece])
             pieces.append(piece)
@@ -317,16 +333,18 @@ def trace_rays(
             if progress is not None:
                 progress((done + last / own.n_rays) / len(parts))
     statistics = ray_statistics(sum(own.n_rays for (own, _), _ in parts), tallies)
-    if images is not None and not pieces:
-        alone = replace(images, n_batches=settings.n_batches, sampling_scattering=coefficients)
+    if exact is not None and not pieces:
+        alone = replace(exact, n_batches=settings.n_batches, sampling_scattering=coefficients)
         return Trace(alone, statistics)
-    if images is not None:
-        pieces.insert(0, Piece(**{name: getattr(images, name) for name in Piece._fields}))
+    of_images = None
+    if exact is not None:
+        pieces.insert(0, Piece(**{name: getattr(exact, name) for name in Piece._fields}))
+        of_images, exact = exact.image_transform, None
     joined = _joined(pieces, coefficients.shape[1])
     transform = None
-    if images is not None and images.image_transform is not None:
+    if of_images is not None:
         transform = np.zeros((len(joined.length_m), 3, 3), np.float32)
-        transform[: len(images)] = images.image_transform
+        transform[: len(of_images)] = of_images
     paths = Paths(
         len(scene.pairs),
         scene.room.materials,

@@ -86,19 +86,21 @@ def trace(
         single, of_parts = as_one_state(scene, scattering)
         found = trace(single, settings, of_parts, progress)
         return replace(found, paths=in_every_state(found.paths, single, scene, scattering))
-    images: Paths | None = None
+    images: list[Paths] = []  # whoever holds them beside the rays' trace doubles its peak
     share = _SHARE_OF_IMAGES if settings.n_rays else 1.0
     images_s = settings.duration_s
     if settings.image_until_s is not None:
         images_s = min(settings.image_until_s, images_s)
     if settings.image_order >= 0:
-        images = trace_images(
-            scene,
-            settings.image_order,
-            images_s,
-            scattering,
-            with_image_transforms=settings.keep_image_transforms,
-            progress=part(progress, 0.0, share),
+        images.append(
+            trace_images(
+                scene,
+                settings.image_order,
+                images_s,
+                scattering,
+                with_image_transforms=settings.keep_image_transforms,
+                progress=part(progress, 0.0, share),
+            )
         )
     radii: FloatArray | None = None
     findings: tuple[Finding, ...] = ()
@@ -110,7 +112,7 @@ def trace(
         scattering,
         part(progress, share, 1.0),
         receiver_radii_m=radii,
-        images=images,
+        images=images.pop if images else None,
     )
     return replace(rays, findings=(*findings, *_leaks(rays.statistics)))
 

@@ -178,6 +178,7 @@ def plain_logit_covariance(
 
 
 _STEPS = 30
+_SETTLED_STEP = 1e-7  # of a logit
 _LONGEST_STEP = 2.0
 
 
@@ -260,17 +261,18 @@ def _most_likely(
     By Levenberg and Marquardt, e the exponents of absorption; shape (n_draws, n_materials).
     """
     n_draws, n = centres.shape
-    x = np.tile(start, (n_draws, 1))
-    damping = np.full(n_draws, 1e-3)
-    below = np.broadcast_to(weight, (n_draws, n, n))
-    diagonal = np.arange(n)
+    answer = np.tile(start, (n_draws, 1))
+    moving, diagonal = np.arange(n_draws), np.arange(n)  # draws that are not there yet
 
     def residuals(x: FloatArray) -> FloatArray:
-        return np.concatenate((_exponent(x) @ R.T - perturbed, (x - centres) @ weight.T), axis=1)
+        return np.concatenate(
+            (_exponent(x) @ R.T - perturbed[moving], (x - centres[moving]) @ weight.T), axis=1
+        )
 
-    r = residuals(x)
-    cost = np.sum(r**2, axis=1)
+    r, damping = residuals(answer), np.full(n_draws, 1e-3)
     for _ in range(_STEPS):
+        x = answer[moving]
+        below = np.broadcast_to(weight, (moving.size, n, n))
         J = np.concatenate((R[None] * expit(x)[:, None, :], below), axis=1)
         H = np.swapaxes(J, 1, 2) @ J
         gradient = np.einsum("dij,di->dj", J, r)
@@ -278,11 +280,14 @@ def _most_likely(
         step = np.linalg.solve(H, gradient[..., None])[..., 0]
         trial = x - np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
         r_trial = residuals(trial)
-        trial_cost = np.sum(r_trial**2, axis=1)
-        better = trial_cost < cost
-        x[better], r[better], cost[better] = trial[better], r_trial[better], trial_cost[better]
+        better = np.sum(r_trial**2, axis=1) < np.sum(r**2, axis=1)
+        answer[moving[better]], r[better] = trial[better], r_trial[better]
         damping = np.where(better, 0.2 * damping, 5.0 * damping)
-    return x
+        left = np.abs(step).max(axis=1) > _SETTLED_STEP
+        if not left.any():
+            break
+        moving, r, damping = moving[left], r[left], damping[left]
+    return answer
 
 
 def _exponent(x: FloatArray) -> FloatArray:

@@ -92,7 +92,7 @@ def profile(
         rise, slope = line.rise(sign * here)
         if abs(rise / RISE95 - 1.0) > _GAUSSIAN_ENOUGH:
             found_bent = True
-            bracket = _unbounded(line.sd)
+            bracket = [(0.0, 0.0, np.sqrt(0.5) / line.sd), (np.inf, np.inf, 0.0)]
             here, is_end = line.towards_end(sign, here, rise, slope, bracket)
             for _ in range(_MOST_POINTS - 1):
                 if is_end:
@@ -273,10 +273,6 @@ _Bracket: TypeAlias = list[tuple[float, float, float]]
 """Two points about an interval's end: distance from the answer, root of the rise, its slope."""
 
 
-def _unbounded(sd: float) -> _Bracket:
-    return [(0.0, 0.0, np.sqrt(0.5) / sd), (np.inf, np.inf, 0.0)]
-
-
 def _between(
     inside: tuple[float, float, float], outside: tuple[float, float, float], aim: float
 ) -> float:
@@ -289,12 +285,10 @@ def _between(
     .. [1] F. N. Fritsch, R. E. Carlson, "Monotone piecewise cubic interpolation", SIAM J. Numer.
            Anal. 17, 238-246 (1980).
     """
-    from scipy.interpolate import CubicHermiteSpline  # heavy, and not of a first answer
-
     (x0, y0, d0), (x1, y1, d1) = inside, outside
-    most = 3.0 * (y1 - y0) / (x1 - x0)
-    x = np.linspace(x0, x1, 101)
-    y = CubicHermiteSpline([x0, x1], [y0, y1], [min(d0, most), min(d1, most)])(x)
+    chord, x, t = (y1 - y0) / (x1 - x0), np.linspace(x0, x1, 101), np.linspace(0.0, 1.0, 101)
+    d0, d1 = min(d0, 3.0 * chord) - chord, min(d1, 3.0 * chord) - chord
+    y = y0 + (x - x0) * (chord + (1.0 - t) * ((1.0 - t) * d0 - t * d1))
     return float(np.interp(aim, y, x, left=x[5], right=x[-6]).clip(x[5], x[-6]))
 
 

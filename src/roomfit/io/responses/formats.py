@@ -29,13 +29,7 @@ import soundfile
 from roomfit._checks import ARCHIVE_DAMAGE, nearest
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
-from roomfit.io.door import (
-    decoded,
-    limit,
-    npy_array,
-    quiet,
-    unpacked_limit_bytes,
-)
+from roomfit.io.door import decoded, limit, npy_array, quiet, unpacked_limit_bytes
 from roomfit.io.responses.hdf5 import is_mat73, mat73_arrays
 from roomfit.io.responses.recordings import Recording, ResponseSpec, pick
 from roomfit.typing import FloatArray
@@ -664,4 +658,5 @@ def _not_readable(kind: str, where: str, found: str) -> InputError:
         where=where,
         found=found,
         needed="PCM or floating-point samples under a header of that format",
+        hint="export it again, under a name that ends as its format demands",
     )

@@ -98,6 +98,7 @@ def refuse_useless(recording: Recording, where: Path) -> None:
             where=place,
             found=f"{len(pressure)} samples, {1000.0 * duration_s:.3g} ms",
             needed=f"at least {1000.0 * _SHORTEST_S:g} ms",
+            hint="copy or export the file again, whole",
         )
     bad = np.flatnonzero(~np.isfinite(pressure))
     if bad.size:
@@ -121,7 +122,8 @@ def refuse_useless(recording: Recording, where: Path) -> None:
         raise InputError(
             "the response is silent",
             where=place,
-            found=f"{len(pressure)} samples, all of them {pressure[0]:g}",
+            found=f"{len(pressure)} samples, all of them {pressure[0] + 0.0:g}",
+            needed="a response, which rises and decays",
             hint="another channel may hold the response",
         )
 

@@ -25,12 +25,7 @@ from roomfit.io.rooms.mesh_formats import (
     read_ply,
     read_stl,
 )
-from roomfit.io.rooms.model import (
-    METRES_PER_UNIT,
-    RoomModel,
-    RoomSpec,
-    in_metres,
-)
+from roomfit.io.rooms.model import METRES_PER_UNIT, RoomModel, RoomSpec, in_metres
 from roomfit.io.rooms.tables import read_polygons
 from roomfit.scene import Room, axis_findings, material_findings, room_from_mesh
 from roomfit.typing import FloatArray, IntArray

@@ -13,14 +13,7 @@ from roomfit.errors import InputError
 from roomfit.findings import Code, Finding, Severity
 from roomfit.geometry.mesh import Surface
 from roomfit.io.door import check_limit, quiet, read_bytes
-from roomfit.io.rooms.model import (
-    PARSER_ERRORS,
-    Polygon,
-    RoomModel,
-    check_corners,
-    finite,
-    joined,
-)
+from roomfit.io.rooms.model import PARSER_ERRORS, Polygon, RoomModel, check_corners, finite, joined
 
 _UNITS = {1: "in", 2: "ft", 4: "mm", 5: "cm", 6: "m"}  # $INSUNITS
 _DEEPEST = 20

@@ -24,13 +24,7 @@ from roomfit.findings import Code, Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface
 from roomfit.io.door import check_limit, decoded, json_content, quiet, read_bytes, read_text
-from roomfit.io.rooms.model import (
-    PARSER_ERRORS,
-    RoomModel,
-    check_corners,
-    finite,
-    whole,
-)
+from roomfit.io.rooms.model import PARSER_ERRORS, RoomModel, check_corners, finite, whole
 from roomfit.typing import FloatArray
 
 _WORD = re.compile(r'"[^"]*"|\S+')
