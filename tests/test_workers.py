@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from functools import partial
 from importlib import metadata
 from pathlib import Path
@@ -77,6 +78,53 @@ def test_without_the_package_or_a_scheduler_the_message_says_what_to_do(
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(InputError, match=r"roomfit\[cluster\]"), cluster_pool():
         pass
+
+
+class KilledWorker(Exception):  # noqa: N818 -- dask calls it so
+    """What dask raises for a task whose workers died; known by its name."""
+
+
+class Client:
+    """Takes tasks as dask's client does; the test says how each ends."""
+
+    def __init__(self) -> None:
+        self.sent: list[tuple[Callable[[], object], Future[object]]] = []
+
+    def submit(self, task: Callable[[], object], *, pure: bool) -> Future[object]:
+        assert not pure
+        self.sent.append((task, Future()))
+        return self.sent[-1][1]
+
+
+def test_a_task_that_was_given_up_among_others_is_tried_once_more_alone() -> None:
+    client = Client()
+    pool = workers._ClusterExecutor(client)
+    first, second, third = (pool.submit(partial(int, n)) for n in range(3))
+    client.sent[0][1].set_exception(KilledWorker())
+    client.sent[1][1].set_exception(KilledWorker())
+    assert len(client.sent) == 3
+    client.sent[2][1].set_result(2)
+    assert third.result() == 2
+    assert len(client.sent) == 4
+    client.sent[3][1].set_exception(KilledWorker())
+    assert failure(first) is not None
+    task, alone = client.sent[4]
+    alone.set_result(task())
+    assert second.result() == 1
+    assert len(client.sent) == 5
+
+
+def test_what_was_given_up_is_not_tried_again_where_the_connection_is_lost() -> None:
+    client = Client()
+    pool = workers._ClusterExecutor(client)
+    futures = [pool.submit(partial(int, n)) for n in range(3)]
+    client.sent[0][1].set_exception(KilledWorker())
+    client.sent[1][1].set_exception(KilledWorker())
+    client.sent[2][1].cancel()
+    assert len(client.sent) == 3
+    for future in futures:
+        with pytest.raises(StoreError, match="connection to the scheduler is lost"):
+            result_of(future)
 
 
 class Cluster:
@@ -181,21 +229,29 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_alters_no_bit(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("n_workers", [4, 1])
 def test_a_task_that_takes_its_worker_with_it_is_given_up_and_the_others_are_done(
-    pool: Executor, tmp_path: Path
+    n_workers: int, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
-    """One dies once and is done by another worker; one dies always; one raises."""
+    """One dies once and is done again; one dies always; one raises.
+
+    With one worker all of them wait there while it dies, and dask gives all of them up.
+    """
     tasks = [
-        partial(die_once, tmp_path, 1),
-        # before the one that always dies: a task that waits on its workers may be blamed with it
-        partial(number_into, tmp_path, 2),
         partial(die),
+        partial(die_once, tmp_path, 1),
+        partial(number_into, tmp_path, 2),
         partial(fail, "on purpose"),
     ]
-    failures = {number: failure(future) for number, future in completed(pool, tasks)}
-    assert failures[0] is None
+    with ExitStack() as stack:
+        if n_workers == 1:
+            pool = stack.enter_context(cluster_pool())
+        else:
+            pool = request.getfixturevalue("pool")
+        failures = {number: failure(future) for number, future in completed(pool, tasks)}
+    assert "3 of them" in str(failures[0])
     assert failures[1] is None
-    assert "3 of them" in str(failures[2])
+    assert failures[2] is None
     assert failures[3] == "on purpose"
     assert set(content(tmp_path)) == {"1.txt", "2.txt"}
 

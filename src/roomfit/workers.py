@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
@@ -19,11 +20,12 @@ from concurrent.futures import (
     ThreadPoolExecutor,
     wait,
 )
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
 from itertools import islice
 from multiprocessing import active_children, get_context
+from threading import Lock
 from typing import Any, TypeVar
 
 import numba
@@ -225,24 +227,26 @@ def cluster_pool(
                         "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
                         # a hundred interruptions a second, for a page that nobody looks at
                         "distributed.worker.profile.enabled": False,
+                        # a worker that dies is always started again; if it was just starting
+                        # so long after a death, dask would take it for lost
+                        "distributed.deploy.lost-worker-timeout": "365 days",
                     }
                 )
             )
-            address = stack.enter_context(
-                distributed.LocalCluster(
-                    n_workers=n_workers,
-                    threads_per_worker=1,
-                    processes=True,
-                    host="127.0.0.1",
-                    # without an address its web server would listen to the whole network
-                    dashboard_address="127.0.0.1:0",
-                    env=_ONE_THREAD,
-                    lifetime=f"{_LIFETIME_S} seconds",
-                    lifetime_stagger=f"{_LIFETIME_S // 10} seconds",
-                    lifetime_restart=True,
-                    silence_logs=50,  # a worker that dies is reported by us
-                )
+            address = distributed.LocalCluster(
+                n_workers=n_workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                # without an address its web server would listen to the whole network
+                dashboard_address="127.0.0.1:0",
+                env=_ONE_THREAD,
+                lifetime=f"{_LIFETIME_S} seconds",
+                lifetime_stagger=f"{_LIFETIME_S // 10} seconds",
+                lifetime_restart=True,
+                silence_logs=50,  # a worker that dies is reported by us
             )
+            stack.callback(_quietly, address.close)
         try:
             client = stack.enter_context(
                 distributed.Client(address, timeout=_CONNECTING_S, set_as_default=False)
@@ -255,10 +259,22 @@ def cluster_pool(
                 needed="the address of a running dask scheduler, as tcp://10.0.0.1:8786",
                 hint="start one with: dask scheduler --host 127.0.0.1",
             ) from error
+        if scheduler is None:
+            # dask cannot end workers that are just starting
+            wait_for_all = partial(client.wait_for_workers, n_workers, timeout=_CONNECTING_S)
+            stack.callback(_quietly, wait_for_all)
         _check_alike(client, scheduler)
         if warm is not None:
-            client.run(warm, workers=_one_a_machine(client))
+            found = client.scheduler_info(n_workers=-1)["workers"]
+            one_a_machine = {worker["host"]: address for address, worker in found.items()}
+            client.run(warm, workers=list(one_a_machine.values()))
         yield _ClusterExecutor(client)
+
+
+def _quietly(end: Callable[[], object]) -> None:
+    """Dask's book of workers may be in disorder after deaths, and fail; all results are there."""
+    with suppress(Exception):
+        end()
 
 
 class _ClusterExecutor(Executor):
@@ -266,31 +282,58 @@ class _ClusterExecutor(Executor):
 
     Dask's own executor fails where a worker dies between the end of a task and the way of its
     result; here the result is waited for until another worker has done the task again.
+
+    Dask blames a worker's death on every task that was given to it, those that only waited there
+    included. A task given up for it is therefore tried once more when no other is left that could
+    be the cause.
     """
 
     def __init__(self, client: Any) -> None:
         self._client = client
+        self._lock = Lock()
+        self._n_running = 0
+        self._given_up: deque[tuple[Future[Any], Callable[[], Any]]] = deque()
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         outer: Future[Any] = Future()
-        inner = self._client.submit(fn, *args, pure=False, **kwargs)
-        outer.add_done_callback(lambda own: inner.cancel() if own.cancelled() else None)
-        inner.add_done_callback(partial(_settle, outer))
+        with self._lock:
+            self._n_running += 1
+        self._send(outer, partial(fn, *args, **kwargs), alone=False)
         return outer
 
+    def _send(self, outer: Future[Any], task: Callable[[], Any], *, alone: bool) -> None:
+        inner = self._client.submit(task, pure=False)
+        outer.add_done_callback(lambda own: inner.cancel() if own.cancelled() else None)
+        inner.add_done_callback(partial(self._ended, outer, task, alone))
 
-def _settle(outer: Future[Any], inner: Any) -> None:
-    if outer.cancelled():
-        return
-    try:
-        value = inner.result()
-    except CancelledError:
-        outer.cancel()
-        outer.set_running_or_notify_cancel()  # or nobody who waits would wake up
-    except BaseException as error:  # noqa: BLE001 -- whatever the task raised is handed on
-        outer.set_exception(error)
-    else:
-        outer.set_result(value)
+    def _ended(self, outer: Future[Any], task: Callable[[], Any], alone: bool, inner: Any) -> None:
+        again = False
+        try:
+            if not outer.cancelled():
+                outer.set_result(inner.result())
+        except CancelledError:
+            outer.cancel()
+            outer.set_running_or_notify_cancel()  # or nobody who waits would wake up
+        except BaseException as error:  # noqa: BLE001 -- whatever the task raised is handed on
+            again = not alone and _is_death(error)
+            if not again:
+                outer.set_exception(error)
+        with self._lock:
+            if again:
+                self._given_up.append((outer, task))
+            self._n_running -= 1
+            if self._n_running or not self._given_up:
+                return
+            outer, task = self._given_up.popleft()
+            self._n_running = 1
+        if inner.cancelled():  # the connection is lost, or the block left
+            self._ended(outer, task, True, inner)
+        else:
+            self._send(outer, task, alone=True)
+
+
+def _is_death(error: BaseException | None) -> bool:
+    return type(error).__name__ == "KilledWorker"
 
 
 def _distributed() -> Any:
@@ -350,11 +393,6 @@ def _check_alike(client: Any, scheduler: str | None) -> None:
             )
 
 
-def _one_a_machine(client: Any) -> list[str]:
-    workers = client.scheduler_info(n_workers=-1)["workers"]
-    return list({w["host"]: address for address, w in workers.items()}.values())
-
-
 def result_of(future: Future[T]) -> T:
     """Return what a task returned, or raise what it raised.
 
@@ -372,7 +410,7 @@ def result_of(future: Future[T]) -> T:
             hint="run the same command again: what is done is not done again",
         )
     error = future.exception()
-    if type(error).__name__ == "KilledWorker":
+    if _is_death(error):
         raise CannotTell(
             "every worker that had the task died",
             found=f"{_MOST_DEATHS + 1} of them",

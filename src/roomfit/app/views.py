@@ -65,7 +65,7 @@ def room_view(_: Progress, folder: str) -> dict[str, Any]:
         except InputError as error:  # materials of the campaign and of the room disagree
             faults = [_fault(error)]
             check = check_mesh(mesh, {}, findings)
-            campaign = replace(campaign, room=_bare(campaign.room))
+            campaign = replace(campaign, room=replace(campaign.room, materials={}))
         room = _any_room(mesh, campaign.room.materials)
         priors = {name: table.prior for name, table in campaign.materials.items()}
         points = {"sources": campaign.sources, "receivers": campaign.receivers}
@@ -102,10 +102,6 @@ def room_view(_: Progress, folder: str) -> dict[str, Any]:
         "findings": [*faults, *map(finding_view, check.findings)],
         **_numbers(check),
     }
-
-
-def _bare(spec: RoomSpec) -> RoomSpec:
-    return replace(spec, materials={})
 
 
 def _numbers(check: RoomCheck) -> dict[str, Any]:

@@ -71,7 +71,8 @@ def from_random_starts(
         alike = bool(np.all(np.abs(other.x - usual.x) <= _SAME_PLACE * sd))
         fits.append(fit if alike else fit_band(objective, start=other.x))
         evaluations += other.evaluations + (0 if alike else fits[-1].evaluations)
-    worth = [_log_posterior(objective, f) for f in fits]
+    priors = [prior_residuals(objective.parameters, f.vector)[0] for f in fits]
+    worth = [f.log_likelihood - 0.5 * float(p @ p) for f, p in zip(fits, priors, strict=True)]
     best = int(np.argmax(worth))
     # rounding and rounds of weights are no better answer
     best = best if worth[best] > worth[0] + 0.05 else 0
@@ -127,11 +128,6 @@ def _random_start(objective: Objective, fit: BandFit, rng: np.random.Generator) 
     share = rng.uniform(0.02, 0.98, int(np.count_nonzero(block.fitted)))
     start[first : first + share.size] = np.log(share) - np.log1p(-share)
     return start
-
-
-def _log_posterior(objective: Objective, fit: BandFit) -> float:
-    prior, _ = prior_residuals(objective.parameters, fit.vector)
-    return fit.log_likelihood - 0.5 * float(prior @ prior)
 
 
 def fit_bands(

@@ -411,7 +411,7 @@ def combine(
         pairs=pairs,
         findings=(*findings, *mirrors, *inseparable),
         method=method_chosen(settings.method),
-        model=_model_of(models),
+        model=next((m for m in ("coherent", "energy", "values") if m in models), "prior"),
         interval_kind=interval_words(found),
         speed_of_sound_m_s=speed_of_sound_m_s(scene.air),
         seed=settings.seed,
@@ -446,11 +446,6 @@ def combine(
 def _room_means(found: Sequence[Sequence[Combination]]) -> FloatArray:
     """Return the mean over the whole room, the first combination of a band, with its bounds."""
     return np.array([(c[0].value, c[0].lower95, c[0].upper95) for c in found]).T
-
-
-def _model_of(models: tuple[str, ...]) -> str:
-    """Return the most that any band's model knew."""
-    return next((m for m in ("coherent", "energy", "values") if m in models), "prior")
 
 
 def _logit_covariance(

@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 
 from roomfit.errors import InputError, located
-from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Mesh, area_vector_m2
 from roomfit.io.campaign import FILL_IN
 from roomfit.io.door import csv_rows, read_bytes, read_text
@@ -97,7 +96,7 @@ def likely_up(model: RoomModel) -> tuple[str, str]:
     upright = np.zeros(3)
     for face in model.faces:
         if is_level_by_name(face.surface):
-            upright += np.abs(area_vector_m2(_ring(model, face)))
+            upright += np.abs(area_vector_m2(model.vertices[list(face.corners)]))
     if upright.any():
         axis = "xyz"[int(np.argmax(upright))]
         if axis != "x":
@@ -107,10 +106,6 @@ def likely_up(model: RoomModel) -> tuple[str, str]:
     if short != model.up and min(along_y, along_z) < _CLEARLY * long:
         return short, "the room is the least high then"
     return model.up, ""
-
-
-def _ring(model: RoomModel, face: Face) -> FloatArray:
-    return np.asarray(model.vertices[list(face.corners)])
 
 
 def read_positions(path: Path) -> dict[str, tuple[float, float, float]]:
@@ -409,7 +404,8 @@ def _material_lines(mesh: Mesh, materials: Mapping[str, str]) -> list[str]:
             continue
         of = [s.name for s, owner in zip(mesh.surfaces, owners, strict=True) if owner == name]
         first, *others = suggested_entries(name) or ("",)
-        lines += [f"[materials.{_quoted(name)}]  # {area:.1f} m2: {_one_line(in_short(of))}"]
+        where = "".join(c if c.isprintable() else "?" for c in in_short(of))
+        lines += [f"[materials.{_quoted(name)}]  # {area:.1f} m2: {where}"]
         alike = f"  # or {', '.join(others)}" if others else ""
         lines += [f'# prior = "{first}"{alike}'] if first else []
     return lines
@@ -418,10 +414,6 @@ def _material_lines(mesh: Mesh, materials: Mapping[str, str]) -> list[str]:
 def _beside(folder: Path, file: Path) -> str:
     """Return a file as a campaign in a folder names it."""
     return Path(os.path.relpath(file, folder)).as_posix()
-
-
-def _one_line(text: str) -> str:
-    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _point_lines(kind: str, names: Sequence[str], positions: Positions) -> list[str]:

@@ -108,8 +108,9 @@ def typical_logit(readings: FloatArray, common: float) -> tuple[FloatArray, Floa
     own = np.sum((values[:, 1:7] - middle[1:7]) ** 2, axis=0)
     variance = np.empty(8)
     variance[1:7] = (_COMMON_WEIGHT * common**2 + own) / (_COMMON_WEIGHT + n - 1)
+    low_step = np.clip(_LOW_SLOPE * (middle[1] - middle[2]), -_LOW_STEP, _LOW_STEP)
     for end, inner, rule, widening in (
-        (0, 1, middle[1] + _low_step(middle), LOW_WIDENING),
+        (0, 1, middle[1] + low_step, LOW_WIDENING),
         (7, 6, middle[6], HIGH_WIDENING),
     ):
         printed = values[~np.isnan(values[:, end]), end]
@@ -117,10 +118,6 @@ def typical_logit(readings: FloatArray, common: float) -> tuple[FloatArray, Floa
         variance[end] = variance[inner] + (0.0 if printed.size else widening**2)
     middle = table_logit(expit(middle))
     return middle, np.maximum(np.sqrt(variance), _between_laboratories(middle))
-
-
-def _low_step(middle: FloatArray) -> float:
-    return float(np.clip(_LOW_SLOPE * (middle[1] - middle[2]), -_LOW_STEP, _LOW_STEP))
 
 
 def _between_laboratories(middle: FloatArray) -> FloatArray:

@@ -143,7 +143,8 @@ def prior_logit_law(priors: tuple[MaterialPrior, ...]) -> tuple[FloatArray, Floa
         known = np.array([priors[i].known is not None for i in members])
         fixed, free = np.array(members)[known], np.array(members)[~known]
         own = priors[members[0]].product_sd ** 2 * np.eye(len(members))
-        at = [_known_logit(priors[i]) for i in fixed]
+        of = [(p.known, p.lower, p.upper) for p in (priors[i] for i in members)]
+        at = [logit((x - a) / (b - a), 1e-9) for x, a, b in of if x is not None]
         for band, common in enumerate(variance[:, members[0]]):
             whole = common + own
             gain = whole[np.ix_(~known, known)] @ np.linalg.inv(whole[np.ix_(known, known)])
@@ -191,11 +192,6 @@ def _products(priors: Sequence[MaterialPrior]) -> dict[str, list[int]]:
         if k.product is not None:
             found.setdefault(k.product, []).append(i)
     return found
-
-
-def _known_logit(prior: MaterialPrior) -> FloatArray:
-    known = np.zeros(0) if prior.known is None else prior.known
-    return logit((known - prior.lower) / (prior.upper - prior.lower), 1e-9)
 
 
 def unknown_material(name: str, n_bands: int) -> MaterialPrior:

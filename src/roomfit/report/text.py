@@ -106,12 +106,9 @@ def separable_text(answer: Result) -> str:
             f"({lower:.2f} to {upper:.2f}){fit}"
         )
         if answer.sentences and answer.sentences[j]:
-            lines.append(_below_band(answer.sentences[j]))
+            sentence = textwrap.fill(answer.sentences[j], 100 - len(_BELOW_BAND))
+            lines.append(textwrap.indent(sentence, _BELOW_BAND))
     return "\n".join(lines)
-
-
-def _below_band(sentence: str) -> str:
-    return textwrap.fill(sentence, 100, initial_indent=_BELOW_BAND, subsequent_indent=_BELOW_BAND)
 
 
 def shares_table(answer: Result) -> str:

@@ -254,7 +254,8 @@ def _profile_ends(
         bent = i < len(answer.kinds) and answer.kinds[i] == "profile" and leader in found
         if not bent or before <= 0.0 or sd[i] <= 0.0:
             continue
-        free = _free(np.array([answer.lower95[i], answer.upper95[i]]), priors[leader])
+        allowed, alone = priors[leader], np.array([answer.lower95[i], answer.upper95[i]])
+        free = logit((alone - allowed.lower) / (allowed.upper - allowed.lower), 1e-9)
         at = float(answer.logit_mean[i])
         others = max(1.0 / sd[i] ** 2 - 1.0 / before, 0.0)
         weighed = mean[i] / sd[i] ** 2 - at / before
@@ -267,8 +268,3 @@ def _profile_ends(
         least = LEAST_SIDE * Z95 * sd[i]
         lower[i], upper[i] = min(ends[0], mean[i] - least), max(ends[1], mean[i] + least)
     return lower, upper
-
-
-def _free(absorption: FloatArray, own: MaterialPrior) -> FloatArray:
-    """Return the free numbers of absorption between a material's bounds."""
-    return logit((absorption - own.lower) / (own.upper - own.lower), 1e-9)

@@ -55,7 +55,8 @@ def _read(path: Path) -> RoomModel:
         counts: Counter[str] = Counter()
         for entity, layer, block in _taken_apart(document.modelspace(), path, counts):
             kind = str(entity.dxftype())
-            if layer in document.layers and _is_off(document.layers.get(layer)):
+            drawn_on = document.layers.get(layer) if layer in document.layers else None
+            if drawn_on is not None and (drawn_on.is_off() or drawn_on.is_frozen()):
                 hidden[layer] += 1
                 continue
             where = f"{path}, {kind} on layer {layer!r} (handle {entity.dxf.handle})"
@@ -162,10 +163,6 @@ def _exploded(insert: Any, where: str) -> list[Any]:
             hint="explode it in the drawing program",
         )
     return entities
-
-
-def _is_off(layer: Any) -> bool:
-    return bool(layer.is_off() or layer.is_frozen())
 
 
 def _unreadable(where: str, found: str) -> InputError:
