@@ -181,12 +181,10 @@ def exponential_problem(T: float, centre_hz: float) -> ValuesTerm:
     (problem,) = value_terms(scene, bands, [measured], binned)
     assert problem is not None
     problem = replace(problem, model_error_jnd=0.0)
-    none = replace(rows, weight_per_m2=np.zeros(n))
     return replace(
         problem,
         edges_s=edges,
         rows=(rows,),
-        squared_image_rows=(none,),
         spreading=band_spreading(bands, n, 5e-4),
         observations=(replace(problem.observations[0], direct_s=0.0),),
     )

@@ -26,7 +26,7 @@ from roomfit.uncertainty.gaussian import MirrorTrial
 
 # A wall counts as carried into another where it lies this close to it.
 TOLERANCE_M = 0.02
-_FEW_SAMPLES, _SAMPLES = 40, 600
+_FEW_SAMPLES, _SAMPLES = (4, 40), 600
 _MAX_NORMALS = 40
 _MAX_SYMMETRIES = 48
 _SAME_DIRECTION = 1e-3
@@ -174,11 +174,10 @@ def _exchange(
     room: Room, material: IntArray, moved: FloatArray, tolerance_m: float
 ) -> IntArray | None:
     """Return where points of the surface, moved, carry their materials; None where off it."""
-    if np.any(nearest_triangles(room.mesh, moved[:_FEW_SAMPLES])[0] > tolerance_m):
-        return None
-    distance, triangle = nearest_triangles(room.mesh, moved)
-    if np.any(distance > tolerance_m):
-        return None
+    for n in (*_FEW_SAMPLES, len(moved)):
+        distance, triangle = nearest_triangles(room.mesh, moved[:n])
+        if np.any(distance > tolerance_m):
+            return None
     n = len(room.materials)
     counts = np.zeros((n, n))
     np.add.at(counts, (material, triangle_material(room)[triangle]), 1.0)

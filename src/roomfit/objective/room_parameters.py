@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import ClassVar, cast
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy import fft
@@ -14,7 +14,6 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.materials.priors import MaterialPrior
-from roomfit.objective.energy import squared_image_rows
 from roomfit.objective.observation import absorption_block
 from roomfit.objective.parameters import Parameters
 from roomfit.objective.problem import Objective, Rows, Values, count_evaluation
@@ -84,14 +83,13 @@ class ValuesTerm:
     bandwidth_hz: float  # statistical bandwidth of its filter
     attenuation_per_m: float  # energy attenuation of the air
     edges_s: FloatArray  # (n_bins + 1,), uniform bins of the rows
-    # rows, squared_image_rows: paths of each observation's pair, and what
-    # `roomfit.objective.energy.squared_image_rows` makes of them
-    rows: tuple[EnergyRows, ...]
-    squared_image_rows: tuple[EnergyRows, ...]
+    rows: tuple[EnergyRows, ...]  # paths of each observation's pair
     observations: tuple[ValueObservation, ...]
     spreading: Spreading
     # standard deviation by which the model may be wrong, in just noticeable differences
     model_error_jnd: float = MODEL_ERROR_JND
+    # what the last prediction read, by its absorption: the variance there takes no second pass
+    _last: dict[bytes, list[_Decay]] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.model_error_jnd <= 100.0:
@@ -110,17 +108,16 @@ class ValuesTerm:
     def predict(self, values: Values) -> Rows:
         """Return the values that the paths predict, with exact derivatives."""
         count_evaluation()
-        found, by_absorption = [], []
-        for i in range(len(self.observations)):
-            response = weigh(
-                self.rows[i], values["absorption"][:, None], np.array([self.attenuation_per_m])
-            )
-            predicted, gradients, _ = _values(self, i, response.energy)
-            derivative = cast(FloatArray, response.derivative)[:, 0, :]
-            found.append(predicted)
-            by_absorption.append(before_spreading(self.spreading, gradients) @ derivative.T)
-        signal = np.concatenate(found)
-        return signal, signal, {"absorption": np.concatenate(by_absorption)}
+        walls = values["absorption"]
+        found = [
+            _decay(self, i, walls, partial(value_gradients, band=0, names=o.names), derivative=True)
+            for i, o in enumerate(self.observations)
+        ]
+        self._last.clear()
+        self._last[walls.tobytes()] = found
+        signal = np.concatenate([decay.values for decay in found])
+        by_absorption = np.concatenate([decay.by_absorption for decay in found])
+        return signal, signal, {"absorption": by_absorption}
 
     def expected(self, values: Values) -> FloatArray:
         """Return the values that the paths predict, shape (n_values,)."""
@@ -217,9 +214,11 @@ def value_covariances(term: ValuesTerm, absorption: FloatArray) -> tuple[FloatAr
            Acustica 43, 12-25 (1979).
     """
     covariances = []
+    known = term._last.pop(absorption.tobytes(), None)
     for i, observed in enumerate(term.observations):
         read = partial(value_gradients, band=0, names=observed.names)
-        predicted, interference, added, tracing = scatter_parts(term, i, absorption, read)
+        decay = None if known is None else known[i]
+        predicted, interference, added, tracing = scatter_parts(term, i, absorption, read, decay)
         spread = np.diag(observed.spread**2)
         scatter = spread + (interference + np.outer(added, added)) + tracing
         covariances.append(scatter + _model(term, observed, predicted))
@@ -231,6 +230,7 @@ def scatter_parts(
     i: int,
     absorption: FloatArray,
     read: Callable[..., tuple[FloatArray, FloatArray]],
+    decay: _Decay | None = None,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return numbers read from the decay of a pair, and how measured ones scatter about them.
 
@@ -241,6 +241,8 @@ def scatter_parts(
     read : callable
         From a decay curve of the one band to n numbers and their derivatives by the energies of its
         bins, (n, n_bins); with ``derivative=False`` the latter are not looked at.
+    decay : _Decay, optional
+        What `read` said of it at this absorption, where that is known.
 
     Returns
     -------
@@ -252,25 +254,48 @@ def scatter_parts(
     tracing : float array, shape (n, n)
         Monte-Carlo covariance.
     """
-    energy = weigh(
-        term.rows[i], absorption[:, None], np.array([term.attenuation_per_m]), derivative=False
-    ).energy
-    curve, spread_over_time = _curve(term, i, energy)
-    values, gradients = read(curve)
-    interference = _interference(term, i, absorption, gradients, spread_over_time)
-    added = np.zeros_like(values)
+    own = _decay(term, i, absorption, read) if decay is None else decay
+    interference = _interference(term, own)
+    added = np.zeros_like(own.values)
     if term.rows[i].length_m.any():
-        by_pressures = curve_by_pressures(term, i, absorption, energy)
-        added = read(by_pressures, derivative=False)[0] - values
-    return values, interference, added, _tracing(term, i, absorption, gradients)
+        by_pressures = curve_by_pressures(term, i, absorption, own.energy[None])
+        added = read(by_pressures, derivative=False)[0] - own.values
+    n = len(own.batches)
+    tracing = n * np.atleast_2d(np.cov(own.batches.T, ddof=1)) if n > 1 else 0.0 * interference
+    return own.values, interference, added, tracing
 
 
-def _values(
-    term: ValuesTerm, i: int, energy: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return predicted values, derivatives by spread energies, and these energies."""
-    curve, spread_over_time = _curve(term, i, energy)
-    return *value_gradients(curve, 0, term.observations[i].names), spread_over_time
+class _Decay(NamedTuple):
+    """What the paths of one pair bring, and n numbers read from their decay."""
+
+    # energy, squares: (n_bins,), of all paths, and of the squares of the single image paths
+    energy: FloatArray
+    squares: FloatArray
+    spread: FloatArray  # (n_bins,), the energy spread as by the filter
+    values: FloatArray  # (n,)
+    gradients: FloatArray  # (n, n_bins), by the spread energy
+    # batches, by_absorption: the numbers to first order by the energy of each batch of rays,
+    # (n_batches, n), and their derivatives, (n, n_materials), where these were asked for
+    batches: FloatArray
+    by_absorption: FloatArray
+
+
+def _decay(
+    term: ValuesTerm,
+    i: int,
+    absorption: FloatArray,
+    read: Callable[..., tuple[FloatArray, FloatArray]],
+    *,
+    derivative: bool = False,
+) -> _Decay:
+    rows = term.rows[i]
+    parts = weigh_parts(rows, None, absorption, term.attenuation_per_m, derivative=derivative)
+    curve, spread = _curve(term, i, parts.energy[None])
+    values, gradients = read(curve)
+    before = before_spreading(term.spreading, gradients)
+    by_absorption = before @ parts.columns[:, 2 + len(parts.batches) : -3]
+    batches = parts.batches @ before.T
+    return _Decay(parts.energy, parts.squares, spread, values, gradients, batches, by_absorption)
 
 
 def _curve(term: ValuesTerm, i: int, energy: FloatArray) -> tuple[DecayCurve, FloatArray]:
@@ -280,22 +305,11 @@ def _curve(term: ValuesTerm, i: int, energy: FloatArray) -> tuple[DecayCurve, Fl
     return echogram_decay_curve(term.bands, spread, term.edges_s, direct_s), spread[0]
 
 
-def _interference(
-    term: ValuesTerm,
-    i: int,
-    absorption: FloatArray,
-    gradients: FloatArray,
-    spread_over_time: FloatArray,
-) -> FloatArray:
-    attenuation = np.array([term.attenuation_per_m])
-    single = weigh(
-        term.squared_image_rows[i], absorption[:, None], attenuation, derivative=False
-    ).energy[0]
-    overlapping = np.maximum(
-        spread_over_time**2 - spread_squared_energy(term.spreading, single), 0.0
-    )
+def _interference(term: ValuesTerm, own: _Decay) -> FloatArray:
+    single = spread_squared_energy(term.spreading, own.squares)
+    overlapping = np.maximum(own.spread**2 - single, 0.0)
     variance = overlapping / (term.bandwidth_hz * np.diff(term.edges_s))
-    return np.asarray((gradients * variance) @ gradients.T)
+    return np.asarray((own.gradients * variance) @ own.gradients.T)
 
 
 def curve_by_pressures(
@@ -331,17 +345,6 @@ def curve_by_pressures(
     alone = np.bincount(window_of_rows(rows)[image], root**2, edges.size - 1)
     rest = spread_energy(term.spreading, np.maximum(energy - alone, 0.0))
     return echogram_decay_curve(term.bands, rest + together, edges, observed.direct_s)
-
-
-def _tracing(term: ValuesTerm, i: int, absorption: FloatArray, gradients: FloatArray) -> FloatArray:
-    """Return the Monte-Carlo covariance, from independent batches of rays."""
-    rows = term.rows[i]
-    n = gradients.shape[0]
-    if rows.n_batches < 2:
-        return np.zeros((n, n))
-    batches = weigh_parts(rows, None, absorption, term.attenuation_per_m).batches
-    parts = batches @ before_spreading(term.spreading, gradients).T
-    return np.asarray(len(parts) * np.cov(parts.T, ddof=1).reshape(n, n))
 
 
 def _model(term: ValuesTerm, observed: ValueObservation, predicted: FloatArray) -> FloatArray:
@@ -409,7 +412,6 @@ def value_terms(
                 0.0,
                 coarse.edges_s,
                 tuple(rows[o.pair] for o in observations),
-                tuple(squared_image_rows(rows[o.pair]) for o in observations),
                 observations,
                 bin_spreading(one, coarse),
             )

@@ -184,7 +184,6 @@ def _weigh_windows(
     weight, length, hits, basis, batch = rows
     norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
     n, sums, h3, h4, h5 = hits.shape[1], np.empty(every.shape[1]), 0, 0, 0
-    others = 6 if n > 5 else 3
     with_slopes = sums.size > slopes
     for w in range(first, last):
         for start in range(offsets[w], offsets[w + 1], PIECE):
@@ -202,10 +201,16 @@ def _weigh_windows(
                 if n > 2:
                     h2 = hits[r, 2]
                     own *= powers[2, h2]
+                if n > 3:
+                    h3 = hits[r, 3]
+                    own *= powers[3, h3]
+                if n > 4:
+                    h4 = hits[r, 4]
+                    own *= powers[4, h4]
                 if n > 5:
-                    h3, h4, h5 = hits[r, 3], hits[r, 4], hits[r, 5]
-                    own = own * powers[3, h3] * powers[4, h4] * powers[5, h5]
-                for m in range(others, n):
+                    h5 = hits[r, 5]
+                    own *= powers[5, h5]
+                for m in range(6, n):
                     own *= powers[m, hits[r, m]]
                 if attenuation != 0.0:
                     own *= math.exp(-attenuation * length[r])
@@ -228,7 +233,7 @@ def _weigh_windows(
                 by4 -= own * h4
                 by5 -= own * h5
                 if with_slopes:
-                    for m in range(others, n):
+                    for m in range(6, n):
                         sums[slopes + m] -= own * hits[r, m]
             sums[0], sums[1] = energy, squares
             if with_slopes:
@@ -237,8 +242,12 @@ def _weigh_windows(
                     sums[slopes + 1] = by1
                 if n > 2:
                     sums[slopes + 2] = by2
+                if n > 3:
+                    sums[slopes + 3] = by3
+                if n > 4:
+                    sums[slopes + 4] = by4
                 if n > 5:
-                    sums[slopes + 3], sums[slopes + 4], sums[slopes + 5] = by3, by4, by5
+                    sums[slopes + 5] = by5
                 if len(basis):
                     turned = energy / (3.0 * norm)
                     sums[slopes + n] = 2.0 * (x - turned * b[0])
