@@ -46,6 +46,7 @@ _CONNECTING_S = 20
 _LIFETIME_S = 3600
 # A task that has taken so many workers with it is not given to another.
 _MOST_DEATHS = 2
+_DEATH = "KilledWorker"
 _ONE_THREAD = {
     "NUMBA_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
@@ -315,7 +316,7 @@ class _ClusterExecutor(Executor):
             outer.cancel()
             outer.set_running_or_notify_cancel()  # or nobody who waits would wake up
         except BaseException as error:  # noqa: BLE001 -- whatever the task raised is handed on
-            again = not alone and _is_death(error)
+            again = not alone and type(error).__name__ == _DEATH
             if not again:
                 outer.set_exception(error)
         with self._lock:
@@ -330,10 +331,6 @@ class _ClusterExecutor(Executor):
             self._ended(outer, task, True, inner)
         else:
             self._send(outer, task, alone=True)
-
-
-def _is_death(error: BaseException | None) -> bool:
-    return type(error).__name__ == "KilledWorker"
 
 
 def _distributed() -> Any:
@@ -410,7 +407,7 @@ def result_of(future: Future[T]) -> T:
             hint="run the same command again: what is done is not done again",
         )
     error = future.exception()
-    if _is_death(error):
+    if type(error).__name__ == _DEATH:
         raise CannotTell(
             "every worker that had the task died",
             found=f"{_MOST_DEATHS + 1} of them",

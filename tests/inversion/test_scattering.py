@@ -103,8 +103,8 @@ def test_a_trace_serves_near_coefficients_and_is_made_again_for_far_ones(monkeyp
     bands, settings = bands_between("octave", 500, 1000), TraceSettings(0.05, 4096, 2, 0.5)
     traced = []
 
-    def counted(*arguments):
-        traced.append(trace(*arguments))
+    def counted(*arguments, **options):
+        traced.append(trace(*arguments, **options))
         return traced[-1]
 
     monkeypatch.setattr("roomfit.inversion.scattering.trace", counted)

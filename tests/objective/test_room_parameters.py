@@ -376,6 +376,16 @@ def test_values_join_other_data_of_the_same_unknowns():
     np.testing.assert_allclose(joint.predict(vector).jacobian, whole.predict(vector).jacobian)
 
 
+def test_the_variance_after_a_prediction_is_that_by_itself():
+    term = exponential_values(("T20_s", "EDT_s"), jnd=0.3)
+    alone = term.variance_parts(START)["values"]
+    elsewhere = {"absorption": START["absorption"] + 0.05}
+    term.predict(elsewhere)
+    np.testing.assert_array_equal(term.variance_parts(START)["values"], alone)
+    term.predict(START)
+    np.testing.assert_allclose(term.variance_parts(START)["values"], alone, rtol=1e-12)
+
+
 def test_the_likelihood_is_gaussian_with_its_constants():
     """Against scipy's normal law."""
     from scipy.stats import norm

@@ -261,6 +261,18 @@ def test_splitting_a_material_changes_nothing() -> None:
     np.testing.assert_allclose(split.weight_per_m2, whole.weight_per_m2, rtol=1e-14)
 
 
+def test_images_that_are_known_serve_another_scattering() -> None:
+    scene = scene_of(l_shaped_room(), [[1.2, 1.5, 1.1]], [[4.1, 1.2, 1.2], [1.5, 4.0, 1.2]])
+    wanted = uniform_scattering(scene.room.materials, 0.3)
+    found = trace(scene, settings(500, 3), wanted).paths
+    other = trace(scene, settings(500, 3), uniform_scattering(scene.room.materials, 0.1)).paths
+    images = select(other, other.batch < 0)
+    again = trace(scene, settings(500, 3), wanted, known_images=images).paths
+    assert len(images) > 10
+    for column in ("pair", "length_m", "weight_per_m2", "hits_specular", "departure", "batch"):
+        np.testing.assert_array_equal(getattr(again, column), getattr(found, column))
+
+
 def test_a_sphere_that_a_wall_or_a_source_would_cut_is_shrunk_with_a_finding() -> None:
     """One receiver 0.2 m from the floor, one 0.25 m from its source, one with room enough."""
     receivers = [[4.1, 2.9, 0.2], [1.2, 1.5, 1.35], [3.0, 2.0, 1.4]]

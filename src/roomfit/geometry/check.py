@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomfit._numba import kernel
+from roomfit._numba import in_threads, kernel
 from roomfit.findings import Code, Finding
 from roomfit.geometry.build import listed
 from roomfit.geometry.inside import (
@@ -33,7 +33,7 @@ from roomfit.geometry.mesh import (
     unmatched,
     volume_m3,
 )
-from roomfit.typing import FloatArray, IntArray
+from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # A start nearer to a wall than this counts as on it: faces may lie upon each other.
 _ON_WALL_M = 1e-9
@@ -65,19 +65,24 @@ def find_leaks(
     directions = rng.normal(size=(n_rays, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     starts = np.resize(np.asarray(points_m, dtype=np.float64), (n_rays, 3))
-    hits, escaped = _bounce(corners_m(mesh), starts, directions, n_bounces)
-    lost = escaped.astype(np.bool_)
+    hits, lost = np.zeros(n_rays, dtype=np.int64), np.zeros(n_rays, dtype=np.bool_)
+    in_threads(_bounce, n_rays, corners_m(mesh), starts, directions, n_bounces, hits, lost)
     return Leak(int(hits.sum()), int(lost.sum()), starts[lost], directions[lost])
 
 
-@kernel()
+@kernel(allocates=False)
 def _bounce(
-    corners_m: FloatArray, starts_m: FloatArray, directions: FloatArray, n_bounces: int
-) -> tuple[IntArray, IntArray]:
-    """Move every ray on, in place, until it has bounced enough or met no wall."""
-    hits = np.zeros(len(starts_m), dtype=np.int64)
-    escaped = np.zeros(len(starts_m), dtype=np.int64)
-    for r in range(len(starts_m)):
+    first: int,
+    end: int,
+    corners_m: FloatArray,
+    starts_m: FloatArray,
+    directions: FloatArray,
+    n_bounces: int,
+    hits: IntArray,
+    escaped: BoolArray,
+) -> None:
+    """Move rays on, in place, until they have bounced enough or met no wall; for threads."""
+    for r in range(first, end):
         last = -1
         for _ in range(n_bounces):
             nearest, hit = np.inf, int(np.int64(-1))
@@ -86,13 +91,12 @@ def _bounce(
                 if _ON_WALL_M < distance < nearest and i != last:
                     nearest, hit = distance, i
             if hit < 0:
-                escaped[r] = 1
+                escaped[r] = True
                 break
             hits[r] += 1
             last = hit
             put(starts_m, r, along(row(starts_m, r), row(directions, r), nearest))
             _reflect(corners_m, hit, directions, r)
-    return hits, escaped
 
 
 @kernel(allocates=False)

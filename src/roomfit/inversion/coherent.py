@@ -668,8 +668,9 @@ def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
     """
     state, task = fit.state, fit.state.task
     areas_m2 = material_areas_m2(task.scene.room)
+    may_decide = task.settings.model != "coherent"
     wanted = [
-        _needs_energy_fit(f, x, task.settings)
+        f is None or (may_decide and bool(x[1] - x[0] < UNDECIDED))
         for f, x in zip(fit.fits, fit.log_likelihoods, strict=True)
     ]
     if not any(wanted):
@@ -731,15 +732,6 @@ def decided(
             answer = replace(answer, certificate=proof)
         out.append(answer)
     return tuple(out)
-
-
-def _needs_energy_fit(
-    fit: CoherentBandFit | None, likelihoods: FloatArray, settings: CoherentOptions
-) -> bool:
-    """Whether the energy model's answer of a band may be needed."""
-    if fit is None:
-        return True
-    return settings.model != "coherent" and bool(likelihoods[1] - likelihoods[0] < UNDECIDED)
 
 
 def _decided(

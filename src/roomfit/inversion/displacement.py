@@ -567,7 +567,9 @@ def _named(
     offsets, unit = outline.offsets, np.eye(inside_m.size)
     axis = offsets[int(np.argmax(np.abs(far_m + outline.moved_m)))].axis
     along = [k for k, o in enumerate(offsets) if o.axis == axis]
-    whole = [k for k in along if _is_everything(outline, offsets[k])]
+    scene = outline.measured.scene
+    every = tuple(frozenset(p.name for p in points) for points in (scene.sources, scene.receivers))
+    whole = [k for k in along if (offsets[k].sources, offsets[k].receivers) == every]
     lengths = [k for k in along if not offsets[k].group]
     start_m = np.array(inside_m)
     start_m[along] = -outline.moved_m[along]
@@ -686,13 +688,6 @@ def _walls(outline: Outline, axis: int) -> tuple[str, ...]:
         known = room.materials[material]
         names.append(f"{surface} ({known})" if is_alone and known != surface else surface)
     return tuple(names)
-
-
-def _is_everything(outline: Outline, offset: Offset) -> bool:
-    scene = outline.measured.scene
-    return all(p.name in offset.sources for p in scene.sources) and all(
-        p.name in offset.receivers for p in scene.receivers
-    )
 
 
 def _sd_along(worth: Worth, at: FloatArray, way: FloatArray) -> float:

@@ -38,7 +38,7 @@ from roomfit.scene import Scene, select_pairs
 from roomfit.settings import Settings
 from roomfit.signals.noise import NoiseEstimate
 from roomfit.solvers.least_squares import fit_band
-from roomfit.tracing.paths import Paths, TraceSettings
+from roomfit.tracing.paths import Paths, TraceSettings, select
 from roomfit.tracing.trace import trace
 from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
 
@@ -109,7 +109,10 @@ class Retracer:
                 best_fraction, best = fraction, BinnedPaths(binned.edges_s, rows)
         if best is not None and best_fraction >= LEAST_EFFECTIVE_FRACTION:
             return best
-        paths = trace(self._scene, self._settings, scattering).paths
+        images = None
+        for known, _ in self._traced[-1:]:
+            images = select(known, known.batch < 0)
+        paths = trace(self._scene, self._settings, scattering, known_images=images).paths
         binned = bin_paths(self._scene, self._bands, paths, self._settings.duration_s)
         self._traced = [*self._traced, (paths, binned)][-_KEPT_TRACES:]
         return binned

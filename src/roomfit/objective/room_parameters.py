@@ -90,6 +90,8 @@ class ValuesTerm:
     model_error_jnd: float = MODEL_ERROR_JND
     # what the last prediction read, by its absorption: the variance there takes no second pass
     _last: dict[bytes, list[_Decay]] = field(default_factory=dict, init=False, repr=False)
+    # correlation lengths by absorption: fits of a band begin at the same
+    _shared: dict[bytes, FloatArray] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.model_error_jnd <= 100.0:
@@ -140,11 +142,12 @@ class ValuesTerm:
         T20 and T30 are read from one decay: the sum of the squared correlations of each value with
         all values of its pair, 1 where it stands alone. From where the fit starts.
         """
-        counts = []
-        for covariance in value_covariances(self, start["absorption"]):
-            sd = np.sqrt(np.diag(covariance))
-            counts.append(np.sum((covariance / np.outer(sd, sd)) ** 2, axis=1))
-        return np.concatenate(counts)
+        key = start["absorption"].tobytes()
+        if key not in self._shared:
+            covariances = value_covariances(self, start["absorption"])
+            squares = [c**2 / np.outer(np.diag(c), np.diag(c)) for c in covariances]
+            self._shared[key] = np.concatenate([s.sum(axis=1) for s in squares])
+        return self._shared[key]
 
 
 def approximated(term: ValuesTerm, absorption: FloatArray) -> Callable[[FloatArray], FloatArray]:

@@ -73,7 +73,7 @@ from roomfit.report.wording import (
     number,
     parameter,
 )
-from roomfit.results import ComparedPair, Result
+from roomfit.results import Result
 from roomfit.scene import Scene
 from roomfit.typing import BoolArray, FloatArray, IntArray
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE
@@ -400,6 +400,7 @@ def report_html(
     (True, False)
     """
     choices = tuple(pair for pair in answer.pairs if has_curves(pair))
+    off = [mean_abs_jnd(pair) for pair in choices]
     about = dict(project or {})
     language, logo = about.pop("language", "en"), about.pop("logo", "")
     if logo and not re.fullmatch(r"data:image/(png|jpeg);base64,[A-Za-z0-9+/=]+", logo):
@@ -437,7 +438,7 @@ def report_html(
         overview=overview_table(answer),
         decay=_decays(drawn["decays"], len(choices)) if choices else None,
         curves=tuple(pair_title(pair) for pair in choices),
-        chosen=_worst(choices),
+        chosen=int(np.argmax(np.nan_to_num(off, nan=-1.0))) if off else 0,
         without_curve=len(answer.pairs) - len(choices),
         pairs=pair_sections(answer),
         provenance=_provenance(answer, scene, campaign),
@@ -645,13 +646,6 @@ def _decays(figure: Figure, n_pairs: int) -> Markup:
         "band; the tables below hold the parameters derived from them.",
         caption,
     )
-
-
-def _worst(pairs: tuple[ComparedPair, ...]) -> int:
-    """Return the index of the pair whose parameters are furthest off; 0 where none is known."""
-    if not pairs:
-        return 0
-    return int(np.argmax(np.nan_to_num([mean_abs_jnd(pair) for pair in pairs], nan=-1.0)))
 
 
 def _provenance(answer: Result, scene: Scene, campaign: str | None) -> tuple[tuple[str, str], ...]:

@@ -293,7 +293,8 @@ def _error_row(pairs: list[ComparedPair], name: str, use: str) -> tuple[str, lis
     ours = _mean_error(name, [c.predicted for c in compared], measured)
     baseline = _mean_error(name, [c.null for c in compared], measured)
     label = f"{parameter(name).symbol} {parameter(name).error_unit} {_said(use)}"
-    return label, [_pair_cell(a, b) for a, b in zip(ours, baseline, strict=True)]
+    texts = [[f"{x:.1f}" if np.isfinite(x) else "-" for x in row] for row in (ours, baseline)]
+    return label, [f"{a:>5} | {b:>5}" for a, b in zip(*texts, strict=True)]
 
 
 def _decay_cells(pairs: list[ComparedPair], name: str) -> list[str]:
@@ -340,13 +341,6 @@ def _interval_cell(value: float, lower: float, upper: float, *, sure: bool) -> s
 def _short(value: float) -> str:
     """Three characters and a point less: .07, 1.0."""
     return "1.00"[:3] if value >= 0.995 else f"{value:.2f}"[1:]
-
-
-def _pair_cell(ours: float, baseline: float) -> str:
-    def formatted(value: float) -> str:
-        return f"{value:.1f}" if np.isfinite(value) else "-"
-
-    return f"{formatted(ours):>5} | {formatted(baseline):>5}"
 
 
 def _mean_error(name: str, guesses: list[FloatArray], measured: list[FloatArray]) -> FloatArray:

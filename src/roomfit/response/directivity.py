@@ -237,17 +237,9 @@ def _weigh_windows(
                         sums[slopes + m] -= own * hits[r, m]
             sums[0], sums[1] = energy, squares
             if with_slopes:
-                sums[slopes] = by0
-                if n > 1:
-                    sums[slopes + 1] = by1
-                if n > 2:
-                    sums[slopes + 2] = by2
-                if n > 3:
-                    sums[slopes + 3] = by3
-                if n > 4:
-                    sums[slopes + 4] = by4
-                if n > 5:
-                    sums[slopes + 5] = by5
+                first_six = (by0, by1, by2, by3, by4, by5)
+                for m in range(min(n, 6)):
+                    sums[slopes + m] = first_six[m]
                 if len(basis):
                     turned = energy / (3.0 * norm)
                     sums[slopes + n] = 2.0 * (x - turned * b[0])

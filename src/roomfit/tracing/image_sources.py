@@ -533,6 +533,14 @@ def _as_paths(sets: list[ImageSet], scene: Scene, scattering: FloatArray) -> Pat
     )
 
 
+def thinned_images(images: Paths, scattering: Scattering) -> Paths:
+    """Return image paths as `trace_images` gives them for another scattering."""
+    coefficients = np.atleast_2d(coefficients_in_order(scattering, images.materials))
+    kept = _unscattered(images.hits_specular, coefficients)
+    weight = kept / (4.0 * np.pi * images.length_m**2)
+    return replace(images, weight_per_m2=weight, n_batches=0, sampling_scattering=coefficients)
+
+
 def _unscattered(hits: IntArray, scattering: FloatArray) -> FloatArray:
     """Return the share of each path that no hit scatters, in the mean over groups, (n_paths,)."""
     if not np.any(scattering):

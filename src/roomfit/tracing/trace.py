@@ -11,7 +11,7 @@ from roomfit.findings import Code, Finding
 from roomfit.geometry.inside import distance_to_walls_m
 from roomfit.materials.priors import Scattering
 from roomfit.scene import Scene, distances_m
-from roomfit.tracing.image_sources import trace_images
+from roomfit.tracing.image_sources import thinned_images, trace_images
 from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.rays import RayStatistics, Trace, trace_rays
 from roomfit.tracing.states import as_one_state, in_every_state
@@ -25,7 +25,12 @@ _SHARE_OF_IMAGES = 0.1
 
 
 def trace(
-    scene: Scene, settings: TraceSettings, scattering: Scattering, progress: Progress | None = None
+    scene: Scene,
+    settings: TraceSettings,
+    scattering: Scattering,
+    progress: Progress | None = None,
+    *,
+    known_images: Paths | None = None,
 ) -> Trace:
     """Return the paths of every pair: images up to an order, and rays for what they leave.
 
@@ -44,6 +49,8 @@ def trace(
         One coefficient, 0 to 1, for each material of the room, in any order.
     progress : callable, optional
         Called with the fraction that is done, 0 to 1.
+    known_images : Paths, optional
+        The image paths of this trace with any scattering; ignored in a room with several states.
 
     Returns
     -------
@@ -101,6 +108,8 @@ def trace(
                 with_image_transforms=settings.keep_image_transforms,
                 progress=part(progress, 0.0, share),
             )
+            if known_images is None
+            else thinned_images(known_images, scattering)
         )
     radii: FloatArray | None = None
     findings: tuple[Finding, ...] = ()
