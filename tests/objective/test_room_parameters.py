@@ -377,13 +377,18 @@ def test_values_join_other_data_of_the_same_unknowns():
 
 
 def test_the_variance_after_a_prediction_is_that_by_itself():
-    term = exponential_values(("T20_s", "EDT_s"), jnd=0.3)
-    alone = term.variance_parts(START)["values"]
-    elsewhere = {"absorption": START["absorption"] + 0.05}
-    term.predict(elsewhere)
-    np.testing.assert_array_equal(term.variance_parts(START)["values"], alone)
-    term.predict(START)
-    np.testing.assert_allclose(term.variance_parts(START)["values"], alone, rtol=1e-12)
+    scene, bands, binned = small_room(np.array([1000.0]))
+    values = predicted_values(scene, bands, binned, np.array([[0.2], [0.3], [0.4]]))
+    measured = measured_from(scene, bands, values, VALUE_NAMES)
+    (term,), (other,) = (value_terms(scene, bands, measured, binned) for _ in range(2))
+    assert term is not None
+    assert other is not None
+    here, there = ({"absorption": np.array(a)} for a in ([0.2, 0.3, 0.4], [0.3, 0.3, 0.4]))
+    alone = other.variance_parts(here)["values"]
+    term.predict(there)
+    np.testing.assert_array_equal(term.variance_parts(here)["values"], alone)
+    term.predict(here)
+    np.testing.assert_allclose(term.variance_parts(here)["values"], alone, rtol=1e-12)
 
 
 def test_the_likelihood_is_gaussian_with_its_constants():
