@@ -189,9 +189,9 @@ def cluster_pool(
 ) -> Iterator[Executor]:
     """Give an executor whose tasks are carried out by the workers of a dask cluster.
 
-    A task whose worker dies is given to another, up to three times. Dask's own configuration
-    (``distributed.comm.tls``, ``distributed.scheduler.allowed-failures``) holds, as files or as
-    variables of the environment.
+    A task whose worker dies is given to another, up to three times, and then alone as often. Dask's
+    own configuration (``distributed.comm.tls``, ``distributed.scheduler.allowed-failures``) holds,
+    as files or as variables of the environment.
 
     Parameters
     ----------
@@ -410,7 +410,7 @@ def result_of(future: Future[T]) -> T:
     if type(error).__name__ == _DEATH:
         raise CannotTell(
             "every worker that had the task died",
-            found=f"{_MOST_DEATHS + 1} of them",
+            found=f"{getattr(error, 'allowed_failures', _MOST_DEATHS) + 1} of them",
             hint="memory is the usual reason: fewer workers on a machine leave more for each",
         )
     return future.result()

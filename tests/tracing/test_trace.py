@@ -261,12 +261,13 @@ def test_splitting_a_material_changes_nothing() -> None:
     np.testing.assert_allclose(split.weight_per_m2, whole.weight_per_m2, rtol=1e-14)
 
 
-def test_images_that_are_known_serve_another_scattering() -> None:
+def test_images_that_are_known_serve_another_scattering(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = scene_of(l_shaped_room(), [[1.2, 1.5, 1.1]], [[4.1, 1.2, 1.2], [1.5, 4.0, 1.2]])
     wanted = uniform_scattering(scene.room.materials, 0.3)
     found = trace(scene, settings(500, 3), wanted).paths
     other = trace(scene, settings(500, 3), uniform_scattering(scene.room.materials, 0.1)).paths
     images = select(other, other.batch < 0)
+    monkeypatch.setattr("roomfit.tracing.trace.trace_images", None)  # not searched again
     again = trace(scene, settings(500, 3), wanted, known_images=images).paths
     assert len(images) > 10
     for column in ("pair", "length_m", "weight_per_m2", "hits_specular", "departure", "batch"):

@@ -42,11 +42,7 @@ from roomfit.objective.problem import Objective
 from roomfit.response.directivity import UnknownDirectivity
 from roomfit.scene import Scene
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
-from roomfit.solvers.least_squares import (
-    BandFit,
-    fit_band,
-    score_band,
-)
+from roomfit.solvers.least_squares import COMPARED_SD, BandFit, fit_band, score_band
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import BandEstimate
 
@@ -59,8 +55,6 @@ _BY_CHANCE = 1.5
 # (benchmarks/other_boxes.py) gained 2 to 4 in all; of six with |b| = 0.5 one gained 4, the others
 # 21 to 52.
 _GAIN_PER_BAND, _GAIN = 1.1, 13.4
-# Of an absorption, left to go where a fit ends: a few hundredths of a log-likelihood.
-_SETTLED_SD = 0.1
 
 DirectivityScore: TypeAlias = tuple[FloatArray, FloatArray]
 """Evidence of one band against omnidirectional sources.
@@ -145,8 +139,8 @@ def _full_gain(
     """Return by how much the log-likelihood rises if b is fitted, and its free numbers."""
     alone = fit
     if fit.measured.size != plain.measured().size:
-        alone = score_band(plain, fit.vector, settled_sd=_SETTLED_SD)
-    free_fit = score_band(free, np.concatenate((fit.vector, step)), settled_sd=_SETTLED_SD)
+        alone = score_band(plain, fit.vector, settled_sd=COMPARED_SD)
+    free_fit = score_band(free, np.concatenate((fit.vector, step)), settled_sd=COMPARED_SD)
     found = free_fit.vector[-3:]
     rise = (free_fit.log_likelihood - alone.log_likelihood) / max(free_fit.chi2_reduced, 1.0)
     return float(rise - 0.5 * found @ found), np.asarray(found)

@@ -8,10 +8,10 @@ within it; what is not is only suspected, and found out where it is farther off 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from typing import TypeAlias
+from typing import Protocol
 
 import numpy as np
 
@@ -109,11 +109,13 @@ class Offset:
         return f"{self.group or 'length'} {_AXES[self.axis]}"
 
 
-Worth: TypeAlias = Callable[..., float]
-"""Log-likelihood of a vector of offsets; minus infinity where a point leaves the room.
+class Worth(Protocol):
+    """Log-likelihood of a vector of offsets; minus infinity where a point leaves the room.
 
-With True behind it also where high bands rule it out, so that the others need not be asked.
-"""
+    Roughly also where high bands rule it out, so that the others need not be asked.
+    """
+
+    def __call__(self, shift_m: FloatArray, roughly: bool = False) -> float: ...
 
 
 def offsets_of(scene: Scene) -> tuple[Offset, ...]:

@@ -37,7 +37,7 @@ from roomfit.response.scattering import (
 from roomfit.scene import Scene, select_pairs
 from roomfit.settings import Settings
 from roomfit.signals.noise import NoiseEstimate
-from roomfit.solvers.least_squares import fit_band
+from roomfit.solvers.least_squares import COMPARED_SD, fit_band
 from roomfit.tracing.paths import Paths, TraceSettings, select
 from roomfit.tracing.trace import trace
 from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
@@ -73,8 +73,6 @@ _LEAST_GAIN, _LARGEST_LOSS = 5.0, 4.0
 _TRIAL_BANDS, _HIGHEST_TRIAL_HZ = 3, 4500.0
 _TRIAL_S = 0.2
 _KEPT_TRACES = 2
-# Of an absorption, left to go where a fit ends: a few hundredths of a log-likelihood.
-_SETTLED_SD = 0.1
 # So many responses tell how walls scatter; of more, every second, third and so on is tried.
 _MOST_TRIED = 50
 
@@ -431,7 +429,7 @@ def _energy_fit(
                 if found is not None and column_of_band.reshape(-1)[band] == number:
                     term = with_paths(found[0], binned, float(air_per_m[band]))
                     objective = Objective(found[1], (term,))
-                    fitted = fit_band(objective, settled_sd=_SETTLED_SD)
+                    fitted = fit_band(objective, settled_sd=COMPARED_SD)
                     out[band] = _CAUTION * fitted.log_likelihood
         return out
 

@@ -118,6 +118,8 @@ def _to_unit(parameters: Parameters, vector: FloatArray) -> FloatArray:
 # Of the standard deviation, misfit included. A fit ends where absorptions are so near to where they
 # lead, and where squares under the weights at hand would move nothing by more than the second.
 _SETTLED_SD, _AGREEMENT_SD = 0.02, 0.1
+# Enough to compare models: a few hundredths of a log-likelihood.
+COMPARED_SD = 0.1
 _FIRST_DAMPING, _MOST_DAMPING, _LONGEST_STEP = 0.01, 1e8, 3.0
 # A step is taken where it gains this share of what it promises.
 _LEAST_GAIN = 1e-3
