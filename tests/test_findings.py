@@ -13,7 +13,7 @@ import pytest
 import roomfit.findings
 from roomfit.cache import load_record, save_record
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding, code_of
+from roomfit.findings import About, Code, Finding, code_of
 
 SOURCE = Path(roomfit.__file__).parent
 PAGE = SOURCE.parents[1] / "docs" / "findings.md"
@@ -140,14 +140,17 @@ def test_codes_of_two_severities_are_graded_wherever_they_come_up():
 
 
 def test_the_severity_is_that_of_the_code_unless_graded():
-    assert Finding(Code.TIME_ZERO_MISMATCH, "Late.").severity == "warning"
-    assert Finding(Code.TIME_ZERO_MISMATCH, "Very late.", graded="serious").severity == "serious"
-    assert Finding(Code.LEAK, "It leaks.").severity == "serious"
+    assert Finding(Code.TIME_ZERO_MISMATCH, About(), "Late.").severity == "warning"
+    assert (
+        Finding(Code.TIME_ZERO_MISMATCH, About(), "Very late.", graded="serious").severity
+        == "serious"
+    )
+    assert Finding(Code.LEAK, About(), "It leaks.").severity == "serious"
 
 
 def test_a_severity_that_a_code_does_not_have_is_refused():
     with pytest.raises(InputError, match="severity") as caught:
-        Finding(Code.LEAK, "It leaks.", graded="info")
+        Finding(Code.LEAK, About(), "It leaks.", graded="info")
     error = caught.value
     assert (error.where, error.found, error.needed) == ("leak", "info", "serious")
     assert error.hint
@@ -179,9 +182,9 @@ def test_a_code_keeps_its_kind_between_processes_and_in_json():
 
 def test_a_cached_finding_comes_back_with_its_code(tmp_path):
     """A string in its place would void nothing."""
-    reported = Finding(Code.RAYS_ESCAPED, "They left.", {"n_escaped": 3}, graded="serious")
+    reported = Finding(Code.RAYS_ESCAPED, About(), "They left.", {"n_escaped": 3}, graded="serious")
     save_record(tmp_path / "a.npz", reported)
-    back = load_record(tmp_path / "a.npz", (Finding, Code))
+    back = load_record(tmp_path / "a.npz", (Finding, About, Code))
     assert back.code is Code.RAYS_ESCAPED
     assert (back.sentence, back.severity) == ("They left.", "serious")
     assert dict(back.evidence) == {"n_escaped": 3}

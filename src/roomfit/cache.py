@@ -33,7 +33,7 @@ from platformdirs import user_cache_dir
 
 from roomfit._checks import ARCHIVE_DAMAGE
 from roomfit.errors import InputError, RoomfitError, StoreError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 
 if sys.platform != "win32":
     import fcntl
@@ -759,6 +759,7 @@ def _keep(cache: Cache, kind: str, path: Path, value: object) -> tuple[Finding, 
         return (
             Finding(
                 Code.CACHE_NOT_WRITTEN,
+                About(),
                 f"An intermediate result ({kind}) could not be kept: {error}. The answer is not "
                 "affected; an interrupted run would begin this step again.",
                 {"kind": kind},
@@ -793,6 +794,7 @@ def _remove(path: Path) -> None:
 def _damaged(kind: str, path: Path) -> Finding:
     return Finding(
         Code.CACHE_FILE_DAMAGED,
+        About(),
         f"An intermediate result ({kind}, {path.name}) was damaged or cut short; it was computed "
         "again.",
         {"kind": kind, "file": path.name},

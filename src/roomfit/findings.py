@@ -6,7 +6,7 @@ members of `Code`, so that nothing that depends on one hangs on the spelling of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
@@ -234,6 +234,42 @@ def code_of(text: object, where: str) -> Code:
     return code
 
 
+@dataclass(frozen=True, slots=True)
+class About:
+    """What a finding concerns; each field that is empty sets no limit, all of them: everything.
+
+    A finding about two bands and one material concerns that material in these bands. Sequences of
+    any kind are taken, and kept as tuples.
+
+    Examples
+    --------
+    >>> About(materials=["carpet"], bands_hz=[1000]).concerns("carpet", 1000.0)
+    True
+    >>> About(materials=["carpet"]).concerns("plaster", 1000.0)
+    False
+    """
+
+    materials: Sequence[str] = ()
+    bands_hz: Sequence[float] = ()  # nominal centres
+    pairs: Sequence[tuple[str, str]] = ()  # source and receiver
+    files: Sequence[str] = ()  # as the campaign names them
+    points_m: Sequence[tuple[float, float, float]] = ()  # places in the room's frame
+
+    def __post_init__(self) -> None:
+        for name in ("materials", "files"):
+            object.__setattr__(self, name, tuple(str(x) for x in getattr(self, name)))
+        object.__setattr__(self, "bands_hz", tuple(float(f) for f in self.bands_hz))
+        object.__setattr__(self, "pairs", tuple((str(a), str(b)) for a, b in self.pairs))
+        points = tuple((float(x), float(y), float(z)) for x, y, z in self.points_m)
+        object.__setattr__(self, "points_m", points)
+
+    def concerns(self, material: str, band_hz: float) -> bool:
+        """Return whether the absorption of a material in a band is concerned."""
+        return (not self.materials or material in self.materials) and (
+            not self.bands_hz or band_hz in self.bands_hz
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding:
     """Something that a user must know before trusting a number.
@@ -245,6 +281,7 @@ class Finding:
     """
 
     code: Code  # for programs, with its severity and whether it voids identifiability
+    about: About  # what is doubted; programs read this, never the sentence or the evidence
     sentence: str  # one or two sentences for a person, with the place and the numbers
     # the numbers behind the sentence, ready for JSON
     evidence: Mapping[str, Any] = field(default_factory=dict)

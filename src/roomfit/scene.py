@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from roomfit._checks import check_known, did_you_mean, float_array, int_array, unique_names
 from roomfit.air import Air
 from roomfit.errors import InputError, located
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.check import examine
 from roomfit.geometry.inside import is_inside, nearest_triangles
 from roomfit.geometry.mesh import (
@@ -387,6 +387,7 @@ def axis_findings(mesh: Mesh) -> tuple[Finding, ...]:
     return (
         Finding(
             Code.AXES_EXCHANGED,
+            About(),
             f"{names} should be level and stand upright, across {axis}: another axis of the file "
             'points up. Set up = "y" (or "z") under [room], or give positions in the same axes.',
             {"surfaces": names, "axis": axis},

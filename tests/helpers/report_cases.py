@@ -13,7 +13,7 @@ import numpy as np
 
 from roomfit.air import Air
 from roomfit.bands import bands_between
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import shoebox_mesh
 from roomfit.results import Compared, ComparedPair, Decay, Result
 from roomfit.scene import Point, Room, Scene, material_areas_m2
@@ -91,7 +91,7 @@ def pair_of(rng, source, receiver, n_bands, use="fit"):
 
 def finding(severity, sentence):
     """Return a finding of the first code that has this severity."""
-    return Finding(next(code for code in Code if code.severity == severity), sentence)
+    return Finding(next(code for code in Code if code.severity == severity), About(), sentence)
 
 
 @dataclass

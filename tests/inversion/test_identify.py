@@ -16,7 +16,7 @@ from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.cache import json_text
 from roomfit.commands import identify_to_folder
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.inversion.identify import combine, identify
 from roomfit.io.campaign import input_files, read_campaign
 from roomfit.io.inputs import identify_arguments, load_campaign
@@ -233,7 +233,7 @@ VOIDS = (
 @pytest.mark.parametrize("text", VOIDS)
 def test_where_the_room_is_specified_wrong_only_what_is_held_is_identifiable(combined, text):
     """Whoever finds it; and the walls are not blamed for being inseparable."""
-    sure, unsure = combined(), combined(Finding(Code(text), "It is.", {}))
+    sure, unsure = combined(), combined(Finding(Code(text), About(), "It is.", {}))
     held = np.array(unsure.materials) == "carpet"
     assert sure.identifiable[~held].any()
     assert not unsure.identifiable[~held].any()
@@ -245,7 +245,7 @@ def test_where_the_room_is_specified_wrong_only_what_is_held_is_identifiable(com
 def test_no_other_finding_takes_anything_from_what_is_identifiable(combined):
     """All of them at once."""
     others = [
-        Finding(c, "It is.", {})
+        Finding(c, About(), "It is.", {})
         for c in Code
         # which takes the one material that it names
         if c.value not in VOIDS and c is not Code.FIXED_ABSORPTION_CONTRADICTED
@@ -255,7 +255,7 @@ def test_no_other_finding_takes_anything_from_what_is_identifiable(combined):
 
 def test_a_fixed_absorption_that_is_contradicted_takes_its_own_material_with_it(combined):
     evidence = {"material": "carpet"}
-    doubted = combined(Finding(Code.FIXED_ABSORPTION_CONTRADICTED, "It is.", evidence))
+    doubted = combined(Finding(Code.FIXED_ABSORPTION_CONTRADICTED, About(), "It is.", evidence))
     assert not doubted.identifiable.any()
 
 
@@ -414,7 +414,7 @@ def _nulls_outside(value: object, key: str, place: str = "") -> list[str]:
 def test_any_evidence_of_a_finding_can_be_written(tmp_path, plain):
     """Numbers as numpy makes them, also such as JSON does not know."""
     evidence = {"count": np.int64(3), "ratio": np.nan, "places": (np.array([1.0, 2.5]), "floor")}
-    doubted = replace(plain, findings=(Finding(Code.DC_OFFSET, "A doubt.", evidence),))
+    doubted = replace(plain, findings=(Finding(Code.DC_OFFSET, About(), "A doubt.", evidence),))
     text = json_text(result_content(doubted, ()))
     (finding,) = json.loads(text)["findings"]
     assert finding["evidence"] == {"count": 3, "ratio": "nan", "places": [[1.0, 2.5], "floor"]}

@@ -16,7 +16,7 @@ import roomfit
 from report_cases import answer_of, drawing, finding, read_page, scene_of
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.inversion.compare import _decay
 from roomfit.inversion.model_checks import DECAY_SCATTER
 from roomfit.report.disagreement import disagreement_table
@@ -85,7 +85,7 @@ def test_the_headline_and_the_figures_are_those_of_the_answer(answer):
 def test_a_description_that_the_data_contradict_is_the_headline(answer):
     nothing = replace(answer, identifiable=np.zeros_like(answer.identifiable))
     assert headline(nothing).startswith("The data do not determine")
-    void = Finding(Code.MODEL_MISFIT_ALL_BANDS, "Wrong.")
+    void = Finding(Code.MODEL_MISFIT_ALL_BANDS, About(), "Wrong.")
     assert "no absorption coefficient may be used" in headline(replace(nothing, findings=(void,)))
     given = replace(answer, lower95=answer.absorption, upper95=answer.absorption)
     assert headline(given) == "Every coefficient was given; nothing was fitted."
@@ -236,13 +236,20 @@ def test_a_band_of_pressures_whose_decay_no_check_contradicts_is_not_blamed(answ
     assert ["pressures" in row[2] for row in rows] == [True, False, False, False]
     assert rows[0][0] == "T20, 125 Hz to 500 Hz"
     assert rows[0][3].startswith("None by itself")
-    missed = Finding(Code.DECAY_NOT_REPRODUCED, "Missed.", {"bands_hz": [125.0, 250.0, 500.0]})
+    missed = Finding(
+        Code.DECAY_NOT_REPRODUCED,
+        About(bands_hz=[125.0, 250.0, 500.0]),
+        "Missed.",
+        {"bands_hz": [125.0, 250.0, 500.0]},
+    )
     rows = rows_of(disagreement_table(replace(off, findings=(missed,)), scene))
     assert len(rows) == 6 and "see the finding" in rows[0][2] and "instead of" in rows[0][3]
 
 
 def test_findings_and_misfit_are_the_reasons_where_they_concern_the_band(answer, scene):
-    low = Finding(Code.BELOW_SCHROEDER_FREQUENCY, "Modes.", {"bands_hz": [125.0]})
+    low = Finding(
+        Code.BELOW_SCHROEDER_FREQUENCY, About(bands_hz=[125.0]), "Modes.", {"bands_hz": [125.0]}
+    )
     off = replace(with_errors(answer, 0.5, chi2=3.0), findings=(low,))
     rows = rows_of(disagreement_table(off, scene))
     assert [("single modes" in row[2], "(φ above 2)" in row[2]) for row in rows] == [

@@ -18,7 +18,7 @@ from roomfit.experiment_design.information import (
     information_of_pairs,
 )
 from roomfit.experiment_design.prior import PriorInformation
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.inside import distance_to_walls_m, is_inside
 from roomfit.geometry.mesh import refuse, volume_m3
 from roomfit.inversion.scattering import band_factors, specified_scattering
@@ -309,6 +309,7 @@ def design_candidates(
         return scene, rules, ()
     few = Finding(
         Code.FEW_CANDIDATES,
+        About(),
         f"Only {possible.size} pairs of source and receiver are allowed where {n} were asked for.",
         {"found": possible.size, "asked": n},
     )

@@ -14,7 +14,7 @@ import numpy as np
 
 from roomfit._checks import float_array
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.inside import is_inside
 from roomfit.geometry.mesh import (
     Edges,
@@ -200,7 +200,7 @@ def _findings(spots: _Spots, most_warped_m: float) -> tuple[Finding, ...]:
     for code, sentence in sentences.items():
         if own := spots.get(code):
             text = f"{_count(own)} {sentence}: {listed(own)}."
-            found.append(Finding(code, text, {"places": own}))
+            found.append(Finding(code, About(), text, {"places": own}))
     if warped := spots.get(Code.WARPED_POLYGON):
         found.append(_warped(warped, most_warped_m))
     return tuple(found)
@@ -221,7 +221,7 @@ def _warped(spots: list[tuple[str, str]], off_plane_m: float) -> Finding:
         f"{_count(spots)} not flat, by up to {1e3 * off_plane_m:.1f} mm: {listed(spots)}. They are "
         "cut into flat triangles."
     )
-    return Finding(Code.WARPED_POLYGON, text, {"off_plane_m": off_plane_m})
+    return Finding(Code.WARPED_POLYGON, About(), text, {"off_plane_m": off_plane_m})
 
 
 def _count(spots: Sequence[object]) -> str:
@@ -261,7 +261,7 @@ def oriented(mesh: Mesh) -> tuple[Mesh, tuple[Finding, ...]]:
     findings = _flip_findings(mesh, flip)
     if not agrees:
         sentence = "The faces cannot be oriented: a surface has one side only, as a Moebius strip."
-        findings = (*findings, Finding(Code.SURFACE_NOT_ORIENTABLE, sentence))
+        findings = (*findings, Finding(Code.SURFACE_NOT_ORIENTABLE, About(), sentence))
     triangles = mesh.triangles.copy()
     triangles[flip] = triangles[flip][:, ::-1]
     return replace(mesh, triangles=triangles), findings
@@ -332,7 +332,7 @@ def _flip_findings(mesh: Mesh, flip: BoolArray) -> tuple[Finding, ...]:
     inside_out = bool(areas[flip].sum() > 0.5 * areas[walls].sum())
     if inside_out:
         sentence = "The file is inside out: its normals point into the room. They were turned."
-        found.append(Finding(Code.INSIDE_OUT, sentence, {"flipped": int(flip.sum())}))
+        found.append(Finding(Code.INSIDE_OUT, About(), sentence, {"flipped": int(flip.sum())}))
     odd = np.flatnonzero((flip != inside_out) & walls)
     if len(odd):
         first = odd[np.argmax(areas[odd])]
@@ -342,5 +342,5 @@ def _flip_findings(mesh: Mesh, flip: BoolArray) -> tuple[Finding, ...]:
             f"{len(odd)} triangles of {areas[odd].sum():.3g} m2 were oriented against the rest and "
             f"were flipped, the largest in {name!r} near {spot}."
         )
-        found.append(Finding(Code.FLIPPED_FACES, sentence, {"triangles": len(odd)}))
+        found.append(Finding(Code.FLIPPED_FACES, About(), sentence, {"triangles": len(odd)}))
     return tuple(found)

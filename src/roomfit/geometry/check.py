@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roomfit._numba import in_threads, kernel
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.build import listed
 from roomfit.geometry.inside import (
     along,
@@ -139,7 +139,7 @@ def examine(mesh: Mesh) -> tuple[bool, float | None, tuple[Finding, ...]]:
     findings = [*leak_findings, *_slivers(mesh)]
     if volume > 0.0 and not 1.0 <= volume <= 1e6:
         text = f"A volume of {volume:.3g} m3 is unusual for a room: is the unit right?"
-        findings.append(Finding(Code.UNUSUAL_SIZE, text, {"volume_m3": volume}))
+        findings.append(Finding(Code.UNUSUAL_SIZE, About(), text, {"volume_m3": volume}))
     if len(open_edges):
         findings.append(_not_closed(mesh, edges, open_edges, volume))
     if not volume > 0.0:
@@ -174,7 +174,7 @@ def _leak(mesh: Mesh) -> tuple[float | None, list[Finding]]:
             f"The mesh leaks a little: {counts} ({1e2 * leak.fraction:.3g} %; "
             f"up to {1e2 * LEAK_LIMIT:g} % is harmless), {_ways_out(mesh, leak)}."
         )
-        return leak.fraction, [Finding(Code.SMALL_LEAK, text, evidence)]
+        return leak.fraction, [Finding(Code.SMALL_LEAK, About(), text, evidence)]
     serious = fault(
         Code.LEAK,
         "the mesh leaks",
@@ -213,7 +213,7 @@ def _not_closed(mesh: Mesh, edges: Edges, open_edges: IntArray, volume: float) -
         f"The volume of {volume:.4g} m3 is approximate."
     )
     evidence = {"edges": len(open_edges), "of": len(edges.ends), "length_m": float(lengths.sum())}
-    return Finding(Code.NOT_CLOSED, text, evidence)
+    return Finding(Code.NOT_CLOSED, About(), text, evidence)
 
 
 def _slivers(mesh: Mesh) -> list[Finding]:
@@ -229,4 +229,4 @@ def _slivers(mesh: Mesh) -> list[Finding]:
     ]
     count = "1 triangle is" if len(thin) == 1 else f"{len(thin)} triangles are"
     text = f"{count} thinner than 0.1 mm: {listed(spots)}."
-    return [Finding(Code.SLIVERS, text, {"triangles": len(thin)})]
+    return [Finding(Code.SLIVERS, About(), text, {"triangles": len(thin)})]

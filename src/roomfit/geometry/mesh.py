@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from roomfit._checks import float_array, int_array
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.typing import FloatArray, IntArray
 
 
@@ -38,7 +38,9 @@ def fault(
     given_parts = {key: text for key, text in parts.items() if text}
     place = f" at {where}" if where else ""
     count = f": {found}" if found else ""
-    return Finding(code, f"{what}{place}{count}.", {"what": what, **given_parts, **evidence})
+    return Finding(
+        code, About(), f"{what}{place}{count}.", {"what": what, **given_parts, **evidence}
+    )
 
 
 def refuse(findings: Iterable[Finding]) -> None:

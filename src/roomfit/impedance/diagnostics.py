@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import mean_free_path_m
 from roomfit.impedance.data import Observed, level_at, model_error
 from roomfit.impedance.fit import (
@@ -83,14 +83,16 @@ def data_findings(problem: Problem, walls: dict[str, WallModel]) -> tuple[Findin
             f"Levels without phase at {frequencies} do not distinguish a wall from others that "
             "reflect as much with another phase. Give phases, or levels over a whole band."
         )
-        return (Finding(Code.TOO_FEW_DATA, sentence, evidence),)
+        return (Finding(Code.TOO_FEW_DATA, About(), sentence, evidence),)
     if n_f < _COUPLED and n_pairs < n_materials + 1:
         sentence = (
             f"{n_pairs} pair{'s' * (n_pairs != 1)} at {frequencies} cannot distinguish "
             f"{n_materials} materials: {n_materials + 1} pairs are needed, or "
             "frequencies that a smooth curve couples."
         )
-        return (Finding(Code.TOO_FEW_DATA, sentence, {**evidence, "materials": n_materials}),)
+        return (
+            Finding(Code.TOO_FEW_DATA, About(), sentence, {**evidence, "materials": n_materials}),
+        )
     needed = sum(
         len(LAWS[wall.kind][1]) if wall.kind in LAWS else len(as_spline(curve).start)
         for wall, curve in zip(walls.values(), problem.curves, strict=True)
@@ -106,7 +108,7 @@ def data_findings(problem: Problem, walls: dict[str, WallModel]) -> tuple[Findin
         f"{data} numbers were measured, besides what the gains take, and {needed} are unknown: "
         "measure more pairs, or specify the gain or the laws of some walls."
     )
-    return (Finding(Code.TOO_FEW_DATA, sentence, {"data": data, "unknowns": needed}),)
+    return (Finding(Code.TOO_FEW_DATA, About(), sentence, {"data": data, "unknowns": needed}),)
 
 
 def estimated_noise(fit: ImpedanceFit) -> FloatArray:
@@ -342,6 +344,7 @@ def _weaker_findings(problem: Problem, observed: Observed) -> list[Finding]:
         findings.append(
             Finding(
                 Code.NOISE_ESTIMATED,
+                About(),
                 f"The noise was unspecified; what the fit leaves ({share:.1%} of the level) was "
                 "taken for it. A model that does not fit cannot be distinguished from noise then.",
                 {"noise_over_level": share},
@@ -352,7 +355,7 @@ def _weaker_findings(problem: Problem, observed: Observed) -> list[Finding]:
             "Only levels were given. Other walls than those found may explain them; phases would "
             "show which."
         )
-        findings.append(Finding(Code.LEVELS_ONLY, sentence, {}))
+        findings.append(Finding(Code.LEVELS_ONLY, About(), sentence, {}))
     return findings
 
 
@@ -381,6 +384,7 @@ def _verdict(
         )
         finding = Finding(
             Code.IMPEDANCE_DOES_NOT_FIT,
+            About(),
             sentence + " Do not use the walls found.",
             {"chi2": chi2, "cause": cause},
         )
@@ -395,6 +399,7 @@ def _verdict(
         sentence = f"Not identifiable: {cause}."
         finding = Finding(
             Code.IMPEDANCE_NOT_IDENTIFIABLE,
+            About(),
             sentence + " More pairs, or pairs nearer to the walls concerned, would help.",
             {"rivals": len(rivals), "materials": unsure},
         )

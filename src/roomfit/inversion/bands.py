@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from roomfit.bands import Bands
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.energy import only_energies
 from roomfit.objective.parameters import (
@@ -107,6 +107,7 @@ def starts_findings(
     return (
         Finding(
             Code.MULTIPLE_MINIMA_MULTISTART,
+            About(bands_hz=[f for f, _ in lower_minima]),
             "Least squares from another start ends in absorptions outside of the intervals that "
             f"explain the energies alike: {where}. Measure more positions, or tell what is known.",
             {

@@ -15,7 +15,7 @@ from scipy.special import chdtrc
 
 from roomfit.air import speed_of_sound_m_s
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.measurement import MeasuredPair, Measurement
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.scene import Point, Scene
@@ -163,7 +163,7 @@ def _begin_at_direct(found: _Arrivals) -> tuple[Finding, ...]:
         f"after the first sample, whatever the distance ({found.distance_m.min():.2f} to "
         f'{found.distance_m.max():.2f} m): set time_zero = "direct".'
     )
-    return (Finding(Code.RECORDINGS_LATE, text, {"time_zero": "direct"}),)
+    return (Finding(Code.RECORDINGS_LATE, About(), text, {"time_zero": "direct"}),)
 
 
 def _alike_late(found: _Arrivals) -> tuple[Finding, ...]:
@@ -206,7 +206,7 @@ def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> Fin
         f'({samples:.0f} samples): {advice} or time_zero = "unknown".'
     )
     evidence = {"late_s": late_s, "latency_s": latency_s, "files": [m.where for m in measurements]}
-    return Finding(Code.RECORDINGS_LATE, text, evidence)
+    return Finding(Code.RECORDINGS_LATE, About(), text, evidence)
 
 
 def _stretched(found: _Arrivals) -> tuple[Finding, ...]:
@@ -230,7 +230,7 @@ def _scaled(factor: float, what: str, n: int) -> Finding:
         f"The direct sounds of all {n} files arrive as if all positions were {factor:.4g} times as "
         f"far apart: {what}. Compare the positions, the unit of the room and the files."
     )
-    return Finding(Code.COORDINATES_SCALED, text, {"factor": factor})
+    return Finding(Code.COORDINATES_SCALED, About(), text, {"factor": factor})
 
 
 def _other_unit(found: _Arrivals) -> tuple[Finding, ...]:
@@ -253,7 +253,7 @@ def _begin_anywhere(found: _Arrivals) -> tuple[Finding, ...]:
         f"All {len(late_s)} files begin before the sound is emitted, each at another instant, "
         f'{late_s.min():.2f} to {late_s.max():.2f} s: set time_zero = "direct".'
     )
-    return (Finding(Code.RECORDINGS_LATE, text, {"time_zero": "direct"}),)
+    return (Finding(Code.RECORDINGS_LATE, About(), text, {"time_zero": "direct"}),)
 
 
 def as_advised(measurements: Sequence[Measurement], causes: Sequence[Finding]) -> list[Measurement]:
@@ -294,7 +294,14 @@ def _exchanged(found: _Arrivals) -> tuple[Finding, ...]:
                 f"{a.name} and {b.name} are exchanged: each arrives when that of the other should "
                 f"({a.source} to {a.receiver}, {b.source} to {b.receiver})."
             )
-            return (Finding(Code.EXCHANGED, text, {"files": [a.where, b.where]}),)
+            return (
+                Finding(
+                    Code.EXCHANGED,
+                    About(files=[a.where, b.where]),
+                    text,
+                    {"files": [a.where, b.where]},
+                ),
+            )
     exchanges = []
     for kind, points in (("receivers", found.receiver), ("sources", found.source)):
         doubtful = {points[i].name: points[i] for i in off}
@@ -313,7 +320,7 @@ def _exchanged(found: _Arrivals) -> tuple[Finding, ...]:
         f"The {kind} {first} and {second} are exchanged: all direct sounds arrive when they should "
         "if each has the position of the other."
     )
-    return (Finding(Code.EXCHANGED, text, {kind: [first, second]}),)
+    return (Finding(Code.EXCHANGED, About(), text, {kind: [first, second]}),)
 
 
 def _displaced(found: _Arrivals) -> tuple[Finding, ...]:
@@ -395,7 +402,7 @@ def _displacement(
         f"sounds arrive as if it were {each}; those of all other positions agree. Measure it again."
     )
     evidence = {kind: name, "metres": size_m, "files": [m.where for m in chosen]}
-    return (Finding(Code.DISPLACEMENT_DETECTED, text, evidence),)
+    return (Finding(Code.DISPLACEMENT_DETECTED, About(), text, evidence),)
 
 
 def gain_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
@@ -438,7 +445,7 @@ def gain_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
             'as by another gain: set level = "per-file", or correct the levels.'
         )
         evidence = {"step_db": step_db, "files": [m.where for m in files]}
-        findings.append(Finding(Code.LEVELS_APART, text, evidence))
+        findings.append(Finding(Code.LEVELS_APART, About(), text, evidence))
     return tuple(findings)
 
 
@@ -499,7 +506,14 @@ def polarity_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
         f"{who[0].upper()}{who[1:]} have the opposite polarity of the others of their source: a "
         "cable, a channel or a microphone differs. The fit does not depend on it."
     )
-    return (Finding(Code.POLARITY_DIFFERS, text, {"files": [m.where for m in inverted]}),)
+    return (
+        Finding(
+            Code.POLARITY_DIFFERS,
+            About(files=[m.where for m in inverted]),
+            text,
+            {"files": [m.where for m in inverted]},
+        ),
+    )
 
 
 def _sign(sound: FloatArray, reference: FloatArray) -> int:

@@ -22,7 +22,7 @@ from scipy import fft
 from scipy.special import chdtri
 
 from roomfit.bands import Bands, bands_in_words
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.logit import expit, logit
 from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import MeasuredPair
@@ -247,6 +247,7 @@ def chain_findings(
         return (
             Finding(
                 Code.LEVELS_NOT_LINEAR,
+                About(),
                 f"Levels are bent {said}, in all bands and over all distances alike: a {kind} is "
                 "in the chain, the files were processed, or a source that was taken for "
                 "omnidirectional is none. Measure again without it; no material is called "
@@ -258,6 +259,7 @@ def chain_findings(
     return (
         Finding(
             Code.DECAY_BENT,
+            About(),
             f"The sound decays too {way} for its early reflections, by "
             f"{window.value:.1f} +- {window.sd:.1f} of energy per second alike in all bands "
             f"(the room's own: {rate_per_s:.0f}): an exponential window was left in the files, "
@@ -296,6 +298,7 @@ def fixed_absorption_findings(
         findings.append(
             Finding(
                 Code.FIXED_ABSORPTION_CONTRADICTED,
+                About(materials=[prior.name], bands_hz=bands.centres_hz[clear].tolist()),
                 f"The data contradict the absorption that the campaign fixes for {prior.name}: "
                 f"{bands_in_words(bands, clear, notes)}; freed, the log-likelihood rises by "
                 f"{sum(gains.values()):.0f}. All others compensate for it: none is called "
@@ -339,6 +342,7 @@ def tail_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
     return (
         Finding(
             Code.DECAY_BENT,
+            About(),
             f"The background noise falls by {10.0 * within / np.log(10.0):.0f} dB per second "
             "within the files, and as fast from before the direct sound to their end: an "
             f"exponential window of {2.0 / within:.2g} s (pressure) was left in them, by which "
@@ -372,6 +376,7 @@ def gate_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
     return (
         Finding(
             Code.NOISE_GATED,
+            About(),
             f"Sound goes on after stretches without any in {names}: a noise gate or a noise "
             "reduction was left in. It shortens the late decay and hides the noise; no material "
             "is called identifiable. Export the files without.",

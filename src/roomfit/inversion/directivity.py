@@ -17,7 +17,7 @@ import numpy as np
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.materials.priors import MaterialPrior
@@ -169,6 +169,7 @@ def source_findings(
         findings.append(
             Finding(
                 Code.SOURCE_NOT_OMNIDIRECTIONAL,
+                About(),
                 f"{name} was taken for omnidirectional, which the data contradict: a first-order "
                 f"directivity that radiates more towards ({towards}) raises the log-likelihood by "
                 f"{total[s]:.0f}. Absorption compensates for it, so that no material is called "

@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import mean_free_path_m, shoebox_mesh
 from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths
@@ -645,6 +645,7 @@ def _finding(
     stated_m = LENGTH_SD_M if k < 0 else offset.sd_m
     return Finding(
         Code.DISPLACEMENT_DETECTED,
+        About(),
         f"By early reflections {what}, which raises the log-likelihood by "
         f"{evidence['log_likelihood_gain']:.0f}; {stated_m:g} m is its standard deviation{ends}. "
         "Absorption compensates for it, so that no material is called identifiable. Measure it "

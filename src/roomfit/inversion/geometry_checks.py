@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.inversion.sequential import CoherentBand, CoherentBandFit
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.scene import Point, Scene
@@ -48,6 +48,7 @@ def delay_findings(gain: float) -> tuple[Finding, ...]:
     return (
         Finding(
             Code.REFLECTION_DELAY_DETECTED,
+            About(),
             "Delays of reflections, which were excluded (wall_delays = false), raise the "
             f"log-likelihood by {gain:.0f}: without them intervals are too narrow, and no material "
             "is called identifiable. Use wall_delays = true.",
@@ -76,6 +77,7 @@ def position_consistency_findings(
     return (
         Finding(
             Code.POSITION_INCONSISTENT,
+            About(),
             "Positions, speed of sound and latencies, which were fixed "
             f'(positions = "fixed"), raise the log-likelihood by {gain:.0f} if they move within '
             "their specified standard deviations: intervals are too narrow, and no material is "
@@ -97,6 +99,7 @@ def geometry_findings(geometry: FittedGeometry | None) -> tuple[Finding, ...]:
     return (
         Finding(
             Code.GEOMETRY_SHIFT_IMPLAUSIBLE,
+            About(),
             f"To explain the arrival times, the fit moved {', '.join(names)} by more than "
             f"{_LARGEST_SHIFT_SD:g} prior standard deviations: it may be specified wrongly, or "
             "compensate for an error of the model. Check it.",
@@ -178,6 +181,7 @@ def position_uncertainty_findings(scale: float) -> tuple[Finding, ...]:
     return (
         Finding(
             Code.POSITION_UNCERTAINTY_INFLATED,
+            About(),
             "Arrival times contradict the specified standard deviations of positions: all "
             f"together, positions are off {scale:.1f} times as far, and were fitted with standard "
             f"deviations {scale:.1f} times as large. Measure the positions again; the room's "

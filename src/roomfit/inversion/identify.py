@@ -15,7 +15,7 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
 from roomfit.cache import Cache
 from roomfit.eyring import eyring_absorption
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.bands import starts_findings
 from roomfit.inversion.chain import gate_findings, tail_findings
@@ -265,7 +265,7 @@ def _quick_findings(settings: Settings) -> tuple[Finding, ...]:
         "the chain, nor another scattering than specified, was looked for. Identify without quick "
         "before relying on it."
     )
-    return (Finding(Code.FIRST_ANSWER, text),)
+    return (Finding(Code.FIRST_ANSWER, About(), text),)
 
 
 def _findings(

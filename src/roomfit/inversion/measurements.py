@@ -12,7 +12,7 @@ from roomfit._checks import nearest
 from roomfit.air import speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import refuse
 from roomfit.inversion.causes import arrival_findings, gain_findings, polarity_findings
 from roomfit.inversion.room_outline import outline_findings
@@ -82,6 +82,7 @@ def duplicate_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
         findings.append(
             Finding(
                 Code.REPEATED_RESPONSES_DIFFER,
+                About(files=[one.measurement.where, other.measurement.where]),
                 f"{one.measurement.source} to {one.measurement.receiver} was measured twice "
                 f"({names}) with different results: {'; '.join(ways)}. One of them may belong to "
                 "another pair, or the room was changed in between.",
@@ -122,6 +123,7 @@ def counted_once(
             findings.append(
                 Finding(
                     Code.RECORDING_COUNTED_ONCE,
+                    About(),
                     f"{names} and {copy} are one recording, sample by sample: it was counted once.",
                     evidence,
                 )
@@ -130,6 +132,7 @@ def counted_once(
             findings.append(
                 Finding(
                     Code.RECORDING_OF_TWO_PAIRS,
+                    About(),
                     f"{names} and {copy} are one recording, sample by sample, of places that are "
                     f"{apart_m:.2f} m apart or of two states of the room: one of them is wrong. "
                     "No material is called identifiable.",
@@ -168,6 +171,7 @@ def unreached_findings(paths: Paths, fitted: Sequence[str]) -> tuple[Finding, ..
     return (
         Finding(
             Code.MATERIAL_NOT_REACHED,
+            About(materials=list(names)),
             f"No path between the measured pairs strikes {', '.join(names)}: its absorption "
             "cannot be determined, and its prior is all that is reported.",
             {"materials": list(names)},

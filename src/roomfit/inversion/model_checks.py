@@ -16,7 +16,7 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_in_words
 from roomfit.errors import InputError
 from roomfit.eyring import schroeder_hz
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.inversion.compare import predicted_curve
 from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths
@@ -58,6 +58,7 @@ def fit_findings(bands: Bands, answers: Sequence[BandEstimate]) -> tuple[Finding
         findings.append(
             Finding(
                 Code.MODEL_DOES_NOT_FIT,
+                About(bands_hz=bands.centres_hz[bad].tolist()),
                 "The model does not explain the data within their noise; the reduced chi-square is "
                 f"{bands_in_words(bands, bad, values)}. No material is called identifiable there, "
                 "and intervals are widened by the misfit.",
@@ -69,6 +70,7 @@ def fit_findings(bands: Bands, answers: Sequence[BandEstimate]) -> tuple[Finding
         findings.append(
             Finding(
                 Code.FIT_NOT_CONVERGED,
+                About(bands_hz=bands.centres_hz[slow].tolist()),
                 "The fit did not converge within the rounds of updated weights that are allowed. "
                 f"Last moved: {bands_in_words(bands, slow, [_moved(answers[j]) for j in slow])}. "
                 "Allow more (max_rounds in [settings]), or fix what the data do not determine.",
@@ -107,6 +109,7 @@ def description_findings(answers: Sequence[BandEstimate]) -> tuple[Finding, ...]
     return (
         Finding(
             Code.MODEL_MISFIT_ALL_BANDS,
+            About(),
             "In most bands the model does not explain the data within their noise (median of the "
             f"reduced chi-square {median:.1f}): the description of the room is wrong in a "
             "material, an opening, scattering, a source or a position. Intervals are too narrow, "
@@ -402,6 +405,7 @@ def decay_findings(
     return (
         Finding(
             Code.DECAY_NOT_REPRODUCED,
+            About(bands_hz=bands.centres_hz[numbers].tolist()),
             "The decay of the fitted pairs is not reproduced (predicted against measured, mean "
             f"over pairs): {bands_in_words(bands, numbers, notes)}. {' '.join(causes)} No "
             "absorption is called identifiable there.",
@@ -440,6 +444,7 @@ def schroeder_findings(bands: Bands, decay_s: FloatArray, volume_m3: float) -> t
     return (
         Finding(
             Code.BELOW_SCHROEDER_FREQUENCY,
+            About(bands_hz=bands.centres_hz[low].tolist()),
             "Part of the band lies below the Schroeder frequency at "
             f"{bands_in_words(bands, low, limits)}: single modes are resolved there, which the "
             "model does not contain. Trust these intervals less.",
@@ -491,6 +496,7 @@ def prior_findings(
         findings.append(
             Finding(
                 Code.PRIOR_DOMINATED,
+                About(materials=[own.name], bands_hz=bands.centres_hz[bad].tolist()),
                 f"The absorption of {own.name} is nearly its prior, of whose standard deviation so "
                 f"much is left: {bands_in_words(bands, bad, shares)}. The data add next to "
                 "nothing; measure pairs whose sound strikes it more often.",
@@ -522,6 +528,7 @@ def sampling_findings(bands: Bands, answers: Sequence[BandEstimate]) -> tuple[Fi
     return (
         Finding(
             Code.SAMPLING_NOT_CONVERGED,
+            About(bands_hz=bands.centres_hz[bad].tolist()),
             "The samples of the posterior did not converge within the evaluations allowed: "
             f"{bands_in_words(bands, bad, notes)}. The intervals there are Gaussian.",
             {

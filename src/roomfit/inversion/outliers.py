@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.energy import EnergyTerm
 from roomfit.solvers.least_squares import BandFit
@@ -105,6 +105,7 @@ def _finding(m: MeasuredPair, ratio: float) -> Finding:
     name = f"{m.measurement.source} to {m.measurement.receiver} ({m.measurement.name})"
     return Finding(
         Code.MEASUREMENT_OUTLIER,
+        About(),
         f"{name} is an outlier: its mean squared residual is {ratio:.0f} times that of the other "
         "measurements. Its variance was inflated by that factor. Check its file, its positions "
         "and its level.",

@@ -14,7 +14,7 @@ import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.logit import Z95
@@ -322,6 +322,7 @@ def _finding(
     )
     return Finding(
         Code.REFLECTION_DISAGREES,
+        About(materials=[own[0].material], bands_hz=[float(bands.centres_hz[r.band]) for r in own]),
         f"First reflections from {name} that stand alone contradict the fitted absorption: "
         f"{'; '.join(parts)}. {advice}",
         {

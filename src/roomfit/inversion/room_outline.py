@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roomfit.air import speed_of_sound_m_s
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import area_vectors_m2, corners_m, is_double_sided
 from roomfit.materials.priors import Scattering
 from roomfit.scene import Room, Scene
@@ -215,6 +215,7 @@ def _mismatch(
     return [
         Finding(
             Code.WALL_POSITION_MISMATCH,
+            About(),
             f"The echoes of {wall.name} come from a wall {abs(moved_m):.2f} m {way} the specified "
             f"outline has it, in {round(100 * share)} % of {peak.size} responses. Measure the room "
             "again, or look for what hangs or stands in front of that wall.",

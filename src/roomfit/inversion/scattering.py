@@ -18,7 +18,7 @@ import numpy as np
 from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands, bands_in_words
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.inversion.measurements import Measurements
 from roomfit.logit import Z95
 from roomfit.materials.priors import MaterialPrior, Scattering, in_bands
@@ -233,6 +233,7 @@ def suspected_scattering(
     return (
         Finding(
             Code.SCATTERING_UNDERESTIMATED,
+            About(materials=names),
             f"The data are explained better if {', '.join(names)} scatter: a coefficient of "
             f"{_TRIAL:g} raises the log likelihood by {gain:.0f}. Absorption compensates for "
             "scattering that is specified as 0, so that no material is called identifiable. "
@@ -295,7 +296,11 @@ def chosen_scattering(
     names = [k.name for k in priors if k.fit_scattering]
     sds = [_grid_sd(GRID, *ends) for ends in np.stack((lower, upper), axis=2)[:, 0].tolist()]
     sd = np.where(fitted, sds, 0.0)
-    return known, sd, (Finding(Code.SCATTERING_FITTED, sentence, {"materials": names}),)
+    return (
+        known,
+        sd,
+        (Finding(Code.SCATTERING_FITTED, About(materials=names), sentence, {"materials": names}),),
+    )
 
 
 def _grid_sd(grid: Sequence[float], lower: float, upper: float) -> float:
@@ -353,6 +358,7 @@ def assumed_scattering(
     )
     assumption = Finding(
         Code.SCATTERING_ASSUMED,
+        About(materials=names),
         f"The scattering of {', '.join(names)} is unspecified; {value:g} was assumed{reason}.",
         {"materials": names, "scattering": value},
     )
@@ -510,6 +516,7 @@ def _degenerate_weight_findings(
     return (
         Finding(
             Code.IMPORTANCE_WEIGHTS_DEGENERATE,
+            About(bands_hz=bands.centres_hz[degenerate].tolist()),
             "Scattering differs so much from what rays were traced with, the mean over groups of "
             "bands, that few of them carry the energy: their effective share is "
             f"{bands_in_words(bands, degenerate, notes)}. Predictions are noisy there; fit these "

@@ -13,7 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from roomfit.bands import Bands, bands_in_words
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.inside import nearest_triangles
 from roomfit.geometry.mesh import area_vectors_m2, corners_m
 from roomfit.inversion.measurements import Measurements
@@ -337,6 +337,7 @@ def _finding(
         )
     return Finding(
         Code.MIRROR_AMBIGUITY,
+        About(materials=[names[i] for i in moved], bands_hz=bands.centres_hz[columns].tolist()),
         f"The room is symmetric, and every fitted pair stands within {100 * apart_m:.0f} cm of "
         f"that symmetry: a second answer explains the data as well. At {centres}: {listed}."
         f"{confirmed} Measure a pair off the symmetry, or specify a prior of one of these "

@@ -11,7 +11,7 @@ import numpy as np
 
 from roomfit.air import speed_of_sound_m_s
 from roomfit.cache import Cache, Cached, cached
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.scattering import specified_scattering
 from roomfit.materials.priors import MaterialPrior, Scattering, sampling_scattering
@@ -27,7 +27,7 @@ from roomfit.typing import FloatArray, Progress
 
 _LOG = logging.getLogger("roomfit")
 
-TRACE_CLASSES = (Trace, Paths, RayStatistics, Finding, Code)
+TRACE_CLASSES = (Trace, Paths, RayStatistics, Finding, About, Code)
 
 
 def cached_trace(
@@ -154,6 +154,7 @@ def plan_trace(
         findings.append(
             Finding(
                 Code.SCATTERING_ASSUMED,
+                About(materials=unspecified),
                 f"The scattering of {', '.join(unspecified)} is unspecified; "
                 f"{settings.default_scattering:g} was assumed.",
                 {"materials": unspecified, "scattering": settings.default_scattering},
@@ -259,6 +260,7 @@ def _with_rays(
     return fineness, (
         Finding(
             Code.FEW_RAYS,
+            About(),
             f"{math.ceil(needed):,} rays a source are needed for a Monte-Carlo error of a third of "
             f"the data's own; 1 GB holds the paths of {affordable:,}, whose error is {larger:.1f} "
             "times that.",
@@ -270,6 +272,7 @@ def _with_rays(
 def _few_images() -> Finding:
     return Finding(
         Code.FEW_IMAGE_SOURCES,
+        About(),
         "The room has too many walls to follow image sources of every order for "
         f"{1000 * _LEAST_COHERENT_S:g} ms: energies are compared, unless the campaign asks for "
         "pressures.",

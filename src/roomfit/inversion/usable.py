@@ -11,7 +11,7 @@ import numpy as np
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.eyring import schroeder_hz
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import volume_m3
 from roomfit.inversion.causes import arrival_findings, as_advised
 from roomfit.inversion.measurements import (
@@ -155,7 +155,14 @@ def _unusable(refused: dict[Measurement, InputError], n_all: int, said: str) -> 
         who = f"all {n_all} files" if len(files) == n_all else f"{len(files)} of {n_all} files"
         hint = "" if error.hint == said else f" Try: {error.hint}."
         text = f"Of {who} ({names}): {what}: {error.found}.{hint}"
-        findings.append(Finding(Code.RECORDING_UNUSABLE, text, {"files": [m.where for m in files]}))
+        findings.append(
+            Finding(
+                Code.RECORDING_UNUSABLE,
+                About(files=[m.where for m in files]),
+                text,
+                {"files": [m.where for m in files]},
+            )
+        )
     return tuple(findings)
 
 

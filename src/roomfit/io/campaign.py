@@ -19,7 +19,7 @@ from roomfit._checks import check_known, unique_names
 from roomfit.air import Air
 from roomfit.bands import OCTAVES_HZ, Bands, bands_between
 from roomfit.errors import InputError, located
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.io.complaints import explained
 from roomfit.io.door import read_bytes, same_file
 from roomfit.io.file_names import files_of_shape, in_short, shape_of
@@ -171,7 +171,9 @@ def _with_recordings(
         unused = [f for f in files if f not in names and same_file(path.parent / f) not in used]
         if unused:
             text = f"No source and receiver have the names of these recordings: {in_short(unused)}."
-            findings.append(Finding(Code.RECORDINGS_UNUSED, text, {"files": unused}))
+            findings.append(
+                Finding(Code.RECORDINGS_UNUSED, About(files=unused), text, {"files": unused})
+            )
     rows = [
         row.model_copy(update={k: v for k, v in common.items() if k not in row.model_fields_set})
         for row in (*rows, *found)

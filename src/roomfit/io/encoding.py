@@ -7,13 +7,14 @@ import hashlib
 import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from roomfit.findings import Finding
+from roomfit.findings import About, Finding, code_of
 from roomfit.io.door import files_read, read_bytes
 from roomfit.typing import FloatArray
 
@@ -73,8 +74,23 @@ def finding_content(finding: Finding) -> dict[str, Any]:
         "code": finding.code.value,
         "severity": finding.severity,
         "sentence": finding.sentence,
+        "about": {name: _plain(value) for name, value in asdict(finding.about).items() if value},
         "evidence": _plain(finding.evidence),
     }
+
+
+def finding_of(content: Mapping[str, Any], where: str) -> Finding:
+    """Return the finding that `finding_content` wrote; `about` is empty in older files.
+
+    Raises
+    ------
+    InputError
+        The code is unknown, or not of this severity.
+    """
+    code, severity = code_of(content.get("code"), where), content.get("severity")
+    graded = None if len(code.severities) < 2 else severity
+    about = About(**content.get("about", {}))
+    return Finding(code, about, content["sentence"], content.get("evidence", {}), graded)
 
 
 def _plain(value: Any) -> Any:

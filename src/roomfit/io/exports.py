@@ -21,7 +21,7 @@ import numpy as np
 from roomfit._checks import bool_array, check_known, check_range, float_array, unique_names
 from roomfit.bands import OCTAVES_HZ, Bands
 from roomfit.errors import InputError, located
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.io.door import complete, csv_rows, json_content, read_text
 from roomfit.io.encoding import csv_text, one_line, without_apostrophe
 from roomfit.typing import BoolArray, FloatArray
@@ -382,7 +382,7 @@ def export_materials(
     if specified is None and wanted not in ("csv", "odeon"):
         text = f"The result has no scattering; {scattering:g} was written for every material."
         evidence: dict[str, object] = {"scattering": scattering}
-        findings.append(Finding(Code.EXPORT_SCATTERING_ASSUMED, text, evidence))
+        findings.append(Finding(Code.EXPORT_SCATTERING_ASSUMED, About(), text, evidence))
     if wanted == "pyroomacoustics":
         return {"": pyroomacoustics_text(table, scatter)}, tuple(findings)
     if wanted == "csv":
@@ -397,7 +397,7 @@ def export_materials(
             "between two neighbours."
         )
         evidence = {"bands_hz": bands.centres_hz[filled].tolist()}
-        findings.append(Finding(Code.EXPORT_BANDS_FILLED, text, evidence))
+        findings.append(Finding(Code.EXPORT_BANDS_FILLED, About(), text, evidence))
     if wanted == "odeon":
         last = FIRST_NUMBER + len(table.names) - 1
         text = (
@@ -405,14 +405,14 @@ def export_materials(
             "scattering: enter it in the list of materials."
         )
         evidence = {"first": FIRST_NUMBER, "last": last}
-        findings.append(Finding(Code.EXPORT_WITHOUT_SCATTERING, text, evidence))
+        findings.append(Finding(Code.EXPORT_WITHOUT_SCATTERING, About(), text, evidence))
         return {"": odeon_text(table.names, absorption)}, tuple(findings)
     names = short_names(table.names, _LONGEST_FILE_NAME if wanted == "raven" else LONGEST_NAME)
     changed = {name: short for name, short in names.items() if name != short}
     if changed:
         listed = ", ".join(f"{short} for {name}" for name, short in changed.items())
         text = f"The other program cannot take every name; it is {listed}."
-        findings.append(Finding(Code.EXPORT_NAMES_CHANGED, text, {"names": changed}))
+        findings.append(Finding(Code.EXPORT_NAMES_CHANGED, About(), text, {"names": changed}))
     if wanted == "catt":
         head = "absorption in percent, fitted by roomfit; exact values behind each line"
         remarks = [head, *(f.sentence for f in findings)]
@@ -448,6 +448,7 @@ def _not_identifiable(table: MaterialTable) -> list[Finding]:
     return [
         Finding(
             Code.EXPORT_NOT_IDENTIFIABLE,
+            About(materials=tuple(doubtful)),
             f"The measurement does not determine {listed}; the exported values there are not to "
             "be trusted one by one.",
             {"materials": doubtful},

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from roomfit._checks import nearest, read_only
 from roomfit.bands import Bands
 from roomfit.errors import InputError, located
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.logit import expit, logit
 from roomfit.materials.priors import (
     DEFAULT_MEAN,
@@ -368,7 +368,7 @@ def broad_prior_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]
     if hints:
         sentence += f" By their names these entries of the catalogue may fit: {'; '.join(hints)}."
     evidence = {"materials": broad, "entries": {n: list(e) for n, e in entries.items()}}
-    return (Finding(Code.BROAD_PRIOR_ASSUMED, sentence, evidence),)
+    return (Finding(Code.BROAD_PRIOR_ASSUMED, About(), sentence, evidence),)
 
 
 def product_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]:
@@ -383,7 +383,7 @@ def product_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]:
             "far as that is true."
         )
         evidence = {"product": product, "materials": names, "sd": sd}
-        findings.append(Finding(Code.PRODUCT_ASSUMED, sentence, evidence))
+        findings.append(Finding(Code.PRODUCT_ASSUMED, About(), sentence, evidence))
     return tuple(findings)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import CannotTell
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.materials.priors import MaterialPrior, prior_logit_law
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.energy import (
@@ -138,6 +138,7 @@ def prior_only_band_findings(bands: Bands, fitted: Sequence[bool]) -> tuple[Find
     return (
         Finding(
             Code.BAND_NOT_FITTED,
+            About(bands_hz=empty),
             f"Too little decay rises above the noise at {', '.join(f'{f:g}' for f in empty)} Hz: "
             "absorption there is its prior, with the interval 0 to 1 where none was stated.",
             {"bands_hz": empty},
@@ -167,6 +168,7 @@ def left_out_findings(bands: Bands, measured: tuple[MeasuredPair, ...]) -> tuple
         findings.append(
             Finding(
                 Code.RECORDING_BELOW_NOISE,
+                About(bands_hz=missing),
                 f"{name}: no decay rises above the noise at "
                 f"{', '.join(f'{f:g}' for f in missing)} Hz; it was not fitted there.",
                 {"bands_hz": missing},
@@ -230,6 +232,7 @@ def unspecified_position_findings(scene: Scene) -> tuple[Finding, ...]:
     return (
         Finding(
             Code.POSITION_UNCERTAINTY_ASSUMED,
+            About(),
             f"No position_sd is specified for {', '.join(names)}; "
             f"{100 * DEFAULT_POSITION_SD_M:g} cm a coordinate was assumed.",
             {"points": names, "position_sd_m": DEFAULT_POSITION_SD_M},

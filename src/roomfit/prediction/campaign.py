@@ -11,7 +11,7 @@ import numpy as np
 from roomfit._checks import did_you_mean
 from roomfit.bands import Bands
 from roomfit.errors import InputError, located
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.io.campaign import Campaign, input_files
 from roomfit.io.door import check_files
 from roomfit.io.inputs import (
@@ -210,6 +210,7 @@ def common_bands(wanted: Bands, known: Bands) -> tuple[Bands, tuple[Finding, ...
     return Bands(wanted.kind, np.array(common)), (
         Finding(
             Code.BAND_NOT_PREDICTED,
+            About(bands_hz=left_out),
             f"The absorption is not known at {', '.join(f'{f:g}' for f in left_out)} Hz: nothing "
             "is predicted there.",
             {"bands_hz": left_out},
@@ -352,6 +353,7 @@ def _sources_as_found(
     return known, (
         Finding(
             Code.DIRECTIVITY_NOT_KNOWN,
+            About(),
             f"The directivity of {', '.join(unfitted)} was to be fitted, and the absorption comes "
             "without it: predicted as omnidirectional.",
             {"sources": unfitted},

@@ -12,7 +12,7 @@ import numpy as np
 from roomfit._checks import did_you_mean
 from roomfit.bands import Bands
 from roomfit.errors import InputError, located
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.logit import expit
 from roomfit.materials.catalogue import catalogue_prior, suggested_entries
 from roomfit.materials.priors import logit_prior
@@ -201,6 +201,7 @@ def _clipped(change: Change, wanted: FloatArray, bands: Bands) -> tuple[Finding,
     return (
         Finding(
             Code.ABSORPTION_CLIPPED,
+            About(materials=[change.material], bands_hz=bands.centres_hz[over].tolist()),
             f"The change {change_text(change)} would make the absorption larger than 1 at {where}; "
             "1 was taken.",
             {"material": change.material, "bands_hz": bands.centres_hz[over].tolist()},
@@ -259,6 +260,7 @@ def prior_dominated(
         findings.append(
             Finding(
                 Code.CHANGE_PRIOR_DOMINATED,
+                About(materials=[name], bands_hz=centres_hz[at].tolist()),
                 f"What a change of {name} does hangs on its prior at "
                 f"{', '.join(f'{f:g}' for f in centres_hz[at])} Hz: before the change its share in "
                 f"the absorption of the room is {_percents(low[i, b], high[i, b])} at "

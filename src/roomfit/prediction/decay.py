@@ -13,7 +13,7 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.cache import Cache
 from roomfit.eyring import eyring_time_s
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.compare import predicted_curve
 from roomfit.inversion.scattering import band_factors, specified_scattering
@@ -167,6 +167,7 @@ def _short_finding(bands: Bands, short: Sequence[int]) -> tuple[Finding, ...]:
     return (
         Finding(
             Code.DECAY_NOT_FOLLOWED,
+            About(bands_hz=centres),
             f"The trace does not follow the decay over 35 dB at "
             f"{', '.join(f'{f:g}' for f in centres)} Hz: T30 is not predicted there. Some walls "
             "absorb next to nothing.",

@@ -17,7 +17,7 @@ from roomfit._numba import one_blas_thread
 from roomfit.bands import Bands
 from roomfit.cache import Cache, cached
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import refuse
 from roomfit.measurement import Measurement
 from roomfit.prediction.carried import with_common_noise
@@ -548,7 +548,7 @@ def _what_if(
     if phrases:
         sentence += f" At 95 % the mean of {'; of '.join(phrases)}."
     evidence = {"changes": [change_text(c) for c in changes], "directions": directions}
-    return (Finding(Code.MATERIALS_CHANGED, sentence, evidence),)
+    return (Finding(Code.MATERIALS_CHANGED, About(), sentence, evidence),)
 
 
 def _directions(bands: Bands, change: ValueChange, name: ValueName) -> dict[str, list[float]]:

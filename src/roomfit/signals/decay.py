@@ -15,7 +15,7 @@ from scipy.ndimage import maximum_filter1d, median_filter
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.signals.filters import (
     filter_pressure,
     ringing_s,
@@ -457,6 +457,7 @@ def range_findings(parameters: RoomParameters, where: str) -> tuple[Finding, ...
     return (
         Finding(
             Code.DECAY_RANGE_TOO_SMALL,
+            About(bands_hz=missing.tolist()),
             f"{where}: noise or the end of the file leaves less than 25 dB of decay at {names} Hz; "
             "T20 is not evaluated there.",
             {"bands_hz": missing.tolist()},

@@ -18,7 +18,7 @@ import numpy as np
 from roomfit._checks import float_array
 from roomfit._numba import kernel
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding, Severity
+from roomfit.findings import About, Code, Finding, Severity
 from roomfit.signals.decay import FIT_RANGES_DB, POINTS_OF_A_FIT, DecayCurve, ParameterName, jnd_of
 from roomfit.typing import FloatArray
 
@@ -418,6 +418,7 @@ def contradiction_findings(measured: MeasuredValues, where: str) -> tuple[Findin
     return (
         Finding(
             Code.ROOM_PARAMETERS_INCONSISTENT,
+            About(bands_hz=bands),
             f"{where}, {measured.source} to {measured.receiver}: {len(doubts)} pairs of values do "
             f"not go well together; the first: {doubts[0][1]} at {doubts[0][0]:g} Hz.",
             {"bands_hz": bands, "doubts": [f"{f:g} Hz: {s}" for f, s in doubts]},
@@ -467,7 +468,9 @@ def joined_values(
     )
     graded: Severity = "warning" if apart > 1.0 else "info"
     evidence = {"parameter": worst_name, "band_hz": centre_hz, "jnd": apart}
-    return joined, (Finding(Code.REPEATED_VALUES_DIFFER, sentence, evidence, graded=graded),)
+    return joined, (
+        Finding(Code.REPEATED_VALUES_DIFFER, About(), sentence, evidence, graded=graded),
+    )
 
 
 def _energy_contradictions(known: dict[ValueName, float], at: str) -> list[str]:

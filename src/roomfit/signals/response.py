@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter1d
 
 from roomfit._checks import check_range, float_array
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.typing import FloatArray
 
 # Equal samples in a row, and equal peaks, at which a response counts as cut off; the levels that
@@ -134,7 +134,9 @@ def clipping(pressure: FloatArray, name: str, harm: str) -> tuple[Finding, ...]:
 
 def _clipped(name: str, many: str, harm: str, evidence: dict[str, float]) -> Finding:
     text = f"{name} looks clipped: {many} the largest value, {evidence['largest']:.4g}. {harm}; "
-    return Finding(Code.RESPONSE_CLIPPED, text + "measure again at a lower level.", evidence)
+    return Finding(
+        Code.RESPONSE_CLIPPED, About(), text + "measure again at a lower level.", evidence
+    )
 
 
 def _equal_peaks(pressure: FloatArray, name: str) -> tuple[Finding, ...]:
@@ -279,6 +281,7 @@ def compare_onset(
     return (
         Finding(
             Code.TIME_ZERO_MISMATCH,
+            About(),
             f"{where}: the direct sound arrives {1000.0 * abs(onset_s - travel_s):.2f} ms {order} "
             f"than the geometry says, which is {abs(apart_m):.2f} m of path. Check the positions, "
             "latency_s and time_zero; sound that is blocked or that a loudspeaker sends elsewhere "

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from roomfit.bands import Bands
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.typing import FloatArray
 
 Status = Literal["certified", "stopped", "unresolved"]
@@ -62,6 +62,7 @@ def certificate_findings(
         findings.append(
             Finding(
                 Code.NOT_CERTIFIED,
+                About(bands_hz=[f for f, _ in open_]),
                 "The search for a better answer was stopped before it was complete; the cost could "
                 f"be lower at {listed}.",
                 {"bands_hz": [f for f, _ in open_]},
@@ -73,6 +74,7 @@ def certificate_findings(
         findings.append(
             Finding(
                 Code.MULTIPLE_MINIMA_CERTIFIED,
+                About(bands_hz=[f for f, _ in several]),
                 f"Absorptions far apart explain the energies within what rays resolve: {listed}. "
                 "The intervals are about one of them; fit.certified lists all.",
                 {"bands_hz": [f for f, _ in several]},

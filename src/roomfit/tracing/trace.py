@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.inside import distance_to_walls_m
 from roomfit.materials.priors import Scattering
 from roomfit.scene import Scene, distances_m
@@ -166,6 +166,7 @@ def fitting_radii_m(scene: Scene, radius_m: float) -> tuple[FloatArray, tuple[Fi
         findings.append(
             Finding(
                 Code.RECEIVER_SPHERE_SHRUNK,
+                About(),
                 f"The sphere of receiver {name} reached beyond {near} and was shrunk from "
                 f"{radius_m:.2f} m to {used_m:.2f} m: it catches {fewer:.1f} times fewer rays.",
                 {"receiver": name, "asked_m": radius_m, "used_m": used_m},
@@ -183,6 +184,7 @@ def _leaks(statistics: RayStatistics) -> tuple[Finding, ...]:
     return (
         Finding(
             Code.RAYS_ESCAPED,
+            About(),
             f"{statistics.n_escaped} rays left the room through gaps, {100.0 * share:.2g} % of "
             f"their flights, the first one in a flight from ({place}) m: the room is not closed.",
             {"n_escaped": statistics.n_escaped, "escape_fraction": share},

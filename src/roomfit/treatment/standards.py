@@ -11,7 +11,7 @@ import numpy as np
 
 from roomfit._checks import did_you_mean
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import volume_m3
 from roomfit.scene import Room
 from roomfit.treatment.question import Target
@@ -82,4 +82,6 @@ def standard_target(name: str, room: Room) -> tuple[Target, tuple[Finding, ...]]
         f"{entry['title']}: {', and '.join(doubts)}. Look it up in the standard before you rely on "
         "it."
     )
-    return target, (Finding(Code.STANDARD_NOT_CHECKED, sentence, {"sources": list(sources)}),)
+    return target, (
+        Finding(Code.STANDARD_NOT_CHECKED, About(), sentence, {"sources": list(sources)}),
+    )

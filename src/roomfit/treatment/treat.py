@@ -12,7 +12,7 @@ from scipy.special import ndtr, ndtri
 from roomfit._numba import one_blas_thread
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.prediction.decay import moved
 from roomfit.prediction.predict import PreparedRoom, numbers_at
 from roomfit.prediction.tables import PredictedValue, named_values, predicted_means
@@ -320,7 +320,7 @@ def _findings(
             f"The targets cannot be met with these products on {free:.4g} m2: "
             f"{'; '.join(missed[:4])}. The arrangement shown misses least, with {used:.4g} m2."
         )
-        found.append(Finding(Code.TARGET_NOT_MET, sentence, {"missed": list(missed)}))
+        found.append(Finding(Code.TARGET_NOT_MET, About(), sentence, {"missed": list(missed)}))
     partly = [
         f"{h.surface} ({100 * h.share:.0f} %)"
         for a in arrangements
@@ -333,5 +333,5 @@ def _findings(
             "its absorption by area, wherever on it the pieces hang. Pieces near a source or a "
             "receiver may do more early on; divide the surface in the model to see it."
         )
-        found.append(Finding(Code.SURFACE_COVERED_IN_PART, sentence, {"surfaces": partly}))
+        found.append(Finding(Code.SURFACE_COVERED_IN_PART, About(), sentence, {"surfaces": partly}))
     return tuple(found)

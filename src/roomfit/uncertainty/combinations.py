@@ -15,7 +15,7 @@ import numpy as np
 
 from roomfit._checks import float_array
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.materials.priors import symmetric_root
 from roomfit.typing import BoolArray, FloatArray, IntArray
 from roomfit.uncertainty.posterior import band_draws, prior_draws
@@ -517,6 +517,7 @@ def inseparable_findings(
     return (
         Finding(
             Code.MATERIALS_NOT_SEPARABLE,
+            About(bands_hz=[float(centres_hz[b]) for b in bands], materials=list(materials)),
             f"The data do not tell the {len(materials)} materials apart, only their mean "
             f"absorption by area, with its 95 % interval to either side, at {listed}.",
             {"bands_hz": [float(centres_hz[b]) for b in bands], "materials": list(materials)},

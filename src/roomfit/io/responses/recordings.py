@@ -9,7 +9,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.measurement import TimeZero
 from roomfit.signals.response import clipping, clipping_findings
 from roomfit.typing import FloatArray
@@ -141,6 +141,7 @@ def _offset(pressure: FloatArray, where: Path) -> tuple[float, tuple[Finding, ..
     return mean, (
         Finding(
             Code.DC_OFFSET,
+            About(),
             f"{where.name} has a constant offset of {mean:.3g} ({abs(mean) / peak:.2%} of its "
             "peak); it was subtracted.",
             {"offset": mean, "relative_to_peak": mean / peak},
@@ -226,7 +227,7 @@ def deconvolved(
         f"{low_hz:.3g} to {high_hz:.4g} Hz; {n_kept / rate_hz:.2f} s of response are left."
     )
     evidence = {"low_hz": low_hz, "high_hz": high_hz, "duration_s": n_kept / rate_hz}
-    finding = Finding(Code.DECONVOLVED, text, evidence)
+    finding = Finding(Code.DECONVOLVED, About(), text, evidence)
     clipped = clipping(
         recording.pressure, path.name, "The response deconvolved from it is distorted"
     )

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import WELD_TOLERANCE_M, Surface, area_vector_m2, triangulate
 from roomfit.io.door import check_limit
@@ -588,7 +588,7 @@ def _materials(files: list[GeoFile]) -> tuple[dict[str, str], tuple[Finding, ...
     listed = ", ".join(f"{spelling[name]} is {end}" for name, end in followed.items())
     text = f"The file replaces one material by another: {listed}."
     evidence = {spelling[name]: end for name, end in followed.items()}
-    return spelling | followed, (Finding(Code.MATERIALS_JOINED, text, evidence),)
+    return spelling | followed, (Finding(Code.MATERIALS_JOINED, About(), text, evidence),)
 
 
 def _absorption(line: Line) -> tuple[str, str]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding, Severity
+from roomfit.findings import About, Code, Finding, Severity
 from roomfit.geometry.mesh import Surface
 from roomfit.io.door import check_limit, quiet, read_bytes
 from roomfit.io.rooms.model import PARSER_ERRORS, Polygon, RoomModel, check_corners, finite, joined
@@ -216,10 +216,10 @@ def _findings(ignored: Counter[str], hidden: Counter[str]) -> tuple[Finding, ...
     if ignored:
         graded: Severity = "warning" if any(kind in _FLAT for kind in ignored) else "info"
         text = f"The drawing has entities that are no faces, ignored: {_counted(ignored)}."
-        found.append(Finding(Code.ENTITIES_IGNORED, text, dict(ignored), graded=graded))
+        found.append(Finding(Code.ENTITIES_IGNORED, About(), text, dict(ignored), graded=graded))
     if hidden:
         text = f"Entities on layers that are off or frozen were passed over: {_counted(hidden)}."
-        found.append(Finding(Code.LAYERS_IGNORED, text, dict(hidden)))
+        found.append(Finding(Code.LAYERS_IGNORED, About(), text, dict(hidden)))
     return tuple(found)
 
 

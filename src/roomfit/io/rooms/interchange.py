@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import Surface
 from roomfit.io.door import check_limit, of_child, read_bytes
 from roomfit.io.rooms.model import METRES_PER_UNIT, Polygon, RoomModel, finite, joined
@@ -45,7 +45,7 @@ def read_collada(path: Path) -> RoomModel:
     findings: tuple[Finding, ...] = ()
     if kinds:
         text = f"The drawing has parts that are no faces, ignored: {_counted(kinds)}."
-        findings = (Finding(Code.ENTITIES_IGNORED, text, kinds, graded="info"),)
+        findings = (Finding(Code.ENTITIES_IGNORED, About(), text, kinds, graded="info"),)
     return RoomModel(vertices, faces, findings, unit, up)
 
 
@@ -94,7 +94,7 @@ def read_ifc(path: Path, space: str | None = None) -> RoomModel:
             f"The boundaries of the space {chosen!r} do not cover it; ignored within others are: "
             f"{_counted(kinds)}."
         )
-        findings = (Finding(Code.ENTITIES_IGNORED, text, kinds, graded="warning"),)
+        findings = (Finding(Code.ENTITIES_IGNORED, About(), text, kinds, graded="warning"),)
     return RoomModel(*joined(own), findings, "m", "z")
 
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface
 from roomfit.io.door import check_limit, decoded, json_content, quiet, read_bytes, read_text
@@ -242,7 +242,7 @@ def _collect(path: Path, materials: list[str], objects: list[_Object]) -> RoomMo
             "the air, such as curtains. If they belong to the walls, unmark them."
         )
         evidence = {"sheets": sum(flags), "of": len(flags)}
-        findings = (Finding(Code.TWO_SIDED_TAKEN_AS_SHEETS, text, evidence),)
+        findings = (Finding(Code.TWO_SIDED_TAKEN_AS_SHEETS, About(), text, evidence),)
     return RoomModel(np.concatenate(vertices), tuple(faces), findings)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from roomfit._checks import nearest
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface, area_vector_m2
 from roomfit.io.door import csv_rows, read_text
@@ -219,7 +219,7 @@ def _merged_corners(paths: tuple[Path, ...]) -> tuple[Corners, list[Finding]]:
         f"{len(moved)} corners differ between the tables, by up to {max(moved.values()):.3g}; the "
         f"last table applies: {_some(list(moved))}."
     )
-    return corners, [Finding(Code.CORNERS_DIFFER, text, {"moved": moved})]
+    return corners, [Finding(Code.CORNERS_DIFFER, About(), text, {"moved": moved})]
 
 
 def _chosen_planes(tables: PolygonSpec) -> tuple[dict[str, Plane], list[Finding]]:
@@ -230,7 +230,7 @@ def _chosen_planes(tables: PolygonSpec) -> tuple[dict[str, Plane], list[Finding]
         twice = [number for number in found if number in planes]
         if twice:
             text = f"{len(twice)} planes of {path.name} replace earlier ones: {_some(twice)}."
-            findings.append(Finding(Code.PLANES_REPLACED, text, {"planes": twice}))
+            findings.append(Finding(Code.PLANES_REPLACED, About(), text, {"planes": twice}))
         planes.update(found)
     drop = [str(number) for number in tables.drop]
     _check_known("drop", drop, planes)
@@ -293,7 +293,7 @@ def _area_findings(planes: Mapping[str, Plane], areas: list[float]) -> list[Find
         f"plane {n}: {stated:g} m2 stated, {area:.2f} m2" for n, (stated, area) in wrong.items()
     ]
     text = f"{len(wrong)} stated areas disagree with the corners, which are used: {_some(listed)}."
-    return [Finding(Code.STATED_AREA_MISMATCH, text, {"planes": wrong})]
+    return [Finding(Code.STATED_AREA_MISMATCH, About(), text, {"planes": wrong})]
 
 
 def _alike(planes: Mapping[str, Plane]) -> list[Finding]:
@@ -307,6 +307,7 @@ def _alike(planes: Mapping[str, Plane]) -> list[Finding]:
     return [
         Finding(
             Code.MATERIAL_NAMES_SIMILAR,
+            About(materials=names),
             f"The materials {' and '.join(map(repr, names))} differ in spelling only and are kept "
             "apart; give them one name in [room.materials] if they are one.",
             {"materials": names},
