@@ -32,7 +32,7 @@ import roomfit
 from _other_box import write_other_box
 from roomfit.errors import CannotTell, InputError
 from roomfit.findings import Code
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.materials.priors import MaterialPrior, unknown_material
 from roomfit.results import Result

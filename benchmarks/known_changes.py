@@ -40,7 +40,7 @@ from roomfit.eyring import eyring_time_s
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.measurements import collect_measurements
 from roomfit.inversion.paths import traced_paths
-from roomfit.inversion.reflections import (
+from roomfit.diagnostics.reflections import (
     IsolatedReflection,
     isolated_reflections,
     wall_returns,

@@ -26,12 +26,12 @@ import roomfit.inversion.bands as bands
 import roomfit.inversion.coherent as coherent
 import roomfit.inversion.directivity as directivity
 import roomfit.inversion.displacement as displacement
-import roomfit.inversion.identify as whole
+import roomfit.identification as whole
 import roomfit.inversion.sequential as sequential
 import roomfit.inversion.solve as solve
 import roomfit.uncertainty.intervals as intervals
 from _other_box import write_other_box
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.objective.problem import Objective
 from roomfit.solvers.least_squares import BandFit

@@ -39,10 +39,10 @@ from roomfit.typing import FloatArray, Progress, part
 if TYPE_CHECKING:
     from roomfit.coverage.estimate import CoverageResult
     from roomfit.coverage.synthetic_room import CoverageSettings
+    from roomfit.diagnostics.usable import CheckedRecordings
     from roomfit.experiment_design.design import Design
     from roomfit.findings import Finding
     from roomfit.inversion.diffuse import DiffuseAbsorption
-    from roomfit.inversion.usable import CheckedRecordings
     from roomfit.io.rooms.model import RoomSpec
     from roomfit.prediction.campaign import WantedPairs
     from roomfit.prediction.changes import Change
@@ -77,7 +77,7 @@ def check_campaign_recordings(
     StoreError
         The disk refuses.
     """
-    from roomfit.inversion.usable import check_recordings
+    from roomfit.diagnostics.usable import check_recordings
 
     if out is not None:
         check_output_folder(out, overwrite=overwrite)
@@ -700,7 +700,7 @@ def identify_to_folder(
     StoreError
         The disk refuses.
     """
-    from roomfit.inversion.identify import identify
+    from roomfit.identification import identify
     from roomfit.inversion.measurements import measured_scene
     from roomfit.io.project import project_details
     from roomfit.io.results import write_result

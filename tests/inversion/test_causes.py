@@ -14,7 +14,7 @@ from roomfit.findings import Code
 from roomfit.geometry.mesh import shoebox_mesh
 from roomfit.inversion.causes import arrival_findings
 from roomfit.inversion.measurements import collect_measurements
-from roomfit.inversion.usable import check_recordings
+from roomfit.diagnostics.usable import check_recordings
 from roomfit.scene import axis_findings, scene_of, shoebox_room
 
 RATE_HZ = 48_000

@@ -15,7 +15,7 @@ from roomfit.findings import Code
 from roomfit.inversion.measurements import collect_measurements
 from roomfit.inversion.model_checks import certain_misses, decay_misses, fit_findings
 from roomfit.inversion.paths import traced_paths
-from roomfit.inversion.reflections import isolated_reflections, reflection_findings, wall_returns
+from roomfit.diagnostics.reflections import isolated_reflections, reflection_findings, wall_returns
 from roomfit.materials.priors import complete_priors
 from roomfit.objective.windows import WINDOW_DECAYS, windows_decay_s
 from roomfit.response.directivity import Pattern

@@ -33,7 +33,7 @@ from roomfit.inversion.directivity import (
     score_sources,
     source_findings,
 )
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.inversion.measurements import Measurements, collect_measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions

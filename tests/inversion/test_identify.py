@@ -17,7 +17,7 @@ from roomfit.bands import bands_between
 from roomfit.cache import json_text
 from roomfit.commands import identify_to_folder
 from roomfit.findings import About, Code, Finding
-from roomfit.inversion.identify import combine, identify
+from roomfit.identification import combine, identify
 from roomfit.io.campaign import input_files, read_campaign
 from roomfit.io.inputs import identify_arguments, load_campaign
 from roomfit.io.results import absorption_csv, result_content
@@ -205,7 +205,7 @@ def combined(tmp_path_factory):
     specified = (CARPET, f"{CARPET}\nabsorption = 0.4")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(roomfit.io.campaign, "DEFAULTS", Settings(n_rays=4000))
-        patch.setattr("roomfit.inversion.identify.combine", keep)
+        patch.setattr("roomfit.identification.combine", keep)
         answer_to(tmp_path_factory.mktemp("combined"), specified)
     *fitted, _, settings = given[0]
     return lambda *findings: combine(*fitted, findings, settings)
