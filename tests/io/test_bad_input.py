@@ -438,7 +438,7 @@ def test_what_is_refused_after_the_trace_leaves_no_folder(tmp_path, monkeypatch,
     def refused(*_args: object, **_settings: object) -> None:
         raise CannotTell("nothing can be determined", where="here")
 
-    monkeypatch.setattr(stages, "broad_prior_findings", refused)
+    monkeypatch.setattr(stages, "combine", refused)
     campaign = write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 500"))
     assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "deep" / "out") == 2
     assert "nothing can be determined" in capsys.readouterr().err

@@ -98,7 +98,8 @@ def _about(materials: Sequence[str], bands: Bands, differs: BoolArray) -> About:
     names, centres_hz = [materials[i] for i in moved], bands.centres_hz[columns].tolist()
     if differs[np.ix_(moved, columns)].all():
         return About(materials=names, bands_hz=centres_hz)
-    entries = [(materials[i], float(bands.centres_hz[j])) for i, j in np.argwhere(differs)]
+    own = np.argwhere(differs).tolist()
+    entries = [(materials[i], float(bands.centres_hz[j])) for i, j in own]
     return About(materials=names, bands_hz=centres_hz, entries=entries)
 
 
