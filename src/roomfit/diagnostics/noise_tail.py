@@ -37,10 +37,10 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     halves of the end as well. Three files at least must begin 4 ms before the direct sound.
     """
     measured = [m for m in evidence.measured.responses if m.measurement.use == "fit"]
-    found = {m: r for m in measured if (r := _noise_rates(m)) is not None}
+    found = [(m, r) for m in measured if (r := _noise_rates(m)) is not None]
     if len(found) < _FEWEST_FILES:
         return
-    rates = np.array(list(found.values()))
+    rates = np.array([r for _, r in found])
     within, first, second, across = rates.mean(axis=0)
     sds = rates.std(axis=0, ddof=1) / np.sqrt(len(rates))
     rings = [1.0 / t for m in measured for t in m.noise.tail_time_constant_s if t > 0.0]
@@ -51,7 +51,7 @@ def check(evidence: Evidence) -> Iterator[Finding]:
         return
     yield Finding(
         Code.DECAY_BENT,
-        About(files=[m.measurement.where for m in found]),
+        About(files=[m.measurement.where for m, _ in found]),
         f"The background noise falls by {10.0 * within / np.log(10.0):.0f} dB per second "
         "within the files, and as fast from before the direct sound to their end: an "
         f"exponential window of {2.0 / within:.2g} s (pressure) was left in them, by which "
