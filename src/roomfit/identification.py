@@ -149,16 +149,16 @@ def identify(
     names = [p.name for p in (*scene.sources, *scene.receivers)]
     check_groups({g.name: g.members for g in scene.groups}, names)
     _LOG.info("evaluating the measurements")
-    told = recorded(scene, measurements, bands, directivities or {}, settings.decay_range_db)
-    before = examine(BEFORE_THE_FIT, told)
+    given = recorded(scene, measurements, bands, directivities or {}, settings.decay_range_db)
+    before = examine(BEFORE_THE_FIT, given)
     _warn_first(before)
     if settings.method == "posterior":
         check_sampler()
     priors = complete_priors(scene.room.materials, materials, bands)
-    check_certifiable(told.measured, settings, priors)
+    check_certifiable(given.measured, settings, priors)
     with counted_evaluations() as made:
-        seen, traced, fits = _fitted(told, measurements, priors, settings, cache, progress)
-    if seen is not told:  # fitted at other positions than specified
+        seen, traced, fits = _fitted(given, measurements, priors, settings, cache, progress)
+    if seen is not given:  # fitted at other positions than specified
         before = examine(BEFORE_THE_FIT, seen)
     if fits.directivities:
         traced = redirected(seen.measured, traced, fits.directivities)
@@ -179,7 +179,7 @@ def identify(
 
 
 def _fitted(
-    told: Recorded,
+    given: Recorded,
     measurements: Sequence[Measurement | MeasuredValues],
     priors: tuple[MaterialPrior, ...],
     settings: Settings,
@@ -190,7 +190,7 @@ def _fitted(
 
     Where offsets are stated, the room is traced and fitted again at the most likely ones.
     """
-    seen, offsets = told, offsets_of(told.measured.scene)
+    seen, offsets = given, offsets_of(given.measured.scene)
     is_stated = np.array([o.is_stated for o in offsets], dtype=np.bool_)
     moved_m = np.zeros(len(offsets))
     rounds = 2 if is_stated.any() and not settings.quick else 1

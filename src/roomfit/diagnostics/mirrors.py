@@ -95,7 +95,7 @@ def _finding(
 def _about(materials: Sequence[str], bands: Bands, differs: BoolArray) -> About:
     """Return the materials and bands that have another value, one by one where that is not all."""
     moved, columns = np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))
-    names, centres_hz = [materials[i] for i in moved], bands.centres_hz[columns].tolist()
+    names, centres_hz = [materials[int(i)] for i in moved], bands.centres_hz[columns].tolist()
     if differs[np.ix_(moved, columns)].all():
         return About(materials=names, bands_hz=centres_hz)
     own = np.argwhere(differs).tolist()
