@@ -196,22 +196,7 @@ def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
         "combinations": _combinations(answer),
         "pairs": [_pair(p, answer.bands) for p in answer.pairs],
         "findings": [finding_content(f) for f in answer.findings],
-        "fit": {
-            "method": answer.method,
-            "model": answer.model,
-            "cost": answer.cost,
-            "models": answer.models,
-            "phi": answer.chi2_reduced,
-            "evaluations": answer.evaluations,
-            "converged": answer.converged,
-            "seconds": round(answer.seconds, 3),
-            "certified": _certified(answer),
-            "seed": answer.seed,
-            "intervals": answer.interval_kind,
-            "method_chosen": answer.method,
-            "reasons": answer.reasons,
-            **({"sampling": _sampling(answer)} if any(answer.sampling) else {}),
-        },
+        "fit": _fit(answer),
         **({"plan": answer.plan} if answer.plan else {}),
         "settings": answer.settings.changed(),
         **({"trace": answer.trace} if answer.trace else {}),
@@ -241,20 +226,46 @@ def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
     if answer.geometry is not None:
         content["geometry"] = _geometry(answer.geometry)
     if answer.logit_covariance is not None:
-        content["posterior"] = {
-            "materials": answer.materials,
-            "logit_mean": logit(answer.absorption).T,
-            "logit_covariance": answer.logit_covariance,
-        }
-        if answer.logit_prior is not None:
-            mean, sd = answer.logit_prior
-            content["posterior"] |= {"prior_logit_mean": mean.T, "prior_logit_sd": sd.T}
-        if answer.logit_prior_covariance is not None:
-            content["posterior"]["prior_logit_covariance"] = answer.logit_prior_covariance
-        if answer.draws is not None:
-            content["posterior"]["draws"] = np.round(answer.draws, 5)
-        if answer.prior_specified is not None:
-            content["posterior"]["prior_specified"] = [bool(b) for b in answer.prior_specified]
+        content["posterior"] = _posterior(answer)
+    return content
+
+
+def _fit(answer: Result) -> dict[str, Any]:
+    """How the answer was found, how well it fits, and how its intervals were made."""
+    return {
+        "method": answer.method,
+        "model": answer.model,
+        "cost": answer.cost,
+        "models": answer.models,
+        "phi": answer.chi2_reduced,
+        "evaluations": answer.evaluations,
+        "converged": answer.converged,
+        "seconds": round(answer.seconds, 3),
+        "certified": _certified(answer),
+        "seed": answer.seed,
+        "intervals": answer.interval_kind,
+        "method_chosen": answer.method,
+        "reasons": answer.reasons,
+        **({"sampling": _sampling(answer)} if any(answer.sampling) else {}),
+    }
+
+
+def _posterior(answer: Result) -> dict[str, Any]:
+    """The Gaussian of logit absorption in each band, its prior, and draws of it."""
+    content: dict[str, Any] = {
+        "materials": answer.materials,
+        "logit_mean": logit(answer.absorption).T,
+        "logit_covariance": answer.logit_covariance,
+    }
+    if answer.logit_prior is not None:
+        mean, sd = answer.logit_prior
+        content |= {"prior_logit_mean": mean.T, "prior_logit_sd": sd.T}
+    if answer.logit_prior_covariance is not None:
+        content["prior_logit_covariance"] = answer.logit_prior_covariance
+    if answer.draws is not None:
+        content["draws"] = np.round(answer.draws, 5)
+    if answer.prior_specified is not None:
+        content["prior_specified"] = [bool(b) for b in answer.prior_specified]
     return content
 
 
