@@ -350,8 +350,8 @@ def score_sources(
     bases = row_bases(tested_sources, measured.scene, traced.paths, traced.binned)
 
     def watch(band: int, objective: Objective, fit: BandFit) -> None:
-        windows, files = objective.terms[0], fitted_in_band(measured.responses, band)
-        if isinstance(windows, EnergyTerm):
+        windows, files = objective.as_energies(fit.vector), fitted_in_band(measured.responses, band)
+        if windows is not None:
             directivity = directed_band(tested_sources, measured.scene, bases, windows, files)
             scores[band] = directivity_score(objective, fit, directivity)
 

@@ -28,7 +28,6 @@ from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions
 from roomfit.inversion.systematics import (
-    fitted_energies,
     relative_errors,
     shared_errors,
     widened_by_neighbours,
@@ -38,11 +37,9 @@ from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.objective.directivity import (
     BandDirectivities,
-    DirectedTerm,
     FittedDirectivity,
     energy_objective,
 )
-from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.observation import energy_terms, fitted_in_band
 from roomfit.objective.parameters import physical_values
 from roomfit.objective.problem import Objective
@@ -75,9 +72,9 @@ def shared_error_covariance(measured: Measurements, traced: TracedPaths) -> Shar
     scene, bands = measured.scene, measured.bands
 
     def add_shared_errors(band: int, objective: Objective, fit: BandFit) -> BandFit:
-        if not isinstance(objective.terms[0], EnergyTerm | DirectedTerm) or not fit.vector.size:
+        windows = objective.as_energies(fit.vector)
+        if windows is None or not fit.vector.size:
             return fit
-        windows = fitted_energies(objective, fit.vector)
         files = fitted_in_band(measured.responses, band)
         sources = [int(scene.pairs[m.pair][0]) for m in files]
         walls = physical_values(objective.parameters, fit.vector)[0]["absorption"]
