@@ -157,12 +157,11 @@ def energy_objective(
     windows: EnergyTerm,
     parameters: Parameters,
     directivity: BandDirectivities | None,
-    values: DataTerm | None,
+    others: Sequence[DataTerm] = (),
 ) -> Objective:
-    """Return the objective of a band's windows as energies, and of its room parameters if any."""
+    """Return the objective of a band's windows as energies, and of its other data if any."""
     if directivity is not None:
         parameters = with_directivities(parameters, directivity.unknown)
-    others = () if values is None else (values,)
     return Objective(parameters, (directed(windows, directivity), *others))
 
 

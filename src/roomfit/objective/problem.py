@@ -40,7 +40,10 @@ physical values of each block that they depend on, (n, n_values)."""
 class DataTerm(Protocol):
     """One kind of data of a band, which takes the values it knows of and leaves the others.
 
-    Five methods are enough for a fit and its intervals; those after them have a default.
+    Five methods are enough for a fit and its intervals; those after them have a default. A new kind
+    of data touches four files: its term's own, `roomfit.inversion.measurements`, which takes the
+    data, `roomfit.inversion.solve`, which lays terms of a band together, and the reader in
+    `roomfit.io`.
     """
 
     __slots__ = ()

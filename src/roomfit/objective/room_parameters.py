@@ -438,20 +438,20 @@ def _lattice_rows(scene: Scene, rows: EnergyRows, attenuation_per_m: float) -> E
     return replace(rows_in_air(rows, attenuation_per_m), length_m=kept)
 
 
-def values_alone(
-    values: ValuesTerm | None, priors: tuple[MaterialPrior, ...], band: int, start: FloatArray
+def without_responses(
+    terms: tuple[DataTerm, ...], priors: tuple[MaterialPrior, ...], band: int, start: FloatArray
 ) -> Objective | None:
-    """Return the objective of a band's room parameters by themselves, None without any.
+    """Return the objective of a band's data beside responses by themselves, None without any.
 
     Parameters
     ----------
     start : float array, shape (n_bands,)
         Uniform absorption to start from.
     """
-    if values is None:
+    if not terms:
         return None
     absorption = absorption_block(priors, band, float(start[band]))
-    return Objective(Parameters((absorption,)), (values,))
+    return Objective(Parameters((absorption,)), terms)
 
 
 def coarser(binned: BinnedPaths, n: int) -> BinnedPaths:
