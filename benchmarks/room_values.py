@@ -47,7 +47,7 @@ from roomfit.measurement import Measurement
 from roomfit.objective.directivity import energy_objective
 from roomfit.objective.observation import energy_terms
 from roomfit.objective.problem import Objective
-from roomfit.objective.room_parameters import predicted_values, value_terms, values_alone
+from roomfit.objective.room_parameters import predicted_values, value_terms, without_responses
 from roomfit.response.binned import BinnedPaths, bin_paths
 from roomfit.scene import Point, Scene, material_areas_m2
 from roomfit.settings import Settings
@@ -203,7 +203,8 @@ def fitted(
     terms = value_terms(case.scene, BANDS, values, binned, names=case.names)
     error, begin = case.model_error_jnd, start(case)
     changed = [t and replace(t, model_error_jnd=error) for t in terms]
-    alone = (values_alone(t, case.priors, b, begin) for b, t in enumerate(changed))
+    own = [() if t is None else (t,) for t in changed]
+    alone = (without_responses(t, case.priors, b, begin) for b, t in enumerate(own))
     return solved(case, tuple(alone), n_draws)
 
 
@@ -310,9 +311,9 @@ def with_response(case: Case, binned: BinnedPaths, folder: Path) -> tuple[BandEs
     energies = energy_terms(case.scene, BANDS, case.priors, measured, binned, begin)
     values = value_terms(case.scene, BANDS, case.values, binned)
     joint = tuple(
-        values_alone(v, case.priors, b, begin)
+        without_responses(() if v is None else (v,), case.priors, b, begin)
         if e is None or v is None
-        else energy_objective(*e, None, v)
+        else energy_objective(*e, None, () if v is None else (v,))
         for b, (e, v) in enumerate(zip(energies, values, strict=True))
     )
     return solved(case, joint)

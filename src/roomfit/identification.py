@@ -6,7 +6,6 @@ import logging
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 
@@ -74,7 +73,7 @@ from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.combinations import Combination, determined, inseparable_findings
 from roomfit.uncertainty.gaussian import prior_absorptions
-from roomfit.uncertainty.intervals import Refinement
+from roomfit.uncertainty.intervals import INTERVALS, Refinement
 from roomfit.uncertainty.posterior import band_draws
 from roomfit.uncertainty.sampling import check_sampler
 from roomfit.uncertainty.smoothing import smoothed
@@ -407,11 +406,9 @@ def _refinement(
     measured: Measurements, priors: tuple[MaterialPrior, ...], settings: Settings
 ) -> Refinement:
     """Return what is done to every band after its fit; the paper's searches end where they end."""
-    intervals: Literal["gaussian", "profile", "posterior"] = "profile"
+    intervals: str = settings.method if settings.method in INTERVALS else "profile"
     if settings.quick or settings.method in ("simplex", "annealing"):
         intervals = "gaussian"
-    elif settings.method == "posterior":
-        intervals = "posterior"
     return Refinement(
         intervals,
         material_areas_m2(measured.scene.room),

@@ -77,6 +77,9 @@ class Posynomial:
     def is_gamma(self) -> BoolArray:
         return np.ones(self.observed.size, dtype=np.bool_)
 
+    def at_points(self, _vector: FloatArray) -> None:
+        """Say that points are evaluated one by one."""
+
     def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
         return gamma_log_likelihood(self.observed, expected, variance)
 

@@ -63,7 +63,7 @@ def fitted(campaign_file: Path, **options: str) -> CoherentFit:
         measured,
         np.full(2, 0.2),
         CoherentOptions(end_s=END_S, **options),  # type: ignore[arg-type]
-        (None, None),
+        ((), ()),
     )
     still = np.zeros((len(room.materials), 2))
     return fit_coherent(

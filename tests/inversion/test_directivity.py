@@ -181,7 +181,7 @@ def coherent_answer(
         observed.responses,
         start,
         CoherentOptions(end_s=END_S, late_end_s=END_S),
-        (None,) * len(case.asked.bands),
+        ((),) * len(case.asked.bands),
         unknown,
         omnidirectional(observed) if unknown is None else None,
     )

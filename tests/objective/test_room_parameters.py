@@ -29,7 +29,7 @@ from roomfit.objective.room_parameters import (
     predicted_values,
     value_covariances,
     value_terms,
-    values_alone,
+    without_responses,
 )
 from roomfit.objective.windows import band_spreading, before_spreading, spread_energy
 from roomfit.response.binned import bin_paths
@@ -319,7 +319,7 @@ def test_derivatives_by_absorption_are_those_of_finite_differences():
     values = predicted_values(scene, bands, binned, truth)
     priors = tuple(unknown_material(m, 1) for m in scene.room.materials)
     (term,) = value_terms(scene, bands, measured_from(scene, bands, values, VALUE_NAMES), binned)
-    problem = values_alone(term, priors, 0, np.full(1, 0.25))
+    problem = without_responses((term,), priors, 0, np.full(1, 0.25))
     assert problem is not None
     vector = start_vector(problem.parameters)
     here = problem.predict(vector)
@@ -342,7 +342,7 @@ def test_absorption_is_found_again_from_values_alone():
     (term,) = value_terms(scene, bands, measured, binned)
     assert term is not None
     term = replace(term, model_error_jnd=0.0)
-    problems = [values_alone(term, priors, 0, np.full(1, 0.25))]
+    problems = [without_responses((term,), priors, 0, np.full(1, 0.25))]
     (band,) = fit_bands(problems, priors, np.ones(3), Settings())
     answer = band.estimate
 
@@ -364,7 +364,7 @@ def test_values_join_other_data_of_the_same_unknowns():
     measured = measured_from(scene, bands, values, VALUE_NAMES)
     priors = tuple(unknown_material(m, 1) for m in scene.room.materials)
     (term,) = value_terms(scene, bands, measured, binned)
-    whole = values_alone(term, priors, 0, np.full(1, 0.2))
+    whole = without_responses((term,), priors, 0, np.full(1, 0.2))
     assert whole is not None
     halves = (measured[:2], measured[2:])
     parts = tuple(value_terms(scene, bands, half, binned)[0] for half in halves)

@@ -8,7 +8,10 @@ geometry, which is integrated out; pairs that share a gain inform together.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import TypeAlias
 
 import numpy as np
 
@@ -286,12 +289,29 @@ def information_of_pairs(
         weights = None if factors is None else factors[:, own]
         alone = select_pairs(scene, slice(pair, pair + 1))
         objectives = _objectives(alone, caught, weights, filters, known, expected)
-        times = _information_on_times(objectives, expected, known.typical)
-        coherent = [_coherent(objective, times) for objective in objectives]
+        times = _covariance_of_times(objectives, expected, known.typical)
+        coherent = [objective(times) for objective in objectives]
         found.append(np.stack([_at_draw(coherent, expected, draw, times) for draw in known.draws]))
         if progress is not None:
             progress((pair + 1) / len(scene.pairs))
     return np.stack(found)
+
+
+ObjectiveOfTimes: TypeAlias = Callable[[FloatArray | None], Objective]
+"""From a covariance of arrival times, None for the prior's, to a band's objective."""
+
+
+def _of_energies(objective: Objective, _covariance: FloatArray | None) -> Objective:
+    """Return the objective of energies, which no covariance of arrival times changes."""
+    return objective
+
+
+def _as_coherent_as_known(
+    parameters: Parameters, term: CoherentTerm, covariance: FloatArray | None
+) -> Objective:
+    """Return the objective of windows as coherent as a covariance of arrival times allows."""
+    coherent = with_coherence(term, whole_covariance(term.geometry, covariance))
+    return Objective(parameters, (coherent,))
 
 
 def _objectives(
@@ -301,14 +321,14 @@ def _objectives(
     filters: tuple[BandFilter, ...],
     known: PriorInformation,
     expected: ExpectedMeasurement,
-) -> list[Objective]:
+) -> list[ObjectiveOfTimes]:
     """Return the objective of every band for the only pair of a scene."""
     c = speed_of_sound_m_s(alone.air)
     direct_s = float(distances_m(alone)[0] / c)
     timing_sd_s = float(np.sqrt(2.0) * expected.position_sd_m / c)
     binned = bin_paths(alone, known.bands, paths, expected.duration_s, factors)
     images: ImagePaths | None = None
-    objectives = []
+    objectives: list[ObjectiveOfTimes] = []
     for f in filters:
         absorption = replace(
             absorption_block(known.priors, f.band, 0.2), start=known.typical[:, f.band]
@@ -324,7 +344,7 @@ def _objectives(
             periods=_PRESSURE_PERIODS if expected.coherent else _ENERGY_PERIODS,
         )
         if not expected.coherent:
-            objectives.append(Objective(parameters, (energies,)))
+            objectives.append(partial(_of_energies, Objective(parameters, (energies,))))
             continue
         energies = replace(
             energies, model_error=_PRESSURE_MODEL_ERROR, ringing_error=_PRESSURE_RINGING_ERROR
@@ -347,7 +367,7 @@ def _objectives(
             FIT_END_S,
         )
         parameters = Parameters((*parameters.blocks, geometry_block(expected.geometry)))
-        objectives.append(Objective(parameters, (term,)))
+        objectives.append(partial(_as_coherent_as_known, parameters, term))
     return objectives
 
 
@@ -359,7 +379,7 @@ def _at_draw(
 ) -> FloatArray:
     """Return the information of one pair at one absorption, shape (n_bands, n + 1, n + 1).
 
-    Arrival times, of the covariance that `_information_on_times` gives, are integrated out of each
+    Arrival times, of the covariance that `_covariance_of_times` gives, are integrated out of each
     band under the information that all other bands, and the other pairs, have on them.
     """
     found = [_fisher(p, absorption[:, band]) for band, p in enumerate(objectives)]
@@ -369,8 +389,8 @@ def _at_draw(
     return without_geometry(found, first, expected.shared, expected.n_pairs - 1)
 
 
-def _information_on_times(
-    objectives: list[Objective],
+def _covariance_of_times(
+    objectives: list[ObjectiveOfTimes],
     expected: ExpectedMeasurement,
     absorption: FloatArray,
 ) -> FloatArray | None:
@@ -380,12 +400,13 @@ def _information_on_times(
     times known. On the speed of sound and the walls' delays the other pairs inform as much as
     this one. None where energies are compared.
     """
-    if not isinstance(objectives[0].terms[0], CoherentTerm):
+    if not expected.coherent:
         return None
-    first = position_of(objectives[0].parameters, GEOMETRY)
     covariance: FloatArray | None = None
-    for band, objective in enumerate(objectives):
-        information = _fisher(_coherent(objective, covariance), absorption[:, band])
+    for band, objective_of_times in enumerate(objectives):
+        objective = objective_of_times(covariance)
+        first = position_of(objective.parameters, GEOMETRY)
+        information = _fisher(objective, absorption[:, band])
         from_pairs = by_all_pairs(
             about_geometry(information, first), expected.shared, expected.n_pairs - 1
         )
@@ -393,15 +414,6 @@ def _information_on_times(
         inverse = np.linalg.inv(known + from_pairs)
         covariance = np.asarray(0.5 * (inverse + inverse.T))
     return covariance
-
-
-def _coherent(objective: Objective, covariance: FloatArray | None) -> Objective:
-    """Return a band's objective as coherent as a covariance of arrival times allows."""
-    (term,) = objective.terms
-    if not isinstance(term, CoherentTerm):
-        return objective
-    coherent = with_coherence(term, whole_covariance(term.geometry, covariance))
-    return replace(objective, terms=(coherent,))
 
 
 def _fisher(objective: Objective, absorption: FloatArray) -> FloatArray:

@@ -78,8 +78,7 @@ from roomfit.objective.directivity import (
 from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.observation import energy_terms, fitted_in_band
 from roomfit.objective.parameters import Geometry, physical_values
-from roomfit.objective.problem import Objective
-from roomfit.objective.room_parameters import ValuesTerm
+from roomfit.objective.problem import DataTerm, Objective
 from roomfit.objective.windows import WINDOW_DECAYS, windows_decay_s
 from roomfit.response.binned import BinnedPaths
 from roomfit.response.coherent import ImagePaths, image_paths, images_of
@@ -118,7 +117,7 @@ class CoherentTask:
     measured: tuple[MeasuredPair, ...]
     start: FloatArray
     settings: CoherentOptions
-    values: tuple[ValuesTerm | None, ...]
+    others: tuple[tuple[DataTerm, ...], ...]  # by band, data beside the responses
     directivity_parameters: DirectivityParameters | None = None
     tested_sources: DirectivityParameters | None = None
     outliers: Mapping[MeasuredPair, float] = field(default_factory=dict)
@@ -255,7 +254,7 @@ def rebuild(state: SequentialState) -> SequentialState:
         if unknown is not None and bases is not None:
             directivity = directed_band(unknown, task.scene, bases, windows, files)
         coherent = _early(state, b, windows, geometry, images)
-        energies = energy_objective(windows, parameters, directivity, task.values[b])
+        energies = energy_objective(windows, parameters, directivity, task.others[b])
         before = starts[b]
         fit = (
             fit_band(energies, max_rounds=limit, settled_sd=BEFORE_THE_LAST_PASS_SD)
@@ -691,7 +690,7 @@ def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
             # other windows may hear other rows
             rows = directed_band(unknown, task.scene, bases, windows, files)
             directivity = replace(rows, unknown=directivity.unknown)
-        objective = energy_objective(windows, parameters, directivity, task.values[number])
+        objective = energy_objective(windows, parameters, directivity, task.others[number])
         if band is not None and band.energies.inflation is not None:
             # as for the finer windows: one factor an observation
             fine = [o.energy.size for o in band.coherent.energies.observations]

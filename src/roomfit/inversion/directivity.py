@@ -84,7 +84,7 @@ def directivity_score(
     windows, inflation = cast(EnergyTerm, energies.terms[0]), energies.inflation
     inflation = None if inflation is None else inflation[: windows.measured().size]
     plain = Objective(energies.parameters, (windows,), inflation)
-    free = energy_objective(windows, energies.parameters, directivity, None)
+    free = energy_objective(windows, energies.parameters, directivity)
     gains, steps = _second_order_gains(replace(free, inflation=inflation), fit)
     for s, name in enumerate(directivity.unknown.sources):
         if gains[s] > _BY_CHANCE:
@@ -95,7 +95,7 @@ def directivity_score(
             alone = replace(
                 directivity, unknown=unknown, source=np.where(directivity.source == s, 0, -1)
             )
-            free = energy_objective(windows, energies.parameters, alone, None)
+            free = energy_objective(windows, energies.parameters, alone)
             free = replace(free, inflation=inflation)
             gains[s], steps[s] = _full_gain(free, plain, fit, steps[s])
     return gains, vectors_of(directivity.unknown, steps.ravel())
@@ -293,7 +293,7 @@ def directed_energies(
         if own is not None:
             files = fitted_in_band(responses, band)
             directivity = directed_band(parameters, scene, bases, own[0], files)
-            fit = fit_band(energy_objective(*own, directivity, None))
+            fit = fit_band(energy_objective(*own, directivity))
         directivities.append(directivity)
         fits.append(fit)
     return directivities_under_cavity_priors(parameters, bands, directivities, fits)
@@ -309,8 +309,8 @@ def score_sources(
     bases = row_bases(tested_sources, measured.scene, traced.paths, traced.binned)
 
     def watch(band: int, objective: Objective, fit: BandFit) -> None:
-        windows, files = objective.terms[0], fitted_in_band(measured.responses, band)
-        if isinstance(windows, EnergyTerm):
+        windows, files = objective.as_energies(fit.vector), fitted_in_band(measured.responses, band)
+        if windows is not None:
             directivity = directed_band(tested_sources, measured.scene, bases, windows, files)
             scores[band] = directivity_score(objective, fit, directivity)
 

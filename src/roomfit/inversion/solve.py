@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from roomfit.air import Air, relative_speed_sd
 from roomfit.inversion.bands import fit_bands
@@ -26,7 +26,6 @@ from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions
 from roomfit.inversion.systematics import (
-    fitted_energies,
     relative_errors,
     shared_errors,
     widened_by_neighbours,
@@ -35,14 +34,12 @@ from roomfit.inversion.systematics import (
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.directivity import (
     BandDirectivities,
-    DirectedTerm,
     energy_objective,
 )
-from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.observation import energy_terms, fitted_in_band
 from roomfit.objective.parameters import physical_values
-from roomfit.objective.problem import Objective
-from roomfit.objective.room_parameters import ValuesTerm, value_terms, values_alone
+from roomfit.objective.problem import DataTerm, Objective
+from roomfit.objective.room_parameters import value_terms, without_responses
 from roomfit.scene import material_areas_m2
 from roomfit.settings import Settings
 from roomfit.solvers.least_squares import BandFit
@@ -58,9 +55,9 @@ def shared_error_covariance(measured: Measurements, traced: TracedPaths) -> Shar
     scene, bands = measured.scene, measured.bands
 
     def add_shared_errors(band: int, objective: Objective, fit: BandFit) -> BandFit:
-        if not isinstance(objective.terms[0], EnergyTerm | DirectedTerm) or not fit.vector.size:
+        windows = objective.as_energies(fit.vector)
+        if windows is None or not fit.vector.size:
             return fit
-        windows = fitted_energies(objective, fit.vector)
         files = fitted_in_band(measured.responses, band)
         sources = [int(scene.pairs[m.pair][0]) for m in files]
         walls = physical_values(objective.parameters, fit.vector)[0]["absorption"]
@@ -135,15 +132,15 @@ def energy_objectives(
     directivities: tuple[BandDirectivities | None, ...],
 ) -> Iterator[Objective | None]:
     """Make one objective after the other from window energies, room parameters, or both."""
-    values = _value_terms(measured, traced)
+    others = _other_terms(measured, traced)
     made = energy_terms(
         measured.scene, measured.bands, priors, measured.responses, traced.binned, start
     )
     for band, own in enumerate(made):
         if own is None:
-            yield values_alone(values[band], priors, band, start)
+            yield without_responses(others[band], priors, band, start)
         else:
-            yield energy_objective(*own, directivities[band], values[band])
+            yield energy_objective(*own, directivities[band], others[band])
 
 
 def coherent_task(
@@ -171,7 +168,7 @@ def coherent_task(
             max_rounds=settings.max_rounds,
             quick=settings.quick,
         ),
-        _value_terms(measured, traced),
+        _other_terms(measured, traced),
         unknown,
         omnidirectional(measured) if unknown is None else None,
         scattering=(traced.scattering, traced.scattering_sd),
@@ -192,8 +189,8 @@ def coherent_answers(
     chosen = decided(fit, energy, widened_by_neighbours(tuple(coherent), areas_m2, task.priors))
     # where no response has data, room parameters or the prior
     alone = [
-        None if e is not None else values_alone(task.values[band], task.priors, band, task.start)
-        for band, e in enumerate(chosen)
+        without_responses(own, task.priors, band, task.start) if e is None else None
+        for band, (e, own) in enumerate(zip(chosen, task.others, strict=True))
     ]
     rest = fit_bands(alone, task.priors, areas_m2, settings, part(progress, 0.8, 1.0))
     estimates = tuple(
@@ -205,8 +202,11 @@ def coherent_answers(
     return BandFits(estimates, fit.geometry, found, names, fit.source_scores, fit.tests)
 
 
-def _value_terms(measured: Measurements, traced: TracedPaths) -> tuple[ValuesTerm | None, ...]:
+def _other_terms(measured: Measurements, traced: TracedPaths) -> tuple[tuple[DataTerm, ...], ...]:
+    """Return the data of every band beside responses: one entry of `kinds` each kind of data."""
     scene, bands = measured.scene, measured.bands
-    if not measured.values:
-        return (None,) * len(bands)
-    return value_terms(scene, bands, measured.values, traced.binned)
+    kinds: list[Sequence[DataTerm | None]] = []
+    if measured.values:
+        kinds.append(value_terms(scene, bands, measured.values, traced.binned))
+    each = zip(*kinds, strict=True) if kinds else ((),) * len(bands)
+    return tuple(tuple(term for term in own if term is not None) for own in each)

@@ -29,7 +29,7 @@ _SAME_DIRECTION = 1e-3
 # Samples next to the seam of two materials may fall on either.
 _WHOLE_SHARE = 0.98
 # Positions may be off by this many of their standard deviations.
-_LARGEST_SHIFT_SD = 3.0
+_SYMMETRIC_WITHIN_SD = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,4 +259,4 @@ def _tolerance_m(scene: Scene) -> FloatArray:
         for points in (scene.sources, scene.receivers)
     )
     sd = np.maximum(sources[scene.pairs[:, 0]], receivers[scene.pairs[:, 1]])
-    return np.asarray(_LARGEST_SHIFT_SD * sd + 1e-3)
+    return np.asarray(_SYMMETRIC_WITHIN_SD * sd + 1e-3)

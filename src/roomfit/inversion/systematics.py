@@ -19,8 +19,8 @@ from roomfit.bands import Bands, steps_per_octave
 from roomfit.inversion.sequential import CoherentBand
 from roomfit.logit import Z95, expit, logit
 from roomfit.materials.priors import MaterialPrior, prior_logit_law
-from roomfit.objective.coherent import CoherentTerm, fully_coherent
-from roomfit.objective.directivity import DirectedTerm, directed
+from roomfit.objective.coherent import fully_coherent
+from roomfit.objective.directivity import directed
 from roomfit.objective.energy import EnergyTerm, parts_of
 from roomfit.objective.parameters import Parameters, physical_values
 from roomfit.objective.problem import Objective, Prediction
@@ -194,7 +194,7 @@ def shared_errors(
     coherent : CoherentBand, optional
         The band, where pressures were fitted.
     """
-    energies = fitted_energies(objective, fit.vector)
+    energies = cast(EnergyTerm, objective.as_energies(fit.vector))
     noise = np.concatenate([o.noise for o in energies.observations])
     signal = fit.expected[: noise.size] - noise
     shared = {
@@ -228,14 +228,6 @@ def with_shared_errors(
     costs = costs_of_terms(objective, fit, jacobian, shared)
     steps = answer_steps(objective, fit, jacobian, np.concatenate(list(shared.values()), axis=1))
     return replace(add_covariance(fit, steps), costs=costs)
-
-
-def fitted_energies(objective: Objective, vector: FloatArray) -> EnergyTerm:
-    """Return an objective's windows as energies, its paths with their sources' directivity."""
-    first = objective.terms[0]
-    if isinstance(first, DirectedTerm):
-        return first.weighed(physical_values(objective.parameters, vector)[0])
-    return first.energies if isinstance(first, CoherentTerm) else cast(EnergyTerm, first)
 
 
 def relative_errors(

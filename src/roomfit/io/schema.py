@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from roomfit.materials.priors import PRODUCT_SD, PRODUCT_SDS
-from roomfit.settings import SETTING_LIMITS
+from roomfit.settings import SETTING_LIMITS, Method
 
 BECAUSE = "because"  # why the range of a number ends where it does, in its schema
 
@@ -312,9 +312,7 @@ class IdentifyTable(Table):
     """Lowest centre; ignored where bands are listed."""
     to_hz: Hertz = 4000.0
     """Highest centre."""
-    method: Literal["auto", "simplex", "annealing", "least-squares", "certified", "posterior"] = (
-        "auto"
-    )
+    method: Method = "auto"
     """How absorption is searched for."""
     model: Literal["auto", "energy", "coherent"] = "auto"
     """Whether energies or pressures of reflections add."""

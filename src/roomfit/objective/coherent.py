@@ -6,6 +6,7 @@ known.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -16,6 +17,7 @@ from roomfit.bands import Bands
 from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import LATENCY_SD_S, MeasuredPair
 from roomfit.objective.energy import (
+    PATTERN,
     WINDOWS_PER_INDEPENDENT_ONE,
     EnergyTerm,
     Observation,
@@ -34,7 +36,7 @@ from roomfit.objective.parameters import (
     local_roots,
     times_of,
 )
-from roomfit.objective.problem import Rows, Values
+from roomfit.objective.problem import DataTerm, Rows, Values
 from roomfit.objective.windows import in_windows, squares_in_windows, with_squares
 from roomfit.response.binned import BinnedPaths, in_band, regrouped
 from roomfit.response.coherent import (
@@ -48,6 +50,14 @@ from roomfit.response.coherent import (
     coherent_response,
     image_energies,
     spread_squared,
+)
+from roomfit.response.directivity import (
+    DirectedImages,
+    RowBasis,
+    coherent_slopes,
+    directed_images,
+    image_amplitudes,
+    image_basis,
 )
 from roomfit.response.energy import first_rows, shared_zeros
 from roomfit.scene import Scene
@@ -64,7 +74,7 @@ _POSITION_SD_M = 0.5e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CoherentTerm:
+class CoherentTerm(DataTerm):
     """Windows of one band, explained by partly coherent paths: absorption, gains and geometry.
 
     The expected energy of a window is what `energies` expects of all paths, less the coherent part
@@ -82,6 +92,7 @@ class CoherentTerm:
     bins: IntArray  # (n_images,), fine time bin of each of `images`
     coherent_bins: IntArray  # of each of `coherent`
     grid: BandGrid
+    directed: DirectedImages | None = None  # `coherent` without directivity, where it has one
     # of the last prediction: energy of the coherent pressure in the windows' pieces, and the values
     # that it belongs to; the variance there costs no second response
     _last: dict[bytes, FloatArray] = field(default_factory=dict, init=False, repr=False)
@@ -102,7 +113,7 @@ class CoherentTerm:
         )
         self._last.clear()
         self._last[_key(values)] = response.energy
-        less, less_by_log = self._as_energies(image_energies(self.coherent, absorption))
+        less, less_by_log = self._less(image_energies(self.coherent, absorption))
         # d ln(1 - a) = -da / (1 - a)
         by_absorption = -(by_log - less_by_log)
         by_absorption /= np.maximum(1.0 - absorption, 1e-12)
@@ -126,9 +137,34 @@ class CoherentTerm:
         ) * extra[:, None]
         derivatives[GEOMETRY] = np.zeros((expected.size, self.geometry.sd.size))
         derivatives[GEOMETRY][windows] = gain[:, None] * by_geometry * self.geometry.sd
+        if self.directed is not None:
+            derivatives[PATTERN][windows] += gain[:, None] * self._by_pattern(self.directed, values)
         return expected, signal, derivatives
 
-    def _as_energies(self, energy: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _by_pattern(self, plain: DirectedImages, values: Values) -> FloatArray:
+        """Return what coherence adds to the derivative by b at a gain of 1, (n_early_windows, 3).
+
+        Of the source that each window receives.
+        """
+        images, amplitude, slope = plain
+        pressures = coherent_slopes(
+            plain,
+            values["absorption"],
+            times_of(self.geometry, values[GEOMETRY]),
+            self.grid,
+            tuple(o.edges_s for o in self.early),
+        )
+        energy = image_energies(images, values["absorption"]) * images.coherence
+        less = 2.0 * (energy * amplitude)[:, None] * slope
+        out = []
+        for o, observed in enumerate(self.early):
+            own = slice(images.offsets[o], images.offsets[o + 1])
+            bins, n_bins = self.coherent_bins[own], observed.spreading.shape[1]
+            binned = np.stack([np.bincount(bins, column, n_bins) for column in less[own].T])
+            out.append(observed.spreading @ binned.T)
+        return np.asarray(pressures - np.concatenate(out))
+
+    def _less(self, energy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the energies of what is coherent in each early window, and by ln(1 - a)."""
         energy = energy * self.coherent.coherence
         energies, by_hits = [], []
@@ -153,7 +189,7 @@ class CoherentTerm:
         expected = self.energies.expected(values)
         in_pieces = self._in_pieces(values, derivative=False).energy
         energy = np.add.reduceat(in_pieces, _first_pieces(self.early))
-        less, _ = self._as_energies(image_energies(self.coherent, values["absorption"]))
+        less, _ = self._less(image_energies(self.coherent, values["absorption"]))
         gains = np.append(values["gain"], 1.0)
         gain = np.repeat([gains[o.gain] for o in self.early], [o.energy.size for o in self.early])
         expected[self.early_windows()] += gain * (energy - less)
@@ -203,6 +239,32 @@ class CoherentTerm:
     def correlation_length(self, _start: Values) -> FloatArray:
         """Return `WINDOWS_PER_INDEPENDENT_ONE` for every window."""
         return np.full(self.measured().size, WINDOWS_PER_INDEPENDENT_ONE)
+
+    def as_energies(self, _values: Values) -> EnergyTerm:
+        """Return the windows as energies of all paths."""
+        return self.energies
+
+    def image_bases(self, aims: Sequence[FloatArray | None]) -> tuple[FloatArray, ...]:
+        """Return `pattern_basis` of where all images and the coherent ones leave, (n_paths, 3)."""
+        return image_basis(self.images, aims), image_basis(self.coherent, aims)
+
+    def radiated(
+        self,
+        b: Sequence[FloatArray | None],
+        basis: Sequence[RowBasis],
+        images: tuple[FloatArray, ...] = (),
+    ) -> CoherentTerm:
+        """Return the windows with directivities as `EnergyTerm.radiated`, and of `image_bases`."""
+        every, own = images
+        amplitude, _ = image_amplitudes(self.images, b, every)
+        directed = DirectedImages(self.coherent, *image_amplitudes(self.coherent, b, own))
+        return replace(
+            self,
+            energies=self.energies.radiated(b, basis),
+            images=directed_images(self.images, amplitude),
+            coherent=directed_images(self.coherent, directed.amplitude),
+            directed=directed,
+        )
 
     def early_windows(self) -> IntArray:
         """Return where the early windows stand among all."""

@@ -8,34 +8,19 @@ Their block stands behind absorption and gain and before the geometry, whose pos
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import ClassVar, cast
+from dataclasses import dataclass, field
+from typing import ClassVar, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from roomfit._checks import read_only
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.coherent import CoherentTerm
 from roomfit.objective.energy import PATTERN, EnergyTerm
-from roomfit.objective.parameters import (
-    GEOMETRY,
-    Block,
-    Parameters,
-    times_of,
-)
+from roomfit.objective.parameters import Block, Parameters
 from roomfit.objective.problem import DataTerm, Objective, Rows, Values
 from roomfit.response.binned import BinnedPaths
-from roomfit.response.coherent import ImagePaths, image_energies
-from roomfit.response.directivity import (
-    Pattern,
-    RowPattern,
-    amplitude_and_slope,
-    coherent_slopes,
-    directed_images,
-    image_departure,
-    pattern_basis,
-)
+from roomfit.response.directivity import Pattern, RowBasis, pattern_basis
 from roomfit.scene import Scene
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, IntArray
@@ -90,30 +75,24 @@ class BandDirectivities:
     # known
     source: IntArray
     # (n_rows, 3), one an observation: `pattern_basis` of where the path of each row leaves
-    basis: tuple[NDArray[np.float32] | FloatArray, ...]
+    basis: tuple[RowBasis, ...]
     aims: tuple[FloatArray | None, ...]  # one an observation
 
 
+Windows: TypeAlias = EnergyTerm | CoherentTerm
+"""What can be weighed by its sources' directivity: as energies, or as pressures."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class DirectedTerm:
+class DirectedTerm(DataTerm):
     """Windows as energies or pressures, their paths weighed by their sources' directivity."""
 
     is_gamma: ClassVar[bool] = True
-    windows: EnergyTerm | CoherentTerm  # with the weights of omnidirectional sources
+    windows: Windows  # with the weights of omnidirectional sources
     directivity: BandDirectivities
-    # image_basis, coherent_basis: (n_paths, 3), the same of the images of coherent windows, else
-    # empty
-    image_basis: FloatArray
-    coherent_basis: FloatArray
+    image_bases: tuple[FloatArray, ...]  # of the windows' image paths, see their `image_bases`
     # of the last prediction, by its b: the windows with the weights of b, for the variance there
-    _last: dict[bytes, EnergyTerm | CoherentTerm] = field(
-        default_factory=dict, init=False, repr=False
-    )
-
-    @property
-    def energies(self) -> EnergyTerm:
-        """The windows as energies of omnidirectional sources."""
-        return self.windows.energies if isinstance(self.windows, CoherentTerm) else self.windows
+    _last: dict[bytes, Windows] = field(default_factory=dict, init=False, repr=False)
 
     def measured(self) -> FloatArray:
         """Return the measured window energies, shape (n_windows,)."""
@@ -122,152 +101,73 @@ class DirectedTerm:
     def predict(self, values: Values) -> Rows:
         """Return what the model expects in every window."""
         b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
-        own = self._weighed(b)
+        own = self._radiated(b)
         expected, signal, derivatives = own.predict(values)
         self._last.clear()
         self._last[b.tobytes()] = own
-        slopes = self._slopes(derivatives.pop(PATTERN), b, values) @ self.directivity.unknown.root
-        return expected, signal, {**derivatives, DIRECTIVITY: slopes}
+        by_pattern = derivatives.pop(PATTERN)
+        slopes = np.zeros((len(by_pattern), b.size))
+        first = 0
+        for s, observed in zip(
+            self.directivity.source, own.as_energies(values).observations, strict=True
+        ):
+            n = observed.energy.size
+            if s >= 0:
+                slopes[first : first + n, 3 * s : 3 * s + 3] = by_pattern[first : first + n]
+            first += n
+        by_free = slopes @ self.directivity.unknown.root
+        return expected, signal, {**derivatives, DIRECTIVITY: by_free}
 
     def expected(self, values: Values) -> FloatArray:
         """Return what the model expects in every window, shape (n_windows,)."""
         b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
-        return self._weighed(b).expected(values)
+        return self._radiated(b).expected(values)
 
     def variance_parts(self, values: Values) -> dict[str, FloatArray]:
         """Return what the variance of every window is the sum of, by name, (n_windows,) each."""
         b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
         own = self._last.pop(b.tobytes(), None)
-        return (self._weighed(b) if own is None else own).variance_parts(values)
+        return (self._radiated(b) if own is None else own).variance_parts(values)
 
     def correlation_length(self, start: Values) -> FloatArray:
         """Return how many neighbours share the information of each window, shape (n_windows,)."""
         return self.windows.correlation_length(start)
 
-    def weighed(self, values: Values) -> EnergyTerm:
+    def as_energies(self, values: Values) -> EnergyTerm:
         """Return the windows as energies, with the weights that values give their paths."""
         b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
-        found = self._weighed(b)
-        return found.energies if isinstance(found, CoherentTerm) else found
+        return self._radiated(b).as_energies(values)
 
-    def _weighed(self, b: FloatArray) -> EnergyTerm | CoherentTerm:
+    def _radiated(self, b: FloatArray) -> Windows:
         """Return the windows with the weights of b."""
-        source = self.directivity.source
-        patterns = tuple(
-            None if s < 0 else RowPattern(b[s], basis)
-            for s, basis in zip(source, self.directivity.basis, strict=True)
-        )
-        own = replace(self.energies, patterns=patterns)
-        if not isinstance(self.windows, CoherentTerm):
-            return own
-        images, coherent = (
-            directed_images(paths, _image_amplitudes(paths, source, basis, b)[0])
-            for paths, basis in (
-                (self.windows.images, self.image_basis),
-                (self.windows.coherent, self.coherent_basis),
-            )
-        )
-        return replace(self.windows, energies=own, images=images, coherent=coherent)
-
-    def _slopes(self, by_pattern: FloatArray, b: FloatArray, values: Values) -> FloatArray:
-        """Return the derivative of every window by all b, shape (n_windows, 3 * n_sources).
-
-        Parameters
-        ----------
-        by_pattern : float array, shape (n_windows, 3)
-            Of all paths as energies, by b of the source that each window receives.
-        """
-        gains = np.append(values["gain"], 1.0)
-        out: FloatArray = np.zeros((len(by_pattern), b.size))
-        added = self._coherent_slopes(b, values) if isinstance(self.windows, CoherentTerm) else ()
-        first = 0
-        for o, observed in enumerate(self.energies.observations):
-            n, s = observed.energy.size, self.directivity.source[o]
-            if s >= 0:
-                slopes = by_pattern[first : first + n]
-                if added:
-                    slopes[: len(added[o])] += gains[observed.gain] * added[o]
-                out[first : first + n, 3 * s : 3 * s + 3] = slopes
-            first += n
-        return out
-
-    def _coherent_slopes(self, b: FloatArray, values: Values) -> tuple[FloatArray, ...]:
-        """Return what coherence adds to the derivative by b in each observation's early windows.
-
-        At a gain of 1, one array of the shape (n_early, 3) an observation.
-        """
-        plain = cast(CoherentTerm, self.windows)
-        images, source = plain.coherent, self.directivity.source
-        amplitude, slope = _image_amplitudes(images, source, self.coherent_basis, b)
-        pressures = coherent_slopes(
-            images,
-            values["absorption"],
-            times_of(plain.geometry, values[GEOMETRY]),
-            plain.grid,
-            tuple(o.edges_s for o in plain.early),
-            amplitude,
-            slope,
-        )
-        energy = image_energies(images, values["absorption"]) * images.coherence
-        less = 2.0 * (energy * amplitude)[:, None] * slope
-        out, first = [], 0
-        for o, observed in enumerate(plain.early):
-            own = slice(images.offsets[o], images.offsets[o + 1])
-            bins, n_bins = plain.coherent_bins[own], observed.spreading.shape[1]
-            binned = np.stack([np.bincount(bins, column, n_bins) for column in less[own].T])
-            n = observed.energy.size
-            out.append(np.asarray(pressures[first : first + n] - observed.spreading @ binned.T))
-            first += n
-        return tuple(out)
+        each = [None if s < 0 else b[s] for s in self.directivity.source]
+        return self.windows.radiated(each, self.directivity.basis, self.image_bases)
 
 
 def directed(
-    windows: EnergyTerm | CoherentTerm, directivity: BandDirectivities | None
+    windows: Windows, directivity: BandDirectivities | None
 ) -> EnergyTerm | CoherentTerm | DirectedTerm:
     """Return windows weighed by their sources' directivity, or as they are without any."""
     if directivity is None:
         return windows
-    images = coherent = np.zeros((0, 3))
-    if isinstance(windows, CoherentTerm):
-        images = _image_basis(windows.images, directivity.aims)
-        coherent = _image_basis(windows.coherent, directivity.aims)
-    return DirectedTerm(windows, directivity, images, coherent)
-
-
-def _image_basis(images: ImagePaths, aims: tuple[FloatArray | None, ...]) -> FloatArray:
-    departure = image_departure(images)
-    parts = np.split(departure, images.offsets[1:-1])
-    return np.concatenate([pattern_basis(p, aim) for p, aim in zip(parts, aims, strict=True)])
+    return DirectedTerm(windows, directivity, windows.image_bases(directivity.aims))
 
 
 def energy_objective(
     windows: EnergyTerm,
     parameters: Parameters,
     directivity: BandDirectivities | None,
-    values: DataTerm | None,
+    others: Sequence[DataTerm] = (),
 ) -> Objective:
-    """Return the objective of a band's windows as energies, and of its room parameters if any."""
+    """Return the objective of a band's windows as energies, and of its other data if any."""
     if directivity is not None:
         parameters = with_directivities(parameters, directivity.unknown)
-    others = () if values is None else (values,)
     return Objective(parameters, (directed(windows, directivity), *others))
 
 
 def vectors_of(unknown: UnknownDirectivities, free: FloatArray) -> FloatArray:
     """Return b of every unknown source for free numbers z, shape (n_sources, 3)."""
     return np.asarray((unknown.mean + unknown.root @ free).reshape(-1, 3))
-
-
-def _image_amplitudes(
-    images: ImagePaths, source: IntArray, basis: FloatArray, b: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return amplitude (n,) and slope (n, 3) of every image: 1 and 0 where b is known."""
-    amplitude, slope = np.ones(len(basis)), np.zeros((len(basis), 3))
-    for o, s in enumerate(source):
-        if s >= 0:
-            own = slice(images.offsets[o], images.offsets[o + 1])
-            amplitude[own], slope[own] = amplitude_and_slope(b[s], basis[own])
-    return amplitude, slope
 
 
 # Of each component of b, where it is unspecified: an omnidirectional source and a cardioid are both
@@ -310,7 +210,7 @@ def with_cavity_prior(
 
 def row_bases(
     directivity_parameters: DirectivityParameters, scene: Scene, paths: Paths, binned: BinnedPaths
-) -> tuple[NDArray[np.float32] | FloatArray, ...]:
+) -> tuple[RowBasis, ...]:
     """Return `pattern_basis` of the rows of every pair, once for all bands; empty where known."""
     aims = directivity_parameters.aims or (None,) * len(scene.sources)
     return tuple(
@@ -324,7 +224,7 @@ def row_bases(
 def directed_band(
     directivity_parameters: DirectivityParameters,
     scene: Scene,
-    bases: Sequence[NDArray[np.float32] | FloatArray],
+    bases: Sequence[RowBasis],
     energies: EnergyTerm,
     files: Sequence[MeasuredPair],
 ) -> BandDirectivities:

@@ -22,7 +22,7 @@ from roomfit.objective.energy import (
     parts_of,
     variance_of_batches,
 )
-from roomfit.objective.problem import Rows, Values, count_evaluation
+from roomfit.objective.problem import DataTerm, Rows, Values, count_evaluation
 from roomfit.objective.windows import in_windows
 from roomfit.response.directivity import amplitude_and_slope, pattern_basis
 from roomfit.signals.filters import (
@@ -37,7 +37,7 @@ from roomfit.typing import FloatArray, IntArray
 _LEAST = 1e-12
 # These windows are half as long as the band's filter resolves; the thresholds of what counts as
 # displaced were chosen with three of them as one.
-WINDOWS_PER_INDEPENDENT_ONE = 3.0
+EARLY_WINDOWS_PER_INDEPENDENT_ONE = 3.0
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -63,7 +63,7 @@ class KeptPaths:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DisplacedTerm:
+class DisplacedTerm(DataTerm):
     """The windows of one band, explained by image sources of one geometry and by kept paths."""
 
     is_gamma: ClassVar[bool] = True
@@ -139,7 +139,7 @@ class DisplacedTerm:
 
     def correlation_length(self, _start: Values) -> FloatArray:
         """Return how many neighbours share the information of each window, (n_windows,)."""
-        return np.full(self.measured().size, WINDOWS_PER_INDEPENDENT_ONE)
+        return np.full(self.measured().size, EARLY_WINDOWS_PER_INDEPENDENT_ONE)
 
     def _images(self, values: Values) -> tuple[FloatArray, FloatArray]:
         """Return the energy of every image, (n,), and the derivative of its log by b, (n, 3)."""
@@ -196,8 +196,8 @@ def kept_paths(
     if directivity is not None:
         unknown = directivity.unknown
         values[DIRECTIVITY] = np.asarray(np.linalg.solve(unknown.root, b.ravel() - unknown.mean))
-        whole = DirectedTerm(term, directivity, np.zeros((0, 3)), np.zeros((0, 3)))
-        weighed = whole.weighed(values)
+        whole = DirectedTerm(term, directivity, ())
+        weighed = whole.as_energies(values)
         _, energy, slopes = whole.predict(values)
         by_b = slopes[DIRECTIVITY] @ np.linalg.inv(unknown.root)
         log_slopes = by_b / np.maximum(energy, _TINY)[:, None]

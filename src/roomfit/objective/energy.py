@@ -11,14 +11,15 @@ from scipy.sparse import csr_array
 
 from roomfit._checks import float_array
 from roomfit.errors import InputError
-from roomfit.objective.problem import Objective, Rows, Values, count_evaluation
+from roomfit.objective.parameters import start_vector
+from roomfit.objective.problem import DataTerm, Objective, Rows, Values, count_evaluation
 from roomfit.objective.windows import (
     columns_in_windows,
     in_windows,
     squares_in_windows,
     with_squares,
 )
-from roomfit.response.directivity import EnergyParts, RowPattern, weigh_parts
+from roomfit.response.directivity import EnergyParts, RowBasis, RowPattern, weigh_parts
 from roomfit.response.energy import EnergyRows, rows_in_air
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
@@ -71,7 +72,7 @@ class Observation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EnergyTerm:
+class EnergyTerm(DataTerm):
     """Windows of one band, explained by energies of paths that add: absorption and gains.
 
     Rows, hits and windows stand open, for methods that need more than a function to call.
@@ -160,12 +161,42 @@ class EnergyTerm:
         """Return `WINDOWS_PER_INDEPENDENT_ONE` for every window."""
         return np.full(self.measured().size, WINDOWS_PER_INDEPENDENT_ONE)
 
+    def as_energies(self, _values: Values) -> EnergyTerm:
+        """Return the windows themselves."""
+        return self
+
+    def image_bases(self, _aims: Sequence[FloatArray | None]) -> tuple[FloatArray, ...]:
+        """Return nothing: energies of image paths stand among the rows."""
+        return ()
+
+    def radiated(
+        self,
+        b: Sequence[FloatArray | None],
+        basis: Sequence[RowBasis],
+        _images: tuple[FloatArray, ...] = (),
+    ) -> EnergyTerm:
+        """Return the windows with the directivity of each observation's source.
+
+        Parameters
+        ----------
+        b : sequence of float arrays, shape (3,)
+            None where the directivity is in the rows' weights already.
+        basis : sequence of float arrays, shape (n_rows, 3)
+            `pattern_basis` of where the path of each row leaves.
+        """
+        pairs = zip(b, basis, strict=True)
+        patterns = tuple(None if own is None else RowPattern(own, at) for own, at in pairs)
+        return replace(self, patterns=patterns)
+
 
 def only_energies(objective: Objective) -> EnergyTerm | None:
     """Return the windows of an objective that has no other data and its own variances, or None."""
     first, *others = objective.terms
-    alone = not others and objective.inflation is None
-    return first if alone and isinstance(first, EnergyTerm) else None
+    if others or objective.inflation is not None:
+        return None
+    energies = objective.as_energies(start_vector(objective.parameters))
+    # pressures, and unknown directivity, have other energies than themselves
+    return energies if energies is first else None
 
 
 def in_air(term: EnergyTerm) -> EnergyTerm:

@@ -7,12 +7,12 @@ terms end to end, and puts their derivatives into the columns of the vector.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, Protocol, TypeAlias
+from typing import TYPE_CHECKING, ClassVar, Protocol, TypeAlias
 
 import numpy as np
 from scipy.special import gammaln
@@ -26,6 +26,9 @@ from roomfit.objective.parameters import (
 )
 from roomfit.typing import BoolArray, FloatArray
 
+if TYPE_CHECKING:
+    from roomfit.objective.energy import EnergyTerm
+
 Values: TypeAlias = Mapping[str, FloatArray]
 """Physical values of each block of unknowns by its name, fixed ones included."""
 
@@ -35,8 +38,15 @@ physical values of each block that they depend on, (n, n_values)."""
 
 
 class DataTerm(Protocol):
-    """One kind of data of a band, which takes the values it knows of and leaves the others."""
+    """One kind of data of a band, which takes the values it knows of and leaves the others.
 
+    Five methods are enough for a fit and its intervals; those after them have a default. A new kind
+    of data touches four files: its term's own, `roomfit.inversion.measurements`, which takes the
+    data, `roomfit.inversion.solve`, which lays terms of a band together, and the reader in
+    `roomfit.io`.
+    """
+
+    __slots__ = ()
     # energies, never negative and spread over decades, follow Gamma laws; all else normal laws
     is_gamma: ClassVar[bool]
 
@@ -59,6 +69,18 @@ class DataTerm(Protocol):
     def correlation_length(self, start: Values) -> FloatArray:
         """Return how many neighbours share the information of each datum, shape (n_data,)."""
         ...
+
+    def as_energies(self, values: Values) -> EnergyTerm | None:  # noqa: ARG002
+        """Return the data as window energies, their paths weighed as at values; else None."""
+        return None
+
+    def at_points(self, values: Values) -> Callable[[FloatArray], FloatArray] | None:  # noqa: ARG002
+        """Return what approximates the expected data at many absorptions together, or None.
+
+        From absorptions, (n_points, n_materials), to data, (n_points, n_data): exact at values,
+        and much faster than one by one.
+        """
+        return None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,6 +153,15 @@ class Objective:
     def is_gamma(self) -> BoolArray:
         """Return which data follow Gamma laws, shape (n_data,)."""
         return np.repeat([t.is_gamma for t in self.terms], [t.measured().size for t in self.terms])
+
+    def as_energies(self, vector: FloatArray) -> EnergyTerm | None:
+        """Return the first term as window energies, their paths weighed as at a free vector."""
+        return self.terms[0].as_energies(physical_values(self.parameters, vector)[0])
+
+    def at_points(self, vector: FloatArray) -> Callable[[FloatArray], FloatArray] | None:
+        """Return `DataTerm.at_points` of the only term, exact at a free vector; else None."""
+        first, *others = self.terms
+        return None if others else first.at_points(physical_values(self.parameters, vector)[0])
 
     def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
         """Return the log density of each datum with every constant, shape (n_data,).

@@ -16,7 +16,7 @@ from roomfit.errors import InputError
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.observation import absorption_block
 from roomfit.objective.parameters import Parameters
-from roomfit.objective.problem import Objective, Rows, Values, count_evaluation
+from roomfit.objective.problem import DataTerm, Objective, Rows, Values, count_evaluation
 from roomfit.objective.windows import (
     Spreading,
     band_spreading,
@@ -75,7 +75,7 @@ class ValueObservation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ValuesTerm:
+class ValuesTerm(DataTerm):
     """Room parameters of one band, explained by paths: absorption, no unknown gain or delay."""
 
     is_gamma: ClassVar[bool] = False
@@ -148,6 +148,10 @@ class ValuesTerm:
             squares = [c**2 / np.outer(np.diag(c), np.diag(c)) for c in covariances]
             self._shared[key] = np.concatenate([s.sum(axis=1) for s in squares])
         return self._shared[key]
+
+    def at_points(self, values: Values) -> Callable[[FloatArray], FloatArray]:
+        """Return what gives the values at many absorptions, see `approximated`."""
+        return approximated(self, values["absorption"])
 
 
 def approximated(term: ValuesTerm, absorption: FloatArray) -> Callable[[FloatArray], FloatArray]:
@@ -434,26 +438,20 @@ def _lattice_rows(scene: Scene, rows: EnergyRows, attenuation_per_m: float) -> E
     return replace(rows_in_air(rows, attenuation_per_m), length_m=kept)
 
 
-def values_alone(
-    values: ValuesTerm | None, priors: tuple[MaterialPrior, ...], band: int, start: FloatArray
+def without_responses(
+    terms: tuple[DataTerm, ...], priors: tuple[MaterialPrior, ...], band: int, start: FloatArray
 ) -> Objective | None:
-    """Return the objective of a band's room parameters by themselves, None without any.
+    """Return the objective of a band's data beside responses by themselves, None without any.
 
     Parameters
     ----------
     start : float array, shape (n_bands,)
         Uniform absorption to start from.
     """
-    if values is None:
+    if not terms:
         return None
     absorption = absorption_block(priors, band, float(start[band]))
-    return Objective(Parameters((absorption,)), (values,))
-
-
-def only_values(objective: Objective) -> ValuesTerm | None:
-    """Return the one term of an objective of room parameters alone, else None."""
-    terms = objective.terms if isinstance(objective, Objective) else ()
-    return terms[0] if len(terms) == 1 and isinstance(terms[0], ValuesTerm) else None
+    return Objective(Parameters((absorption,)), terms)
 
 
 def coarser(binned: BinnedPaths, n: int) -> BinnedPaths:

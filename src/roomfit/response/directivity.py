@@ -82,12 +82,16 @@ def fill_amplitudes(
             slope[i, k] = departure[i, k] / root - a * b[k] / (3.0 * norm)
 
 
+RowBasis: TypeAlias = NDArray[np.float32] | FloatArray
+"""`pattern_basis` of where paths leave their source, (n_paths, 3)."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RowPattern:
     """A directivity of rows: vector b, and `pattern_basis` of where the path of each leaves."""
 
     b: FloatArray  # (3,)
-    basis: NDArray[np.float32] | FloatArray  # (n_rows, 3)
+    basis: RowBasis  # (n_rows, 3)
 
     def factor(self) -> FloatArray:
         """Return the factor on the energy of every row, shape (n_rows,)."""
@@ -281,32 +285,53 @@ def directed_images(images: ImagePaths, amplitude: FloatArray) -> ImagePaths:
     return replace(images, weight=images.weight * amplitude**2, sign=np.sign(amplitude))
 
 
+class DirectedImages(NamedTuple):
+    """Image paths of omnidirectional sources, and a directivity of their sources."""
+
+    images: ImagePaths
+    amplitude: FloatArray  # (n_paths,), 1 where the directivity is known
+    slope: FloatArray  # (n_paths, 3), its derivative by b of the path's own source
+
+
+def image_basis(images: ImagePaths, aims: Sequence[FloatArray | None]) -> FloatArray:
+    """Return `pattern_basis` of image paths, one aim or None an observation, (n_paths, 3)."""
+    parts = np.split(image_departure(images), images.offsets[1:-1])
+    return np.concatenate([pattern_basis(p, aim) for p, aim in zip(parts, aims, strict=True)])
+
+
+def image_amplitudes(
+    images: ImagePaths, b: Sequence[FloatArray | None], basis: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return amplitude (n,) and slope (n, 3) of every image: 1 and 0 where b is known."""
+    amplitude, slope = np.ones(len(basis)), np.zeros((len(basis), 3))
+    for o, own_b in enumerate(b):
+        if own_b is not None:
+            own = slice(images.offsets[o], images.offsets[o + 1])
+            amplitude[own], slope[own] = amplitude_and_slope(own_b, basis[own])
+    return amplitude, slope
+
+
 def coherent_slopes(
-    images: ImagePaths,
+    directed: DirectedImages,
     absorption: FloatArray,
     times: Times,
     grid: BandGrid,
     edges_s: tuple[FloatArray, ...],
-    amplitude: FloatArray,
-    slope: FloatArray,
 ) -> FloatArray:
     """Return the derivative of the energies of the coherent pressure by b of each own source.
 
     Parameters
     ----------
-    images : ImagePaths
-        With the weights of omnidirectional sources.
     absorption : float array, shape (n_materials,)
     times, grid, edges_s
         As for `roomfit.response.coherent.coherent_response`.
-    amplitude, slope : float arrays, shapes (n_paths,) and (n_paths, 3)
-        From `amplitude_and_slope`.
 
     Returns
     -------
     float array, shape (n_windows, 3)
         ``2 * integral of y dy/db`` over every window, observations end to end.
     """
+    images, amplitude, slope = directed
     root = np.sqrt(image_energies(images, absorption) * images.coherence)
     heights = np.column_stack([amplitude, slope]) * root[:, None]
     impulses: Any = np.zeros((len(edges_s), 4, grid.n), dtype=grid.real)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TypeAlias
 
 import numpy as np
 
@@ -36,7 +37,7 @@ _DRAWS_KEPT = 2048
 class Refinement:
     """What is done to every band after its fit."""
 
-    intervals: Literal["gaussian", "profile", "posterior"]
+    intervals: str  # of `INTERVALS`
     areas_m2: FloatArray  # (n_materials,)
     seed: int
     # of materials, by a symmetry of room and positions: fitted a second time from there
@@ -54,24 +55,53 @@ class Refinement:
         answer = replace(answer, mirrors=trials, evaluations=evaluations)
         if self.n_draws and (answer.model == "values" or not self.only_values):
             answer = _drawn(objective, fit, answer, self.n_draws, self.seed)
-        if self.intervals == "profile":
-            return profiled(objective, fit, answer)
-        if self.intervals == "posterior":
-            rng = np.random.default_rng(self.seed)
-            law = log_posterior(objective, fit)
-            near = surrogate(law, fit)
-            found = sample(law, near, rng, progress=progress)
-            # the curvature of the surrogate's windows takes one prediction an unknown, and one more
-            more = 0 if near.windows is None else 1 + near.centre.size
-            answer = replace(answer, evaluations=answer.evaluations + more)
-            first = position_of(objective.parameters, "absorption")
-            fitted = np.flatnonzero(absorption_of(objective.parameters).fitted)
-            beyond = _beyond_fit(fit, answer, first, fitted)
-            return sampled(objective.parameters, found, answer, self.areas_m2, beyond)
-        return answer
+        return INTERVALS[self.intervals](objective, fit, answer, self, progress)
 
 
-def profiled(objective: Objective, fit: BandFit, answer: BandEstimate) -> BandEstimate:
+IntervalMethod: TypeAlias = Callable[
+    [Objective, BandFit, BandEstimate, Refinement, Progress | None], BandEstimate
+]
+"""From a band's objective, fit and Gaussian estimate to its estimate with other intervals."""
+
+
+def _as_fitted(
+    _objective: Objective,
+    _fit: BandFit,
+    answer: BandEstimate,
+    _settings: Refinement,
+    _progress: Progress | None = None,
+) -> BandEstimate:
+    """Return the Gaussian estimate."""
+    return answer
+
+
+def by_samples(
+    objective: Objective,
+    fit: BandFit,
+    answer: BandEstimate,
+    settings: Refinement,
+    progress: Progress | None = None,
+) -> BandEstimate:
+    """Return the answer by samples of the posterior, see `sampled`."""
+    law = log_posterior(objective, fit)
+    near = surrogate(law, fit)
+    found = sample(law, near, np.random.default_rng(settings.seed), progress=progress)
+    # the curvature of the surrogate's windows takes one prediction an unknown, and one more
+    more = 0 if near.windows is None else 1 + near.centre.size
+    answer = replace(answer, evaluations=answer.evaluations + more)
+    first = position_of(objective.parameters, "absorption")
+    fitted = np.flatnonzero(absorption_of(objective.parameters).fitted)
+    beyond = _beyond_fit(fit, answer, first, fitted)
+    return sampled(objective.parameters, found, answer, settings.areas_m2, beyond)
+
+
+def profiled(
+    objective: Objective,
+    fit: BandFit,
+    answer: BandEstimate,
+    _settings: Refinement | None = None,
+    _progress: Progress | None = None,
+) -> BandEstimate:
     """Return the answer with profile intervals for the absorptions whose likelihood is skew.
 
     Weights are kept. An interval of 0 to 1, where the data determine nothing, stays as it is. What
@@ -230,3 +260,13 @@ def _mirrored(objective: Objective, fit: BandFit, exchange: IntArray) -> MirrorT
     there, _ = physical_values(objective.parameters, other.vector)
     gain = other.log_likelihood - fit.log_likelihood
     return MirrorTrial(there["absorption"], gain, other.evaluations)
+
+
+# A new method is a function and a row here; `roomfit.settings.Method` names what a user may choose,
+# docs/campaign-file.md and docs/how-far-to-trust.md say what it means.
+INTERVALS: Mapping[str, IntervalMethod] = {
+    "gaussian": _as_fitted,
+    "profile": profiled,
+    "posterior": by_samples,
+}
+"""How intervals are made of a fit, by name; a method of that name in the settings chooses it."""

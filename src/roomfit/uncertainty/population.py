@@ -14,7 +14,6 @@ import numpy as np
 
 from roomfit.objective.parameters import physical_values, prior_residuals
 from roomfit.objective.problem import Objective
-from roomfit.objective.room_parameters import ValuesTerm, approximated, only_values
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray, IntArray
 from roomfit.uncertainty.sampling import (
@@ -78,8 +77,8 @@ def posterior_draws(
     """
     law = replace(log_posterior(objective, fit), fixed_weights=fit)
     n = law.n_kept
-    values = only_values(objective)
-    worth_of = _one_by_one(law) if values is None else _of_values(law, values, fit)
+    approximation = objective.at_points(fit.vector)
+    worth_of = _one_by_one(law) if approximation is None else _all_together(law, approximation, fit)
     near = surrogate(law, fit, windows=fit.variance.size * n * n <= _MOST_CURVATURES)
     size = max((n_draws + 1) // 2, _LEAST_POINTS)
     # gains have no prior to begin with, and energies one minimum; values alone may have several
@@ -138,19 +137,17 @@ def _one_by_one(law: LogPosterior) -> Worth:
     return lambda points: np.array([law(p) for p in points])
 
 
-def _of_values(law: LogPosterior, term: ValuesTerm, fit: BandFit) -> Worth:
-    """Return the same law of room parameters alone, which are found at all points together."""
-    parameters = law.objective.parameters
-
-    def absorption(point: FloatArray) -> FloatArray:
-        return physical_values(parameters, point)[0]["absorption"]
-
-    values = approximated(term, absorption(fit.vector))
+def _all_together(
+    law: LogPosterior, approximation: Callable[[FloatArray], FloatArray], fit: BandFit
+) -> Worth:
+    """Return the same law by data that are approximated at all points together."""
+    parameters, measured = law.objective.parameters, law.objective.measured()
     weight = 1.0 / (fit.variance * law.objective.correlation_length() * law.flattening)
 
     def worth(points: FloatArray) -> FloatArray:
         inside = np.all(np.abs(points) < FARTHEST_FREE, axis=1)
-        off = term.measured() - values(np.array([absorption(p) for p in points]))
+        walls = [physical_values(parameters, p)[0]["absorption"] for p in points]
+        off = measured - approximation(np.array(walls))
         prior = np.array([prior_residuals(parameters, p)[0] for p in points])
         found = -0.5 * (np.sum(weight * off**2, axis=1) + np.sum(prior**2, axis=1))
         return np.where(inside & np.isfinite(found), found, -np.inf)
