@@ -265,9 +265,11 @@ class About:
 
     def concerns(self, material: str, band_hz: float) -> bool:
         """Return whether the absorption of a material in a band is concerned."""
-        return (not self.materials or material in self.materials) and (
-            not self.bands_hz or band_hz in self.bands_hz
-        )
+        return (not self.materials or material in self.materials) and self.in_band(band_hz)
+
+    def in_band(self, band_hz: float) -> bool:
+        """Return whether a band is concerned, of whichever materials."""
+        return not self.bands_hz or band_hz in self.bands_hz
 
 
 @dataclass(frozen=True, slots=True, eq=False)

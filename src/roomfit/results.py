@@ -131,6 +131,11 @@ class Result:
     # by band, (n_materials,), standard deviation of each logit absorption by which term of the
     # uncertainty were left out, "" for none (`roomfit.uncertainty.gaussian.sds_without`)
     costs: tuple[Mapping[str, FloatArray], ...] = ()
+    # (n_materials, n_bands), what is identifiable by the rule alone, before findings; None: unknown
+    identifiable_by_rule: BoolArray | None = None
+    # (n_bands,), uniform absorption that Eyring's formula gives of the measured decay; NaN or None
+    # where no decay was measured
+    eyring_absorption: FloatArray | None = None
 
     def __str__(self) -> str:
         """Return what the command line prints: absorption, errors of predictions, findings."""

@@ -437,6 +437,7 @@ def combine(
         directivities=fits.directivities,
         certificates=tuple(b.certificate for b in found),
         costs=tuple(b.costs for b in found),
+        eyring_absorption=_eyring_start(measured),
         settings=settings,
         trace=traced_with(traced),
         state_means={name: _room_means(own) for name, own in state_means.items()},
