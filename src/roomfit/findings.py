@@ -176,6 +176,7 @@ class Code(StrEnum):
 
     # Predictions.
 
+    RESULT_DOUBTED = "result-doubted", "serious"
     MATERIALS_CHANGED = "materials-changed", "info"
     CHANGE_PRIOR_DOMINATED = "change-prior-dominated", "warning"
     ABSORPTION_CLIPPED = "absorption-clipped", "warning"

@@ -15,8 +15,9 @@ import numpy as np
 from roomfit.bands import Bands
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.errors import InputError, located
+from roomfit.inversion.remaining import what_remains
 from roomfit.io.door import complete, json_content, read_text
-from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
+from roomfit.io.encoding import csv_text, finding_content, finding_of, numbers_or_null, provenance
 from roomfit.io.exports import read_material_table
 from roomfit.logit import logit
 from roomfit.objective.coherent import FittedGeometry
@@ -86,6 +87,9 @@ def read_result(path: Path) -> AbsorptionPosterior:
             chi2_reduced=content.get("fit", {}).get("phi"),
             prior_specified=None if flags is None else np.array(flags, dtype=np.bool_),
             draws=_posterior_table(posterior, "draws") if "draws" in (posterior or {}) else None,
+            result_findings=tuple(
+                finding_of(one, "findings") for one in content.get("findings", ())
+            ),
         )
 
 
@@ -221,6 +225,15 @@ def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
             "speed_of_sound_formula": "Cramer 1993 as in pyfar, or as given by the campaign",
         },
     }
+    remains = what_remains(answer)
+    if remains.voids:
+        content["remains"] = {
+            "void": [f.code.value for f in remains.voids],
+            "mean_usable": [bool(b) for b in remains.mean_usable],
+            "decay_error": numbers_or_null(remains.decay_error),
+            "decay_parameter": remains.decay_name or None,
+            "void_but_identifiable_by_rule": remains.taken,
+        }
     if answer.state_means:
         content["states"] = {
             name: dict(zip(("mean_absorption", "lower95", "upper95"), mean, strict=True))

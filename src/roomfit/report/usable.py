@@ -1,15 +1,14 @@
-"""What still holds where findings void single walls: the room's mean, groups, predicted decays."""
+"""What still holds where findings void single walls, in sentences: mean of the room, decays."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 
-from roomfit.findings import Code, Finding
-from roomfit.inversion.model_checks import DECAY_SCATTER, mean_miss
+from roomfit.findings import Code
+from roomfit.inversion.remaining import VOID_ANY_MEAN, Remaining, what_remains
 from roomfit.report.wording import (
     band_ranges,
     coefficient,
@@ -20,7 +19,7 @@ from roomfit.report.wording import (
     parameter,
 )
 from roomfit.results import Result
-from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.typing import IntArray
 
 # Why walls are void, as part of a sentence; of every code that voids identifiability.
 REASONS: Mapping[Code, str] = MappingProxyType(
@@ -44,30 +43,8 @@ REASONS: Mapping[Code, str] = MappingProxyType(
         Code.MODEL_MISFIT_ALL_BANDS: "the model explains no band",
     }
 )
-# The recorded decay itself, or the size of the room, is then another: neither the fit nor a
-# formula of a diffuse field has a mean to give.
-_VOID_THE_MEAN = frozenset(
-    {Code.LEVELS_NOT_LINEAR, Code.DECAY_BENT, Code.NOISE_GATED, Code.COORDINATES_SCALED}
-)
-WIDEST_MEAN = 0.25  # half an interval over the value
-_LARGEST_MISS_JND, _MISS_SDS = 2.0, 2.0
 _AGREE = 0.15  # of two means, relatively: Eyring's formula is off by as much in boxes
 _MOST_BANDS = 8  # named one by one
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Remaining:
-    """What may be used of a result of which findings void walls."""
-
-    voids: tuple[Finding, ...]  # that take walls away, one a code; none: nothing is taken away
-    taken: int  # absorptions that the rule alone calls identifiable, and the findings do not
-    wanted: int  # absorptions that were not fixed
-    mean_usable: BoolArray  # (n_bands,), whether the mean of the room and its interval hold
-    # (n_bands,), predicted over measured less 1, median over pairs, of the decay time that most
-    # pairs have; NaN where none is known
-    decay_error: FloatArray
-    decay_name: str  # of that decay time, as T20_s; "" where none is known
-    sentences: tuple[str, ...]
 
 
 def remaining_usable(result: Result) -> tuple[str, ...]:
@@ -75,81 +52,16 @@ def remaining_usable(result: Result) -> tuple[str, ...]:
 
     The first says which walls are taken away and why, the others what remains.
     """
-    return what_remains(result).sentences
-
-
-def what_remains(result: Result) -> Remaining:
-    """Return what findings leave of a result.
-
-    The mean of the room counts as usable in a band where no finding doubts the recorded decay or
-    the size of the room, the decay of the fitted pairs is reproduced, and half the interval is at
-    most a quarter of the value. Elsewhere it stands beside the mean that Eyring's formula gives of
-    the measured decay.
-    """
-    voids = void_findings(result)
-    fixed = result.lower95 == result.upper95
-    name, error, reproduced = _decays(result)
-    mean, lower, upper = result.mean_absorption
-    doubted = np.array([_doubted(result, f) for f in map(float, result.bands.centres_hz)])
-    narrow = upper - lower <= 2.0 * WIDEST_MEAN * mean
-    usable = ~doubted & reproduced & narrow
-    by_rule = result.identifiable_by_rule
-    taken = 0 if by_rule is None else int((by_rule & ~result.identifiable & ~fixed).sum())
-    found = Remaining(voids, taken, int((~fixed).sum()), usable, error, name, ())
-    if not voids:
-        return found
+    found = what_remains(result)
+    if not found.voids:
+        return ()
     sentences = (
         _what_is_void(result, found),
         _mean(result, found),
         _other_means(result, found),
         _decay(result, found),
     )
-    return Remaining(
-        voids, taken, found.wanted, usable, error, name, tuple(s for s in sentences if s)
-    )
-
-
-def void_findings(result: Result) -> tuple[Finding, ...]:
-    """Return the first finding of each code that voids identifiability."""
-    first: dict[Code, Finding] = {}
-    for finding in result.findings:
-        if finding.code.voids_identifiability:
-            first.setdefault(finding.code, finding)
-    return tuple(first.values())
-
-
-def _doubted(result: Result, centre_hz: float) -> bool:
-    """Return whether a finding about this band doubts the mean: chain, size, or decay."""
-    return any(
-        (f.code in _VOID_THE_MEAN or f.code is Code.DECAY_NOT_REPRODUCED)
-        and f.about.in_band(centre_hz)
-        for f in result.findings
-    )
-
-
-def _decays(result: Result) -> tuple[str, FloatArray, BoolArray]:
-    """Return name and median relative error of the decay time, and where it is reproduced.
-
-    As `roomfit.inversion.model_checks.decay_misses` judges it: the mean over the fitted pairs is
-    missed by no more than two just noticeable differences, or two of its standard deviations.
-    """
-    n = len(result.bands)
-    width_hz = result.bands.upper_hz - result.bands.lower_hz
-    fitted = [p for p in result.pairs if p.use == "fit"] or list(result.pairs)
-    name = next((k for k in DECAY_SCATTER if any(k in p.parameters for p in fitted)), "")
-    error, reproduced = np.full(n, np.nan), np.zeros(n, dtype=np.bool_)
-    rows = [p.parameters[name] for p in fitted if name in p.parameters]
-    for band in range(n) if rows else ():
-        both = np.array([(c.measured[band], c.predicted[band]) for c in rows])
-        measured_s, predicted_s = both[np.isfinite(both).all(axis=1)].T
-        if not measured_s.size:
-            continue
-        relative = predicted_s / measured_s - 1.0
-        scatter = DECAY_SCATTER[name] / np.sqrt(width_hz[band] * measured_s)
-        miss, sd = mean_miss(relative / 0.05, scatter)
-        error[band] = np.median(relative)
-        reproduced[band] = abs(miss) <= max(_LARGEST_MISS_JND, _MISS_SDS * sd)
-    return name, error, reproduced
+    return tuple(s for s in sentences if s)
 
 
 def _what_is_void(result: Result, found: Remaining) -> str:
@@ -196,7 +108,7 @@ def _means(result: Result, chosen: IntArray) -> str:
 def _other_means(result: Result, found: Remaining) -> str:
     """Return the mean where it is not usable by itself, beside Eyring's of the measured decay."""
     parts = []
-    void = [f for f in found.voids if f.code in _VOID_THE_MEAN]
+    void = [f for f in found.voids if f.code in VOID_ANY_MEAN]
     left = ~found.mean_usable
     if void and left.any():
         where = band_ranges(result.bands.centres_hz, left)
