@@ -87,7 +87,7 @@ def write_misspecified(fault: Fault, seed: int, folder: Path) -> Misspecified:
     """
     rng = np.random.default_rng(seed)
     plan = random_plan(rng)
-    patch = None if fault.patch is None else _patch(plan, *fault.patch)
+    patch = None if fault.patch is None else patch_on_hardest_wall(plan, *fault.patch)
     if fault.scattering:
         walls = np.full(6, fault.scattering)
         campaign = write_scattering_box(plan, walls, folder, rng)
@@ -97,7 +97,9 @@ def write_misspecified(fault: Fault, seed: int, folder: Path) -> Misspecified:
     return Misspecified(campaign, _means(fault, plan, patch))
 
 
-def _patch(plan: BoxPlan, width_m: float, height_m: float, absorption: float) -> Patch:
+def patch_on_hardest_wall(
+    plan: BoxPlan, width_m: float, height_m: float, absorption: float
+) -> Patch:
     """Return a door on the hardest of the upright walls, where it changes most."""
     names = ("west", "east", "south", "north")
     hardest = int(np.argmin(plan.absorption[:4].mean(axis=1)))

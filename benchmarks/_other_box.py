@@ -20,6 +20,7 @@ from roomfit.synthetic.boxes import WALLS, SyntheticBox, add_noise, pressure_res
 RATE_HZ = 16_000
 LATE_SAMPLES = 40
 DURATION_S = 0.45
+HYBRID_ORDER = 20  # of images where rays follow, as that program's users take it
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,9 @@ def write_other_box(
     top_hz: float = 4000.0,
     strength: float = 0.0,
     specified: str = "omni",
+    noise_db: float | None = None,
+    rate_hz: int = RATE_HZ,
+    scattering: float | None = None,
 ) -> OtherBox:
     """Simulate a random box from a seed and write it as a campaign into an existing folder.
 
@@ -67,6 +71,11 @@ def write_other_box(
         Length of b of every source, each with an aim of its own; the other program's cardioids.
     specified : str
         What the campaign says of the directivity: "omni" or "fit".
+    noise_db : float, optional
+        Level of the noise below the peak, -inf for none; left out: -60 to -45, drawn.
+    scattering : float, optional
+        Of every wall: images to `HYBRID_ORDER`, then 20,000 rays of the other program; left out:
+        image sources alone.
     """
     import soundfile
 
@@ -80,7 +89,8 @@ def write_other_box(
     at = {f"LS{i + 1}": places[i] for i in range(n_sources)}
     at |= {f"MP{i + 1}": places[4 + i] for i in range(n_receivers)}
     errors = rng.standard_normal((8, 3))
-    noise_db = rng.uniform(-60.0, -45.0)
+    drawn_db = rng.uniform(-60.0, -45.0)
+    noise_db = drawn_db if noise_db is None else noise_db
     true = {n: p + position_error_m * errors[_place(n)] for n, p in at.items()}
     c = speed_of_sound_m_s(Air()) * (1.0 + c_error)
     pairs = [(s, r) for s in at if s[0] == "L" for r in at if r[0] == "M"]
@@ -89,10 +99,11 @@ def write_other_box(
     if delay_s:
         responses = _delayed(lengths, absorption, true, pairs, c, delays)
     else:
-        responses = _simulated(lengths, absorption, true, pairs, c, b)
+        box = lengths, absorption, scattering
+        responses = _simulated(box, true, pairs, c, b, rate_hz)
     for (s, r), pressure in zip(pairs, responses, strict=True):
         noisy = add_noise(pressure, noise_db, rng).astype(np.float32)
-        soundfile.write(folder / f"{s}_{r}.wav", noisy, RATE_HZ, subtype="FLOAT")
+        soundfile.write(folder / f"{s}_{r}.wav", noisy, rate_hz, subtype="FLOAT")
     materials = tuple(f"material_{wall}" for wall in WALLS)
     campaign = folder / "campaign.toml"
     text = _campaign_text(lengths, materials, at, pairs, position_error_m, top_hz, specified)
@@ -138,20 +149,26 @@ def _places(rng: np.random.Generator, lengths: np.ndarray) -> np.ndarray:
 
 
 def _simulated(
-    lengths: np.ndarray,
-    absorption: np.ndarray,
+    box: tuple[np.ndarray, np.ndarray, float | None],
     places: dict[str, np.ndarray],
     pairs: list[tuple[str, str]],
     c: float,
     b: dict[str, np.ndarray],
+    rate_hz: int,
 ) -> list[np.ndarray]:
-    """Return the other program's responses of all pairs, time 0 at the emission."""
+    """Return the other program's responses of all pairs, time 0 at the emission.
+
+    `box`: lengths, absorption, and scattering, None for image sources alone.
+    """
     import pyroomacoustics as pra
 
+    lengths, absorption, scattering = box
     octaves = bands_between("octave", 125, 8000)
     names = ("west", "east", "south", "north", "floor", "ceiling")
     materials = {
-        name: pra.Material({"coeffs": list(a), "center_freqs": list(octaves.centres_hz)})
+        name: pra.Material(
+            {"coeffs": list(a), "center_freqs": list(octaves.centres_hz)}, scattering
+        )
         for name, a in zip(names, absorption, strict=True)
     }
     # every image that arrives in time: |i| + |j| + |k| is largest along (1/Lx, 1/Ly, 1/Lz)
@@ -159,16 +176,24 @@ def _simulated(
     sources = list(dict.fromkeys(s for s, _ in pairs))
     receivers = list(dict.fromkeys(r for _, r in pairs))
     room = pra.ShoeBox(
-        list(lengths), fs=RATE_HZ, materials=materials, max_order=order, air_absorption=True
+        list(lengths),
+        fs=rate_hz,
+        materials=materials,
+        max_order=order if scattering is None else HYBRID_ORDER,
+        air_absorption=True,
+        ray_tracing=scattering is not None,
     )
     room.set_sound_speed(c)
-    room.air_absorption = attenuation_per_m(Air(), octaves)
+    if scattering is not None:
+        room.set_ray_tracing(n_rays=20_000, receiver_radius=0.5)
+    heard = bands_between("octave", 125, 125.0 * 2.0 ** (room.octave_bands.n_bands - 1))
+    room.air_absorption = attenuation_per_m(Air(), heard)
     for s in sources:
         room.add_source(list(places[s]), directivity=_cardioid(b[s]))
     room.add_microphone_array(np.array([places[r] for r in receivers]).T)
     room.compute_rir()
     out = []
-    n = round(DURATION_S * RATE_HZ)
+    n = round(DURATION_S * rate_hz)
     for s, r in pairs:
         rir = np.asarray(room.rir[receivers.index(r)][sources.index(s)], dtype=np.float64)
         out.append(rir[LATE_SAMPLES : LATE_SAMPLES + n])

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from roomfit.errors import CannotTell
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.results import Result
 from roomfit.synthetic.boxes import write_measured_box

@@ -29,7 +29,7 @@ from roomfit.coverage.statistics import (
     scaled_errors,
 )
 from roomfit.errors import CannotTell
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.materials.priors import DEFAULT_MEAN
 from roomfit.results import Result

@@ -26,7 +26,7 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
 from roomfit.findings import Code
 from roomfit.geometry.mesh import volume_m3
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.inversion.measurements import observe
 from roomfit.logit import expit, logit
 from roomfit.materials.catalogue import material_prior

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from roomfit.batch import identify_rooms
-from roomfit.inversion.identify import compile_kernels
+from roomfit.identification import compile_kernels
 from roomfit.synthetic.boxes import demo_plan, write_measured_box
 from roomfit.workers import cluster_pool, completed, result_of
 

@@ -30,7 +30,7 @@ from roomfit.experiment_design.candidates import compatible_positions
 from roomfit.experiment_design.choose import Criterion, Rules, random_design
 from roomfit.experiment_design.design import Design, design
 from roomfit.experiment_design.output import design_gain, design_map, mean_widths
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.inputs import load_campaign
 from roomfit.report.figures import png

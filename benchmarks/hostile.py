@@ -19,7 +19,7 @@ import argparse
 import math
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -32,7 +32,7 @@ import roomfit
 from _other_box import write_other_box
 from roomfit.errors import CannotTell, InputError
 from roomfit.findings import Code
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.materials.priors import MaterialPrior, unknown_material
 from roomfit.results import Result
@@ -361,19 +361,43 @@ FAULTS: dict[str, Fault] = {
 }
 
 
-def box(seed: int, n_pairs: int) -> Case:
-    """Return a box of the other program."""
+def box(
+    seed: int,
+    n_pairs: int,
+    bands: roomfit.Bands = BANDS,
+    scattering: float = 0.0,
+    simulated: Mapping[str, Any] | None = None,
+) -> Case:
+    """Return a box of the other program.
+
+    `scattering` is what is specified of every wall; `simulated` are further arguments of
+    `write_other_box`.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        made = write_other_box(seed, Path(folder), n_pairs=n_pairs)
-        arguments: dict[str, Any] = dict(load_campaign(made.campaign))
-    by_name = {k.name: k for k in arguments["materials"]}
+        made = write_other_box(seed, Path(folder), n_pairs=n_pairs, **(simulated or {}))
+        arguments = load_campaign(made.campaign)
+    truth = dict(zip(made.materials, made.absorption_at(bands.centres_hz), strict=True))
+    return described(arguments, truth, bands, scattering)
+
+
+def described(
+    arguments: Mapping[str, Any],
+    truth: Mapping[str, FloatArray],
+    bands: roomfit.Bands,
+    scattering: float,
+) -> Case:
+    """Return a case in these bands with broad priors.
+
+    `truth` is the absorption of each material, (n_bands,); `scattering` is specified of each.
+    """
     names = arguments["scene"].room.materials
+    n = len(bands)
     priors = tuple(
-        replace(unknown_material(n, len(BANDS)), scattering=np.zeros(len(BANDS))) for n in by_name
+        replace(unknown_material(name, n), scattering=np.full(n, scattering)) for name in names
     )
-    arguments |= {"bands": BANDS, "materials": priors}
-    rows = [made.materials.index(n) for n in names]
-    return Case(arguments, made.absorption_at(BANDS.centres_hz)[rows])
+    return Case(
+        {**arguments, "bands": bands, "materials": priors}, np.array([truth[k] for k in names])
+    )
 
 
 def measured_room(data: Path) -> Case:

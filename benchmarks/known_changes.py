@@ -36,15 +36,15 @@ from matplotlib import pyplot as plt
 
 import roomfit
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
-from roomfit.eyring import eyring_time_s
-from roomfit.geometry.mesh import surface_area_m2, volume_m3
-from roomfit.inversion.measurements import collect_measurements
-from roomfit.inversion.paths import traced_paths
-from roomfit.inversion.reflections import (
+from roomfit.diagnostics.reflections import (
     IsolatedReflection,
     isolated_reflections,
     wall_returns,
 )
+from roomfit.eyring import eyring_time_s
+from roomfit.geometry.mesh import surface_area_m2, volume_m3
+from roomfit.inversion.measurements import collect_measurements
+from roomfit.inversion.paths import traced_paths
 from roomfit.logit import Z95, logit
 from roomfit.materials.priors import MaterialPrior, complete_priors, unknown_material
 from roomfit.prediction.changes import Change

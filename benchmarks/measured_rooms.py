@@ -30,7 +30,7 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.inversion.measurements import collect_measurements
 from roomfit.io.campaign import read_campaign
 from roomfit.io.inputs import identify_arguments, load_campaign

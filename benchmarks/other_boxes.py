@@ -31,7 +31,7 @@ import numpy as np
 
 from _other_box import OtherBox, write_other_box
 from roomfit.findings import Code
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.results import Result
 

@@ -18,7 +18,7 @@ import soundfile
 
 from _other_box import OtherBox, write_other_box
 from roomfit.findings import Code
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 
 KINDS = ("none", "clipped", "room", "gain", "swapped", "position")

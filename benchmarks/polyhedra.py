@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.inputs import identify_arguments
 from roomfit.results import Result

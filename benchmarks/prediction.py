@@ -18,7 +18,7 @@ import soundfile
 
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.io.campaign import input_files, read_campaign
 from roomfit.io.inputs import identify_arguments
 from roomfit.io.results import read_result, write_result

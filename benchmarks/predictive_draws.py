@@ -38,7 +38,7 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import Mesh, Surface
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.inversion.measurements import observe
 from roomfit.io.campaign import read_campaign
 from roomfit.io.inputs import identify_arguments

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from roomfit.findings import Code
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.results import Result
 from roomfit.settings import Model

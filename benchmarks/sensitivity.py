@@ -22,7 +22,7 @@ import numpy as np
 
 from _misspecified import FAULTS, Fault, true_absorption_of, write_misspecified
 from roomfit.findings import Code
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.results import Result
 

@@ -33,7 +33,7 @@ SATELLITES = (
     "treatment",
 )
 # What `identify` works with in the first place; commands, reports and files come on top of it.
-FRONT = "inversion.identify"
+FRONT = "identification"
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +198,7 @@ def deepest_stacks() -> tuple[list[str], list[str]]:
 
     import numpy as np
 
-    from roomfit.inversion.identify import identify
+    from roomfit.identification import identify
     from roomfit.io.inputs import load_campaign
     from roomfit.synthetic.boxes import demo_plan, write_measured_box
 

@@ -22,16 +22,16 @@ from typing import Any
 import numba
 import numpy as np
 
+import roomfit.identification as whole
 import roomfit.inversion.bands as bands
 import roomfit.inversion.coherent as coherent
 import roomfit.inversion.directivity as directivity
 import roomfit.inversion.displacement as displacement
-import roomfit.inversion.identify as whole
 import roomfit.inversion.sequential as sequential
 import roomfit.inversion.solve as solve
 import roomfit.uncertainty.intervals as intervals
 from _other_box import write_other_box
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.objective.problem import Objective
 from roomfit.solvers.least_squares import BandFit
@@ -42,10 +42,10 @@ STAGES = (
     ("energies, before pressures", coherent, "initialise"),
     ("energies, with outliers", coherent, "rebuild"),
     ("pressures, low to high", coherent, "forward_pass"),
-    ("pressures, what is fixed set free", coherent, "fixed_parameter_checks"),
+    ("pressures, what is fixed set free", coherent, "freed_parameters"),
     ("pressures, each under all others", coherent, "leave_one_out_pass"),
     ("energies, where they decide", coherent, "fit_band"),
-    ("findings of the chain", coherent, "chain_findings"),
+    ("score tests of the chain", coherent, "chain_scores"),
     ("errors that windows share", coherent, "with_shared_errors"),
     ("certificates", coherent, "affordable_certificate"),
     ("energies, without pressures", solve, "fit_bands"),
@@ -55,7 +55,7 @@ STAGES = (
     ("displacements", displacement, "located"),
     ("displacements", whole, "located"),
     ("answer, prediction of pairs", whole, "combine"),
-    ("other findings", whole, "_findings"),
+    ("checks", whole, "examine"),
 )
 COUNTED = ("fits", "converged", "predict", "expected", "variance")
 FITS = ("fit_band", "score_band")

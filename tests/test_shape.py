@@ -72,15 +72,15 @@ def test_the_counts_see_what_they_count() -> None:
         "def f(a, b, c, d, e, g, h, i, j): ...\n"
         "@kernel\ndef k(a, b, c, d, e, g, h, i, j): ...\n"
         "f(*(1, 2), 3)\nf(*x)\n"
-        "from roomfit.inversion.identify import identify\n"
+        "from roomfit.identification import identify\n"
     )
     (first, second) = (n for n in tree.body if isinstance(n, ast.FunctionDef))
     assert shape.n_parameters(first) == 9
     assert [shape.is_compiled(f) for f in (first, second)] == [False, True]
     module = shape.Module("made", shape.SOURCE, tree, 5)
     assert [line for _, line in shape.splats([module])] == [4]
-    assert shape.imported(module, NAMES) == {"inversion.identify"}
-    assert Counter(m.name for m in FOUND)["inversion.identify"] == 1
+    assert shape.imported(module, NAMES) == {"identification"}
+    assert Counter(m.name for m in FOUND)["identification"] == 1
 
 
 @pytest.mark.slow

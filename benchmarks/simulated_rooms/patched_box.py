@@ -62,17 +62,31 @@ def patched_response(
     The patch takes part of its wall's hits and adds no delay.
     """
     steps, hits, _ = box_lattice(synthetic, source_m, receiver_m, duration_s)
-    on_patch = patch_hits(synthetic.lengths_m, patch, receiver_m, steps)
-    wall = WALLS.index(patch.wall)
+    images, both = parted_hits(synthetic, patch, receiver_m, steps, hits)
+    return pressure_of_images(images, both, duration_s, sampling_rate_hz, level_db)
+
+
+def parted_hits(
+    synthetic: SyntheticBox,
+    patch: Patch,
+    receiver_m: FloatArray,
+    steps_m: FloatArray,
+    hits: FloatArray,
+) -> tuple[tuple[FloatArray, FloatArray], SyntheticBox]:
+    """Return lengths and hits of the images of `box_lattice`, and their walls with the patch last.
+
+    Hits have the shape (n_images, 7).
+    """
+    on_patch = patch_hits(synthetic.lengths_m, patch, receiver_m, steps_m)
     parted = np.column_stack((hits, on_patch)).astype(np.float64)
-    parted[:, wall] -= on_patch
+    parted[:, WALLS.index(patch.wall)] -= on_patch
     both = replace(
         synthetic,
         absorption=np.vstack((synthetic.absorption, patch.absorption)),
         delays_s=(*synthetic.delays_s, 0.0),
     )
-    lengths = np.asarray(np.linalg.norm(steps, axis=0), dtype=np.float64)
-    return pressure_of_images((lengths, parted), both, duration_s, sampling_rate_hz, level_db)
+    lengths = np.asarray(np.linalg.norm(steps_m, axis=0), dtype=np.float64)
+    return (lengths, parted), both
 
 
 def patch_hits(

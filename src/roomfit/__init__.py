@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from roomfit.commands import export_result
     from roomfit.coverage.estimate import estimate_coverage
     from roomfit.coverage.synthetic_room import CoverageSettings
+    from roomfit.diagnostics.usable import check_recordings
     from roomfit.errors import CannotTell, InputError, RoomfitError, StoreError
     from roomfit.experiment_design.campaign import design_arguments
     from roomfit.experiment_design.candidates import DesignOptions
     from roomfit.experiment_design.design import design
     from roomfit.findings import Finding
+    from roomfit.identification import identify
     from roomfit.impedance.data import Observed
     from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
-    from roomfit.inversion.identify import identify
-    from roomfit.inversion.usable import check_recordings
     from roomfit.io.campaign import read_campaign
     from roomfit.io.inputs import load_campaign
     from roomfit.io.iso3382 import read_parameters
@@ -107,8 +107,8 @@ _HOME = {
     "estimate_coverage": "coverage.estimate",
     "export_result": "commands",
     "Finding": "findings",
-    "identify": "inversion.identify",
-    "check_recordings": "inversion.usable",
+    "identify": "identification",
+    "check_recordings": "diagnostics.usable",
     "identify_impedance": "impedance.identify",
     "ImpedanceSettings": "impedance.identify",
     "InputError": "errors",

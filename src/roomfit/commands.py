@@ -39,16 +39,18 @@ from roomfit.typing import FloatArray, Progress, part
 if TYPE_CHECKING:
     from roomfit.coverage.estimate import CoverageResult
     from roomfit.coverage.synthetic_room import CoverageSettings
+    from roomfit.diagnostics.usable import CheckedRecordings
     from roomfit.experiment_design.design import Design
     from roomfit.findings import Finding
     from roomfit.inversion.diffuse import DiffuseAbsorption
-    from roomfit.inversion.usable import CheckedRecordings
     from roomfit.io.rooms.model import RoomSpec
+    from roomfit.measurement import Measurement
     from roomfit.prediction.campaign import WantedPairs
     from roomfit.prediction.changes import Change
     from roomfit.prediction.predict import Predicted
     from roomfit.report.comparison import Comparison
     from roomfit.results import Result
+    from roomfit.scene import Scene
     from roomfit.treatment.treat import Treatment
 
 _LOG = logging.getLogger("roomfit")
@@ -77,7 +79,7 @@ def check_campaign_recordings(
     StoreError
         The disk refuses.
     """
-    from roomfit.inversion.usable import check_recordings
+    from roomfit.diagnostics.usable import check_recordings
 
     if out is not None:
         check_output_folder(out, overwrite=overwrite)
@@ -283,19 +285,21 @@ def export_result(
         _check_place(out, overwrite)
         write_bytes_atomically(out, _whole_export(Path(result_file), wanted, campaign_file))
         return ExportedFiles((out,), ())
-    texts, findings = export_materials(
-        read_material_table(result_file),
-        wanted,
-        Settings().default_scattering if scattering is None else scattering,
-    )
-    if "" not in texts:
-        with whole_output_folder(out, overwrite=overwrite) as folder:
-            for name, text in texts.items():
-                write_text_atomically(folder / name, text)
-        return ExportedFiles(tuple(out / name for name in texts), findings)
-    _check_place(out, overwrite)
-    write_text_atomically(out, texts[""])
-    return ExportedFiles((out,), findings)
+    usual = Settings().default_scattering if scattering is None else scattering
+    texts, findings = export_materials(read_material_table(result_file), wanted, usual)
+    return ExportedFiles(_write_texts(out, texts, overwrite), findings)
+
+
+def _write_texts(out: Path, texts: Mapping[str, str], overwrite: bool) -> tuple[Path, ...]:
+    """Write texts by their names into a folder, or the one without a name into a file."""
+    if "" in texts:
+        _check_place(out, overwrite)
+        write_text_atomically(out, texts[""])
+        return (out,)
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        for name, text in texts.items():
+            write_text_atomically(folder / name, text)
+    return tuple(out / name for name in texts)
 
 
 def _whole_export(result_file: Path, wanted: str, campaign_file: Path | None) -> bytes:
@@ -572,60 +576,81 @@ def listen_to_folder(
     StoreError
         The disk refuses.
     """
-    import soundfile
-
-    from roomfit.io.responses import read_response
-    from roomfit.io.responses.recordings import ResponseSpec
     from roomfit.io.results import read_result
     from roomfit.measurement import Measurement
     from roomfit.prediction.campaign import predict_arguments
-    from roomfit.prediction.listen import convolved, listen
+    from roomfit.prediction.listen import listen
     from roomfit.prediction.output import listen_content
-    from roomfit.report.figures import in_file_name
 
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
-    arguments = predict_arguments(
-        campaign, read_result(absorption_file), changes, "campaign", state
-    )
+    found = read_result(absorption_file)
+    arguments = predict_arguments(campaign, found, changes, "campaign", state)
     measured = [m for m in arguments["measurements"] if isinstance(m, Measurement)]
     known, settings = arguments["absorption"], arguments["settings"]
-    recording = None if dry is None else read_response(ResponseSpec(dry))[0]
-    if recording is not None and measured:
-        _check_rate(recording.sampling_rate_hz, measured[0].response.sampling_rate_hz, str(dry))
+    recorded = None if dry is None else _dry_pressure(dry, measured)
     with located(str(campaign_file)):
         made, findings = listen(
             arguments["scene"], known, changes, measured, settings=settings, progress=progress
         )
     sounds = [{"before": c.measurement.response.pressure, "after": c.samples} for c in made]
-    factor = None
-    if recording is not None:
-        wet = [{f"dry_{k}": convolved(recording.pressure, x) for k, x in s.items()} for s in sounds]
-        factor = 0.5 / max(float(np.abs(x).max()) for s in wet for x in s.values())
-        scaled = [{k: factor * x for k, x in s.items()} for s in wet]
-        sounds = [s | w for s, w in zip(sounds, scaled, strict=True)]
     content = listen_content(known.bands, changes, made, findings, files_read())
-    content["dry_factor"] = factor
+    content["dry_factor"] = None
+    if recorded is not None:
+        sounds, content["dry_factor"] = _with_dry(sounds, recorded)
     with whole_output_folder(out, overwrite=overwrite) as folder:
-        for i, (c, sound) in enumerate(zip(made, sounds, strict=True)):
-            m = c.measurement
-            stem = f"{i + 1:02d}_{in_file_name(m.source, m.receiver)}"
-            content["responses"][i]["files"] = {kind: f"{stem}_{kind}.wav" for kind in sound}
-            rate_hz = round(m.response.sampling_rate_hz)
-            for kind, x in sound.items():
-                soundfile.write(folder / f"{stem}_{kind}.wav", x, rate_hz, subtype="FLOAT")
+        for i, (c, sound) in enumerate(zip(made, sounds, strict=True), start=1):
+            files = _write_sounds(folder, i, c.measurement, sound)
+            content["responses"][i - 1]["files"] = files
         write_json_atomically(folder / "listen.json", content)
     return content
 
 
-def _check_rate(found_hz: float, needed_hz: float, where: str) -> None:
-    if found_hz != needed_hz:
+def _with_dry(
+    sounds: Sequence[dict[str, FloatArray]], dry: FloatArray
+) -> tuple[list[dict[str, FloatArray]], float]:
+    """Return responses with what a dry recording becomes in each, and the factor of all of these.
+
+    The loudest then has a peak of half.
+    """
+    from roomfit.prediction.listen import convolved
+
+    wet = [{f"dry_{k}": convolved(dry, x) for k, x in s.items()} for s in sounds]
+    factor = 0.5 / max(float(np.abs(x).max()) for s in wet for x in s.values())
+    scaled = [{k: factor * x for k, x in s.items()} for s in wet]
+    return [s | w for s, w in zip(sounds, scaled, strict=True)], factor
+
+
+def _write_sounds(
+    folder: Path, number: int, measurement: Measurement, sounds: Mapping[str, FloatArray]
+) -> dict[str, str]:
+    """Write the sounds of a pair as WAV files; return their names by kind."""
+    import soundfile
+
+    from roomfit.report.figures import in_file_name
+
+    stem = f"{number:02d}_{in_file_name(measurement.source, measurement.receiver)}"
+    names = {kind: f"{stem}_{kind}.wav" for kind in sounds}
+    rate_hz = round(measurement.response.sampling_rate_hz)
+    for kind, x in sounds.items():
+        soundfile.write(folder / names[kind], x, rate_hz, subtype="FLOAT")
+    return names
+
+
+def _dry_pressure(file: Path, measured: Sequence[Measurement]) -> FloatArray:
+    """Return the samples of a dry recording, which has the sampling rate of the responses."""
+    from roomfit.io.responses import read_response
+    from roomfit.io.responses.recordings import ResponseSpec
+
+    dry = read_response(ResponseSpec(file))[0]
+    if measured and dry.sampling_rate_hz != measured[0].response.sampling_rate_hz:
         raise InputError(
             "the dry recording has another sampling rate than the responses",
-            where=where,
-            found=f"{found_hz:g} Hz",
-            needed=f"{needed_hz:g} Hz",
+            where=str(file),
+            found=f"{dry.sampling_rate_hz:g} Hz",
+            needed=f"{measured[0].response.sampling_rate_hz:g} Hz",
         )
+    return dry.pressure
 
 
 def estimate_coverage_to_folder(
@@ -700,12 +725,9 @@ def identify_to_folder(
     StoreError
         The disk refuses.
     """
-    from roomfit.inversion.identify import identify
+    from roomfit.identification import identify
     from roomfit.inversion.measurements import measured_scene
     from roomfit.io.project import project_details
-    from roomfit.io.results import write_result
-    from roomfit.report.figures import answer_figures, write_pictures
-    from roomfit.report.html import report_html
 
     check_output_folder(out, overwrite=overwrite)  # now rather than after minutes of work
     campaign = read_campaign(campaign_file)
@@ -717,24 +739,42 @@ def identify_to_folder(
         answer = identify(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
     if answered is not None:
         answered(answer)
+    scene = measured_scene(arguments["scene"], arguments["measurements"])
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        _write_answer(folder, answer, scene, campaign_file, project, part(progress, 0.95, 1.0))
+    return answer
+
+
+def _write_answer(
+    folder: Path,
+    answer: Result,
+    scene: Scene,
+    campaign_file: Path,
+    project: dict[str, str],
+    progress: Progress | None,
+) -> None:
+    """Write result and report, and pictures beside it unless the answer is a quick one."""
+    from roomfit.io.results import write_result
+    from roomfit.report.figures import answer_figures, write_pictures
+    from roomfit.report.html import report_html
+    from roomfit.report.usable import remaining_usable
+
     inputs = tuple(files_read())
     figures = answer_figures(answer)
     page = report_html(
         answer,
-        measured_scene(arguments["scene"], arguments["measurements"]),
+        scene,
         title=project.pop("title", f"Absorption: {campaign_file.stem}"),
         campaign=campaign_file.name,
         inputs_sha256=input_digests(inputs),
         project=project,
         figures=figures,
     )
-    with whole_output_folder(out, overwrite=overwrite) as folder:
-        write_result(folder, answer, inputs)
-        write_text_atomically(folder / "report.html", page)
-        if not quick:
-            _LOG.info("drawing")
-            write_pictures(folder, answer, part(progress, 0.95, 1.0), figures)
-    return answer
+    write_result(folder, answer, inputs, remaining_usable(answer))
+    write_text_atomically(folder / "report.html", page)
+    if not answer.settings.quick:
+        _LOG.info("drawing")
+        write_pictures(folder, answer, progress, figures)
 
 
 @sole_writer

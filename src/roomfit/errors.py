@@ -7,7 +7,7 @@ owns the disk (`StoreError`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 
@@ -20,6 +20,8 @@ class RoomfitError(Exception):
         One short sentence without a full stop.
     where, found, needed, hint : str, optional
         The file, line or name concerned; what stood there; what should; what to try.
+    points_m : sequence of x, y, z, optional
+        Places in the room, for whoever draws it.
     """
 
     def __init__(
@@ -30,12 +32,14 @@ class RoomfitError(Exception):
         found: str | None = None,
         needed: str | None = None,
         hint: str | None = None,
+        points_m: Sequence[tuple[float, float, float]] = (),
     ) -> None:
         self.what = what
         self.where = where
         self.found = found
         self.needed = needed
         self.hint = hint
+        self.points_m = tuple(points_m)
         rows = (("where", where), ("found", found), ("needed", needed), ("try", hint))
         lines = [f"  {key:<7} {_shown(text)}" for key, text in rows if text]
         super().__init__("\n".join([what, *lines]))
@@ -73,4 +77,5 @@ def located(place: str) -> Iterator[None]:
             found=error.found,
             needed=error.needed,
             hint=error.hint,
+            points_m=error.points_m,
         ) from error

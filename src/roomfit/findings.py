@@ -17,8 +17,10 @@ from roomfit.errors import InputError
 Severity = Literal["info", "warning", "serious"]
 
 
-# For codes that leave the description of the room in doubt as a whole.
-_VOIDS = True
+# For codes that leave the description of the room in doubt as a whole, and for those that void
+# what they are about and nothing else.
+_VOIDS: Literal["everything"] = "everything"
+_VOIDS_ITS_OWN: Literal["its own"] = "its own"
 
 
 class Code(StrEnum):
@@ -36,6 +38,9 @@ class Code(StrEnum):
         Whether the description of the room is then in doubt as a whole, so that no absorption
         counts as identifiable but those that the campaign fixes: any other compensates for what
         is described wrongly.
+    voids_its_own : bool
+        Whether the absorptions that a finding is about, and no others, are not identifiable; of a
+        code that is graded, in its gravest form only.
 
     Examples
     --------
@@ -48,15 +53,20 @@ class Code(StrEnum):
     _value_: str
     severities: tuple[Severity, ...]
     voids_identifiability: bool
+    voids_its_own: bool
 
     def __new__(
-        cls, text: str, severity: Severity | tuple[Severity, ...], voids: bool = False
+        cls,
+        text: str,
+        severity: Severity | tuple[Severity, ...],
+        voids: Literal["", "everything", "its own"] = "",
     ) -> Self:
         """Make the member that stands in files as `text`."""
         member = str.__new__(cls, text)
         member._value_ = text
         member.severities = (severity,) if isinstance(severity, str) else severity
-        member.voids_identifiability = voids
+        member.voids_identifiability = voids == _VOIDS
+        member.voids_its_own = voids == _VOIDS_ITS_OWN
         return member
 
     @property
@@ -68,8 +78,8 @@ class Code(StrEnum):
 
     MODEL_DOES_NOT_FIT = "model-does-not-fit", "warning"
     MODEL_MISFIT_ALL_BANDS = "model-misfit-all-bands", "serious", _VOIDS
-    DECAY_NOT_REPRODUCED = "decay-not-reproduced", "serious"
-    REFLECTION_DISAGREES = "reflection-disagrees", ("warning", "serious")
+    DECAY_NOT_REPRODUCED = "decay-not-reproduced", "serious", _VOIDS_ITS_OWN
+    REFLECTION_DISAGREES = "reflection-disagrees", ("warning", "serious"), _VOIDS_ITS_OWN
     FIT_NOT_CONVERGED = "fit-not-converged", "warning"
     NOT_CERTIFIED = "not-certified", "warning"
     MULTIPLE_MINIMA_CERTIFIED = "multiple-minima-certified", "warning"
@@ -79,7 +89,7 @@ class Code(StrEnum):
     BAND_NOT_FITTED = "band-not-fitted", "warning"
     MATERIAL_NOT_REACHED = "material-not-reached", "warning"
     MATERIALS_NOT_SEPARABLE = "materials-not-separable", "warning"
-    MIRROR_AMBIGUITY = "mirror-ambiguity", "warning"
+    MIRROR_AMBIGUITY = "mirror-ambiguity", "warning", _VOIDS_ITS_OWN
     BELOW_SCHROEDER_FREQUENCY = "below-schroeder-frequency", "warning"
 
     # Positions, walls, sources and scattering as they were specified.
@@ -239,8 +249,9 @@ def code_of(text: object, where: str) -> Code:
 class About:
     """What a finding concerns; each field that is empty sets no limit, all of them: everything.
 
-    A finding about two bands and one material concerns that material in these bands. Sequences of
-    any kind are taken, and kept as tuples.
+    A finding about two bands and one material concerns that material in these bands; where not
+    every material in every band is concerned, `entries` says which. Sequences of any kind are
+    taken, and kept as tuples.
 
     Examples
     --------
@@ -255,22 +266,30 @@ class About:
     pairs: Sequence[tuple[str, str]] = ()  # source and receiver
     files: Sequence[str] = ()  # as the campaign names them
     points_m: Sequence[tuple[float, float, float]] = ()  # places in the room's frame
+    entries: Sequence[tuple[str, float]] = ()  # materials, each in one band
 
     def __post_init__(self) -> None:
         for name in ("materials", "files"):
             object.__setattr__(self, name, tuple(str(x) for x in getattr(self, name)))
         object.__setattr__(self, "bands_hz", tuple(float(f) for f in self.bands_hz))
         object.__setattr__(self, "pairs", tuple((str(a), str(b)) for a, b in self.pairs))
+        object.__setattr__(self, "entries", tuple((str(m), float(f)) for m, f in self.entries))
         points = tuple((float(x), float(y), float(z)) for x, y, z in self.points_m)
         object.__setattr__(self, "points_m", points)
 
     def concerns(self, material: str, band_hz: float) -> bool:
         """Return whether the absorption of a material in a band is concerned."""
-        return (not self.materials or material in self.materials) and self.in_band(band_hz)
+        return (
+            (not self.materials or material in self.materials)
+            and self.in_band(band_hz)
+            and (not self.entries or (material, band_hz) in self.entries)
+        )
 
     def in_band(self, band_hz: float) -> bool:
         """Return whether a band is concerned, of whichever materials."""
-        return not self.bands_hz or band_hz in self.bands_hz
+        return (not self.bands_hz or band_hz in self.bands_hz) and (
+            not self.entries or any(own == band_hz for _, own in self.entries)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

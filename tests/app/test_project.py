@@ -15,7 +15,9 @@ pytest.importorskip("tomlkit", reason="the workbench needs the extra app")
 
 from roomfit.app import project, views
 from roomfit.app.jobs import Job, Jobs, Worker
-from roomfit.errors import InputError
+from roomfit.errors import InputError, located
+from roomfit.findings import About, Code, Finding
+from roomfit.geometry.mesh import refuse
 from roomfit.io.campaign import read_campaign
 
 
@@ -99,7 +101,81 @@ def test_a_fault_of_the_geometry_is_shown_where_it_is(tmp_path: Path) -> None:
     view = views.room_view(nothing, str(tmp_path))
     assert not view["traceable"]
     serious = [f for f in view["findings"] if f["severity"] == "serious"]
-    assert serious and any(f["points_m"] for f in serious)
+    assert serious and any(f["about"].get("points_m") for f in serious)
+
+
+def test_an_error_of_a_finding_has_its_points_also_where_a_file_is_put_before_it() -> None:
+    doubt = Finding(Code.POSITION_OUTSIDE, About(points_m=[(1.0, 2.0, 9.0)]), "Near (7, 7, 7) m.")
+    with pytest.raises(InputError) as caught, located("campaign.toml"):
+        refuse([doubt])
+    assert caught.value.points_m == ((1.0, 2.0, 9.0),)
+    assert views.fault(caught.value)["about"] == {"points_m": [[1.0, 2.0, 9.0]]}
+    assert views.fault(InputError("Near (7, 7, 7) m"))["about"] == {}
+
+
+@pytest.mark.parametrize(
+    ("about", "expected"),
+    [
+        (About(), []),
+        (About(files=["a.wav"]), [0, 2]),
+        (About(files=["one/a.wav"]), [0]),
+        (About(files=["/project/two/a.wav[channel 2]"]), [2]),
+        (About(files=["b.wav", "two/a.wav"]), [1, 2]),
+        (About(files=["c.wav"]), []),
+        (About(pairs=[("S1", "R1")]), [0, 1]),
+        (About(files=["a.wav"], pairs=[("S1", "R1")]), [0]),
+    ],
+)
+def test_a_finding_goes_to_the_recordings_whose_file_or_pair_it_is_about(
+    about: About, expected: list[int]
+) -> None:
+    rows = [
+        {"file": "one/a.wav", "source": "S1", "receiver": "R1"},
+        {"file": "one/b.wav", "source": "S1", "receiver": "R1"},
+        {"file": "two/a.wav", "source": "S2", "receiver": "R1"},
+    ]
+    assert [rows.index(row) for row in views.concerned_recordings(about, rows)] == expected
+
+
+def write_result(folder: Path, findings: list[dict[str, object]], usable: list[str]) -> None:
+    own = {"absorption": [0.3], "lower95": [0.2], "upper95": [0.4]}
+    own |= {"identifiable": [True], "area_m2": 12.0}
+    content = {
+        "bands_hz": [1000.0],
+        "materials": dict.fromkeys(("walls", "floor", "ceiling", "door", "glass"), own),
+        "findings": findings,
+        "fit": {},
+        **({"usable": usable} if usable else {}),
+    }
+    (folder / "first").mkdir(exist_ok=True)
+    (folder / "first" / "result.json").write_text(json.dumps(content))
+
+
+def test_a_finding_stands_at_the_materials_that_it_is_about_not_at_those_that_it_mentions(
+    box: Path,
+) -> None:
+    """Files of an older version say of no finding what it is about."""
+    own = {"code": "prior-dominated", "severity": "warning", "evidence": {"walls": 1}}
+    own |= {"sentence": "The echoes of the walls and of the floor differ."}
+    named = [["floor"], ["glass", "gone"], ["walls", "floor", "ceiling", "door"]]
+    write_result(box, [own, *({**own, "about": {"materials": m}} for m in named)], [])
+    view = views.result_view(nothing, str(box), "first")
+    assert view is not None
+    assert [f["beside"] for f in view["findings"]] == [[], ["floor"], ["glass"], []]
+
+
+def test_what_remains_usable_is_shown_where_a_finding_voids_and_not_elsewhere(box: Path) -> None:
+    own = {"severity": "serious", "sentence": "A doubt.", "evidence": {}}
+    for code, expected in (
+        (Code.DISPLACEMENT_DETECTED, ["The mean holds."]),
+        (Code.PRIOR_DOMINATED, []),
+    ):
+        write_result(box, [{**own, "code": code.value}], ["The mean holds."])
+        view = views.result_view(nothing, str(box), "first")
+        assert view is not None and view["usable"] == expected
+    write_result(box, [{**own, "code": "displacement-detected"}], [])
+    view = views.result_view(nothing, str(box), "first")
+    assert view is not None and view["usable"] == []
 
 
 def test_names_become_sources_and_receivers_whose_places_are_asked_for(box: Path) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import copy
-from collections.abc import Awaitable, Callable
+import re
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,24 +16,18 @@ pytest.importorskip("nicegui", reason="the workbench needs the extra app")
 from nicegui import Client, ui
 from nicegui.page import page
 
-from roomfit.app import (
-    elements,
-    identify_tab,
-    measurements_tab,
-    project,
-    room_tab,
-    views,
-    what_if_tab,
-)
+import shape
+from roomfit.app import elements, project, views
+from roomfit.app import page as own_page
+from roomfit.app.identify_tab import IdentifyTab
 from roomfit.app.jobs import Jobs
+from roomfit.app.measurements_tab import MeasurementsTab
+from roomfit.app.report_tab import ReportTab
+from roomfit.app.room_tab import RoomTab
+from roomfit.app.what_if_tab import Changes, WhatIfTab
 from roomfit.errors import InputError
 
-BUILD = {
-    "Room": room_tab.build,
-    "Measurements": measurements_tab.build,
-    "Identify": identify_tab.build,
-    "What if": what_if_tab.build,
-}
+ASKING = {tab.name: tab for tab in own_page.TABS if tab is not ReportTab}
 
 
 class Bench:
@@ -41,6 +36,9 @@ class Bench:
     def __init__(self, folder: Path) -> None:
         self.folder, self.jobs, self.what_if = folder, Jobs(), self
         self.asked: list[asyncio.Future[Any]] = []
+
+    def stamp(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        return names
 
     async def ask(self, *_: Any, **__: Any) -> Any:
         self.asked.append(asyncio.get_running_loop().create_future())
@@ -58,10 +56,11 @@ def answers(name: str, folder: Path) -> tuple[dict[str, Any], dict[str, Any], st
         return old, {**old, "volume_m3": 777.0}, "777.0 m³"
     if name == "Measurements":
         old = views.recordings_view(lambda _: None, str(folder), project.SHAPE)
-        finding = {"code": "x", "severity": "info", "sentence": "It is new."}
+        finding = {"code": "x", "severity": "info", "sentence": "It is new.", "about": {}}
         return old, {**old, "findings": [finding]}, "It is new."
     if name == "Identify":
-        table = {"bands_hz": [1000.0], "materials": {}, "findings": [], "stale": False}
+        table = {"bands_hz": [1000.0], "materials": {}, "findings": [], "usable": []}
+        table |= {"stale": False}
         return (
             {**table, "plan": ["old"], "made": 1.0},
             {**table, "plan": ["new"], "made": 2.0},
@@ -87,27 +86,25 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-async def ask(
-    bench: Bench, refresh: Callable[[], Awaitable[None]]
-) -> tuple[asyncio.Future[Any], asyncio.Future[None]]:
+async def ask(bench: Bench, tab: own_page.Tab) -> tuple[asyncio.Future[Any], asyncio.Future[None]]:
     """Let a tab ask; return its question, still open, and the tab that waits for it."""
-    waiting = asyncio.ensure_future(refresh())
+    waiting = asyncio.ensure_future(tab.refresh())
     n_asked = len(bench.asked)
     while len(bench.asked) == n_asked:
         await asyncio.sleep(0)
     return bench.asked[-1], waiting
 
 
-@pytest.mark.parametrize("name", BUILD)
+@pytest.mark.parametrize("name", ASKING)
 def test_an_older_answer_never_replaces_a_newer_one(name: str, folder: Path) -> None:
     old, new, word = answers(name, folder)
 
     async def late() -> None:
         client, bench = Client(page("/")), Bench(folder)
         with client:
-            refresh = BUILD[name](bench)  # type: ignore[arg-type]
-        asked_first, first = await ask(bench, refresh)
-        asked_last, last = await ask(bench, refresh)
+            tab = ASKING[name](bench)  # type: ignore[arg-type]
+        asked_first, first = await ask(bench, tab)
+        asked_last, last = await ask(bench, tab)
         asked_last.set_result(copy.deepcopy(new))
         await last
         assert word in shown(client)
@@ -118,7 +115,7 @@ def test_an_older_answer_never_replaces_a_newer_one(name: str, folder: Path) -> 
     asyncio.run(late())
 
 
-@pytest.mark.parametrize("name", BUILD)
+@pytest.mark.parametrize("name", ASKING)
 def test_an_equal_answer_leaves_everything_where_it_is(name: str, folder: Path) -> None:
     """What stays keeps the focus, what is half typed or open, and a click under way."""
     _, new, word = answers(name, folder)
@@ -126,10 +123,10 @@ def test_an_equal_answer_leaves_everything_where_it_is(name: str, folder: Path) 
     async def twice() -> None:
         client, bench = Client(page("/")), Bench(folder)
         with client:
-            refresh = BUILD[name](bench)  # type: ignore[arg-type]
+            tab = ASKING[name](bench)  # type: ignore[arg-type]
         drawn = []
         for _ in range(2):
-            asked, waiting = await ask(bench, refresh)
+            asked, waiting = await ask(bench, tab)
             asked.set_result(copy.deepcopy(new))
             await waiting
             drawn.append(set(client.elements))
@@ -138,15 +135,15 @@ def test_an_equal_answer_leaves_everything_where_it_is(name: str, folder: Path) 
     asyncio.run(twice())
 
 
-@pytest.mark.parametrize("name", BUILD)
+@pytest.mark.parametrize("name", ASKING)
 def test_an_answer_to_a_page_that_was_closed_disturbs_nobody(name: str, folder: Path) -> None:
     _, new, _ = answers(name, folder)
 
     async def closed() -> None:
         client, bench = Client(page("/")), Bench(folder)
         with client:
-            refresh = BUILD[name](bench)  # type: ignore[arg-type]
-        asked, waiting = await ask(bench, refresh)
+            tab = ASKING[name](bench)  # type: ignore[arg-type]
+        asked, waiting = await ask(bench, tab)
         client.remove_all_elements()
         asked.set_result(copy.deepcopy(new))
         await waiting
@@ -161,21 +158,16 @@ def test_bands_that_are_chosen_stay_until_the_campaign_says_others(folder: Path)
     async def chosen() -> None:
         client, bench = Client(page("/")), Bench(folder)
         with client:
-            refresh = identify_tab.build(bench)  # type: ignore[arg-type]
+            tab = IdentifyTab(bench)  # type: ignore[arg-type]
 
         async def lowest() -> Any:
-            asked, waiting = await ask(bench, refresh)
+            asked, waiting = await ask(bench, tab)
             asked.set_result(copy.deepcopy(new))
             await waiting
-            return field.value
+            return tab.lowest.value
 
-        field = next(
-            e
-            for e in client.elements.values()
-            if isinstance(e, ui.select) and e.props.get("label") == "Lowest octave"
-        )
         assert await lowest() == 125.0
-        field.set_value(500.0)
+        tab.lowest.set_value(500.0)
         project.set_position(folder, "receivers", "MP1", (2.0, 1.0, 1.2))
         assert await lowest() == 500.0
         project.set_bands(folder, 250.0, 4000.0)
@@ -205,3 +197,216 @@ def test_an_error_is_shown_though_what_was_clicked_is_gone(monkeypatch: pytest.M
 
     asyncio.run(fail())
     assert messages == ["no such thing"]
+
+
+# Each tab alone.
+
+
+def tab_of(kind: type[own_page.Tab], folder: Path) -> tuple[Any, Bench, Client]:
+    """Return a tab on a page of its own."""
+    client, bench = Client(page("/")), Bench(folder)
+    with client:
+        return kind(bench), bench, client  # type: ignore[arg-type]
+
+
+async def answer(bench: Bench, tab: own_page.Tab, view: Any) -> None:
+    """Let a tab ask, and answer it."""
+    asked, waiting = await ask(bench, tab)
+    asked.set_result(view)
+    await waiting
+
+
+def result_of(findings: list[dict[str, Any]], usable: list[str]) -> dict[str, Any]:
+    """Return what `views.result_view` says of a result with a carpet and a brick wall."""
+    own = {"absorption": [0.3], "lower95": [0.2], "upper95": [0.4]}
+    own |= {"identifiable": [False], "area_m2": 12.0}
+    return {
+        "bands_hz": [1000.0],
+        "materials": {"carpet": own, "brick": own},
+        "findings": findings,
+        "usable": usable,
+        "plan": [],
+        "made": 1.0,
+        "stale": False,
+    }
+
+
+def test_what_remains_usable_stands_above_the_findings_and_is_text(folder: Path) -> None:
+    doubt = {"code": "x", "severity": "serious", "sentence": "All walls are void.", "beside": []}
+
+    async def whole() -> None:
+        tab, bench, client = tab_of(IdentifyTab, folder)
+        await answer(bench, tab, result_of([doubt], ["The mean of <the room> is .19."]))
+        text = shown(client)
+        assert text.index("The mean of &lt;the room&gt; is .19.") < text.index("All walls are void")
+        await answer(bench, tab, result_of([doubt], []))
+        assert "usable" not in shown(client)
+
+    asyncio.run(whole())
+
+
+def test_a_finding_stands_at_the_material_that_it_is_about(folder: Path) -> None:
+    doubt = {"code": "x", "severity": "warning", "sentence": "Doubt."}
+
+    async def whole() -> None:
+        tab, bench, client = tab_of(IdentifyTab, folder)
+        await answer(bench, tab, result_of([{**doubt, "beside": ["carpet"]}], []))
+        carpet, brick = re.findall(r"<th scope=\"row\">.*?</tr>", shown(client))
+        assert "Doubt." in carpet and "Doubt." not in brick
+        assert shown(client).count("Doubt.") == 1
+
+    asyncio.run(whole())
+
+
+def test_an_identification_begins_in_the_bands_that_were_chosen(folder: Path) -> None:
+    async def whole() -> None:
+        tab, bench, _ = tab_of(IdentifyTab, folder)
+        tab.lowest.set_value(500.0)
+        begun: list[tuple[Any, ...]] = []
+        bench.jobs = SimpleNamespace(add=lambda *own: begun.append(own))  # type: ignore[assignment]
+        tab.start_both()
+        assert [(task, own["quick"]) for _, task, own, _ in begun] == [
+            ("identify", True),
+            ("identify", False),
+        ]
+        assert project.bands(folder) == (500.0, 4000.0)
+
+    asyncio.run(whole())
+
+
+def test_the_room_shows_where_a_finding_is_by_its_points_and_not_by_its_words(
+    folder: Path,
+) -> None:
+    view = views.room_view(lambda _: None, str(folder))
+    doubt = {"code": "x", "severity": "warning", "sentence": "Near (9.00, 9.00, 9.00) m."}
+    view["findings"] = [{**doubt, "about": {"points_m": [[1.0, 2.0, 0.5]]}}]
+
+    async def whole() -> None:
+        tab, bench, client = tab_of(RoomTab, folder)
+        await answer(bench, tab, view)
+        places = [e.text for e in client.elements.values() if isinstance(e, ui.button)]
+        assert "Show 1.00, 2.00, 0.50" in places and not any("9.00" in text for text in places)
+
+    asyncio.run(whole())
+
+
+def test_a_surface_that_is_picked_shows_its_material(folder: Path) -> None:
+    view = views.room_view(lambda _: None, str(folder))
+
+    async def whole() -> None:
+        tab, bench, client = tab_of(RoomTab, folder)
+        await answer(bench, tab, view)
+        names = [s["name"] for s in view["surfaces"]]
+        tab.pick(names.index("floor"))
+        assert "Surface floor" in shown(client)
+        pressed = [line.props["aria-pressed"] for line in tab.lines]
+        assert pressed.count("true") == 1 and pressed[names.index("floor")] == "true"
+
+    asyncio.run(whole())
+
+
+def test_a_position_is_stored_once_all_three_numbers_are_typed(folder: Path) -> None:
+    view = views.recordings_view(lambda _: None, str(folder), project.SHAPE)
+    lone = {"kind": "sources", "name": "LS1", "position_m": None}
+
+    async def whole() -> None:
+        tab, bench, _ = tab_of(MeasurementsTab, folder)
+        await answer(bench, tab, {**view, "positions": [lone]})
+        fields = tab.fields["sources", "LS1"]
+        for field, value in zip(fields[:2], (1.0, 2.0), strict=True):
+            field.set_value(value)
+        await tab.type_position("sources", "LS1")
+        assert "LS1" not in project.campaign_file(folder).read_text()
+        fields[2].set_value(1.5)
+        typing = asyncio.ensure_future(tab.type_position("sources", "LS1"))
+        await asyncio.sleep(0)
+        assert "position = [1.0, 2.0, 1.5]" in project.campaign_file(folder).read_text()
+        typing.cancel()
+
+    asyncio.run(whole())
+
+
+def test_changes_are_factors_on_what_was_found_and_forget_materials_that_are_gone() -> None:
+    changes = Changes((500.0, 1000.0), {"wall": [0.1, 0.3], "floor": [0.2, 0.2]})
+    assert changes.move("wall", 0, 0.2) and not changes.move("wall", 1, 0.3)
+    changes.chosen["floor"] = "carpet-on-underlay"
+    assert changes.written() == ["wall=x2,x1", "floor=carpet-on-underlay"]
+    # from an entry of the catalogue on, a slider moves that entry's values
+    entry = changes.spectrum("floor")
+    assert entry != [0.2, 0.2] and changes.move("floor", 0, 0.5)
+    assert changes.spectrum("floor") == [0.5, entry[1]] and changes.entry("floor") is None
+    changes.take_result((500.0,), {"floor": [0.2]})
+    assert list(changes.chosen) == ["floor"]
+
+
+def test_while_a_change_is_evaluated_only_the_newest_waits(folder: Path) -> None:
+    _, new, _ = answers("What if", folder)
+
+    async def whole() -> None:
+        tab, bench, _ = tab_of(WhatIfTab, folder)
+        await answer(bench, tab, copy.deepcopy(new))
+        moving = [asyncio.ensure_future(tab.controls.slide(0, a)) for a in (0.3, 0.4, 0.5)]
+        for _ in range(5):
+            await asyncio.sleep(0)
+        assert len(bench.asked) == 2  # the room, and the first move
+        bench.asked[-1].set_result({**new, "pairs": []})
+        for _ in range(5):
+            await asyncio.sleep(0)
+        assert len(bench.asked) == 3 and tab.changes.spectrum("plaster") == [0.5]
+        bench.asked[-1].set_result({**new, "pairs": []})
+        await asyncio.gather(*moving)
+        assert len(bench.asked) == 3 and "1 material changed" in tab.note.text
+
+    asyncio.run(whole())
+
+
+def test_the_report_offers_what_the_answer_has_and_links_to_exports(folder: Path) -> None:
+    async def whole() -> None:
+        tab, bench, client = tab_of(ReportTab, folder)
+        await tab.refresh()
+        assert "Download result.json" in shown(client) and "report.html</a>" not in shown(client)
+        exporting = asyncio.ensure_future(tab.export("raven"))
+        await asyncio.sleep(0)
+        bench.asked[-1].set_result(["exports/raven/a b.mat", "exports/raven/<c>.mat"])
+        await exporting
+        assert "a%20b.mat?save=1" in shown(client) and "&lt;c&gt;.mat</a>" in shown(client)
+
+    asyncio.run(whole())
+
+
+def test_a_new_tab_is_a_class_and_its_name_in_one_tuple(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The third file is `views`, where a tab has a question of its own."""
+
+    class Toy:
+        name, files = "Toy", ("toy.txt",)
+
+        def __init__(self, bench: Bench) -> None:
+            self.place, self.folder = ui.label(""), bench.folder
+
+        async def refresh(self) -> None:
+            self.place.set_text(f"drawn for {self.folder.name}")
+
+    monkeypatch.setattr(own_page, "TABS", (Toy, *own_page.TABS))
+
+    async def whole() -> None:
+        client, bench = Client(page("/")), Bench(folder)
+        with client:
+            drawn = own_page.Page(bench)  # type: ignore[arg-type]
+            await drawn.look()
+        assert f"drawn for {folder.name}" in shown(client)
+        assert drawn.shown == {"Toy": ("toy.txt",)}
+
+    asyncio.run(whole())
+
+
+def test_modules_of_the_workbench_import_each_other_in_no_circle_inside_functions_neither() -> None:
+    found = [m for m in shape.modules() if m.name.startswith("app.")]
+    names = frozenset(m.name for m in found)
+    left = {m.name: shape.imported(m, names, lazily=True) - {""} for m in found}
+    while left:
+        free = [name for name, to in left.items() if not to & set(left)]
+        assert free, f"in or above a circle: {', '.join(sorted(left))}"
+        for name in free:
+            del left[name]

@@ -208,7 +208,7 @@ def test_open_searches_and_several_answers_are_findings(
 def test_an_identification_loads_the_global_search_only_where_it_is_asked_for() -> None:
     """No module that a fit imports imports it."""
     code = (
-        "import sys, roomfit.inversion.identify; "
+        "import sys, roomfit.identification; "
         "print([m for m in sys.modules if m.startswith('roomfit.certified')])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

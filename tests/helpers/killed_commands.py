@@ -71,7 +71,7 @@ STUBS: dict[str, dict[str, Any]] = {
         COMMANDS + "read_campaign": lambda *_: SimpleNamespace(project=None, path=Path("c.toml")),
         "roomfit.io.project.project_details": lambda *_: {},
         COMMANDS + "identify_arguments": lambda *_: {**empty(), "settings": Settings()},
-        "roomfit.inversion.identify.identify": nothing,
+        "roomfit.identification.identify": nothing,
         "roomfit.inversion.measurements.measured_scene": nothing,
         "roomfit.report.figures.answer_figures": nothing,
         "roomfit.report.html.report_html": word,

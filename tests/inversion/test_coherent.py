@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from coherent_cases import estimates_of
+from roomfit.diagnostics import positions
 from roomfit.findings import Code
 from roomfit.inversion.coherent import CoherentFit, CoherentTask, fit_coherent
-from roomfit.inversion.geometry_checks import delay_findings, position_consistency_findings
+from roomfit.inversion.fits import Freed
 from roomfit.inversion.measurements import observe
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions
@@ -25,6 +26,7 @@ from roomfit.response.binned import bin_paths
 from roomfit.scene import Scene
 from roomfit.synthetic.boxes import demo_plan, write_measured_box
 from roomfit.tracing.image_sources import trace_images
+from seen import doubts_of_fit, of_tests
 
 pytestmark = pytest.mark.slow
 
@@ -84,7 +86,7 @@ def test_a_box_is_found_within_its_intervals(box: tuple[Path, np.ndarray]) -> No
         np.stack([getattr(a, name) for a in estimates_of(fit)], axis=1)
         for name in ("absorption", "lower95", "upper95")
     )
-    assert Code.MEASUREMENT_OUTLIER not in {f.code for f in fit.findings}
+    assert not fit.tests.outliers
     # two bands alone, and a loudspeaker whose level and phase change within them
     assert np.median(np.abs(found - true)) < 0.05
     assert np.sum((true < low) | (true > high)) <= 2
@@ -131,9 +133,8 @@ def test_a_file_of_another_pair_is_found_and_weighs_less(
         fit = fitted(campaign)
     finally:
         (campaign.parent / names[1]).write_bytes(right)
-    reported = [f.sentence for f in fit.findings if f.code == Code.MEASUREMENT_OUTLIER]
-    assert len(reported) == 1
-    assert names[1] in reported[0]
+    (reported,) = [f for f in doubts_of_fit(fit) if f.code is Code.MEASUREMENT_OUTLIER]
+    assert names[1] in reported.sentence
     found = np.stack([a.absorption for a in estimates_of(fit) if a is not None], axis=1)
     assert np.median(np.abs(found - true)) < 0.05
 
@@ -142,15 +143,24 @@ def test_places_that_are_held_and_wrong_are_found(box: tuple[Path, np.ndarray]) 
     """All coordinates are 1 cm wrong, which two octaves of pressures contradict."""
     campaign, _ = box
     held = fitted(campaign, positions="fixed")
-    assert Code.POSITION_INCONSISTENT in {f.code for f in held.findings}
-    assert Code.POSITION_INCONSISTENT not in {f.code for f in fitted(campaign).findings}
+    assert Code.POSITION_INCONSISTENT in {f.code for f in doubts_of_fit(held)}
+    assert Code.POSITION_INCONSISTENT not in {f.code for f in doubts_of_fit(fitted(campaign))}
 
 
 def test_few_units_of_likelihood_do_not_speak_for_many_unknowns() -> None:
     """Thirty unknowns that explain nothing gain fifteen units, give or take four."""
-    assert position_consistency_findings(15.0 + 4 * 4.0, 30, 100) == ()
-    assert position_consistency_findings(60.0, 30, 100)[0].code == Code.POSITION_INCONSISTENT
+
+    def of_positions(*freed: float) -> list[Code]:
+        seen = of_tests(freed_positions=Freed(*freed))
+        return [f.code for f in positions.check_fixed(seen)]
+
+    def of_delays(gain: float) -> list[Code]:
+        seen = of_tests(freed_delays=Freed(gain, 6, 100))
+        return [f.code for f in positions.check_delays(seen)]
+
+    assert of_positions(15.0 + 4 * 4.0, 30, 100) == []
+    assert of_positions(60.0, 30, 100) == [Code.POSITION_INCONSISTENT]
     # of a thousand windows these are next to nothing
-    assert position_consistency_findings(60.0, 30, 1000) == ()
-    assert delay_findings(3.0 + 4 * 1.7) == ()
-    assert delay_findings(20.0)[0].code == Code.REFLECTION_DELAY_DETECTED
+    assert of_positions(60.0, 30, 1000) == []
+    assert of_delays(3.0 + 4 * 1.7) == []
+    assert of_delays(20.0) == [Code.REFLECTION_DELAY_DETECTED]

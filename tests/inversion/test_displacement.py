@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 import roomfit
+import roomfit.identification as whole
+from roomfit.diagnostics import displacement as check_of_displacement
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.inversion import displacement as whole_displacement
-from roomfit.inversion import identify as whole
 from roomfit.inversion.displacement import (
     LENGTH_SD_M,
     displaced,
@@ -38,6 +39,7 @@ from roomfit.synthetic.boxes import (
     specular_box,
     true_box,
 )
+from seen import evidence
 from simulated_rooms.random_boxes import random_plan
 from small_campaign import write_campaign
 
@@ -190,9 +192,10 @@ def test_what_high_bands_rule_out_costs_less_and_changes_nothing(monkeypatch, sh
     monkeypatch.setattr(whole_displacement, "_RULED_OUT", np.inf)
     of_all, n_of_all = located_and_counted()
     np.testing.assert_array_equal(found.shift_m, of_all.shift_m)
-    assert (found.finding is None) == (of_all.finding is None) == (shift_m == 0.0)
-    if found.finding is not None:
-        assert found.finding.sentence == of_all.finding.sentence
+    assert (found.beyond is None) == (of_all.beyond is None) == (shift_m == 0.0)
+    if found.beyond is not None:
+        for name in ("kind", "axis", "size_m", "sd_m", "gain"):
+            assert getattr(found.beyond, name) == getattr(of_all.beyond, name)
     assert n <= share * n_of_all
 
 
@@ -251,7 +254,14 @@ def named_by(worth):
     outline = SimpleNamespace(
         offsets=(own,), moved_m=np.zeros(1), measured=SimpleNamespace(scene=scene)
     )
-    return whole_displacement._named(outline, worth, np.zeros(1), np.array([0.8]))
+    found = whole_displacement._named(outline, worth, np.zeros(1), np.array([0.8]))
+    own = {"sources": (), "receivers": ()}
+    seen = evidence(
+        fits=SimpleNamespace(displacement=found),
+        measured=SimpleNamespace(scene=SimpleNamespace(**own)),
+    )
+    (finding,) = check_of_displacement.check(seen)
+    return finding
 
 
 def test_a_displacement_between_two_steps_of_the_grid_is_found_at_its_top():

@@ -17,7 +17,7 @@ from roomfit.bands import bands_between
 from roomfit.cache import json_text
 from roomfit.commands import identify_to_folder
 from roomfit.findings import About, Code, Finding
-from roomfit.inversion.identify import combine, identify
+from roomfit.identification import combine, identify
 from roomfit.io.campaign import input_files, read_campaign
 from roomfit.io.inputs import identify_arguments, load_campaign
 from roomfit.io.results import absorption_csv, result_content
@@ -205,10 +205,10 @@ def combined(tmp_path_factory):
     specified = (CARPET, f"{CARPET}\nabsorption = 0.4")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(roomfit.io.campaign, "DEFAULTS", Settings(n_rays=4000))
-        patch.setattr("roomfit.inversion.identify.combine", keep)
+        patch.setattr("roomfit.identification.combine", keep)
         answer_to(tmp_path_factory.mktemp("combined"), specified)
-    *fitted, _, settings = given[0]
-    return lambda *findings: combine(*fitted, findings, settings)
+    evidence, _ = given[0]
+    return lambda *findings: combine(evidence, findings)
 
 
 VOIDS = (
@@ -247,15 +247,14 @@ def test_no_other_finding_takes_anything_from_what_is_identifiable(combined):
     others = [
         Finding(c, About(), "It is.", {})
         for c in Code
-        # which takes the one material that it names
-        if c.value not in VOIDS and c is not Code.FIXED_ABSORPTION_CONTRADICTED
+        if not c.voids_identifiability and not c.voids_its_own
     ]
     np.testing.assert_array_equal(combined(*others).identifiable, combined().identifiable)
 
 
 def test_a_fixed_absorption_that_is_contradicted_takes_its_own_material_with_it(combined):
-    evidence = {"material": "carpet"}
-    doubted = combined(Finding(Code.FIXED_ABSORPTION_CONTRADICTED, About(), "It is.", evidence))
+    about = About(materials=["carpet"])
+    doubted = combined(Finding(Code.FIXED_ABSORPTION_CONTRADICTED, about, "It is."))
     assert not doubted.identifiable.any()
 
 

@@ -12,7 +12,7 @@ import pytest
 from hostile import FAULTS, box, outcome
 from roomfit.commands import run_demo
 from roomfit.findings import Code
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 from small_campaign import run_command
 

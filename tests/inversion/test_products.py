@@ -8,7 +8,7 @@ import pytest
 import roomfit.io.campaign
 from roomfit.cache import json_text
 from roomfit.findings import Code
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.io.results import read_result, result_content
 from roomfit.logit import logit

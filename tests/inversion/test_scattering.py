@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from images_reference import box_room, scene_of
 from rays_reference import with_scattering
 from roomfit.bands import bands_between
+from roomfit.diagnostics.scattering import check
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.inversion.scattering import (
     GRID,
     Retracer,
     choose_scattering,
-    suspected_scattering,
+    tried_scattering,
 )
 from roomfit.materials.priors import uniform_scattering
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.typing import FloatArray
+from seen import evidence
 
 MATERIALS = ("a", "b", "c")
 
@@ -79,22 +83,27 @@ def test_nothing_to_choose_and_impossible_values_are_refused():
             choose_scattering(fit, start, np.ones(3, dtype=bool), grid=grid)
 
 
+def suspected(fit, assumed):
+    trial = tried_scattering(fit, MATERIALS, assumed)
+    return list(check(evidence(traced=SimpleNamespace(scattering_trial=trial))))
+
+
 def test_smooth_walls_are_doubted_only_where_the_data_gain_much():
     """More than 5 in log likelihood; walls that scatter already are left alone."""
     smooth = np.zeros((3, 2))
     for truth, fires in ((0.15, True), (0.01, False)):
-        findings = suspected_scattering(bell(np.full((3, 2), truth)), MATERIALS, smooth)
+        findings = suspected(bell(np.full((3, 2), truth)), smooth)
         assert [f.code for f in findings] == ([Code.SCATTERING_UNDERESTIMATED] if fires else [])
     # by hand: 0.15 gains 1.5 (0.15 / 0.03)^2 = 37 in one band and loses
     # 1.5 (0.30^2 - 0.15^2) / 0.01 = 10 in the other
     fit = bell(np.tile([0.15, -0.15], (3, 1)), np.array([0.03, 0.1]))
-    assert suspected_scattering(fit, MATERIALS, smooth) == ()
+    assert suspected(fit, smooth) == []
     # 0.5 (0.15 / 0.05)^2 = 4.5 in each of two bands
     fit = bell(np.full((3, 2), 0.15), 0.05)
     partly = np.array([[0.0, 0.0], [0.15, 0.15], [0.15, 0.15]])
-    (finding,) = suspected_scattering(fit, MATERIALS, partly)
+    (finding,) = suspected(fit, partly)
     assert finding.evidence["materials"] == ["a"]
-    assert suspected_scattering(fit, MATERIALS, np.full((3, 2), 0.3)) == ()
+    assert suspected(fit, np.full((3, 2), 0.3)) == []
 
 
 def test_a_trace_serves_near_coefficients_and_is_made_again_for_far_ones(monkeypatch):

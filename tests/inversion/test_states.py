@@ -12,7 +12,7 @@ import roomfit
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
-from roomfit.inversion.identify import identify
+from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.measurement import Measurement
 from roomfit.prediction.changes import read_change

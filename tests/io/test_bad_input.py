@@ -370,7 +370,7 @@ def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path, monkeypatch, capsy
 @pytest.mark.slow
 def test_a_receiver_sphere_that_cuts_a_wall_is_shrunk_with_a_finding(tmp_path):
     """20 cm from the wall a sphere of 50 cm does not fit; scattering walls call for rays."""
-    from roomfit.inversion.identify import identify
+    from roomfit.identification import identify
 
     campaign = write_campaign(
         tmp_path / "campaign",
@@ -389,7 +389,7 @@ def test_a_receiver_sphere_that_cuts_a_wall_is_shrunk_with_a_finding(tmp_path):
 
 @pytest.mark.slow
 def test_time_zero_metres_from_the_geometry_is_a_serious_finding(tmp_path):
-    from roomfit.inversion.identify import identify
+    from roomfit.identification import identify
 
     campaign = write_campaign(tmp_path / "campaign", (FIRST_FILE, f"{FIRST_FILE}\nlatency_s=-0.02"))
     late = [
@@ -432,13 +432,13 @@ def test_all_files_that_are_missing_are_reported_at_once_before_one_is_read(refu
 
 
 def test_what_is_refused_after_the_trace_leaves_no_folder(tmp_path, monkeypatch, capsys):
-    import roomfit.inversion.identify as stages
+    import roomfit.identification as stages
     from roomfit.errors import CannotTell
 
     def refused(*_args: object, **_settings: object) -> None:
         raise CannotTell("nothing can be determined", where="here")
 
-    monkeypatch.setattr(stages, "broad_prior_findings", refused)
+    monkeypatch.setattr(stages, "combine", refused)
     campaign = write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 500"))
     assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "deep" / "out") == 2
     assert "nothing can be determined" in capsys.readouterr().err
@@ -448,7 +448,7 @@ def test_what_is_refused_after_the_trace_leaves_no_folder(tmp_path, monkeypatch,
 @pytest.mark.slow
 def test_digests_are_of_what_was_read_and_names_may_be_any(tmp_path, monkeypatch, capsys):
     """The campaign, whose name is no UTF-8 and whose walls have two $, changes during the fit."""
-    import roomfit.inversion.identify
+    import roomfit.identification
     import roomfit.report.html
 
     campaign = write_campaign(
@@ -462,14 +462,14 @@ def test_digests_are_of_what_was_read_and_names_may_be_any(tmp_path, monkeypatch
     except OSError:
         pytest.skip("the disk takes no such name")
     before = {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in campaign.parent.iterdir()}
-    identify = roomfit.inversion.identify.identify
+    identify = roomfit.identification.identify
 
     def slow(**arguments: object) -> object:
         campaign.write_text("something else")
         (campaign.parent / "LS1_MP1.wav").unlink()
         return identify(**arguments)
 
-    monkeypatch.setattr(roomfit.inversion.identify, "identify", slow)
+    monkeypatch.setattr(roomfit.identification, "identify", slow)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out") == 0

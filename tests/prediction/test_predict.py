@@ -13,9 +13,11 @@ import pytest
 
 from roomfit.air import Air, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
+from roomfit.diagnostics import repeats
+from roomfit.diagnostics.unreached import unreached_materials
 from roomfit.errors import InputError
 from roomfit.findings import Code
-from roomfit.inversion.measurements import duplicate_findings, observe, unreached_findings
+from roomfit.inversion.measurements import observe
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.inputs import identify_arguments, load_campaign
 from roomfit.io.results import read_result
@@ -39,6 +41,7 @@ from roomfit.uncertainty.posterior import (
     draw_absorption,
     plain_logit_covariance,
 )
+from seen import of_files
 from small_campaign import ABSORPTION, RATE_HZ, run_command, write_campaign, write_wav
 
 BANDS = bands_between("octave", 500, 1000)
@@ -548,7 +551,7 @@ def test_a_pair_measured_twice_alike_raises_no_doubt(campaign, tmp_path):
     rng = np.random.default_rng(3)
     measured = measured_twice(campaign, tmp_path, lambda p: add_noise(p, -55, rng))
     assert len(measured) == 3
-    assert duplicate_findings(measured) == ()
+    assert not list(repeats.check(of_files(measured)))
 
 
 @pytest.mark.parametrize(
@@ -561,7 +564,7 @@ def test_a_pair_measured_twice_alike_raises_no_doubt(campaign, tmp_path):
 def test_a_pair_measured_twice_with_other_results_raises_a_finding(
     campaign, tmp_path, change, words
 ):
-    (finding,) = duplicate_findings(measured_twice(campaign, tmp_path, change))
+    (finding,) = repeats.check(of_files(measured_twice(campaign, tmp_path, change)))
     assert finding.code == Code.REPEATED_RESPONSES_DIFFER
     assert "LS1 to MP1" in finding.sentence
     import re
@@ -581,9 +584,8 @@ def test_a_material_that_no_path_strikes_is_named(campaign):
     )
     settings = TraceSettings(duration_s=2.0 / 343.0, n_rays=0, image_order=5)
     paths = trace(scene, settings, uniform_scattering(room.materials, 0.0)).paths
-    (finding,) = unreached_findings(paths, room.materials)
-    assert finding.evidence["materials"] == ["walls", "tiles"]
-    assert unreached_findings(paths, ("carpet",)) == ()
+    assert unreached_materials(paths, room.materials) == ("walls", "tiles")
+    assert unreached_materials(paths, ("carpet",)) == ()
 
 
 def test_a_campaign_that_keeps_everything_for_validation_has_nothing_to_fit(tmp_path):

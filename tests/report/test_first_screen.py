@@ -15,10 +15,10 @@ import pytest
 import roomfit
 from report_cases import answer_of, drawing, finding, read_page, scene_of
 from roomfit.bands import bands_between
+from roomfit.diagnostics.decay import DECAY_SCATTER
 from roomfit.errors import InputError
 from roomfit.findings import About, Code, Finding
 from roomfit.inversion.compare import _decay
-from roomfit.inversion.model_checks import DECAY_SCATTER
 from roomfit.report.disagreement import disagreement_table
 from roomfit.report.figures import absorption_figure, decay_figure, identifiability_figure
 from roomfit.report.html import findings_count, headline, key_figures, report_html

@@ -11,15 +11,11 @@ import roomfit.io.campaign
 from coherent_cases import estimate_of
 from roomfit.bands import Bands
 from roomfit.commands import identify_to_folder
-from roomfit.inversion.model_checks import (
-    interval_words,
-    prior_findings,
-    prior_intervals,
-    reasons,
-    sampling_findings,
-)
+from roomfit.diagnostics import convergence, prior
+from roomfit.inversion.methods import interval_words, prior_intervals, reasons
 from roomfit.materials.priors import MaterialPrior, unknown_material
 from roomfit.settings import Settings
+from seen import of_answers
 from small_campaign import write_campaign
 
 QUICK = ("to_hz = 1000", 'to_hz = 500\nmodel = "energy"\nmethod = "posterior"')
@@ -82,10 +78,10 @@ def test_only_a_specified_prior_is_reported():
     bands, answer = Bands("octave", [500.0]), estimate_of([0.3, 0.3], 0.05)
     broad = unknown_material("x", 1)
     narrow = MaterialPrior("y", np.full(1, -0.85), np.full(1, 0.1))
-    (finding,) = prior_findings(bands, (broad, narrow), [answer])
+    (finding,) = prior.check(of_answers([answer], bands, priors=(broad, narrow)))
     assert finding.evidence["material"] == "y"
     assert finding.evidence["spread_left"] == [1.0]
-    assert prior_findings(bands, (broad, broad), [answer]) == ()
+    assert not list(prior.check(of_answers([answer], bands, priors=(broad, broad))))
 
 
 def test_reasons_of_plain_answers():
@@ -93,4 +89,4 @@ def test_reasons_of_plain_answers():
     assert interval_words([answer]) == "Gaussian, local"
     assert reasons("least-squares", bands, [answer]) == ()
     assert len(reasons("auto", bands, [answer])) == 2
-    assert sampling_findings(bands, [answer]) == ()
+    assert not list(convergence.check_samples(of_answers([answer], bands)))

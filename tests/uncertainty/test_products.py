@@ -15,7 +15,7 @@ from roomfit.certified.question import is_certifiable
 from roomfit.coverage.synthetic_room import _absorption
 from roomfit.errors import InputError
 from roomfit.experiment_design.prior import information_from_priors
-from roomfit.inversion.model_checks import check_certifiable, prior_intervals
+from roomfit.inversion.methods import check_certifiable, prior_intervals
 from roomfit.inversion.symmetry import _priors_are_exchangeable
 from roomfit.logit import expit, logit
 from roomfit.materials.priors import (

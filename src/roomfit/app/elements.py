@@ -15,6 +15,24 @@ _WORDS = {"serious": "Serious", "warning": "Warning", "info": "Note"}
 _SHOWN: WeakKeyDictionary[Element, object] = WeakKeyDictionary()
 
 
+class Questions:
+    """Which of several questions is the newest: only the answer to that one is shown."""
+
+    def __init__(self, place: Element) -> None:
+        self._place = place
+        self._n_put = 0
+
+    def put(self) -> Callable[[], bool]:
+        """Count a question; return whether its answer is to be shown, to be called then."""
+        self._n_put += 1
+        return self.since()
+
+    def since(self) -> Callable[[], bool]:
+        """Return what is true until the next question, or until the page is closed."""
+        own = self._n_put
+        return lambda: not self._place.is_deleted and own == self._n_put
+
+
 class RoomView(Element, component="room_view.js"):
     """The room in three dimensions; a surface is picked by a click."""
 

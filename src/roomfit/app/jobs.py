@@ -1,4 +1,4 @@
-"""Work in processes of its own: one that answers at once, and a queue for what takes minutes."""
+"""A project and its work in processes of their own: answers at once, and a queue for the long."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 from roomfit.errors import InputError
@@ -228,3 +229,29 @@ class Jobs:
             await self.cancel(job)
         for job in [j for j in self.listed if j.state == "running"]:
             await self.cancel(job)
+
+
+@dataclass(slots=True)
+class Bench:
+    """One project and the processes that work for it."""
+
+    folder: Path
+    reader: Worker = field(default_factory=lambda: Worker(READING_MIB))
+    what_if: Worker = field(default_factory=Worker)
+    jobs: Jobs = field(default_factory=Jobs)
+
+    async def ask(self, task: str, **arguments: Any) -> Any:
+        """Return the answer of a task about the folder that takes seconds at most."""
+        own = {"folder": str(self.folder), **arguments}
+        return await self.reader.ask(task, own, limit_s=READING_S)
+
+    def stamp(self, names: Iterable[str]) -> tuple[int, ...]:
+        """Return what changes whenever one of these files or folders does, whoever changes it."""
+        paths = [self.folder / name for name in names]
+        return tuple(p.stat().st_mtime_ns if p.exists() else 0 for p in paths)
+
+    async def stop(self) -> None:
+        """End all processes."""
+        await self.jobs.stop()
+        await self.reader.stop()
+        await self.what_if.stop()

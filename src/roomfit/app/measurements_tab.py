@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping, Sequence
+from functools import partial
 from html import escape
-from typing import Any
+from typing import Any, ClassVar
 
 from nicegui import ui
 
@@ -12,6 +13,7 @@ from roomfit.app import project
 from roomfit.app.elements import (
     FileDrop,
     PlanView,
+    Questions,
     emptied,
     finding_html,
     findings,
@@ -20,7 +22,7 @@ from roomfit.app.elements import (
     said,
     table_html,
 )
-from roomfit.app.server import Bench
+from roomfit.app.jobs import Bench
 from roomfit.errors import InputError
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.report.wording import short_hertz
@@ -29,121 +31,131 @@ _UNKNOWN = "-"
 _HEIGHT_M = 1.2  # of what is dragged before its height is known
 
 
-def build(bench: Bench) -> Callable[[], Awaitable[None]]:
-    """Draw the tab; return what draws it anew."""
-    shape = {"shape": f"{project.RECORDINGS}/{project.SHAPE}"}
-    shown: list[Any] = []
-    fields: dict[tuple[str, str], list[ui.number]] = {}
-    latest = [0]  # number of the view that was asked for last
+class MeasurementsTab:
+    """A place for recordings, positions as fields and on a plan, and what is known of each file."""
 
-    async def sent(_: list[str]) -> None:
-        await use_shape()
+    name: ClassVar[str] = "Measurements"
+    files: ClassVar[tuple[str, ...]] = (project.CAMPAIGN, project.RECORDINGS)
 
-    async def use_shape() -> None:
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.shape = f"{project.RECORDINGS}/{project.SHAPE}"  # of the recordings' names, as typed
+        self.positions: list[dict[str, Any]] = []  # as the campaign has them
+        self.fields: dict[tuple[str, str], list[ui.number]] = {}  # x, y, z by kind and name
+        with ui.element("div").classes("panel").style("margin-bottom: 0.75rem"):
+            text = "Recordings, dropped here or chosen:"
+            FileDrop(text, project.RECORDINGS, RESPONSE_SUFFIXES, self.use_shape)
+            with ui.element("div").classes("bar").style("margin-top: 0.5rem"):
+                ui.input("How they are named", value=self.shape, on_change=self.type_shape).props(
+                    "outlined dense"
+                ).style("flex: 1 1 16rem")
+                ui.button("Use these names", on_click=self.use_shape).props(
+                    "no-caps outline color=quiet"
+                )
+        self.general = ui.element("div")
+        with ui.element("div").classes("panel two").style("margin: 0.75rem 0"):
+            self.table = ui.element("div")
+            with ui.element("div"):
+                self.plan = PlanView(self.drop)
+                text = "Drag what stands elsewhere. What has no place yet comes to "
+                ui.label(f"{text}{_HEIGHT_M} m height.").classes("soft")
+        self.recordings = ui.element("div").classes("panel")
+        self.questions = Questions(self.general)
+
+    def type_shape(self, event: Any) -> None:
+        """Keep what is typed until it is used."""
+        self.shape = event.value
+
+    async def use_shape(self, _: object = None) -> None:
+        """Name recordings by what is typed; also after some were sent."""
         try:
-            project.set_recordings(bench.folder, shape["shape"])
-            await refresh()
+            project.set_recordings(self.bench.folder, self.shape)
+            await self.refresh()
         except InputError as error:
-            said(error, general)
+            said(error, self.general)
 
-    with ui.element("div").classes("panel").style("margin-bottom: 0.75rem"):
-        FileDrop("Recordings, dropped here or chosen:", "recordings", RESPONSE_SUFFIXES, sent)
-        with ui.element("div").classes("bar").style("margin-top: 0.5rem"):
-            ui.input(
-                "How they are named",
-                value=shape["shape"],
-                on_change=lambda e: shape.update(shape=e.value),
-            ).props("outlined dense").style("flex: 1 1 16rem")
-            ui.button("Use these names", on_click=use_shape).props("no-caps outline color=quiet")
-    general = ui.element("div")
-    with ui.element("div").classes("panel two").style("margin: 0.75rem 0"):
-        positions = ui.element("div")
-        with ui.element("div"):
-            plan = PlanView(lambda kind, name, x, y: dropped(kind, name, x, y))
-            text = (
-                f"Drag what stands elsewhere. What has no place yet comes to {_HEIGHT_M} m height."
-            )
-            ui.label(text).classes("soft")
-    recordings = ui.element("div").classes("panel")
-
-    async def dropped(kind: str, name: str, x: float, y: float) -> None:
+    async def drop(self, kind: str, name: str, x: float, y: float) -> None:
+        """Put a source or a receiver where it was dragged to; its height stays."""
         try:
-            own = next(p for p in shown if p["kind"] == kind and p["name"] == name)
-            z = _HEIGHT_M if own["position_m"] is None else own["position_m"][2]
-            project.set_position(bench.folder, kind, name, (x, y, z))
-            await refresh()
+            before = self._position(kind, name)["position_m"]
+            z = _HEIGHT_M if before is None else before[2]
+            project.set_position(self.bench.folder, kind, name, (x, y, z))
+            await self.refresh()
         except InputError as error:
-            said(error, general)
+            said(error, self.general)
 
-    async def moved(kind: str, name: str) -> None:
-        values = [field.value for field in fields[kind, name]]
+    async def type_position(self, kind: str, name: str) -> None:
+        """Put a source or a receiver where its three fields say, once all are filled."""
+        values = [field.value for field in self.fields[kind, name]]
         if any(value is None for value in values):
             return
-        point = next(p for p in shown if p["kind"] == kind and p["name"] == name)
+        point = self._position(kind, name)
         if point["position_m"] is not None and list(map(float, point["position_m"])) == values:
             return
         try:
-            project.set_position(bench.folder, kind, name, values)
+            project.set_position(self.bench.folder, kind, name, values)
             point["position_m"] = [round(value, 4) for value in values]  # is not drawn anew
-            await refresh()
+            await self.refresh()
         except InputError as error:
-            said(error, general)
+            said(error, self.general)
 
-    def show_positions(points: list[Any]) -> None:
-        """Draw the fields; while the names stay, only those of what has moved are written to."""
-        stored = {(p["kind"], p["name"]): p["position_m"] for p in shown}
-        typed = {key: [field.value for field in row] for key, row in fields.items()}
-        shown[:] = points
-        named = [(p["kind"], p["name"]) for p in points]
-        if named != list(fields) or not named:
-            positions.clear()
-            fields.clear()
-            with positions:
-                heading("Positions in m")
-                if not named:
-                    ui.label("None yet: they come with the names of recordings.").classes("soft")
-                with ui.element("div").classes("positions"):
-                    for key in named:
-                        fields[key] = position_fields(*key)
-        for key, point in zip(named, points, strict=True):
-            place = point["position_m"]
-            values = typed.get(key, [None] * 3) if place == stored.get(key) else place
-            for field, value in zip(fields[key], values or [None] * 3, strict=True):
-                field.set_value(value)
+    def _position(self, kind: str, name: str) -> dict[str, Any]:
+        return next(p for p in self.positions if (p["kind"], p["name"]) == (kind, name))
 
-    def position_fields(kind: str, name: str) -> list[ui.number]:
-        ui.label(f"{kind[:-1]} {name}")
-        row = []
-        for word in "xyz":
-            field = ui.number(word, step=0.01, format="%.3f").props("outlined dense")
-            field.props["aria-label"] = f"{name} {word} in m"
-            for event in ("blur", "keydown.enter"):
-                field.on(event, lambda: moved(kind, name))
-            row.append(field)
-        return row
-
-    async def refresh() -> None:
-        latest[0] += 1
-        own = latest[0]
-        view = await bench.ask("recordings_view", shape=shape["shape"])
-        if general.is_deleted or own != latest[0]:  # the page was closed, or asked once more
+    async def refresh(self) -> None:
+        """Show positions, recordings, and what the check says of them."""
+        is_current = self.questions.put()
+        view = await self.bench.ask("recordings_view", shape=self.shape)
+        if not is_current():
             return
-        if emptied(general, view["findings"]):
-            with general:
+        if emptied(self.general, view["findings"]):
+            with self.general:
                 findings(view["findings"])
-        show_positions(view["positions"])
-        plan.set_visibility(bool(view["plan"] and shown))
-        plan.show(view["plan"], shown)
-        if not emptied(recordings, (view["bands_hz"], view["rows"])):
+        self.show_positions(view["positions"])
+        self.plan.set_visibility(bool(view["plan"] and self.positions))
+        self.plan.show(view["plan"], self.positions)
+        if not emptied(self.recordings, (view["bands_hz"], view["rows"])):
             return
-        with recordings:
+        with self.recordings:
             heading("Recordings")
             if not view["rows"]:
                 ui.label("None yet.").classes("soft")
             else:
                 markup(recordings_html(view))
 
-    return refresh
+    def show_positions(self, positions: Sequence[dict[str, Any]]) -> None:
+        """Draw the fields; while the names stay, only those of what has moved are written to."""
+        stored = {(p["kind"], p["name"]): p["position_m"] for p in self.positions}
+        typed = {key: [field.value for field in row] for key, row in self.fields.items()}
+        self.positions = list(positions)
+        named = [(p["kind"], p["name"]) for p in positions]
+        if named != list(self.fields) or not named:
+            self.draw_fields(named)
+        for key, point in zip(named, positions, strict=True):
+            place = point["position_m"]
+            values = typed.get(key, [None] * 3) if place == stored.get(key) else place
+            for field, value in zip(self.fields[key], values or [None] * 3, strict=True):
+                field.set_value(value)
+
+    def draw_fields(self, named: Sequence[tuple[str, str]]) -> None:
+        """Draw three fields for each source and receiver, empty ones."""
+        self.table.clear()
+        self.fields.clear()
+        with self.table:
+            heading("Positions in m")
+            if not named:
+                ui.label("None yet: they come with the names of recordings.").classes("soft")
+            with ui.element("div").classes("positions"):
+                for kind, name in named:
+                    ui.label(f"{kind[:-1]} {name}")
+                    self.fields[kind, name] = [self._field(kind, name, word) for word in "xyz"]
+
+    def _field(self, kind: str, name: str, word: str) -> ui.number:
+        field = ui.number(word, step=0.01, format="%.3f").props("outlined dense")
+        field.props["aria-label"] = f"{name} {word} in m"
+        for event in ("blur", "keydown.enter"):
+            field.on(event, partial(self.type_position, kind, name))
+        return field
 
 
 def recordings_html(view: Mapping[str, Any]) -> str:

@@ -2,27 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import ClassVar, Protocol
 
 from nicegui import ui
 
-from roomfit.app import identify_tab, measurements_tab, report_tab, room_tab, what_if_tab
 from roomfit.app.elements import emptied, heading, said
-from roomfit.app.jobs import Job
-from roomfit.app.server import Bench
+from roomfit.app.identify_tab import IdentifyTab
+from roomfit.app.jobs import Bench, Job
+from roomfit.app.measurements_tab import MeasurementsTab
+from roomfit.app.report_tab import ReportTab
+from roomfit.app.room_tab import RoomTab
+from roomfit.app.what_if_tab import WhatIfTab
 from roomfit.errors import InputError
 
 _STYLE = Path(__file__).with_name("style.css").read_text(encoding="utf-8")
-_TABS: tuple[tuple[str, Callable[[Bench], Callable[[], Awaitable[None]]]], ...] = (
-    ("Room", room_tab.build),
-    ("Measurements", measurements_tab.build),
-    ("Identify", identify_tab.build),
-    ("What if", what_if_tab.build),
-    ("Report", report_tab.build),
-)
 _LOOK_EVERY_S = 0.5
+
+
+class Tab(Protocol):
+    """A tab: drawn where it is made, and drawn anew when one of its files has changed."""
+
+    name: ClassVar[str]
+    files: ClassVar[tuple[str, ...]]  # within the project's folder; folders, too
+
+    def __init__(self, bench: Bench) -> None: ...
+
+    async def refresh(self) -> None:
+        """Ask for what is to be shown now, and show it."""
+
+
+TABS: tuple[type[Tab], ...] = (RoomTab, MeasurementsTab, IdentifyTab, WhatIfTab, ReportTab)
+"""A new tab is a class in a module of its own, a name here, and its questions in `views.TASKS`."""
 
 
 def build_page(bench: Bench) -> None:
@@ -30,53 +43,67 @@ def build_page(bench: Bench) -> None:
 
     @ui.page("/", title=f"{bench.folder.name} - roomfit")
     async def index() -> None:
+        Page(bench)
+
+
+class Page:
+    """A visit: the bar, the work that is under way, and the tabs; it looks at both by itself."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.shown: dict[str, tuple[int, ...]] = {}  # stamp of a tab's files when it was drawn
+        self.tell: list[Callable[[], None]] = []  # what says how far each job is
         ui.add_css(_STYLE)
         ui.colors(primary="#17558a", negative="#8f1b17", positive="#1c6b30")
+        self.show_bar()
+        self.work = ui.element("section").props('aria-label="Work" role="status"').classes("bar")
+        with ui.tabs().props("dense no-caps outside-arrows mobile-arrows align=left") as self.names:
+            for tab in TABS:
+                ui.tab(tab.name)
+        self.tabs: dict[str, Tab] = {}
+        panels = ui.tab_panels(self.names, value=TABS[0].name, animated=False, keep_alive=True)
+        with panels.classes("w-full"):
+            for tab in TABS:
+                with ui.tab_panel(tab.name).style("padding: 0.5rem 0"):
+                    self.tabs[tab.name] = tab(bench)
+        self.names.on_value_change(self.look)
+        ui.timer(_LOOK_EVERY_S, self.look_at_work)
+        ui.timer(_LOOK_EVERY_S, self.look)  # of its own: a tab may take minutes to be ready
+
+    def show_bar(self) -> None:
+        """Draw the folder's name and the choice of colours."""
         dark = ui.dark_mode(None)
         with ui.element("header").classes("bar"):
             heading("roomfit", 1)
-            ui.label(str(bench.folder)).classes("soft")
+            ui.label(str(self.bench.folder)).classes("soft")
             ui.select(
                 {"auto": "as the system", "light": "light", "dark": "dark"},
                 value="auto",
                 label="Colours",
                 on_change=lambda e: dark.set_value({"light": False, "dark": True}.get(e.value)),
             ).props("dense outlined").style("margin-left:auto; min-width: 9rem")
-        work = ui.element("section").props('aria-label="Work" role="status"').classes("bar")
-        with ui.tabs().props("dense no-caps outside-arrows mobile-arrows align=left") as tabs:
-            for name, _ in _TABS:
-                ui.tab(name)
-        refresh: dict[str, Callable[[], Awaitable[None]]] = {}
-        with ui.tab_panels(tabs, value="Room", animated=False, keep_alive=True).classes("w-full"):
-            for name, build in _TABS:
-                with ui.tab_panel(name).style("padding: 0.5rem 0"):
-                    refresh[name] = build(bench)
-        shown: dict[str, tuple[float, ...]] = {}
 
-        async def look(_: object = None) -> None:
-            name, stamp = str(tabs.value), bench.stamp()
-            if shown.get(name) == stamp:
-                return
-            shown[name] = stamp
-            try:
-                await refresh[name]()
-            except InputError as error:
-                said(error, work)
+    async def look(self, _: object = None) -> None:
+        """Draw the open tab anew where its files have changed."""
+        tab = self.tabs[str(self.names.value)]
+        stamp = self.bench.stamp(tab.files)
+        if self.shown.get(tab.name) == stamp:
+            return
+        self.shown[tab.name] = stamp
+        try:
+            await tab.refresh()
+        except InputError as error:
+            said(error, self.work)
 
-        tell: list[Callable[[], None]] = []
-
-        def look_at_work() -> None:
-            at_work = ("waiting", "running", "failed")
-            now = [(j.number, j.state) for j in bench.jobs.listed if j.state in at_work]
-            if emptied(work, now):
-                with work:
-                    tell[:] = _show_work(bench)
-            for one in tell:
-                one()
-
-        tabs.on_value_change(look)
-        ui.timer(_LOOK_EVERY_S, look_at_work)
-        ui.timer(_LOOK_EVERY_S, look)  # of its own: a tab may take minutes to be ready
+    def look_at_work(self) -> None:
+        """Show what is at work, and how far it is."""
+        at_work = ("waiting", "running", "failed")
+        now = [(j.number, j.state) for j in self.bench.jobs.listed if j.state in at_work]
+        if emptied(self.work, now):
+            with self.work:
+                self.tell = _show_work(self.bench)
+        for one in self.tell:
+            one()
 
 
 def _show_work(bench: Bench) -> list[Callable[[], None]]:

@@ -26,9 +26,12 @@ from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.io.rooms import READERS
 from roomfit.io.rooms.model import RoomSpec
 
+CAMPAIGN = "campaign.toml"
 QUICK, FULL = "first", "result"
 """Folders of the quick answer and of the full one, within the project."""
-TREATMENT = "treatment"
+RESULTS = (f"{QUICK}/result.json", f"{FULL}/result.json")
+TREATMENT_QUESTION, TREATMENT = "treatment.toml", "treatment"
+"""Products and targets, and the folder of the answer."""
 LISTENED = "listened"
 RECORDINGS, DRY = "recordings", "dry"
 SHAPE = "{source}_{receiver}.wav"
@@ -48,7 +51,7 @@ EXPORTS = tuple(_ENDINGS)
 
 def campaign_file(folder: Path) -> Path:
     """Return where the campaign of a project is, or will be."""
-    return folder / "campaign.toml"
+    return folder / CAMPAIGN
 
 
 def has_campaign(folder: Path) -> bool:

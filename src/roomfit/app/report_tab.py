@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping
+from functools import partial
 from html import escape
 from pathlib import Path
+from typing import ClassVar
 from urllib.parse import quote
 
 from nicegui import ui
 
 from roomfit.app import project
 from roomfit.app.elements import emptied, heading, markup, said
-from roomfit.app.server import Bench
+from roomfit.app.jobs import Bench
 from roomfit.errors import InputError
 
 _PROGRAMS = {
@@ -27,37 +29,47 @@ _WHOLE = {"pdf": "The report as PDF", "excel": "All of it as an Excel workbook"}
 _FILES = ("report.html", "absorption.csv", "result.json")
 
 
-def build(bench: Bench) -> Callable[[], Awaitable[None]]:
-    """Draw the tab; return what draws it anew."""
-    whole = ui.element("div").style("width: 100%")
-    links = ui.element("div")
-    made: dict[str, list[str]] = {}
+class ReportTab:
+    """The files of the best answer, and exports that are made when they are asked for."""
 
-    async def export(wanted: str) -> None:
+    name: ClassVar[str] = "Report"
+    files: ClassVar[tuple[str, ...]] = project.RESULTS
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.answer = ui.element("div").style("width: 100%")
+        self.links = ui.element("div")
+        self.exported: dict[str, list[str]] = {}  # files by format, of the answer that is shown
+
+    async def export(self, wanted: str) -> None:
+        """Have an export made, and download it where it is one file."""
         try:
-            made[wanted] = await bench.ask("export", wanted=wanted)
+            files = await self.bench.ask("export", wanted=wanted)
         except InputError as error:
-            said(error, whole)
+            said(error, self.answer)
             return
-        if whole.is_deleted:  # the page was closed meanwhile
+        self.exported[wanted] = files
+        if self.answer.is_deleted:  # the page was closed meanwhile
             return
-        if len(made[wanted]) == 1:
-            with whole:  # what was clicked may have been drawn anew
-                ui.navigate.to(f"/files/{quote(made[wanted][0])}?save=1")
-        await refresh()
+        if len(files) == 1:
+            with self.answer:  # what was clicked may have been drawn anew
+                ui.navigate.to(f"/files/{quote(files[0])}?save=1")
+        await self.refresh()
 
-    async def refresh() -> None:
-        found = project.best_result(bench.folder)
-        if emptied(whole, found and (found, found.stat().st_mtime_ns)):
-            made.clear()  # of the answer before
-            with whole:
-                show_answer(found)
-        if emptied(links, dict(made)):
-            with links:
-                for file in [file for files in made.values() for file in files]:
+    async def refresh(self) -> None:
+        """Show the files of the best answer."""
+        found = project.best_result(self.bench.folder)
+        if emptied(self.answer, found and (found, found.stat().st_mtime_ns)):
+            self.exported.clear()  # of the answer before
+            with self.answer:
+                self.show_answer(found)
+        if emptied(self.links, dict(self.exported)):
+            with self.links:
+                for file in [file for files in self.exported.values() for file in files]:
                     markup(f'<a href="/files/{escape(quote(file))}?save=1">{escape(file)}</a>')
 
-    def show_answer(found: Path | None) -> None:
+    def show_answer(self, found: Path | None) -> None:
+        """Draw links to the files of an answer, and buttons for its exports."""
         if found is None:
             ui.label("No answer yet: identify first.").classes("soft")
             return
@@ -73,15 +85,14 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             + f'<li><a href="/files/{folder}/report.html" target="_blank" rel="noopener">'
             "Open the report in a tab of its own</a></li></ul>"
         )
-        show_buttons(_WHOLE)
+        self.show_buttons(_WHOLE)
         heading("Materials for other programs")
-        show_buttons(_PROGRAMS)
+        self.show_buttons(_PROGRAMS)
 
-    def show_buttons(offered: Mapping[str, str]) -> None:
+    def show_buttons(self, offered: Mapping[str, str]) -> None:
+        """Draw a button for each export."""
         with ui.element("div").classes("bar"):
             for wanted, text in offered.items():
-                ui.button(text, on_click=lambda wanted=wanted: export(wanted)).props(
+                ui.button(text, on_click=partial(self.export, wanted)).props(
                     "no-caps outline color=quiet"
                 )
-
-    return refresh

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
+from functools import partial
 from html import escape
-from typing import Any
+from typing import Any, ClassVar
 
 from nicegui import ui
 
 from roomfit.app import project
 from roomfit.app.elements import (
     FileDrop,
+    Questions,
     RoomView,
     emptied,
     finding_html,
@@ -18,78 +20,132 @@ from roomfit.app.elements import (
     markup,
     said,
 )
-from roomfit.app.server import Bench
+from roomfit.app.jobs import Bench
 from roomfit.errors import InputError
 from roomfit.io.rooms import READERS
 from roomfit.io.rooms.model import METRES_PER_UNIT
 from roomfit.materials.catalogue import catalogue, suggested_entries
 
+_MOST_SURFACES = 500  # that are listed; all are drawn
 
-def build(bench: Bench) -> Callable[[], Awaitable[None]]:
-    """Draw the tab; return what draws it anew."""
-    room: dict[str, Any] = {}
-    chosen = {"surface": -1}
-    lines: list[ui.element] = []
-    latest = [0]  # number of the view that was asked for last
-    start = ui.element("div").style("width: 100%")
 
-    def pick(surface: int) -> None:
-        chosen["surface"] = surface
-        view.point_at(surface, None)
-        show_surfaces()
+class RoomTab:
+    """The room in three dimensions, its surfaces, and what the chosen one is made of."""
 
-    both = ui.element("div").classes("two")
-    with both:
-        with ui.element("div"):
-            view = RoomView(pick)
-            facts = ui.label().classes("soft")
-            faults = ui.element("div")
-        with ui.element("div").classes("panel"):
-            surfaces = ui.element("div")
-            details = ui.element("div")
+    name: ClassVar[str] = "Room"
+    files: ClassVar[tuple[str, ...]] = (project.CAMPAIGN,)
 
-    def show_surfaces() -> None:
-        colours = [m["colour"] for m in room["materials"]]
-        if emptied(surfaces, (room["surfaces"][:500], colours)):
-            lines.clear()
-            with surfaces:
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.room: dict[str, Any] = {}  # as it was read last
+        self.chosen = -1  # number of the surface
+        self.lines: list[ui.element] = []
+        self.start = RoomStart(bench, self.refresh)
+        self.both = ui.element("div").classes("two")
+        with self.both:
+            with ui.element("div"):
+                self.view = RoomView(self.pick)
+                self.facts = ui.label().classes("soft")
+                self.faults = ui.element("div")
+            with ui.element("div").classes("panel"):
+                self.surfaces = ui.element("div")
+                self.details = ui.element("div")
+        self.questions = Questions(self.both)
+
+    def pick(self, surface: int) -> None:
+        """Choose a surface by its number."""
+        self.chosen = surface
+        self.view.point_at(surface, None)
+        self.show_surfaces()
+
+    async def refresh(self) -> None:
+        """Show the room, or how to begin where there is none."""
+        if self.both.is_deleted:
+            return
+        has = project.has_campaign(self.bench.folder)
+        self.both.set_visibility(has)
+        self.start.show(has)
+        if not has:
+            return
+        is_current = self.questions.put()
+        found = await self.bench.ask("room_view")
+        if not is_current():
+            return
+        names = [s["name"] for s in self.room.get("surfaces", ())]
+        if [s["name"] for s in found["surfaces"]] != names:
+            self.chosen = -1
+            self.view.point_at(-1, None)
+        self.room = found
+        self.view.show(found)
+        free = found["mean_free_path_m"]
+        path = "" if free is None else f", mean free path {free:.2f} m"
+        words = "can be traced" if found["traceable"] else "cannot be traced"
+        size = f"{found['volume_m3']:.1f} m³, {found['surface_m2']:.1f} m²"
+        self.facts.set_text(f"{size}{path}; {words}.")
+        if emptied(self.faults, found["findings"]):
+            self.show_faults()
+        self.show_surfaces()
+
+    def show_faults(self) -> None:
+        """List what is doubtful, each with buttons that show the first places of it."""
+        with self.faults:
+            for finding in self.room["findings"]:
+                with ui.element("div").classes("bar"):
+                    markup(finding_html(finding)).style("flex: 1 1 16rem")
+                    for place in finding["about"].get("points_m", [])[:3]:
+                        text = "Show " + ", ".join(f"{x:.2f}" for x in place)
+                        ui.button(text, on_click=partial(self.view.point_at, -1, place)).props(
+                            "outline dense no-caps color=quiet"
+                        )
+
+    def show_surfaces(self) -> None:
+        """List the surfaces, and show the one that is chosen."""
+        own = self.room["surfaces"][self.chosen] if self.chosen >= 0 else None
+        materials = {m["name"]: m for m in self.room["materials"]}
+        colours = [m["colour"] for m in self.room["materials"]]
+        listed = self.room["surfaces"][:_MOST_SURFACES]
+        if emptied(self.surfaces, (listed, colours)):
+            self.lines.clear()
+            with self.surfaces:
                 heading("Surfaces")
                 group = ui.element("div").classes("surfaces")
                 with group.props('role="group" aria-label="Surfaces"'):
-                    for i, own in enumerate(room["surfaces"][:500]):
-                        lines.append(surface_line(i, own, colours[own["material_index"]]))
-        for i, line in enumerate(lines):
-            line.props["aria-pressed"] = "true" if i == chosen["surface"] else "false"
-        own = room["surfaces"][chosen["surface"]] if chosen["surface"] >= 0 else None
-        names = [m["name"] for m in room["materials"]]
-        material: dict[str, Any] = next(
-            (m for m in room["materials"] if own and m["name"] == own["material"]), {}
-        )
-        if emptied(details, (own, names, material)) and own:
-            with details:
-                show_details(own, names, material)
+                    for i, surface in enumerate(listed):
+                        colour = colours[surface["material_index"]]
+                        self.lines.append(self.surface_line(i, surface, colour))
+        for i, line in enumerate(self.lines):
+            line.props["aria-pressed"] = "true" if i == self.chosen else "false"
+        material = {} if own is None else materials.get(own["material"], {})
+        if emptied(self.details, (own, list(materials), material)) and own:
+            with self.details:
+                self.show_details(own, list(materials), material)
 
-    def surface_line(i: int, own: dict[str, Any], colour: str) -> ui.element:
+    def surface_line(self, number: int, surface: dict[str, Any], colour: str) -> ui.element:
+        """Draw a surface as a line of the list, a button."""
         line = ui.element("button").classes("surface").props('type="button"')
-        line.on("click", lambda: pick(i))
+        line.on("click", lambda: self.pick(number))
         with line:
             markup(
                 f'<span class="swatch" style="background:{escape(colour)}"></span>'
-                f"{escape(own['name'])}"
+                f"{escape(surface['name'])}"
             )
-            ui.label(f"{own['material']}, {own['area_m2']:.1f} m²").classes("right")
+            ui.label(f"{surface['material']}, {surface['area_m2']:.1f} m²").classes("right")
         return line
 
-    def show_details(surface: dict[str, Any], names: list[str], material: dict[str, Any]) -> None:
+    def show_details(
+        self, surface: dict[str, Any], names: Sequence[str], material: dict[str, Any]
+    ) -> None:
+        """Draw the material of a surface, and what the catalogue has for it, both to be chosen."""
+        folder = self.bench.folder
         heading(f"Surface {surface['name']}")
         ui.select(
-            names,
+            list(names),
             value=surface["material"],
             label="Material (choose, or type a new name and Enter)",
             with_input=True,
             new_value_mode="add-unique",
-            on_change=lambda e: change(
-                lambda: project.set_surface_material(bench.folder, surface["name"], str(e.value))
+            on_change=lambda e: self.change(
+                lambda: project.set_surface_material(folder, surface["name"], str(e.value))
             ),
         ).props("outlined dense").style("width: 100%; margin-bottom: 0.6rem")
         entries = {e.name: f"{e.name}: {e.description}" for e in catalogue().entries}
@@ -102,8 +158,8 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
                 label=f"What {material['name']} is (search the catalogue)",
                 with_input=True,
                 clearable=True,
-                on_change=lambda e: change(
-                    lambda: project.set_prior(bench.folder, material["name"], e.value)
+                on_change=lambda e: self.change(
+                    lambda: project.set_prior(folder, material["name"], e.value)
                 ),
             ).props("outlined dense").style("width: 100%")
         if material["prior"] in entries:
@@ -111,114 +167,93 @@ def build(bench: Bench) -> Callable[[], Awaitable[None]]:
             values = ", ".join(f"{a:.2f}" for a in entry.absorption)
             ui.label(f"Absorption of the catalogue, 63 to 8000 Hz: {values}").classes("small")
 
-    async def change(action: Callable[[], None]) -> None:
+    async def change(self, action: Callable[[], None]) -> None:
+        """Change the campaign, and show what has become of the room."""
         try:
             action()
-            found = await bench.ask("room_view")
+            found = await self.bench.ask("room_view")
             names = [m["name"] for m in found["materials"]]
-            project.forget_unused_materials(bench.folder, names)
-            await refresh()
+            project.forget_unused_materials(self.bench.folder, names)
+            await self.refresh()
         except InputError as error:
-            said(error, both)
+            said(error, self.both)
 
-    def show_faults() -> None:
-        with faults:
-            for finding in room["findings"]:
-                with ui.element("div").classes("bar"):
-                    markup(finding_html(finding)).style("flex: 1 1 16rem")
-                    for place in finding["points_m"][:3]:
-                        text = "Show " + ", ".join(f"{x:.2f}" for x in place)
-                        ui.button(
-                            text, on_click=lambda place=place: view.point_at(-1, place)
-                        ).props("outline dense no-caps color=quiet")
 
-    async def refresh() -> None:
-        if both.is_deleted:
+class RoomStart:
+    """How a project gets its room, or another one: a file, three lengths, or the demo project."""
+
+    def __init__(self, bench: Bench, then: Callable[[], Awaitable[None]]) -> None:
+        self.bench = bench
+        self.then = then  # what shows the room
+        self.unit: str | None = None  # of the file; None: as it says
+        self.place = ui.element("div").style("width: 100%")
+
+    def show(self, has_campaign: bool) -> None:
+        """Draw it, unless it is drawn for a project of this kind already."""
+        if not emptied(self.place, has_campaign):
             return
-        has = project.has_campaign(bench.folder)
-        both.set_visibility(has)
-        if not start.default_slot.children or has != room.get("has"):
-            start.clear()
-            with start:
-                _show_start(bench, start, refresh)
-        room["has"] = has
-        if not has:
-            return
-        latest[0] += 1
-        own = latest[0]
-        found = await bench.ask("room_view")
-        if both.is_deleted or own != latest[0]:  # the page was closed, or asked once more
-            return
-        if [s["name"] for s in found["surfaces"]] != [s["name"] for s in room.get("surfaces", ())]:
-            chosen["surface"] = -1
-            view.point_at(-1, None)
-        room.update(found)
-        view.show(room)
-        free = room["mean_free_path_m"]
-        path = "" if free is None else f", mean free path {free:.2f} m"
-        words = "can be traced" if room["traceable"] else "cannot be traced"
-        facts.set_text(f"{room['volume_m3']:.1f} m³, {room['surface_m2']:.1f} m²{path}; {words}.")
-        if emptied(faults, room["findings"]):
-            show_faults()
-        show_surfaces()
+        self.unit = None
+        with self.place:
+            if has_campaign:
+                with ui.expansion("Another room").classes("panel").style("margin-bottom: 0.75rem"):
+                    self.from_file()
+                    self.from_lengths()
+                return
+            with ui.element("div").classes("two"):
+                with ui.element("div").classes("panel"):
+                    heading("Begin with your room")
+                    self.from_file()
+                    heading("or type a box")
+                    self.from_lengths()
+                with ui.element("div").classes("panel"):
+                    heading("or look around first")
+                    ui.label(
+                        "A box of 6.1 x 4.7 x 2.8 m with six materials, two sources and four "
+                        "receivers; its recordings are simulated, with noise and errors of "
+                        "position."
+                    )
+                    ui.button("Open the demo project", on_click=self.demo).props("no-caps")
 
-    return refresh
+    def from_file(self) -> None:
+        """Draw a place for a room file, and its unit."""
+        FileDrop("Room file, dropped here or chosen:", "room", READERS, self.use_file)
+        ui.select(
+            {None: "as the file says", **{u: u for u in METRES_PER_UNIT}},
+            value=None,
+            label="Unit",
+            on_change=self.choose_unit,
+        ).props("outlined dense").style("width: 11rem; margin: 0.5rem 0")
 
-
-def _show_start(bench: Bench, start: ui.element, refresh: Callable[[], Awaitable[None]]) -> None:
-    unit: dict[str, str | None] = {"unit": None}
-
-    async def use(**given: Any) -> None:
-        try:
-            await bench.ask("set_room", unit=unit["unit"], **given)
-            await refresh()
-        except InputError as error:
-            said(error, start)
-
-    async def sent(names: list[str]) -> None:
-        await use(file=names[-1])
-
-    def demo() -> None:
-        bench.jobs.add(
-            "Demo project", "demo", {"folder": str(bench.folder)}, ((0.0, "simulating"),)
-        )
-
-    def shoebox() -> None:
+    def from_lengths(self) -> None:
+        """Draw three fields for the lengths of a box."""
         with ui.element("div").classes("bar"):
-            boxes = [
+            fields = [
                 ui.number(f"{name} (m)", value=value, min=0.1, step=0.1)
                 .props("outlined dense")
                 .style("width: 8rem")
                 for name, value in (("Length x", 6.0), ("Width y", 5.0), ("Height z", 3.0))
             ]
             ui.button(
-                "Use this box", on_click=lambda: use(shoebox=[box.value or 0.0 for box in boxes])
+                "Use this box", on_click=lambda: self.use(shoebox=[f.value or 0.0 for f in fields])
             ).props("no-caps")
 
-    def from_file() -> None:
-        FileDrop("Room file, dropped here or chosen:", "room", READERS, sent)
-        ui.select(
-            {None: "as the file says", **{u: u for u in METRES_PER_UNIT}},
-            value=None,
-            label="Unit",
-            on_change=lambda e: unit.update(unit=e.value),
-        ).props("outlined dense").style("width: 11rem; margin: 0.5rem 0")
+    def choose_unit(self, event: Any) -> None:
+        """Keep the unit for the next file."""
+        self.unit = event.value
 
-    if project.has_campaign(bench.folder):
-        with ui.expansion("Another room").classes("panel").style("margin-bottom: 0.75rem"):
-            from_file()
-            shoebox()
-        return
-    with ui.element("div").classes("two"):
-        with ui.element("div").classes("panel"):
-            heading("Begin with your room")
-            from_file()
-            heading("or type a box")
-            shoebox()
-        with ui.element("div").classes("panel"):
-            heading("or look around first")
-            ui.label(
-                "A box of 6.1 x 4.7 x 2.8 m with six materials, two sources and four receivers; "
-                "its recordings are simulated, with noise and errors of position."
-            )
-            ui.button("Open the demo project", on_click=demo).props("no-caps")
+    async def use_file(self, names: list[str]) -> None:
+        """Give the project the last of the files that were sent."""
+        await self.use(file=names[-1])
+
+    async def use(self, **room: Any) -> None:
+        """Give the project a room, see `project.set_room`, and show it."""
+        try:
+            await self.bench.ask("set_room", unit=self.unit, **room)
+            await self.then()
+        except InputError as error:
+            said(error, self.place)
+
+    def demo(self) -> None:
+        """Have the demo project simulated into the folder."""
+        own = {"folder": str(self.bench.folder)}
+        self.bench.jobs.add("Demo project", "demo", own, ((0.0, "simulating"),))

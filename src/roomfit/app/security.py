@@ -100,7 +100,10 @@ def new_door(host: str, port: int, upload_bytes: int, names: Iterable[str] = ())
 
 
 def is_own_host(door: Door, host: str) -> bool:
-    """Whether a ``Host``, with or without port, is this server.
+    """Whether a ``Host`` is this server: its name, and its port.
+
+    Starlette's ``TrustedHostMiddleware`` looks at no port, at the first of two hosts alone, and
+    knows names only, not every address in numbers of a server that listens at all of them.
 
     Examples
     --------

@@ -10,9 +10,7 @@ import socket
 import webbrowser
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import uvicorn
 from fastapi import FastAPI, Request
@@ -21,7 +19,8 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import FileResponse, PlainTextResponse, Response
 
 from roomfit.app import project
-from roomfit.app.jobs import READING_MIB, READING_S, Jobs, Worker
+from roomfit.app.jobs import Bench
+from roomfit.app.page import build_page
 from roomfit.app.security import Door, Guard, new_door
 from roomfit.errors import InputError
 from roomfit.io.door import limit
@@ -30,44 +29,8 @@ _SHOWN_AS_PAGE = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; 
 _FIRST_PORT, _PORTS = 8321, 20
 
 
-@dataclass(slots=True)
-class Bench:
-    """One project and the processes that work for it."""
-
-    folder: Path
-    reader: Worker = field(default_factory=lambda: Worker(READING_MIB))
-    what_if: Worker = field(default_factory=Worker)
-    jobs: Jobs = field(default_factory=Jobs)
-
-    async def ask(self, task: str, **arguments: Any) -> Any:
-        """Return the answer of a task about the folder that takes seconds at most."""
-        own = {"folder": str(self.folder), **arguments}
-        return await self.reader.ask(task, own, limit_s=READING_S)
-
-    def stamp(self) -> tuple[float, ...]:
-        """Return what changes whenever the folder's content does, whoever has changed it."""
-        files = (
-            project.campaign_file(self.folder),
-            self.folder / project.RECORDINGS,
-            self.folder / project.QUICK / "result.json",
-            self.folder / project.FULL / "result.json",
-            self.folder / project.TREATMENT,
-            self.folder / "treatment.toml",
-            self.folder / project.LISTENED,
-            self.folder / project.DRY,
-        )
-        return tuple(p.stat().st_mtime_ns if p.exists() else 0 for p in files)
-
-    async def stop(self) -> None:
-        """End all processes."""
-        await self.jobs.stop()
-        await self.reader.stop()
-        await self.what_if.stop()
-
-
 def application(bench: Bench, door: Door) -> Guard:
     """Return the whole application behind its guard."""
-    from roomfit.app.page import build_page
 
     @asynccontextmanager
     async def living(_: FastAPI) -> AsyncIterator[None]:
@@ -79,42 +42,11 @@ def application(bench: Bench, door: Door) -> Guard:
 
     @app.put("/upload/{kind}/{name}")
     async def upload(kind: str, name: str, request: Request) -> Response:
-        try:
-            place = project.upload_place(bench.folder, kind, name)
-        except InputError as error:
-            return PlainTextResponse(str(error), 400)
-        waiting = bench.folder / f".roomfit-upload-{secrets.token_hex(8)}"
-        waiting.mkdir()
-        try:
-            with (waiting / name).open("xb") as stream:
-                async for chunk in request.stream():
-                    await asyncio.to_thread(stream.write, chunk)
-            await bench.ask("look_at_upload", kind=kind, file=f"{waiting.name}/{name}")
-            place.parent.mkdir(exist_ok=True)
-            (waiting / name).replace(place)
-        except InputError as error:
-            return PlainTextResponse(str(error), 400)
-        except ClientDisconnect:  # or more than the limit, to which the guard has answered
-            return PlainTextResponse("not whole", 400)
-        finally:
-            shutil.rmtree(waiting, ignore_errors=True)
-        return PlainTextResponse("taken")
+        return await _take(bench, kind, name, request)
 
     @app.get("/files/{path:path}")
     async def download(path: str, save: bool = False) -> Response:
-        try:
-            file = project.served_file(bench.folder, path)
-        except InputError as error:
-            return PlainTextResponse(str(error), 404)
-        # a result may be another's: its page runs nothing, whatever it holds
-        shown = file.suffix in (".html", ".png", ".wav") and not save
-        headers = {"content-security-policy": _SHOWN_AS_PAGE, "cache-control": "no-store"}
-        kind = None if shown else "attachment"
-        if shown:
-            return FileResponse(file, headers=headers)
-        return FileResponse(
-            file, filename=file.name, headers=headers, content_disposition_type=kind or "inline"
-        )
+        return _give(bench.folder, path, save)
 
     build_page(bench)
     ui.run_with(
@@ -127,6 +59,45 @@ def application(bench: Bench, door: Door) -> Guard:
         reconnect_timeout=20.0,
     )
     return Guard(app, door)
+
+
+async def _take(bench: Bench, kind: str, name: str, request: Request) -> Response:
+    """Take a file that is sent: it comes to its place when it is whole and could be read."""
+    try:
+        place = project.upload_place(bench.folder, kind, name)
+    except InputError as error:
+        return PlainTextResponse(str(error), 400)
+    waiting = bench.folder / f".roomfit-upload-{secrets.token_hex(8)}"
+    waiting.mkdir()
+    try:
+        with (waiting / name).open("xb") as stream:
+            async for chunk in request.stream():
+                await asyncio.to_thread(stream.write, chunk)
+        await bench.ask("look_at_upload", kind=kind, file=f"{waiting.name}/{name}")
+        place.parent.mkdir(exist_ok=True)
+        (waiting / name).replace(place)
+    except InputError as error:
+        return PlainTextResponse(str(error), 400)
+    except ClientDisconnect:  # or more than the limit, to which the guard has answered
+        return PlainTextResponse("not whole", 400)
+    finally:
+        shutil.rmtree(waiting, ignore_errors=True)
+    return PlainTextResponse("taken")
+
+
+def _give(folder: Path, path: str, save: bool) -> Response:
+    """Return a file of a result or an export, to be shown or to be saved."""
+    try:
+        file = project.served_file(folder, path)
+    except InputError as error:
+        return PlainTextResponse(str(error), 404)
+    # a result may be another's: its page runs nothing, whatever it holds
+    headers = {"content-security-policy": _SHOWN_AS_PAGE, "cache-control": "no-store"}
+    if file.suffix in (".html", ".png", ".wav") and not save:
+        return FileResponse(file, headers=headers)
+    return FileResponse(
+        file, filename=file.name, headers=headers, content_disposition_type="attachment"
+    )
 
 
 def serve(

@@ -5,8 +5,7 @@ Each takes a function for progress first and says what a command of the command 
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,9 +16,9 @@ from roomfit import commands
 from roomfit.app import project
 from roomfit.app.what_if import what_if, what_if_prepare
 from roomfit.errors import InputError, RoomfitError
-from roomfit.findings import Finding
+from roomfit.findings import About, Code
 from roomfit.geometry.mesh import Mesh, triangle_areas_m2
-from roomfit.io.campaign import read_campaign
+from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import json_content, read_bytes, read_text
 from roomfit.io.draft import matching_files
 from roomfit.io.encoding import finding_content, number_or_null, numbers_or_null
@@ -30,26 +29,22 @@ from roomfit.io.rooms import read_mesh
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.prediction.changes import read_change
 from roomfit.report.room_figure import MOST_FACES, material_colour, outline_m
-from roomfit.scene import Room, RoomCheck, check_mesh, surface_materials
+from roomfit.scene import Room, check_mesh, surface_materials
 from roomfit.synthetic.boxes import demo_plan, write_measured_box
 from roomfit.typing import Progress
 
 _MOST_EDGES = 1500
-_PLACE = re.compile(r"\((-?\d+\.?\d*), (-?\d+\.?\d*), (-?\d+\.?\d*)\) m")
 _NO_MATERIAL = "(no material)"
+_FEW = 3  # a finding about more recordings, or more materials, than these stands by itself
+_VOIDING = frozenset(code.value for code in Code if code.voids_identifiability)
 
 
-def finding_view(finding: Finding) -> dict[str, Any]:
-    """Return a finding with the points in the room that its sentence names, in m."""
-    points = [[float(x) for x in found] for found in _PLACE.findall(finding.sentence)]
-    return {**finding_content(finding), "points_m": points}
-
-
-def _fault(error: RoomfitError) -> dict[str, Any]:
+def fault(error: RoomfitError) -> dict[str, Any]:
     """Return an error as a serious finding, for a page that shows it where it belongs."""
-    points = [[float(x) for x in found] for found in _PLACE.findall(str(error))]
     sentence = "; ".join(filter(None, (error.what, error.where, error.found, error.hint)))
-    return {"code": "input", "severity": "serious", "sentence": sentence, "points_m": points}
+    points = [list(point) for point in error.points_m]
+    about = {"points_m": points} if points else {}
+    return {"code": "input", "severity": "serious", "sentence": sentence, "about": about}
 
 
 def room_view(_: Progress, folder: str) -> dict[str, Any]:
@@ -63,19 +58,36 @@ def room_view(_: Progress, folder: str) -> dict[str, Any]:
             check = check_campaign(campaign)
             faults: list[dict[str, Any]] = []
         except InputError as error:  # materials of the campaign and of the room disagree
-            faults = [_fault(error)]
+            faults = [fault(error)]
             check = check_mesh(mesh, {}, findings)
             campaign = replace(campaign, room=replace(campaign.room, materials={}))
         room = _any_room(mesh, campaign.room.materials)
         priors = {name: table.prior for name, table in campaign.materials.items()}
         points = {"sources": campaign.sources, "receivers": campaign.receivers}
-    areas = triangle_areas_m2(mesh)
-    by_surface = np.bincount(mesh.triangle_surface, areas, len(mesh.surfaces))
-    largest = np.argsort(-areas, kind="stable")[:MOST_FACES]
+    largest = np.argsort(-triangle_areas_m2(mesh), kind="stable")[:MOST_FACES]
     return {
         "vertices": np.round(mesh.vertices_m, 4).tolist(),
         "faces": [[*mesh.triangles[i].tolist(), int(mesh.triangle_surface[i])] for i in largest],
         "edges": np.round(outline_m(room, _MOST_EDGES), 4).tolist(),
+        **_surfaces(room, priors),
+        **{
+            kind: [{"name": p.name, "position_m": np.asarray(p.position_m).tolist()} for p in own]
+            for kind, own in points.items()
+        },
+        "findings": [*faults, *map(finding_content, check.findings)],
+        "volume_m3": check.volume_m3,
+        "surface_m2": check.surface_m2,
+        "mean_free_path_m": number_or_null(check.mean_free_path_m),
+        "traceable": check.traceable,
+    }
+
+
+def _surfaces(room: Room, priors: Mapping[str, object]) -> dict[str, Any]:
+    """Return what the tab lists of surfaces and materials, with areas, colours and priors."""
+    mesh = room.mesh
+    areas = triangle_areas_m2(mesh)
+    by_surface = np.bincount(mesh.triangle_surface, areas, len(mesh.surfaces))
+    return {
         "surfaces": [
             {
                 "name": s.name,
@@ -95,21 +107,6 @@ def room_view(_: Progress, folder: str) -> dict[str, Any]:
             }
             for i, name in enumerate(room.materials)
         ],
-        **{
-            kind: [{"name": p.name, "position_m": np.asarray(p.position_m).tolist()} for p in own]
-            for kind, own in points.items()
-        },
-        "findings": [*faults, *map(finding_view, check.findings)],
-        **_numbers(check),
-    }
-
-
-def _numbers(check: RoomCheck) -> dict[str, Any]:
-    return {
-        "volume_m3": check.volume_m3,
-        "surface_m2": check.surface_m2,
-        "mean_free_path_m": number_or_null(check.mean_free_path_m),
-        "traceable": check.traceable,
     }
 
 
@@ -130,16 +127,13 @@ def recordings_view(_: Progress, folder: str, shape: str) -> dict[str, Any]:
     """
     root = Path(folder)
     rows: dict[str, dict[str, Any]] = {}
-    view: dict[str, Any] = {"rows": [], "positions": [], "bands_hz": [], "findings": [], "plan": []}
+    view: dict[str, Any] = {"bands_hz": [], "findings": [], "plan": []}
     known: dict[str, dict[str, Any]] = {"sources": {}, "receivers": {}}
     if project.has_campaign(root):
         with project.filled_campaign(root) as campaign:
             for kind, points in (("sources", campaign.sources), ("receivers", campaign.receivers)):
                 known[kind] = {p.name: np.asarray(p.position_m).tolist() for p in points}
-            mesh = read_mesh(campaign.room)[0]
-            edges = outline_m(_any_room(mesh, campaign.room.materials), _MOST_EDGES)[:, :, :2]
-            # an upright edge is a point from above, and two lie upon each other
-            view["plan"] = np.unique(np.round(edges.reshape(-1, 4), 3), axis=0).tolist()
+            view["plan"] = _plan(campaign)
             for m in campaign.measurements:
                 file = Path(m.response.path)
                 name = file.relative_to(root).as_posix() if root in file.parents else str(file)
@@ -161,19 +155,27 @@ def recordings_view(_: Progress, folder: str, shape: str) -> dict[str, Any]:
     missing = [p["name"] for p in view["positions"] if p["position_m"] is None]
     if rows and missing:
         text = f"Where {', '.join(missing)} stand is not known: type x, y, z into the table."
-        view["findings"].append(
-            {"code": "positions", "severity": "warning", "sentence": text, "points_m": []}
-        )
+        unknown = {"code": "positions", "severity": "warning", "sentence": text, "about": {}}
+        view["findings"].append(unknown)
     if rows and project.has_campaign(root):
         try:
             _check(root, rows, view)
         except RoomfitError as error:
-            view["findings"].append(_fault(error))
+            view["findings"].append(fault(error))
     return view
 
 
+def _plan(campaign: Campaign) -> list[list[float]]:
+    """Return the edges of the room from above, each x, y, x, y in m."""
+    mesh = read_mesh(campaign.room)[0]
+    edges = outline_m(_any_room(mesh, campaign.room.materials), _MOST_EDGES)[:, :, :2]
+    # an upright edge is a point from above, and two lie upon each other
+    plan: list[list[float]] = np.unique(np.round(edges.reshape(-1, 4), 3), axis=0).tolist()
+    return plan
+
+
 def _check(root: Path, rows: dict[str, dict[str, Any]], view: dict[str, Any]) -> None:
-    """Add what is known of each recording, and findings to the recording that they name."""
+    """Add what is known of each recording, and findings to the recordings that they are about."""
     checked = commands.check_campaign_recordings(read_campaign(project.campaign_file(root)))
     view["bands_hz"] = checked.bands.centres_hz.tolist()
     by_pair = {(r["source"], r["receiver"], Path(f).name): r for f, r in rows.items()}
@@ -190,39 +192,67 @@ def _check(root: Path, rows: dict[str, dict[str, Any]], view: dict[str, Any]) ->
             "has_t20": checked.has_t20[i].tolist(),
             "notes": [],
         }
+    examined = [row for row in rows.values() if "notes" in row]
     for finding in checked.findings:
-        content = finding_view(finding)
-        text = f"{finding.sentence} {content['evidence']}"
-        named = [
-            r for f, r in rows.items() if "notes" in r and re.search(_whole(Path(f).name), text)
-        ]
-        for row in named:
-            row["notes"].append({k: content[k] for k in ("severity", "sentence", "code")})
-        if not named or len(named) > 3:
+        content = finding_content(finding)
+        own = concerned_recordings(finding.about, examined)
+        for row in own:
+            row["notes"].append(content)
+        if not own or len(own) > _FEW:
             view["findings"].append(content)
 
 
-def _whole(name: str) -> str:
-    return rf"(?<!\w){re.escape(name)}(?!\w)"
+def concerned_recordings(about: About, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rows, each with file, source and receiver, that a finding names; not all if none.
+
+    Examples
+    --------
+    >>> row = {"file": "recordings/S_R.wav", "source": "S", "receiver": "R"}
+    >>> [len(concerned_recordings(About(files=[f]), [row])) for f in ("S_R.wav", "x/S_R.wav")]
+    [1, 0]
+    """
+    return [
+        row
+        for row in rows
+        if (about.files or about.pairs)
+        and (not about.files or any(_is_file(name, row["file"]) for name in about.files))
+        and (not about.pairs or (row["source"], row["receiver"]) in about.pairs)
+    ]
+
+
+def _is_file(named: str, file: str) -> bool:
+    """Whether a name, perhaps without folders, or with more, or with a part in brackets, fits."""
+    own = Path(file).parts
+    for text in (named, named.rpartition("[")[0]):
+        parts = Path(text).parts
+        n = min(len(own), len(parts))
+        if n and own[-n:] == parts[-n:]:
+            return True
+    return False
 
 
 def result_view(_: Progress, folder: str, name: str) -> dict[str, Any] | None:
-    """Return absorption with intervals by material, and findings, None where there is no result."""
+    """Return absorption with intervals by material, and findings, None where there is no result.
+
+    ``beside`` of a finding are the materials at which it is shown; ``usable`` says what still
+    holds, where a finding voids what is identifiable.
+    """
     file = Path(folder) / name / "result.json"
     if not file.is_file():
         return None
     content = json_content(read_text(file, "result"), "result")
-    materials = content["materials"]
-    findings = []
+    materials, findings = content["materials"], []
     for finding in content["findings"]:
-        text = f"{finding['sentence']} {finding['evidence']}"
-        named = [m for m in materials if re.search(_whole(m), text)]
-        findings.append({**finding, "materials": named if len(named) <= 2 else []})
+        named = finding.get("about", {}).get("materials", [])
+        own = [m for m in named if m in materials]
+        findings.append({**finding, "beside": own if len(own) <= _FEW else []})
+    voids = any(finding["code"] in _VOIDING for finding in findings)
     keys = ("absorption", "lower95", "upper95", "identifiable", "area_m2")
     return {
         "bands_hz": content["bands_hz"],
         "materials": {m: {k: own[k] for k in keys} for m, own in materials.items()},
         "findings": findings,
+        "usable": content.get("usable", []) if voids else [],
         "plan": content.get("plan", []),
         "seconds": content["fit"].get("seconds"),
         "made": file.stat().st_mtime,
@@ -291,7 +321,7 @@ def treat(progress: Progress, folder: str) -> str:
     answer = commands.treat_to_folder(
         project.campaign_file(root),
         result,
-        root / "treatment.toml",
+        root / project.TREATMENT_QUESTION,
         out,
         overwrite=True,
         progress=progress,

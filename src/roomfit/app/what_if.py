@@ -70,7 +70,7 @@ def what_if_prepare(progress: Progress, folder: str) -> dict[str, Any]:
     return {
         "bands_hz": found.bands.centres_hz.tolist(),
         "absorption": dict(zip(found.materials, found.absorption.tolist(), strict=True)),
-        "limits": _limits(root / "treatment.toml", room),
+        "limits": _limits(root / project.TREATMENT_QUESTION, room),
         **what_if(progress, folder, []),
     }
 

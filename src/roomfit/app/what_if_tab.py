@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import quote
 
 from matplotlib.ticker import MaxNLocator
@@ -16,13 +17,14 @@ from roomfit.app import project
 from roomfit.app.elements import (
     BandSlider,
     FileDrop,
+    Questions,
     emptied,
     heading,
     markup,
     said,
     table_html,
 )
-from roomfit.app.server import Bench
+from roomfit.app.jobs import Bench
 from roomfit.errors import InputError
 from roomfit.io.door import json_content, read_text
 from roomfit.io.responses import RESPONSE_SUFFIXES
@@ -43,317 +45,401 @@ _MOST = {"D50_percent": 100.0, "STI": 1.0}
 _SPEECH = "125 to 8k Hz together"
 _SOUND_HEADS = ("Pair", "Before", "After")
 _WIDE, _HIGH, _LEFT, _BELOW = 320.0, 190.0, 44.0, 24.0
+_CATALOGUE_HZ = (63.0, 125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3)
 
 
-def build(bench: Bench) -> Callable[[], Awaitable[None]]:
-    """Draw the tab; return what draws it anew."""
-    room: dict[str, Any] = {}
-    # per material a name of the catalogue, or absorption per band
-    changes: dict[str, str | list[float]] = {}
-    targets: dict[str, float | None] = {}
-    fields: dict[str, ui.select] = {}
-    state: dict[str, Any] = {
-        "busy": False,
-        "again": False,
-        "material": None,
-        "last": None,
-        "dry": "",
-        "asked": 0,  # number of the view that was asked for last
-    }
+@dataclass(slots=True)
+class Changes:
+    """What materials are to become, and what was found of them."""
 
-    with ui.element("div").classes("bar"):
-        note = ui.label("").classes("soft")
-    both = ui.element("div").style("width: 100%")
-    with both:
-        with ui.element("div").classes("panel"):
-            choices = ui.element("div").classes("bar")
-            sliders = ui.element("div")
-            aims = ui.element("div")
-        charts = ui.element("div").classes("charts").style("margin: 0.75rem 0")
-        with charts:
-            pictures = {name: markup("").classes("panel") for name in _LABELS}
-        pairs = ui.expansion("Every pair in numbers", on_value_change=lambda: draw_pairs())
-        with pairs.classes("panel"):
-            numbers = markup("")
-        sounds = ui.element("div").classes("panel").style("margin-top: 0.75rem")
-        hung = ui.element("div").classes("panel").style("margin-top: 0.75rem")
-    both.set_visibility(False)
+    bands_hz: Sequence[float] = ()
+    found: Mapping[str, Sequence[float]] = field(default_factory=dict)  # absorption by material
+    # by material a name of the catalogue, or absorption in each band
+    chosen: dict[str, str | list[float]] = field(default_factory=dict)
 
-    def hang() -> None:
-        bench.jobs.add("What to hang where", "treat", {"folder": str(bench.folder)}, _STAGES)
+    def take_result(self, bands_hz: Sequence[float], found: Mapping[str, Sequence[float]]) -> None:
+        """Take another result; changes of materials that it does not have are forgotten."""
+        self.bands_hz, self.found = bands_hz, found
+        for gone in [m for m in self.chosen if m not in found]:
+            del self.chosen[gone]
 
-    def show_hung() -> None:
-        out = bench.folder / project.TREATMENT
-        written_files = {f: _place(f) for f in (sorted(out.iterdir()) if out.is_dir() else ())}
-        has_question = (bench.folder / "treatment.toml").is_file()
-        if not emptied(hung, (has_question, written_files)):
+    def entry(self, material: str) -> str | None:
+        """Return the entry of the catalogue that a material becomes, None: no entry."""
+        own = self.chosen.get(material)
+        return own if isinstance(own, str) else None
+
+    def spectrum(self, material: str) -> list[float]:
+        """Return the absorption that a material has after the changes, in each band."""
+        own = self.chosen.get(material)
+        if isinstance(own, list):
+            return list(own)
+        found = [round(a, 3) for a in self.found[material]]
+        if own is None:
+            return found
+        entry = next(e for e in catalogue().entries if e.name == own)
+        octaves = dict(zip(_CATALOGUE_HZ, entry.absorption, strict=True))
+        return [
+            round(float(octaves.get(f, a)), 3) for f, a in zip(self.bands_hz, found, strict=True)
+        ]
+
+    def move(self, material: str, band: int, value: float) -> bool:
+        """Give a material another absorption in one band; return whether it is another."""
+        values = self.spectrum(material)
+        if values[band] == value:
+            return False
+        values[band] = value
+        self.chosen[material] = values
+        return True
+
+    def written(self) -> list[str]:
+        """Return the changes as ``roomfit predict --set`` takes them.
+
+        Absorption that was moved is a factor on what was found, which keeps what is not known of
+        it.
+
+        Examples
+        --------
+        >>> changes = Changes((500.0, 1000.0), {"wall": [0.1, 0.3]})
+        >>> changes.chosen |= {"wall": [0.2, 0.3], "floor": "carpet-on-underlay"}
+        >>> changes.written()
+        ['wall=x2,x1', 'floor=carpet-on-underlay']
+        """
+        texts = []
+        for material, own in self.chosen.items():
+            if isinstance(own, str):
+                texts.append(f"{material}={own}")
+                continue
+            # a band that nobody has touched stays exactly as it was found
+            factors = [
+                1.0 if round(now, 3) == round(was, 3) else now / was
+                for now, was in zip(own, self.found[material], strict=True)
+            ]
+            texts.append(f"{material}={','.join(f'x{f:.6g}' for f in factors)}")
+        return texts
+
+
+class WhatIfTab:
+    """Changes of materials, and a chart of each room parameter that follows them."""
+
+    name: ClassVar[str] = "What if"
+    files: ClassVar[tuple[str, ...]] = (
+        project.CAMPAIGN,
+        *project.RESULTS,
+        project.TREATMENT_QUESTION,
+        project.TREATMENT,
+        project.LISTENED,
+        project.DRY,
+    )
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.changes = Changes()
+        self.room: dict[str, Any] = {}  # as it was prepared last
+        self.predicted: dict[str, Any] | None = None  # of the changes; None: is being prepared
+        self.is_busy = self.is_outdated = False  # evaluating, and what is evaluated is not the last
+        with ui.element("div").classes("bar"):
+            self.note = ui.label("").classes("soft")
+        self.both = ui.element("div").style("width: 100%")
+        with self.both:
+            self.controls = Controls(self.changes, self.evaluate, self.draw)
+            with ui.element("div").classes("charts").style("margin: 0.75rem 0"):
+                self.pictures = {name: markup("").classes("panel") for name in _LABELS}
+            text = "Every pair in numbers"
+            self.pairs = ui.expansion(text, on_value_change=lambda: self.draw_pairs())
+            with self.pairs.classes("panel"):
+                self.numbers = markup("")
+            self.sounds = Sounds(bench, self.changes)
+            self.treatment = Treatment(bench)
+        self.both.set_visibility(False)
+        self.questions = Questions(self.both)
+
+    async def refresh(self) -> None:
+        """Prepare the room for changes, and show what those do that are chosen already."""
+        if project.best_result(self.bench.folder) is None:
+            self.note.set_text("No answer yet: identify first.")
+            self.both.set_visibility(False)
             return
-        with hung:
-            heading("What to hang where")
-            if not has_question:
-                text = "Write products and targets into treatment.toml in the project's folder."
-                ui.label(text).classes("soft")
-                return
-            ui.button("Search for the cheapest that meets the targets", on_click=hang).props(
-                "no-caps outline color=quiet"
-            )
-            for file, place in written_files.items():
-                if file.suffix == ".png":
-                    markup(f'<img alt="{escape(file.stem)}" src="{escape(place)}" width="100%">')
-                elif not file.name.startswith("."):
-                    markup(f'<a href="{escape(place)}&save=1">{escape(file.name)}</a>')
-
-    def hear() -> None:
-        own = {"changes": written(changes, room["absorption"]), "dry": state["dry"] or ""}
-        arguments = {"folder": str(bench.folder), **own}
-        bench.jobs.add("Before and after", "listen", arguments, _SOUNDING)
-
-    async def dry_sent(names: list[str]) -> None:
-        state["dry"] = names[-1]
-        show_sounds()
-
-    def show_sounds() -> None:
-        folder = bench.folder / project.DRY
-        known = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
-        made = bench.folder / project.LISTENED / "listen.json"
-        if not emptied(sounds, (known, made.is_file() and _place(made))):
+        text = "The room is traced for changes; this takes seconds, in a large room minutes."
+        self.note.set_text(text)
+        self.predicted = None
+        is_current = self.questions.put()
+        own = {"folder": str(self.bench.folder)}
+        try:
+            found = await self.bench.what_if.ask("what_if_prepare", own, limit_s=_PREPARE_S)
+        except InputError:
+            self.note.set_text("The room could not be prepared.")
+            raise
+        if not is_current():
             return
-        with sounds:
-            heading("Before and after, to listen to")
-            own = {"": "the responses themselves", **{n: n for n in known if n[0] != "."}}
-            FileDrop("A dry recording of one channel:", project.DRY, RESPONSE_SUFFIXES, dry_sent)
-            with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
-                ui.select(
-                    own,
-                    label="What to listen to",
-                    value=state["dry"] if state["dry"] in own else "",
-                    on_change=lambda e: state.update(dry=e.value),
-                ).props("outlined dense").style("flex: 1 1 16rem")
-                ui.button("Make the sounds of what is set above", on_click=hear).props(
-                    "no-caps outline color=quiet"
-                )
-            if made.is_file():
-                markup(sounds_html(made.parent))
+        self.room = found
+        self.changes.take_result(found["bands_hz"], found["absorption"])
+        self.both.set_visibility(True)
+        self.treatment.show()
+        self.sounds.show()
+        self.controls.show([n for n in _LABELS if n in found["mean"]])
+        self.predicted = found
+        self.draw()
+        if self.changes.chosen:
+            await self.evaluate()
 
-    async def evaluate() -> None:
+    async def evaluate(self) -> None:
         """Evaluate what is chosen now; while one is under way, the newest waits, no other."""
-        if state["busy"]:
-            state["again"] = True
+        if self.is_busy:
+            self.is_outdated = True
             return
-        state["busy"] = True
+        self.is_busy = True
         try:
             while True:
-                state["again"] = False
-                own = {"folder": str(bench.folder), "changes": written(changes, room["absorption"])}
-                asked = state["asked"]
-                found = await bench.what_if.ask("what_if", own, limit_s=_PREPARE_S)
-                if both.is_deleted:  # the page was closed meanwhile
+                self.is_outdated = False
+                own = {"folder": str(self.bench.folder), "changes": self.changes.written()}
+                is_current = self.questions.since()
+                found = await self.bench.what_if.ask("what_if", own, limit_s=_PREPARE_S)
+                if self.both.is_deleted:  # the page was closed meanwhile
                     return
-                if asked == state["asked"]:  # the room is still the one that was asked about
-                    state["last"] = found
-                    draw()
-                if not state["again"]:
+                if is_current():  # the room is still the one that was asked about
+                    self.predicted = found
+                    self.draw()
+                if not self.is_outdated:
                     break
         except InputError as error:
-            said(error, both)
+            said(error, self.both)
         finally:
-            state["busy"] = False
+            self.is_busy = False
 
-    def draw() -> None:
-        view = state["last"]
-        if view is None:  # it is being prepared
+    def draw(self) -> None:
+        """Draw what was predicted last, with the limits as they are now."""
+        view = self.predicted
+        if view is None:
             return
-        for name, picture in pictures.items():
+        bands_hz = self.room["bands_hz"]
+        for name, picture in self.pictures.items():
             picture.set_visibility(name in view["mean"])
             if name in view["mean"]:
-                limits = [x for x in room["limits"] if x["parameter"] == name]
-                typed = targets.get(name)
+                limits = [x for x in self.room["limits"] if x["parameter"] == name]
+                typed = self.controls.targets.get(name)
                 if typed is not None:
-                    limits.append({"value": typed, "bands_hz": room["bands_hz"]})
-                picture.set_content(chart_svg(view, name, room["bands_hz"], limits))
-        draw_pairs()
-        note.set_text(
-            f"{count(len(view['pairs']), 'pair')}, {count(len(changes), 'material')} changed. "
+                    limits.append({"value": typed, "bands_hz": bands_hz})
+                picture.set_content(chart_svg(view, name, bands_hz, limits))
+        self.draw_pairs()
+        self.note.set_text(
+            f"{count(len(view['pairs']), 'pair')}, "
+            f"{count(len(self.changes.chosen), 'material')} changed. "
             "Lines: mean over the pairs with its 95 % interval; dashed: the same as it is now; "
             "thin: each pair; red: limits."
         )
 
-    def draw_pairs() -> None:
-        if pairs.value and state["last"] is not None:
-            numbers.set_content(pairs_html(state["last"], room["bands_hz"]))
+    def draw_pairs(self) -> None:
+        """Write the table of all pairs, where it is open."""
+        if self.pairs.value and self.predicted is not None:
+            self.numbers.set_content(pairs_html(self.predicted, self.room["bands_hz"]))
 
-    async def choose_entry(value: str | None) -> None:
-        now = changes.get(state["material"])
-        if value == (now if isinstance(now, str) else None):
-            return  # said by the page itself, for another material was chosen
-        if value is None:
-            changes.pop(state["material"], None)
-        else:
-            changes[state["material"]] = value
-        show_controls()
-        await evaluate()
 
-    async def slide(band: int, value: float) -> None:
-        material = state["material"]
-        now = changes.get(material)
-        values = list(now) if isinstance(now, list) else spectrum(material)
-        if values[band] == value:
-            return
-        values[band] = value
-        changes[material] = values
-        mark_changed()
-        fields["entry"].set_value(None)
-        await evaluate()
+class Controls:
+    """Which material is changed, into what, and the targets that the charts show as lines."""
 
-    def spectrum(material: str) -> list[float]:
-        now = changes.get(material)
-        if isinstance(now, list):
-            return now
-        found = [round(a, 3) for a in room["absorption"][material]]
-        if now is None:
-            return found
-        entry = next(e for e in catalogue().entries if e.name == now)
-        octaves = dict(
-            zip((63.0, 125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3), entry.absorption, strict=True)
-        )
-        return [
-            round(float(octaves.get(f, a)), 3) for f, a in zip(room["bands_hz"], found, strict=True)
-        ]
+    def __init__(
+        self,
+        changes: Changes,
+        on_changed: Callable[[], Awaitable[None]],
+        on_target: Callable[[], None],
+    ) -> None:
+        self.changes = changes
+        self.on_changed, self.on_target = on_changed, on_target
+        self.targets: dict[str, float | None] = {}  # by parameter, as typed
+        self.material = ""  # to which the sliders belong
+        with ui.element("div").classes("panel"):
+            self.choices = ui.element("div").classes("bar")
+            self.sliders = ui.element("div")
+            self.aims = ui.element("div")
 
-    async def reset() -> None:
-        changes.clear()
-        show_controls()
-        await evaluate()
+    def show(self, parameters: Sequence[str]) -> None:
+        """Draw everything for the materials of the changes, unless it is drawn already."""
+        if self.material not in self.changes.found:
+            self.material = next(iter(self.changes.found))
+        own = (self.changes.bands_hz, self.changes.found, parameters)
+        if emptied(self.choices, own):
+            self.draw_choices()
+            if emptied(self.aims, parameters):
+                self.draw_aims(parameters)
+            self.show_sliders()
 
-    def select(material: str) -> None:
-        state["material"] = material
-        show_controls()
-
-    def aim(name: str, value: float | None) -> None:
-        targets[name] = value
-        draw()
-
-    def build_controls() -> None:
+    def draw_choices(self) -> None:
+        """Draw the lists of materials and of the catalogue."""
         entries = {e.name: f"{e.name}: {e.description}" for e in catalogue().entries}
-        with choices:
-            fields["material"] = (
+        with self.choices:
+            self.of = (
                 ui.select(
-                    list(room["absorption"]),
-                    value=state["material"],
+                    list(self.changes.found),
+                    value=self.material,
                     label="Material",
-                    on_change=lambda e: select(e.value),
+                    on_change=lambda e: self.select(e.value),
                 )
                 .props("outlined dense")
                 .style("width: 14rem")
             )
-            fields["entry"] = (
+            self.becomes = (
                 ui.select(
                     entries,
                     label="Becomes (search the catalogue)",
                     with_input=True,
                     clearable=True,
-                    on_change=lambda e: choose_entry(e.value),
+                    on_change=lambda e: self.choose_entry(e.value),
                 )
                 .props("outlined dense")
                 .style("flex: 1 1 16rem")
             )
-            ui.button("Undo all changes", on_click=reset).props("no-caps outline color=quiet")
-        if emptied(aims, room["names"]):
-            with aims:
-                heading("Targets")
-                with ui.element("div").classes("bar"):
-                    for name in room["names"]:
-                        ui.number(
-                            _LABELS[name],
-                            value=targets.get(name),
-                            step=0.1,
-                            on_change=lambda e, name=name: aim(name, e.value),
-                        ).props("outlined dense clearable").style("width: 8rem")
+            ui.button("Undo all changes", on_click=self.reset).props("no-caps outline color=quiet")
 
-    def show_controls() -> None:
+    def draw_aims(self, parameters: Sequence[str]) -> None:
+        """Draw a field for the target of each parameter."""
+        with self.aims:
+            heading("Targets")
+            with ui.element("div").classes("bar"):
+                for name in parameters:
+                    ui.number(
+                        _LABELS[name],
+                        value=self.targets.get(name),
+                        step=0.1,
+                        on_change=lambda e, name=name: self.aim(name, e.value),
+                    ).props("outlined dense clearable").style("width: 8rem")
+
+    def show_sliders(self) -> None:
         """Bring the sliders to the material that is chosen; what is above them stays."""
-        mark_changed()
-        now = changes.get(state["material"])
-        fields["entry"].set_value(now if isinstance(now, str) else None)
-        sliders.clear()
-        with sliders:
-            heading(f"Absorption of {state['material']}")
+        self.mark_changed()
+        self.becomes.set_value(self.changes.entry(self.material))
+        self.sliders.clear()
+        with self.sliders:
+            heading(f"Absorption of {self.material}")
             with ui.element("div").classes("sliders"):
-                values = spectrum(state["material"])
-                for band, centre_hz in enumerate(room["bands_hz"]):
+                values = self.changes.spectrum(self.material)
+                for band, centre_hz in enumerate(self.changes.bands_hz):
                     word = f"{short_hertz(centre_hz)} Hz"
-                    label = f"Absorption of {state['material']} at {word}"
-                    BandSlider(word, label, values[band], partial(slide, band))
+                    label = f"Absorption of {self.material} at {word}"
+                    BandSlider(word, label, values[band], partial(self.slide, band))
 
-    def mark_changed() -> None:
-        marked = {m: f"{m} (changed)" if m in changes else m for m in room["absorption"]}
-        if fields["material"].options != marked:
-            fields["material"].set_options(marked)
+    def mark_changed(self) -> None:
+        """Say in the list which materials are changed."""
+        chosen = self.changes.chosen
+        marked = {m: f"{m} (changed)" if m in chosen else m for m in self.changes.found}
+        if self.of.options != marked:
+            self.of.set_options(marked)
 
-    async def refresh() -> None:
-        if project.best_result(bench.folder) is None:
-            note.set_text("No answer yet: identify first.")
-            both.set_visibility(False)
+    def select(self, material: str) -> None:
+        """Choose the material to which the sliders belong."""
+        self.material = material
+        self.show_sliders()
+
+    def aim(self, parameter: str, value: float | None) -> None:
+        """Set the target of a parameter; None: none."""
+        self.targets[parameter] = value
+        self.on_target()
+
+    async def choose_entry(self, name: str | None) -> None:
+        """Let the material become an entry of the catalogue; None: what it is."""
+        if name == self.changes.entry(self.material):
+            return  # said by the page itself, for another material was chosen
+        if name is None:
+            self.changes.chosen.pop(self.material, None)
+        else:
+            self.changes.chosen[self.material] = name
+        self.show_sliders()
+        await self.on_changed()
+
+    async def slide(self, band: int, value: float) -> None:
+        """Give the material another absorption in one band."""
+        if self.changes.move(self.material, band, value):
+            self.mark_changed()
+            self.becomes.set_value(None)
+            await self.on_changed()
+
+    async def reset(self) -> None:
+        """Take all changes back."""
+        self.changes.chosen.clear()
+        self.show_sliders()
+        await self.on_changed()
+
+
+class Treatment:
+    """What to hang where: the search, and the files of its answer."""
+
+    def __init__(self, bench: Bench) -> None:
+        self.bench = bench
+        self.place = ui.element("div").classes("panel").style("margin-top: 0.75rem")
+
+    def search(self) -> None:
+        """Put the search into the queue."""
+        own = {"folder": str(self.bench.folder)}
+        self.bench.jobs.add("What to hang where", "treat", own, _STAGES)
+
+    def show(self) -> None:
+        """Show the answer, unless it is shown already."""
+        folder = self.bench.folder
+        out = folder / project.TREATMENT
+        found = {f: _place(f) for f in (sorted(out.iterdir()) if out.is_dir() else ())}
+        has_question = (folder / project.TREATMENT_QUESTION).is_file()
+        if not emptied(self.place, (has_question, found)):
             return
-        note.set_text(
-            "The room is traced for changes; this takes seconds, in a large room minutes."
-        )
-        state["last"] = None
-        state["asked"] += 1
-        asked = state["asked"]
-        own = {"folder": str(bench.folder)}
-        try:
-            found = await bench.what_if.ask("what_if_prepare", own, limit_s=_PREPARE_S)
-        except InputError:
-            note.set_text("The room could not be prepared.")
-            raise
-        if both.is_deleted or asked != state["asked"]:  # the page was closed, or asked once more
+        with self.place:
+            heading("What to hang where")
+            if not has_question:
+                text = "Write products and targets into treatment.toml in the project's folder."
+                ui.label(text).classes("soft")
+                return
+            text = "Search for the cheapest that meets the targets"
+            ui.button(text, on_click=self.search).props("no-caps outline color=quiet")
+            for file, place in found.items():
+                if file.suffix == ".png":
+                    markup(f'<img alt="{escape(file.stem)}" src="{escape(place)}" width="100%">')
+                elif not file.name.startswith("."):
+                    markup(f'<a href="{escape(place)}&save=1">{escape(file.name)}</a>')
+
+
+class Sounds:
+    """What the changes sound like, as responses or by a dry recording."""
+
+    def __init__(self, bench: Bench, changes: Changes) -> None:
+        self.bench = bench
+        self.changes = changes
+        self.dry = ""  # name of the recording; none: the responses themselves
+        self.place = ui.element("div").classes("panel").style("margin-top: 0.75rem")
+
+    def make(self) -> None:
+        """Put the making of the sounds into the queue."""
+        own = {"folder": str(self.bench.folder), "changes": self.changes.written(), "dry": self.dry}
+        self.bench.jobs.add("Before and after", "listen", own, _SOUNDING)
+
+    def choose_dry(self, name: str | None) -> None:
+        """Choose what is listened to."""
+        self.dry = name or ""
+
+    async def take_dry(self, names: list[str]) -> None:
+        """Choose the last of the recordings that were sent."""
+        self.dry = names[-1]
+        self.show()
+
+    def show(self) -> None:
+        """Show what can be listened to, unless it is shown already."""
+        folder = self.bench.folder / project.DRY
+        known = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
+        made = self.bench.folder / project.LISTENED / "listen.json"
+        if not emptied(self.place, (known, made.is_file() and _place(made))):
             return
-        room.update(found)
-        room["names"] = [n for n in _LABELS if n in found["mean"]]
-        for gone in [m for m in changes if m not in room["absorption"]]:
-            del changes[gone]
-        if state["material"] not in room["absorption"]:
-            state["material"] = next(iter(room["absorption"]))
-        both.set_visibility(True)
-        show_hung()
-        show_sounds()
-        if emptied(choices, (room["bands_hz"], room["absorption"], room["names"])):
-            build_controls()
-            show_controls()
-        state["last"] = found
-        draw()
-        if changes:
-            await evaluate()
-
-    return refresh
-
-
-def written(
-    changes: Mapping[str, str | list[float]], absorption: Mapping[str, Sequence[float]]
-) -> list[str]:
-    """Return changes as ``roomfit predict --set`` takes them.
-
-    Absorption that was moved is a factor on what was found, which keeps what is not known of it.
-
-    Examples
-    --------
-    >>> written({"wall": [0.2, 0.3], "floor": "carpet-on-underlay"}, {"wall": [0.1, 0.3]})
-    ['wall=x2,x1', 'floor=carpet-on-underlay']
-    """
-    texts = []
-    for material, own in changes.items():
-        if isinstance(own, str):
-            texts.append(f"{material}={own}")
-            continue
-        found = absorption[material]
-        # a band that nobody has touched stays exactly as it was found
-        factors = [
-            1.0 if round(now, 3) == round(was, 3) else now / was
-            for now, was in zip(own, found, strict=True)
-        ]
-        texts.append(f"{material}={','.join(f'x{f:.6g}' for f in factors)}")
-    return texts
+        own = {"": "the responses themselves", **{n: n for n in known if n[0] != "."}}
+        with self.place:
+            heading("Before and after, to listen to")
+            text = "A dry recording of one channel:"
+            FileDrop(text, project.DRY, RESPONSE_SUFFIXES, self.take_dry)
+            with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
+                ui.select(
+                    own,
+                    label="What to listen to",
+                    value=self.dry if self.dry in own else "",
+                    on_change=lambda e: self.choose_dry(e.value),
+                ).props("outlined dense").style("flex: 1 1 16rem")
+                text = "Make the sounds of what is set above"
+                ui.button(text, on_click=self.make).props("no-caps outline color=quiet")
+            if made.is_file():
+                markup(sounds_html(made.parent))
 
 
 def _place(file: Path) -> str:
@@ -381,6 +467,87 @@ def sounds_html(folder: Path) -> str:
     return f'<p class="soft">{escape("; ".join(content["changes"]))}</p>{table}'
 
 
+@dataclass(frozen=True, slots=True)
+class _Axes:
+    """Where bands and values lie in a chart, in the units of its drawing."""
+
+    words: Sequence[str]  # of the bands
+    ticks: Sequence[float]  # from the lowest value to the highest
+
+    def x(self, band: int) -> float:
+        left = _LEFT if len(self.words) > 1 else 0.5 * (_WIDE + _LEFT) - 16.0
+        return left + 16.0 + (_WIDE - left - 24.0) / max(len(self.words) - 1, 1) * band
+
+    def y(self, value: float) -> float:
+        low, high = self.ticks[0], self.ticks[-1]
+        return float(10.0 + (_HIGH - 10.0 - _BELOW) * (high - value) / (high - low))
+
+    def line(self, values: Sequence[float | None], style: str) -> str:
+        """Return a line through values, those left out that are not known."""
+        at = [(self.x(i), self.y(v)) for i, v in enumerate(values) if v is not None]
+        if len(self.words) == 1:  # a line of one point is not seen
+            at = [(px + dx, py) for px, py in at for dx in (-30.0, 30.0)]
+        return f'<polyline points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in at)}" {style}/>'
+
+    def bars(
+        self,
+        lower: Sequence[float | None],
+        upper: Sequence[float | None],
+        style: str,
+        beside: float = 0.0,
+    ) -> list[str]:
+        """Return an upright bar for each interval, cut off at the edges."""
+        low, high = self.ticks[0], self.ticks[-1]
+        return [
+            f'<line x1="{self.x(i) + beside:.1f}" x2="{self.x(i) + beside:.1f}" '
+            f'y1="{self.y(max(a, low)):.1f}" y2="{self.y(min(b, high)):.1f}" {style}/>'
+            for i, (a, b) in enumerate(zip(lower, upper, strict=True))
+            if a is not None and b is not None and a < high and b > low
+        ]
+
+    def grid(self) -> list[str]:
+        """Return a line and a number for each tick, and a word for each band."""
+        parts = [
+            f'<line x1="{_LEFT}" x2="{_WIDE}" y1="{self.y(value):.1f}" y2="{self.y(value):.1f}" '
+            f'stroke="var(--line)"/><text x="{_LEFT - 4}" y="{self.y(value) + 4:.1f}" '
+            f'text-anchor="end">{value:.6g}</text>'
+            for value in self.ticks
+        ]
+        if len(self.words) > 1:
+            parts.append(f'<text x="{_LEFT - 4}" y="{_HIGH - 6}" text-anchor="end">Hz</text>')
+        return parts + [
+            f'<text x="{self.x(i):.1f}" y="{_HIGH - 6}" text-anchor="middle">{escape(word)}</text>'
+            for i, word in enumerate(self.words)
+        ]
+
+    def limit(self, limit: Mapping[str, Any], bands_hz: Sequence[float]) -> str:
+        """Return the line of a limit across the bands in which it holds."""
+        at = [i for i, f in enumerate(bands_hz) if f in limit["bands_hz"]]
+        left, right = _LEFT, _WIDE
+        if at and len(self.words) > 1:
+            left, right = self.x(min(at)) - 14.0, self.x(max(at)) + 14.0
+        y = self.y(limit["value"])
+        return (
+            f'<line class="limit" x1="{left:.1f}" x2="{right:.1f}" y1="{y:.1f}" y2="{y:.1f}" '
+            'stroke="var(--bad)" stroke-width="2" stroke-dasharray="9 3"/>'
+        )
+
+
+def _ticks(name: str, shown: Sequence[float], ends: Sequence[float]) -> list[float]:
+    """Return the ticks of a parameter's chart, from all values that it shows, and interval ends.
+
+    An interval may be endless: it ends at the edge then, and does not make all else small.
+    """
+    is_time = name.endswith("_s")
+    wide = max(shown) - (0.0 if is_time else min(shown)) or 1.0
+    low = 0.0 if is_time else max(min([*shown, *ends]), min(shown) - wide)
+    high = min(max([*shown, *ends]), max(shown) + wide)
+    drawn = map(float, MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
+    most = _MOST.get(name)
+    ticks = [t for t in drawn if most is None or 0.0 <= t <= most]
+    return ticks if len(ticks) > 1 else [0.0, most or 1.0]
+
+
 def chart_svg(
     view: Mapping[str, Any],
     name: str,
@@ -389,82 +556,35 @@ def chart_svg(
 ) -> str:
     """Return one room parameter over the bands as a drawing, in the colours of the page.
 
+    By hand: `ui.echart` would add 1.7 MB of script, draws intervals only by a function in
+    JavaScript, and takes neither the page's colours nor a text that says what is drawn.
+
     Parameters
     ----------
     limits : sequence of mappings
         Each with a value and the bands in Hz across which it is drawn.
     """
-    mean = view["mean"][name]
-    words = [_SPEECH] if name == "STI" else [short_hertz(f) for f in bands_hz]
+    label, mean = _LABELS[name], view["mean"][name]
     pairs = [pair[name]["predicted"] for pair in view["pairs"]]
     sure = [*mean["predicted"], *mean.get("before", []), *(v for p in pairs for v in p)]
     known = [v for v in (*sure, *(x["value"] for x in limits)) if v is not None]
     ends = [v for v in (*mean["lower95"], *mean["upper95"]) if v is not None]
     if not known:
-        return f"<p>{escape(_LABELS[name])}: not known</p>"
-    # an interval may be endless: it ends at the edge then, and does not make all else small
-    wide = max(known) - (0.0 if name.endswith("_s") else min(known)) or 1.0
-    low = max(min(known + ends), min(known) - wide)
-    high = min(max(known + ends), max(known) + wide)
-    low = 0.0 if name.endswith("_s") else low
-    drawn = map(float, MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]).tick_values(low, high))
-    most = _MOST.get(name)
-    ticks = [t for t in drawn if most is None or 0.0 <= t <= most]
-    ticks = ticks if len(ticks) > 1 else [0.0, most or 1.0]
-    low, high = ticks[0], ticks[-1]
-    left = _LEFT if len(words) > 1 else 0.5 * (_WIDE + _LEFT) - 16.0
-    step = (_WIDE - left - 24.0) / max(len(words) - 1, 1)
-
-    def x(band: int) -> float:
-        return left + 16.0 + step * band
-
-    def y(value: float) -> float:
-        return float(10.0 + (_HIGH - 10.0 - _BELOW) * (high - value) / (high - low))
-
-    def line(values: Sequence[float | None], style: str) -> str:
-        at = [(x(i), y(v)) for i, v in enumerate(values) if v is not None]
-        if len(words) == 1:  # a line of one point is not seen
-            at = [(px + dx, py) for px, py in at for dx in (-30.0, 30.0)]
-        return f'<polyline points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in at)}" {style}/>'
-
-    def bars(which: str, beside: float, style: str) -> list[str]:
-        ends = enumerate(zip(mean[f"{which}lower95"], mean[f"{which}upper95"], strict=True))
-        return [
-            f'<line x1="{x(i) + beside:.1f}" x2="{x(i) + beside:.1f}" y1="{y(max(a, low)):.1f}" '
-            f'y2="{y(min(b, high)):.1f}" {style}/>'
-            for i, (a, b) in ends
-            if a is not None and b is not None and a < high and b > low
-        ]
-
-    parts = []
-    for value in ticks:
-        parts.append(
-            f'<line x1="{_LEFT}" x2="{_WIDE}" y1="{y(value):.1f}" y2="{y(value):.1f}" '
-            f'stroke="var(--line)"/><text x="{_LEFT - 4}" y="{y(value) + 4:.1f}" '
-            f'text-anchor="end">{value:.6g}</text>'
-        )
-    if len(words) > 1:
-        parts.append(f'<text x="{_LEFT - 4}" y="{_HIGH - 6}" text-anchor="end">Hz</text>')
-    for i, word in enumerate(words):
-        parts.append(
-            f'<text x="{x(i):.1f}" y="{_HIGH - 6}" text-anchor="middle">{escape(word)}</text>'
-        )
+        return f"<p>{escape(label)}: not known</p>"
+    words = [_SPEECH] if name == "STI" else [short_hertz(f) for f in bands_hz]
+    axes = _Axes(words, _ticks(name, known, ends))
     thin = 'fill="none" stroke="var(--soft)" stroke-width="0.6" opacity="0.6"'
-    parts += [line(p, thin) for p in pairs[:200]]
+    parts = [*axes.grid(), *(axes.line(p, thin) for p in pairs[:200])]
     if "before" in mean:
-        parts.append(line(mean["before"], 'fill="none" stroke="var(--ink)" stroke-dasharray="5 4"'))
-        parts += bars("before_", -5.0, 'stroke="var(--ink)" stroke-width="1.2"')
-    parts += bars("", 0.0, 'stroke="var(--accent)" stroke-width="5" opacity="0.45"')
-    parts.append(line(mean["predicted"], 'fill="none" stroke="var(--accent)" stroke-width="2.4"'))
-    for limit in limits:
-        at = [i for i, f in enumerate(bands_hz) if f in limit["bands_hz"]]
-        span = (x(min(at)) - 14.0, x(max(at)) + 14.0) if at and len(words) > 1 else (_LEFT, _WIDE)
-        parts.append(
-            f'<line class="limit" x1="{span[0]:.1f}" x2="{span[1]:.1f}" '
-            f'y1="{y(limit["value"]):.1f}" y2="{y(limit["value"]):.1f}" '
-            'stroke="var(--bad)" stroke-width="2" stroke-dasharray="9 3"/>'
-        )
-    label = _LABELS[name]
+        dashed = 'fill="none" stroke="var(--ink)" stroke-dasharray="5 4"'
+        before = 'stroke="var(--ink)" stroke-width="1.2"'
+        parts.append(axes.line(mean["before"], dashed))
+        parts += axes.bars(mean["before_lower95"], mean["before_upper95"], before, -5.0)
+    wide = 'stroke="var(--accent)" stroke-width="5" opacity="0.45"'
+    parts += axes.bars(mean["lower95"], mean["upper95"], wide)
+    strong = 'fill="none" stroke="var(--accent)" stroke-width="2.4"'
+    parts.append(axes.line(mean["predicted"], strong))
+    parts += [axes.limit(limit, bands_hz) for limit in limits]
     means = ", ".join("unknown" if v is None else f"{v:.2f}" for v in mean["predicted"])
     lines = ", ".join(f"{limit['value']:.2f}" for limit in limits) or "none"
     spoken = escape(f"{label}, mean over the pairs by band: {means}; limits: {lines}")

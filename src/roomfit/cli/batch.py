@@ -55,7 +55,7 @@ def _shard(text: str) -> tuple[int, int]:
 
 def run(options: argparse.Namespace) -> None:
     from roomfit.batch import campaign_paths, identify_rooms, rooms_text
-    from roomfit.inversion.identify import compile_kernels
+    from roomfit.identification import compile_kernels
     from roomfit.workers import cluster_pool
 
     paths, out = campaign_paths(options.campaigns), Path(options.out)

@@ -47,7 +47,7 @@ from roomfit.errors import CannotTell, InputError, RoomfitError, StoreError
 from roomfit.eyring import eyring_absorption
 from roomfit.findings import Code, code_of
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
-from roomfit.inversion.identify import compile_kernels, identify
+from roomfit.identification import compile_kernels, identify
 from roomfit.io.campaign import Campaign
 from roomfit.io.door import json_content, read_text
 from roomfit.io.inputs import identify_arguments

@@ -65,6 +65,7 @@ def refuse(findings: Iterable[Finding]) -> None:
         found=evidence.get("found"),
         needed=evidence.get("needed"),
         hint="; ".join(hints) or None,
+        points_m=serious[0].about.points_m,
     )
 
 

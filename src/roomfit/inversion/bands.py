@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from roomfit.bands import Bands
-from roomfit.findings import About, Code, Finding
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.energy import only_energies
 from roomfit.objective.parameters import (
@@ -89,37 +87,6 @@ def from_random_starts(
         sum(within) - 1,
         None if nearest is None else absorptions[nearest],
         0.0 if nearest is None else float(losses[nearest]),
-    )
-
-
-def starts_findings(
-    bands: Bands, materials: tuple[str, ...], starts: Sequence[Starts | None]
-) -> tuple[Finding, ...]:
-    """Return a finding where another place explains the energies alike."""
-    lower_minima = [
-        (float(f), s)
-        for f, s in zip(bands.centres_hz, starts, strict=True)
-        if s and s.other is not None
-    ]
-    if not lower_minima:
-        return ()
-    where = ", ".join(f"{f:g} Hz (log-likelihood lower by {s.loss:.1f})" for f, s in lower_minima)
-    return (
-        Finding(
-            Code.MULTIPLE_MINIMA_MULTISTART,
-            About(bands_hz=[f for f, _ in lower_minima]),
-            "Least squares from another start ends in absorptions outside of the intervals that "
-            f"explain the energies alike: {where}. Measure more positions, or tell what is known.",
-            {
-                "bands_hz": [f for f, _ in lower_minima],
-                "other_answer": [
-                    {n: round(float(a), 6) for n, a in zip(materials, s.other, strict=True)}
-                    for _, s in lower_minima
-                    if s.other is not None
-                ],
-                "log_likelihood_lower_by": [round(s.loss, 3) for _, s in lower_minima],
-            },
-        ),
     )
 
 

@@ -19,33 +19,25 @@ import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
-from roomfit.findings import Finding
 from roomfit.inversion.bands import affordable_certificate
-from roomfit.inversion.chain import FittedWindows, chain_findings, fixed_absorption_findings
 from roomfit.inversion.directivity import (
+    DirectivityScore,
     directivities_under_cavity_priors,
     directivity_score,
     moved_start,
-    source_findings,
 )
 from roomfit.inversion.equalise import SCHROEDER_FACTOR, equalise_sources
-from roomfit.inversion.geometry_checks import (
-    delay_findings,
-    estimate_position_sd_scale,
-    geometry_findings,
-    inflate_position_sds,
-    position_consistency_findings,
-    position_uncertainty_findings,
-)
+from roomfit.inversion.fits import CoherentTests, Freed
 from roomfit.inversion.outliers import (
     LEAST_BY_ENERGIES,
     LEAST_BY_PRESSURES,
     file_misfits,
     outlier_files,
-    outlier_findings,
     variance_inflation,
 )
 from roomfit.inversion.paths import TracedPaths, trim_memory
+from roomfit.inversion.position_sds import estimate_position_sd_scale, inflate_position_sds
+from roomfit.inversion.score_tests import FittedWindows, chain_scores, freed_absorptions
 from roomfit.inversion.sequential import (
     BEFORE_THE_LAST_PASS_SD,
     UNDECIDED,
@@ -65,7 +57,7 @@ from roomfit.inversion.systematics import (
     with_shared_errors,
 )
 from roomfit.materials.priors import MaterialPrior
-from roomfit.measurement import MeasuredPair
+from roomfit.measurement import MeasuredPair, Measurement
 from roomfit.objective.coherent import (
     CoherentTerm,
     FittedGeometry,
@@ -155,7 +147,6 @@ class SequentialState:
     bands: tuple[CoherentBand | None, ...] = ()
     starts: tuple[FloatArray | None, ...] = ()  # answers by energies of bands that were let go of
     first: tuple[FloatArray | None, ...] = ()  # answers by pressures of an earlier pass
-    findings: tuple[Finding, ...] = ()
     images: ImagePaths | None = None  # of these paths, what all bands share; None: not made yet
     outliers: Mapping[MeasuredPair, float] = field(default_factory=dict)  # by energies
 
@@ -302,8 +293,7 @@ def with_outliers(state: SequentialState) -> SequentialState:
             bands[b] = replace(own, energies=energies, energy_fit=fit)
     if task.directivity_parameters is not None:
         bands = _under_cavity_priors(task, bands)
-    findings = outlier_findings(task.measured, outliers)
-    return replace(state, bands=tuple(bands), findings=findings)
+    return replace(state, bands=tuple(bands))
 
 
 def _images(state: SequentialState) -> ImagePaths:
@@ -395,10 +385,10 @@ def _even(
     )
 
 
-def fixed_parameter_checks(
+def freed_parameters(
     state: SequentialState, fits: Sequence[CoherentBandFit | None]
-) -> tuple[Finding, ...]:
-    """Return findings where the data are far likelier when what is fixed is fitted.
+) -> tuple[Freed | None, Freed | None]:
+    """Return what is gained if delays, and positions, are fitted; None of what is not fixed.
 
     Parameters
     ----------
@@ -408,23 +398,20 @@ def fixed_parameter_checks(
     """
     settings = state.task.settings
     if settings.model == "energy":
-        return ()
-    findings: tuple[Finding, ...] = ()
+        return None, None
+    delays = positions = None
     if not settings.delays:
-        gain, _ = _gain_of_freeing(state, fits, replace(settings, delays=True))
-        findings = delay_findings(gain)
+        delays = _freed(state, fits, replace(settings, delays=True))
     if settings.positions == "fixed":
-        gain, n = _gain_of_freeing(state, fits, replace(settings, positions="fit"))
-        n_windows = sum(f.fit.expected.size for f in fits if f is not None)
-        findings = (*findings, *position_consistency_findings(gain, n, n_windows))
-    return findings
+        positions = _freed(state, fits, replace(settings, positions="fit"))
+    return delays, positions
 
 
-def _gain_of_freeing(
+def _freed(
     state: SequentialState,
     fits: Sequence[CoherentBandFit | None],
     settings: CoherentOptions,
-) -> tuple[float, int]:
+) -> Freed:
     """Return by how much the data are likelier, over all bands, and by how many more unknowns."""
     freer = rebuild(replace(state, task=replace(state.task, settings=settings)))
     freed = forward_pass(freer.bands, settings, None, _vectors(fits))
@@ -433,7 +420,8 @@ def _gain_of_freeing(
         0 if g is None else int(np.count_nonzero(g.fitted & (g.sd > 0.0)))
         for g in (state.geometry, freer.geometry)
     )
-    return gain, after - before
+    n_windows = sum(f.fit.expected.size for f in fits if f is not None)
+    return Freed(gain, after - before, n_windows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -445,8 +433,10 @@ class CoherentFit:
     # of the energy model and of the partly coherent one; NaN where not tried; (n_bands, 2)
     log_likelihoods: FloatArray
     geometry: FittedGeometry | None  # None where no band was coherent
-    findings: tuple[Finding, ...]
     windows: tuple[FittedWindows | None, ...]  # of the fits
+    tests: CoherentTests
+    # by band, what contradicts that sources are omnidirectional
+    source_scores: Mapping[int, DirectivityScore] = field(default_factory=dict)
 
 
 def fit_coherent(
@@ -470,7 +460,8 @@ def fit_coherent(
     if settings.quick:
         fits, _ = leave_one_out_pass(state.bands, fits, settings)
         likelihoods, windows = _likelihoods(state, fits), _fitted_windows(state, fits)
-        return CoherentFit(state, tuple(fits), likelihoods, None, state.findings, windows)
+        tests = CoherentTests(_outliers(state))
+        return CoherentFit(state, tuple(fits), likelihoods, None, windows, tests)
     _log_first_answer(state, fits)
     misfits = [
         file_misfits(
@@ -498,8 +489,7 @@ def fit_coherent(
         state = let_go(replace(state, task=moved, origin=origin))
         state = rebuild(state)
         fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0), first)
-    findings = (*state.findings, *position_uncertainty_findings(position_sd_scale))
-    findings = (*findings, *fixed_parameter_checks(state, fits))
+    delays, positions = freed_parameters(state, fits)
     fits, final = leave_one_out_pass(state.bands, fits, settings)
     is_settled = final is None or agree(fits, final)
     while final is not None and not is_settled:
@@ -513,15 +503,23 @@ def fit_coherent(
     trim_memory()
     geometry = state.geometry
     estimate = None if geometry is None or final is None else fitted_geometry(geometry, final)
-    findings = (*findings, *_source_findings(state), *geometry_findings(estimate))
+    source_scores = _source_scores(state)
     likelihoods, windows = _likelihoods(state, fits), _fitted_windows(state, fits)
     pressures = [w for w in windows if w and likelihoods[w.band, 1] > likelihoods[w.band, 0]]
-    findings = (
-        *findings,
-        *chain_findings(task.bands, pressures, is_directed=task.directivity_parameters is not None),
-        *fixed_absorption_findings(task.bands, task.priors, pressures),
+    tests = CoherentTests(
+        _outliers(state),
+        position_sd_scale,
+        delays,
+        positions,
+        chain_scores(task.bands, pressures),
+        freed_absorptions(task.priors, pressures),
     )
-    return CoherentFit(state, tuple(fits), likelihoods, estimate, findings, windows)
+    return CoherentFit(state, tuple(fits), likelihoods, estimate, windows, tests, source_scores)
+
+
+def _outliers(state: SequentialState) -> dict[Measurement, float]:
+    """Return the recordings whose variances are inflated, by energies or by pressures."""
+    return {m.measurement: x for m, x in {**state.outliers, **state.task.outliers}.items()}
 
 
 def _log_first_answer(state: SequentialState, fits: Sequence[CoherentBandFit | None]) -> None:
@@ -592,18 +590,19 @@ def _fitted_windows(
     return tuple(found)
 
 
-def _source_findings(state: SequentialState) -> tuple[Finding, ...]:
-    """Return a finding where a source taken for omnidirectional is none."""
-    task, tested, doubts = state.task, state.task.tested_sources, {}
+def _source_scores(state: SequentialState) -> dict[int, DirectivityScore]:
+    """Return by band what contradicts that sources taken for omnidirectional are."""
+    task, tested = state.task, state.task.tested_sources
+    scores: dict[int, DirectivityScore] = {}
     if tested is None:
-        return ()
+        return scores
     bases = row_bases(tested, task.scene, state.paths, state.binned)
     for b, own in enumerate(state.bands):
         if own is not None:
             files = fitted_in_band(task.measured, b)
             directivity = directed_band(tested, task.scene, bases, own.coherent.energies, files)
-            doubts[b] = directivity_score(own.energies, own.energy_fit, directivity)
-    return source_findings(tested, doubts)
+            scores[b] = directivity_score(own.energies, own.energy_fit, directivity)
+    return scores
 
 
 def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:

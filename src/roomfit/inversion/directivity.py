@@ -9,7 +9,7 @@ tested by how much the likelihood would rise if b were free.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeAlias, cast
 
@@ -17,7 +17,6 @@ import numpy as np
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.findings import About, Code, Finding
 from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.materials.priors import MaterialPrior
@@ -49,12 +48,6 @@ from roomfit.uncertainty.gaussian import BandEstimate
 # Three unknowns that explain nothing gain one and a half in log-likelihood on average: where the
 # second-order estimate is larger, b is fitted.
 _BY_CHANCE = 1.5
-# Larger gains, so much for each band and so much besides, contradict an omnidirectional source: 20
-# in six bands, where chance gives 9. With three windows counted as one, all gains and limits 0.45
-# times as large, six omnidirectional sources in three boxes of another program
-# (benchmarks/other_boxes.py) gained 2 to 4 in all; of six with |b| = 0.5 one gained 4, the others
-# 21 to 52.
-_GAIN_PER_BAND, _GAIN = 1.1, 13.4
 
 DirectivityScore: TypeAlias = tuple[FloatArray, FloatArray]
 """Evidence of one band against omnidirectional sources.
@@ -144,40 +137,6 @@ def _full_gain(
     found = free_fit.vector[-3:]
     rise = (free_fit.log_likelihood - alone.log_likelihood) / max(free_fit.chi2_reduced, 1.0)
     return float(rise - 0.5 * found @ found), np.asarray(found)
-
-
-def source_findings(
-    tested_sources: DirectivityParameters | None, scores: Mapping[int, DirectivityScore]
-) -> tuple[Finding, ...]:
-    """Return a finding for each source taken for omnidirectional that the data contradict.
-
-    Parameters
-    ----------
-    scores : mapping from band to DirectivityScore
-    """
-    if tested_sources is None or not scores:
-        return ()
-    least = _GAIN_PER_BAND * len(scores) + _GAIN
-    total = np.sum([gain for gain, _ in scores.values()], axis=0)
-    findings = []
-    for s, name in enumerate(tested_sources.sources):
-        if total[s] <= least:
-            continue
-        b = np.array([scores[band][1][s] for band in sorted(scores)])
-        strongest = b[int(np.argmax(np.linalg.norm(b, axis=1)))]
-        towards = ", ".join(f"{x:.1f}" for x in strongest / np.linalg.norm(strongest))
-        findings.append(
-            Finding(
-                Code.SOURCE_NOT_OMNIDIRECTIONAL,
-                About(),
-                f"{name} was taken for omnidirectional, which the data contradict: a first-order "
-                f"directivity that radiates more towards ({towards}) raises the log-likelihood by "
-                f"{total[s]:.0f}. Absorption compensates for it, so that no material is called "
-                'identifiable. Specify the directivity, or have it fitted: directivity = "fit".',
-                {"source": name, "log_likelihood_gain": float(total[s]), "b": b.tolist()},
-            )
-        )
-    return tuple(findings)
 
 
 def band_information(fit: BandFit, first: int) -> tuple[FloatArray, FloatArray]:

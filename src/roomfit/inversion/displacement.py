@@ -8,7 +8,7 @@ within it; what is not is only suspected, and found out where it is farther off 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Protocol
@@ -16,12 +16,11 @@ from typing import Protocol
 import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
-from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import mean_free_path_m, shoebox_mesh
+from roomfit.inversion.fits import BandFits, Displacement
 from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.scattering import band_factors
-from roomfit.inversion.solve import BandFits
 from roomfit.inversion.systematics import widened
 from roomfit.logit import logit
 from roomfit.materials.priors import MaterialPrior, Scattering
@@ -87,9 +86,9 @@ _LEAST_REACH_M, _NEAR_M = 0.06, 2e-3
 _STEP_M = 0.04
 _REACH_M = 0.1  # of one step of a sweep
 _WITHIN_SD = (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0)
-_WORTH_TELLING_M = 0.3
+WORTH_TELLING_M = 0.3
 _APART_M = 0.06  # of second differences, smooth over what single windows do
-_AXES = "xyz"
+AXES = "xyz"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +105,7 @@ class Offset:
     @property
     def label(self) -> str:
         """Its name in results."""
-        return f"{self.group or 'length'} {_AXES[self.axis]}"
+        return f"{self.group or 'length'} {AXES[self.axis]}"
 
 
 class Worth(Protocol):
@@ -215,7 +214,7 @@ class Located:
 
     shift_m: FloatArray  # (n_offsets,), from the specified scene
     sd_m: FloatArray  # (n_offsets,), the prior's where it was not asked for
-    finding: Finding | None
+    beyond: Displacement | None  # what is displaced farther than specified
 
 
 def outline_of(
@@ -381,7 +380,7 @@ def _log_likelihood(objective: Objective, fit: BandFit) -> float:
 
 
 def located(outline: Outline) -> Located:
-    """Return the most likely offsets, with a finding where one is farther off than specified."""
+    """Return the most likely offsets, and what is farther off than specified."""
     offsets, n = outline.offsets, len(outline.offsets)
     stated = np.array([o.is_stated for o in offsets])
     sd_m = np.array([o.sd_m if o.is_stated else _tolerance_m(o) for o in offsets])
@@ -403,21 +402,20 @@ def located(outline: Outline) -> Located:
         for k in (*own.tolist(), *own.tolist()):
             shift_m = _highest(posterior, shift_m, k, max(float(sd_m[k]), _LEAST_REACH_M))
         found_sd_m[own] = np.sqrt(np.diag(_covariance(posterior, shift_m, own.tolist(), sd_m[own])))
-    finding = _implausible(outline, worth, shift_m)
-    far_m = None if finding is not None else _farthest(outline, worth, shift_m)
+    beyond = _implausible(outline, worth, shift_m)
+    far_m = None if beyond is not None else _farthest(outline, worth, shift_m)
     if far_m is not None:
-        finding = _named(outline, worth, shift_m, far_m)
-    return Located(outline.moved_m + shift_m, found_sd_m, finding)
+        beyond = _named(outline, worth, shift_m, far_m)
+    return Located(outline.moved_m + shift_m, found_sd_m, beyond)
 
 
 def with_offsets(fits: BandFits, outline: Outline, found: Located) -> BandFits:
-    """Return fits with the finding, and with the offsets that were fitted among the geometry.
+    """Return fits with what is displaced, and with the offsets that were fitted in the geometry.
 
     Intervals allow for what is left open of these offsets.
     """
     own = np.flatnonzero([o.is_stated for o in outline.offsets])
-    doubts = () if found.finding is None else (found.finding,)
-    fits = replace(fits, findings=(*fits.findings, *doubts))
+    fits = replace(fits, displacement=found.beyond)
     if not own.size:
         return fits
     none = np.zeros(0)
@@ -559,8 +557,8 @@ def _farthest(outline: Outline, worth: Worth, shift_m: FloatArray) -> FloatArray
 
 def _named(
     outline: Outline, worth: Worth, inside_m: FloatArray, far_m: FloatArray
-) -> Finding | None:
-    """Return what is displaced beyond what is specified; None where it is not, on a second look.
+) -> Displacement | None:
+    """Return the significant displacement after refinement, or None.
 
     All positions that move, a box that is longer, and a wall at the origin that stands elsewhere
     differ by which of two opposite walls is nearer or farther: the likeliest of them is named, its
@@ -594,75 +592,40 @@ def _named(
     entry = lengths[0] if k < 0 else k
     if gain <= LEAST_GAIN or abs(size_m) <= LARGEST_SHIFT_SD * _tolerance_m(offsets[entry]):
         return None
-    evidence: dict[str, object] = {"log_likelihood_gain": round(gain, 1)}
+    farther_m: dict[str, tuple[float, float]] | None = None
     if whole and lengths:
         pair = [whole[0], lengths[0]]
         covariance = _covariance(worth, shift_m, pair, np.full(2, 10.0))
         ends = np.array([[1.0, 0.0], [-1.0, 1.0]])
-        farther_m = ends @ (outline.moved_m + shift_m)[pair]
+        ends_m = ends @ (outline.moved_m + shift_m)[pair]
         deviations_m = np.sqrt(np.diag(ends @ covariance @ ends.T))
-        evidence["metres_farther"] = {
-            w: [round(float(x), 3), round(float(s), 3)]
-            for w, x, s in zip(_walls(outline, axis), farther_m, deviations_m, strict=True)
-            if s < _WORTH_TELLING_M
+        farther_m = {
+            w: (round(float(x), 3), round(float(s), 3))
+            for w, x, s in zip(_walls(outline, axis), ends_m, deviations_m, strict=True)
+            if s < WORTH_TELLING_M
         }
-    return _finding(outline, k, axis, (float(size_m), _sd_along(worth, shift_m, way)), evidence)
+    found = float(size_m), _sd_along(worth, shift_m, way)
+    return _displacement(outline, k, axis, found, gain, farther_m)
 
 
-def _metres(x_m: float, sd_m: float, sign: str = "") -> str:
-    """Return a length with its standard deviation, never of 0.00 m."""
-    digits = 2 if sd_m >= 0.005 else 3
-    return f"{x_m:{sign}.{digits}f} +- {sd_m:.{digits}f} m"
-
-
-def _finding(
-    outline: Outline, k: int, along: int, found: tuple[float, float], evidence: dict[str, object]
-) -> Finding:
+def _displacement(
+    outline: Outline,
+    k: int,
+    axis: int,
+    found: tuple[float, float],
+    gain: float,
+    farther_m: Mapping[str, tuple[float, float]] | None,
+) -> Displacement:
     """Return what stands elsewhere: an offset by its index, or the wall at the origin, -1."""
-    offset, walls, (size_m, sd_m) = outline.offsets[k], _walls(outline, along), found
-    axis, size = _AXES[along], _metres(abs(size_m), sd_m)
-    if sd_m >= _WORTH_TELLING_M:  # no top, so far as second differences say
-        size = f"about {abs(size_m):.1f} m"
-    way = f"{'+' if size_m > 0.0 else '-'}{axis}"
+    offset, walls = outline.offsets[k], _walls(outline, axis)
     if k < 0:
-        what, kind = f"{walls[0]} stands {size} {'inside' if size_m < 0.0 else 'outside'}", "wall"
-        what += " of where it is specified"
-    elif offset.group:
-        what, kind = f"{offset.group} stand {size} farther along {way}", offset.group
-        if walls:
-            what += f", towards {walls[int(size_m > 0.0)]}"
-        what += ", than specified"
-    else:
-        kind = "length"
-        what = f"the room is {size} {'longer' if size_m > 0.0 else 'shorter'} along {axis}"
-        what += f" than specified, as if {walls[1]} stood elsewhere"
-    farther = evidence.get("metres_farther")
-    ends = ""
-    if isinstance(farther, dict) and farther:
-        ends = "; counted from all positions " + " and ".join(
-            f"{w} is {_metres(x, s, '+')} farther" for w, (x, s) in farther.items()
-        )
-    stated_m = LENGTH_SD_M if k < 0 else offset.sd_m
-    return Finding(
-        Code.DISPLACEMENT_DETECTED,
-        About(),
-        f"By early reflections {what}, which raises the log-likelihood by "
-        f"{evidence['log_likelihood_gain']:.0f}; {stated_m:g} m is its standard deviation{ends}. "
-        "Absorption compensates for it, so that no material is called identifiable. Measure it "
-        "again, or state how well it is known: [groups] or lengths_sd.",
-        {
-            "what": kind,
-            "axis": axis,
-            "metres": round(size_m, 3),
-            "sd_m": round(sd_m, 3),
-            "specified_sd_m": stated_m,
-            **evidence,
-        },
-    )
+        return Displacement("wall", frozenset(), axis, *found, LENGTH_SD_M, gain, walls, farther_m)
+    points, kind = offset.sources | offset.receivers, offset.group or "length"
+    return Displacement(kind, points, axis, *found, offset.sd_m, gain, walls, farther_m)
 
 
-def _implausible(outline: Outline, worth: Worth, shift_m: FloatArray) -> Finding | None:
-    """Return a finding for the stated offset that had to move farthest beyond what is plausible."""
+def _implausible(outline: Outline, worth: Worth, shift_m: FloatArray) -> Displacement | None:
+    """Return the stated offset that had to move farthest beyond what is plausible."""
     total_m = outline.moved_m + shift_m
     limits_m = [
         LARGEST_SHIFT_SD * _tolerance_m(o) if o.is_stated else np.inf for o in outline.offsets
@@ -675,8 +638,7 @@ def _implausible(outline: Outline, worth: Worth, shift_m: FloatArray) -> Finding
     if gain <= LEAST_GAIN:
         return None
     found = float(total_m[k]), _sd_along(worth, shift_m, way)
-    evidence: dict[str, object] = {"log_likelihood_gain": round(gain, 1)}
-    return _finding(outline, k, outline.offsets[k].axis, found, evidence)
+    return _displacement(outline, k, outline.offsets[k].axis, found, gain, None)
 
 
 def _walls(outline: Outline, axis: int) -> tuple[str, ...]:

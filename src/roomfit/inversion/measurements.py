@@ -1,10 +1,9 @@
-"""Everything that was measured on one scene, and what can be said of it without a model."""
+"""Everything that was measured on one scene, on the clock of emission and reduced to bands."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
@@ -12,10 +11,8 @@ from roomfit._checks import nearest
 from roomfit.air import speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.findings import About, Code, Finding
+from roomfit.findings import Finding
 from roomfit.geometry.mesh import refuse
-from roomfit.inversion.causes import arrival_findings, gain_findings, polarity_findings
-from roomfit.inversion.room_outline import outline_findings
 from roomfit.measurement import MeasuredPair, Measurement, Use
 from roomfit.response.directivity import Directivities
 from roomfit.scene import (
@@ -32,7 +29,6 @@ from roomfit.signals.decay import (
     check_decay_range,
     check_is_response,
     decay_curve,
-    in_jnd,
     range_findings,
     room_parameters,
 )
@@ -48,170 +44,44 @@ from roomfit.signals.response import (
     same_recordings,
     time_zero_from_direct,
 )
-from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
 
-# More than a listener's smallest step by a factor that no repetition at one place explains.
-LARGEST_JND = 2.0
-LARGEST_LEVEL_DB = 1.5
 # A window is fitted down to where the decay stands 4 dB above the noise.
 _CLEAR_OF_NOISE = 2.5
-_COMPARED: tuple[ParameterName, ...] = ("T20_s", "EDT_s", "C80_dB")
 
 
-def duplicate_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
-    """Return a finding for each pair that was measured twice with results that differ.
+@dataclass(frozen=True, slots=True, eq=False)
+class Copy:
+    """One recording that stands in two places, sample by sample."""
 
-    Compared are T20, EDT and C80, by more than 2 just noticeable differences, and the levels of the
-    bands where they are said to be alike (measurements of one source that share its gain), by more
-    than 1.5 dB. Nothing but the two responses is used: no position, no model.
-
-    Parameters
-    ----------
-    measured : sequence of MeasuredPair
-        In any order; what is kept for validation is compared as well.
-    """
-    findings = []
-    for one, other in combinations(measured, 2):
-        if one.pair != other.pair:
-            continue
-        ways = [*_differing(one, other), *_levels(one, other)]
-        if not ways:
-            continue
-        names = f"{one.measurement.name} and {other.measurement.name}"
-        findings.append(
-            Finding(
-                Code.REPEATED_RESPONSES_DIFFER,
-                About(files=[one.measurement.where, other.measurement.where]),
-                f"{one.measurement.source} to {one.measurement.receiver} was measured twice "
-                f"({names}) with different results: {'; '.join(ways)}. One of them may belong to "
-                "another pair, or the room was changed in between.",
-                {
-                    "source": one.measurement.source,
-                    "receiver": one.measurement.receiver,
-                    "files": [one.measurement.where, other.measurement.where],
-                    "differences": ways,
-                },
-            )
-        )
-    return tuple(findings)
+    one: Measurement
+    other: Measurement
+    apart_m: float  # of the two pairs' sources or receivers, the larger
+    is_left_out: bool  # whether the second adds no information, and is not fitted
 
 
 def counted_once(
     scene: Scene, measurements: Sequence[Measurement]
-) -> tuple[list[Measurement], tuple[Finding, ...]]:
-    """Return the measurements without copies of one recording, and what was found of these.
+) -> tuple[list[Measurement], tuple[Copy, ...]]:
+    """Return the measurements without copies of one recording, and all copies.
 
     A copy that stands where the first one does, under whatever name, adds no information and is
     left out, the one to be fitted kept. One that is said to be of other places is wrong there or
-    here, and nobody but the user can tell where: it stays, with a finding that voids the answer.
+    here, and nobody but the user can tell where: it stays.
     """
     at_m = {p.name: p.position_m for p in (*scene.sources, *scene.receivers)}
     order = sorted(measurements, key=lambda m: m.use != "fit")
-    left_out, findings = set(), []
+    copies = []
     for i, j in same_recordings([np.asarray(m.samples) for m in order]):
         one, other = order[i], order[j]
         apart_m = max(
             float(np.linalg.norm(at_m[a] - at_m[b]))
             for a, b in ((one.source, other.source), (one.receiver, other.receiver))
         )
-        names = f"{one.source} to {one.receiver} ({one.name})"
-        copy = f"{other.source} to {other.receiver} ({other.name})"
-        evidence = {"files": [one.where, other.where], "metres_apart": round(apart_m, 4)}
-        if apart_m < NEAREST_PAIR_M and one.state == other.state:
-            left_out.add(id(other))
-            findings.append(
-                Finding(
-                    Code.RECORDING_COUNTED_ONCE,
-                    About(),
-                    f"{names} and {copy} are one recording, sample by sample: it was counted once.",
-                    evidence,
-                )
-            )
-        else:
-            findings.append(
-                Finding(
-                    Code.RECORDING_OF_TWO_PAIRS,
-                    About(),
-                    f"{names} and {copy} are one recording, sample by sample, of places that are "
-                    f"{apart_m:.2f} m apart or of two states of the room: one of them is wrong. "
-                    "No material is called identifiable.",
-                    evidence,
-                )
-            )
-    return [m for m in measurements if id(m) not in left_out], tuple(findings)
-
-
-def unreached_materials(paths: Paths, materials: Sequence[str]) -> tuple[str, ...]:
-    """Return the materials that no path strikes: nothing measured can tell of them.
-
-    Parameters
-    ----------
-    paths : Paths
-        Of all pairs that are to be fitted.
-    materials : sequence of str
-        Those asked about, of the paths' own.
-    """
-    met = np.asarray(paths.hits_specular.any(axis=0) | paths.hits_diffuse.any(axis=0))
-    return tuple(m for m in materials if not met[paths.materials.index(m)])
-
-
-def unreached_findings(paths: Paths, fitted: Sequence[str]) -> tuple[Finding, ...]:
-    """Return a finding that names the materials to be fitted which no path strikes.
-
-    Parameters
-    ----------
-    paths : Paths
-    fitted : sequence of str
-        Materials whose absorption is not given.
-    """
-    names = unreached_materials(paths, fitted)
-    if not names:
-        return ()
-    return (
-        Finding(
-            Code.MATERIAL_NOT_REACHED,
-            About(materials=list(names)),
-            f"No path between the measured pairs strikes {', '.join(names)}: its absorption "
-            "cannot be determined, and its prior is all that is reported.",
-            {"materials": list(names)},
-        ),
-    )
-
-
-def _differing(one: MeasuredPair, other: MeasuredPair) -> list[str]:
-    parts = []
-    for name in _COMPARED:
-        first, second = one.parameters.of(name), other.parameters.of(name)
-        # from their mean, so that the order does not matter
-        steps = np.abs(
-            in_jnd(name, 0.5 * (first + second), 0.5 * (first + second) + first - second)
-        )
-        known: FloatArray = np.abs(np.nan_to_num(steps, nan=0.0))
-        if known.max() > LARGEST_JND:
-            j = int(np.argmax(known))
-            symbol, unit = name.split("_")
-            parts.append(
-                f"{symbol} {first[j]:.2f} and {second[j]:.2f} {unit} "
-                f"at {one.curve.bands.centres_hz[j]:g} Hz"
-            )
-    return parts
-
-
-def _levels(one: MeasuredPair, other: MeasuredPair) -> list[str]:
-    if one.measurement.level != other.measurement.level or one.measurement.level == "per-file":
-        return []
-    difference = _level_db(one) - _level_db(other)
-    known: FloatArray = np.abs(np.nan_to_num(difference, nan=0.0))
-    if known.max() <= LARGEST_LEVEL_DB:
-        return []
-    j = int(np.argmax(known))
-    return [f"levels that differ by {known[j]:.1f} dB at {one.curve.bands.centres_hz[j]:g} Hz"]
-
-
-def _level_db(m: MeasuredPair) -> FloatArray:
-    total = m.curve.energy_left[:, 0]
-    return 10.0 * np.log10(np.where(total > 0.0, total, np.nan))
+        is_same = apart_m < NEAREST_PAIR_M and one.state == other.state
+        copies.append(Copy(one, other, apart_m, is_same))
+    left_out = {id(c.other) for c in copies if c.is_left_out}
+    return [m for m in measurements if id(m) not in left_out], tuple(copies)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,7 +94,8 @@ class Measurements:
     responses: tuple[MeasuredPair, ...]  # those kept for validation included
     values: tuple[MeasuredValues, ...]  # room parameters to be fitted, one record a pair
     kept_values: tuple[MeasuredValues, ...]  # room parameters to be predicted only
-    findings: tuple[Finding, ...]
+    findings: tuple[Finding, ...] = ()  # of tables of room parameters, by reading and joining them
+    copies: tuple[Copy, ...] = ()  # of one recording
 
 
 def collect_measurements(
@@ -234,7 +105,7 @@ def collect_measurements(
     directivities: Directivities,
     decay_range_db: float = DECAY_RANGE_DB,
 ) -> Measurements:
-    """Put everything that was measured on one scene, and examine it without any model.
+    """Put everything that was measured on one scene.
 
     Parameters
     ----------
@@ -248,8 +119,7 @@ def collect_measurements(
     ------
     InputError
         Nothing was measured, a name is not in the scene, a position is impossible, or a response
-        is silent, too short, or sampled at too low a rate; with the one cause, if there is one, as
-        what to try.
+        is silent, too short, or sampled at too low a rate.
     """
     responses = [m for m in measurements if isinstance(m, Measurement)]
     tabulated = [m for m in measurements if isinstance(m, MeasuredValues)]
@@ -262,41 +132,15 @@ def collect_measurements(
     own = measured_scene(scene, [*responses, *fitted, *kept])
     responses, copies = counted_once(own, responses)
     own = measured_scene(own, [*responses, *fitted, *kept])
-    causes = arrival_findings(own, responses)
-    try:
-        pairs, findings = observe(own, responses, bands, decay_range_db)
-    except InputError as error:
-        if not causes:
-            raise
-        raise InputError(
-            error.what,
-            where=error.where,
-            found=error.found,
-            needed=error.needed,
-            hint=" ".join(f.sentence for f in causes),
-        ) from error
-    observed = [(m.pair, m.response) for m in pairs if m.measurement.use == "fit"]
-    if causes:  # which also moves what seem to be echoes of walls
-        findings = tuple(f for f in findings if f.code is not Code.TIME_ZERO_MISMATCH)
-        observed = []
     return Measurements(
         own,
         bands,
         {s.name: directivities[s.name] for s in own.sources if s.name in directivities},
-        pairs,
+        on_one_clock(own, responses, bands, decay_range_db),
         fitted,
         kept,
-        (
-            *causes,
-            *gain_findings(pairs),
-            *polarity_findings(pairs),
-            *doubts,
-            *more_doubts,
-            *copies,
-            *findings,
-            *duplicate_findings(pairs),
-            *outline_findings(own, observed),
-        ),
+        (*doubts, *more_doubts),
+        copies,
     )
 
 
@@ -341,7 +185,37 @@ def observe(
     bands: Bands,
     decay_range_db: float = DECAY_RANGE_DB,
 ) -> tuple[tuple[MeasuredPair, ...], tuple[Finding, ...]]:
-    """Put responses on the clock of emission and examine them in every band, in their order.
+    """Return responses as `on_one_clock` does, and what is doubtful of each by itself."""
+    measured = on_one_clock(scene, measurements, bands, decay_range_db)
+    return measured, recording_findings(measured, speed_of_sound_m_s(scene.air))
+
+
+def recording_findings(
+    measured: Sequence[MeasuredPair], speed_of_sound_m_s: float
+) -> tuple[Finding, ...]:
+    """Return what is doubtful of each recording by itself: as read, its onset, its decay range."""
+    findings: list[Finding] = []
+    for m in (p.measurement for p in measured):
+        findings += m.findings
+        if not m.findings:  # arrays: no reader has looked at them
+            findings += clipping_findings(m.response.pressure, f"{m.source} to {m.receiver}")
+    for p in measured:
+        m, rate_hz = p.measurement, p.response.sampling_rate_hz
+        name = f"{m.source} to {m.receiver} ({m.name})"
+        if m.time_zero == "emission":
+            onset_s = find_onset(p.response, m.where)
+            findings += compare_onset(onset_s, p.direct_s, speed_of_sound_m_s, name, rate_hz)
+        findings += range_findings(p.parameters, name)
+    return tuple(findings)
+
+
+def on_one_clock(
+    scene: Scene,
+    measurements: Sequence[Measurement],
+    bands: Bands,
+    decay_range_db: float = DECAY_RANGE_DB,
+) -> tuple[MeasuredPair, ...]:
+    """Return responses on the clock of emission, reduced in every band, in their order.
 
     Parameters
     ----------
@@ -358,31 +232,22 @@ def observe(
     pair_of = {name: i for i, name in enumerate(pair_names(scene))}
     pairs = [pair_of[m.pair_name] for m in measurements]
     travel_s = [float(d) for d in (distances_m(scene) / c)[pairs]]
-    findings: list[Finding] = []
     for m in measurements:
         check_sampling_rate(bands, m.response.sampling_rate_hz, m.where)
         _check_same_rate(m, measurements[0])
         check_is_response(m.response, m.where)
-        findings += m.findings
-        if not m.findings:  # arrays: no reader has looked at them
-            findings += clipping_findings(m.response.pressure, f"{m.source} to {m.receiver}")
-    observed = []
+    measured = []
     for m, pair, direct_s, response in zip(
         measurements, pairs, travel_s, from_emission(measurements, travel_s), strict=True
     ):
-        name = f"{m.source} to {m.receiver} ({m.name})"
         check_travel(response, direct_s, m.where)
-        if m.time_zero == "emission":
-            onset_s = find_onset(response, m.where)
-            findings += compare_onset(onset_s, direct_s, c, name, response.sampling_rate_hz)
         noise = estimate_noise(bands, response, filter_pressure(bands, response), direct_s)
         curve = decay_curve(bands, response, direct_s)
         parameters = room_parameters(curve)
         check_decay_range(curve, m.where)
-        findings += range_findings(parameters, name)
         end_s = fit_ends_s(noise, curve, decay_range_db)
-        observed.append(MeasuredPair(m, pair, response, direct_s, noise, curve, parameters, end_s))
-    return tuple(observed), tuple(findings)
+        measured.append(MeasuredPair(m, pair, response, direct_s, noise, curve, parameters, end_s))
+    return tuple(measured)
 
 
 def fit_ends_s(noise: NoiseEstimate, curve: DecayCurve, decay_range_db: float) -> FloatArray:

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from roomfit.findings import About, Code, Finding
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.energy import EnergyTerm
 from roomfit.solvers.least_squares import BandFit
@@ -92,22 +91,3 @@ def variance_inflation(
     sizes = [o.energy.size for o in windows.observations]
     factor[: sum(sizes)] = np.repeat([outliers.get(m, 1.0) for m in files], sizes)
     return factor
-
-
-def outlier_findings(
-    measured: Sequence[MeasuredPair], outliers: Mapping[MeasuredPair, float]
-) -> tuple[Finding, ...]:
-    """Return a finding for each outlier, in the order of the measurements."""
-    return tuple(_finding(m, outliers[m]) for m in measured if m in outliers)
-
-
-def _finding(m: MeasuredPair, ratio: float) -> Finding:
-    name = f"{m.measurement.source} to {m.measurement.receiver} ({m.measurement.name})"
-    return Finding(
-        Code.MEASUREMENT_OUTLIER,
-        About(),
-        f"{name} is an outlier: its mean squared residual is {ratio:.0f} times that of the other "
-        "measurements. Its variance was inflated by that factor. Check its file, its positions "
-        "and its level.",
-        {"ratio": ratio},
-    )

@@ -11,14 +11,16 @@ import numpy as np
 
 from roomfit.cache import Cache
 from roomfit.findings import Finding
-from roomfit.inversion.measurements import Measurements, time_scales, unreached_findings
+from roomfit.inversion.measurements import Measurements, time_scales
 from roomfit.inversion.scattering import (
+    ChosenScattering,
+    ScatteringTrial,
     assumed_scattering,
     band_factors,
     chosen_scattering,
     scattering_trial,
     specified_scattering,
-    suspected_scattering,
+    tried_scattering,
 )
 from roomfit.inversion.trace_plan import TracePlan, cached_trace, is_coherent, plan_trace
 from roomfit.materials.priors import MaterialPrior
@@ -43,7 +45,7 @@ def trim_memory() -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TracedPaths:
-    """Paths, the same in fine bins, the scattering they were traced with, and every doubt."""
+    """Paths, the same in fine bins, and the scattering they were traced with."""
 
     paths: Paths
     binned: BinnedPaths
@@ -58,7 +60,9 @@ class TracedPaths:
     # gives paths, factors and bins with the image sources found anew where sources and receivers
     # have moved; None where all images stay, as in a box, or too few are known
     again: Retrace | None
-    findings: tuple[Finding, ...]
+    findings: tuple[Finding, ...]  # of the plan, the cache, rays and their weights
+    chosen_scattering: tuple[ChosenScattering, ...] = ()  # where it was not specified
+    scattering_trial: ScatteringTrial | None = None  # of walls specified as smooth
 
 
 def redirected(
@@ -137,7 +141,7 @@ def traced_paths(
     priors, chosen_sd, chosen = chosen_scattering(
         measurements, priors, settings, plan.settings, start, part(progress, 0.0, 0.5)
     )
-    doubts: tuple[Finding, ...] = ()
+    tried: ScatteringTrial | None = None
     if assumed or chosen:
         plan = plan_trace(
             scene,
@@ -153,7 +157,7 @@ def traced_paths(
         if not settings.quick:
             trial = scattering_trial(measurements, priors, settings, plan.settings, start)
         if trial is not None:
-            doubts = suspected_scattering(trial[0], scene.room.materials, trial[1])
+            tried = tried_scattering(trial[0], scene.room.materials, trial[1])
         del trial  # with two traces of its own
     trim_memory()
     done = part(progress, 0.5 if chosen else 0.0, 1.0)
@@ -162,7 +166,6 @@ def traced_paths(
     scattering = specified_scattering(priors, plan.scattering.coefficients, len(bands))
     factors, degenerate = band_factors(measurements.directivities, scene, bands, paths, scattering)
     binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
-    unknown = [k.name for k in priors if k.known is None]
     trim_memory()
     return TracedPaths(
         paths,
@@ -178,10 +181,8 @@ def traced_paths(
             *plan.findings,
             *found.findings,
             *found.value.findings,
-            *unreached_findings(paths, unknown),
             *degenerate,
-            *assumed,
-            *chosen,
-            *doubts,
         ),
+        tuple(c for c in (assumed, chosen) if c is not None),
+        tried,
     )

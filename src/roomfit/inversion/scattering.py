@@ -12,6 +12,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -63,11 +64,8 @@ _FIT_S = 0.3
 _ASSUMED = (0.05, 0.2, 0.4)
 _ASSUMED_BANDS, _ASSUMED_RAYS = 2, 8_000
 
-# Walls specified as smooth are tried with this coefficient ...
+# Walls specified as smooth are tried with this coefficient.
 _TRIAL = 0.15
-# ... which must gain more than this in log likelihood, and lose less in every band: of nine boxes
-# that scatter by .08 or .15 one lost 3.7 in a band; a smooth one lost 5, and gained 22.
-_LEAST_GAIN, _LARGEST_LOSS = 5.0, 4.0
 # The higher a band, the less its energies fluctuate by interference, and the better they determine
 # whether anything arrives between the image sources; higher still, sources are directional.
 _TRIAL_BANDS, _HIGHEST_TRIAL_HZ = 3, 4500.0
@@ -197,50 +195,44 @@ def choose_scattering(
     return chosen, lower, upper
 
 
-def suspected_scattering(
-    fit: ScatteringFit, materials: tuple[str, ...], assumed: FloatArray
-) -> tuple[Finding, ...]:
-    """Return a finding where walls taken for smooth explain the data better if they scatter.
+class ScatteringTrial(NamedTuple):
+    """What bands gain if walls that are specified as smooth scatter."""
 
-    Of walls that are smooth, a model that is otherwise right raises the doubt in fewer than one
-    room in a hundred: a likelihood ratio has the mean 1 under the model in its denominator, so that
-    it exceeds e^5 with a probability below e^-5 (A. Wald, Sequential Analysis, 1947, section 3.2).
+    materials: tuple[str, ...]  # those that were tried, all at once
+    coefficient: float
+    gains: FloatArray  # (n_bands,), of the log-likelihood
+
+
+def tried_scattering(
+    fit: ScatteringFit, materials: tuple[str, ...], assumed: FloatArray
+) -> ScatteringTrial | None:
+    """Return what is gained if the walls taken for smooth scatter by 0.15; None without any.
 
     Parameters
     ----------
     fit : callable
         As in `choose_scattering`.
     assumed : float array, shape (n_materials, n_bands)
-        Coefficients of the model; those that are 0 in every band are tried with 0.15, all at once.
-
-    Returns
-    -------
-    tuple of Finding
-        `Code.SCATTERING_UNDERESTIMATED` where the trial gains more than 5 in log likelihood, all
-        bands together, and no band loses 4, which indicates something else than scattering: a
-        loudspeaker that rings, for instance, or sound that runs along hard walls. Empty otherwise,
-        and where no wall is smooth.
+        Coefficients of the model; those that are 0 in every band are tried, all at once.
     """
     smooth = ~np.any(assumed > 0.0, axis=1)
     if not smooth.any():
-        return ()
+        return None
     without = fit(assumed)
     gains = fit(np.where(smooth[:, None], _TRIAL, assumed)) - without
-    gain = float(np.sum(gains))
-    if not (gain > _LEAST_GAIN and np.all(gains > -_LARGEST_LOSS)):
-        return ()
-    names = [name for name, is_smooth in zip(materials, smooth, strict=True) if is_smooth]
-    return (
-        Finding(
-            Code.SCATTERING_UNDERESTIMATED,
-            About(materials=names),
-            f"The data are explained better if {', '.join(names)} scatter: a coefficient of "
-            f"{_TRIAL:g} raises the log likelihood by {gain:.0f}. Absorption compensates for "
-            "scattering that is specified as 0, so that no material is called identifiable. "
-            'Specify the scattering of these materials, or have it fitted: scattering = "fit".',
-            {"materials": names, "scattering": _TRIAL, "gain": gain},
-        ),
-    )
+    names = tuple(name for name, is_smooth in zip(materials, smooth, strict=True) if is_smooth)
+    return ScatteringTrial(names, _TRIAL, gains)
+
+
+class ChosenScattering(NamedTuple):
+    """Scattering coefficients that were chosen by likelihood on a grid, or assumed."""
+
+    materials: tuple[str, ...]
+    value: tuple[float, ...]  # one a material
+    lower: tuple[float, ...]  # least that does as well
+    upper: tuple[float, ...]
+    is_fitted: bool  # asked for; otherwise assumed, since nothing was specified
+    has_data: bool  # whether responses were compared
 
 
 def chosen_scattering(
@@ -250,7 +242,7 @@ def chosen_scattering(
     trace_settings: TraceSettings,
     start: FloatArray,
     progress: Progress | None,
-) -> tuple[tuple[MaterialPrior, ...], FloatArray, tuple[Finding, ...]]:
+) -> tuple[tuple[MaterialPrior, ...], FloatArray, ChosenScattering | None]:
     """Return the priors with the most likely scattering where it is to be fitted.
 
     And its standard deviation by material, 0 elsewhere: a quarter of the range of those as likely.
@@ -270,7 +262,7 @@ def chosen_scattering(
     """
     fitted = np.array([k.fit_scattering for k in priors])
     if not fitted.any():
-        return priors, np.zeros(len(priors)), ()
+        return priors, np.zeros(len(priors)), None
     shortened = _shortened(trace_settings, settings.n_scattering_rays, _FIT_S)
     every = slice(0, len(measurements.bands))
     trial = _energy_fit(measurements, priors, settings, shortened, start, every)
@@ -288,19 +280,12 @@ def chosen_scattering(
         replace(k, scattering=row) if k.fit_scattering else k
         for k, row in zip(priors, s, strict=True)
     )
-    ranges = ", ".join(
-        f"{priors[i].name} {s[i, 0]:g} ({lower[i, 0]:g} to {upper[i, 0]:g})"
-        for i in np.flatnonzero(fitted)
-    )
-    sentence = f"Most likely scattering coefficients, of {len(GRID)} values each: {ranges}."
-    names = [k.name for k in priors if k.fit_scattering]
+    rows = np.flatnonzero(fitted)
+    names = tuple(priors[i].name for i in rows)
+    values, least, most = (tuple(x[rows, 0].tolist()) for x in (s, lower, upper))
     sds = [_grid_sd(GRID, *ends) for ends in np.stack((lower, upper), axis=2)[:, 0].tolist()]
     sd = np.where(fitted, sds, 0.0)
-    return (
-        known,
-        sd,
-        (Finding(Code.SCATTERING_FITTED, About(materials=names), sentence, {"materials": names}),),
-    )
+    return known, sd, ChosenScattering(names, values, least, most, True, True)
 
 
 def _grid_sd(grid: Sequence[float], lower: float, upper: float) -> float:
@@ -320,7 +305,7 @@ def assumed_scattering(
     settings: Settings,
     trace_settings: TraceSettings,
     start: FloatArray,
-) -> tuple[tuple[MaterialPrior, ...], FloatArray, tuple[Finding, ...]]:
+) -> tuple[tuple[MaterialPrior, ...], FloatArray, ChosenScattering | None]:
     """Return the priors with a scattering coefficient where it is unspecified.
 
     One coefficient for all of them: the most likely of five where there are responses; that of the
@@ -334,10 +319,10 @@ def assumed_scattering(
     """
     unspecified = np.array([k.scattering is None and not k.fit_scattering for k in priors])
     if not unspecified.any():
-        return priors, np.zeros(len(priors)), ()
-    names = [k.name for k, missing in zip(priors, unspecified, strict=True) if missing]
+        return priors, np.zeros(len(priors)), None
+    names = tuple(k.name for k, missing in zip(priors, unspecified, strict=True) if missing)
     value = settings.default_scattering
-    reason, sd = "", value
+    low = high = sd = value
     n_bands = len(measurements.bands)
     first = max((n_bands - _ASSUMED_BANDS) // 2, 0)
     middle = slice(first, min(first + _ASSUMED_BANDS, n_bands))
@@ -350,19 +335,13 @@ def assumed_scattering(
         )
         value = value if low <= value <= high else best
         sd = _grid_sd(grid, low, high)
-        others = f"{low:g} to {high:g} do as well" if low < high else "others do worse"
-        reason = f", which explains the responses well ({others})"
     known = tuple(
         replace(k, scattering=np.full(n_bands, value)) if missing else k
         for k, missing in zip(priors, unspecified, strict=True)
     )
-    assumption = Finding(
-        Code.SCATTERING_ASSUMED,
-        About(materials=names),
-        f"The scattering of {', '.join(names)} is unspecified; {value:g} was assumed{reason}.",
-        {"materials": names, "scattering": value},
-    )
-    return known, np.where(unspecified, sd, 0.0), (assumption,)
+    each = ((value,) * len(names), (low,) * len(names), (high,) * len(names))
+    assumed = ChosenScattering(names, *each, False, trial is not None)
+    return known, np.where(unspecified, sd, 0.0), assumed
 
 
 def scattering_trial(
@@ -372,7 +351,7 @@ def scattering_trial(
     trace_settings: TraceSettings,
     start: FloatArray,
 ) -> tuple[ScatteringFit, FloatArray] | None:
-    """Return what `suspected_scattering` compares, None where no wall is specified as smooth.
+    """Return what `tried_scattering` compares, None where no wall is specified as smooth.
 
     A fit of the three highest bands up to 4 kHz, and the specified coefficients there.
 

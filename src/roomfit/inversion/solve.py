@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 from roomfit.air import Air, relative_speed_sd
-from roomfit.findings import Finding
 from roomfit.inversion.bands import fit_bands
 from roomfit.inversion.coherent import (
     CoherentFit,
@@ -22,8 +20,8 @@ from roomfit.inversion.directivity import (
     directivity_parameters,
     omnidirectional,
     score_sources,
-    source_findings,
 )
+from roomfit.inversion.fits import BandFits
 from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions
@@ -35,11 +33,9 @@ from roomfit.inversion.systematics import (
     with_shared_errors,
 )
 from roomfit.materials.priors import MaterialPrior
-from roomfit.objective.coherent import FittedGeometry
 from roomfit.objective.directivity import (
     BandDirectivities,
     DirectedTerm,
-    FittedDirectivity,
     energy_objective,
 )
 from roomfit.objective.energy import EnergyTerm
@@ -52,19 +48,6 @@ from roomfit.settings import Settings
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.gaussian import BandEstimate, Refine, SharedCovariance
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BandFits:
-    """The answer of every band, and what was found of arrival times and sources on the way.
-
-    `directivities`, one a source, are empty where none was to be fitted.
-    """
-
-    answers: tuple[BandEstimate, ...]
-    geometry: FittedGeometry | None = None
-    findings: tuple[Finding, ...] = ()
-    directivities: tuple[FittedDirectivity, ...] = ()
 
 
 def shared_error_covariance(measured: Measurements, traced: TracedPaths) -> SharedCovariance:
@@ -140,7 +123,8 @@ def estimate_energies(
     )
     estimates = tuple(refine(band, None) for band in fitted)
     found = band_directivities(measured.scene, unknown, directivities, estimates)
-    return BandFits(estimates, None, source_findings(tested, scores), found)
+    names = () if tested is None else tested.sources
+    return BandFits(estimates, None, found, names, scores)
 
 
 def energy_objectives(
@@ -217,7 +201,8 @@ def coherent_answers(
     )
     directivities = tuple(None if b is None else b.directivity for b in fit.state.bands)
     found = band_directivities(task.scene, task.directivity_parameters, directivities, estimates)
-    return BandFits(estimates, fit.geometry, fit.findings, found)
+    names = () if task.tested_sources is None else task.tested_sources.sources
+    return BandFits(estimates, fit.geometry, found, names, fit.source_scores, fit.tests)
 
 
 def _value_terms(measured: Measurements, traced: TracedPaths) -> tuple[ValuesTerm | None, ...]:

@@ -6,14 +6,11 @@ walls without changing any response: the data cannot distinguish an answer from 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
-from roomfit.bands import Bands, bands_in_words
-from roomfit.findings import About, Code, Finding
 from roomfit.geometry.inside import nearest_triangles
 from roomfit.geometry.mesh import area_vectors_m2, corners_m
 from roomfit.inversion.measurements import Measurements
@@ -21,8 +18,7 @@ from roomfit.materials.priors import MaterialPrior, prior_logit_law
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.scene import Room, Scene, pair_names, select_pairs, triangle_material
 from roomfit.tracing.states import parts_of
-from roomfit.typing import BoolArray, FloatArray, IntArray
-from roomfit.uncertainty.gaussian import MirrorTrial
+from roomfit.typing import FloatArray, IntArray
 
 # A wall counts as carried into another where it lies this close to it.
 TOLERANCE_M = 0.02
@@ -34,8 +30,6 @@ _SAME_DIRECTION = 1e-3
 _WHOLE_SHARE = 0.98
 # Positions may be off by this many of their standard deviations.
 _LARGEST_SHIFT_SD = 3.0
-# Log-likelihoods nearer than this do not decide between an answer and its image.
-_UNDECIDED = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,51 +209,11 @@ def _is_near(one: FloatArray, other: FloatArray, same: float) -> bool:
     return bool(np.linalg.norm(one - other, 2) <= same)
 
 
-def mirror_findings(
-    measurements: Measurements,
-    priors: tuple[MaterialPrior, ...],
-    absorption: FloatArray,
-    lower95: FloatArray,
-    upper95: FloatArray,
-    trials: Sequence[tuple[MirrorTrial, ...]] = (),
-) -> tuple[BoolArray, tuple[Finding, ...]]:
-    """Return what is ambiguous by symmetry, and a finding with both answers for each symmetry.
-
-    A fit ends in one of two equally good answers. Where both agree within their intervals nothing
-    is ambiguous. Directional sources, and materials with different priors, break the symmetry.
-
-    Parameters
-    ----------
-    absorption, lower95, upper95 : float arrays, shape (n_materials, n_bands)
-    trials : sequence of tuples of MirrorTrial, one a band
-        Second fits, one a symmetry of `mirror_symmetries`, where they were made: bands whose
-        log-likelihood is higher by 2 or more without the exchange are left out.
-
-    Returns
-    -------
-    ambiguous : bool array, shape (n_materials, n_bands)
-    findings : tuple of Finding
-    """
-    ambiguous = np.zeros(absorption.shape, dtype=np.bool_)
-    findings = []
-    scene, bands = _fitted_scene(measurements), measurements.bands
-    for number, symmetry in enumerate(mirror_symmetries(measurements, priors)):
-        other = absorption[symmetry.exchange]
-        differs = (other < lower95) | (other > upper95)
-        tried = [t[number] if number < len(t) else None for t in trials]
-        differs &= np.array([t is None or t.gain > -_UNDECIDED for t in tried] or [True])
-        if np.any(differs):
-            ambiguous |= differs
-            apart = float(deviation_m(symmetry, scene).max())
-            findings.append(_finding(symmetry, scene, bands, apart, absorption, differs, tried))
-    return ambiguous, tuple(findings)
-
-
 def mirror_symmetries(
     measurements: Measurements, priors: tuple[MaterialPrior, ...]
 ) -> tuple[Symmetry, ...]:
     """Return the symmetries of room and fitted pairs that exchange materials of equal priors."""
-    scene = _fitted_scene(measurements)
+    scene = fitted_scene(measurements)
     return tuple(
         symmetry
         for symmetry in (room_symmetries(scene.room) if len(scene.pairs) else ())
@@ -268,7 +222,7 @@ def mirror_symmetries(
     )
 
 
-def _fitted_scene(measurements: Measurements) -> Scene:
+def fitted_scene(measurements: Measurements) -> Scene:
     """Return the scene of the pairs that are fitted."""
     scene = measurements.scene
     fitted_pairs = {m.pair for m in measurements.responses if m.measurement.use == "fit"}
@@ -306,54 +260,3 @@ def _tolerance_m(scene: Scene) -> FloatArray:
     )
     sd = np.maximum(sources[scene.pairs[:, 0]], receivers[scene.pairs[:, 1]])
     return np.asarray(_LARGEST_SHIFT_SD * sd + 1e-3)
-
-
-def _finding(
-    symmetry: Symmetry,
-    scene: Scene,
-    bands: Bands,
-    apart_m: float,
-    absorption: FloatArray,
-    differs: BoolArray,
-    trials: Sequence[MirrorTrial | None],
-) -> Finding:
-    names = scene.room.materials
-    moved = [i for i in range(len(names)) if differs[i].any()]
-    columns = np.flatnonzero(differs.any(axis=0))
-    listed = "; ".join(
-        f"{names[i]} {_row(absorption[symmetry.exchange[i], columns])} instead of "
-        f"{_row(absorption[i, columns])}"
-        for i in moved
-    )
-    centres = bands_in_words(bands, columns)
-    gains = {j: t.gain for j, t in enumerate(trials) if t is not None and j in columns}
-    confirmed = ""
-    if gains:
-        least, most = min(gains.values()), max(gains.values())
-        between = f"{least:+.1f}" if most - least < 0.05 else f"{least:+.1f} to {most:+.1f}"
-        confirmed = (
-            f" A second fit that starts there changes the log-likelihood by {between}: "
-            "the data do not decide."
-        )
-    return Finding(
-        Code.MIRROR_AMBIGUITY,
-        About(materials=[names[i] for i in moved], bands_hz=bands.centres_hz[columns].tolist()),
-        f"The room is symmetric, and every fitted pair stands within {100 * apart_m:.0f} cm of "
-        f"that symmetry: a second answer explains the data as well. At {centres}: {listed}."
-        f"{confirmed} Measure a pair off the symmetry, or specify a prior of one of these "
-        "materials.",
-        {
-            "materials": [names[i] for i in moved],
-            "bands_hz": bands.centres_hz[columns].tolist(),
-            "other_answer": {
-                name: absorption[symmetry.exchange[i]].round(6).tolist()
-                for i, name in enumerate(names)
-            },
-            "apart_m": apart_m,
-            "log_likelihood_change": [round(g, 3) for g in gains.values()],
-        },
-    )
-
-
-def _row(values: FloatArray) -> str:
-    return ", ".join(f"{v:.2f}" for v in values)

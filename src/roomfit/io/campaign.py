@@ -399,15 +399,7 @@ def read_campaign(path: Path, *, to_fit: bool = True, decay_times: bool = False)
     (['R'], 'auto')
     """
     path = Path(path)
-    content = read_toml(path)
-    _check_blanks(path, content)
-    has_room = "room" in content or not (decay_times and "reverberation" in content)
-    if not has_room:
-        content["room"] = _NO_ROOM
-    try:
-        table = CampaignTable.model_validate(content)
-    except ValidationError as error:
-        raise explained(path, error, CampaignTable) from None
+    table, has_room = _campaign_table(path, decay_times)
     table, findings = _with_recordings(path, table, to_fit=to_fit)
     if to_fit:
         _check_data(path, table)
@@ -418,6 +410,26 @@ def read_campaign(path: Path, *, to_fit: bool = True, decay_times: bool = False)
             {name: group.members for name, group in table.groups.items()},
             [*table.sources, *table.receivers],
         )
+    return _campaign(path, table, findings, has_room)
+
+
+def _campaign_table(path: Path, decay_times: bool) -> tuple[CampaignTable, bool]:
+    """Return what stands in the file, each key checked by itself, and whether there is a room."""
+    content = read_toml(path)
+    _check_blanks(path, content)
+    has_room = "room" in content or not (decay_times and "reverberation" in content)
+    if not has_room:
+        content["room"] = _NO_ROOM
+    try:
+        return CampaignTable.model_validate(content), has_room
+    except ValidationError as error:
+        raise explained(path, error, CampaignTable) from None
+
+
+def _campaign(
+    path: Path, table: CampaignTable, findings: tuple[Finding, ...], has_room: bool
+) -> Campaign:
+    """Return the campaign of a table whose names and measurements are checked."""
     rows = table.measurements
     return Campaign(
         path,

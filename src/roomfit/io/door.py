@@ -27,7 +27,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -321,30 +321,9 @@ def of_child(
         the file holds more than the limits of files allow.
     """
     most_bytes = unpacked_limit_bytes(len(content))
-    seconds = limit("reading_s")
-    # the file, its numbers as they lie in it and as float64, and the libraries
-    memory_bytes = 2 * len(content) + 3 * most_bytes + _LIBRARIES_BYTES
-    arguments = [f"{number:.0f}" for number in (memory_bytes, max(seconds, 1.0), most_bytes)]
-    no_end = f"{library} did not come to an end within {seconds:g} s"
     with tempfile.TemporaryFile() as answer:
-        try:
-            done = subprocess.run(
-                [sys.executable, "-P", str(_CHILD), kind, *arguments],
-                input=content,
-                stdout=answer,
-                stderr=subprocess.DEVNULL,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-                # of the clock: a busy machine gives a process a part of its time only
-                timeout=_PATIENCE * seconds,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
-            raise ValueError(no_end) from None
+        _run_child(kind, content, library, most_bytes, answer)
         answer.seek(0)
-        if done.returncode == -getattr(signal, "SIGXCPU", 0) != 0:
-            raise ValueError(no_end)
-        if done.returncode != 0:
-            raise ValueError(f"{library} failed (exit status {done.returncode})")
 
         def array(wanted: Any) -> np.ndarray[Any, Any]:
             shape = [int(length) for length in wanted]
@@ -360,6 +339,34 @@ def of_child(
             yield head, array
         except (LookupError, TypeError, AttributeError, RecursionError) as error:
             raise ValueError(f"{library} gave no answer ({type(error).__name__})") from error
+
+
+def _run_child(
+    kind: str, content: bytes, library: str, most_bytes: float, answer: IO[bytes]
+) -> None:
+    """Have a process of its own write what a library reads into a file, within limits of both."""
+    seconds = limit("reading_s")
+    # the file, its numbers as they lie in it and as float64, and the libraries
+    memory_bytes = 2 * len(content) + 3 * most_bytes + _LIBRARIES_BYTES
+    arguments = [f"{number:.0f}" for number in (memory_bytes, max(seconds, 1.0), most_bytes)]
+    no_end = f"{library} did not come to an end within {seconds:g} s"
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", str(_CHILD), kind, *arguments],
+            input=content,
+            stdout=answer,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+            # of the clock: a busy machine gives a process a part of its time only
+            timeout=_PATIENCE * seconds,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise ValueError(no_end) from None
+    if done.returncode == -getattr(signal, "SIGXCPU", 0) != 0:
+        raise ValueError(no_end)
+    if done.returncode != 0:
+        raise ValueError(f"{library} failed (exit status {done.returncode})")
 
 
 def decoded(content: bytes) -> str:

@@ -291,17 +291,7 @@ def draft_campaign(
         The room cannot be read; or its unit is in doubt, with the units that are plausible.
     """
     if decay_times is not None:
-        lines = [
-            "# A first campaign, made by `roomfit init`. Blanks are marked FILL IN. Then:",
-            "#   roomfit reverberation campaign.toml",
-            "",
-            "[room]",
-            *_room_lines(room, folder, because),
-            "",
-            "[reverberation]",
-            f"file = {_quoted(_beside(folder, decay_times))}",
-        ]
-        return "\n".join(lines) + "\n"
+        return _draft_of_decay_times(decay_times, room, folder, because)
     lines = [
         "# A first campaign, made by `roomfit init`. Blanks are marked FILL IN. Then:",
         "#   roomfit check campaign.toml",
@@ -317,6 +307,22 @@ def draft_campaign(
         "[identify]",
         "from_hz = 125",
         "to_hz = 4000",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _draft_of_decay_times(
+    decay_times: Path, room: RoomSpec | None, folder: Path, because: str
+) -> str:
+    lines = [
+        "# A first campaign, made by `roomfit init`. Blanks are marked FILL IN. Then:",
+        "#   roomfit reverberation campaign.toml",
+        "",
+        "[room]",
+        *_room_lines(room, folder, because),
+        "",
+        "[reverberation]",
+        f"file = {_quoted(_beside(folder, decay_times))}",
     ]
     return "\n".join(lines) + "\n"
 

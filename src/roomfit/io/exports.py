@@ -419,14 +419,22 @@ def export_materials(
         return {"": catt_text(names, absorption, scatter, remarks)}, tuple(findings)
     if wanted == "isimpa":
         return {"": isimpa_text(names, absorption, scatter)}, tuple(findings)
-    fitted = np.isin(np.round(bands.exact_centres_hz, 3), np.round(table.bands.exact_centres_hz, 3))
+    return _raven_files(table, tuple(names.values()), absorption, scatter), tuple(findings)
+
+
+def _raven_files(
+    table: MaterialTable, names: tuple[str, ...], absorption: FloatArray, scattering: FloatArray
+) -> dict[str, str]:
+    """Return the text of each material's file; arrays have the shape (n_materials, n_bands)."""
+    centres_hz = np.round(RAVEN_BANDS.exact_centres_hz, 3)
+    fitted = np.isin(centres_hz, np.round(table.bands.exact_centres_hz, 3))
     texts = {}
-    for i, short in enumerate(names.values()):
+    for i, short in enumerate(names):
         notes, sure = "Fitted by roomfit; 1 in interpol: no fitted band", table.identifiable[i]
         if not np.all(sure):
             notes += f"; not determined {_where(table.bands, ~sure)}"
-        texts[f"{short}.mat"] = raven_text(short, notes, absorption[i], scatter[i], fitted)
-    return texts, tuple(findings)
+        texts[f"{short}.mat"] = raven_text(short, notes, absorption[i], scattering[i], fitted)
+    return texts
 
 
 def _where(bands: Bands, chosen: BoolArray) -> str:

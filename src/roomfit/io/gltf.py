@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from roomfit.errors import InputError
 from roomfit.geometry.mesh import corners_m
 from roomfit.io.exports import MaterialTable
 from roomfit.scene import Room, triangle_material
+from roomfit.typing import FloatArray
 
 _FLOAT, _ARRAY_BUFFER, _TRIANGLES = 5126, 34962, 4
 
@@ -48,30 +50,7 @@ def gltf_text(room: Room, table: MaterialTable) -> str:
     owner = triangle_material(room)
     used = [i for i in range(len(room.materials)) if np.any(owner == i)]
     corners = corners_m(room.mesh)[:, :, [0, 2, 1]] * np.array([1.0, 1.0, -1.0])
-    buffer = b""
-    views: list[dict[str, Any]] = []
-    accessors: list[dict[str, Any]] = []
-    for i in used:
-        points = corners[owner == i].reshape(-1, 3).astype("<f4")
-        views.append(
-            {
-                "buffer": 0,
-                "byteOffset": len(buffer),
-                "byteLength": points.nbytes,
-                "target": _ARRAY_BUFFER,
-            }
-        )
-        accessors.append(
-            {
-                "bufferView": len(views) - 1,
-                "componentType": _FLOAT,
-                "count": len(points),
-                "type": "VEC3",
-                "min": points.min(axis=0).tolist(),
-                "max": points.max(axis=0).tolist(),
-            }
-        )
-        buffer += points.tobytes()
+    buffer, views, accessors = _packed([corners[owner == i].reshape(-1, 3) for i in used])
     primitives = [
         {"attributes": {"POSITION": k}, "material": k, "mode": _TRIANGLES} for k in range(len(used))
     ]
@@ -92,6 +71,37 @@ def gltf_text(room: Room, table: MaterialTable) -> str:
         ],
     }
     return json.dumps(content, ensure_ascii=False, indent=1) + "\n"
+
+
+def _packed(
+    positions: Sequence[FloatArray],
+) -> tuple[bytes, list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return arrays of positions one after the other, and where and how each lies in the buffer."""
+    buffer = b""
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+    for own in positions:
+        points = own.astype("<f4")
+        views.append(
+            {
+                "buffer": 0,
+                "byteOffset": len(buffer),
+                "byteLength": points.nbytes,
+                "target": _ARRAY_BUFFER,
+            }
+        )
+        accessors.append(
+            {
+                "bufferView": len(views) - 1,
+                "componentType": _FLOAT,
+                "count": len(points),
+                "type": "VEC3",
+                "min": points.min(axis=0).tolist(),
+                "max": points.max(axis=0).tolist(),
+            }
+        )
+        buffer += points.tobytes()
+    return buffer, views, accessors
 
 
 def _material(name: str, table: MaterialTable) -> dict[str, Any]:

@@ -80,6 +80,26 @@ def read_parameters(
     ('S', array([0.9, 0.8]))
     """
     path = Path(path)
+    centres_hz, rows = _rows_by_pair(path)
+    chosen = [pair for pair in rows if source in (None, pair[0]) and receiver in (None, pair[1])]
+    if not chosen:
+        raise InputError(
+            "the table of room parameters has no line of this pair",
+            where=str(path),
+            found=", ".join(" to ".join(pair) for pair in rows),
+            needed=f"source {source or 'any'}, receiver {receiver or 'any'}",
+        )
+    found: list[MeasuredValues] = []
+    findings: list[Finding] = []
+    for pair in chosen:
+        values, doubts = _pair(pair, rows[pair], centres_hz, str(path))
+        findings += [*doubts, *contradiction_findings(values, str(path))]
+        found.append(values)
+    return tuple(found), tuple(findings)
+
+
+def _rows_by_pair(path: Path) -> tuple[FloatArray, dict[tuple[str, str], list[_Row]]]:
+    """Return the centre frequencies, and the lines of each source and receiver."""
     text = read_text(path, "table of room parameters")
     # semicolons leave commas to the decimals
     delimiter = ";" if ";" in text.partition("\n")[0] else ","
@@ -99,21 +119,7 @@ def read_parameters(
     for number, cells in lines[1:]:
         pair, row = _row(cells, centres_hz, f"{path}, line {number}")
         rows.setdefault(pair, []).append(row)
-    chosen = [pair for pair in rows if source in (None, pair[0]) and receiver in (None, pair[1])]
-    if not chosen:
-        raise InputError(
-            "the table of room parameters has no line of this pair",
-            where=str(path),
-            found=", ".join(" to ".join(pair) for pair in rows),
-            needed=f"source {source or 'any'}, receiver {receiver or 'any'}",
-        )
-    found: list[MeasuredValues] = []
-    findings: list[Finding] = []
-    for pair in chosen:
-        values, doubts = _pair(pair, rows[pair], centres_hz, str(path))
-        findings += [*doubts, *contradiction_findings(values, str(path))]
-        found.append(values)
-    return tuple(found), tuple(findings)
+    return centres_hz, rows
 
 
 def _centres_hz(cells: list[str], where: str) -> FloatArray:

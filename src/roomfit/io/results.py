@@ -6,7 +6,7 @@ contract: they keep their names where a term in the code is another.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,8 @@ import numpy as np
 
 from roomfit.bands import Bands
 from roomfit.cache import write_json_atomically, write_text_atomically
+from roomfit.diagnostics.remaining import what_remains
 from roomfit.errors import InputError, located
-from roomfit.inversion.remaining import what_remains
 from roomfit.io.door import complete, json_content, read_text
 from roomfit.io.encoding import csv_text, finding_content, finding_of, numbers_or_null, provenance
 from roomfit.io.exports import read_material_table
@@ -136,7 +136,9 @@ def _read_scattering(content: dict[str, Any], names: tuple[str, ...]) -> FloatAr
         ) from error
 
 
-def write_result(folder: Path, answer: Result, inputs: Iterable[Path]) -> None:
+def write_result(
+    folder: Path, answer: Result, inputs: Iterable[Path], usable: Sequence[str] = ()
+) -> None:
     """Write ``result.json`` and ``absorption.csv`` into a folder.
 
     Parameters
@@ -147,6 +149,8 @@ def write_result(folder: Path, answer: Result, inputs: Iterable[Path]) -> None:
     inputs : iterable of Path
         Files whose SHA-256 is written; the first is the campaign, relative to which the others are
         named.
+    usable : sequence of str, optional
+        What remains usable where findings void walls, from `roomfit.report.usable`.
 
     Raises
     ------
@@ -168,7 +172,7 @@ def write_result(folder: Path, answer: Result, inputs: Iterable[Path]) -> None:
     >>> bool(np.all(found.absorption == result.absorption))
     True
     """
-    content = result_content(answer, inputs)
+    content = result_content(answer, inputs, usable)
     write_text_atomically(folder / "absorption.csv", absorption_csv(answer))
     write_json_atomically(folder / "result.json", content)
 
@@ -185,7 +189,9 @@ def absorption_csv(answer: Result) -> str:
     return csv_text(heading, rows)
 
 
-def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
+def result_content(
+    answer: Result, inputs: Iterable[Path], usable: Sequence[str] = ()
+) -> dict[str, Any]:
     """Return the content of result.json: arrays over bands_hz, null only inside pairs.
 
     The first of the inputs is the campaign; the others are named relative to its folder.
@@ -200,22 +206,7 @@ def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
         "combinations": _combinations(answer),
         "pairs": [_pair(p, answer.bands) for p in answer.pairs],
         "findings": [finding_content(f) for f in answer.findings],
-        "fit": {
-            "method": answer.method,
-            "model": answer.model,
-            "cost": answer.cost,
-            "models": answer.models,
-            "phi": answer.chi2_reduced,
-            "evaluations": answer.evaluations,
-            "converged": answer.converged,
-            "seconds": round(answer.seconds, 3),
-            "certified": _certified(answer),
-            "seed": answer.seed,
-            "intervals": answer.interval_kind,
-            "method_chosen": answer.method,
-            "reasons": answer.reasons,
-            **({"sampling": _sampling(answer)} if any(answer.sampling) else {}),
-        },
+        "fit": _fit(answer),
         **({"plan": answer.plan} if answer.plan else {}),
         "settings": answer.settings.changed(),
         **({"trace": answer.trace} if answer.trace else {}),
@@ -227,8 +218,9 @@ def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
     }
     remains = what_remains(answer)
     if remains.voids:
+        content["usable"] = usable
         content["remains"] = {
-            "void": [f.code.value for f in remains.voids],
+            "void": [code.value for code in remains.codes],
             "mean_usable": [bool(b) for b in remains.mean_usable],
             "decay_error": numbers_or_null(remains.decay_error),
             "decay_parameter": remains.decay_name or None,
@@ -254,20 +246,46 @@ def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
     if answer.geometry is not None:
         content["geometry"] = _geometry(answer.geometry)
     if answer.logit_covariance is not None:
-        content["posterior"] = {
-            "materials": answer.materials,
-            "logit_mean": logit(answer.absorption).T,
-            "logit_covariance": answer.logit_covariance,
-        }
-        if answer.logit_prior is not None:
-            mean, sd = answer.logit_prior
-            content["posterior"] |= {"prior_logit_mean": mean.T, "prior_logit_sd": sd.T}
-        if answer.logit_prior_covariance is not None:
-            content["posterior"]["prior_logit_covariance"] = answer.logit_prior_covariance
-        if answer.draws is not None:
-            content["posterior"]["draws"] = np.round(answer.draws, 5)
-        if answer.prior_specified is not None:
-            content["posterior"]["prior_specified"] = [bool(b) for b in answer.prior_specified]
+        content["posterior"] = _posterior(answer)
+    return content
+
+
+def _fit(answer: Result) -> dict[str, Any]:
+    """How the answer was found, how well it fits, and how its intervals were made."""
+    return {
+        "method": answer.method,
+        "model": answer.model,
+        "cost": answer.cost,
+        "models": answer.models,
+        "phi": answer.chi2_reduced,
+        "evaluations": answer.evaluations,
+        "converged": answer.converged,
+        "seconds": round(answer.seconds, 3),
+        "certified": _certified(answer),
+        "seed": answer.seed,
+        "intervals": answer.interval_kind,
+        "method_chosen": answer.method,
+        "reasons": answer.reasons,
+        **({"sampling": _sampling(answer)} if any(answer.sampling) else {}),
+    }
+
+
+def _posterior(answer: Result) -> dict[str, Any]:
+    """The Gaussian of logit absorption in each band, its prior, and draws of it."""
+    content: dict[str, Any] = {
+        "materials": answer.materials,
+        "logit_mean": logit(answer.absorption).T,
+        "logit_covariance": answer.logit_covariance,
+    }
+    if answer.logit_prior is not None:
+        mean, sd = answer.logit_prior
+        content |= {"prior_logit_mean": mean.T, "prior_logit_sd": sd.T}
+    if answer.logit_prior_covariance is not None:
+        content["prior_logit_covariance"] = answer.logit_prior_covariance
+    if answer.draws is not None:
+        content["draws"] = np.round(answer.draws, 5)
+    if answer.prior_specified is not None:
+        content["prior_specified"] = [bool(b) for b in answer.prior_specified]
     return content
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import CannotTell
-from roomfit.findings import About, Code, Finding
 from roomfit.materials.priors import MaterialPrior, prior_logit_law
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.energy import (
@@ -113,39 +112,6 @@ def with_paths(term: EnergyTerm, binned: BinnedPaths, attenuation_per_m: float) 
     return in_air(replace(term, rows=own, attenuation_per_m=attenuation_per_m))
 
 
-def prior_only_band_findings(bands: Bands, fitted: Sequence[bool]) -> tuple[Finding, ...]:
-    """Return a finding for the bands in which nothing could be fitted.
-
-    Parameters
-    ----------
-    fitted : sequence of bool
-        For each band.
-
-    Raises
-    ------
-    CannotTell
-        There is no other band.
-    """
-    empty = [float(f) for f, has_data in zip(bands.centres_hz, fitted, strict=True) if not has_data]
-    if not empty:
-        return ()
-    if len(empty) == len(bands):
-        raise CannotTell(
-            "no band has enough windows above the noise",
-            needed="in some band, more windows than unknown absorptions and gains",
-            hint="choose other bands with from_hz and to_hz, or measure with less noise",
-        )
-    return (
-        Finding(
-            Code.BAND_NOT_FITTED,
-            About(bands_hz=empty),
-            f"Too little decay rises above the noise at {', '.join(f'{f:g}' for f in empty)} Hz: "
-            "absorption there is its prior, with the interval 0 to 1 where none was stated.",
-            {"bands_hz": empty},
-        ),
-    )
-
-
 def has_data_in_band(m: MeasuredPair, band: int) -> bool:
     """Whether a measurement is to be fitted and a decay rises above its noise in a band."""
     return m.measurement.use == "fit" and bool(m.noise.tail_time_constant_s[band] > 0.0)
@@ -154,27 +120,6 @@ def has_data_in_band(m: MeasuredPair, band: int) -> bool:
 def fitted_in_band(measured: Sequence[MeasuredPair], band: int) -> tuple[MeasuredPair, ...]:
     """Return the measurements of a band's observations, in their order."""
     return tuple(m for m in measured if has_data_in_band(m, band))
-
-
-def left_out_findings(bands: Bands, measured: tuple[MeasuredPair, ...]) -> tuple[Finding, ...]:
-    """Return which measurements `energy_terms` leaves out of which bands."""
-    findings = []
-    for m in measured:
-        has_data = [has_data_in_band(m, band) for band in range(len(bands))]
-        if m.measurement.use != "fit" or all(has_data):
-            continue
-        missing = [float(f) for f, t in zip(bands.centres_hz, has_data, strict=True) if not t]
-        name = f"{m.measurement.source} to {m.measurement.receiver} ({m.measurement.name})"
-        findings.append(
-            Finding(
-                Code.RECORDING_BELOW_NOISE,
-                About(bands_hz=missing),
-                f"{name}: no decay rises above the noise at "
-                f"{', '.join(f'{f:g}' for f in missing)} Hz; it was not fitted there.",
-                {"bands_hz": missing},
-            )
-        )
-    return tuple(findings)
 
 
 def spread_over_time(bands: Bands, energies: FloatArray) -> FloatArray:
@@ -221,22 +166,6 @@ def _observation(
         spreading_slopes_per_s(rough, band, bin_centres_s, edges),
         timing_sd_s,
         gain,
-    )
-
-
-def unspecified_position_findings(scene: Scene) -> tuple[Finding, ...]:
-    """Return a finding that names the positions whose spread was assumed."""
-    names = [p.name for p in (*scene.sources, *scene.receivers) if p.position_sd_m is None]
-    if not names:
-        return ()
-    return (
-        Finding(
-            Code.POSITION_UNCERTAINTY_ASSUMED,
-            About(),
-            f"No position_sd is specified for {', '.join(names)}; "
-            f"{100 * DEFAULT_POSITION_SD_M:g} cm a coordinate was assumed.",
-            {"points": names, "position_sd_m": DEFAULT_POSITION_SD_M},
-        ),
     )
 
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from roomfit.air import attenuation_per_m
+from roomfit.diagnostics.decay import DECAY_SCATTER, mean_miss
 from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import volume_m3
-from roomfit.inversion.model_checks import DECAY_SCATTER, mean_miss
 from roomfit.report.html_tables import parameter_keys
 from roomfit.report.wording import (
     Cell,
@@ -54,7 +54,7 @@ def disagreement_table(answer: Result, scene: Scene) -> Table | None:
 
     References
     ----------
-    .. [1] ISO 3382-2:2008, annex A; as in `roomfit.inversion.model_checks.decay_misses`.
+    .. [1] ISO 3382-2:2008, annex A; as in `roomfit.diagnostics.decay.decay_misses`.
     """
     kept = [pair for pair in answer.pairs if pair.use == "validate"]
     pairs = kept or list(answer.pairs)

@@ -19,8 +19,8 @@ from roomfit.signals.speech import sti_of_decay
 from roomfit.typing import BoolArray, FloatArray
 
 if TYPE_CHECKING:  # heavy, and no text of a room needs them
+    from roomfit.diagnostics.usable import CheckedRecordings
     from roomfit.inversion.diffuse import DiffuseAbsorption
-    from roomfit.inversion.usable import CheckedRecordings
     from roomfit.results import ComparedPair, Result
 
 # A recording has all parameters, and these represent them; a table of room parameters has the

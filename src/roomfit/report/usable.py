@@ -7,8 +7,8 @@ from types import MappingProxyType
 
 import numpy as np
 
+from roomfit.diagnostics.remaining import VOID_ANY_MEAN, Remaining, what_remains
 from roomfit.findings import Code
-from roomfit.inversion.remaining import VOID_ANY_MEAN, Remaining, what_remains
 from roomfit.report.wording import (
     band_ranges,
     coefficient,
@@ -21,7 +21,7 @@ from roomfit.report.wording import (
 from roomfit.results import Result
 from roomfit.typing import IntArray
 
-# Why walls are void, as part of a sentence; of every code that voids identifiability.
+# Why walls are void, as part of a sentence; of every code that voids them.
 REASONS: Mapping[Code, str] = MappingProxyType(
     {
         Code.LEVELS_NOT_LINEAR: "the chain of the measurement is not linear",
@@ -40,7 +40,10 @@ REASONS: Mapping[Code, str] = MappingProxyType(
         Code.SOURCE_NOT_OMNIDIRECTIONAL: "a source is directional and was taken for "
         "omnidirectional",
         Code.SCATTERING_UNDERESTIMATED: "walls scatter more than was specified",
-        Code.MODEL_MISFIT_ALL_BANDS: "the model explains no band",
+        Code.MODEL_MISFIT_ALL_BANDS: "the model does not explain the data",
+        Code.DECAY_NOT_REPRODUCED: "the fitted decay is not that of the measurement",
+        Code.REFLECTION_DISAGREES: "single reflections contradict the absorption of their wall",
+        Code.MIRROR_AMBIGUITY: "walls can be exchanged without changing any response",
     }
 )
 _AGREE = 0.15  # of two means, relatively: Eyring's formula is off by as much in boxes
@@ -54,9 +57,10 @@ def remaining_usable(result: Result) -> tuple[str, ...]:
     """
     found = what_remains(result)
     if not found.voids:
-        return ()
+        return _taken_back(found)
     sentences = (
         _what_is_void(result, found),
+        *_taken_back(found),
         _mean(result, found),
         _other_means(result, found),
         _decay(result, found),
@@ -75,12 +79,16 @@ def _what_is_void(result: Result, found: Remaining) -> str:
             result.bands.centres_hz, np.isin(result.bands.centres_hz, bands)
         )
     text = f"The walls' absorption{where} is not to be used: {reasons} [{codes}]."
-    if found.taken:
-        text += (
-            f" {found.taken} of {count(found.wanted, 'value')} would be called identifiable "
-            f"but for {codes}."
-        )
     return text
+
+
+def _taken_back(found: Remaining) -> tuple[str, ...]:
+    """Return how many values the rule alone would call identifiable, and why they are not."""
+    if not found.taken:
+        return ()
+    reasons = "; ".join(f"{code.value}: {REASONS[code]}" for code in found.codes)
+    words = count(found.wanted, "value")
+    return (f"{found.taken} of {words} would be called identifiable but for {reasons}.",)
 
 
 def _mean(result: Result, found: Remaining) -> str:

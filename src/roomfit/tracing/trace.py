@@ -160,6 +160,7 @@ def fitting_radii_m(scene: Scene, radius_m: float) -> tuple[FloatArray, tuple[Fi
                 found=f"{min(to_wall[r], to_source[r]):.3g} m away",
                 needed=f"more than {_SMALLEST_RADIUS_M:g} m",
                 hint="correct its position",
+                points_m=[tuple(centres[r].tolist())],
             )
         used_m = float(radii[r])
         fewer = (radius_m / used_m) ** 2

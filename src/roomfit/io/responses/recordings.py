@@ -203,14 +203,7 @@ def deconvolved(
            Eng. Soc. 49, 443-471 (2001).
     """
     rate_hz = recording.sampling_rate_hz
-    if abs(excitation.sampling_rate_hz / rate_hz - 1.0) > 1e-6:
-        raise InputError(
-            "recording and excitation have different sampling rates",
-            where=str(path),
-            found=f"{rate_hz:g} Hz, and {excitation.sampling_rate_hz:g} Hz in {excitation_path}",
-            needed="one rate",
-            hint="take the excitation as it was played, at the rate of the recording",
-        )
+    _check_rates(rate_hz, excitation.sampling_rate_hz, path, excitation_path)
     refuse_useless(recording, path)
     refuse_useless(excitation, excitation_path)
     n_kept = _kept(recording.pressure, excitation.pressure, rate_hz, path)
@@ -219,9 +212,7 @@ def deconvolved(
         recording.pressure, excitation.pressure, rate_hz, (low_hz, high_hz)
     )
     n_lead = round(_LEAD_S * rate_hz)
-    lead = response[len(response) - n_lead :]
-    fade = np.sin(0.5 * np.pi * (np.arange(n_lead) + 0.5) / n_lead) ** 2
-    pressure = np.concatenate([fade * lead, response[:n_kept]])
+    pressure = _with_lead(response, n_lead, n_kept)
     text = (
         f"{path.name} was deconvolved with {excitation_path.name}, which has energy from "
         f"{low_hz:.3g} to {high_hz:.4g} Hz; {n_kept / rate_hz:.2f} s of response are left."
@@ -233,6 +224,24 @@ def deconvolved(
     )
     findings = (*recording.findings, *excitation.findings, *clipped, finding)
     return Recording(pressure, rate_hz, recording.delay_s - n_lead / rate_hz, findings)
+
+
+def _check_rates(rate_hz: float, played_hz: float, path: Path, excitation_path: Path) -> None:
+    if abs(played_hz / rate_hz - 1.0) > 1e-6:
+        raise InputError(
+            "recording and excitation have different sampling rates",
+            where=str(path),
+            found=f"{rate_hz:g} Hz, and {played_hz:g} Hz in {excitation_path}",
+            needed="one rate",
+            hint="take the excitation as it was played, at the rate of the recording",
+        )
+
+
+def _with_lead(response: FloatArray, n_lead: int, n_kept: int) -> FloatArray:
+    """Return the first samples of a circular response, behind its last ones, faded in."""
+    lead = response[len(response) - n_lead :]
+    fade = np.sin(0.5 * np.pi * (np.arange(n_lead) + 0.5) / n_lead) ** 2
+    return np.concatenate([fade * lead, response[:n_kept]])
 
 
 def _kept(recorded: FloatArray, played: FloatArray, rate_hz: float, path: Path) -> int:

@@ -1,12 +1,12 @@
-"""One cause behind what several recordings show, found before any fit.
+"""Whether direct sounds arrive when they should, and the one cause where several do not.
 
-Clocks, units, exchanged files, displaced points, gains and polarity each leave a pattern in the
-arrivals and levels of the direct sound: a pattern is named once, in place of a doubt a recording.
+Clocks, units, exchanged files and displaced points each leave a pattern in the arrivals of the
+direct sound: a pattern is named once, in place of a doubt a recording.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -14,12 +14,13 @@ import numpy as np
 from scipy.special import chdtrc
 
 from roomfit.air import speed_of_sound_m_s
+from roomfit.diagnostics.evidence import ArrivalVerdict, ClockCorrection, Law, Recorded, pair_of
 from roomfit.errors import InputError
 from roomfit.findings import About, Code, Finding
-from roomfit.measurement import MeasuredPair, Measurement
+from roomfit.measurement import Measurement
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.scene import Point, Scene
-from roomfit.signals.response import find_onset, onset_tolerance_m, times_s
+from roomfit.signals.response import find_onset, onset_tolerance_m
 from roomfit.typing import BoolArray, FloatArray
 
 # Coordinates in one unit that are read in another are off by one of these factors.
@@ -40,10 +41,32 @@ _ONSET_SD_M, _ONSET_SD_SAMPLES = 0.01, 1.0
 _LEAST_SHIFT_M = 0.05
 _LEAD_S = 0.1  # no position is 34 m off: the recorder was started so long before the sound
 _MORE_THAN_OTHERS = 10.0  # chi-square by which a displaced point explains more than any other
-# Gains: the reverberant level of a source varies by 1 to 2 dB over a room, the direct sound's more.
-_LEAST_STEP_DB, _WITHIN_DB, _DIRECT_WITHIN_DB = 4.0, 1.2, 2.5
-_DIRECT_S, _BEFORE_S, _LATE_S = 1.5e-3, 0.3e-3, 0.05
-_LIKENESS = 0.6  # of two direct sounds, whose sign it decides
+
+LAWS = {
+    Code.RECORDINGS_LATE: Law(
+        "direct sounds arrive by the geometry",
+        "the median of late arrivals, against the tolerance of one onset",
+    ),
+    Code.COORDINATES_SCALED: Law(
+        "direct sounds arrive by the geometry",
+        "residual of arrivals in proportion to the distance, against that of one delay",
+    ),
+    Code.EXCHANGED: Law(
+        "direct sounds arrive by the geometry",
+        "arrivals off by more than the tolerance of one onset that one exchange mends",
+    ),
+    Code.DISPLACEMENT_DETECTED: Law(
+        "all positions are as specified, within their standard deviations",
+        "chi-square of three coordinates of one point, times the number of points",
+        _LEVEL,
+    ),
+}
+
+
+def check(evidence: Recorded) -> Iterator[Finding]:
+    """Yield the one cause, if there is one, why direct sounds do not arrive when they should."""
+    for verdict in evidence.arrivals:
+        yield verdict.finding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,7 +87,9 @@ class _Arrivals:
         return self.path_m - self.distance_m
 
 
-def arrival_findings(scene: Scene, measurements: Sequence[Measurement]) -> tuple[Finding, ...]:
+def arrival_verdicts(
+    scene: Scene, measurements: Sequence[Measurement]
+) -> tuple[ArrivalVerdict, ...]:
     """Return the one cause, if there is one, why direct sounds do not arrive when they should.
 
     Only recordings whose clock starts at emission are compared. Patterns are tried from the
@@ -80,7 +105,7 @@ def arrival_findings(scene: Scene, measurements: Sequence[Measurement]) -> tuple
 
     Returns
     -------
-    tuple of Finding
+    tuple of ArrivalVerdict
         Of one cause; several where sources have delays of their own, or a delay beside a displaced
         point.
     """
@@ -97,16 +122,16 @@ def arrival_findings(scene: Scene, measurements: Sequence[Measurement]) -> tuple
             _begin_anywhere,
             _exchanged,
         ):
-            findings = cause(found)
-            if findings:
-                return findings
-    findings = _displaced(found)
-    if findings:
-        kept = [m for m in found.measurements if m.where not in findings[0].evidence["files"]]
-        rest = _arrivals(scene, kept)
+            verdicts = cause(found)
+            if verdicts:
+                return verdicts
+    verdicts = _displaced(found)
+    if verdicts:
+        displaced = verdicts[0].finding.about.files
+        rest = _arrivals(scene, [m for m in found.measurements if m.where not in displaced])
         if rest is not None:
-            findings = (*_alike_late(rest), *findings)
-    return findings
+            verdicts = (*_alike_late(rest), *verdicts)
+    return verdicts
 
 
 def _arrivals(scene: Scene, measurements: Sequence[Measurement]) -> _Arrivals | None:
@@ -142,7 +167,8 @@ def _distances_m(source: Sequence[Point], receiver: Sequence[Point]) -> FloatArr
     return np.asarray(np.linalg.norm(np.array(at[0]) - np.array(at[1]), axis=1))
 
 
-def _files(measurements: Sequence[Measurement], n_all: int) -> str:
+def files_in_words(measurements: Sequence[Measurement], n_all: int) -> str:
+    """Return which of so many files, four of them by their names."""
     names = ", ".join(m.name for m in measurements[:4])
     if len(measurements) == n_all:
         return f"all {n_all} files"
@@ -150,7 +176,7 @@ def _files(measurements: Sequence[Measurement], n_all: int) -> str:
     return f"{len(measurements)} of {n_all} files ({names}{more})"
 
 
-def _begin_at_direct(found: _Arrivals) -> tuple[Finding, ...]:
+def _begin_at_direct(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
     """Every file was cut at its direct sound: onsets are alike on the files' own clocks."""
     own_m = found.path_m + found.speed_m_s * np.array([m.latency_s for m in found.measurements])
     spread, expected = np.ptp(own_m), np.ptp(found.distance_m)
@@ -163,17 +189,28 @@ def _begin_at_direct(found: _Arrivals) -> tuple[Finding, ...]:
         f"after the first sample, whatever the distance ({found.distance_m.min():.2f} to "
         f'{found.distance_m.max():.2f} m): set time_zero = "direct".'
     )
-    return (Finding(Code.RECORDINGS_LATE, About(), text, {"time_zero": "direct"}),)
+    return (_begins_at_direct(found, text),)
 
 
-def _alike_late(found: _Arrivals) -> tuple[Finding, ...]:
+def _begins_at_direct(found: _Arrivals, text: str) -> ArrivalVerdict:
+    """Return that the first sample of every file tells nothing of when the sound was emitted."""
+    about = _about(found.measurements)
+    finding = Finding(Code.RECORDINGS_LATE, about, text, {"time_zero": "direct"})
+    return ArrivalVerdict(finding, ClockCorrection((), time_zero="direct"))
+
+
+def _about(measurements: Sequence[Measurement]) -> About:
+    return About(files=[m.where for m in measurements], pairs=[pair_of(m) for m in measurements])
+
+
+def _alike_late(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
     """All recordings, or all of some sources, are late by one time."""
     n_all = len(found.measurements)
     together = [np.ones(n_all, dtype=np.bool_)]
     names = np.array([m.source for m in found.measurements])
     by_source = [np.asarray(names == name) for name in dict.fromkeys(names.tolist())]
     for groups in (together, by_source):
-        findings, fits = [], True
+        verdicts, fits = [], True
         for group in groups:
             late_m, tolerance_m = found.late_m[group], found.tolerance_m[group]
             middle_m = float(np.median(late_m))
@@ -181,13 +218,13 @@ def _alike_late(found: _Arrivals) -> tuple[Finding, ...]:
             if abs(middle_m) > float(tolerance_m.max()):
                 fits &= len(late_m) >= 2
                 chosen = [m for m, own in zip(found.measurements, group, strict=True) if own]
-                findings.append(_late(chosen, middle_m / found.speed_m_s, n_all))
-        if fits and findings:
-            return tuple(findings)
+                verdicts.append(_late(chosen, middle_m / found.speed_m_s, n_all))
+        if fits and verdicts:
+            return tuple(verdicts)
     return ()
 
 
-def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> Finding:
+def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> ArrivalVerdict:
     samples = abs(late_s) * measurements[0].response.sampling_rate_hz
     latencies = {m.latency_s for m in measurements}
     latency_s = round(latencies.pop() + late_s, 5) if len(latencies) == 1 else None  # 3 mm
@@ -196,7 +233,7 @@ def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> Fin
         if latency_s is None
         else f"set latency_s = {latency_s:.7g}"
     )
-    who = _files(measurements, n_all)
+    who = files_in_words(measurements, n_all)
     order = "late" if late_s > 0.0 else "early"
     how = f"are {1e3 * abs(late_s):.2f} ms {order}"
     if late_s > _LEAD_S:
@@ -205,11 +242,13 @@ def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> Fin
         f"{who[0].upper()}{who[1:]} {how} "
         f'({samples:.0f} samples): {advice} or time_zero = "unknown".'
     )
-    evidence = {"late_s": late_s, "latency_s": latency_s, "files": [m.where for m in measurements]}
-    return Finding(Code.RECORDINGS_LATE, About(), text, evidence)
+    files = tuple(m.where for m in measurements)
+    evidence = {"late_s": late_s, "latency_s": latency_s, "files": list(files)}
+    finding = Finding(Code.RECORDINGS_LATE, _about(measurements), text, evidence)
+    return ArrivalVerdict(finding, ClockCorrection(files, late_s))
 
 
-def _stretched(found: _Arrivals) -> tuple[Finding, ...]:
+def _stretched(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
     """All arrivals are early or late in proportion to the distance, better than by one delay."""
     distance_m, tolerance_m = found.distance_m, found.tolerance_m
     factor = float(found.path_m @ distance_m / (distance_m @ distance_m))
@@ -220,31 +259,33 @@ def _stretched(found: _Arrivals) -> tuple[Finding, ...]:
         return ()
     for known, what in _FACTORS.items():
         if abs(factor / known - 1.0) < _SAME_FACTOR:
-            return (_scaled(known, what, len(rest_m)),)
+            return (_scaled(known, what, found),)
     what = "the scale of the drawing, the sampling rate, or the temperature is another"
-    return (_scaled(factor, what, len(rest_m)),)
+    return (_scaled(factor, what, found),)
 
 
-def _scaled(factor: float, what: str, n: int) -> Finding:
+def _scaled(factor: float, what: str, found: _Arrivals) -> ArrivalVerdict:
     text = (
-        f"The direct sounds of all {n} files arrive as if all positions were {factor:.4g} times as "
-        f"far apart: {what}. Compare the positions, the unit of the room and the files."
+        f"The direct sounds of all {len(found.path_m)} files arrive as if all positions were "
+        f"{factor:.4g} times as far apart: {what}. Compare the positions, the unit of the room "
+        "and the files."
     )
-    return Finding(Code.COORDINATES_SCALED, About(), text, {"factor": factor})
+    about = _about(found.measurements)
+    return ArrivalVerdict(Finding(Code.COORDINATES_SCALED, about, text, {"factor": factor}))
 
 
-def _other_unit(found: _Arrivals) -> tuple[Finding, ...]:
+def _other_unit(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
     """All distances are those of another unit, beside a common delay."""
     if len(found.path_m) < _FEWEST or np.ptp(found.distance_m) < 3.0 * found.tolerance_m.max():
         return ()
     for factor, what in _FACTORS.items():
         late_m = found.path_m - factor * found.distance_m
         if np.all(np.abs(late_m - np.median(late_m)) <= found.tolerance_m):
-            return (_scaled(factor, what, len(late_m)),)
+            return (_scaled(factor, what, found),)
     return ()
 
 
-def _begin_anywhere(found: _Arrivals) -> tuple[Finding, ...]:
+def _begin_anywhere(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
     """Every file begins long before the sound, each at another instant."""
     late_s = found.late_m / found.speed_m_s
     if len(late_s) < 2 or late_s.min() < _LEAD_S:
@@ -253,27 +294,30 @@ def _begin_anywhere(found: _Arrivals) -> tuple[Finding, ...]:
         f"All {len(late_s)} files begin before the sound is emitted, each at another instant, "
         f'{late_s.min():.2f} to {late_s.max():.2f} s: set time_zero = "direct".'
     )
-    return (Finding(Code.RECORDINGS_LATE, About(), text, {"time_zero": "direct"}),)
+    return (_begins_at_direct(found, text),)
 
 
-def as_advised(measurements: Sequence[Measurement], causes: Sequence[Finding]) -> list[Measurement]:
-    """Return recordings on the clock that the findings of `arrival_findings` say to set.
+def with_corrected_clocks(
+    measurements: Sequence[Measurement], verdicts: Sequence[ArrivalVerdict]
+) -> list[Measurement]:
+    """Return recordings on the clocks that the verdicts say to set.
 
     In their order; those of which nothing is said as they are.
     """
-    advised = []
+    corrected = []
     for m in measurements:
-        for cause in causes:
-            if cause.code is Code.RECORDINGS_LATE and m.time_zero == "emission":
-                if "time_zero" in cause.evidence:
-                    m = replace(m, time_zero="direct")
-                elif m.where in cause.evidence["files"]:
-                    m = replace(m, latency_s=m.latency_s + cause.evidence["late_s"])
-        advised.append(m)
-    return advised
+        for correction in (v.correction for v in verdicts if v.correction is not None):
+            if m.time_zero != "emission":
+                continue
+            if correction.time_zero is not None:
+                m = replace(m, time_zero=correction.time_zero)
+            elif m.where in correction.files:
+                m = replace(m, latency_s=m.latency_s + correction.late_s)
+        corrected.append(m)
+    return corrected
 
 
-def _exchanged(found: _Arrivals) -> tuple[Finding, ...]:
+def _exchanged(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
     """Two files, receivers or sources have each other's name; one exchange mends it all."""
     middle_m = float(np.median(found.late_m))
     common_m = middle_m if abs(middle_m) > float(found.tolerance_m.max()) else 0.0
@@ -294,14 +338,8 @@ def _exchanged(found: _Arrivals) -> tuple[Finding, ...]:
                 f"{a.name} and {b.name} are exchanged: each arrives when that of the other should "
                 f"({a.source} to {a.receiver}, {b.source} to {b.receiver})."
             )
-            return (
-                Finding(
-                    Code.EXCHANGED,
-                    About(files=[a.where, b.where]),
-                    text,
-                    {"files": [a.where, b.where]},
-                ),
-            )
+            evidence = {"files": [a.where, b.where]}
+            return (ArrivalVerdict(Finding(Code.EXCHANGED, _about((a, b)), text, evidence)),)
     exchanges = []
     for kind, points in (("receivers", found.receiver), ("sources", found.source)):
         doubtful = {points[i].name: points[i] for i in off}
@@ -320,10 +358,13 @@ def _exchanged(found: _Arrivals) -> tuple[Finding, ...]:
         f"The {kind} {first} and {second} are exchanged: all direct sounds arrive when they should "
         "if each has the position of the other."
     )
-    return (Finding(Code.EXCHANGED, About(), text, {kind: [first, second]}),)
+    moved = found.receiver if kind == "receivers" else found.source
+    both = [m for m, p in zip(found.measurements, moved, strict=True) if p.name in (first, second)]
+    evidence = {kind: [first, second]}
+    return (ArrivalVerdict(Finding(Code.EXCHANGED, _about(both), text, evidence)),)
 
 
-def _displaced(found: _Arrivals) -> tuple[Finding, ...]:
+def _displaced(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
     """One source or receiver stands elsewhere, the others as specified: chi-square decides.
 
     Each source may have a delay of its own. To the residuals of all arrivals the three coordinates
@@ -384,7 +425,7 @@ def _left(columns: FloatArray, data: FloatArray) -> tuple[float, int]:
 
 def _displacement(
     found: _Arrivals, point: Point, others: BoolArray, delays: FloatArray
-) -> tuple[Finding, ...]:
+) -> tuple[ArrivalVerdict, ...]:
     delay_m, *_ = np.linalg.lstsq(delays[others], found.late_m[others], rcond=None)
     rest_m = (found.late_m - delays @ delay_m)[~others]
     size_m = float(np.max(np.abs(rest_m)))  # no path changes by more than its end moves
@@ -402,125 +443,9 @@ def _displacement(
         f"sounds arrive as if it were {each}; those of all other positions agree. Measure it again."
     )
     evidence = {kind: name, "metres": size_m, "files": [m.where for m in chosen]}
-    return (Finding(Code.DISPLACEMENT_DETECTED, About(), text, evidence),)
-
-
-def gain_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
-    """Return a finding where recordings that share a gain fall into two levels apart.
-
-    Compared are the energy of the direct sound, with the distance allowed for, and the level of
-    the reverberant field 50 ms later, which hardly depends on position: only a gain moves both by
-    the same number of decibels.
-    """
-    findings = []
-    groups: dict[tuple[str, str], list[MeasuredPair]] = {}
-    for m in measured:
-        own = m.measurement
-        if own.level != "per-file":
-            key = "" if own.level == "absolute" else own.source
-            groups.setdefault((key, own.state), []).append(m)
-    for group in groups.values():
-        late_db, direct_db = _late_levels_db(group), _direct_levels_db(group)
-        if len(group) < 2 or not np.all(np.isfinite(late_db) & np.isfinite(direct_db)):
-            continue
-        order = np.argsort(late_db)
-        steps = np.diff(late_db[order])
-        at = int(np.argmax(steps)) + 1
-        low, high = order[:at], order[at:]
-        step_db = float(np.median(late_db[high]) - np.median(late_db[low]))
-        apart_db = float(np.median(direct_db[high]) - np.median(direct_db[low]))
-        alike = max(np.std(late_db[low]), np.std(late_db[high])) <= _WITHIN_DB
-        if (
-            steps[at - 1] < _LEAST_STEP_DB
-            or not alike
-            or abs(step_db - apart_db) > _DIRECT_WITHIN_DB
-        ):
-            continue
-        odd, louder = (high, True) if len(high) <= len(low) else (low, False)
-        files = [group[i].measurement for i in odd]
-        text = (
-            f"{', '.join(m.name for m in files[:4])}{' and more' if files[4:] else ''}: "
-            f"{step_db:.1f} dB {'louder' if louder else 'softer'} than the other "
-            f"{len(group) - len(files)} files of {files[0].source}, direct sound and decay alike, "
-            'as by another gain: set level = "per-file", or correct the levels.'
-        )
-        evidence = {"step_db": step_db, "files": [m.where for m in files]}
-        findings.append(Finding(Code.LEVELS_APART, About(), text, evidence))
-    return tuple(findings)
-
-
-def _late_levels_db(group: Sequence[MeasuredPair]) -> FloatArray:
-    """Return reverberant levels, the mean over the bands that all have by bandwidth, (n,)."""
-    rows = []
-    for m in group:
-        at_s = m.curve.onset_s + _LATE_S
-        left = np.array([np.interp(at_s, m.curve.time_s, row) for row in m.curve.energy_left])
-        has_level = (left > 0.0) & (m.curve.usable_end_s > at_s)
-        rows.append(np.where(has_level, 10.0 * np.log10(np.where(has_level, left, 1.0)), np.nan))
-    levels = np.array(rows)
-    known = np.all(np.isfinite(levels), axis=0)
-    if not known.any():
-        return np.full(len(group), np.nan)
-    # a level fluctuates the less, the wider its band
-    weights = group[0].curve.bands.centres_hz[known]
-    return np.asarray(levels[:, known] @ weights / weights.sum())
-
-
-def _direct_levels_db(group: Sequence[MeasuredPair]) -> FloatArray:
-    c_distances = np.array([m.direct_s for m in group])
-    energies = np.array([float(np.sum(_direct_sound(m) ** 2)) for m in group])
-    with np.errstate(divide="ignore"):
-        return np.asarray(10.0 * np.log10(energies) + 20.0 * np.log10(c_distances))
-
-
-def _direct_sound(m: MeasuredPair) -> FloatArray:
-    """Return the samples about the onset, as measured."""
-    onset_s = find_onset(m.response, m.measurement.where)
-    since_s = times_s(m.response) - onset_s
-    chosen = (since_s >= -_BEFORE_S) & (since_s <= _DIRECT_S)
-    return np.asarray(m.response.pressure[chosen])
-
-
-def polarity_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
-    """Return a finding where some recordings have the opposite polarity of the others.
-
-    By the sign of the largest correlation of direct sounds of one source. Fits by energies, and by
-    pressures whose sign is free, are not affected; a cable or a channel is other than supposed.
-    """
-    by_source: dict[str, list[MeasuredPair]] = {}
-    for m in measured:
-        by_source.setdefault(m.measurement.source, []).append(m)
-    inverted: list[Measurement] = []
-    for group in by_source.values():
-        sounds = [_direct_sound(m) for m in group]
-        strongest = int(np.argmax([float(np.max(np.abs(s), initial=0.0)) for s in sounds]))
-        signs = np.array([_sign(s, sounds[strongest]) for s in sounds])
-        if np.count_nonzero(signs) >= _FEWEST:
-            odd = 1 if np.sum(signs) < 0 else -1
-            minority = [m.measurement for m, s in zip(group, signs, strict=True) if s == odd]
-            inverted += minority if 2 * len(minority) < np.count_nonzero(signs) else []
-    if not inverted:
-        return ()
-    who = _files(inverted, len(measured))
-    text = (
-        f"{who[0].upper()}{who[1:]} have the opposite polarity of the others of their source: a "
-        "cable, a channel or a microphone differs. The fit does not depend on it."
+    about = About(
+        files=[m.where for m in chosen],
+        pairs=[pair_of(m) for m in chosen],
+        points_m=[(float(x), float(y), float(z)) for x, y, z in [point.position_m]],
     )
-    return (
-        Finding(
-            Code.POLARITY_DIFFERS,
-            About(files=[m.where for m in inverted]),
-            text,
-            {"files": [m.where for m in inverted]},
-        ),
-    )
-
-
-def _sign(sound: FloatArray, reference: FloatArray) -> int:
-    """Return the sign of the largest correlation, 0 where the two are not alike."""
-    norm = float(np.linalg.norm(sound) * np.linalg.norm(reference))
-    if norm == 0.0:
-        return 0
-    likeness = np.correlate(sound, reference, mode="full") / norm
-    best = float(likeness[int(np.argmax(np.abs(likeness)))])
-    return 0 if abs(best) < _LIKENESS else int(np.sign(best))
+    return (ArrivalVerdict(Finding(Code.DISPLACEMENT_DETECTED, about, text, evidence)),)

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from roomfit.air import Air
+from roomfit.diagnostics import misfit, positions
 from roomfit.findings import Code
 from roomfit.geometry.mesh import shoebox_mesh
-from roomfit.inversion.geometry_checks import (
+from roomfit.inversion.position_sds import (
     estimate_position_sd_scale,
     inflate_position_sds,
-    position_uncertainty_findings,
 )
-from roomfit.inversion.model_checks import description_findings
 from roomfit.materials.priors import unknown_material
 from roomfit.scene import Point, Scene, room_from_mesh
 from roomfit.uncertainty.gaussian import prior_only_band
+from seen import of_answers, of_tests
 
 N_COORDINATES, N_OTHERS = 18, 3
 
@@ -88,8 +88,8 @@ def test_inflated_positions_are_the_same_positions_with_larger_standard_deviatio
 
 
 def test_a_scale_is_in_the_finding():
-    assert position_uncertainty_findings(1.0) == ()
-    (finding,) = position_uncertainty_findings(3.2)
+    assert not list(positions.check_inflated(of_tests(position_sd_scale=1.0)))
+    (finding,) = positions.check_inflated(of_tests(position_sd_scale=3.2))
     assert finding.code == Code.POSITION_UNCERTAINTY_INFLATED
     assert "3.2 times" in finding.sentence
 
@@ -111,10 +111,10 @@ def answers(phi: list[float], model: str = "coherent"):
     ],
 )
 def test_many_bands_that_fit_badly_cast_doubt_on_the_description(phi, doubtful):
-    found_codes = [f.code for f in description_findings(answers(phi))]
+    found_codes = [f.code for f in misfit.check(of_answers(answers(phi)))]
     assert found_codes == ([Code.MODEL_MISFIT_ALL_BANDS] if doubtful else [])
 
 
 def test_bands_of_tables_and_bands_without_data_do_not_contribute():
-    assert description_findings(answers([3.0] * 6, "values")) == ()
-    assert description_findings(answers([3.0] * 6, "prior")) == ()
+    for model in ("values", "prior"):
+        assert not list(misfit.check(of_answers(answers([3.0] * 6, model))))

@@ -7,18 +7,18 @@ and no response of the loudspeaker, only its directivity.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
+from roomfit.diagnostics.evidence import Evidence, Law
 from roomfit.findings import About, Code, Finding
 from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.logit import Z95
-from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.observation import has_data_in_band, timing_sd_s
 from roomfit.response.binned import rows_at
@@ -35,7 +35,7 @@ from roomfit.signals.filters import (
     window_energies,
 )
 from roomfit.tracing.paths import Paths, paths_of_pairs
-from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.typing import FloatArray, IntArray
 
 # Of the energy of a window, as predicted for a wall that absorbs nothing: so that the absorption
 # that was fitted does not choose which reflections are looked at.
@@ -53,6 +53,24 @@ _DIRECTIVITY_SD_DB = 1.0
 _ANGLE_SD = 0.1
 _FEWEST = 2
 _SHOEBOX = ("west", "east", "south", "north", "floor", "ceiling")
+
+
+LAWS = {
+    Code.REFLECTION_DISAGREES: Law(
+        "isolated first reflections return what the fitted absorption lets them",
+        "whether the 95 % intervals of absorption by reflections and by the fit lie apart",
+        0.05,  # of one wall and band; 1 in 180 where both intervals are as wide
+    )
+}
+
+
+def check(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding for each wall whose reflections contradict its fitted absorption."""
+    measured, traced = evidence.measured, evidence.traced
+    reflections = isolated_reflections(measured, traced, evidence.absorption)
+    returns = wall_returns(reflections, measured, traced.scattering)
+    fitted = (evidence.absorption, evidence.lower95, evidence.upper95)
+    yield from reflection_findings(returns, measured.bands, evidence.materials, fitted)
 
 
 class IsolatedReflection(NamedTuple):
@@ -257,38 +275,31 @@ def wall_returns(
 def reflection_findings(
     returns: Sequence[WallReturn],
     bands: Bands,
-    priors: tuple[MaterialPrior, ...],
+    materials: Sequence[str],
     fitted: tuple[FloatArray, FloatArray, FloatArray],
-) -> tuple[tuple[Finding, ...], BoolArray]:
-    """Return a finding for each wall whose reflections contradict its fitted absorption.
+) -> Iterator[Finding]:
+    """Yield a finding for each wall whose reflections contradict its fitted absorption.
 
     Where the 95 % intervals of both lie apart: by chance less often than once in 20 walls and
     bands, once in 180 where both intervals are as wide. Those of reflections allow for angles and
     for an error of the model that simulated rooms do not have: no right answer was doubted there
     (docs/decisions/0031-decay-and-reflections.md).
 
+    Serious where the directivity of the sources is specified or fitted, else a warning; of a wall
+    that has both kinds of bands each is a finding of its own.
+
     Parameters
     ----------
     fitted : three float arrays, shape (n_materials, n_bands)
         Absorption and its 95 % interval.
-
-    Returns
-    -------
-    findings : tuple of Finding
-        Serious where the directivity of the sources is specified or fitted, else a warning.
-    doubted : bool array, shape (n_materials, n_bands)
-        What a serious one concerns: no absorption there is identifiable.
     """
-    names = [k.name for k in priors]
-    doubted = np.zeros(fitted[0].shape, dtype=np.bool_)
-    by_wall: dict[tuple[str, str], list[WallReturn]] = {}
+    by_wall: dict[tuple[str, str, bool], list[WallReturn]] = {}
     for r in returns:
-        _, lower, upper = (float(x[names.index(r.material), r.band]) for x in fitted)
-        apart = r.absorption - Z95 * r.sd > upper or r.absorption + Z95 * r.sd < lower
-        if apart:
-            by_wall.setdefault((r.wall, r.material), []).append(r)
-            doubted[names.index(r.material), r.band] |= r.has_directivity
-    return tuple(_finding(own, bands, fitted, names) for own in by_wall.values()), doubted
+        _, lower, upper = (float(x[materials.index(r.material), r.band]) for x in fitted)
+        if r.absorption - Z95 * r.sd > upper or r.absorption + Z95 * r.sd < lower:
+            by_wall.setdefault((r.wall, r.material, r.has_directivity), []).append(r)
+    for own in by_wall.values():
+        yield _finding(own, bands, fitted, materials)
 
 
 def _finding(
@@ -310,7 +321,7 @@ def _finding(
         kept = np.clip(1.0 - np.array([early, answer[0]]), 0.01, 1.0)
         off_db.append(f"{10.0 * np.log10(kept[0] / kept[1]):+.1f}")
         values.append([round(v, 4) for v in (early, low, high, *answer)])
-    known = all(r.has_directivity for r in own)
+    known = own[0].has_directivity
     name = own[0].wall if own[0].wall == own[0].material else f"{own[0].wall} ({own[0].material})"
     advice = (
         "Its absorption is not called identifiable there: the late decay may have outvoted the "

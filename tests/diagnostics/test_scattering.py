@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from roomfit.diagnostics.scattering import check
 from roomfit.findings import Code
 from roomfit.inversion.measurements import collect_measurements
-from roomfit.inversion.scattering import scattering_trial, suspected_scattering
+from roomfit.inversion.scattering import scattering_trial, tried_scattering
 from roomfit.inversion.trace_plan import plan_trace
 from roomfit.io.campaign import read_campaign
 from roomfit.io.inputs import identify_arguments
 from roomfit.synthetic.boxes import demo_plan
+from seen import evidence
 from simulated_rooms.random_boxes import write_scattering_box
 
 
@@ -45,5 +48,6 @@ def test_smooth_walls_are_doubted_where_they_scatter_and_nowhere_else(
     trial = scattering_trial(measurements, priors, settings, planned.settings, start)
     assert trial is not None
     fit, specified = trial
-    found = suspected_scattering(fit, measurements.scene.room.materials, specified)
+    tried = tried_scattering(fit, measurements.scene.room.materials, specified)
+    found = check(evidence(traced=SimpleNamespace(scattering_trial=tried)))
     assert [f.code for f in found] == codes

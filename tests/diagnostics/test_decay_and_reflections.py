@@ -11,11 +11,13 @@ import roomfit
 from posterior_cases import Linear, linear_case
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
+from roomfit.diagnostics import convergence
+from roomfit.diagnostics.decay import certain_misses, decay_misses
+from roomfit.diagnostics.reflections import isolated_reflections, reflection_findings, wall_returns
+from roomfit.diagnostics.verdict import voided
 from roomfit.findings import Code
 from roomfit.inversion.measurements import collect_measurements
-from roomfit.inversion.model_checks import certain_misses, decay_misses, fit_findings
 from roomfit.inversion.paths import traced_paths
-from roomfit.inversion.reflections import isolated_reflections, reflection_findings, wall_returns
 from roomfit.materials.priors import complete_priors
 from roomfit.objective.windows import WINDOW_DECAYS, windows_decay_s
 from roomfit.response.directivity import Pattern
@@ -25,6 +27,7 @@ from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import score_band
 from roomfit.synthetic.boxes import SyntheticBox, pressure_response
 from roomfit.uncertainty.gaussian import band_estimate
+from seen import of_answers
 
 OCTAVES = bands_between("octave", 125, 4000)
 # ISO 3382-2:2008, A.1 and A.2 with n = 10.
@@ -173,7 +176,8 @@ def test_a_floor_that_the_fit_has_far_too_hard_is_named_and_no_other(measured_bo
         measured = replace(measured, directivities=patterns)
     seen = isolated_reflections(measured, traced, fit)
     returns = wall_returns(seen, measured, traced.scattering)
-    findings, doubted = reflection_findings(returns, HIGH, priors, (fit, fit - 0.04, fit + 0.04))
+    findings = list(reflection_findings(returns, HIGH, WALLS, (fit, fit - 0.04, fit + 0.04)))
+    doubted = voided(findings[0], priors, HIGH)
     assert [f.code for f in findings] == [Code.REFLECTION_DISAGREES]
     assert findings[0].evidence["wall"] == "floor"
     assert 4000.0 in findings[0].evidence["bands_hz"]
@@ -183,8 +187,8 @@ def test_a_floor_that_the_fit_has_far_too_hard_is_named_and_no_other(measured_bo
     right = np.tile(TRUE[:, None], 2)
     seen = isolated_reflections(measured, traced, right)
     returns = wall_returns(seen, measured, traced.scattering)
-    findings, _ = reflection_findings(returns, HIGH, priors, (right, right - 0.04, right + 0.04))
-    assert findings == ()
+    bounds = right, right - 0.04, right + 0.04
+    assert not list(reflection_findings(returns, HIGH, WALLS, bounds))
 
 
 @pytest.mark.slow
@@ -225,11 +229,9 @@ def test_a_fit_that_is_cut_short_names_what_moved_and_converges_when_it_goes_on(
     assert abs(float(many.vector[0])) < 0.03
     answer = band_estimate(case.parameters, few, np.ones(1), "energy")
     assert answer.moved[0].startswith("absorption of ")
-    (finding,) = [
-        f
-        for f in fit_findings(bands_between("octave", 1000, 1000), [answer])
-        if f.code is Code.FIT_NOT_CONVERGED
-    ]
+    octave = bands_between("octave", 1000, 1000)
+    (finding,) = convergence.check_fits(of_answers([answer], octave))
+    assert finding.code is Code.FIT_NOT_CONVERGED
     assert " from 0." in finding.sentence
     assert "max_rounds" in finding.sentence
     assert band_estimate(case.parameters, many, np.ones(1), "energy").moved == ()

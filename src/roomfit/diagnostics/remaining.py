@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from roomfit.diagnostics.decay import DECAY_SCATTER, mean_miss
 from roomfit.findings import Code, Finding
-from roomfit.inversion.model_checks import DECAY_SCATTER, mean_miss
 from roomfit.results import Result
 from roomfit.typing import BoolArray, FloatArray
+from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
 
 # The recorded decay itself, or the size of the room, is then another: neither the fit nor a
 # formula of a diffuse field has a mean to give.
@@ -20,13 +21,15 @@ VOID_ANY_MEAN = frozenset(
 _VOID_THE_MEAN = frozenset({Code.FIXED_ABSORPTION_CONTRADICTED, Code.DECAY_NOT_REPRODUCED})
 WIDEST_MEAN = 0.25  # half an interval over the value
 _LARGEST_MISS_JND, _MISS_SDS = 2.0, 2.0
+_MISS_AT_MOST_JND = 3.0  # however few pairs, and however much they scatter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Remaining:
     """What may be used of a result of which findings void walls."""
 
-    voids: tuple[Finding, ...]  # that take walls away, one a code; none: nothing is taken away
+    voids: tuple[Finding, ...]  # that take all walls away, one a code; none: not all are
+    codes: tuple[Code, ...]  # of all findings that take some away, these included
     taken: int  # absorptions that the rule alone calls identifiable, and the findings do not
     wanted: int  # absorptions that were not fixed
     mean_usable: BoolArray  # (n_bands,), whether the mean of the room and its interval hold
@@ -40,9 +43,9 @@ def what_remains(result: Result) -> Remaining:
     """Return what findings leave of a result.
 
     The mean of the room counts as usable in a band where no finding doubts the recorded decay,
-    the size of the room or a fixed absorption, the decay of the fitted pairs is reproduced, and half the interval is at
-    most a quarter of the value. Elsewhere it stands beside the mean that Eyring's formula gives of
-    the measured decay.
+    the size of the room or a fixed absorption, the decay of the fitted pairs is reproduced, the
+    reduced chi-square is at most 2, and half the interval is at most a quarter of the value.
+    Elsewhere it stands beside the mean that Eyring's formula gives of the measured decay.
     """
     voids = void_findings(result)
     fixed = result.lower95 == result.upper95
@@ -50,10 +53,10 @@ def what_remains(result: Result) -> Remaining:
     mean, lower, upper = result.mean_absorption
     doubted = np.array([_doubted(result, f) for f in map(float, result.bands.centres_hz)])
     narrow = upper - lower <= 2.0 * WIDEST_MEAN * mean
-    usable = ~doubted & reproduced & narrow
+    usable = ~doubted & reproduced & narrow & (result.chi2_reduced <= LARGEST_CHI2_REDUCED)
     by_rule = result.identifiable_by_rule
     taken = 0 if by_rule is None else int((by_rule & ~result.identifiable & ~fixed).sum())
-    return Remaining(voids, taken, int((~fixed).sum()), usable, error, name)
+    return Remaining(voids, _voiding_codes(result), taken, int((~fixed).sum()), usable, error, name)
 
 
 def void_findings(result: Result) -> tuple[Finding, ...]:
@@ -65,11 +68,22 @@ def void_findings(result: Result) -> tuple[Finding, ...]:
     return tuple(first.values())
 
 
+def _voiding_codes(result: Result) -> tuple[Code, ...]:
+    """Return the codes of findings that void all walls, or the materials that they are about."""
+    return tuple(
+        dict.fromkeys(
+            f.code
+            for f in result.findings
+            if f.code.voids_identifiability
+            or (f.code.voids_its_own and f.severity == f.code.severities[-1])
+        )
+    )
+
+
 def _doubted(result: Result, centre_hz: float) -> bool:
     """Return whether a finding about this band doubts the mean: chain, size, or decay."""
     return any(
-        (f.code in VOID_ANY_MEAN or f.code in _VOID_THE_MEAN)
-        and f.about.in_band(centre_hz)
+        (f.code in VOID_ANY_MEAN or f.code in _VOID_THE_MEAN) and f.about.in_band(centre_hz)
         for f in result.findings
     )
 
@@ -77,8 +91,9 @@ def _doubted(result: Result, centre_hz: float) -> bool:
 def _decays(result: Result) -> tuple[str, FloatArray, BoolArray]:
     """Return name and median relative error of the decay time, and where it is reproduced.
 
-    As `roomfit.inversion.model_checks.decay_misses` judges it: the mean over the fitted pairs is
-    missed by no more than two just noticeable differences, or two of its standard deviations.
+    As `roomfit.diagnostics.decay.decay_misses` judges it, but stricter: the mean over the fitted
+    pairs is missed by no more than two just noticeable differences, or two of its standard
+    deviations, and three just noticeable differences at most.
     """
     n = len(result.bands)
     width_hz = result.bands.upper_hz - result.bands.lower_hz
@@ -95,5 +110,6 @@ def _decays(result: Result) -> tuple[str, FloatArray, BoolArray]:
         scatter = DECAY_SCATTER[name] / np.sqrt(width_hz[band] * measured_s)
         miss, sd = mean_miss(relative / 0.05, scatter)
         error[band] = np.median(relative)
-        reproduced[band] = abs(miss) <= max(_LARGEST_MISS_JND, _MISS_SDS * sd)
+        tolerated = min(max(_LARGEST_MISS_JND, _MISS_SDS * sd), _MISS_AT_MOST_JND)
+        reproduced[band] = abs(miss) <= tolerated
     return name, error, reproduced

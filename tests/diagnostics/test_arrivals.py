@@ -9,12 +9,12 @@ import pytest
 
 import roomfit
 from roomfit.air import Air, speed_of_sound_m_s
+from roomfit.diagnostics.arrivals import arrival_verdicts
+from roomfit.diagnostics.checks import BEFORE_THE_FIT, examine, recorded
+from roomfit.diagnostics.usable import check_recordings
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.geometry.mesh import shoebox_mesh
-from roomfit.inversion.causes import arrival_findings
-from roomfit.inversion.measurements import collect_measurements
-from roomfit.inversion.usable import check_recordings
 from roomfit.scene import axis_findings, scene_of, shoebox_room
 
 RATE_HZ = 48_000
@@ -80,7 +80,11 @@ def voids(findings) -> list:
 
 
 def measured_findings(files, scene=SCENE):
-    return collect_measurements(scene, files, BANDS, {}).findings
+    return examine(BEFORE_THE_FIT, recorded(scene, files, BANDS, {}))
+
+
+def causes(scene, files):
+    return [v.finding for v in arrival_verdicts(scene, files)]
 
 
 def test_a_campaign_as_specified_raises_nothing():
@@ -193,7 +197,7 @@ def test_feet_for_metres_are_recognised_with_and_without_a_delay(delay_s):
         {n: np.array(p) / 0.3048 for n, p in SOURCES.items()},
         {n: np.array(p) / 0.3048 for n, p in RECEIVERS.items()},
     )
-    (found,) = arrival_findings(in_feet, files)
+    (found,) = causes(in_feet, files)
     assert found.code is Code.COORDINATES_SCALED
     assert "feet are read as metres" in found.sentence
 
@@ -205,7 +209,7 @@ def test_another_scale_is_no_delay(factor):
         replace(m, samples=np.asarray(m.samples), sampling_rate_hz=RATE_HZ / factor)
         for m in recordings()
     ]
-    (found,) = arrival_findings(SCENE, files)
+    (found,) = causes(SCENE, files)
     assert found.code is Code.COORDINATES_SCALED
     assert found.evidence["factor"] == pytest.approx(factor, abs=0.02)
 
@@ -240,8 +244,8 @@ def test_a_microphone_off_by_a_decimetre_is_named_with_a_distance(delay_s):
     files = recordings(2, at={"M3": moved}, sd_m=0.005)
     if delay_s:
         files = changed(files, late(delay_s))
-    found = [f for f in arrival_findings(scene, files) if f.code is Code.DISPLACEMENT_DETECTED]
-    others = [f.code for f in arrival_findings(scene, files) if f.code is not found[0].code]
+    found = [f for f in causes(scene, files) if f.code is Code.DISPLACEMENT_DETECTED]
+    others = [f.code for f in causes(scene, files) if f.code is not found[0].code]
     assert others == ([Code.RECORDINGS_LATE] if delay_s else [])
     assert found[0].evidence["receiver"] == "M3"
     assert 0.05 < found[0].evidence["metres"] < 0.2
@@ -254,7 +258,7 @@ def test_positions_as_specified_are_taken_for_displaced_less_than_once_in_a_hund
     alarms = 0
     for seed in range(60):
         files = recordings(seed, sd_m=0.02)
-        alarms += bool([f for f in arrival_findings(SCENE, files) if "elsewhere" in f.sentence])
+        alarms += bool([f for f in causes(SCENE, files) if "elsewhere" in f.sentence])
     assert alarms == 0
 
 
@@ -297,7 +301,7 @@ def test_coordinates_in_millimetres_are_named_although_no_response_is_that_long(
     )
     files = [replace(m, samples=np.asarray(m.samples)[: RATE_HZ // 4]) for m in recordings()]
     with pytest.raises(InputError, match="ends before the direct sound"):
-        collect_measurements(far, files, BANDS, {})
+        recorded(far, files, BANDS, {})
     first = check_recordings(far, files, BANDS).findings[0]
     assert "centimetres are read as metres" in first.sentence
 

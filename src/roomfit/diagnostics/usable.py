@@ -9,18 +9,15 @@ from html import escape
 import numpy as np
 
 from roomfit.bands import Bands
+from roomfit.diagnostics import schroeder
+from roomfit.diagnostics.arrivals import arrival_verdicts, with_corrected_clocks
+from roomfit.diagnostics.checks import BEFORE_THE_FIT, examine, recorded
+from roomfit.diagnostics.evidence import Recorded, pair_of
 from roomfit.errors import InputError
 from roomfit.eyring import schroeder_hz
 from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import volume_m3
-from roomfit.inversion.causes import arrival_findings, as_advised
-from roomfit.inversion.measurements import (
-    Measurements,
-    collect_measurements,
-    measured_scene,
-    median_decay_s,
-)
-from roomfit.inversion.model_checks import schroeder_findings
+from roomfit.inversion.measurements import Measurements, measured_scene, median_decay_s
 from roomfit.measurement import MeasuredPair, Measurement
 from roomfit.response.directivity import Directivities
 from roomfit.scene import Scene
@@ -117,30 +114,33 @@ def check_recordings(
     """
     own = measured_scene(scene, measurements)
     given = [m for m in measurements if isinstance(m, Measurement)]
-    causes = arrival_findings(own, given)
+    verdicts = arrival_verdicts(own, given)
+    causes = tuple(v.finding for v in verdicts)
     # what follows from a wrong clock is no second fault: a decay that seems cut short, or to drown
-    responses = as_advised(given, causes)
+    responses = with_corrected_clocks(given, verdicts)
     values = (m for m in measurements if isinstance(m, MeasuredValues))
     advised: list[Measurement | MeasuredValues] = [*responses, *values]
     refused: dict[Measurement, InputError] = {}
-    found = None
+    found: Recorded | None = None
     while found is None and len(refused) < len(measurements):
         kept = [m for m in advised if m not in refused]
         try:
-            found = collect_measurements(scene, kept, bands, directivities or {}, decay_range_db)
+            found = recorded(scene, kept, bands, directivities or {}, decay_range_db)
         except InputError as error:
             faulty = next((m for m in responses if m.where == error.where and m in kept), None)
             if faulty is None:
                 raise
             refused[faulty] = error
     known = {f.code for f in causes}
-    others = () if found is None else found.findings
+    others = () if found is None else examine(BEFORE_THE_FIT, found)
     findings = (
         *causes,
         *_unusable(refused, len(given), " ".join(f.sentence for f in causes)),
         *(f for f in others if f.code not in known),
+        *(() if found is None else schroeder.check(found)),
     )
-    return _table(own, dict(zip(given, responses, strict=True)), bands, found, findings)
+    measured = None if found is None else found.measured
+    return _table(own, dict(zip(given, responses, strict=True)), bands, measured, findings)
 
 
 def _unusable(refused: dict[Measurement, InputError], n_all: int, said: str) -> tuple[Finding, ...]:
@@ -158,7 +158,7 @@ def _unusable(refused: dict[Measurement, InputError], n_all: int, said: str) -> 
         findings.append(
             Finding(
                 Code.RECORDING_UNUSABLE,
-                About(files=[m.where for m in files]),
+                About(files=[m.where for m in files], pairs=[pair_of(m) for m in files]),
                 text,
                 {"files": [m.where for m in files]},
             )
@@ -191,7 +191,6 @@ def _table(
     decay_s = (
         np.full(len(bands), np.nan) if found is None else median_decay_s(found, bands.centres_hz)
     )
-    volume = volume_m3(scene.room.mesh)
     return CheckedRecordings(
         tuple(responses),
         bands,
@@ -202,6 +201,6 @@ def _table(
         usable,
         has_t20,
         decay_s,
-        schroeder_hz(decay_s, volume),
-        (*findings, *schroeder_findings(bands, decay_s, volume)),
+        schroeder_hz(decay_s, volume_m3(scene.room.mesh)),
+        findings,
     )

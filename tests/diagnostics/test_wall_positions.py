@@ -10,8 +10,8 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, hilbert, sosfiltfilt
 
 from roomfit.air import Air, speed_of_sound_m_s
+from roomfit.diagnostics.wall_positions import outline_findings
 from roomfit.findings import Code
-from roomfit.inversion.room_outline import outline_findings
 from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.scene import Point, Scene
@@ -130,6 +130,6 @@ def test_responses_that_a_wall_does_not_reach_are_no_evidence_of_it(tmp_path, mo
     """Of the L's end at y = 6 m only those around the corner's near side have an echo."""
     scene, responses = l_shaped_echoes(tmp_path)
     assert outline_findings(scene, responses) == ()
-    monkeypatch.setattr("roomfit.inversion.room_outline._is_reached", lambda *_: True)
+    monkeypatch.setattr("roomfit.diagnostics.wall_positions._is_reached", lambda *_: True)
     (finding,) = outline_findings(scene, responses)
     assert finding.evidence["metres_outward"] == pytest.approx(0.5, abs=0.05)

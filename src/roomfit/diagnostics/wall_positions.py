@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from roomfit.air import speed_of_sound_m_s
+from roomfit.diagnostics.evidence import Law, Recorded
 from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import area_vectors_m2, corners_m, is_double_sided
 from roomfit.materials.priors import Scattering
@@ -36,9 +37,29 @@ _MAX_TRIANGLES = 2000
 _DISTANCES_M = np.arange(-_REACH_M, _REACH_M + 0.5 * _STEP_M, _STEP_M)
 
 
+LAWS = {
+    Code.WALL_POSITION_MISMATCH: Law(
+        "first echoes come from where the walls are specified",
+        "mean prominence of echoes over a wall's position, its lead over the specified one",
+    )
+}
+
+
+def check(evidence: Recorded) -> Iterator[Finding]:
+    """Yield a finding for each wall whose echoes come from elsewhere.
+
+    A wrong clock also moves what seem to be echoes of walls: nothing is examined then.
+    """
+    measured = evidence.measured
+    if not evidence.arrivals:
+        fitted = [m for m in measured.responses if m.measurement.use == "fit"]
+        yield from outline_findings(measured.scene, [(m.pair, m.response) for m in fitted])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Wall:
     name: str  # of the surface
+    centre_m: tuple[float, float, float]  # of its triangles, by area
     normal: FloatArray  # (3,), out of the room
     offset_m: float  # of its plane from the origin, along the normal
 
@@ -146,7 +167,9 @@ def _large_walls(room: Room) -> list[_Wall]:
         usable[seed] = False
         if areas[same].sum() >= _LEAST_WALL_SHARE * areas.sum():
             name = room.mesh.surfaces[room.mesh.triangle_surface[seed]].name
-            walls.append(_Wall(name, normal, offset_m))
+            x, y, z = areas[same] @ corners[same].mean(axis=1) / areas[same].sum()
+            centre_m = float(x), float(y), float(z)
+            walls.append(_Wall(name, centre_m, normal, offset_m))
     return walls
 
 
@@ -215,7 +238,7 @@ def _mismatch(
     return [
         Finding(
             Code.WALL_POSITION_MISMATCH,
-            About(),
+            About(points_m=[wall.centre_m]),
             f"The echoes of {wall.name} come from a wall {abs(moved_m):.2f} m {way} the specified "
             f"outline has it, in {round(100 * share)} % of {peak.size} responses. Measure the room "
             "again, or look for what hangs or stands in front of that wall.",

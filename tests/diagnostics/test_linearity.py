@@ -11,19 +11,18 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 import roomfit
+from roomfit.diagnostics import copies, noise_gate, noise_tail
+from roomfit.diagnostics.noise_tail import high_passed
 from roomfit.findings import Code, Finding
-from roomfit.inversion.chain import (
-    FittedWindows,
-    chain_slopes,
-    common,
-    gate_findings,
-    high_passed,
-    scored,
-    tail_findings,
-)
 from roomfit.inversion.coherent import fit_coherent
 from roomfit.inversion.measurements import collect_measurements, counted_once
 from roomfit.inversion.paths import traced_paths
+from roomfit.inversion.score_tests import (
+    FittedWindows,
+    chain_slopes,
+    common,
+    scored,
+)
 from roomfit.inversion.solve import coherent_task
 from roomfit.materials.priors import unknown_material
 from roomfit.objective.parameters import Block, Parameters
@@ -39,6 +38,7 @@ from roomfit.synthetic.boxes import (
     pressure_response,
     true_box,
 )
+from seen import doubts_of_fit, evidence, of_files
 from simulated_rooms.random_boxes import random_plan
 
 BANDS = roomfit.bands_between("octave", 1000, 2000)
@@ -113,7 +113,7 @@ def test_a_gate_is_found_and_silence_or_coarse_steps_are_none(change, found):
         response = ImpulseResponse(pressure, RATE_HZ)
         own = roomfit.Measurement("S", f"R{seed}", pressure, RATE_HZ)
         measured.append(SimpleNamespace(response=response, measurement=own))
-    codes = [f.code for f in gate_findings(measured)]  # type: ignore[arg-type]
+    codes = [f.code for f in noise_gate.check(of_files(measured))]
     assert codes == ([Code.NOISE_GATED] if found else [])
 
 
@@ -237,7 +237,7 @@ def found_in(seed: int, change=lambda x, _: x, known: float | None = None) -> li
     traced = traced_paths(measured, tuple(priors), settings, start, None, None)
     task = coherent_task(measured, tuple(priors), traced, start, settings)
     asked = {Code.LEVELS_NOT_LINEAR, Code.DECAY_BENT, Code.FIXED_ABSORPTION_CONTRADICTED}
-    return [f for f in fit_coherent(task, traced).findings if f.code in asked]
+    return [f for f in doubts_of_fit(fit_coherent(task, traced)) if f.code in asked]
 
 
 @pytest.mark.slow
@@ -288,7 +288,8 @@ def test_copies_are_counted_once_in_one_place_and_void_the_answer_in_two():
             roomfit.Measurement("A", r, s, RATE_HZ)
             for r, s in zip(names, (samples, 2 * samples), strict=True)
         ]
-        return counted_once(scene, files)
+        kept, found = counted_once(scene, files)
+        return kept, copies.check(evidence(measured=SimpleNamespace(copies=found)))
 
     kept, (finding,) = counted("B", "C")
     assert [m.receiver for m in kept] == ["B"]
@@ -313,13 +314,16 @@ def files_of(seed: int, *, windowed: bool, rings: bool = False) -> list[SimpleNa
         pressure *= np.exp(-t / 0.3) if windowed else 1.0
         noise = SimpleNamespace(tail_time_constant_s=np.full(2, 0.3 / 13.8))
         response = ImpulseResponse(pressure, RATE_HZ)
-        found.append(SimpleNamespace(response=response, direct_s=0.01, noise=noise))
+        own = SimpleNamespace(use="fit", where="a file")
+        found.append(
+            SimpleNamespace(response=response, direct_s=0.01, noise=noise, measurement=own)
+        )
     return found
 
 
 def test_noise_that_falls_tells_of_an_exponential_window():
     """exp(-t / 0.3 s) of the pressure: the energy falls by 6.7 in a second."""
-    (finding,) = tail_findings(files_of(1, windowed=True))  # type: ignore[arg-type]
+    (finding,) = noise_tail.check(of_files(files_of(1, windowed=True)))
     assert finding.code is Code.DECAY_BENT
     assert finding.evidence["rate_per_s"] == pytest.approx(2.0 / 0.3, rel=0.1)
 
@@ -327,8 +331,9 @@ def test_noise_that_falls_tells_of_an_exponential_window():
 def test_stationary_noise_and_rooms_that_still_ring_are_no_windows():
     """Forty campaigns, of which by chance one in 16,000 exceeds 4 standard deviations twice."""
     for seed in range(20):
-        assert tail_findings(files_of(seed, windowed=False)) == ()  # type: ignore[arg-type]
-        assert tail_findings(files_of(seed, windowed=False, rings=True)) == ()  # type: ignore[arg-type]
+        for rings in (False, True):
+            files = files_of(seed, windowed=False, rings=rings)
+            assert not list(noise_tail.check(of_files(files)))
 
 
 @pytest.mark.parametrize("rate_hz", [8000.0, 44_100.0])

@@ -1,0 +1,52 @@
+"""Whether an absorption that is fixed can be true."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from scipy.special import chdtri
+
+from roomfit.bands import bands_in_words
+from roomfit.diagnostics.evidence import Evidence, Law
+from roomfit.findings import About, Code, Finding
+
+# Log-likelihood that one more unknown must gain in some band, and the chance of all bands together.
+_LEAST_GAIN, _CHANCE = 2.0, 1e-3
+
+LAWS = {
+    Code.FIXED_ABSORPTION_CONTRADICTED: Law(
+        "a fixed absorption is the true one",
+        "score test of one absorption a band: twice the gains summed, chi-square",
+        _CHANCE,  # of one material
+    )
+}
+
+
+def check(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding for each material whose fixed absorption the data contradict.
+
+    It is freed once, to first order: where the log-likelihood of some band gains 2 and more, and
+    that of all bands together more than happens by chance once in a thousand materials.
+    """
+    bands = evidence.measured.bands
+    for freed in evidence.fits.tests.freed_absorptions:
+        prior, gains = evidence.priors[freed.material], freed.gains
+        known, clear = prior.known, [b for b, gain in gains.items() if gain >= _LEAST_GAIN]
+        total = sum(gains.values())
+        if known is None or not clear or 2.0 * total <= float(chdtri(len(gains), _CHANCE)):
+            continue
+        notes = [f"{known[b]:.2f} fixed, about {freed.absorption[b]:.2f} likelier" for b in clear]
+        yield Finding(
+            Code.FIXED_ABSORPTION_CONTRADICTED,
+            About(materials=[prior.name], bands_hz=bands.centres_hz[clear].tolist()),
+            f"The data contradict the absorption that the campaign fixes for {prior.name}: "
+            f"{bands_in_words(bands, clear, notes)}; freed, the log-likelihood rises by "
+            f"{total:.0f}. All others compensate for it: none is called "
+            "identifiable. State a prior in its place.",
+            {
+                "material": prior.name,
+                "bands_hz": bands.centres_hz[clear].tolist(),
+                "log_likelihood_gain": [round(gains[b], 2) for b in clear],
+                "about": [round(freed.absorption[b], 3) for b in clear],
+            },
+        )
