@@ -757,6 +757,7 @@ def _write_answer(
     from roomfit.io.results import write_result
     from roomfit.report.figures import answer_figures, write_pictures
     from roomfit.report.html import report_html
+    from roomfit.report.usable import remaining_usable
 
     inputs = tuple(files_read())
     figures = answer_figures(answer)
@@ -769,7 +770,7 @@ def _write_answer(
         project=project,
         figures=figures,
     )
-    write_result(folder, answer, inputs)
+    write_result(folder, answer, inputs, remaining_usable(answer))
     write_text_atomically(folder / "report.html", page)
     if not answer.settings.quick:
         _LOG.info("drawing")

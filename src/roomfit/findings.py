@@ -186,6 +186,7 @@ class Code(StrEnum):
 
     # Predictions.
 
+    RESULT_DOUBTED = "result-doubted", "serious"
     MATERIALS_CHANGED = "materials-changed", "info"
     CHANGE_PRIOR_DOMINATED = "change-prior-dominated", "warning"
     ABSORPTION_CLIPPED = "absorption-clipped", "warning"
@@ -280,8 +281,14 @@ class About:
         """Return whether the absorption of a material in a band is concerned."""
         return (
             (not self.materials or material in self.materials)
-            and (not self.bands_hz or band_hz in self.bands_hz)
+            and self.in_band(band_hz)
             and (not self.entries or (material, band_hz) in self.entries)
+        )
+
+    def in_band(self, band_hz: float) -> bool:
+        """Return whether a band is concerned, of whichever materials."""
+        return (not self.bands_hz or band_hz in self.bands_hz) and (
+            not self.entries or any(own == band_hz for _, own in self.entries)
         )
 
 

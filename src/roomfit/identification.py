@@ -348,6 +348,8 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
         directivities=evidence.fits.directivities,
         certificates=tuple(b.certificate for b in found),
         costs=tuple(b.costs for b in found),
+        identifiable_by_rule=np.stack([b.identifiable for b in found], axis=1),
+        eyring_absorption=eyring_start(measured),
         settings=settings,
         trace=traced_with(evidence.traced),
         state_means={

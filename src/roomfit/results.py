@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from roomfit.bands import Bands
-from roomfit.findings import Finding
+from roomfit.findings import About, Code, Finding
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.objective.directivity import FittedDirectivity
 from roomfit.settings import Settings
 from roomfit.solvers.certificate import Certificate
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.combinations import Combination
+from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
 from roomfit.uncertainty.profile import Profile
 from roomfit.uncertainty.sampling import Sampled
@@ -131,6 +134,11 @@ class Result:
     # by band, (n_materials,), standard deviation of each logit absorption by which term of the
     # uncertainty were left out, "" for none (`roomfit.uncertainty.gaussian.sds_without`)
     costs: tuple[Mapping[str, FloatArray], ...] = ()
+    # (n_materials, n_bands), what is identifiable by the rule alone, before findings; None: unknown
+    identifiable_by_rule: BoolArray | None = None
+    # (n_bands,), uniform absorption that Eyring's formula gives of the measured decay; NaN or None
+    # where no decay was measured
+    eyring_absorption: FloatArray | None = None
 
     def __str__(self) -> str:
         """Return what the command line prints: absorption, errors of predictions, findings."""
@@ -230,7 +238,47 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
         prior_specified=answer.prior_specified,
         chi2_reduced=answer.chi2_reduced,
         draws=answer.draws,
+        result_findings=answer.findings,
     )
+
+
+def result_doubts(
+    absorption: AbsorptionPosterior, others: Iterable[Finding] = (), what: str = "prediction"
+) -> tuple[Finding, ...]:
+    """Return what doubts the result that an absorption comes from, to stand in what rests on it.
+
+    First one sentence, where findings of the result void identifiability or its reduced chi-square
+    is above 2 in one of these bands; then its findings that are serious or void identifiability,
+    without those that concern
+    other materials or bands alone, or stand among `others` already. `what` rests on the result: a
+    prediction, a design.
+    """
+    known = {(f.code, f.sentence) for f in others}
+    serious = [
+        f
+        for f in absorption.result_findings
+        if (f.severity == "serious" or f.code.voids_identifiability)
+        and (not f.about.materials or set(f.about.materials) & set(absorption.materials))
+        and any(f.about.in_band(float(centre)) for centre in absorption.bands.centres_hz)
+    ]
+    voids = list(dict.fromkeys(f.code for f in serious if f.code.voids_identifiability))
+    chi2 = absorption.chi2_reduced
+    misfit = np.zeros(0) if chi2 is None else chi2[chi2 > LARGEST_CHI2_REDUCED]
+    repeated = tuple(f for f in serious if (f.code, f.sentence) not in known)
+    if not voids and not misfit.size:
+        return repeated
+    reasons = [f"no wall of it counts as identifiable ({', '.join(voids)})"] if voids else []
+    at_hz: list[float] = []
+    if chi2 is not None and misfit.size:
+        at_hz = absorption.bands.centres_hz[chi2 > LARGEST_CHI2_REDUCED].tolist()
+        reasons.append(
+            f"its reduced chi-square is up to {misfit.max():.1f} at "
+            f"{', '.join(f'{f:g}' for f in at_hz)} Hz"
+        )
+    text = f"The {what} rests on a doubted result: {', and '.join(reasons)}."
+    about = About(bands_hz=() if voids else at_hz)
+    evidence = {"codes": [c.value for c in voids], "chi2_reduced": np.round(misfit, 2).tolist()}
+    return (Finding(Code.RESULT_DOUBTED, about, text, evidence), *repeated)
 
 
 def certificate_distance(answer: Result, band: int) -> float:

@@ -46,6 +46,7 @@ from roomfit.measurement import Level
 from roomfit.prediction.decay import scene_decay_s
 from roomfit.prediction.predict import check_materials
 from roomfit.response.directivity import Directivities
+from roomfit.results import result_doubts
 from roomfit.scene import Scene
 from roomfit.settings import Settings
 from roomfit.typing import BoolArray, FloatArray, IntArray, Progress, part
@@ -236,13 +237,18 @@ def design(
         wall_distance_m=options.wall_distance_m,
         findings=(
             *scene.room.findings,
-            *(() if absorption is None else absorption.findings),
+            *(() if absorption is None else _doubts(absorption, scene)),
             *few,
             *doubts,
         ),
         seed=settings.seed,
         seconds=time.perf_counter() - began,
     )
+
+
+def _doubts(absorption: AbsorptionPosterior, scene: Scene) -> tuple[Finding, ...]:
+    """Return what doubts the finished fit, and how it was put together."""
+    return (*result_doubts(absorption, scene.room.findings, "design"), *absorption.findings)
 
 
 def _prior_information(

@@ -6,7 +6,7 @@ contract: they keep their names where a term in the code is another.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,10 @@ import numpy as np
 
 from roomfit.bands import Bands
 from roomfit.cache import write_json_atomically, write_text_atomically
+from roomfit.diagnostics.remaining import what_remains
 from roomfit.errors import InputError, located
 from roomfit.io.door import complete, json_content, read_text
-from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
+from roomfit.io.encoding import csv_text, finding_content, finding_of, numbers_or_null, provenance
 from roomfit.io.exports import read_material_table
 from roomfit.logit import logit
 from roomfit.objective.coherent import FittedGeometry
@@ -86,6 +87,9 @@ def read_result(path: Path) -> AbsorptionPosterior:
             chi2_reduced=content.get("fit", {}).get("phi"),
             prior_specified=None if flags is None else np.array(flags, dtype=np.bool_),
             draws=_posterior_table(posterior, "draws") if "draws" in (posterior or {}) else None,
+            result_findings=tuple(
+                finding_of(one, "findings") for one in content.get("findings", ())
+            ),
         )
 
 
@@ -132,7 +136,9 @@ def _read_scattering(content: dict[str, Any], names: tuple[str, ...]) -> FloatAr
         ) from error
 
 
-def write_result(folder: Path, answer: Result, inputs: Iterable[Path]) -> None:
+def write_result(
+    folder: Path, answer: Result, inputs: Iterable[Path], usable: Sequence[str] = ()
+) -> None:
     """Write ``result.json`` and ``absorption.csv`` into a folder.
 
     Parameters
@@ -143,6 +149,8 @@ def write_result(folder: Path, answer: Result, inputs: Iterable[Path]) -> None:
     inputs : iterable of Path
         Files whose SHA-256 is written; the first is the campaign, relative to which the others are
         named.
+    usable : sequence of str, optional
+        What remains usable where findings void walls, from `roomfit.report.usable`.
 
     Raises
     ------
@@ -164,7 +172,7 @@ def write_result(folder: Path, answer: Result, inputs: Iterable[Path]) -> None:
     >>> bool(np.all(found.absorption == result.absorption))
     True
     """
-    content = result_content(answer, inputs)
+    content = result_content(answer, inputs, usable)
     write_text_atomically(folder / "absorption.csv", absorption_csv(answer))
     write_json_atomically(folder / "result.json", content)
 
@@ -181,7 +189,9 @@ def absorption_csv(answer: Result) -> str:
     return csv_text(heading, rows)
 
 
-def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
+def result_content(
+    answer: Result, inputs: Iterable[Path], usable: Sequence[str] = ()
+) -> dict[str, Any]:
     """Return the content of result.json: arrays over bands_hz, null only inside pairs.
 
     The first of the inputs is the campaign; the others are named relative to its folder.
@@ -206,6 +216,16 @@ def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
             "speed_of_sound_formula": "Cramer 1993 as in pyfar, or as given by the campaign",
         },
     }
+    remains = what_remains(answer)
+    if remains.voids:
+        content["usable"] = usable
+        content["remains"] = {
+            "void": [code.value for code in remains.codes],
+            "mean_usable": [bool(b) for b in remains.mean_usable],
+            "decay_error": numbers_or_null(remains.decay_error),
+            "decay_parameter": remains.decay_name or None,
+            "void_but_identifiable_by_rule": remains.taken,
+        }
     if answer.state_means:
         content["states"] = {
             name: dict(zip(("mean_absorption", "lower95", "upper95"), mean, strict=True))

@@ -319,6 +319,7 @@ def room_posterior(
         if absorption.draws is None
         else np.stack([matched(drawn, fixed) for drawn in absorption.draws]),
         findings=findings,
+        result_findings=absorption.result_findings,
     )
 
 

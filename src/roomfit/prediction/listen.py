@@ -26,6 +26,7 @@ from roomfit.prediction.changes import Change, changed_draws
 from roomfit.prediction.decay import follow_decay
 from roomfit.prediction.predict import check_materials, is_unknown
 from roomfit.response.binned import pair_energies
+from roomfit.results import result_doubts
 from roomfit.scene import Scene
 from roomfit.settings import Settings
 from roomfit.signals.decay import PARAMETER_NAMES
@@ -245,7 +246,8 @@ def listen(
         samples = scaled_response(m.response, bands, middle, ratio, m.noise)
         from_s = np.where(m.noise.reached, m.noise.usable_end_s, np.nan)
         found.append(ChangedResponse(m.measurement, samples, from_s))
-    return tuple(found), (*absorption.findings, *findings, *doubts, *traced)
+    rests_on = result_doubts(absorption)
+    return tuple(found), (*rests_on, *absorption.findings, *findings, *doubts, *traced)
 
 
 def convolved(dry: FloatArray, response: FloatArray) -> FloatArray:

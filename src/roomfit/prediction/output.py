@@ -16,7 +16,7 @@ from roomfit.bands import Bands
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.errors import InputError
 from roomfit.findings import Finding
-from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
+from roomfit.io.encoding import csv_text, finding_content, finding_of, numbers_or_null, provenance
 from roomfit.prediction.changes import Change, change_text
 from roomfit.prediction.tables import PredictedPair, PredictedValue, named_values
 from roomfit.report.figures import (
@@ -505,4 +505,5 @@ def listen_text(content: Mapping[str, Any]) -> str:
         lines.append(_justified([f"{r['source']} to {r['receiver']}", *cells]))
     low, high = content["bands_hz"][0], content["bands_hz"][-1]
     lines.append(f"Below {low:g} and above {high:g} Hz the nearest band stands for all.")
-    return "\n".join(lines)
+    doubts = findings_text(tuple(finding_of(one, "findings") for one in content["findings"]))
+    return "\n".join(lines) + f"\n\n{doubts}".rstrip().replace("result.json)", "listen.json)")

@@ -47,6 +47,7 @@ from roomfit.prediction.tables import (
     without_jnd,
 )
 from roomfit.response.binned import BinnedPaths
+from roomfit.results import result_doubts
 from roomfit.scene import (
     Scene,
     material_areas_m2,
@@ -458,6 +459,7 @@ def predict_change(
         means,
         (
             *scene.room.findings,
+            *result_doubts(absorption, scene.room.findings),
             *absorption.findings,
             *doubts,
             *room.findings,

@@ -56,6 +56,7 @@ from roomfit.report.html_tables import (
 )
 from roomfit.report.room_figure import MOST_FACES, drawn_faces, room_figure
 from roomfit.report.text import DIFFUSE_WORDS
+from roomfit.report.usable import remaining_usable
 from roomfit.report.wording import (
     DASH,
     Cell,
@@ -416,6 +417,7 @@ def report_html(
         project=tuple((k, v) for k in _PROJECT if (v := about.get(k))),
         logo=logo,
         headline=headline(answer, say),
+        usable=remaining_usable(answer),
         figures=key_figures(answer, say),
         findings_count=findings_count(answer, say),
         serious=any(f.severity == "serious" for f in answer.findings),
@@ -506,7 +508,8 @@ def result_fragment(answer: Result) -> str:
     """Return absorption with its 95 % intervals as an HTML table without a page, for a notebook.
 
     One row a material, one column a band, and the mean of the room; a question mark and grey
-    follow what is not identifiable, "given" what was fixed.
+    follow what is not identifiable, "given" what was fixed. Where findings void walls, what remains
+    usable stands above it.
     """
 
     def row(name: str, cells: Iterable[Cell]) -> Markup:
@@ -516,7 +519,8 @@ def result_fragment(answer: Result) -> str:
     every = np.arange(len(answer.bands))
     rows = (*material_rows(answer, every), mean_row(answer, every))
     heads = (Markup("<th>{}</th>").format(h) for h in band_heads(answer.bands.centres_hz))
-    return str(
+    usable = Markup("").join(Markup("<p>{}</p>").format(s) for s in remaining_usable(answer))
+    return str(usable) + str(
         Markup(
             "<table><caption>Absorption coefficient, 95 % interval ({}); ? = not identifiable"
             "</caption><thead><tr><th></th>{}</tr></thead><tbody>{}</tbody></table>"

@@ -32,8 +32,9 @@ _MOST_SENTENCES = 12
 
 
 def answer_text(answer: Result) -> str:
-    """Return everything a user must know: absorption, what is identifiable, pairs, findings."""
+    """Return everything a user must know: what is void, absorption, pairs, findings."""
     parts = [
+        usable_text(answer),
         absorption_table(answer),
         separable_text(answer),
         shares_table(answer),
@@ -46,6 +47,15 @@ def answer_text(answer: Result) -> str:
         findings_text(answer.findings),
     ]
     return "\n\n".join(p for p in parts if p)
+
+
+def usable_text(answer: Result) -> str:
+    """Return which walls findings take away, and what may be used all the same."""
+    from roomfit.report.usable import remaining_usable
+
+    return "\n".join(
+        textwrap.fill(text, 100, break_on_hyphens=False) for text in remaining_usable(answer)
+    )
 
 
 def plan_text(answer: Result) -> str:

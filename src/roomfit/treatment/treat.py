@@ -16,6 +16,7 @@ from roomfit.findings import About, Code, Finding
 from roomfit.prediction.decay import moved
 from roomfit.prediction.predict import PreparedRoom, numbers_at
 from roomfit.prediction.tables import PredictedValue, named_values, predicted_means
+from roomfit.results import result_doubts
 from roomfit.scene import pair_names
 from roomfit.signals.iso3382 import ValueName
 from roomfit.treatment.question import (
@@ -173,7 +174,10 @@ def treat(
     arrangements = tuple(_arrangement(question, p, n, margin, before) for p, n in found)
     return Treatment(
         room.absorption.bands, question.targets, arrangements, is_met, room,
-        _findings(question, arrangements, first, margin, is_met),
+        (
+            *result_doubts(room.absorption, room.scene.room.findings),
+            *_findings(question, arrangements, first, margin, is_met),
+        ),
     )  # fmt: skip
 
 

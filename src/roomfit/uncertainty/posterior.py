@@ -48,6 +48,7 @@ class AbsorptionPosterior:
     # `draw_absorption` from the covariance
     draws: FloatArray | None = None
     findings: tuple[Finding, ...] = ()  # what was doubtful in putting it together
+    result_findings: tuple[Finding, ...] = ()  # all those of the fit that found the absorption
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "materials", unique_names("material", self.materials))
