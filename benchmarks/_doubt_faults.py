@@ -128,7 +128,9 @@ def two_walls_as_one(case: Case) -> Case:
     names = list(case.scene.room.materials)
     south, north = WALLS.index("south"), WALLS.index("north")
     own = dict(zip(WALLS, names, strict=True))
-    room = roomfit.shoebox_room(case.scene.room.shoebox_m, {**own, "north": names[south]})
+    lengths_m = case.scene.room.shoebox_m
+    assert lengths_m is not None
+    room = roomfit.shoebox_room(lengths_m, {**own, "north": names[south]})
     truth = dict(zip(names, case.absorption, strict=True))
     truth[names[south]] = 0.5 * (case.absorption[south] + case.absorption[north])
     priors = tuple(k for k in case.arguments["materials"] if k.name != names[north])
@@ -181,8 +183,12 @@ def scattering_not_described(seed: int, scattering: float) -> Case:
 
 
 LEVELS = ("levels-not-linear", "response-clipped")
-PLACES = ("displacement-detected", "position-inconsistent", "position-uncertainty-inflated")
-PLACES += ("geometry-shift-implausible",)
+PLACES = (
+    "displacement-detected",
+    "position-inconsistent",
+    "position-uncertainty-inflated",
+    "geometry-shift-implausible",
+)
 OUTLINE = ("wall-position-mismatch", "displacement-detected")
 SCALE = ("coordinates-scaled",)
 FILES = ("exchanged",)

@@ -107,12 +107,12 @@ def simulated_case(seed: int, plan: BoxPlan, simulated: Simulated) -> Case:
     rng = np.random.default_rng([seed, 32])
     responses = _responses(plan, simulated, rng)
     room = roomfit.shoebox_room(plan.lengths_m, dict(zip(WALLS, plan.materials, strict=True)))
-    points = [
+    sources, receivers = (
         [roomfit.Point(name, np.array(p), POSITION_ERROR_M) for name, p in ends.items()]
         for ends in (plan.sources_m, plan.receivers_m)
-    ]
+    )
     arguments = {
-        "scene": roomfit.scene_of(room, *points),
+        "scene": roomfit.scene_of(room, sources, receivers),
         "measurements": [
             roomfit.Measurement(*pair, x, simulated.rate_hz) for pair, x in responses.items()
         ],
@@ -295,6 +295,11 @@ def ptb_studio(data: Path) -> Case:
     return measured_case({"scene": known.scene, "measurements": known.values, "materials": priors})
 
 
+def _whatever_seed(make: Callable[[], Case], _: int) -> Case:
+    """Return a room that was measured, of which there is one."""
+    return make()
+
+
 def measured_rooms(data: Path) -> dict[str, RightRoom]:
     """Return the measured rooms that lie in a folder; each is the same for every seed."""
     makers: dict[str, tuple[str, Callable[[], Case], frozenset[str]]] = {
@@ -308,7 +313,7 @@ def measured_rooms(data: Path) -> dict[str, RightRoom]:
     makers["dechorate, fitted"] = ("dechorate", partial(dechorate, data, True), frozenset())
     makers["dechorate"] = ("dechorate", partial(dechorate, data, False), NON_OMNIDIRECTIONAL)
     return {
-        f"measured {name}": RightRoom(lambda _, make=make: make(), expected)
+        f"measured {name}": RightRoom(partial(_whatever_seed, make), expected)
         for name, (folder, make, expected) in makers.items()
         if (data / folder).is_dir()
     }
