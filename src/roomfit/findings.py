@@ -102,6 +102,7 @@ class Code(StrEnum):
     WALL_POSITION_MISMATCH = "wall-position-mismatch", "warning", _VOIDS
     DISPLACEMENT_DETECTED = "displacement-detected", "serious", _VOIDS
     SOURCE_NOT_OMNIDIRECTIONAL = "source-not-omnidirectional", "serious", _VOIDS
+    SOURCE_PATTERN_FITTED = "source-pattern-fitted", "warning"
     SCATTERING_UNDERESTIMATED = "scattering-underestimated", "serious", _VOIDS
     LEVELS_NOT_LINEAR = "levels-not-linear", "serious", _VOIDS
     DECAY_BENT = "decay-bent", "serious", _VOIDS

@@ -26,7 +26,6 @@ from roomfit.diagnostics.verdict import judge
 from roomfit.errors import CannotTell
 from roomfit.findings import About, Code, Finding
 from roomfit.inversion.coherent import fit_coherent
-from roomfit.inversion.directivity import directivity_parameters
 from roomfit.inversion.displacement import (
     Offset,
     Outline,
@@ -263,7 +262,7 @@ def _outline(
     traced, fits = fitted
     if settings.quick or settings.method not in LEAST_SQUARES_METHODS:
         return None
-    sources = directivity_parameters(measured, settings), fits.directivities
+    sources = fits.unknown_sources, fits.directivities
     return outline_of(measured, priors, traced, fits.answers, sources, offsets, moved_m)
 
 

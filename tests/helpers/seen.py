@@ -43,8 +43,8 @@ def of_fit(fit: Any) -> Any:
     fits = SimpleNamespace(
         tests=fit.tests,
         geometry=fit.geometry,
-        source_scores=fit.source_scores,
-        tested_sources=() if task.tested_sources is None else task.tested_sources.sources,
+        contradicted=fit.contradicted,
+        unknown_sources=task.directivity_parameters,
         directivities=() if task.directivity_parameters is None else ("fitted",),
     )
     measured = SimpleNamespace(scene=task.scene, bands=task.bands, responses=task.measured)

@@ -30,6 +30,7 @@ from roomfit.inversion.coherent import CoherentFit, CoherentTask, fit_coherent
 from roomfit.inversion.directivity import (
     DirectivityScore,
     band_directivities,
+    contradicted_sources,
     directed_energies,
     directivity_parameters,
     omnidirectional,
@@ -210,8 +211,8 @@ def energy_answer(
     )
     answers = tuple(band.estimate for band in fitted)
     found = band_directivities(case.scene, unknown, directivities, answers)
-    names = () if suspects is None else suspects.sources
-    fits = SimpleNamespace(tested_sources=names, source_scores=doubts)
+    against = contradicted_sources(suspects, doubts)
+    fits = SimpleNamespace(contradicted=against, unknown_sources=unknown)
     return answers, found, list(source_patterns.check(evidence(fits=fits, measured=observed)))
 
 

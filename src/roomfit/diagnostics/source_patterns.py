@@ -10,42 +10,43 @@ from roomfit.diagnostics.evidence import Evidence, Law
 from roomfit.findings import About, Code, Finding
 from roomfit.scene import pair_names
 
-# Larger gains, so much for each band and so much besides, contradict an omnidirectional source: 20
-# in six bands, where chance gives 9. With three windows counted as one, all gains and limits 0.45
-# times as large, six omnidirectional sources in three boxes of another program
-# (benchmarks/other_boxes.py) gained 2 to 4 in all; of six with |b| = 0.5 one gained 4, the others
-# 21 to 52.
-_GAIN_PER_BAND, _GAIN = 1.1, 13.4
-
 LAWS = {
-    Code.SOURCE_NOT_OMNIDIRECTIONAL: Law(
+    code: Law(
         "a source radiates alike in all directions",
         "log-likelihood gained by a first-order directivity, its prior counted, over all bands",
     )
+    for code in (Code.SOURCE_NOT_OMNIDIRECTIONAL, Code.SOURCE_PATTERN_FITTED)
 }
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
-    """Yield a finding for each source taken for omnidirectional that the data contradict."""
-    scores, sources = evidence.fits.source_scores, evidence.fits.tested_sources
-    if not scores:
-        return
-    scene = evidence.measured.scene
-    least = _GAIN_PER_BAND * len(scores) + _GAIN
-    total = np.sum([gain for gain, _ in scores.values()], axis=0)
-    for s, name in enumerate(sources):
-        if total[s] <= least:
-            continue
-        b = np.array([scores[band][1][s] for band in sorted(scores)])
-        strongest = b[int(np.argmax(np.linalg.norm(b, axis=1)))]
+    """Yield a finding for each source taken for omnidirectional that the data contradict.
+
+    Where its directivity was fitted for that reason, absorption need not compensate for it.
+    """
+    unknown = evidence.fits.unknown_sources
+    fitted = () if unknown is None else unknown.sources
+    for own in evidence.fits.contradicted:
+        strongest = own.b[int(np.argmax(np.linalg.norm(own.b, axis=1)))]
         towards = ", ".join(f"{x:.1f}" for x in strongest / np.linalg.norm(strongest))
-        pairs = [(p, r) for p, r, _ in pair_names(scene) if p == name]
+        pairs = [(p, r) for p, r, _ in pair_names(evidence.measured.scene) if p == own.source]
+        is_fitted = own.source in fitted
+        consequence = (
+            'It was fitted together with the absorption, as by directivity = "fit"; specify it '
+            "where it is known."
+            if is_fitted
+            else "Absorption compensates for it, so that no material is called identifiable. "
+            'Specify the directivity, or have it fitted: directivity = "fit".'
+        )
         yield Finding(
-            Code.SOURCE_NOT_OMNIDIRECTIONAL,
+            Code.SOURCE_PATTERN_FITTED if is_fitted else Code.SOURCE_NOT_OMNIDIRECTIONAL,
             About(pairs=tuple(dict.fromkeys(pairs))),
-            f"{name} was taken for omnidirectional, which the data contradict: a first-order "
-            f"directivity that radiates more towards ({towards}) raises the log-likelihood by "
-            f"{total[s]:.0f}. Absorption compensates for it, so that no material is called "
-            'identifiable. Specify the directivity, or have it fitted: directivity = "fit".',
-            {"source": name, "log_likelihood_gain": float(total[s]), "b": b.tolist()},
+            f"{own.source} was taken for omnidirectional, which the data contradict: a "
+            f"first-order directivity that radiates more towards ({towards}) raises the "
+            f"log-likelihood by {own.log_likelihood_gain:.0f}. {consequence}",
+            {
+                "source": own.source,
+                "log_likelihood_gain": own.log_likelihood_gain,
+                "b": own.b.tolist(),
+            },
         )

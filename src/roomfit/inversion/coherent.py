@@ -22,9 +22,12 @@ from roomfit.bands import Bands
 from roomfit.inversion.bands import affordable_certificate
 from roomfit.inversion.directivity import (
     DirectivityScore,
+    SourceGain,
+    contradicted_sources,
     directivities_under_cavity_priors,
     directivity_score,
     moved_start,
+    with_fitted_sources,
 )
 from roomfit.inversion.equalise import SCHROEDER_FACTOR, equalise_sources
 from roomfit.inversion.fits import CoherentTests, Freed
@@ -123,6 +126,9 @@ class CoherentTask:
     outliers: Mapping[MeasuredPair, float] = field(default_factory=dict)
     # (n_materials, n_bands) and (n_materials,): coefficients, and the standard deviation they share
     scattering: tuple[FloatArray, FloatArray] | None = None  # None: known
+    # of tested sources that the data contradict, whose directivity is fitted where that is possible
+    contradicted: tuple[SourceGain, ...] = ()
+    fits_contradicted: bool = False
 
 
 # Bands up to here determine positions within a few millimetres, in spite of hidden images.
@@ -435,7 +441,7 @@ class CoherentFit:
     windows: tuple[FittedWindows | None, ...]  # of the fits
     tests: CoherentTests
     # by band, what contradicts that sources are omnidirectional
-    source_scores: Mapping[int, DirectivityScore] = field(default_factory=dict)
+    contradicted: tuple[SourceGain, ...] = ()  # of the sources taken for omnidirectional
 
 
 def fit_coherent(
@@ -454,7 +460,8 @@ def fit_coherent(
         Of all pairs: image sources, the further the better, and rays for what they leave.
     """
     settings = task.settings
-    state = initialise(task, traced)
+    state = _with_sources_examined(initialise(task, traced), traced)
+    task = state.task
     fits = forward_pass(state.bands, settings, part(progress, 0.0, 0.8), state.first)
     if settings.quick:
         fits, _ = leave_one_out_pass(state.bands, fits, settings)
@@ -502,7 +509,7 @@ def fit_coherent(
     trim_memory()
     geometry = state.geometry
     estimate = None if geometry is None or final is None else fitted_geometry(geometry, final)
-    source_scores = _source_scores(state)
+    late = contradicted_sources(task.tested_sources, _source_scores(state))
     likelihoods, windows = _likelihoods(state, fits), _fitted_windows(state, fits)
     pressures = [w for w in windows if w and likelihoods[w.band, 1] > likelihoods[w.band, 0]]
     tests = CoherentTests(
@@ -513,7 +520,9 @@ def fit_coherent(
         chain_scores(task.bands, pressures),
         freed_absorptions(task.priors, pressures),
     )
-    return CoherentFit(state, tuple(fits), likelihoods, estimate, windows, tests, source_scores)
+    return CoherentFit(
+        state, tuple(fits), likelihoods, estimate, windows, tests, (*task.contradicted, *late)
+    )
 
 
 def _outliers(state: SequentialState) -> dict[Measurement, float]:
@@ -602,6 +611,25 @@ def _source_scores(state: SequentialState) -> dict[int, DirectivityScore]:
             directivity = directed_band(tested, task.scene, bases, own.coherent.energies, files)
             scores[b] = directivity_score(own.energies, own.energy_fit, directivity)
     return scores
+
+
+def _with_sources_examined(state: SequentialState, traced: TracedPaths) -> SequentialState:
+    """Return the bands anew with the directivity unknown of each source that energies contradict.
+
+    It comes before all else is fitted: where a loudspeaker is taken for omnidirectional, positions,
+    scattering and the laws of the measurement chain are bent to explain what it does to the levels
+    of reflections.
+    """
+    task = state.task
+    if not task.fits_contradicted or task.tested_sources is None or task.settings.quick:
+        return state
+    found = contradicted_sources(task.tested_sources, _source_scores(state))
+    if not found:
+        return state
+    names = [own.source for own in found]
+    fitted, rest = with_fitted_sources(task.directivity_parameters, task.tested_sources, names)
+    again = replace(task, directivity_parameters=fitted, tested_sources=rest, contradicted=found)
+    return initialise(again, traced)
 
 
 def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:

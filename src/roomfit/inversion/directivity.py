@@ -9,9 +9,9 @@ tested by how much the likelihood would rise if b were free.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import TypeAlias, cast
+from typing import NamedTuple, TypeAlias, cast
 
 import numpy as np
 
@@ -48,6 +48,12 @@ from roomfit.uncertainty.gaussian import BandEstimate
 # Three unknowns that explain nothing gain one and a half in log-likelihood on average: where the
 # second-order estimate is larger, b is fitted.
 _BY_CHANCE = 1.5
+# Larger gains, so much for each band and so much besides, contradict an omnidirectional source: 20
+# in six bands, where chance gives 9. With three windows counted as one, all gains and limits 0.45
+# times as large, six omnidirectional sources in three boxes of another program
+# (benchmarks/other_boxes.py) gained 2 to 4 in all; of six with |b| = 0.5 one gained 4, the others
+# 21 to 52.
+_GAIN_PER_BAND, _GAIN = 1.1, 13.4
 
 DirectivityScore: TypeAlias = tuple[FloatArray, FloatArray]
 """Evidence of one band against omnidirectional sources.
@@ -137,6 +143,77 @@ def _full_gain(
     found = free_fit.vector[-3:]
     rise = (free_fit.log_likelihood - alone.log_likelihood) / max(free_fit.chi2_reduced, 1.0)
     return float(rise - 0.5 * found @ found), np.asarray(found)
+
+
+class SourceGain(NamedTuple):
+    """Evidence of all bands against one source being omnidirectional."""
+
+    source: str
+    log_likelihood_gain: float  # of a first-order directivity, its prior counted against it
+    b: FloatArray  # (n_bands, 3), of the bands that have data
+
+
+def contradicted_sources(
+    tested_sources: DirectivityParameters | None, scores: Mapping[int, DirectivityScore]
+) -> tuple[SourceGain, ...]:
+    """Return the sources taken for omnidirectional that the data contradict.
+
+    Parameters
+    ----------
+    scores : mapping from band to DirectivityScore
+    """
+    if tested_sources is None or not scores:
+        return ()
+    least = _GAIN_PER_BAND * len(scores) + _GAIN
+    total = np.sum([gain for gain, _ in scores.values()], axis=0)
+    vectors = np.array([scores[band][1] for band in sorted(scores)])
+    return tuple(
+        SourceGain(name, float(total[s]), vectors[:, s])
+        for s, name in enumerate(tested_sources.sources)
+        if total[s] > least
+    )
+
+
+def with_fitted_sources(
+    unknown: DirectivityParameters | None,
+    tested_sources: DirectivityParameters,
+    chosen: Sequence[str],
+) -> tuple[DirectivityParameters, DirectivityParameters | None]:
+    """Return sources whose directivity is fitted, those chosen among them, and the others tested.
+
+    The default prior of a directivity of first order is that of the chosen ones.
+
+    Parameters
+    ----------
+    chosen : sequence of str
+        Names among `tested_sources`.
+    """
+    n = tested_sources.of_source.size
+    if unknown is None:
+        none = np.full(n, -1)
+        unknown = DirectivityParameters((), none, np.zeros((0, 3)), np.zeros(0), (None,) * n)
+    of_source, names = np.array(unknown.of_source), list(unknown.sources)
+    left, rest = np.full(n, -1), list[str]()
+    for s, name in enumerate(tested_sources.sources):
+        own = tested_sources.of_source == s
+        if name in chosen:
+            of_source[own] = len(names)
+            names.append(name)
+        else:
+            left[own] = len(rest)
+            rest.append(name)
+    more = len(names) - len(unknown.sources)
+    fitted = DirectivityParameters(
+        tuple(names),
+        of_source,
+        np.concatenate((unknown.mean, np.zeros((more, 3)))),
+        np.concatenate((unknown.sd, np.full(more, DEFAULT_B_SD))),
+        unknown.aims or (None,) * n,
+    )
+    if not rest:
+        return fitted, None
+    sds = np.full(len(rest), DEFAULT_B_SD)
+    return fitted, DirectivityParameters(tuple(rest), left, np.zeros((len(rest), 3)), sds)
 
 
 def band_information(fit: BandFit, first: int) -> tuple[FloatArray, FloatArray]:
@@ -357,6 +434,11 @@ def omnidirectional(measurements: Measurements) -> DirectivityParameters | None:
     of_source = np.where(known, -1, np.cumsum(np.logical_not(known)) - 1)
     mean, sd = np.zeros((len(names), 3)), np.full(len(names), DEFAULT_B_SD)
     return DirectivityParameters(names, of_source, mean, sd)
+
+
+def is_fittable(measurements: Measurements, settings: Settings) -> bool:
+    """Return whether directivities can be fitted: by least squares, to responses alone."""
+    return settings.method in LEAST_SQUARES_METHODS and not measurements.values
 
 
 def _check_fittable(measurements: Measurements, settings: Settings, source: str) -> None:

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from roomfit.inversion.directivity import DirectivityScore
+from roomfit.inversion.directivity import SourceGain
 from roomfit.inversion.score_tests import ChainScores, FreedAbsorption
 from roomfit.measurement import Measurement
 from roomfit.objective.coherent import FittedGeometry
-from roomfit.objective.directivity import FittedDirectivity
+from roomfit.objective.directivity import DirectivityParameters, FittedDirectivity
 from roomfit.uncertainty.gaussian import BandEstimate
 
 
@@ -61,8 +61,7 @@ class BandFits:
     answers: tuple[BandEstimate, ...]
     geometry: FittedGeometry | None = None
     directivities: tuple[FittedDirectivity, ...] = ()  # one a source; empty where none was fitted
-    # sources taken for omnidirectional, and by band what contradicts that
-    tested_sources: tuple[str, ...] = ()
-    source_scores: Mapping[int, DirectivityScore] = field(default_factory=dict)
+    unknown_sources: DirectivityParameters | None = None  # those of `directivities`
+    contradicted: tuple[SourceGain, ...] = ()  # of the sources taken for omnidirectional
     tests: CoherentTests = field(default_factory=CoherentTests)
     displacement: Displacement | None = None  # beyond what is specified

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from roomfit.air import Air, relative_speed_sd
 from roomfit.inversion.bands import fit_bands
@@ -16,10 +17,13 @@ from roomfit.inversion.coherent import (
 from roomfit.inversion.directivity import (
     DirectivityScore,
     band_directivities,
+    contradicted_sources,
     directed_energies,
     directivity_parameters,
+    is_fittable,
     omnidirectional,
     score_sources,
+    with_fitted_sources,
 )
 from roomfit.inversion.fits import BandFits
 from roomfit.inversion.measurements import Measurements
@@ -34,6 +38,7 @@ from roomfit.inversion.systematics import (
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.directivity import (
     BandDirectivities,
+    DirectivityParameters,
     energy_objective,
 )
 from roomfit.objective.observation import energy_terms, fitted_in_band
@@ -107,21 +112,35 @@ def estimate_energies(
     """
     unknown = directivity_parameters(measured, settings)
     tested = omnidirectional(measured) if unknown is None else None
-    directivities = directed_energies(measured, priors, traced, start, unknown)
-    scores: dict[int, DirectivityScore] = {}
-    fitted = fit_bands(
-        energy_objectives(measured, priors, traced, start, directivities),
-        priors,
-        material_areas_m2(measured.scene.room),
-        settings,
-        progress,
-        watch=None if tested is None else score_sources(measured, traced, tested, scores),
-        shared_covariance=shared_error_covariance(measured, traced),
-    )
-    estimates = tuple(refine(band, None) for band in fitted)
-    found = band_directivities(measured.scene, unknown, directivities, estimates)
-    names = () if tested is None else tested.sources
-    return BandFits(estimates, None, found, names, scores)
+    areas_m2 = material_areas_m2(measured.scene.room)
+
+    def estimated(
+        unknown: DirectivityParameters | None, tested: DirectivityParameters | None
+    ) -> BandFits:
+        directivities = directed_energies(measured, priors, traced, start, unknown)
+        scores: dict[int, DirectivityScore] = {}
+        fitted = fit_bands(
+            energy_objectives(measured, priors, traced, start, directivities),
+            priors,
+            areas_m2,
+            settings,
+            progress,
+            watch=None if tested is None else score_sources(measured, traced, tested, scores),
+            shared_covariance=shared_error_covariance(measured, traced),
+        )
+        estimates = tuple(refine(band, None) for band in fitted)
+        found = band_directivities(measured.scene, unknown, directivities, estimates)
+        against = contradicted_sources(tested, scores)
+        return BandFits(
+            estimates, directivities=found, unknown_sources=unknown, contradicted=against
+        )
+
+    fits = estimated(unknown, tested)
+    against = fits.contradicted
+    if not against or tested is None or settings.quick or not is_fittable(measured, settings):
+        return fits
+    again = estimated(*with_fitted_sources(unknown, tested, [own.source for own in against]))
+    return replace(again, contradicted=(*against, *again.contradicted))
 
 
 def energy_objectives(
@@ -172,6 +191,7 @@ def coherent_task(
         unknown,
         omnidirectional(measured) if unknown is None else None,
         scattering=(traced.scattering, traced.scattering_sd),
+        fits_contradicted=is_fittable(measured, settings),
     )
 
 
@@ -198,8 +218,8 @@ def coherent_answers(
     )
     directivities = tuple(None if b is None else b.directivity for b in fit.state.bands)
     found = band_directivities(task.scene, task.directivity_parameters, directivities, estimates)
-    names = () if task.tested_sources is None else task.tested_sources.sources
-    return BandFits(estimates, fit.geometry, found, names, fit.source_scores, fit.tests)
+    unknown = task.directivity_parameters
+    return BandFits(estimates, fit.geometry, found, unknown, fit.contradicted, fit.tests)
 
 
 def _other_terms(measured: Measurements, traced: TracedPaths) -> tuple[tuple[DataTerm, ...], ...]:

@@ -78,8 +78,7 @@ def _what_is_void(result: Result, found: Remaining) -> str:
         where = " at " + band_ranges(
             result.bands.centres_hz, np.isin(result.bands.centres_hz, bands)
         )
-    text = f"The walls' absorption{where} is not to be used: {reasons} [{codes}]."
-    return text
+    return f"The walls' absorption{where} is not to be used: {reasons} [{codes}]."
 
 
 def _taken_back(found: Remaining) -> tuple[str, ...]:
