@@ -39,7 +39,7 @@ _FEW = 3  # a finding about more recordings, or more materials, than these stand
 _VOIDING = frozenset(code.value for code in Code if code.voids_identifiability)
 
 
-def fault(error: RoomfitError) -> dict[str, Any]:
+def finding_of_error(error: RoomfitError) -> dict[str, Any]:
     """Return an error as a serious finding, for a page that shows it where it belongs."""
     sentence = "; ".join(filter(None, (error.what, error.where, error.found, error.hint)))
     points = [list(point) for point in error.points_m]
@@ -58,7 +58,7 @@ def room_view(_: Progress, folder: str) -> dict[str, Any]:
             check = check_campaign(campaign)
             faults: list[dict[str, Any]] = []
         except InputError as error:  # materials of the campaign and of the room disagree
-            faults = [fault(error)]
+            faults = [finding_of_error(error)]
             check = check_mesh(mesh, {}, findings)
             campaign = replace(campaign, room=replace(campaign.room, materials={}))
         room = _any_room(mesh, campaign.room.materials)
@@ -161,7 +161,7 @@ def recordings_view(_: Progress, folder: str, shape: str) -> dict[str, Any]:
         try:
             _check(root, rows, view)
         except RoomfitError as error:
-            view["findings"].append(fault(error))
+            view["findings"].append(finding_of_error(error))
     return view
 
 
