@@ -795,7 +795,6 @@ def _damaged(kind: str, path: Path) -> Finding:
     return Finding(
         Code.CACHE_FILE_DAMAGED,
         About(),
-        f"An intermediate result ({kind}, {path.name}) was damaged or cut short; it was computed "
-        "again.",
+        f"An intermediate result ({kind}, {path.name}) was damaged; it was computed again.",
         {"kind": kind, "file": path.name},
     )

@@ -579,7 +579,7 @@ def listen_to_folder(
     from roomfit.io.results import read_result
     from roomfit.measurement import Measurement
     from roomfit.prediction.campaign import predict_arguments
-    from roomfit.prediction.listen import listen
+    from roomfit.prediction.listen import listen, with_dry_recording
     from roomfit.prediction.output import listen_content
 
     check_output_folder(out, overwrite=overwrite)
@@ -597,28 +597,13 @@ def listen_to_folder(
     content = listen_content(known.bands, changes, made, findings, files_read())
     content["dry_factor"] = None
     if recorded is not None:
-        sounds, content["dry_factor"] = _with_dry(sounds, recorded)
+        sounds, content["dry_factor"] = with_dry_recording(sounds, recorded)
     with whole_output_folder(out, overwrite=overwrite) as folder:
         for i, (c, sound) in enumerate(zip(made, sounds, strict=True), start=1):
             files = _write_sounds(folder, i, c.measurement, sound)
             content["responses"][i - 1]["files"] = files
         write_json_atomically(folder / "listen.json", content)
     return content
-
-
-def _with_dry(
-    sounds: Sequence[dict[str, FloatArray]], dry: FloatArray
-) -> tuple[list[dict[str, FloatArray]], float]:
-    """Return responses with what a dry recording becomes in each, and the factor of all of these.
-
-    The loudest then has a peak of half.
-    """
-    from roomfit.prediction.listen import convolved
-
-    wet = [{f"dry_{k}": convolved(dry, x) for k, x in s.items()} for s in sounds]
-    factor = 0.5 / max(float(np.abs(x).max()) for s in wet for x in s.values())
-    scaled = [{k: factor * x for k, x in s.items()} for s in wet]
-    return [s | w for s, w in zip(sounds, scaled, strict=True)], factor
 
 
 def _write_sounds(

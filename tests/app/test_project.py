@@ -109,8 +109,8 @@ def test_an_error_of_a_finding_has_its_points_also_where_a_file_is_put_before_it
     with pytest.raises(InputError) as caught, located("campaign.toml"):
         refuse([doubt])
     assert caught.value.points_m == ((1.0, 2.0, 9.0),)
-    assert views.fault(caught.value)["about"] == {"points_m": [[1.0, 2.0, 9.0]]}
-    assert views.fault(InputError("Near (7, 7, 7) m"))["about"] == {}
+    assert views.finding_of_error(caught.value)["about"] == {"points_m": [[1.0, 2.0, 9.0]]}
+    assert views.finding_of_error(InputError("Near (7, 7, 7) m"))["about"] == {}
 
 
 @pytest.mark.parametrize(

@@ -255,3 +255,16 @@ def convolved(dry: FloatArray, response: FloatArray) -> FloatArray:
     n = len(dry) + len(response) - 1
     length = fft.next_fast_len(n, real=True)
     return np.asarray(fft.irfft(fft.rfft(dry, length) * fft.rfft(response, length), length)[:n])
+
+
+def with_dry_recording(
+    sounds: Sequence[dict[str, FloatArray]], dry: FloatArray
+) -> tuple[list[dict[str, FloatArray]], float]:
+    """Return responses with what a dry recording becomes in each, and the factor of all of these.
+
+    The loudest then has a peak of half.
+    """
+    wet = [{f"dry_{k}": convolved(dry, x) for k, x in s.items()} for s in sounds]
+    factor = 0.5 / max(float(np.abs(x).max()) for s in wet for x in s.values())
+    scaled = [{k: factor * x for k, x in s.items()} for s in wet]
+    return [s | w for s, w in zip(sounds, scaled, strict=True)], factor
