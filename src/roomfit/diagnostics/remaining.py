@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roomfit.diagnostics.decay import DECAY_SCATTER, mean_miss
+from roomfit.diagnostics.verdict import voids_walls
 from roomfit.findings import Code, Finding
 from roomfit.results import Result
 from roomfit.typing import BoolArray, FloatArray
@@ -56,7 +57,8 @@ def what_remains(result: Result) -> Remaining:
     usable = ~doubted & reproduced & narrow & (result.chi2_reduced <= LARGEST_CHI2_REDUCED)
     by_rule = result.identifiable_by_rule
     taken = 0 if by_rule is None else int((by_rule & ~result.identifiable & ~fixed).sum())
-    return Remaining(voids, _voiding_codes(result), taken, int((~fixed).sum()), usable, error, name)
+    codes = tuple(dict.fromkeys(f.code for f in result.findings if voids_walls(f)))
+    return Remaining(voids, codes, taken, int((~fixed).sum()), usable, error, name)
 
 
 def void_findings(result: Result) -> tuple[Finding, ...]:
@@ -66,18 +68,6 @@ def void_findings(result: Result) -> tuple[Finding, ...]:
         if finding.code.voids_identifiability:
             first.setdefault(finding.code, finding)
     return tuple(first.values())
-
-
-def _voiding_codes(result: Result) -> tuple[Code, ...]:
-    """Return the codes of findings that void all walls, or the materials that they are about."""
-    return tuple(
-        dict.fromkeys(
-            f.code
-            for f in result.findings
-            if f.code.voids_identifiability
-            or (f.code.voids_its_own and f.severity == f.code.severities[-1])
-        )
-    )
 
 
 def _doubted(result: Result, centre_hz: float) -> bool:

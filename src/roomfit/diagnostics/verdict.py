@@ -52,7 +52,15 @@ def voided(finding: Finding, priors: Sequence[MaterialPrior], bands: Bands) -> B
     code, shape = finding.code, (len(priors), len(bands))
     if code.voids_identifiability:
         return np.ones(shape, dtype=np.bool_)
-    if not code.voids_its_own or finding.severity != code.severities[-1]:
+    if not voids_walls(finding):
         return np.zeros(shape, dtype=np.bool_)
     concerns = finding.about.concerns
     return np.array([[concerns(k.name, f) for f in bands.centres_hz.tolist()] for k in priors])
+
+
+def voids_walls(finding: Finding) -> bool:
+    """Return whether a finding takes identifiability from any wall: from all, or from its own."""
+    code = finding.code
+    return code.voids_identifiability or (
+        code.voids_its_own and finding.severity == code.severities[-1]
+    )

@@ -78,7 +78,8 @@ def _what_is_void(result: Result, found: Remaining) -> str:
         where = " at " + band_ranges(
             result.bands.centres_hz, np.isin(result.bands.centres_hz, bands)
         )
-    return f"The walls' absorption{where} is not to be used: {reasons} [{codes}]."
+    why = "" if found.taken else f": {reasons} [{codes}]"  # else the next sentence says it
+    return f"The walls' absorption{where} is not to be used{why}."
 
 
 def _taken_back(found: Remaining) -> tuple[str, ...]:
