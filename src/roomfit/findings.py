@@ -309,6 +309,7 @@ class Finding:
     # the numbers behind the sentence, ready for JSON
     evidence: Mapping[str, Any] = field(default_factory=dict)
     graded: Severity | None = None  # given where its size decides and the code has two severities
+    error: InputError | None = None  # that is raised where the finding stops what was asked for
 
     def __post_init__(self) -> None:
         if self.graded is not None and self.graded not in self.code.severities:

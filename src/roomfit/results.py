@@ -253,7 +253,7 @@ def result_doubts(
     other materials or bands alone, or stand among `others` already. `what` rests on the result: a
     prediction, a design.
     """
-    known = {(f.code, f.sentence) for f in others}
+    known = {(f.code, f.about) for f in others}
     serious = [
         f
         for f in absorption.result_findings
@@ -264,7 +264,7 @@ def result_doubts(
     voids = list(dict.fromkeys(f.code for f in serious if f.code.voids_identifiability))
     chi2 = absorption.chi2_reduced
     misfit = np.zeros(0) if chi2 is None else chi2[chi2 > LARGEST_CHI2_REDUCED]
-    repeated = tuple(f for f in serious if (f.code, f.sentence) not in known)
+    repeated = tuple(f for f in serious if (f.code, f.about) not in known)
     if not voids and not misfit.size:
         return repeated
     reasons = [f"no wall of it counts as identifiable ({', '.join(voids)})"] if voids else []

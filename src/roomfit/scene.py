@@ -261,6 +261,7 @@ def material_findings(mesh: Mesh, materials: Mapping[str, str]) -> tuple[Finding
             found=f"{sum(not n for n in found)} surfaces, {area:.2f} m2",
             needed="a material for every face",
             hint=f'name it in [room.materials], as in "{name}" = "plaster"',
+            points_m=corners_m(mesh)[bare].mean(axis=1),
         ),
     )
 
@@ -624,6 +625,7 @@ def _misread(room: Room, points: FloatArray, inside: BoolArray) -> list[Finding]
                     f"room, and all of them inside if they are taken {what}",
                     needed="metres, z up, in the frame of the room",
                     hint="check unit and up of the room, or convert the positions",
+                    points_m=points[~inside],
                 )
             ]
     return []
@@ -637,6 +639,7 @@ def _in_wall(who: str, point: Point, wall: str, distance_m: float) -> Finding:
         found=f"{1e3 * distance_m:.1f} mm from surface {wall!r}",
         needed=f"at least {1e3 * NEAREST_WALL_M:.0f} mm",
         hint="correct its position: it stood in front of the wall",
+        points_m=[point.position_m],
     )
 
 
@@ -650,6 +653,7 @@ def _outside(
         found=f"{distance_m:.3g} m from the nearest surface, {wall!r}",
         needed=f"a position within the walls; the room reaches from {place(low)} to {place(high)}",
         hint="check unit, up axis and origin of the room file against the positions",
+        points_m=[point.position_m],
     )
 
 
@@ -667,6 +671,7 @@ def _coinciding(sources: Sequence[Point], receivers: Sequence[Point]) -> list[Fi
                         found=f"{1e3 * apart:.1f} mm apart",
                         needed=f"at least {1e3 * NEAREST_PAIR_M:.0f} mm",
                         hint="check the two positions",
+                        points_m=[source.position_m],
                     )
                 )
     return found

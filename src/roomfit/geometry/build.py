@@ -20,6 +20,7 @@ from roomfit.geometry.mesh import (
     Edges,
     Mesh,
     Surface,
+    about_points,
     area_vectors_m2,
     corners_m,
     edges_of,
@@ -46,7 +47,7 @@ class Face(NamedTuple):
 
 
 # Where each kind of fault occurs, as (surface name, position), while a mesh is built.
-_Spots = dict[Code, list[tuple[str, str]]]
+_Spots = dict[Code, list[tuple[str, FloatArray]]]  # surface and middle of a face
 
 
 def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tuple[Finding, ...]]:
@@ -172,8 +173,12 @@ def _from_smallest(corners: list[int]) -> tuple[int, ...]:
     return (*corners[start:], *corners[:start])
 
 
-def _spot(surface: Surface, corners_m: FloatArray) -> tuple[str, str]:
-    return surface.name, place(corners_m.mean(axis=0))
+def _spot(surface: Surface, corners_m: FloatArray) -> tuple[str, FloatArray]:
+    return surface.name, corners_m.mean(axis=0)
+
+
+def _places(spots: Sequence[tuple[str, FloatArray]]) -> list[tuple[str, str]]:
+    return [(name, place(point_m)) for name, point_m in spots]
 
 
 def _findings(spots: _Spots, most_warped_m: float) -> tuple[Finding, ...]:
@@ -191,37 +196,42 @@ def _findings(spots: _Spots, most_warped_m: float) -> tuple[Finding, ...]:
             fault(
                 Code.ZERO_AREA_FACE,
                 "faces without area",
-                where=listed(no_area),
+                where=listed(_places(no_area)),
                 found=f"{len(no_area)}",
                 needed="at least three corners that do not stand on one line",
                 hint="delete these faces in the drawing program (in Blender: Degenerate Dissolve)",
+                points_m=[point for _, point in no_area],
             )
         )
     for code, sentence in sentences.items():
         if own := spots.get(code):
-            text = f"{_count(own)} {sentence}: {listed(own)}."
-            found.append(Finding(code, About(), text, {"places": own}))
+            places = _places(own)
+            text = f"{_count(own)} {sentence}: {listed(places)}."
+            about = about_points(point for _, point in own)
+            found.append(Finding(code, about, text, {"places": places}))
     if warped := spots.get(Code.WARPED_POLYGON):
         found.append(_warped(warped, most_warped_m))
     return tuple(found)
 
 
-def _warped(spots: list[tuple[str, str]], off_plane_m: float) -> Finding:
+def _warped(spots: list[tuple[str, FloatArray]], off_plane_m: float) -> Finding:
+    places, points_m = _places(spots), [point for _, point in spots]
     if off_plane_m > TOO_WARPED_FROM_M:
         return fault(
             Code.POLYGON_NOT_PLANAR,
             "polygons that are not flat",
-            where=listed(spots),
+            where=listed(places),
             found=f"corners up to {1e3 * off_plane_m:.0f} mm off their plane",
             needed=f"at most {1e3 * TOO_WARPED_FROM_M:.0f} mm",
             hint="look for a mistyped corner, or give the surface as triangles",
+            points_m=points_m,
             off_plane_m=off_plane_m,
         )
     text = (
-        f"{_count(spots)} not flat, by up to {1e3 * off_plane_m:.1f} mm: {listed(spots)}. They are "
-        "cut into flat triangles."
+        f"{_count(spots)} not flat, by up to {1e3 * off_plane_m:.1f} mm: {listed(places)}. "
+        "They are cut into flat triangles."
     )
-    return Finding(Code.WARPED_POLYGON, About(), text, {"off_plane_m": off_plane_m})
+    return Finding(Code.WARPED_POLYGON, about_points(points_m), text, {"off_plane_m": off_plane_m})
 
 
 def _count(spots: Sequence[object]) -> str:
@@ -337,10 +347,13 @@ def _flip_findings(mesh: Mesh, flip: BoolArray) -> tuple[Finding, ...]:
     if len(odd):
         first = odd[np.argmax(areas[odd])]
         name = mesh.surfaces[mesh.triangle_surface[first]].name
+        middle_m = corners_m(mesh)[odd].mean(axis=1)
         spot = place(corners_m(mesh)[first].mean(axis=0))
         sentence = (
             f"{len(odd)} triangles of {areas[odd].sum():.3g} m2 were oriented against the rest and "
             f"were flipped, the largest in {name!r} near {spot}."
         )
-        found.append(Finding(Code.FLIPPED_FACES, About(), sentence, {"triangles": len(odd)}))
+        found.append(
+            Finding(Code.FLIPPED_FACES, about_points(middle_m), sentence, {"triangles": len(odd)})
+        )
     return tuple(found)

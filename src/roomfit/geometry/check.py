@@ -25,6 +25,7 @@ from roomfit.geometry.inside import (
 from roomfit.geometry.mesh import (
     Edges,
     Mesh,
+    about_points,
     corners_m,
     edges_of,
     fault,
@@ -174,7 +175,9 @@ def _leak(mesh: Mesh) -> tuple[float | None, list[Finding]]:
             f"The mesh leaks a little: {counts} ({1e2 * leak.fraction:.3g} %; "
             f"up to {1e2 * LEAK_LIMIT:g} % is harmless), {_ways_out(mesh, leak)}."
         )
-        return leak.fraction, [Finding(Code.SMALL_LEAK, About(), text, evidence)]
+        return leak.fraction, [
+            Finding(Code.SMALL_LEAK, about_points(leak.last_m[:3]), text, evidence)
+        ]
     serious = fault(
         Code.LEAK,
         "the mesh leaks",
@@ -182,6 +185,7 @@ def _leak(mesh: Mesh) -> tuple[float | None, list[Finding]]:
         found=f"{counts} ({1e2 * leak.fraction:.3g} %)",
         needed=f"at most {1e2 * LEAK_LIMIT:g} % of the hits",
         hint="close the gap in the drawing program, or add the missing surface",
+        points_m=leak.last_m[:3],
         **evidence,
     )
     return leak.fraction, [serious]
@@ -213,7 +217,7 @@ def _not_closed(mesh: Mesh, edges: Edges, open_edges: IntArray, volume: float) -
         f"The volume of {volume:.4g} m3 is approximate."
     )
     evidence = {"edges": len(open_edges), "of": len(edges.ends), "length_m": float(lengths.sum())}
-    return Finding(Code.NOT_CLOSED, About(), text, evidence)
+    return Finding(Code.NOT_CLOSED, about_points(ends[order].mean(axis=1)), text, evidence)
 
 
 def _slivers(mesh: Mesh) -> list[Finding]:
@@ -229,4 +233,5 @@ def _slivers(mesh: Mesh) -> list[Finding]:
     ]
     count = "1 triangle is" if len(thin) == 1 else f"{len(thin)} triangles are"
     text = f"{count} thinner than 0.1 mm: {listed(spots)}."
-    return [Finding(Code.SLIVERS, About(), text, {"triangles": len(thin)})]
+    about = about_points(corners[thin].mean(axis=1))
+    return [Finding(Code.SLIVERS, about, text, {"triangles": len(thin)})]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any
 
 import mapbox_earcut
@@ -28,9 +29,10 @@ def fault(
     found: str | None = None,
     needed: str | None = None,
     hint: str | None = None,
+    points_m: Iterable[FloatArray] = (),
     **evidence: Any,
 ) -> Finding:
-    """Return a finding of a serious code with the parts of an error message in its evidence.
+    """Return a finding of a serious code with the error that it becomes where it stops a command.
 
     `roomfit check` lists all faults of a room; everything else stops at the first, see `refuse`.
     """
@@ -39,8 +41,20 @@ def fault(
     place = f" at {where}" if where else ""
     count = f": {found}" if found else ""
     return Finding(
-        code, About(), f"{what}{place}{count}.", {"what": what, **given_parts, **evidence}
+        code,
+        about_points(points_m),
+        f"{what}{place}{count}.",
+        {"what": what, **given_parts, **evidence},
+        error=InputError(what, where=where, found=found, needed=needed, hint=hint),
     )
+
+
+_MOST_POINTS = 100
+
+
+def about_points(points_m: Iterable[FloatArray]) -> About:
+    """Return what concerns places in the room, the first hundred of them."""
+    return About(points_m=[(p[0], p[1], p[2]) for p in islice(points_m, _MOST_POINTS)])
 
 
 def refuse(findings: Iterable[Finding]) -> None:
@@ -54,16 +68,16 @@ def refuse(findings: Iterable[Finding]) -> None:
     serious = [f for f in findings if f.severity == "serious"]
     if not serious:
         return
-    evidence = serious[0].evidence
-    hints = [str(evidence["try"])] if "try" in evidence else []
+    error = serious[0].error or InputError(serious[0].sentence)
+    hints = [error.hint] if error.hint else []
     if len(serious) > 1:
         others = sorted({f.code for f in serious[1:]})
         hints.append(f"there are {len(serious) - 1} more faults ({', '.join(others)})")
     raise InputError(
-        str(evidence.get("what", serious[0].sentence)),
-        where=evidence.get("where"),
-        found=evidence.get("found"),
-        needed=evidence.get("needed"),
+        error.what,
+        where=error.where,
+        found=error.found,
+        needed=error.needed,
         hint="; ".join(hints) or None,
         points_m=serious[0].about.points_m,
     )

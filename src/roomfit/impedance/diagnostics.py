@@ -399,7 +399,7 @@ def _verdict(
         sentence = f"Not identifiable: {cause}."
         finding = Finding(
             Code.IMPEDANCE_NOT_IDENTIFIABLE,
-            About(),
+            About(materials=unsure),
             sentence + " More pairs, or pairs nearer to the walls concerned, would help.",
             {"rivals": len(rivals), "materials": unsure},
         )

@@ -397,7 +397,8 @@ def export_materials(
             "between two neighbours."
         )
         evidence = {"bands_hz": bands.centres_hz[filled].tolist()}
-        findings.append(Finding(Code.EXPORT_BANDS_FILLED, About(), text, evidence))
+        about = About(bands_hz=bands.centres_hz[filled].tolist())
+        findings.append(Finding(Code.EXPORT_BANDS_FILLED, about, text, evidence))
     if wanted == "odeon":
         last = FIRST_NUMBER + len(table.names) - 1
         text = (
@@ -412,7 +413,8 @@ def export_materials(
     if changed:
         listed = ", ".join(f"{short} for {name}" for name, short in changed.items())
         text = f"The other program cannot take every name; it is {listed}."
-        findings.append(Finding(Code.EXPORT_NAMES_CHANGED, About(), text, {"names": changed}))
+        about = About(materials=list(changed))
+        findings.append(Finding(Code.EXPORT_NAMES_CHANGED, about, text, {"names": changed}))
     if wanted == "catt":
         head = "absorption in percent, fitted by roomfit; exact values behind each line"
         remarks = [head, *(f.sentence for f in findings)]
@@ -456,7 +458,10 @@ def _not_identifiable(table: MaterialTable) -> list[Finding]:
     return [
         Finding(
             Code.EXPORT_NOT_IDENTIFIABLE,
-            About(materials=tuple(doubtful)),
+            About(
+                materials=list(doubtful),
+                entries=[(name, f) for name, bands in doubtful.items() for f in bands],
+            ),
             f"The measurement does not determine {listed}; the exported values there are not to "
             "be trusted one by one.",
             {"materials": doubtful},

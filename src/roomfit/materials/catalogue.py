@@ -368,7 +368,7 @@ def broad_prior_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]
     if hints:
         sentence += f" By their names these entries of the catalogue may fit: {'; '.join(hints)}."
     evidence = {"materials": broad, "entries": {n: list(e) for n, e in entries.items()}}
-    return (Finding(Code.BROAD_PRIOR_ASSUMED, About(), sentence, evidence),)
+    return (Finding(Code.BROAD_PRIOR_ASSUMED, About(materials=broad), sentence, evidence),)
 
 
 def product_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]:
@@ -383,7 +383,8 @@ def product_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]:
             "far as that is true."
         )
         evidence = {"product": product, "materials": names, "sd": sd}
-        findings.append(Finding(Code.PRODUCT_ASSUMED, About(), sentence, evidence))
+        about = About(materials=names)
+        findings.append(Finding(Code.PRODUCT_ASSUMED, about, sentence, evidence))
     return tuple(findings)
 
 

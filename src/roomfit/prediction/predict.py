@@ -550,7 +550,8 @@ def _what_if(
     if phrases:
         sentence += f" At 95 % the mean of {'; of '.join(phrases)}."
     evidence = {"changes": [change_text(c) for c in changes], "directions": directions}
-    return (Finding(Code.MATERIALS_CHANGED, About(), sentence, evidence),)
+    about = About(materials=[c.material for c in changes])
+    return (Finding(Code.MATERIALS_CHANGED, about, sentence, evidence),)
 
 
 def _directions(bands: Bands, change: ValueChange, name: ValueName) -> dict[str, list[float]]:

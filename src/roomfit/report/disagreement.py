@@ -8,7 +8,7 @@ import numpy as np
 
 from roomfit.air import attenuation_per_m
 from roomfit.diagnostics.decay import DECAY_SCATTER, mean_miss
-from roomfit.findings import Code, Finding
+from roomfit.findings import Code
 from roomfit.geometry.mesh import volume_m3
 from roomfit.report.html_tables import parameter_keys
 from roomfit.report.wording import (
@@ -165,7 +165,7 @@ def _scatter_jnd(
 def _reasons(answer: Result, band: int, otherwise: list[str]) -> str:
     """Return what findings and the fit say of a band, most telling first."""
     centre = float(answer.bands.centres_hz[band])
-    said = {f.code for f in answer.findings if _concerns(f, centre)}
+    said = {f.code for f in answer.findings if f.about.in_band(centre)}
     found = [words for code, words in _REASONS.items() if code in said]
     chi2 = float(answer.chi2_reduced[band])
     if chi2 > LARGEST_CHI2_REDUCED:
@@ -181,14 +181,9 @@ def _by_pressures(answer: Result, band: int) -> bool:
         and answer.models[band] == "coherent"
         and bool(answer.chi2_reduced[band] <= LARGEST_CHI2_REDUCED)
         and not any(
-            f.code == Code.DECAY_NOT_REPRODUCED and _concerns(f, centre) for f in answer.findings
+            f.code == Code.DECAY_NOT_REPRODUCED and f.about.in_band(centre) for f in answer.findings
         )
     )
-
-
-def _concerns(finding: Finding, centre_hz: float) -> bool:
-    bands = finding.evidence.get("bands_hz")
-    return bands is None or centre_hz in bands
 
 
 def _trust(answer: Result, band: int) -> str:

@@ -547,8 +547,14 @@ def _materials(check: RoomCheck) -> list[str]:
 
 
 def _fault(finding: Finding) -> list[str]:
-    rows = [f"  {finding.evidence.get('what', finding.sentence)}"]
-    for key in ("where", "found", "needed", "try"):
-        if key in finding.evidence:
-            rows.append(f"    {key:<7} {finding.evidence[key]}")
-    return rows
+    error = finding.error
+    if error is None:
+        return [f"  {finding.sentence}"]
+    parts = {
+        "where": error.where,
+        "found": error.found,
+        "needed": error.needed,
+        "try": error.hint,
+    }
+    rows = [f"    {key:<7} {text}" for key, text in parts.items() if text]
+    return [f"  {error.what}", *rows]

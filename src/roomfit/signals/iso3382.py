@@ -468,9 +468,8 @@ def joined_values(
     )
     graded: Severity = "warning" if apart > 1.0 else "info"
     evidence = {"parameter": worst_name, "band_hz": centre_hz, "jnd": apart}
-    return joined, (
-        Finding(Code.REPEATED_VALUES_DIFFER, About(), sentence, evidence, graded=graded),
-    )
+    about = About(bands_hz=[centre_hz], pairs=[(first.source, first.receiver)])
+    return joined, (Finding(Code.REPEATED_VALUES_DIFFER, about, sentence, evidence, graded=graded),)
 
 
 def _energy_contradictions(known: dict[ValueName, float], at: str) -> list[str]:

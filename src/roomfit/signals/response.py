@@ -135,7 +135,10 @@ def clipping(pressure: FloatArray, name: str, harm: str) -> tuple[Finding, ...]:
 def _clipped(name: str, many: str, harm: str, evidence: dict[str, float]) -> Finding:
     text = f"{name} looks clipped: {many} the largest value, {evidence['largest']:.4g}. {harm}; "
     return Finding(
-        Code.RESPONSE_CLIPPED, About(), text + "measure again at a lower level.", evidence
+        Code.RESPONSE_CLIPPED,
+        About(files=[name]),
+        text + "measure again at a lower level.",
+        evidence,
     )
 
 
@@ -281,7 +284,7 @@ def compare_onset(
     return (
         Finding(
             Code.TIME_ZERO_MISMATCH,
-            About(),
+            About(files=[where]),
             f"{where}: the direct sound arrives {1000.0 * abs(onset_s - travel_s):.2f} ms {order} "
             f"than the geometry says, which is {abs(apart_m):.2f} m of path. Check the positions, "
             "latency_s and time_zero; sound that is blocked or that a loudspeaker sends elsewhere "

@@ -167,7 +167,7 @@ def fitting_radii_m(scene: Scene, radius_m: float) -> tuple[FloatArray, tuple[Fi
         findings.append(
             Finding(
                 Code.RECEIVER_SPHERE_SHRUNK,
-                About(),
+                About(points_m=[centres[r].tolist()]),
                 f"The sphere of receiver {name} reached beyond {near} and was shrunk from "
                 f"{radius_m:.2f} m to {used_m:.2f} m: it catches {fewer:.1f} times fewer rays.",
                 {"receiver": name, "asked_m": radius_m, "used_m": used_m},
@@ -185,7 +185,7 @@ def _leaks(statistics: RayStatistics) -> tuple[Finding, ...]:
     return (
         Finding(
             Code.RAYS_ESCAPED,
-            About(),
+            About(points_m=statistics.escapes_from_m.tolist()),
             f"{statistics.n_escaped} rays left the room through gaps, {100.0 * share:.2g} % of "
             f"their flights, the first one in a flight from ({place}) m: the room is not closed.",
             {"n_escaped": statistics.n_escaped, "escape_fraction": share},

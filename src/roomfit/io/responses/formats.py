@@ -377,13 +377,13 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
                 f"{name} was normalised by REW and does not say what its peak was: its level "
                 "means nothing beside that of other files."
             )
-            findings.append(Finding(Code.LEVEL_UNKNOWN, About(), text))
+            findings.append(Finding(Code.LEVEL_UNKNOWN, About(files=[name]), text))
     if "ir window has been applied" in notes:
         text = (
             f"{name} was exported with REW's window applied, which bends the late decay and "
             "hides the noise; export it without the window."
         )
-        findings.append(Finding(Code.WINDOW_APPLIED, About(), text))
+        findings.append(Finding(Code.WINDOW_APPLIED, About(files=[name]), text))
     peak_s = int(np.argmax(np.abs(pressure))) / rate_hz + start_s
     if spec.time_zero == "emission" and abs(peak_s) <= 1.5 / rate_hz:
         text = (
@@ -391,7 +391,9 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
             'time of emission; specify time_zero = "direct", or measure with a loopback as timing '
             "reference."
         )
-        findings.append(Finding(Code.TIME_ZERO_AT_PEAK, About(), text, {"peak_s": peak_s}))
+        findings.append(
+            Finding(Code.TIME_ZERO_AT_PEAK, About(files=[name]), text, {"peak_s": peak_s})
+        )
     return Recording(pressure, rate_hz, start_s, tuple(findings))
 
 
@@ -518,7 +520,12 @@ def read_wav(spec: ResponseSpec, content: bytes) -> Recording:
             "a cut end would not be noticed. Everything up to the end of the file was read."
         )
         findings = (
-            Finding(Code.WAV_LENGTH_UNKNOWN, About(), text, {"bytes_of_samples": available}),
+            Finding(
+                Code.WAV_LENGTH_UNKNOWN,
+                About(files=[spec.path.name]),
+                text,
+                {"bytes_of_samples": available},
+            ),
         )
         patched = bytearray(content)
         struct.pack_into("<I", patched, 4, min(len(content) - 8, 0xFFFFFFFF))

@@ -141,7 +141,7 @@ def _offset(pressure: FloatArray, where: Path) -> tuple[float, tuple[Finding, ..
     return mean, (
         Finding(
             Code.DC_OFFSET,
-            About(),
+            About(files=[where.name]),
             f"{where.name} has a constant offset of {mean:.3g} ({abs(mean) / peak:.2%} of its "
             "peak); it was subtracted.",
             {"offset": mean, "relative_to_peak": mean / peak},
@@ -218,7 +218,7 @@ def deconvolved(
         f"{low_hz:.3g} to {high_hz:.4g} Hz; {n_kept / rate_hz:.2f} s of response are left."
     )
     evidence = {"low_hz": low_hz, "high_hz": high_hz, "duration_s": n_kept / rate_hz}
-    finding = Finding(Code.DECONVOLVED, About(), text, evidence)
+    finding = Finding(Code.DECONVOLVED, About(files=[path.name]), text, evidence)
     clipped = clipping(
         recording.pressure, path.name, "The response deconvolved from it is distorted"
     )

@@ -588,7 +588,8 @@ def _materials(files: list[GeoFile]) -> tuple[dict[str, str], tuple[Finding, ...
     listed = ", ".join(f"{spelling[name]} is {end}" for name, end in followed.items())
     text = f"The file replaces one material by another: {listed}."
     evidence = {spelling[name]: end for name, end in followed.items()}
-    return spelling | followed, (Finding(Code.MATERIALS_JOINED, About(), text, evidence),)
+    about = About(materials=list(dict.fromkeys(followed.values())))
+    return spelling | followed, (Finding(Code.MATERIALS_JOINED, about, text, evidence),)
 
 
 def _absorption(line: Line) -> tuple[str, str]:
