@@ -10,7 +10,7 @@ from __future__ import annotations
 import signal
 import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     CancelledError,
@@ -213,41 +213,7 @@ def cluster_pool(
     _check_workers(n_workers)
     distributed = _distributed()
     with ExitStack() as stack:
-        address: Any = scheduler
-        if scheduler is None:
-            import dask
-
-            stack.enter_context(
-                dask.config.set(
-                    {
-                        "distributed.scheduler.allowed-failures": _MOST_DEATHS,
-                        # a task that waits at a worker would be blamed for its death, too
-                        "distributed.scheduler.worker-saturation": 1.0,
-                        # dask's 64 kB gives every array back to the system: two million page
-                        # faults and half as much time again for a room
-                        "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
-                        # a hundred interruptions a second, for a page that nobody looks at
-                        "distributed.worker.profile.enabled": False,
-                        # a worker that dies is always started again; if it was just starting
-                        # so long after a death, dask would take it for lost
-                        "distributed.deploy.lost-worker-timeout": "365 days",
-                    }
-                )
-            )
-            address = distributed.LocalCluster(
-                n_workers=n_workers,
-                threads_per_worker=1,
-                processes=True,
-                host="127.0.0.1",
-                # without an address its web server would listen to the whole network
-                dashboard_address="127.0.0.1:0",
-                env=_ONE_THREAD,
-                lifetime=f"{_LIFETIME_S} seconds",
-                lifetime_stagger=f"{_LIFETIME_S // 10} seconds",
-                lifetime_restart=True,
-                silence_logs=50,  # a worker that dies is reported by us
-            )
-            stack.callback(_quietly, address.close)
+        address = scheduler if scheduler is not None else _own_cluster(stack, n_workers)
         try:
             client = stack.enter_context(
                 distributed.Client(address, timeout=_CONNECTING_S, set_as_default=False)
@@ -270,6 +236,43 @@ def cluster_pool(
             one_a_machine = {worker["host"]: address for address, worker in found.items()}
             client.run(warm, workers=list(one_a_machine.values()))
         yield _ClusterExecutor(client)
+
+
+_OWN_CLUSTER: Mapping[str, object] = {
+    "distributed.scheduler.allowed-failures": _MOST_DEATHS,
+    # a task that waits at a worker would be blamed for its death, too
+    "distributed.scheduler.worker-saturation": 1.0,
+    # dask's 64 kB gives every array back to the system: two million page faults and half as much
+    # time again for a room
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+    # a hundred interruptions a second, for a page that nobody looks at
+    "distributed.worker.profile.enabled": False,
+    # a worker that dies is always started again; if it was just starting so long after a death,
+    # dask would take it for lost
+    "distributed.deploy.lost-worker-timeout": "365 days",
+}
+
+
+def _own_cluster(stack: ExitStack, n_workers: int) -> Any:
+    """Return a cluster of processes on this machine that ends with a stack."""
+    import dask
+
+    stack.enter_context(dask.config.set(dict(_OWN_CLUSTER)))
+    cluster = _distributed().LocalCluster(
+        n_workers=n_workers,
+        threads_per_worker=1,
+        processes=True,
+        host="127.0.0.1",
+        # without an address its web server would listen to the whole network
+        dashboard_address="127.0.0.1:0",
+        env=_ONE_THREAD,
+        lifetime=f"{_LIFETIME_S} seconds",
+        lifetime_stagger=f"{_LIFETIME_S // 10} seconds",
+        lifetime_restart=True,
+        silence_logs=50,  # a worker that dies is reported by us
+    )
+    stack.callback(_quietly, cluster.close)
+    return cluster
 
 
 def _quietly(end: Callable[[], object]) -> None:

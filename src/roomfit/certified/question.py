@@ -79,6 +79,24 @@ def _independent(parameters: Parameters) -> bool:
     return all(b.correlation is None for b in parameters.blocks)
 
 
+def _energy_blocks(parameters: Parameters) -> tuple[Block, Block]:
+    """Return the blocks of absorptions and gains, and refuse what has no bounds."""
+    blocks = {b.name: b for b in parameters.blocks}
+    if set(blocks) != {"absorption", "gain"} or parameters.joint is not None:
+        raise InputError(
+            "only energies under absorption and gains can be certified",
+            found=", ".join(blocks),
+            hint='fit with method = "certified" and model = "energy"',
+        )
+    if not _independent(parameters):
+        raise InputError(
+            "no bounds of a prior that materials share",
+            found="materials of one product",
+            hint='leave out the product, or use method = "least-squares"',
+        )
+    return blocks["absorption"], blocks["gain"]
+
+
 def energy_global_problem(
     energies: EnergyTerm, parameters: Parameters, vector: FloatArray
 ) -> GlobalProblem:
@@ -99,20 +117,7 @@ def energy_global_problem(
         Energies are not all that is unknown or known: other blocks, a joint prior, or materials
         of one product.
     """
-    blocks = {b.name: b for b in parameters.blocks}
-    if set(blocks) != {"absorption", "gain"} or parameters.joint is not None:
-        raise InputError(
-            "only energies under absorption and gains can be certified",
-            found=", ".join(blocks),
-            hint='fit with method = "certified" and model = "energy"',
-        )
-    if not _independent(parameters):
-        raise InputError(
-            "no bounds of a prior that materials share",
-            found="materials of one product",
-            hint='leave out the product, or use method = "least-squares"',
-        )
-    absorption, gain = blocks["absorption"], blocks["gain"]
+    absorption, gain = _energy_blocks(parameters)
     values, _ = physical_values(parameters, vector)
     own = np.flatnonzero(absorption.fitted)
     free_gains = np.flatnonzero(gain.fitted)

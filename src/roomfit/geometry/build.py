@@ -85,11 +85,8 @@ def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tup
     owner: list[int] = []
     surfaces: dict[Surface, int] = {}
     for corners, surface in _distinct(faces, representative, vertices, spots):
-        if len(corners) < 3:
-            flat.append((corners, surface))
-            continue
-        cut = triangulate(vertices[corners])
-        if not len(cut.triangles):
+        cut = triangulate(vertices[corners]) if len(corners) >= 3 else None
+        if cut is None or not len(cut.triangles):
             flat.append((corners, surface))
             continue
         spot = _spot(surface, vertices[corners])
@@ -103,10 +100,10 @@ def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tup
         owner.extend([index] * len(cut.triangles))
     all_corners = np.concatenate([np.zeros((0, 3), dtype=np.int64), *triangles])
     used, renumbered = np.unique(all_corners, return_inverse=True)
+    # Programs that cut surfaces into triangles leave faces without area where the corners of other
+    # faces stand on a long edge; the mesh is as tight without them. Such a face with a corner of
+    # its own is a mistake.
     for corners, surface in flat:
-        # Programs that cut surfaces into triangles leave faces without area where the corners of
-        # other faces stand on a long edge; the mesh is as tight without them. Such a face with a
-        # corner of its own is a mistake.
         code = Code.SEAM_FACES if np.isin(corners, used).all() else Code.ZERO_AREA_FACE
         spots[code].append(_spot(surface, vertices[corners]))
     findings = _findings(spots, most_warped_m)

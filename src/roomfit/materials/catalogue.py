@@ -485,38 +485,9 @@ def material_prior(
     mean, sd = plain.prior_logit_mean, plain.prior_logit_sd
     lower, upper = bounds if bounds is not None else (0.0, 1.0)
     if bounds is not None:
-        if not (lower >= 0.0 and upper <= 1.0 and upper - lower >= _NARROWEST):
-            raise InputError(
-                "lower bound is not below the upper one",
-                where=f"{where}.bounds",
-                found=f"{lower:g} and {upper:g}",
-                needed=f"0 <= lower, upper <= 1, and {_NARROWEST:g} between them",
-                hint="an absorption that is known is fixed: absorption = ...",
-            )
-        # the broad prior's middle where it lies well between the bounds, else theirs
-        share = (DEFAULT_MEAN - lower) / (upper - lower)
-        share = share if 0.1 <= share <= 0.9 else 0.5
-        mean, _ = logit_prior(np.full(n, share), np.ones(n))
+        mean = _middle_between(lower, upper, n, f"{where}.bounds")
     if prior is not None:
-        if isinstance(prior, str):
-            with located(f"{where}.prior"):
-                alpha, alpha_sd = catalogue_prior(prior, bands)
-        else:
-            alpha = _per_band(prior[0], n, f"{where}.prior.mean")
-            alpha_sd = _per_band(prior[1], n, f"{where}.prior.sd")
-        inside = (alpha > max(lower, 0.0)) & (alpha < min(upper, 1.0)) & (alpha_sd > 0.0)
-        if not np.all(inside):
-            band = int(np.argmin(inside))
-            raise InputError(
-                "a prior lies outside of its bounds or has no spread",
-                where=f"{where}.prior",
-                found=f"mean {alpha[band]:g}, sd {alpha_sd[band]:g} "
-                f"at {bands.centres_hz[band]:g} Hz",
-                needed=f"{lower:g} < mean < {upper:g} and sd > 0",
-                hint="to fix an absorption, write absorption = [...] instead",
-            )
-        between = (alpha - lower) / (upper - lower)
-        mean, sd = logit_prior(between, alpha_sd / (upper - lower))
+        mean, sd = _stated_prior(prior, bands, lower, upper, f"{where}.prior")
     known = None
     if absorption is not None:
         known = _per_band(absorption, n, f"{where}.absorption")
@@ -537,6 +508,48 @@ def material_prior(
         wall_delay_sd_s=delay_sd_s,
         specified=prior is not None or bounds is not None,
     )
+
+
+def _middle_between(lower: float, upper: float, n: int, where: str) -> FloatArray:
+    """Return the prior mean of the logit between bounds, shape (n,).
+
+    The broad prior's middle where it lies well between the bounds, else theirs.
+    """
+    if not (lower >= 0.0 and upper <= 1.0 and upper - lower >= _NARROWEST):
+        raise InputError(
+            "lower bound is not below the upper one",
+            where=where,
+            found=f"{lower:g} and {upper:g}",
+            needed=f"0 <= lower, upper <= 1, and {_NARROWEST:g} between them",
+            hint="an absorption that is known is fixed: absorption = ...",
+        )
+    share = (DEFAULT_MEAN - lower) / (upper - lower)
+    share = share if 0.1 <= share <= 0.9 else 0.5
+    return logit_prior(np.full(n, share), np.ones(n))[0]
+
+
+def _stated_prior(
+    prior: str | tuple[ArrayLike, ArrayLike], bands: Bands, lower: float, upper: float, where: str
+) -> tuple[FloatArray, FloatArray]:
+    """Return mean and standard deviation of the logit between bounds, (n_bands,) each."""
+    if isinstance(prior, str):
+        with located(where):
+            alpha, alpha_sd = catalogue_prior(prior, bands)
+    else:
+        alpha = _per_band(prior[0], len(bands), f"{where}.mean")
+        alpha_sd = _per_band(prior[1], len(bands), f"{where}.sd")
+    inside = (alpha > max(lower, 0.0)) & (alpha < min(upper, 1.0)) & (alpha_sd > 0.0)
+    if not np.all(inside):
+        band = int(np.argmin(inside))
+        raise InputError(
+            "a prior lies outside of its bounds or has no spread",
+            where=where,
+            found=f"mean {alpha[band]:g}, sd {alpha_sd[band]:g} at {bands.centres_hz[band]:g} Hz",
+            needed=f"{lower:g} < mean < {upper:g} and sd > 0",
+            hint="to fix an absorption, write absorption = [...] instead",
+        )
+    between = (alpha - lower) / (upper - lower)
+    return logit_prior(between, alpha_sd / (upper - lower))
 
 
 def _check_within(values: FloatArray, lower: float, upper: float, where: str) -> None:

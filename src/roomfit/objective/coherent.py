@@ -455,19 +455,10 @@ def campaign_geometry(
     columns = []
     for m in fitted:
         s, r = (int(i) for i in scene.pairs[m.pair])
-        source_positions, receiver_positions = (
-            position_columns["source", s],
-            position_columns["receiver", r],
-        )
-        columns.append(
-            [
-                *range(source_positions, source_positions + 3),
-                *range(receiver_positions, receiver_positions + 3),
-                speed,
-                latency[m.measurement.source, m.measurement.state],
-                *range(first_delay, first_delay + len(priors)),
-            ]
-        )
+        source, receiver = position_columns["source", s], position_columns["receiver", r]
+        xyz = (*range(source, source + 3), *range(receiver, receiver + 3))
+        late = latency[m.measurement.source, m.measurement.state]
+        columns.append([*xyz, speed, late, *range(first_delay, len(labels))])
     return Geometry(tuple(labels), sds, free, speed_of_sound_m_s(scene.air), np.array(columns))
 
 

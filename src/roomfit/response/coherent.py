@@ -504,47 +504,19 @@ def coherent_response(
         False leaves the derivatives zero.
     """
     n_materials = len(paths.materials)
-    n_columns = 8 + n_materials if derivative else 1
-    filled = -(-n_columns // _COLUMNS_AT_ONCE) * _COLUMNS_AT_ONCE if derivative else 1
     roots = _roots(paths, paths.weight * paths.coherence, absorption)
-    transfer, slope = grid.filter.astype(grid.real), grid.slope.astype(grid.complex)
     n_products, parts = 8 + 2 * n_materials if derivative else 0, []
     # few enough for their grids to stay in memory that is at hand: new pages cost as much as sums
-    at_once, workers = max(numba.get_num_threads(), 2), min(numba.get_num_threads(), 2)
+    at_once = max(numba.get_num_threads(), 2)
     for o in range(0, len(edges_s), at_once):
         own = edges_s[o : o + at_once]
         if paths.offsets[o] == paths.offsets[o + len(own)]:  # nothing is coherent
             n_windows = sum(e.size - 1 for e in own)
             parts.append((np.zeros(n_windows), np.zeros((n_windows, n_products))))
             continue
-        impulses: Any = np.zeros((len(own), grid.n, filled), dtype=grid.real)
-        in_threads(
-            grid_impulses,
-            len(own),
-            paths.offsets[o : o + len(own) + 1],
-            paths.row,
-            paths.image_to_receiver_m,
-            paths.image_transform,
-            paths.hits,
-            roots,
-            times.shifts_m[o : o + len(own)],
-            times.speed_m_s,
-            times.latency_s[o : o + len(own)],
-            times.delays_s,
-            grid.first_s,
-            grid.rate_hz,
-            grid.table,
-            impulses,
-        )
-        columns: Any = np.ascontiguousarray(np.swapaxes(impulses[:, :, :n_columns], 1, 2))
-        spectra = fft.rfft(columns, axis=-1, workers=workers)
-        pressure = fft.irfft(spectra[:, 0] * transfer, grid.n, axis=-1, workers=workers)
-        columns = np.zeros((len(own), 0, grid.n), dtype=grid.real)
-        if derivative:
-            level = fft.irfft(spectra[:, 1 : 1 + n_materials] * transfer, grid.n, workers=workers)
-            moved = fft.irfft(spectra * slope, grid.n, axis=-1, workers=workers)
-            columns = np.concatenate((level, moved), axis=1)
-        parts.append(integrated_products(pressure, columns, grid, own))
+        observations = slice(o, o + len(own))
+        pressures = _pressures(paths, observations, roots, times, grid, derivative=derivative)
+        parts.append(integrated_products(*pressures, grid, own))
     energy, slopes = (np.concatenate(column) for column in zip(*parts, strict=True))
     by_times = np.zeros((energy.size, 8 + n_materials))
     if not derivative:
@@ -557,6 +529,55 @@ def coherent_response(
     by_times[:, 7] = shifted[:, 0]
     by_times[:, 8:] = shifted[:, 1 : 1 + n_materials]
     return CoherentResponse(energy, 0.5 * slopes[:, :n_materials], by_times)
+
+
+def _pressures(
+    paths: ImagePaths,
+    observations: slice,
+    roots: FloatArray,
+    times: Times,
+    grid: BandGrid,
+    *,
+    derivative: bool,
+) -> tuple[RealArray, RealArray]:
+    """Return coherent pressures of some observations, (n, n_grid), and their derivatives.
+
+    The latter by ln(1 - a) of each material and by what moves the times of paths, (n, n_columns,
+    n_grid); no columns without.
+    """
+    n_materials = len(paths.materials)
+    n_columns = 8 + n_materials if derivative else 1
+    filled = -(-n_columns // _COLUMNS_AT_ONCE) * _COLUMNS_AT_ONCE if derivative else 1
+    first, last = observations.start, observations.stop
+    impulses: Any = np.zeros((last - first, grid.n, filled), dtype=grid.real)
+    in_threads(
+        grid_impulses,
+        last - first,
+        paths.offsets[first : last + 1],
+        paths.row,
+        paths.image_to_receiver_m,
+        paths.image_transform,
+        paths.hits,
+        roots,
+        times.shifts_m[observations],
+        times.speed_m_s,
+        times.latency_s[observations],
+        times.delays_s,
+        grid.first_s,
+        grid.rate_hz,
+        grid.table,
+        impulses,
+    )
+    columns: Any = np.ascontiguousarray(np.swapaxes(impulses[:, :, :n_columns], 1, 2))
+    workers = min(numba.get_num_threads(), 2)
+    transfer, slope = grid.filter.astype(grid.real), grid.slope.astype(grid.complex)
+    spectra = fft.rfft(columns, axis=-1, workers=workers)
+    pressure = fft.irfft(spectra[:, 0] * transfer, grid.n, axis=-1, workers=workers)
+    if not derivative:
+        return pressure, np.zeros((last - first, 0, grid.n), dtype=grid.real)
+    level = fft.irfft(spectra[:, 1 : 1 + n_materials] * transfer, grid.n, workers=workers)
+    moved = fft.irfft(spectra * slope, grid.n, axis=-1, workers=workers)
+    return pressure, np.concatenate((level, moved), axis=1)
 
 
 def integrated_products(

@@ -55,6 +55,23 @@ def scattering_weights(paths: Paths, scattering: Scattering) -> FloatArray:
     .. [1] E. Veach and L. J. Guibas, "Optimally Combining Sampling Techniques for Monte Carlo
        Rendering", SIGGRAPH 1995.
     """
+    _check_drawn(paths, scattering)
+    traced, wanted = paths.sampling_scattering, scattering.coefficients
+    factor, hits = np.empty(len(paths)), (paths.hits_diffuse, paths.hits_specular)
+    if len(traced) > 1:
+        changes = _log_changes(traced, wanted)
+        in_threads(_mixture_ratios, len(paths), changes, *hits, factor)
+        return factor
+    changed = wanted != traced[0]
+    ratios = np.ones((2, len(wanted)))
+    ratios[0, changed] = wanted[changed] / traced[0, changed]
+    ratios[1, changed] = (1.0 - wanted[changed]) / (1.0 - traced[0, changed])
+    in_threads(_ratios_to_the_hits, len(paths), ratios, *hits, factor)
+    return factor
+
+
+def _check_drawn(paths: Paths, scattering: Scattering) -> None:
+    """Refuse other materials, and a scattering of which no path was drawn."""
     if scattering.materials != paths.materials:
         raise InputError(
             "scattering and paths name different materials",
@@ -73,17 +90,6 @@ def scattering_weights(paths: Paths, scattering: Scattering) -> FloatArray:
             needed="a sampling coefficient between 0 and 1",
             hint="trace again with the coefficient that is wanted",
         )
-    factor, hits = np.empty(len(paths)), (paths.hits_diffuse, paths.hits_specular)
-    if len(traced) > 1:
-        changes = _log_changes(traced, wanted)
-        in_threads(_mixture_ratios, len(paths), changes, *hits, factor)
-        return factor
-    changed = wanted != traced[0]
-    ratios = np.ones((2, len(wanted)))
-    ratios[0, changed] = wanted[changed] / traced[0, changed]
-    ratios[1, changed] = (1.0 - wanted[changed]) / (1.0 - traced[0, changed])
-    in_threads(_ratios_to_the_hits, len(paths), ratios, *hits, factor)
-    return factor
 
 
 @kernel(allocates=False)

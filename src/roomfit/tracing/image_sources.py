@@ -437,9 +437,73 @@ def trace_images(
             where=f"{scene.sources[source].name} and {scene.receivers[receiver].name}",
         )
     max_length_m = duration_s * speed_of_sound_m_s(scene.air)
-    room = scene.room
-    mirrors = mirrors_of(room) if room.shoebox_m is None else None
     sources = [int(s) for s in np.unique(scene.pairs[:, 0])]
+    few = _check_cost(scene, order, max_length_m, budget, with_image_transforms)
+    of_source: Callable[[int], list[ImageSet]]
+    if scene.room.shoebox_m is not None:
+        of_source = partial(_lattices, scene, order, max_length_m, with_image_transforms)
+    else:
+        limits = limits_of(order, max_length_m, budget)
+        of_source = partial(_trees, scene, mirrors_of(scene.room), limits, with_image_transforms)
+    sets: list[ImageSet | None] = [None] * len(scene.pairs)
+    # kernels release the interpreter, so that sources share the processors as threads, which a few
+    # thousand images of a box are not worth
+    with nullcontext() if few else ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        of_each = map(of_source, sources) if pool is None else pool.map(of_source, sources)
+        for done, (source, found) in enumerate(zip(sources, of_each, strict=True)):
+            own = np.flatnonzero(scene.pairs[:, 0] == source)
+            for pair, images in zip(own, found, strict=True):
+                sets[pair] = images
+            if progress is not None:
+                progress((done + 1) / len(sources))
+    return _as_paths([s for s in sets if s is not None], scene, coefficients)
+
+
+def _lattices(
+    scene: Scene, order: int, max_length_m: float, with_image_transforms: bool, source: int
+) -> list[ImageSet]:
+    """Return a source's images in a box for each of its pairs, in the order of the pairs."""
+    room, start = scene.room, scene.sources[source].position_m
+    return [
+        _in_single_precision(
+            shoebox_images(
+                room,
+                start,
+                scene.receivers[r].position_m,
+                order,
+                max_length_m,
+                with_image_transforms=with_image_transforms,
+            )
+        )
+        for s, r in scene.pairs
+        if s == source
+    ]
+
+
+def _trees(
+    scene: Scene,
+    mirrors: tuple[Walls, Blockers],
+    limits: Limits,
+    with_image_transforms: bool,
+    source: int,
+) -> list[ImageSet]:
+    """Return a source's images in any other room for each of its pairs, in their order."""
+    receivers = [scene.receivers[r].position_m for s, r in scene.pairs if s == source]
+    return polyhedron_images(
+        scene.room,
+        scene.sources[source].position_m,
+        np.array(receivers),
+        limits,
+        with_image_transforms=with_image_transforms,
+        mirrors=mirrors,
+    )
+
+
+def _check_cost(
+    scene: Scene, order: int, max_length_m: float, budget: Budget, with_image_transforms: bool
+) -> bool:
+    """Refuse more images than the memory allows; return whether they are few, of a box."""
+    room = scene.room
     if room.shoebox_m is not None:
         count = count_of_shoebox_images(room.shoebox_m, order, max_length_m)
         # columns of the paths and of the set that they are made from
@@ -455,47 +519,7 @@ def trace_images(
             hint="fewer pairs at a time; or lower most_images and most_coherent_images of a "
             "campaign, image_order or duration_s of a trace, and leave the rest to rays",
         )
-
-    def of_source(source: int) -> list[ImageSet]:
-        """Return the images of one source for each of its pairs, in the order of the pairs."""
-        start = scene.sources[source].position_m
-        receivers = [scene.receivers[r].position_m for s, r in scene.pairs if s == source]
-        if mirrors is not None:
-            return polyhedron_images(
-                room,
-                start,
-                np.array(receivers),
-                limits_of(order, max_length_m, budget),
-                with_image_transforms=with_image_transforms,
-                mirrors=mirrors,
-            )
-        return [
-            _in_single_precision(
-                shoebox_images(
-                    room,
-                    start,
-                    r,
-                    order,
-                    max_length_m,
-                    with_image_transforms=with_image_transforms,
-                )
-            )
-            for r in receivers
-        ]
-
-    sets: list[ImageSet | None] = [None] * len(scene.pairs)
-    # kernels release the interpreter, so that sources share the processors as threads, which a few
-    # thousand images of a box are not worth
-    few = room.shoebox_m is not None and count < _WORTH_THREADS
-    with nullcontext() if few else ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        of_each = map(of_source, sources) if pool is None else pool.map(of_source, sources)
-        for done, (source, found) in enumerate(zip(sources, of_each, strict=True)):
-            own = np.flatnonzero(scene.pairs[:, 0] == source)
-            for pair, images in zip(own, found, strict=True):
-                sets[pair] = images
-            if progress is not None:
-                progress((done + 1) / len(sources))
-    return _as_paths([s for s in sets if s is not None], scene, coefficients)
+    return room.shoebox_m is not None and count < _WORTH_THREADS
 
 
 def _expected_cost(room: Room, order: int, max_length_m: float) -> tuple[float, float]:

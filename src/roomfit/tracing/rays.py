@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from roomfit._checks import float_array, read_only
 from roomfit._numba import in_threads
@@ -308,31 +308,14 @@ def trace_rays(
     exact = None if images is None else images()
     radii = _radii(scene, settings, receiver_radii_m)
     coefficients = np.atleast_2d(coefficients_in_order(scattering, scene.room.materials))
-    sources = np.unique(scene.pairs[:, 0]).tolist() if settings.n_rays else []
     expected = expected_paths(
         scene, settings, receiver_radii_m=radii, scattering=float(coefficients.max(initial=0.0))
     )
     _check_memory(scene, settings, expected, memory_limit_bytes)
-    walls = walls_of(scene.room)
-    pieces: list[Piece] = []
-    tallies: list[Tally] = []
-    found = 0
-    images_s = settings.duration_s if settings.image_until_s is None else settings.image_until_s
-    reach_m = min(images_s, settings.duration_s) * speed_of_sound_m_s(scene.air)
-    parts = [(row, one) for row in _groups(settings, coefficients) for one in sources]
-    for done, ((own, s), source) in enumerate(parts):
-        for last, piece, tally in _trace_source(scene, own, walls, source, radii, s):
-            piece.weight_per_m2[:] /= len(coefficients)
-            if exact is not None:
-                late = ~covered_by_images(piece, settings.image_order, reach_m)
-                piece = Piece._make([column[late] for column in piece])
-            pieces.append(piece)
-            tallies.append(tally)
-            found += len(piece.length_m)
-            _check_memory(scene, settings, found, memory_limit_bytes)
-            if progress is not None:
-                progress((done + last / own.n_rays) / len(parts))
-    statistics = ray_statistics(sum(own.n_rays for (own, _), _ in parts), tallies)
+    reach = None if exact is None else _reach_of_images(scene, settings)
+    pieces, statistics = _recorded(
+        scene, settings, radii, coefficients, reach, memory_limit_bytes, progress
+    )
     if exact is not None and not pieces:
         alone = replace(exact, n_batches=settings.n_batches, sampling_scattering=coefficients)
         return Trace(alone, statistics)
@@ -340,12 +323,61 @@ def trace_rays(
     if exact is not None:
         pieces.insert(0, Piece(**{name: getattr(exact, name) for name in Piece._fields}))
         of_images, exact = exact.image_transform, None
+    return Trace(_as_paths(scene, settings, pieces, coefficients, of_images), statistics)
+
+
+def _reach_of_images(scene: Scene, settings: TraceSettings) -> tuple[int, float]:
+    """Return the order and the length in m up to which images replace specular paths."""
+    images_s = settings.duration_s if settings.image_until_s is None else settings.image_until_s
+    reach_s = min(images_s, settings.duration_s)
+    return settings.image_order, reach_s * speed_of_sound_m_s(scene.air)
+
+
+def _recorded(
+    scene: Scene,
+    settings: TraceSettings,
+    radii: FloatArray,
+    coefficients: FloatArray,
+    reach: tuple[int, float] | None,
+    memory_limit_bytes: int,
+    progress: Progress | None,
+) -> tuple[list[Piece], RayStatistics]:
+    """Return the paths of rays from all sources, without those within the `reach` of images."""
+    walls = walls_of(scene.room)
+    pieces: list[Piece] = []
+    tallies: list[Tally] = []
+    found = 0
+    sources = np.unique(scene.pairs[:, 0]).tolist() if settings.n_rays else []
+    parts = [(row, one) for row in _groups(settings, coefficients) for one in sources]
+    for done, ((own, s), source) in enumerate(parts):
+        for last, piece, tally in _trace_source(scene, own, walls, source, radii, s):
+            piece.weight_per_m2[:] /= len(coefficients)
+            if reach is not None:
+                late = ~covered_by_images(piece, *reach)
+                piece = Piece._make([column[late] for column in piece])
+            pieces.append(piece)
+            tallies.append(tally)
+            found += len(piece.length_m)
+            _check_memory(scene, settings, found, memory_limit_bytes)
+            if progress is not None:
+                progress((done + last / own.n_rays) / len(parts))
+    return pieces, ray_statistics(sum(own.n_rays for (own, _), _ in parts), tallies)
+
+
+def _as_paths(
+    scene: Scene,
+    settings: TraceSettings,
+    pieces: list[Piece],
+    coefficients: FloatArray,
+    of_images: NDArray[np.float32] | None,
+) -> Paths:
+    """Return pieces as paths, emptying the list; `of_images` are the transforms of the first."""
     joined = _joined(pieces, coefficients.shape[1])
     transform = None
     if of_images is not None:
         transform = np.zeros((len(joined.length_m), 3, 3), np.float32)
         transform[: len(of_images)] = of_images
-    paths = Paths(
+    return Paths(
         len(scene.pairs),
         scene.room.materials,
         *joined,
@@ -353,7 +385,6 @@ def trace_rays(
         sampling_scattering=coefficients,
         image_transform=transform,
     )
-    return Trace(paths, statistics)
 
 
 def covered_by_images(paths: Paths | Piece, image_order: int, reach_m: float = np.inf) -> BoolArray:

@@ -7,9 +7,11 @@ room's absorption, and all of it in one sentence a band.
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
+from typing import TypeAlias
 
 import numpy as np
 
@@ -278,42 +280,63 @@ def find_combinations(
     fixed = np.diag(covariance) <= 0.0
     posterior = (a, covariance, prior_mean, before, N_DRAWS, rng)
     drawn = band_draws(*posterior) if draws is None else draws
-    prior_draws_of_group = prior_draws(*posterior)
-
+    drawn_before = prior_draws(*posterior)
     # the same pairs of groups come up again while others are put together
-    @functools.cache
-    def combination_of(group: tuple[int, ...]) -> tuple[Combination, bool]:
-        weights = np.zeros(n)
-        weights[list(group)] = areas[list(group)] / areas[list(group)].sum()
-        mean = drawn @ weights
-        low, high = np.quantile(mean, (0.025, 0.975))
-        sd = float(np.std(mean))
-        value = float(weights @ a)
-        # a mode may lie outside of the quantiles of a skew law
-        found = Combination(weights, value, min(float(low), value), max(float(high), value), sd)
-        sharper = sd <= _SHARE_OF_PRIOR * float(np.std(prior_draws_of_group @ weights))
-        known = found.relative <= within and sharper
-        return replace(found, determined=known), known
-
-    loose: list[tuple[int, ...]] = [(i,) for i in range(n) if areas[i] > 0.0]
-    room = combination_of(tuple(g[0] for g in loose))[0]
-    loose = [g for g in loose if not (fixed[g[0]] or combination_of(g)[1])]
-    groups: list[Combination] = []
-    while len(loose) > 1:
-        one, other = min(
-            combinations(loose, 2),
-            key=lambda pair: combination_of((*pair[0], *pair[1]))[0].relative,
-        )
-        loose = [g for g in loose if g not in (one, other)]
-        found, determined = combination_of((*one, *other))
-        if determined:
-            groups.append(found)
-        else:
-            loose.append((*one, *other))
+    combination_of = functools.cache(
+        partial(_combination, areas=areas, a=a, laws=(drawn, drawn_before), within=within)
+    )
+    loose: list[Group] = [(i,) for i in range(n) if areas[i] > 0.0]
+    room = combination_of(tuple(g[0] for g in loose))
+    loose = [g for g in loose if not (fixed[g[0]] or combination_of(g).determined)]
+    groups = _joined(loose, combination_of)
     # a group that is nearly the whole room repeats it
     kept = (room, *(g for g in groups if np.abs(g.weights - room.weights).sum() > _ALIKE))
     left_open = undetermined_groups(covariance, before)
-    return _with_differences(kept, _differences(left_open, a, drawn, prior_draws_of_group, within))
+    return _with_differences(kept, _differences(left_open, a, drawn, drawn_before, within))
+
+
+Group: TypeAlias = tuple[int, ...]
+"""Indices of materials."""
+
+
+def _combination(
+    group: Group,
+    areas: FloatArray,
+    a: FloatArray,
+    laws: tuple[FloatArray, FloatArray],
+    within: float,
+) -> Combination:
+    """Return the mean absorption of a group, of draws of the posterior and of the prior."""
+    drawn, drawn_before = laws
+    weights = np.zeros(len(areas))
+    weights[list(group)] = areas[list(group)] / areas[list(group)].sum()
+    mean = drawn @ weights
+    low, high = np.quantile(mean, (0.025, 0.975))
+    sd = float(np.std(mean))
+    value = float(weights @ a)
+    # a mode may lie outside of the quantiles of a skew law
+    found = Combination(weights, value, min(float(low), value), max(float(high), value), sd)
+    sharper = sd <= _SHARE_OF_PRIOR * float(np.std(drawn_before @ weights))
+    return replace(found, determined=found.relative <= within and sharper)
+
+
+def _joined(
+    loose: list[Group], combination_of: Callable[[Group], Combination]
+) -> list[Combination]:
+    """Return determined groups, by always joining the two whose common mean is known best."""
+    groups = []
+    while len(loose) > 1:
+        one, other = min(
+            combinations(loose, 2),
+            key=lambda pair: combination_of((*pair[0], *pair[1])).relative,
+        )
+        loose = [g for g in loose if g not in (one, other)]
+        found = combination_of((*one, *other))
+        if found.determined:
+            groups.append(found)
+        else:
+            loose.append((*one, *other))
+    return groups
 
 
 def _differences(

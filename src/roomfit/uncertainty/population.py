@@ -91,46 +91,67 @@ def posterior_draws(
     else:
         points, of_near = near.walk(np.tile(near.centre, (size, 1)), near.usual_steps[1], rng)
     worth = worth_of(points)
-    evaluations, power, first_share = size, 0.0, 1.0
-    for number in range(_MOST_LEVELS):
-        ratio = worth - of_near
-        step = _power_step(ratio, 1.0 - power)
-        if number == 0:
-            first_share = _share(ratio, 1.0)
-        power += step
-        chosen = _resampled(step * ratio, rng)
-        points, worth, of_near = points[chosen], worth[chosen], of_near[chosen]
-        if power >= 1.0 - 1e-9:
-            break
-        if from_prior:
-            points, worth, _ = _differed(worth_of, points, worth, rng, (near, power))
-            of_near = _log_prior(near, points)
-        else:
-            points, worth, of_near, _ = _walked(
-                worth_of, near, (points, worth, of_near), power, rng
-            )
-        evaluations += size
+    first_share = _share(worth - of_near, 1.0)
+    here, rounds = _led_to_posterior(
+        worth_of, near, (points, worth, of_near), rng, from_prior=from_prior
+    )
     drawn: list[FloatArray] = []
     moves: list[float] = []
     while len(drawn) * size < n_draws:
-        moves.append(0.0)
-        for number in range(_MOST_ROUNDS):
-            if number % 2 != from_prior:
-                points, worth, taken = _differed(worth_of, points, worth, rng)
-            else:
-                here = points, worth, of_near
-                points, worth, of_near, taken = _walked(worth_of, near, here, 1.0, rng)
-            evaluations += size
-            moves[-1] += taken
-            if moves[-1] >= _MOVES:
-                break
-        drawn.append(rng.permutation(points))
+        here, taken, more = _moved(worth_of, near, here, rng, from_prior=from_prior)
+        rounds += more
+        moves.append(taken)
+        drawn.append(rng.permutation(here[0]))
     kept = rng.permutation(np.concatenate(drawn)[:n_draws])
-    return Population(kept, first_share, min(moves), evaluations)
+    return Population(kept, first_share, min(moves), size * (1 + rounds))
 
 
 Worth: TypeAlias = Callable[[FloatArray], FloatArray]
 """From points, shape (n_points, n_kept), to their log densities."""
+
+Points: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+"""Points, (n_points, n_kept), and their log densities, of the posterior and of the first law."""
+
+
+def _led_to_posterior(
+    worth_of: Worth, near: Surrogate, here: Points, rng: np.random.Generator, *, from_prior: bool
+) -> tuple[Points, int]:
+    """Return points led from the first law to the posterior, and how many rounds that took."""
+    points, worth, of_near = here
+    power = 0.0
+    for rounds in range(_MOST_LEVELS):
+        ratio = worth - of_near
+        step = _power_step(ratio, 1.0 - power)
+        power += step
+        chosen = _resampled(step * ratio, rng)
+        points, worth, of_near = points[chosen], worth[chosen], of_near[chosen]
+        if power >= 1.0 - 1e-9:
+            return (points, worth, of_near), rounds
+        if from_prior:
+            points, worth, _ = _differed(worth_of, points, worth, rng, (near, power))
+            of_near = _log_prior(near, points)
+        else:
+            here = points, worth, of_near
+            points, worth, of_near, _ = _walked(worth_of, near, here, power, rng)
+    return (points, worth, of_near), _MOST_LEVELS
+
+
+def _moved(
+    worth_of: Worth, near: Surrogate, here: Points, rng: np.random.Generator, *, from_prior: bool
+) -> tuple[Points, float, int]:
+    """Return points after Metropolis steps, accepted moves a point, and the number of rounds."""
+    points, worth, of_near = here
+    moves = 0.0
+    for number in range(_MOST_ROUNDS):
+        if number % 2 != from_prior:
+            points, worth, taken = _differed(worth_of, points, worth, rng)
+        else:
+            here = points, worth, of_near
+            points, worth, of_near, taken = _walked(worth_of, near, here, 1.0, rng)
+        moves += taken
+        if moves >= _MOVES:
+            break
+    return (points, worth, of_near), moves, number + 1
 
 
 def _one_by_one(law: LogPosterior) -> Worth:
@@ -182,7 +203,7 @@ def _resampled(log_weight: FloatArray, rng: np.random.Generator) -> IntArray:
 def _walked(
     worth_of: Worth,
     near: Surrogate,
-    here: tuple[FloatArray, FloatArray, FloatArray],
+    here: Points,
     power: float,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:

@@ -582,18 +582,11 @@ def sample(
     """
     settings = SamplingSettings() if settings is None else settings
     emcee = _emcee()
-    n = near.centre.size
-    walkers = max(2 * n + 2, 12)
+    walkers = max(2 * near.centre.size + 2, 12)
     quiet = _Quiet(posterior)
-    sampler = emcee.EnsembleSampler(
-        walkers,
-        n,
-        quiet,
-        moves=[
-            (_surrogate_move(emcee, near, settings.inner_steps or near.usual_steps, rng), 0.8),
-            (emcee.moves.DEMove(), 0.2),
-        ],
-    )
+    surrogate_move = _surrogate_move(emcee, near, settings.inner_steps or near.usual_steps, rng)
+    moves = [(surrogate_move, 0.8), (emcee.moves.DEMove(), 0.2)]
+    sampler = emcee.EnsembleSampler(walkers, near.centre.size, quiet, moves=moves)
     legacy = np.random.RandomState(rng.integers(2**31))
     start = emcee.State(_initial_positions(near, walkers, rng), random_state=legacy.get_state())
     steps = max(settings.most_evaluations // walkers - 1, _LOOK_EVERY)
