@@ -100,7 +100,7 @@ def write_other_box(
         responses = _delayed(lengths, absorption, true, pairs, c, delays)
     else:
         box = lengths, absorption, scattering
-        responses = _simulated(box, true, pairs, c, b, rate_hz)
+        responses = _simulated(box, true, pairs, c, b, rate_hz, seed)
     for (s, r), pressure in zip(pairs, responses, strict=True):
         noisy = add_noise(pressure, noise_db, rng).astype(np.float32)
         soundfile.write(folder / f"{s}_{r}.wav", noisy, rate_hz, subtype="FLOAT")
@@ -155,12 +155,15 @@ def _simulated(
     c: float,
     b: dict[str, np.ndarray],
     rate_hz: int,
+    seed: int,
 ) -> list[np.ndarray]:
     """Return the other program's responses of all pairs, time 0 at the emission.
 
-    `box`: lengths, absorption, and scattering, None for image sources alone.
+    `box`: lengths, absorption, and scattering, None for image sources alone; `seed`: of its rays.
     """
     import pyroomacoustics as pra
+
+    pra.random.seed(seed)
 
     lengths, absorption, scattering = box
     octaves = bands_between("octave", 125, 8000)
