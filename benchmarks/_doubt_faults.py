@@ -267,5 +267,6 @@ def _faults() -> dict[str, Fault]:
 FAULTS: dict[str, Fault] = _faults()
 # Changes of right rooms that are no fault.
 HARMLESS_CHANGES: dict[str, RightRoom] = {
-    name: RightRoom(partial(_put, hostile.FAULTS[name])) for name in HARMLESS
+    name: RightRoom(partial(_put, hostile.FAULTS[name]), every=3 if "192" in name else 1)
+    for name in HARMLESS
 }

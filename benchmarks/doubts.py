@@ -26,7 +26,7 @@ import json
 import re
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -71,18 +71,21 @@ class Room:
 
 def planned(asked: argparse.Namespace) -> Iterator[Room]:
     """Yield what was asked for: a room of each kind, then the next of each."""
-
-    def of(group: Group, names: list[str], n: int) -> Iterator[Room]:
-        for i in range(min(n, MOST_ROOMS)):
-            for name in names:
-                own = zlib.crc32(name.encode()) % 10**6 * 1000
-                yield Room(group, name, own + SETS[asked.seeds] + i)
-
-    yield from of("right", [*RIGHT_ROOMS, *HARMLESS_CHANGES], asked.right)
+    kinds = {**RIGHT_ROOMS, **HARMLESS_CHANGES}
+    yield from _rounds("right", {name: k.every for name, k in kinds.items()}, asked.right, asked)
     if asked.measured is not None:
         for name in measured_rooms(asked.measured):
             yield Room("measured", name, 0, asked.measured)
-    yield from of("fault", list(FAULTS), asked.faults)
+    yield from _rounds("fault", dict.fromkeys(FAULTS, 1), asked.faults, asked)
+
+
+def _rounds(
+    group: Group, every: Mapping[str, int], n: int, asked: argparse.Namespace
+) -> Iterator[Room]:
+    for i in range(min(n, MOST_ROOMS)):
+        for name in (name for name, k in every.items() if i % k == 0):
+            own = zlib.crc32(name.encode()) % 10**6 * 1000
+            yield Room(group, name, own + SETS[asked.seeds] + i)
 
 
 def run(room: Room) -> Record:
