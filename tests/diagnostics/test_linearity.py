@@ -329,11 +329,56 @@ def test_noise_that_falls_tells_of_an_exponential_window():
 
 
 def test_stationary_noise_and_rooms_that_still_ring_are_no_windows():
-    """Forty campaigns, of which by chance one in 16,000 exceeds 4 standard deviations twice."""
+    """Forty campaigns at a level of 1 in 10,000."""
     for seed in range(20):
         for rings in (False, True):
             files = files_of(seed, windowed=False, rings=rings)
             assert not list(noise_tail.check(of_files(files)))
+
+
+def test_a_decay_without_noise_is_no_noise_that_falls():
+    """Files as other simulators make them: a decay of .4 s, and filters that ring before it.
+
+    What rings before is as loud as falls on the line of the decay: levels alone say of it what they
+    say of noise that falls by 150 dB in a second.
+    """
+    rng = np.random.default_rng(5)
+    t = np.arange(8000) / RATE_HZ
+    files = []
+    for own in files_of(1, windowed=False):
+        ringing = 1e-2 * np.exp(-(((t - 0.01) / 2e-3) ** 2)) * np.cos(2e4 * t) * (t < 0.01)
+        decay = rng.standard_normal(t.size) * np.exp(-6.91 * t / 0.4) * (t > 0.01)
+        pressure = ringing + 0.1 * decay
+        pressure[160] = 1.0
+        noise = SimpleNamespace(tail_time_constant_s=np.full(2, 0.4 / 13.8))
+        own.response, own.noise = ImpulseResponse(pressure, RATE_HZ), noise
+        files.append(own)
+    assert not list(noise_tail.check(of_files(files)))
+
+
+@pytest.mark.parametrize("reverberation_s", [0.8, 1.2])
+def test_a_window_is_found_where_the_end_of_the_file_still_holds_reverberation(reverberation_s):
+    """Noise 50 dB below the click under exp(-t / .5 s): a rate of 4 in a second, within 4 sds."""
+    files = []
+    for seed in range(4):
+        rng = np.random.default_rng([seed, 4])
+        t = np.arange(16_000) / RATE_HZ
+        decay = rng.standard_normal(t.size) * np.exp(-6.91 * t / reverberation_s) * (t > 0.01)
+        pressure = 3e-3 * rng.standard_normal(t.size) + 0.1 * decay
+        pressure[160] = 1.0
+        ring = 13.8 / reverberation_s + 4.0
+        files.append(
+            SimpleNamespace(
+                response=ImpulseResponse(pressure * np.exp(-t / 0.5), RATE_HZ),
+                direct_s=0.01,
+                noise=SimpleNamespace(tail_time_constant_s=np.full(2, 1.0 / ring)),
+                measurement=SimpleNamespace(use="fit", where="a file"),
+            )
+        )
+    (finding,) = noise_tail.check(of_files(files))
+    rate, sd = (finding.evidence[k] for k in ("rate_per_s", "rate_sd_per_s"))
+    assert rate == pytest.approx(4.0, abs=4.0 * sd)
+    assert sd < 0.5
 
 
 @pytest.mark.parametrize("rate_hz", [8000.0, 44_100.0])

@@ -2,67 +2,157 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy import fft
+from scipy.special import chdtri, digamma, polygamma, stdtrit
 
 from roomfit.diagnostics.evidence import Evidence, Law
 from roomfit.findings import About, Code, Finding
 from roomfit.measurement import MeasuredPair
 from roomfit.typing import FloatArray
 
-_FEWEST_SDS = 4.0
-# Noise is sought in the last two fifths of a file and until 3 ms before the direct sound, above
-# 500 Hz; rates of its parts are alike within a quarter.
-_TAIL_SHARE, _TAIL_BLOCKS, _TAIL_HZ, _RINGING_S = 0.4, 8, 500.0, 0.05
-_EDGE_S, _BEFORE_S, _ALIKE, _FEWEST_FILES = 0.5e-3, 3e-3, 0.25, 3
+_LEVEL = 1e-4  # of a campaign whose noise is stationary
+# Noise is sought above 500 Hz in so many blocks of a last part of the files, the first of three
+# whose levels lie on a line, and in blocks of 1 ms until 3 ms before the direct sound.
+_TAIL_SHARES, _TAIL_BLOCKS, _TAIL_HZ, _RINGING_S = (0.4, 0.25, 0.15), 8, 500.0, 0.05
+_EDGE_S, _BEFORE_S, _BLOCK_S, _MOST_BEFORE, _FEWEST_BEFORE = 0.5e-3, 3e-3, 1e-3, 8, 2
+# Levels of noise scatter about the line as chi-square; of music-like or impulsive noise so many
+# times as much at most. Of files without noise it is 80 times and more.
+_STRAIGHT_CHANCE, _LARGEST_DISPERSION = 1e-3, 3.0
+# Averaged over so many bins, a spectrum gives the bandwidth of noise without its own scatter.
+_SMOOTHED_BINS = 17
+# Early sound stands 6 dB above the line of the noise at least, or what falls is the sound itself;
+# a rate that is a smaller share of the room's own does less to absorption than intervals allow for.
+_EARLY_S, _LEAST_EXCESS, _LEAST_RATE = 0.02, 4.0, 0.05
 
 LAWS = {
     Code.DECAY_BENT: Law(
-        "background noise is stationary",
-        "its decay rate within the end of the files and from before the direct sound to there: 4 "
-        "standard deviations over the files, and alike",
+        "what precedes the direct sound and ends the files is noise, and stationary",
+        "common slope of the logarithms of block energies, whose scatter is that of noise, over "
+        "its standard deviation: Student's t, one-sided; none where they do not lie on a line",
+        _LEVEL,
     )
 }
+
+
+class _Levels(NamedTuple):
+    """Logarithms of block energies of one file, before the direct sound and at the end."""
+
+    time_s: FloatArray  # (n_blocks,), the last `_TAIL_BLOCKS` of the end
+    level: FloatArray
+    variance: FloatArray  # of Gaussian noise
+    early_s: float  # 20 ms from the direct sound on
+    early: float
+
+
+class _Line(NamedTuple):
+    """Noise that falls by one rate in all files."""
+
+    rate_per_s: float
+    sd: float
+    dispersion: float  # about 1 for noise
+    n_free: int
+    excess: float  # logarithm, of early sound over the line
+    is_straight: bool
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
     """Yield a finding where the background noise falls, as in files under an exponential window.
 
-    Noise is stationary, unless a window was applied after it was recorded. Above 500 Hz its rate is
-    taken twice: within the last two fifths of the files, and from before the direct sound to there.
-    A room that still rings makes the first larger and the second smaller, sound before the direct
-    sound (deconvolution leaves some) the second larger: only a window makes both the same, and the
-    halves of the end as well. Three files at least must begin 4 ms before the direct sound.
+    Noise is stationary, unless a window was applied after it was recorded. Above 500 Hz the levels
+    before the direct sound and at the end of the files are put on one line. They are taken for
+    noise only if they scatter about it as the energies of noise do: sound that decays, that rises
+    before the direct sound as that of a filter or of deconvolution, or that a simulator puts there,
+    scatters by far more. A rest of reverberation at the end, which falls as the room does, is
+    fitted along.
     """
     measured = [m for m in evidence.measured.responses if m.measurement.use == "fit"]
-    found = [(m, r) for m in measured if (r := _noise_rates(m)) is not None]
-    if len(found) < _FEWEST_FILES:
-        return
-    rates = np.array([r for _, r in found])
-    within, first, second, across = rates.mean(axis=0)
-    sds = rates.std(axis=0, ddof=1) / np.sqrt(len(rates))
     rings = [1.0 / t for m in measured for t in m.noise.tail_time_constant_s if t > 0.0]
-    alike = abs(within - across) < max(_ALIKE * within, 3.0 * float(np.hypot(sds[0], sds[3])))
-    straight = abs(first - second) < max(_ALIKE * within, 3.0 * float(np.hypot(sds[1], sds[2])))
-    clear = min(within / sds[0], across / sds[3]) > _FEWEST_SDS
-    if not (alike and straight and clear and rings and within > 0.01 * float(np.median(rings))):
+    if not rings:
         return
+    ring_per_s = float(np.median(rings))
+    line = noise_line(measured, ring_per_s)
+    if line is None or not line.is_straight or line.excess < np.log(_LEAST_EXCESS):
+        return
+    least = max(float(stdtrit(line.n_free, 1.0 - _LEVEL)) * line.sd, _LEAST_RATE * ring_per_s)
+    if line.rate_per_s <= least:
+        return
+    files = [m for m in measured if _levels(m, _TAIL_SHARES[-1]) is not None]
+    rate = line.rate_per_s
     yield Finding(
         Code.DECAY_BENT,
-        About(files=[m.measurement.where for m, _ in found]),
-        f"The background noise falls by {10.0 * within / np.log(10.0):.0f} dB per second "
-        "within the files, and as fast from before the direct sound to their end: an "
-        f"exponential window of {2.0 / within:.2g} s (pressure) was left in them, by which "
+        About(files=[m.measurement.where for m in files]),
+        f"The background noise falls by {10.0 * rate / np.log(10.0):.0f} dB per second "
+        "from before the direct sound to the end of the files: an "
+        f"exponential window of {2.0 / rate:.2g} s (pressure) was left in them, by which "
         "every decay is too fast. No material is called identifiable; undo it, or export the "
         "files without.",
         {
-            "rate_per_s": round(float(within), 3),
-            "rate_sd_per_s": round(float(sds[0]), 3),
-            "rate_from_before_per_s": round(float(across), 3),
-            "files": len(rates),
+            "rate_per_s": round(rate, 3),
+            "rate_sd_per_s": round(line.sd, 3),
+            "dispersion": round(line.dispersion, 2),
+            "files": len(files),
         },
+    )
+
+
+def noise_line(measured: Sequence[MeasuredPair], ring_per_s: float) -> _Line | None:
+    """Return the line of all files' noise, from the longest end that is straight.
+
+    The least crooked where none is. None where too little comes before the direct sound, or files
+    are too short.
+
+    Parameters
+    ----------
+    ring_per_s : float
+        At which the room's own energy decays.
+    """
+    best = None
+    for share in _TAIL_SHARES:
+        levels = [x for m in measured if (x := _levels(m, share)) is not None]
+        if not levels:
+            continue
+        line = _fitted(levels, ring_per_s)
+        if best is None or line.dispersion < best.dispersion:
+            best = line
+        if line.dispersion * line.n_free <= float(chdtri(line.n_free, _STRAIGHT_CHANCE)):
+            return line
+    return best
+
+
+def _fitted(files: Sequence[_Levels], ring_per_s: float) -> _Line:
+    """Return the weighted least-squares line: a height a file, one rate, one share of ringing."""
+    columns = []
+    for f in files:
+        since_s = f.time_s - f.time_s[-_TAIL_BLOCKS]
+        ringing = np.where(since_s >= 0.0, np.exp(-ring_per_s * np.maximum(since_s, 0.0)), 0.0)
+        weight = 1.0 / f.variance
+        rows = np.stack((-f.time_s, ringing, f.level))
+        rows -= np.average(rows, axis=1, weights=weight)[:, None]
+        columns.append(np.concatenate((rows, weight[None])))
+    falls, ringing, level, weight = np.concatenate(columns, axis=1)
+    both = np.stack((falls, ringing), axis=1)
+    covariance = np.linalg.inv(both.T @ (weight[:, None] * both))
+    rate, share = covariance @ both.T @ (weight * level)
+    if share < 0.0:  # no reverberation takes noise away
+        rate, share = float(np.sum(weight * falls * level) / np.sum(weight * falls**2)), 0.0
+    n_free = level.size - len(files) - 2
+    chi2 = float(np.sum(weight * (level - rate * falls - share * ringing) ** 2))
+    excess = [
+        f.early - np.average(f.level + rate * (f.time_s - f.early_s), weights=1.0 / f.variance)
+        for f in files
+    ]
+    limit = max(float(chdtri(n_free, _STRAIGHT_CHANCE)), _LARGEST_DISPERSION * n_free)
+    return _Line(
+        float(rate),
+        float(np.sqrt(covariance[0, 0] * max(chi2 / n_free, 1.0))),
+        chi2 / n_free,
+        n_free,
+        float(np.median(excess)),
+        chi2 <= limit,
     )
 
 
@@ -75,29 +165,46 @@ def high_passed(x: FloatArray, from_hz: float, rate_hz: float) -> FloatArray:
     return np.asarray(fft.irfft(fft.rfft(x, n) * gain, n)[: x.size])
 
 
-def _noise_rates(m: MeasuredPair) -> tuple[float, float, float, float] | None:
-    """Return rates of one file in 1/s: of its end, of this end's halves, and from before the sound.
+def _levels(m: MeasuredPair, share: float) -> _Levels | None:
+    """Return what noise may be in one file; None where there is too little of it.
 
-    None where too little comes before the direct sound, or the file is too short.
+    Parameters
+    ----------
+    share : float
+        Of the time from the direct sound to the last sample that is not zero.
+
+    Notes
+    -----
+    The energy of Gaussian noise in a block is chi-square with twice as many degrees of freedom as
+    the product of time and statistical bandwidth; the mean of its logarithm is taken off.
     """
     x, rate_hz = m.response.pressure, m.response.sampling_rate_hz
     sounding = np.flatnonzero(x)
     begin, end = int(sounding[0]) + round(_EDGE_S * rate_hz), int(sounding[-1]) + 1
     direct = round((m.direct_s + m.response.time_zero_s) * rate_hz)
-    before = slice(begin, direct - round(_BEFORE_S * rate_hz))
-    size = round(_TAIL_SHARE * (end - direct)) // _TAIL_BLOCKS
-    if before.stop - begin < 1e-3 * rate_hz or size < 2 or rate_hz < 2.5 * _TAIL_HZ:
+    stop = direct - round(_BEFORE_S * rate_hz)
+    n_before = min(int((stop - begin) / (_BLOCK_S * rate_hz)), _MOST_BEFORE)
+    size = int(share * (end - direct)) // _TAIL_BLOCKS
+    if n_before < _FEWEST_BEFORE or size < _BLOCK_S * rate_hz or rate_hz < 2.5 * _TAIL_HZ:
         return None
-    energy = high_passed(x, _TAIL_HZ, rate_hz) ** 2
-    blocks = energy[end - _TAIL_BLOCKS * size : end].reshape(_TAIL_BLOCKS, size).mean(axis=1)
-    early = float(energy[before].mean())
-    if not (early > 0.0 and np.all(blocks > 0.0)):
+    pressure = high_passed(x, _TAIL_HZ, rate_hz)
+    before = np.linspace(begin, stop, n_before + 1).astype(np.int64)
+    tail = np.arange(end - _TAIL_BLOCKS * size, end + 1, size)
+    first, last = np.append(before[:-1], tail[:-1]), np.append(before[1:], tail[1:])
+    total = np.append(0.0, np.cumsum(pressure**2))
+    energy = (total[last] - total[first]) / (last - first)
+    early = direct, min(direct + round(_EARLY_S * rate_hz), end)
+    loud = (total[early[1]] - total[early[0]]) / max(early[1] - early[0], 1)
+    if not (np.all(energy > 0.0) and loud > 0.0):
         return None
-    level, half = np.log(blocks), _TAIL_BLOCKS // 2
-    time_s = size / rate_hz * np.arange(_TAIL_BLOCKS)
-    within, first, second = (
-        -float(np.polyfit(time_s[part], level[part], 1)[0])
-        for part in (slice(None), slice(half), slice(half, None))
+    power = np.abs(np.fft.rfft(pressure[tail[0] :])) ** 2
+    power = np.convolve(power, np.ones(_SMOOTHED_BINS) / _SMOOTHED_BINS, "same")
+    n_free = np.maximum((last - first) * np.sum(power) ** 2 / (power.size * np.sum(power**2)), 1.0)
+    mean = digamma(0.5 * n_free) - np.log(0.5 * n_free)
+    return _Levels(
+        0.5 * (first + last) / rate_hz,
+        np.log(energy) - mean,
+        np.asarray(polygamma(1, 0.5 * n_free)),
+        0.5 * sum(early) / rate_hz,
+        float(np.log(loud)),
     )
-    middle = end - 0.5 * _TAIL_BLOCKS * size - 0.5 * (begin + before.stop)
-    return within, first, second, float(np.log(early) - level.mean()) * rate_hz / middle
