@@ -2,10 +2,10 @@
 
     python benchmarks/noise_tail.py [--seeds 101 300] [--power 30] [--boxes 20]
 
-Campaigns of one to eight files at 16, 44.1 or 48 kHz: a click, reflections that become dense, a decay
-of .2 to 2.5 s (half of them bent, fast at first), 2 to 30 ms before the direct sound, white noise or
-noise that falls by 3 or 6 dB an octave. Windows exp(-t / T) of the pressure are put over noise and
-sound. And boxes of another program, pyroomacoustics, by images to order 20 and 20,000 rays that
+Campaigns of one to eight files at 16, 44.1 or 48 kHz: a click, reflections that become dense, a
+decay of .2 to 2.5 s (half of them bent, fast at first), 2 to 30 ms before the direct sound, white
+noise or noise that falls by 3 or 6 dB an octave. Windows exp(-t / T) of the pressure are put over
+noise and sound. And boxes of another program, pyroomacoustics, by images and 20,000 rays that
 scatter by .1, without noise and with it 60 dB below the peak, as they are and under a window.
 
 "fast" counts campaigns whose window changes the decay rate as measured by 5 % or more: others do

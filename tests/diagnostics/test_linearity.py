@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
+from scipy.special import stdtrit
 
 import roomfit
 from roomfit.diagnostics import copies, noise_gate, noise_tail
@@ -191,10 +192,29 @@ def test_scores_of_what_is_not_there_are_standard_normal():
 
 
 def test_bands_that_disagree_make_their_common_value_less_certain():
-    """Two of 1 and 3, each +- 1: 2 +- .71 by themselves, twice the variance as they scatter."""
+    """Two of 1 and 3, each +- 1: 2 +- .71 by themselves, twice the variance as they scatter.
+
+    Satterthwaite: 2**2 / (1/50 + 1/1) = 3.92 degrees of freedom.
+    """
     agreeing = common(np.array([1.0, 1.2]), np.ones(2))
-    assert agreeing == pytest.approx((1.1, np.sqrt(0.5)))
-    assert common(np.array([1.0, 3.0]), np.ones(2)) == pytest.approx((2.0, 1.0))
+    assert agreeing == pytest.approx((1.1, np.sqrt(0.5), 50.0))
+    assert common(np.array([1.0, 3.0]), np.ones(2)) == pytest.approx((2.0, 1.0, 4.0 / 1.02))
+
+
+def test_a_common_value_whose_law_is_right_is_clear_once_in_as_many_rooms_as_stated():
+    """20,000 rooms of two bands whose errors of the model are common to both: 1e-3 of three.
+
+    Errors common to bands have 2.6 times the variance of their own: 3.6 in all. One of the three
+    alternatives exceeds its limit in one room of 3,000: 6.7 +- 2.6 expected, at most 15.
+    """
+    rng = np.random.default_rng(6)
+    n, limits = 20_000, 0
+    shared = rng.standard_normal((n, 1)) * np.sqrt(1.3)
+    own = rng.standard_normal((n, 2))
+    for scores in shared + own:
+        found = common(scores, np.ones(2), 3.6)
+        limits += abs(found.value) / found.sd > stdtrit(found.n_free, 1.0 - 1e-3 / 6.0)
+    assert limits <= 15
 
 
 @cache

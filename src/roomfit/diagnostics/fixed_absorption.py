@@ -8,6 +8,7 @@ from scipy.special import chdtri
 
 from roomfit.bands import bands_in_words
 from roomfit.diagnostics.evidence import Evidence, Law
+from roomfit.diagnostics.linearity import explained_by_the_chain
 from roomfit.findings import About, Code, Finding
 
 # Log-likelihood that one more unknown must gain in some band, and the chance of all bands together.
@@ -34,6 +35,9 @@ def check(evidence: Evidence) -> Iterator[Finding]:
         known, clear = prior.known, [b for b, gain in gains.items() if gain >= _LEAST_GAIN]
         total = sum(gains.values())
         if known is None or not clear or 2.0 * total <= float(chdtri(len(gains), _CHANCE)):
+            continue
+        is_directed = bool(evidence.fits.directivities)
+        if explained_by_the_chain(evidence.fits.tests.chain, freed, is_directed=is_directed):
             continue
         notes = [f"{known[b]:.2f} fixed, about {freed.absorption[b]:.2f} likelier" for b in clear]
         yield Finding(

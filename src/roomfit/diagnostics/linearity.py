@@ -2,31 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+from scipy.special import chdtri, stdtrit
 
 from roomfit.diagnostics.evidence import Evidence, Law
 from roomfit.findings import About, Code, Finding
-from roomfit.inversion.score_tests import ChainScores
+from roomfit.inversion.score_tests import ChainScores, FreedAbsorption, Score
 
-# In standard deviations; a right room exceeds 4 by chance once in 16,000, and clean rooms of
-# another program and measured ones less than 3: docs/how-far-to-trust.md.
-_FEWEST_SDS = 4.0
+_LEVEL = 1e-3  # of power, loss and window together
+_UNDECIDED = 2.0  # of log-likelihood, less one for each unknown, between two explanations
 # An exponent nearer to 1, a smaller loss at the peak, and a decay rate that is a smaller share of
 # the room's own, do less to absorption than intervals allow for.
 _LEAST_EXPONENT, _LEAST_LOSS, _LEAST_RATE = 0.04, 0.05, 0.05
 
-_LEVEL = 6e-5  # of 4 standard deviations to either side
 LAWS = {
     Code.LEVELS_NOT_LINEAR: Law(
         "the chain is linear: exponent 1, no loss at the peak",
-        "score of one value common to all bands, over its standard deviation",
+        "score of one value common to all bands, over the standard deviation that it has by the "
+        "data, by errors of the model that bands share and by their scatter: Student's t",
         _LEVEL,
     ),
     Code.DECAY_BENT: Law(
         "no window was applied: its rate is 0",
-        "score of one value common to all bands, over its standard deviation",
+        "score of one value common to all bands, over the standard deviation that it has by the "
+        "data, by errors of the model that bands share and by their scatter: Student's t",
         _LEVEL,
     ),
 }
@@ -45,8 +46,9 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     if scores is None:
         return
     about = About(bands_hz=evidence.measured.bands.centres_hz[list(scores.bands)].tolist())
-    clearest = clearest_fault(scores, is_directed=bool(evidence.fits.directivities))
-    if clearest is None:
+    is_directed = bool(evidence.fits.directivities)
+    clearest = clearest_fault(scores, is_directed=is_directed)
+    if clearest is None or _explained_by_walls(scores, evidence.fits.tests.freed_absorptions):
         return
     power, loss, window = scores.power, scores.loss, scores.window
     numbers = {
@@ -89,11 +91,49 @@ def clearest_fault(scores: ChainScores, *, is_directed: bool) -> int | None:
     sizes = [abs(s.value) / s.sd for s in three]
     least = (_LEAST_EXPONENT, _LEAST_LOSS, _LEAST_RATE * scores.decay_rate_per_s)
     clear = [
-        size > _FEWEST_SDS and abs(s.value) > smallest
-        for s, size, smallest in zip(three, sizes, least, strict=True)
+        _is_clear(s) and abs(s.value) > smallest for s, smallest in zip(three, least, strict=True)
     ]
     # nothing saturates by a gain
     clear[1] &= scores.loss.value > 0.0
     clear[:2] = [c and not is_directed for c in clear[:2]]
     clearest = int(np.argmax(np.where(clear, sizes, 0.0)))
     return clearest if clear[clearest] else None
+
+
+def explained_by_the_chain(
+    scores: ChainScores | None, freed: FreedAbsorption, *, is_directed: bool
+) -> bool:
+    """Return whether a fixed absorption is contradicted only for want of a chain that bends.
+
+    Where the chain, fitted beside it, leaves less to be gained than chance does, and where the
+    chain with its one unknown gains more than the material with one unknown a band, by 2 units.
+    """
+    if scores is None or not scores.beside_freed:
+        return False
+    clearest = clearest_fault(scores, is_directed=is_directed)
+    if clearest is None:
+        return False
+    n, gain = len(freed.gains), sum(freed.gains.values())
+    alone, beside = scores[clearest], scores.beside_freed[clearest]
+    left = gain + beside.gain - alone.gain
+    return 2.0 * left <= float(chdtri(n, _LEVEL)) and alone.gain - 1.0 > gain - n + _UNDECIDED
+
+
+def _is_clear(score: Score) -> bool:
+    """Return whether a value is none of chance, one of three that are looked at."""
+    return abs(score.value) / score.sd > float(stdtrit(score.n_free, 1.0 - _LEVEL / 6.0))
+
+
+def _explained_by_walls(scores: ChainScores, freed: Sequence[FreedAbsorption]) -> bool:
+    """Return whether fixed absorptions, freed, leave nothing for a chain to explain.
+
+    They are contradicted by themselves then; where they gain less than the chain, or no more than
+    2 units of log-likelihood, one off for each unknown, both are named.
+    """
+    if not scores.beside_freed:
+        return False
+    clearest = int(np.argmax([s.gain for s in scores[:3]]))
+    if any(_is_clear(s) for s in scores.beside_freed):
+        return False
+    by_walls = max((sum(f.gains.values()) - len(f.gains) for f in freed), default=0.0)
+    return by_walls > scores[clearest].gain - 1.0 + _UNDECIDED

@@ -517,7 +517,7 @@ def fit_coherent(
         position_sd_scale,
         delays,
         positions,
-        chain_scores(task.bands, pressures),
+        chain_scores(task.bands, task.priors, pressures),
         freed_absorptions(task.priors, pressures),
     )
     return CoherentFit(

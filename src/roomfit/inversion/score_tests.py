@@ -32,6 +32,10 @@ from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray
 
 _FEWEST_BANDS = 2  # one value that all share
+# Variance of a power, a loss and a window common to all bands in right rooms, in units of what the
+# data leave: errors of the model that bands share (positions, patterns of interference) ask for
+# them alike. And of how many rooms: docs/decisions/0044-doubts-of-the-chain.md.
+_COMMON_VARIANCE, _N_RIGHT_ROOMS = (3.6, 1.0, 3.0), 50
 
 
 class FittedWindows(NamedTuple):
@@ -54,6 +58,12 @@ class Score(NamedTuple):
 
     value: float
     sd: float
+    n_free: float  # degrees of freedom of the standard deviation
+
+    @property
+    def gain(self) -> float:
+        """Of the log-likelihood, if it is freed."""
+        return 0.5 * (self.value / self.sd) ** 2
 
 
 def scored(windows: FittedWindows, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -139,34 +149,32 @@ def chain_slopes(
     return out
 
 
-def common(scores: FloatArray, information: FloatArray) -> Score:
+def common(scores: FloatArray, information: FloatArray, variance: float = 1.0) -> Score:
     """Return the value that all bands have in common, with its standard deviation.
 
-    Where bands scatter about it by more than they should, its standard deviation grows by as much
-    [1]_: an error of the model differs from band to band, a chain does not.
+    Where bands scatter about it by more than they should, the variance grows by as much [1]_: an
+    error of the model differs from band to band, a chain does not. What is known from right rooms
+    and what few bands scatter have a few degrees of freedom together [2]_.
 
     Parameters
     ----------
     scores, information : float arrays, shape (n_bands,)
+    variance : float
+        Of a common value in right rooms, in units of the inverse information.
 
     References
     ----------
     .. [1] R. T. Birge, "The calculation of errors by the method of least squares", Phys. Rev. 40,
            207-227 (1932).
+    .. [2] F. E. Satterthwaite, "An approximate distribution of estimates of variance components",
+           Biometrics Bull. 2, 110-114 (1946).
     """
+    n_scatter = max(len(scores) - 1, 1)
     value = float(scores.sum() / information.sum())
     scatter = float(np.sum(information * (scores / information - value) ** 2))
-    ratio = max(scatter / max(len(scores) - 1, 1), 1.0)
-    return Score(value, float(np.sqrt(ratio / information.sum())))
-
-
-def _asked(fitted: Sequence[FittedWindows], relative: Sequence[FloatArray]) -> Score:
-    """Return what all bands ask of one unknown, given its relative derivatives, (n_windows, 1)."""
-    scores = []
-    for w, own in zip(fitted, relative, strict=True):
-        signal = w.there.signal[: len(own), None]
-        scores.append([float(x.item()) for x in scored(w, signal * own)])
-    return common(*np.array(scores).T)
+    more = max(scatter / n_scatter - 1.0, 0.0)
+    n_free = (variance + more) ** 2 / (variance**2 / _N_RIGHT_ROOMS + more**2 / n_scatter)
+    return Score(value, float(np.sqrt((variance + more) / information.sum())), n_free)
 
 
 class ChainScores(NamedTuple):
@@ -177,13 +185,19 @@ class ChainScores(NamedTuple):
     window: Score  # decay rate of energy in 1/s
     decay_rate_per_s: float  # of energy, the median over the bands as measured
     bands: tuple[int, ...]  # those that were looked at
+    # of power, loss and window with all fixed absorptions freed; empty where none is fixed
+    beside_freed: tuple[Score, ...] = ()
 
 
-def chain_scores(bands: Bands, fitted: Sequence[FittedWindows]) -> ChainScores | None:
+def chain_scores(
+    bands: Bands, priors: Sequence[MaterialPrior], fitted: Sequence[FittedWindows]
+) -> ChainScores | None:
     """Return the scores of a power, a saturation and a window; None of fewer than two bands.
 
     Parameters
     ----------
+    priors : sequence of MaterialPrior
+        A fixed absorption that is wrong bends levels and decays as a chain does.
     fitted : sequence of FittedWindows
         Bands in which pressures explain the data better than energies: where energies add, how
         far smooth walls' late sound lies below their sum is not known well enough.
@@ -198,10 +212,44 @@ def chain_scores(bands: Bands, fitted: Sequence[FittedWindows]) -> ChainScores |
         edges_s = [w.energies.observations[w.files.index(m)].edges_s for w in reached]
         for w, own in zip(reached, chain_slopes(chosen, m, edges_s, peak), strict=True):
             slopes[w.band, w.files.index(m)] = own
-    relative = [np.concatenate([slopes[w.band, i] for i in range(len(w.files))]) for w in fitted]
-    power, loss, window = (_asked(fitted, [r[:, k : k + 1] for r in relative]) for k in range(3))
-    rate_per_s = float(np.median([w.decay_rate_per_s for w in fitted]))
-    return ChainScores(power, loss, window, rate_per_s, tuple(w.band for w in fitted))
+    alone, beside = [], []
+    for w in fitted:
+        relative = np.concatenate([slopes[w.band, i] for i in range(len(w.files))])
+        columns = w.there.signal[: len(relative), None] * relative
+        alone.append(scored(w, columns))
+        beside.append(_beside(w, columns, priors))
+    return ChainScores(
+        *_common_to_bands(alone),
+        float(np.median([w.decay_rate_per_s for w in fitted])),
+        tuple(w.band for w in fitted),
+        _common_to_bands(beside) if any(p.known is not None for p in priors) else (),
+    )
+
+
+def _common_to_bands(found: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[Score, ...]:
+    """Return the common value of each of three unknowns by itself."""
+    scores = np.array([score for score, _ in found])
+    information = np.array([np.diag(i) for _, i in found])
+    return tuple(
+        common(scores[:, k], information[:, k], variance)
+        for k, variance in enumerate(_COMMON_VARIANCE)
+    )
+
+
+def _beside(
+    windows: FittedWindows, columns: FloatArray, priors: Sequence[MaterialPrior]
+) -> tuple[FloatArray, FloatArray]:
+    """Return score and information of further unknowns, all fixed absorptions freed."""
+    walls = [i for i, p in enumerate(priors) if p.known is not None]
+    rows: FloatArray = np.zeros((max(len(columns), len(windows.by_wall)), columns.shape[1]))
+    rows[: len(columns)] = columns
+    freed = np.zeros((len(rows), len(walls)))
+    freed[: len(windows.by_wall)] = windows.by_wall[:, walls]
+    score, information = scored(windows, np.concatenate((rows, freed), axis=1))
+    n = columns.shape[1]
+    # a wall that no window hears has no information
+    solved = information[:n, n:] @ np.linalg.pinv(information[n:, n:], hermitian=True)
+    return score[:n] - solved @ score[n:], information[:n, :n] - solved @ information[n:, :n]
 
 
 class FreedAbsorption(NamedTuple):
