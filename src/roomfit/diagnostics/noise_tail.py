@@ -27,6 +27,7 @@ _SMOOTHED_BINS = 17
 # Early sound stands 6 dB above the line of the noise at least, or what falls is the sound itself;
 # a rate that is a smaller share of the room's own does less to absorption than intervals allow for.
 _EARLY_S, _LEAST_EXCESS, _LEAST_RATE = 0.02, 4.0, 0.05
+_MOST_BY_WINDOW = 0.8  # of the decay rate as measured
 
 LAWS = {
     Code.DECAY_BENT: Law(
@@ -108,7 +109,7 @@ def noise_line(measured: Sequence[MeasuredPair], ring_per_s: float) -> _Line | N
     Parameters
     ----------
     ring_per_s : float
-        At which the room's own energy decays.
+        At which the measured energy decays, by the room and by the window.
     """
     best = None
     for share in _TAIL_SHARES:
@@ -116,6 +117,9 @@ def noise_line(measured: Sequence[MeasuredPair], ring_per_s: float) -> _Line | N
         if not levels:
             continue
         line = _fitted(levels, ring_per_s)
+        # over the line of the noise, reverberation falls by what it falls faster
+        slower_per_s = float(np.clip(line.rate_per_s, 0.0, _MOST_BY_WINDOW * ring_per_s))
+        line = _fitted(levels, ring_per_s - slower_per_s)
         if best is None or line.dispersion < best.dispersion:
             best = line
         if line.dispersion * line.n_free <= float(chdtri(line.n_free, _STRAIGHT_CHANCE)):
@@ -191,10 +195,11 @@ def _levels(m: MeasuredPair, share: float) -> _Levels | None:
     before = np.linspace(begin, stop, n_before + 1).astype(np.int64)
     tail = np.arange(end - _TAIL_BLOCKS * size, end + 1, size)
     first, last = np.append(before[:-1], tail[:-1]), np.append(before[1:], tail[1:])
-    total = np.append(0.0, np.cumsum(pressure**2))
-    energy = (total[last] - total[first]) / (last - first)
+    squared = pressure**2
+    # not as differences of a cumulative sum, whose rounding is louder than noise under a window
+    energy = np.array([squared[a:b].mean() for a, b in zip(first, last, strict=True)])
     early = direct, min(direct + round(_EARLY_S * rate_hz), end)
-    loud = (total[early[1]] - total[early[0]]) / max(early[1] - early[0], 1)
+    loud = float(squared[slice(*early)].mean())
     if not (np.all(energy > 0.0) and loud > 0.0):
         return None
     power = np.abs(np.fft.rfft(pressure[tail[0] :])) ** 2
