@@ -49,7 +49,7 @@ def other(absorption: float, scattering: float, order: int, n_rays: int) -> Floa
     for (response,) in room.rir:
         total = np.append(0.0, np.cumsum(np.pad(response, (0, RATE_HZ)) ** 2))
         energy.append(np.diff(total[edges]))
-    return np.mean(energy, axis=0)
+    return np.asarray(np.mean(energy, axis=0))
 
 
 def ours(absorption: float, scattering: float) -> FloatArray:

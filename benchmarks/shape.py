@@ -182,8 +182,14 @@ def entering_kernels(found: list[Module]) -> set[str]:
     return {
         f"{m.path.relative_to(SOURCE)}:{f.name}"
         for m, f in functions(found)
-        if not is_compiled(f)
-        and any(isinstance(n, ast.Name) and n.id in compiled for n in ast.walk(f))
+        if not is_compiled(f) and compiled & _names(f, ast.Load) - _names(f, ast.Store)
+    }
+
+
+def _names(function: ast.AST, context: type[ast.expr_context]) -> set[str]:
+    """Return the names that a function reads, or those that it assigns to."""
+    return {
+        n.id for n in ast.walk(function) if isinstance(n, ast.Name) and isinstance(n.ctx, context)
     }
 
 

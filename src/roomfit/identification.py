@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import time
 from collections.abc import Sequence
@@ -25,7 +26,7 @@ from roomfit.diagnostics.evidence import Evidence, Recorded
 from roomfit.diagnostics.verdict import judge
 from roomfit.errors import CannotTell
 from roomfit.findings import About, Code, Finding
-from roomfit.inversion.coherent import fit_coherent
+from roomfit.inversion.coherent import fit_coherent, initialise
 from roomfit.inversion.displacement import (
     Offset,
     Outline,
@@ -154,12 +155,19 @@ def identify(
         check_sampler()
     priors = complete_priors(scene.room.materials, materials, bands)
     check_certifiable(given.measured, settings, priors)
+    start = eyring_start(given.measured)
     with counted_evaluations() as made:
-        seen, traced, fits = _fitted(given, measurements, priors, settings, cache, progress)
-    if seen is not given:  # fitted at other positions than specified
-        before = examine(BEFORE_THE_FIT, seen)
+        ends = (0.02, 0.22, 0.49, 0.98) if scene.groups else (0.02, 0.45, 0.98, 0.98)
+        early, late, again = (part(progress, *x) for x in itertools.pairwise(ends))
+        traced = traced_paths(given.measured, priors, settings, start, cache, early)
+        fits = _fits(given.measured, priors, traced, settings, late)
+        observed, traced, fits = _with_positions_examined(
+            given, measurements, priors, (traced, fits), settings, cache, again
+        )
+    if observed is not given:  # fitted at other positions than specified
+        before = examine(BEFORE_THE_FIT, observed)
     if fits.directivities:
-        traced = redirected(seen.measured, traced, fits.directivities)
+        traced = redirected(observed.measured, traced, fits.directivities)
     if settings.smoothness_per_octave is not None:
         areas_m2 = material_areas_m2(scene.room)
         smooth = settings.smoothness_per_octave
@@ -169,73 +177,73 @@ def identify(
     _check_any_fitted(fits)
     _LOG.info("predicting the measured pairs")
     trim_memory()
-    evidence = fitted_evidence(seen, priors, traced, fits, settings)
+    evidence = fitted_evidence(observed, priors, traced, fits, settings)
     after = examine(AFTER_THE_FIT, evidence)
     doubts = (*_first_answer(settings), *scene.room.findings, *before, *after)
     result = combine(evidence, doubts)
     return replace(result, evaluations=made[0], seconds=time.perf_counter() - began)
 
 
-def _fitted(
-    given: Recorded,
-    measurements: Sequence[Measurement | MeasuredValues],
-    priors: tuple[MaterialPrior, ...],
-    settings: Settings,
-    cache: Cache | None,
-    progress: Progress | None,
-) -> tuple[Recorded, TracedPaths, BandFits]:
-    """Return the paths and the fits of a room, and the measurements as they were fitted.
-
-    Where offsets are stated, the room is traced and fitted again at the most likely ones.
-    """
-    seen, offsets = given, offsets_of(given.measured.scene)
-    is_stated = np.array([o.is_stated for o in offsets], dtype=np.bool_)
-    moved_m = np.zeros(len(offsets))
-    rounds = 2 if is_stated.any() and not settings.quick else 1
-    for number in range(rounds):
-        done = part(progress, number / rounds, (number + 1) / rounds)
-        measured = seen.measured
-        traced, fits = _fitted_once(measured, priors, settings, cache, done)
-        _LOG.info("examining positions and lengths")
-        outline = _outline(measured, priors, (traced, fits), settings, offsets, moved_m)
-        if outline is None:
-            break
-        found = located(outline)
-        if number + 1 < rounds:
-            moved_m = np.where(is_stated, found.shift_m, 0.0)
-            moved = displaced(measured.scene, offsets, moved_m)
-            range_db, patterns = settings.decay_range_db, measured.directivities
-            seen = recorded(moved, measurements, measured.bands, patterns, range_db)
-        else:
-            fits = with_offsets(fits, outline, found)
-    return seen, traced, fits
-
-
-def _fitted_once(
+def _fits(
     measured: Measurements,
     priors: tuple[MaterialPrior, ...],
+    traced: TracedPaths,
     settings: Settings,
-    cache: Cache | None,
     progress: Progress | None,
-) -> tuple[TracedPaths, BandFits]:
-    """Return the paths of a room and the fits of all bands."""
+) -> BandFits:
+    """Return the fits of all bands."""
     start = eyring_start(measured)
-    traced = traced_paths(measured, priors, settings, start, cache, part(progress, 0.02, 0.45))
     pressures = is_coherent(measured.responses, settings) and (
         traced.far_images or settings.model == "coherent"
     )
     refine = _refinement(measured, priors, settings)
     _LOG.info("fitting %s", "pressures and energies" if pressures else "energies")
     if not pressures:
-        late = part(progress, 0.45, 0.98)
-        return traced, estimate_energies(measured, priors, traced, start, settings, refine, late)
-    task = coherent_task(measured, priors, traced, start, settings)
-    coherent = fit_coherent(task, traced, part(progress, 0.45, 0.85))
+        return estimate_energies(measured, priors, traced, start, settings, refine, progress)
+    state = initialise(coherent_task(measured, priors, traced, start, settings), traced)
+    coherent = fit_coherent(state, traced, part(progress, 0.0, 0.75))
     _LOG.info("finding confidence intervals")
-    fits = coherent_answers(coherent, settings, refine, part(progress, 0.85, 0.98))
-    del task, coherent  # with all bands, the most that is in memory
+    fits = coherent_answers(coherent, settings, refine, part(progress, 0.75, 1.0))
+    del state, coherent  # with all bands, the most that is in memory
     trim_memory()
-    return traced, fits
+    return fits
+
+
+def _with_positions_examined(
+    given: Recorded,
+    measurements: Sequence[Measurement | MeasuredValues],
+    priors: tuple[MaterialPrior, ...],
+    fitted: tuple[TracedPaths, BandFits],
+    settings: Settings,
+    cache: Cache | None,
+    progress: Progress | None,
+) -> tuple[Recorded, TracedPaths, BandFits]:
+    """Return the room as it was fitted, with what is displaced in it.
+
+    Where offsets are stated, the room is traced and fitted again at the most likely ones.
+    """
+    observed, (traced, fits), measured = given, fitted, given.measured
+    if settings.quick or settings.method not in LEAST_SQUARES_METHODS:
+        return given, traced, fits  # the paper's searches take positions as specified
+    _LOG.info("examining positions and lengths")
+    offsets = offsets_of(measured.scene)
+    is_stated = np.array([o.is_stated for o in offsets], dtype=np.bool_)
+    moved_m = np.zeros(len(offsets))
+    outline = _outline(measured, priors, traced, fits, offsets, moved_m)
+    if is_stated.any() and outline is not None:
+        moved_m = np.where(is_stated, located(outline).shift_m, 0.0)
+        scene = displaced(measured.scene, offsets, moved_m)
+        range_db, patterns = settings.decay_range_db, measured.directivities
+        observed = recorded(scene, measurements, measured.bands, patterns, range_db)
+        measured = observed.measured
+        start = eyring_start(measured)
+        early, late = part(progress, 0.0, 0.45), part(progress, 0.45, 1.0)
+        traced = traced_paths(measured, priors, settings, start, cache, early)
+        fits = _fits(measured, priors, traced, settings, late)
+        outline = _outline(measured, priors, traced, fits, offsets, moved_m)
+    if outline is not None:
+        fits = with_offsets(fits, outline, located(outline))
+    return observed, traced, fits
 
 
 def _warn_first(findings: Sequence[Finding]) -> None:
@@ -253,15 +261,12 @@ def _warn_first(findings: Sequence[Finding]) -> None:
 def _outline(
     measured: Measurements,
     priors: tuple[MaterialPrior, ...],
-    fitted: tuple[TracedPaths, BandFits],
-    settings: Settings,
+    traced: TracedPaths,
+    fits: BandFits,
     offsets: tuple[Offset, ...],
     moved_m: FloatArray,
 ) -> Outline | None:
-    """Return the fitted room to be displaced; the paper's searches take positions as specified."""
-    traced, fits = fitted
-    if settings.quick or settings.method not in LEAST_SQUARES_METHODS:
-        return None
+    """Return the fitted room to be displaced, if anything can be."""
     sources = fits.unknown_sources, fits.directivities
     return outline_of(measured, priors, traced, fits.answers, sources, offsets, moved_m)
 

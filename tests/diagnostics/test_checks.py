@@ -50,12 +50,15 @@ def test_a_module_states_the_law_of_every_code_that_it_raises(name):
     module = sys.modules[name]
     tree = ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8"))
     raised = {
-        node.args[0].attr
+        code.attr
         for node in ast.walk(tree)
         if isinstance(node, ast.Call)
         and isinstance(node.func, ast.Name)
         and node.func.id == "Finding"
-        and isinstance(node.args[0], ast.Attribute)
+        for code in ast.walk(node.args[0])
+        if isinstance(code, ast.Attribute)
+        and isinstance(code.value, ast.Name)
+        and code.value.id == "Code"
     }
     laws = getattr(module, "LAWS", {})
     assert {code.name for code in laws} == raised

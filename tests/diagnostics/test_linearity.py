@@ -15,7 +15,7 @@ import roomfit
 from roomfit.diagnostics import copies, noise_gate, noise_tail
 from roomfit.diagnostics.noise_tail import high_passed
 from roomfit.findings import Code, Finding
-from roomfit.inversion.coherent import fit_coherent
+from roomfit.inversion.coherent import fit_coherent, initialise
 from roomfit.inversion.measurements import collect_measurements, counted_once
 from roomfit.inversion.paths import traced_paths
 from roomfit.inversion.score_tests import (
@@ -257,7 +257,9 @@ def found_in(seed: int, change=lambda x, _: x, known: float | None = None) -> li
     traced = traced_paths(measured, tuple(priors), settings, start, None, None)
     task = coherent_task(measured, tuple(priors), traced, start, settings)
     asked = {Code.LEVELS_NOT_LINEAR, Code.DECAY_BENT, Code.FIXED_ABSORPTION_CONTRADICTED}
-    return [f for f in doubts_of_fit(fit_coherent(task, traced)) if f.code in asked]
+    return [
+        f for f in doubts_of_fit(fit_coherent(initialise(task, traced), traced)) if f.code in asked
+    ]
 
 
 @pytest.mark.slow

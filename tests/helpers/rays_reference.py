@@ -174,4 +174,4 @@ def monte_carlo_sd(rows: EnergyRows, coefficients: FloatArray, air_per_m: FloatA
 def tracing_variance(rows: EnergyRows, observed: Observation, absorption: FloatArray) -> FloatArray:
     """Return the Monte-Carlo variance of each window's energy, batches weighed for it alone."""
     batches = batch_energies(rows, absorption.reshape(-1, 1), np.zeros(1))[:, 0]
-    return variance_of_batches(in_windows(observed.spreading, batches))
+    return variance_of_batches(in_windows(observed.spreading, batches.T))

@@ -12,7 +12,7 @@ import pytest
 from coherent_cases import estimates_of
 from roomfit.diagnostics import positions
 from roomfit.findings import Code
-from roomfit.inversion.coherent import CoherentFit, CoherentTask, fit_coherent
+from roomfit.inversion.coherent import CoherentFit, CoherentTask, fit_coherent, initialise
 from roomfit.inversion.fits import Freed
 from roomfit.inversion.measurements import observe
 from roomfit.inversion.paths import TracedPaths
@@ -66,10 +66,8 @@ def fitted(campaign_file: Path, **options: str) -> CoherentFit:
         ((), ()),
     )
     still = np.zeros((len(room.materials), 2))
-    return fit_coherent(
-        task,
-        TracedPaths(paths, binned, END_S, None, still, 0 * still[:, 0], True, np.inf, None, ()),
-    )
+    traced = TracedPaths(paths, binned, END_S, None, still, 0 * still[:, 0], True, np.inf, None, ())
+    return fit_coherent(initialise(task, traced), traced)
 
 
 def test_a_box_is_found_within_its_intervals(box: tuple[Path, np.ndarray]) -> None:

@@ -26,7 +26,7 @@ from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.identification import identify
 from roomfit.inversion.bands import fit_bands
-from roomfit.inversion.coherent import CoherentFit, CoherentTask, fit_coherent
+from roomfit.inversion.coherent import CoherentFit, CoherentTask, fit_coherent, initialise
 from roomfit.inversion.directivity import (
     DirectivityScore,
     band_directivities,
@@ -186,7 +186,7 @@ def coherent_answer(
         unknown,
         omnidirectional(observed) if unknown is None else None,
     )
-    fit = fit_coherent(coherent, traced)
+    fit = fit_coherent(initialise(coherent, traced), traced)
     directed = tuple(None if b is None else b.directivity for b in fit.state.bands)
     answers = estimates_of(fit)
     return fit, answers, band_directivities(case.scene, unknown, directed, answers)

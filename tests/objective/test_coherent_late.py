@@ -122,7 +122,7 @@ def test_rows_of_bins_are_carried_into_windows_as_a_matrix_product_would() -> No
     dense = rng.random((7, 50)) * (rng.random((7, 50)) < 0.2)
     dense[3] = 0.0
     rows = rng.random((5, 50))
-    np.testing.assert_allclose(in_windows(csr_array(dense), rows), dense @ rows.T, rtol=1e-13)
+    np.testing.assert_allclose(in_windows(csr_array(dense), rows.T), dense @ rows.T, rtol=1e-13)
 
 
 def test_pressures_that_are_known_early_need_no_later_grid() -> None:

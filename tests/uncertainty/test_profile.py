@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,19 +23,27 @@ from posterior_cases import (
     linear_case,
 )
 from roomfit.bands import Bands
+from roomfit.diagnostics.minima import check_starts
 from roomfit.findings import Code
-from roomfit.inversion.bands import from_random_starts, starts_findings
+from roomfit.inversion.bands import from_random_starts
 from roomfit.objective.parameters import Parameters, physical_values, prior_residuals
 from roomfit.solvers.least_squares import BandFit, fit_band
 from roomfit.uncertainty.gaussian import FittedBand, absorption_intervals, band_estimate
 from roomfit.uncertainty.intervals import LEAST_SIDE, Refinement, profiled
 from roomfit.uncertainty.profile import RISE95, may_be_bent, profile, profile_curve
+from seen import of_answers
 
 pytestmark = pytest.mark.usefixtures("exact_fits")
 
 
 def fitted(problem) -> BandFit:
     return fit_band(problem)
+
+
+def evidence_of(starts) -> Any:
+    """Return evidence of one band with fits from several starts."""
+    answers = [SimpleNamespace(starts=starts)]
+    return of_answers(answers, Bands("octave", [500.0]), materials=("a", "b"))
 
 
 def refitted_rise(problem, fit: BandFit, entry: int, at: float) -> float:
@@ -250,7 +260,7 @@ def test_random_starts_find_the_other_of_two_exchangeable_materials():
     np.testing.assert_allclose(starts.other, values["absorption"][::-1], atol=0.02)
     assert abs(starts.loss) < 0.05
     assert 0 < starts.agreeing < 6
-    (finding,) = starts_findings(Bands("octave", [500.0]), ("a", "b"), [starts])
+    (finding,) = check_starts(evidence_of(starts))
     assert finding.code == Code.MULTIPLE_MINIMA_MULTISTART
     assert finding.evidence["bands_hz"] == [500.0]
 
@@ -261,7 +271,7 @@ def test_random_starts_that_agree_change_nothing():
     best, starts = from_random_starts(problem, fit, np.random.default_rng(1))
     assert best.vector is fit.vector and best.evaluations > fit.evaluations
     assert starts.agreeing == starts.number == 3
-    assert starts_findings(Bands("octave", [500.0]), ("a", "b"), [starts]) == ()
+    assert not list(check_starts(evidence_of(starts)))
 
 
 def test_a_second_fit_from_the_exchanged_absorptions_is_as_likely():

@@ -65,7 +65,7 @@ from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.posterior import plain_logit_covariance
 
-Seen = TypeVar("Seen", Recorded, Evidence)
+Observed = TypeVar("Observed", Recorded, Evidence)
 RecordedCheck: TypeAlias = Callable[[Recorded], Iterable[Finding]]
 FittedCheck: TypeAlias = Callable[[Evidence], Iterable[Finding]]
 
@@ -115,7 +115,7 @@ AFTER_THE_FIT: tuple[FittedCheck, ...] = (
 
 
 def examine(
-    checks: Sequence[Callable[[Seen], Iterable[Finding]]], evidence: Seen
+    checks: Sequence[Callable[[Observed], Iterable[Finding]]], evidence: Observed
 ) -> tuple[Finding, ...]:
     """Return what checks find in the evidence, in their order."""
     return tuple(finding for check in checks for finding in check(evidence))

@@ -50,7 +50,7 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     clearest = clearest_fault(scores, is_directed=is_directed)
     if clearest is None or _explained_by_walls(scores, evidence.fits.tests.freed_absorptions):
         return
-    power, loss, window = scores.power, scores.loss, scores.window
+    power, loss, window = scores.alone
     numbers = {
         "exponent": round(1.0 + power.value, 4),
         "exponent_sd": round(power.sd, 4),
@@ -87,14 +87,14 @@ def check(evidence: Evidence) -> Iterator[Finding]:
 
 def clearest_fault(scores: ChainScores, *, is_directed: bool) -> int | None:
     """Return which of power, loss and window is clearest; None where none is clear and large."""
-    three = (scores.power, scores.loss, scores.window)
-    sizes = [abs(s.value) / s.sd for s in three]
+    sizes = [abs(s.value) / s.sd for s in scores.alone]
     least = (_LEAST_EXPONENT, _LEAST_LOSS, _LEAST_RATE * scores.decay_rate_per_s)
     clear = [
-        _is_clear(s) and abs(s.value) > smallest for s, smallest in zip(three, least, strict=True)
+        _is_clear(s) and abs(s.value) > smallest
+        for s, smallest in zip(scores.alone, least, strict=True)
     ]
     # nothing saturates by a gain
-    clear[1] &= scores.loss.value > 0.0
+    clear[1] &= scores.alone[1].value > 0.0
     clear[:2] = [c and not is_directed for c in clear[:2]]
     clearest = int(np.argmax(np.where(clear, sizes, 0.0)))
     return clearest if clear[clearest] else None
@@ -114,7 +114,7 @@ def explained_by_the_chain(
     if clearest is None:
         return False
     n, gain = len(freed.gains), sum(freed.gains.values())
-    alone, beside = scores[clearest], scores.beside_freed[clearest]
+    alone, beside = scores.alone[clearest], scores.beside_freed[clearest]
     left = gain + beside.gain - alone.gain
     return 2.0 * left <= float(chdtri(n, _LEVEL)) and alone.gain - 1.0 > gain - n + _UNDECIDED
 
@@ -132,8 +132,8 @@ def _explained_by_walls(scores: ChainScores, freed: Sequence[FreedAbsorption]) -
     """
     if not scores.beside_freed:
         return False
-    clearest = int(np.argmax([s.gain for s in scores[:3]]))
+    clearest = int(np.argmax([s.gain for s in scores.alone]))
     if any(_is_clear(s) for s in scores.beside_freed):
         return False
     by_walls = max((sum(f.gains.values()) - len(f.gains) for f in freed), default=0.0)
-    return by_walls > scores[clearest].gain - 1.0 + _UNDECIDED
+    return by_walls > scores.alone[clearest].gain - 1.0 + _UNDECIDED

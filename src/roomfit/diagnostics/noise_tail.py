@@ -207,8 +207,8 @@ def _levels(m: MeasuredPair, share: float) -> _Levels | None:
     n_free = np.maximum((last - first) * np.sum(power) ** 2 / (power.size * np.sum(power**2)), 1.0)
     mean = digamma(0.5 * n_free) - np.log(0.5 * n_free)
     return _Levels(
-        0.5 * (first + last) / rate_hz,
-        np.log(energy) - mean,
+        np.asarray(0.5 * (first + last) / rate_hz, dtype=np.float64),
+        np.asarray(np.log(energy) - mean, dtype=np.float64),
         np.asarray(polygamma(1, 0.5 * n_free)),
         0.5 * sum(early) / rate_hz,
         float(np.log(loud)),

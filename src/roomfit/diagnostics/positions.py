@@ -136,10 +136,10 @@ def check_shifts(evidence: Evidence) -> Iterator[Finding]:
 
 def _about_points(scene: Scene, labels: Collection[str]) -> About:
     """Return what concerns points that are named as "source LS1" or "receiver MP1"."""
-    places = [
+    points_m = [
         p.position_m
         for kind, points in zip(_KINDS, (scene.sources, scene.receivers), strict=True)
         for p in points
         if f"{kind} {p.name}" in labels
     ]
-    return About(points_m=[(float(x), float(y), float(z)) for x, y, z in places])
+    return About(points_m=[(float(x), float(y), float(z)) for x, y, z in points_m])

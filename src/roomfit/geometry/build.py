@@ -174,7 +174,7 @@ def _spot(surface: Surface, corners_m: FloatArray) -> tuple[str, FloatArray]:
     return surface.name, corners_m.mean(axis=0)
 
 
-def _places(spots: Sequence[tuple[str, FloatArray]]) -> list[tuple[str, str]]:
+def _named_points(spots: Sequence[tuple[str, FloatArray]]) -> list[tuple[str, str]]:
     return [(name, place(point_m)) for name, point_m in spots]
 
 
@@ -193,7 +193,7 @@ def _findings(spots: _Spots, most_warped_m: float) -> tuple[Finding, ...]:
             fault(
                 Code.ZERO_AREA_FACE,
                 "faces without area",
-                where=listed(_places(no_area)),
+                where=listed(_named_points(no_area)),
                 found=f"{len(no_area)}",
                 needed="at least three corners that do not stand on one line",
                 hint="delete these faces in the drawing program (in Blender: Degenerate Dissolve)",
@@ -202,22 +202,22 @@ def _findings(spots: _Spots, most_warped_m: float) -> tuple[Finding, ...]:
         )
     for code, sentence in sentences.items():
         if own := spots.get(code):
-            places = _places(own)
-            text = f"{_count(own)} {sentence}: {listed(places)}."
+            named = _named_points(own)
+            text = f"{_count(own)} {sentence}: {listed(named)}."
             about = about_points(point for _, point in own)
-            found.append(Finding(code, about, text, {"places": places}))
+            found.append(Finding(code, about, text, {"places": named}))
     if warped := spots.get(Code.WARPED_POLYGON):
         found.append(_warped(warped, most_warped_m))
     return tuple(found)
 
 
 def _warped(spots: list[tuple[str, FloatArray]], off_plane_m: float) -> Finding:
-    places, points_m = _places(spots), [point for _, point in spots]
+    named, points_m = _named_points(spots), [point for _, point in spots]
     if off_plane_m > TOO_WARPED_FROM_M:
         return fault(
             Code.POLYGON_NOT_PLANAR,
             "polygons that are not flat",
-            where=listed(places),
+            where=listed(named),
             found=f"corners up to {1e3 * off_plane_m:.0f} mm off their plane",
             needed=f"at most {1e3 * TOO_WARPED_FROM_M:.0f} mm",
             hint="look for a mistyped corner, or give the surface as triangles",
@@ -225,7 +225,7 @@ def _warped(spots: list[tuple[str, FloatArray]], off_plane_m: float) -> Finding:
             off_plane_m=off_plane_m,
         )
     text = (
-        f"{_count(spots)} not flat, by up to {1e3 * off_plane_m:.1f} mm: {listed(places)}. "
+        f"{_count(spots)} not flat, by up to {1e3 * off_plane_m:.1f} mm: {listed(named)}. "
         "They are cut into flat triangles."
     )
     return Finding(Code.WARPED_POLYGON, about_points(points_m), text, {"off_plane_m": off_plane_m})

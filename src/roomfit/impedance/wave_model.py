@@ -21,8 +21,7 @@ from roomfit.scene import Room, Scene, distances_m, triangle_material
 from roomfit.tracing.image_sources import (
     affordable_duration_s,
     expected_images,
-    image_positions_m,
-    lattice_indices,
+    images_within,
     limits_of,
     polyhedron_images,
     wall_hits,
@@ -158,8 +157,7 @@ def _box_paths(
 ) -> UnfoldedPaths:
     """Return the paths of one pair, in which hits on one wall, all at one angle, are one bounce."""
     lengths = np.array(room.shoebox_m, dtype=np.float64)
-    index = lattice_indices(lengths, source_m, receiver_m, _ANY_ORDER, longest_m)
-    vector = receiver_m - image_positions_m(index, lengths, source_m)
+    index, vector = images_within(lengths, source_m, receiver_m, _ANY_ORDER, longest_m)
     near = np.argsort(np.linalg.norm(vector, axis=1), kind="stable")
     index, vector = index[near], vector[near]
     turned = np.where(index % 2 == 0, 1.0, -1.0)

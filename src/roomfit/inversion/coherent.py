@@ -445,7 +445,7 @@ class CoherentFit:
 
 
 def fit_coherent(
-    task: CoherentTask, traced: TracedPaths, progress: Progress | None = None
+    state: SequentialState, traced: TracedPaths, progress: Progress | None = None
 ) -> CoherentFit:
     """Fit every band with image sources as coherent as their times are known.
 
@@ -455,13 +455,13 @@ def fit_coherent(
 
     Parameters
     ----------
-    task : CoherentTask
+    state : SequentialState
+        As `initialise` returns it.
     traced : TracedPaths
         Of all pairs: image sources, the further the better, and rays for what they leave.
     """
-    settings = task.settings
-    state = _with_sources_examined(initialise(task, traced), traced)
-    task = state.task
+    state = _with_sources_examined(state, traced)
+    task, settings = state.task, state.task.settings
     fits = forward_pass(state.bands, settings, part(progress, 0.0, 0.8), state.first)
     if settings.quick:
         fits, _ = leave_one_out_pass(state.bands, fits, settings)

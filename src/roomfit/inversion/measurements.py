@@ -194,19 +194,21 @@ def recording_findings(
     measured: Sequence[MeasuredPair], speed_of_sound_m_s: float
 ) -> tuple[Finding, ...]:
     """Return what is doubtful of each recording by itself: as read, its onset, its decay range."""
-    findings: list[Finding] = []
-    for m in (p.measurement for p in measured):
-        findings += m.findings
-        if not m.findings:  # arrays: no reader has looked at them
-            findings += clipping_findings(m.response.pressure, f"{m.source} to {m.receiver}")
+    read: list[Finding] = []
+    evaluated: list[Finding] = []
     for p in measured:
         m, rate_hz = p.measurement, p.response.sampling_rate_hz
-        name = f"{m.source} to {m.receiver} ({m.name})"
+        name, pairs = f"{m.source} to {m.receiver} ({m.name})", [(m.source, m.receiver)]
+        own = list(m.findings)
+        if not own:  # arrays: no reader has looked at them
+            own += clipping_findings(m.response.pressure, f"{m.source} to {m.receiver}")
+        read += own
+        own = [*range_findings(p.parameters, name)]
         if m.time_zero == "emission":
             onset_s = find_onset(p.response, m.where)
-            findings += compare_onset(onset_s, p.direct_s, speed_of_sound_m_s, name, rate_hz)
-        findings += range_findings(p.parameters, name)
-    return tuple(findings)
+            own = [*compare_onset(onset_s, p.direct_s, speed_of_sound_m_s, name, rate_hz), *own]
+        evaluated += [replace(f, about=replace(f.about, files=[m.where], pairs=pairs)) for f in own]
+    return (*read, *evaluated)
 
 
 def on_one_clock(

@@ -180,12 +180,11 @@ def common(scores: FloatArray, information: FloatArray, variance: float = 1.0) -
 class ChainScores(NamedTuple):
     """What all bands together ask of a chain that bends levels or decays."""
 
-    power: Score  # exponent less 1
-    loss: Score  # relative, at the peak
-    window: Score  # decay rate of energy in 1/s
+    # of a power (exponent less 1), a loss (relative, at the peak), a window (energy, in 1/s)
+    alone: tuple[Score, ...]
     decay_rate_per_s: float  # of energy, the median over the bands as measured
     bands: tuple[int, ...]  # those that were looked at
-    # of power, loss and window with all fixed absorptions freed; empty where none is fixed
+    # the same with all fixed absorptions freed; empty where none is fixed
     beside_freed: tuple[Score, ...] = ()
 
 
@@ -219,7 +218,7 @@ def chain_scores(
         alone.append(scored(w, columns))
         beside.append(_beside(w, columns, priors))
     return ChainScores(
-        *_common_to_bands(alone),
+        _common_to_bands(alone),
         float(np.median([w.decay_rate_per_s for w in fitted])),
         tuple(w.band for w in fitted),
         _common_to_bands(beside) if any(p.known is not None for p in priors) else (),

@@ -378,7 +378,7 @@ def batch_spread(
     each = zip(energies.observations, sources, strict=True)
     for number, (observed, source) in enumerate(each):
         batches = parts_of(energies, number, values["absorption"]).batches[:n_batches]
-        windows = gains[observed.gain] * in_windows(observed.spreading, batches)
+        windows = gains[observed.gain] * in_windows(observed.spreading, batches.T)
         last = first + observed.energy.size
         out[first:last, names.index(source)] = windows - windows.mean(axis=1, keepdims=True)
         first = last

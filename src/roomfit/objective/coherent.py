@@ -41,7 +41,6 @@ from roomfit.objective.windows import in_windows, squares_in_windows, with_squar
 from roomfit.response.binned import BinnedPaths, in_band, regrouped
 from roomfit.response.coherent import (
     BandGrid,
-    CoherentResponse,
     ImagePaths,
     band_grid,
     binned_energies,
@@ -105,7 +104,8 @@ class CoherentTerm(DataTerm):
         """Return what the model expects in every window, by absorption, gains and geometry."""
         expected, signal, derivatives = self.energies.predict(values)
         absorption = values["absorption"]
-        response = self._in_pieces(values)
+        times, edges_s = times_of(self.geometry, values[GEOMETRY]), self._edges_s()
+        response = coherent_response(self.coherent, absorption, times, self.grid, edges_s)
         pieces = _first_pieces(self.early)
         energy, by_log, by_times = (
             np.add.reduceat(x, pieces)
@@ -181,14 +181,13 @@ class CoherentTerm(DataTerm):
                 hits,
             )
             energies.append(observed.spreading @ total)
-            by_hits.append(in_windows(observed.spreading, hits))
+            by_hits.append(in_windows(observed.spreading, hits.T))
         return np.concatenate(energies), np.concatenate(by_hits)
 
     def expected(self, values: Values) -> FloatArray:
         """Return what the model expects in every window, shape (n_windows,)."""
         expected = self.energies.expected(values)
-        in_pieces = self._in_pieces(values, derivative=False).energy
-        energy = np.add.reduceat(in_pieces, _first_pieces(self.early))
+        energy = np.add.reduceat(self._in_pieces(values), _first_pieces(self.early))
         less, _ = self._less(image_energies(self.coherent, values["absorption"]))
         gains = np.append(values["gain"], 1.0)
         gain = np.repeat([gains[o.gain] for o in self.early], [o.energy.size for o in self.early])
@@ -208,7 +207,7 @@ class CoherentTerm(DataTerm):
         paths = weighed(self.energies, values["absorption"])
         intensity = self._last.get(_key(values))
         if intensity is None:
-            intensity = self._in_pieces(values, derivative=False).energy
+            intensity = self._in_pieces(values)
         ends = np.cumsum([0, *(o.fine_edges_s.size - 1 for o in self.early)])
         energy = image_energies(self.images, values["absorption"])
         parts = []
@@ -225,16 +224,15 @@ class CoherentTerm(DataTerm):
             parts.append(own)
         return end_to_end(parts)
 
-    def _in_pieces(self, values: Values, *, derivative: bool = True) -> CoherentResponse:
+    def _in_pieces(self, values: Values) -> FloatArray:
         """Return the energy of the coherent pressure in the pieces of the early windows."""
+        times, edges_s = times_of(self.geometry, values[GEOMETRY]), self._edges_s()
         return coherent_response(
-            self.coherent,
-            values["absorption"],
-            times_of(self.geometry, values[GEOMETRY]),
-            self.grid,
-            tuple(o.fine_edges_s for o in self.early),
-            derivative=derivative,
-        )
+            self.coherent, values["absorption"], times, self.grid, edges_s, derivative=False
+        ).energy
+
+    def _edges_s(self) -> tuple[FloatArray, ...]:
+        return tuple(o.fine_edges_s for o in self.early)
 
     def correlation_length(self, _start: Values) -> FloatArray:
         """Return `WINDOWS_PER_INDEPENDENT_ONE` for every window."""

@@ -207,7 +207,7 @@ def kept_paths(
     for number, o in enumerate(observations):
         parts = parts_of(weighed, number, absorption)
         fine.append(o.fine_spreading @ parts.energy)
-        tracing.append(variance_of_batches(in_windows(o.spreading, parts.batches)))
+        tracing.append(variance_of_batches(in_windows(o.spreading, parts.batches.T)))
         first.append(n_fine + np.searchsorted(o.fine_edges_s, o.edges_s[:-1]))
         n_fine += o.fine_edges_s.size - 1
     noise = np.concatenate([o.noise for o in observations])

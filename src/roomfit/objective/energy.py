@@ -14,7 +14,6 @@ from roomfit.errors import InputError
 from roomfit.objective.parameters import start_vector
 from roomfit.objective.problem import DataTerm, Objective, Rows, Values, count_evaluation
 from roomfit.objective.windows import (
-    columns_in_windows,
     in_windows,
     squares_in_windows,
     with_squares,
@@ -111,7 +110,7 @@ class EnergyTerm(DataTerm):
             pattern = self.patterns[o] if self.patterns else None
             walls, air = values["absorption"], self.attenuation_per_m
             parts = weigh_parts(self.rows[o], pattern, walls, air, derivative=True)
-            found = columns_in_windows(observation.spreading, parts.columns)
+            found = in_windows(observation.spreading, parts.columns)
             last = 2 + len(parts.batches)
             tracing = variance_of_batches(found[:, 2:last])
             paths.append(Weighed(parts.energy, parts.squares, tracing))
@@ -251,9 +250,10 @@ def weighed(problem: EnergyTerm, absorption: FloatArray) -> tuple[Weighed, ...]:
     if known is not None:
         return known
     found = []
-    for o, observed in enumerate(problem.observations):
-        parts = parts_of(problem, o, absorption)
-        tracing = variance_of_batches(in_windows(observed.spreading, parts.batches))
+    patterns = problem.patterns or (None,) * len(problem.rows)
+    for rows, pattern, observed in zip(problem.rows, patterns, problem.observations, strict=True):
+        parts = weigh_parts(rows, pattern, absorption, problem.attenuation_per_m)
+        tracing = variance_of_batches(in_windows(observed.spreading, parts.batches.T))
         found.append(Weighed(parts.energy, parts.squares, tracing))
     return tuple(found)
 

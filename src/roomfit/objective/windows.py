@@ -108,18 +108,11 @@ def windows_decay_s(edges_s: FloatArray, energy: FloatArray, name: str) -> float
     return float(-60.0 / slope) if slope < 0.0 else float("nan")
 
 
-def in_windows(spreading: csr_array, rows: FloatArray) -> FloatArray:
-    """Return ``shares @ rows.T``, all rows side by side, shape (n_windows, n_rows).
-
-    Of shares, (n_windows, n_bins), and rows, (n_rows, n_bins).
-    """
-    return columns_in_windows(spreading, np.ascontiguousarray(rows.T))
-
-
-def columns_in_windows(spreading: csr_array, columns: FloatArray) -> FloatArray:
-    """Return ``shares @ columns``, shape (n_windows, n_columns)."""
+def in_windows(spreading: csr_array, columns: FloatArray) -> FloatArray:
+    """Return ``shares @ columns``, shape (n_windows, n_columns), of columns (n_bins, n_columns)."""
     out = np.zeros((spreading.shape[0], columns.shape[1]))
-    _add_up(spreading.indptr, spreading.indices, spreading.data, columns, out)
+    own = np.ascontiguousarray(columns)
+    _add_up(spreading.indptr, spreading.indices, spreading.data, own, out)
     return out
 
 

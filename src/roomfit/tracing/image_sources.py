@@ -318,8 +318,7 @@ def shoebox_images(
            acoustics", J. Acoust. Soc. Am. 65, 943-950 (1979).
     """
     lengths = np.array(room.shoebox_m, dtype=np.float64)
-    index = lattice_indices(lengths, source_m, receiver_m, order, max_length_m)
-    to_receiver = receiver_m - image_positions_m(index, lengths, source_m)
+    index, to_receiver = images_within(lengths, source_m, receiver_m, order, max_length_m)
     distance = np.linalg.norm(to_receiver, axis=1)
     near = np.argsort(distance, kind="stable")
     index, to_receiver, distance = index[near], to_receiver[near], distance[near]
@@ -344,17 +343,17 @@ def count_of_shoebox_images(
     return min(octahedron, 4.0 / 3.0 * math.pi * reach**3 / math.prod(lengths_m))
 
 
-def lattice_indices(
+def images_within(
     lengths: FloatArray, source: FloatArray, receiver: FloatArray, order: int, max_length_m: float
-) -> IntArray:
-    """Return the indices (n, 3) of images within order and distance, some slices in x at a time.
+) -> tuple[IntArray, FloatArray]:
+    """Return index (n, 3) of images within order and distance, and vector to the receiver in m.
 
-    See `shoebox_images` for what an index means.
+    See `shoebox_images` for what an index means. Some slices in x are taken at a time.
     """
     # image i is at least |i| - 1 lengths away
     last = np.minimum(order, np.floor(max_length_m / lengths).astype(np.int64) + 1)
     y, z = (np.arange(-n, n + 1) for n in last[1:])
-    slices = []
+    indices, vectors = [], []
     # of few images all slices at once
     x = np.arange(-last[0], last[0] + 1)
     n_at_once = max(_AT_ONCE // (y.size * z.size), 1)
@@ -363,15 +362,12 @@ def lattice_indices(
         n_hits = np.abs(part)[:, None, None] + np.abs(y)[:, None] + np.abs(z)
         i, j, k = np.nonzero(n_hits <= order)
         index = np.column_stack([part[i], y[j], z[k]])
-        away = np.linalg.norm(image_positions_m(index, lengths, source) - receiver, axis=1)
-        slices.append(index[away <= max_length_m])
-    return np.concatenate(slices)
-
-
-def image_positions_m(index: IntArray, lengths: FloatArray, source: FloatArray) -> FloatArray:
-    """Return where the images of these indices stand, (n, 3)."""
-    mirrored = np.where(index % 2 == 0, source, lengths - source)
-    return np.asarray(index * lengths + mirrored)
+        mirrored = np.where(index % 2 == 0, source, lengths - source)
+        to_receiver = receiver - (index * lengths + mirrored)
+        near = np.linalg.norm(to_receiver, axis=1) <= max_length_m
+        indices.append(index[near])
+        vectors.append(to_receiver[near])
+    return np.concatenate(indices), np.concatenate(vectors)
 
 
 def wall_hits(index: IntArray, wall: int) -> IntArray:

@@ -433,8 +433,9 @@ def _trace_source(
     receivers = spheres(centres, radii[receiver], pair)
     directions = start_directions(settings, source)
     rain = float(job.scattering.max(initial=0.0)) if job.rain else 0.0
-    per_ray = _paths_along(scene.room, receivers.radius_m, job.max_length_m, rain)
-    for rays in _blocks(scene.room, per_ray, job, settings.n_rays):
+    size = _size(scene.room)
+    per_ray = _paths_along(size, receivers.radius_m, job.max_length_m, rain)
+    for rays in _blocks(size, per_ray, job, settings.n_rays):
         capacity = int(1.2 * per_ray * CHUNK_RAYS) + 64
         caught, tally = _trace_block(walls, receivers, job, directions, rays, capacity)
         yield rays.stop, _packed(caught, receivers, directions, settings.n_batches), tally
@@ -459,9 +460,10 @@ def expected_paths(
     """
     radii = _radii(scene, settings, receiver_radii_m)[scene.pairs[:, 1]]
     length = settings.duration_s * speed_of_sound_m_s(scene.air)
-    length = min(length, settings.max_hits * _mean_free_path_m(scene.room))
+    size = _size(scene.room)
+    length = min(length, settings.max_hits * size.mean_free_path_m)
     rain = scattering if settings.estimator == "rain" else 0.0
-    return settings.n_rays * _paths_along(scene.room, radii, length, rain)
+    return settings.n_rays * _paths_along(size, radii, length, rain)
 
 
 def path_bytes(scene: Scene) -> int:
@@ -488,30 +490,33 @@ def _radii(scene: Scene, settings: TraceSettings, receiver_radii_m: ArrayLike | 
     )
 
 
-def _volume_m3(room: Room) -> float:
-    """Return the volume; of the bounding box, where the mesh encloses none."""
+class _Size(NamedTuple):
+    """Of a room; where its mesh encloses nothing, of the bounding box."""
+
+    volume_m3: float
+    mean_free_path_m: float
+
+
+def _size(room: Room) -> _Size:
     volume = abs(volume_m3(room.mesh))
     box = float(np.prod(np.ptp(room.mesh.vertices_m, axis=0)))
-    return volume if volume > 1e-3 * box else max(box, 1e-9)
+    volume = volume if volume > 1e-3 * box else max(box, 1e-9)
+    return _Size(volume, 4.0 * volume / surface_area_m2(room.mesh))
 
 
-def _mean_free_path_m(room: Room) -> float:
-    return 4.0 * _volume_m3(room) / surface_area_m2(room.mesh)
-
-
-def _paths_along(room: Room, radii_m: FloatArray, length_m: float, rain: float) -> float:
+def _paths_along(size: _Size, radii_m: FloatArray, length_m: float, rain: float) -> float:
     """Return how many paths one ray is expected to give, at most.
 
     Diffuse rain brings the energy of the crossings that it replaces, in paths of at least
     `FAINTEST` of their weight, never more than one for a diffuse reflection and a receiver.
     """
-    crossings = length_m * np.pi * radii_m**2 / _volume_m3(room)
-    drops = np.minimum(crossings / FAINTEST, length_m / _mean_free_path_m(room))
+    crossings = length_m * np.pi * radii_m**2 / size.volume_m3
+    drops = np.minimum(crossings / FAINTEST, length_m / size.mean_free_path_m)
     return float(crossings.sum() + rain * drops.sum())
 
 
-def _blocks(room: Room, per_ray: float, job: Job, n_rays: int) -> Iterator[range]:
-    flights = 1.0 + job.max_length_m / _mean_free_path_m(room)
+def _blocks(size: _Size, per_ray: float, job: Job, n_rays: int) -> Iterator[range]:
+    flights = 1.0 + job.max_length_m / size.mean_free_path_m
     rays = min(_BLOCK_FLIGHTS / flights, _BLOCK_CROSSINGS / max(per_ray, 1e-9))
     step = max(int(rays) // CHUNK_RAYS, 1) * CHUNK_RAYS
     for start in range(0, n_rays, step):
