@@ -614,11 +614,11 @@ def _source_scores(state: SequentialState) -> dict[int, DirectivityScore]:
 
 
 def _with_sources_examined(state: SequentialState, traced: TracedPaths) -> SequentialState:
-    """Return the bands anew with the directivity unknown of each source that energies contradict.
+    """Return the bands anew with unknown directivities where energies contradict that of a source.
 
-    It comes before all else is fitted: where a loudspeaker is taken for omnidirectional, positions,
-    scattering and the laws of the measurement chain are bent to explain what it does to the levels
-    of reflections.
+    Of all sources taken for omnidirectional: a measurement rarely has two kinds. It comes before
+    all else is fitted: where a loudspeaker is taken for omnidirectional, positions, scattering and
+    the laws of the measurement chain are bent to explain what it does to the levels of reflections.
     """
     task = state.task
     if not task.fits_contradicted or task.tested_sources is None or task.settings.quick:
@@ -626,9 +626,8 @@ def _with_sources_examined(state: SequentialState, traced: TracedPaths) -> Seque
     found = contradicted_sources(task.tested_sources, _source_scores(state))
     if not found:
         return state
-    names = [own.source for own in found]
-    fitted, rest = with_fitted_sources(task.directivity_parameters, task.tested_sources, names)
-    again = replace(task, directivity_parameters=fitted, tested_sources=rest, contradicted=found)
+    fitted = with_fitted_sources(task.directivity_parameters, task.tested_sources)
+    again = replace(task, directivity_parameters=fitted, tested_sources=None, contradicted=found)
     return initialise(again, traced)
 
 

@@ -175,45 +175,21 @@ def contradicted_sources(
 
 
 def with_fitted_sources(
-    unknown: DirectivityParameters | None,
-    tested_sources: DirectivityParameters,
-    chosen: Sequence[str],
-) -> tuple[DirectivityParameters, DirectivityParameters | None]:
-    """Return sources whose directivity is fitted, those chosen among them, and the others tested.
-
-    The default prior of a directivity of first order is that of the chosen ones.
-
-    Parameters
-    ----------
-    chosen : sequence of str
-        Names among `tested_sources`.
-    """
-    n = tested_sources.of_source.size
+    unknown: DirectivityParameters | None, tested: DirectivityParameters
+) -> DirectivityParameters:
+    """Return the sources whose directivity is fitted, joined by those that were tested."""
+    n_before = 0 if unknown is None else len(unknown.sources)
+    of_source = np.where(tested.of_source >= 0, tested.of_source + n_before, -1)
+    new = replace(tested, of_source=of_source)
     if unknown is None:
-        none = np.full(n, -1)
-        unknown = DirectivityParameters((), none, np.zeros((0, 3)), np.zeros(0), (None,) * n)
-    of_source, names = np.array(unknown.of_source), list(unknown.sources)
-    left, rest = np.full(n, -1), list[str]()
-    for s, name in enumerate(tested_sources.sources):
-        own = tested_sources.of_source == s
-        if name in chosen:
-            of_source[own] = len(names)
-            names.append(name)
-        else:
-            left[own] = len(rest)
-            rest.append(name)
-    more = len(names) - len(unknown.sources)
-    fitted = DirectivityParameters(
-        tuple(names),
-        of_source,
-        np.concatenate((unknown.mean, np.zeros((more, 3)))),
-        np.concatenate((unknown.sd, np.full(more, DEFAULT_B_SD))),
-        unknown.aims or (None,) * n,
+        return replace(new, aims=(None,) * of_source.size)
+    return DirectivityParameters(
+        (*unknown.sources, *tested.sources),
+        np.where(of_source >= 0, of_source, unknown.of_source),
+        np.concatenate((unknown.mean, tested.mean)),
+        np.concatenate((unknown.sd, tested.sd)),
+        unknown.aims,
     )
-    if not rest:
-        return fitted, None
-    sds = np.full(len(rest), DEFAULT_B_SD)
-    return fitted, DirectivityParameters(tuple(rest), left, np.zeros((len(rest), 3)), sds)
 
 
 def band_information(fit: BandFit, first: int) -> tuple[FloatArray, FloatArray]:

@@ -258,11 +258,12 @@ def outline_of(
     attenuation = attenuation_per_m(scene.air, bands)
     unknown, found = directivities
     start = np.array([float(np.mean(a.absorption)) for a in answers])
+    responses = _with_gains_of_their_own(measured.responses)
     made = energy_terms(
         scene,
         bands,
         priors,
-        measured.responses,
+        responses,
         traced.binned,
         start,
         periods=_PERIODS,
@@ -276,7 +277,7 @@ def outline_of(
     for band, own in enumerate(made):
         if own is None or bands.centres_hz[band] < _LEAST_HZ or answers[band].model == "prior":
             continue
-        files = fitted_in_band(measured.responses, band)
+        files = fitted_in_band(responses, band)
         rows = tuple(chosen_rows(r, ~moves) for r in own[0].rows)
         term, parameters = replace(own[0], rows=rows), own[1]
         directivity, b = None, np.zeros((0, 3))
@@ -296,6 +297,20 @@ def outline_of(
         return None
     kernel = spreading_kernel(bands)
     return Outline(measured, traced, offsets, moved_m, until_s, order, kernel, tuple(out[::-1]))
+
+
+def _with_gains_of_their_own(responses: Sequence[MeasuredPair]) -> tuple[MeasuredPair, ...]:
+    """Return responses of which none shares its unknown gain with another.
+
+    Levels differ by what is no displacement: files that were normalised singly, a loudspeaker
+    that radiates less one way. Arrivals and levels within a response say where its images are.
+    """
+    return tuple(
+        replace(m, measurement=replace(m.measurement, level="per-file"))
+        if m.measurement.level == "per-source"
+        else m
+        for m in responses
+    )
 
 
 def _starting_at(parameters: Parameters, absorption: FloatArray) -> Parameters:

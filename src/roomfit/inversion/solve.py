@@ -139,8 +139,7 @@ def estimate_energies(
     against = fits.contradicted
     if not against or tested is None or settings.quick or not is_fittable(measured, settings):
         return fits
-    again = estimated(*with_fitted_sources(unknown, tested, [own.source for own in against]))
-    return replace(again, contradicted=(*against, *again.contradicted))
+    return replace(estimated(with_fitted_sources(unknown, tested), None), contradicted=against)
 
 
 def energy_objectives(
