@@ -33,6 +33,7 @@ from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.materials.priors import DEFAULT_MEAN
 from roomfit.results import Result
+from roomfit.table import text_of
 from simulated_rooms.measured_polyhedron import Shape, polyhedron_plan, write_measured_polyhedron
 
 MOST_MATERIALS = 7
@@ -98,7 +99,7 @@ def show(rooms: list[Room]) -> None:
     found = pooled(rooms)
     rows = coverage_rows(found)
     print(f"{len(rooms)} rooms (uniform: the area mean of each answer)")
-    print(coverage_table(rows))
+    print(text_of(coverage_table(rows)))
     print(verdict(rows[-1]))
     _show_parts(found, rooms)
 

@@ -31,10 +31,10 @@ from roomfit.commands import identify_to_folder
 from roomfit.errors import InputError, RoomfitError, StoreError
 from roomfit.io.campaign import input_files, read_campaign
 from roomfit.io.door import complete, json_content, read_text
-from roomfit.io.encoding import csv_text, input_digests
+from roomfit.io.encoding import input_digests
 from roomfit.report.figures import in_file_name
 from roomfit.report.html import tables_page
-from roomfit.report.wording import Cell, Row, Table
+from roomfit.table import Cell, Column, Table, Value, csv_of, written
 from roomfit.typing import Progress
 from roomfit.workers import completed, keep_one_thread, result_of
 
@@ -45,20 +45,10 @@ ROOMS, FAILURES = "rooms", "failures"
 # Where the field quotes one number for a room.
 _MIDDLE_HZ = (500.0, 1000.0)
 _COLUMNS = (
-    "room",
-    "status",
-    "result",
-    "identifiable",
-    "values",
-    "room_mean_absorption",
-    "room_mean_lower95",
-    "room_mean_upper95",
-    "T_measured_s",
-    "T_predicted_s",
-    "largest_reduced_chi_square",
-    "findings",
-    "seconds",
-    "message",
+    *("room", "status", "result", "identifiable", "values"),
+    *(Column(f"room_mean_{name}", ".4f") for name in ("absorption", "lower95", "upper95")),
+    *(Column(f"T_{name}_s", ".3f") for name in ("measured", "predicted")),
+    *(Column("largest_reduced_chi_square", ".2f"), "findings", Column("seconds", ".1f"), "message"),
 )
 
 
@@ -336,8 +326,11 @@ def write_table(out: Path, rows: Sequence[RoomRow]) -> None:
     StoreError
         The disk refuses.
     """
-    write_text_atomically(out / "rooms.csv", csv_text(_COLUMNS, [_cells(row) for row in rows]))
-    write_text_atomically(out / "rooms.html", tables_page("Rooms", counted(rows), (_table(rows),)))
+    records = Table("", _COLUMNS, [*map(_record, rows)])
+    write_text_atomically(out / "rooms.csv", csv_of(records))
+    write_text_atomically(
+        out / "rooms.html", tables_page("Rooms", counted(rows), (_page_table(rows),))
+    )
 
 
 def counted(rows: Sequence[RoomRow]) -> str:
@@ -347,52 +340,36 @@ def counted(rows: Sequence[RoomRow]) -> str:
     return f"{len(rows)} rooms: " + ", ".join(f"{n} {kind}" for n, kind in numbers if n) + "."
 
 
-def _shown(value: float, decimals: int, unit: str = "") -> str:
-    return f"{value:.{decimals}f}{unit}" if np.isfinite(value) else ""
+def _record(row: RoomRow) -> tuple[Value, ...]:
+    """Return a row of rooms.csv."""
+    report = f"{row.folder}/report.html" if row.folder else ""
+    numbers = (row.identifiable, row.values, *row.mean, *row.decay_s, row.chi2_reduced)
+    findings, message = " ".join(row.findings), " ".join(row.message.split())
+    return (row.name, row.status, report, *numbers, findings, row.seconds, message)
 
 
-def _cells(row: RoomRow) -> list[object]:
-    return [
-        row.name,
-        row.status,
-        f"{row.folder}/report.html" if row.folder else "",
-        row.identifiable,
-        row.values,
-        *(_shown(v, 4) for v in row.mean),
-        *(_shown(v, 3) for v in row.decay_s),
-        _shown(row.chi2_reduced, 2),
-        " ".join(row.findings),
-        _shown(row.seconds, 1),
-        " ".join(row.message.split()),
-    ]
-
-
-def _table(rows: Sequence[RoomRow]) -> Table:
+def _page_table(rows: Sequence[RoomRow]) -> Table:
     columns = (
-        "Status",
-        "Identifiable values",
+        *("Room", "Status", "Identifiable values"),
         "Mean absorption of the room, 500 and 1000 Hz",
-        "Decay time there, measured",
-        "predicted",
-        "Largest reduced chi-square",
-        "Findings",
+        *("Decay time there, measured, s", "predicted, s"),
+        *("Largest reduced chi-square", "Findings"),
     )
-    return Table("Every room with its key figures", "Room", columns, tuple(map(_row, rows)))
+    return Table("Every room with its key figures", columns, [*map(_page_row, rows)], form=".2f")
 
 
-def _row(row: RoomRow) -> Row:
+def _page_row(row: RoomRow) -> tuple[Value, ...]:
     mean, lower, upper = row.mean
     link = quote(f"{row.folder}/report.html") if row.folder else ""
-    cells = (
+    bounds = (f"{lower:.2f} to {upper:.2f}",) if np.isfinite(lower) else ()
+    return (
+        row.name,
         Cell(row.status, tuple(row.message.splitlines()), link=link),
-        Cell(f"{row.identifiable} of {row.values}" if row.values else ""),
-        Cell(_shown(mean, 2), (f"{lower:.2f} to {upper:.2f}",) if np.isfinite(lower) else ()),
-        Cell(_shown(row.decay_s[0], 2, " s")),
-        Cell(_shown(row.decay_s[1], 2, " s")),
-        Cell(_shown(row.chi2_reduced, 2)),
+        f"{row.identifiable} of {row.values}" if row.values else "",
+        Cell(written(mean, ".2f"), bounds),
+        *(*row.decay_s, row.chi2_reduced),
         Cell("", row.findings),
     )
-    return Row(row.name, cells)
 
 
 def rooms_text(rows: Sequence[RoomRow]) -> str:

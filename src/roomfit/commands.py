@@ -29,11 +29,12 @@ from roomfit.cache import (
 from roomfit.errors import InputError, located
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import files_read, read_text, reading_noted
-from roomfit.io.encoding import csv_text, input_digests
+from roomfit.io.encoding import input_digests
 from roomfit.io.inputs import campaign_room, identify_arguments
 from roomfit.io.inputs import check_campaign as check_campaign
 from roomfit.io.inputs import check_room as check_room
 from roomfit.settings import Settings
+from roomfit.table import csv_of
 from roomfit.typing import FloatArray, Progress, part
 
 if TYPE_CHECKING:
@@ -170,15 +171,14 @@ def reverberation_to_folder(
     from roomfit.inversion.diffuse import diffuse_absorption
     from roomfit.io.reverberation import reverberation_arguments
     from roomfit.report.html import diffuse_page
-    from roomfit.report.text import diffuse_rows
+    from roomfit.report.text import diffuse_records
 
     if out is not None:
         check_output_folder(out, overwrite=overwrite)
     found = diffuse_absorption(**reverberation_arguments(campaign_file))
     if out is not None:
-        heading, *rows = diffuse_rows(found)
         with whole_output_folder(out, overwrite=overwrite) as folder:
-            write_text_atomically(folder / "reverberation.csv", csv_text(heading, rows))
+            write_text_atomically(folder / "reverberation.csv", csv_of(diffuse_records(found)))
             write_text_atomically(folder / "reverberation.html", diffuse_page(found))
     return found
 
@@ -212,9 +212,9 @@ def compare_to_folder(
     compared = comparison.compare_results(read_result(first), read_result(second))
     if out is not None:
         labels = ("/".join(first.parts[-2:]), "/".join(second.parts[-2:]))
-        heading, *rows = comparison.comparison_rows(compared)
+        records = comparison.comparison_records(compared)
         with whole_output_folder(out, overwrite=overwrite) as folder:
-            write_text_atomically(folder / "compared.csv", csv_text(heading, rows))
+            write_text_atomically(folder / "compared.csv", csv_of(records))
             page = comparison.comparison_page(compared, labels)
             write_text_atomically(folder / "compared.html", page)
             picture = png(comparison.comparison_figure(compared, labels))
@@ -304,7 +304,7 @@ def _write_texts(out: Path, texts: Mapping[str, str], overwrite: bool) -> tuple[
 
 def _whole_export(result_file: Path, wanted: str, campaign_file: Path | None) -> bytes:
     if wanted == "excel":
-        from roomfit.io.workbook import workbook_bytes
+        from roomfit.io.exports import workbook_bytes
 
         return workbook_bytes(result_file)
     if wanted == "pdf":
@@ -523,7 +523,7 @@ def _what_to_measure(
     """
     from roomfit.experiment_design.campaign import design_arguments
     from roomfit.experiment_design.design import design
-    from roomfit.experiment_design.output import design_rows
+    from roomfit.experiment_design.output import chosen_positions
     from roomfit.io.results import read_result
 
     first = answer.arrangements[0]
@@ -537,9 +537,9 @@ def _what_to_measure(
         _LOG.info("no measurement is proposed: %s", error.what)
         return ()
     lines = []
-    for _, source, *at_m, receiver, x, y, z, _, _ in design_rows(found):
-        place = ", ".join(f"{v:.2f}" for v in at_m)
-        lines.append(f"{source} at ({place}) m to {receiver} at ({x:.2f}, {y:.2f}, {z:.2f}) m")
+    for source, source_m, receiver, receiver_m in chosen_positions(found):
+        here, there = (", ".join(f"{x:.2f}" for x in at_m) for at_m in (source_m, receiver_m))
+        lines.append(f"{source} at ({here}) m to {receiver} at ({there}) m")
     before, after = found.widths[[0, -1], found.materials.index(first.decisive[0][0])].mean(axis=1)
     lines.append(
         f"with these the 95 % interval of the absorption of {first.decisive[0][0]}, {before:.2f} "
@@ -655,7 +655,7 @@ def estimate_coverage_to_folder(
         See `roomfit.estimate_coverage`.
     """
     from roomfit.coverage.estimate import estimate_coverage
-    from roomfit.coverage.output import coverage_csv, coverage_figure, coverage_json
+    from roomfit.coverage.output import coverage_figure, coverage_json, coverage_records
     from roomfit.report.figures import png
 
     result = estimate_coverage(read_campaign(campaign_file), out, settings, progress=progress)
@@ -664,7 +664,7 @@ def estimate_coverage_to_folder(
         # without locks other runs may add replicates at this moment: files one by one
         place = whole_output_folder(out, overwrite=True) if locked else nullcontext(out)
         with place as folder:
-            write_text_atomically(folder / "calibration.csv", coverage_csv(result))
+            write_text_atomically(folder / "calibration.csv", csv_of(coverage_records(result)))
             write_bytes_atomically(folder / "calibration.png", picture)
             write_json_atomically(folder / "calibration.json", coverage_json(result))
     return result

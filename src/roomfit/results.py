@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -23,6 +23,8 @@ from roomfit.uncertainty.sampling import Sampled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from roomfit.table import Table
 
 Use = Literal["fit", "validate"]
 
@@ -158,6 +160,11 @@ class Result:
 
         return absorption_figure(self)
 
+    def records(self) -> Table:
+        """Return the content of absorption.csv: one row a material and band."""
+        values = np.stack([self.absorption, self.lower95, self.upper95])
+        return absorption_records(self.materials, self.bands, values, self.identifiable)
+
     def to_dataframe(self) -> Any:
         """Return a pandas data frame of one row a material and band, as absorption.csv.
 
@@ -166,16 +173,9 @@ class Result:
         InputError
             pandas, on which roomfit does not depend, is not installed.
         """
-        from roomfit.report.wording import data_frame
+        from roomfit.table import data_frame
 
-        values = (self.absorption, self.lower95, self.upper95)
-        rows = [
-            (name, band, *(float(v[i, j]) for v in values), bool(self.identifiable[i, j]))
-            for i, name in enumerate(self.materials)
-            for j, band in enumerate(self.bands.centres_hz.tolist())
-        ]
-        columns = ("material", "band_hz", "absorption", "lower95", "upper95", "identifiable")
-        return data_frame(columns, rows, "absorption.csv")
+        return data_frame(self.records(), "absorption.csv")
 
     def to_xarray(self) -> Any:
         """Return absorption, bounds and identifiability as an xarray data set.
@@ -188,7 +188,7 @@ class Result:
         InputError
             xarray, on which roomfit does not depend, is not installed.
         """
-        from roomfit.report.wording import optional_package
+        from roomfit.table import optional_package
 
         both, names = ("material", "band_hz"), ("absorption", "lower95", "upper95", "identifiable")
         return optional_package("xarray", "data sets", "to_xarray").Dataset(
@@ -200,6 +200,29 @@ class Result:
             coords={"material": list(self.materials), "band_hz": self.bands.centres_hz},
             attrs={"intervals": self.interval_kind, "method": self.method, "model": self.model},
         )
+
+
+def absorption_records(
+    materials: Sequence[str], bands: Bands, values: FloatArray, identifiable: BoolArray
+) -> Table:
+    """Return the content of absorption.csv: one row a material and band.
+
+    Parameters
+    ----------
+    values : float array, shape (3, n_materials, n_bands)
+        Absorption, its lower and its upper 95 % bound.
+    identifiable : bool array, shape (n_materials, n_bands)
+    """
+    from roomfit.table import Column, Table
+
+    rows = [
+        (name, centre, *values[:, i, j].tolist(), bool(identifiable[i, j]))
+        for i, name in enumerate(materials)
+        for j, centre in enumerate(bands.centres_hz.tolist())
+    ]
+    numbers = ("absorption", "lower95", "upper95")
+    columns = ("material", Column("band_hz"), *numbers, "identifiable")
+    return Table("", columns, rows, form=".5f")
 
 
 def absorption_posterior(answer: Result) -> AbsorptionPosterior:

@@ -21,6 +21,7 @@ from unittest.mock import patch
 import numpy as np
 
 from roomfit.settings import Settings
+from roomfit.table import Table
 
 STEPS = ("open", "os.", "shutil.", "tempfile.", "ctypes.", "fcntl.")
 WORD = ["old"]
@@ -28,6 +29,10 @@ WORD = ["old"]
 
 def word(*_: Any, **__: Any) -> str:
     return WORD[0]
+
+
+def word_as_table(*_: Any, **__: Any) -> Table:
+    return Table("", (WORD[0],), ())
 
 
 def word_as_bytes(*_: Any, **__: Any) -> bytes:
@@ -98,14 +103,13 @@ STUBS: dict[str, dict[str, Any]] = {
     },
     "coverage": {
         "roomfit.coverage.estimate.estimate_coverage": covered,
-        "roomfit.coverage.output.coverage_csv": word,
+        "roomfit.coverage.output.coverage_records": word_as_table,
         "roomfit.coverage.output.coverage_figure": nothing,
         "roomfit.coverage.output.coverage_json": lambda _: {"word": WORD[0]},
     },
     "paper": {
         "roomfit.suh2001.output.repeat_paper": nothing,
-        "roomfit.suh2001.output._tables": lambda _: {"methods": ((), ())},
-        "roomfit.suh2001.output._csv": word,
+        "roomfit.suh2001.output._tables": lambda _: {"methods": word_as_table()},
         "roomfit.suh2001.output._figures": lambda _: {"figure2": None},
         "roomfit.suh2001.output.paper_json": lambda _: {"word": WORD[0]},
         "roomfit.suh2001.output.png": word_as_bytes,
@@ -115,7 +119,7 @@ STUBS: dict[str, dict[str, Any]] = {
         "roomfit.impedance.campaign.identify_campaign_impedance": lambda *_, **__: SimpleNamespace(
             materials=(SimpleNamespace(name="wool"),), evaluations=0, pairs=()
         ),
-        "roomfit.impedance.output._csv": word,
+        "roomfit.impedance.output.impedance_records": word_as_table,
         "roomfit.impedance.output.impedance_content": lambda *_: {"word": WORD[0]},
         "roomfit.impedance.output.walls_figure": nothing,
         "roomfit.impedance.output.png": word_as_bytes,

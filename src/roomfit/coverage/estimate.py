@@ -332,10 +332,10 @@ class CoverageResult:
 
         Without pandas, on which roomfit does not depend, an `InputError` says what to install.
         """
-        from roomfit.coverage.output import COLUMNS, coverage_numbers
-        from roomfit.report.wording import data_frame
+        from roomfit.coverage.output import coverage_records
+        from roomfit.table import data_frame
 
-        return data_frame(COLUMNS, coverage_numbers(self), "calibration.csv")
+        return data_frame(coverage_records(self), "calibration.csv")
 
 
 def estimate_coverage(

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +17,9 @@ from roomfit.coverage.statistics import (
     coverage_at,
     coverage_rows,
 )
-from roomfit.io.encoding import csv_text, number_or_null
+from roomfit.io.encoding import number_or_null
 from roomfit.report.figures import OKABE_ITO, new_figure
-from roomfit.report.wording import html_table
+from roomfit.table import Column, Table, html_of, text_of
 
 if TYPE_CHECKING:
     from roomfit.coverage.estimate import CoverageResult
@@ -86,44 +85,23 @@ def _bands(axes: Axes, rows: tuple[CoverageRow, ...]) -> None:
 
 _NOMINAL_COVERAGE = 0.95
 _TOLERATED_WRONG = 0.05
-COLUMNS = (
-    *("band_hz", "values", "hold", "hold_low", "hold_high"),
-    *("identifiable", "identifiable_wrong", "wrong_low", "wrong_high"),
-    *("median_width", "median_error", "median_error_prior", "median_error_uniform"),
-)
-
-
 _HEADINGS = (
-    *("band", "95 % intervals that hold the true value", "identifiable"),
-    *("of these outside their interval", "median width"),
-    *("median |error|", "of the prior", "of a uniform absorption"),
+    *("band", "95 % intervals\nhold true value", "called\nidentifiable"),
+    *("of these\noutside theirs", "median\nwidth"),
+    *("median |error|\nof the answer", "of the\nprior", "of a uniform\nabsorption"),
 )
 
 
-def coverage_table(rows: Sequence[CoverageRow]) -> str:
-    """Return the table for a terminal; shares in percent, with their own 95 % intervals."""
-    lines = [
-        "             95 % intervals      called           of these        median    "
-        "median |error|",
-        "   band     hold true value   identifiable     outside theirs     width    "
-        "answer  prior  uniform",
-    ]
-    for name, hold, identifiable, outside, width, error, prior, uniform in map(_cells, rows):
-        lines.append(
-            f"{name:>8}  {hold:>18}  {identifiable:>10}  {outside:>18}  {width:>8}  {error:>8} "
-            f"{prior:>6}  {uniform:>6}"
-        )
-    return "\n".join(lines)
-
-
-def _cells(row: CoverageRow) -> list[str]:
-    return [
-        "all" if row.band_hz is None else f"{row.band_hz:g} Hz",
-        _fraction(row.holds),
-        _percent(row.identifiable),
-        _fraction(row.outside),
-        *map(_short, (row.width, row.error, row.error_prior, row.error_uniform)),
-    ]
+def coverage_table(rows: Sequence[CoverageRow], caption: str = "") -> Table:
+    """Return the table for readers; shares in percent, with their own 95 % intervals."""
+    shown = []
+    for row in rows:
+        band = "all" if row.band_hz is None else f"{row.band_hz:g} Hz"
+        identifiable = f"{100 * row.identifiable.value:.0f} %" if row.identifiable.of else "-"
+        shares = (_fraction(row.holds), identifiable, _fraction(row.outside))
+        errors = (row.width, row.error, row.error_prior, row.error_uniform)
+        shown.append((band, *shares, *errors))
+    return Table(caption, _HEADINGS, shown, form=".3f")
 
 
 def verdict(row: CoverageRow) -> str:
@@ -154,7 +132,7 @@ def coverage_text(result: CoverageResult) -> str:
     ]
     if result.done < result.requested:
         lines.append("The estimate is not complete: run it again, or the other slices.")
-    lines += ["", coverage_table(rows), "", verdict(rows[-1])]
+    lines += ["", text_of(coverage_table(rows)), "", verdict(rows[-1])]
     if result.findings:
         lines.append("Findings: " + _counts(result.findings.items()))
     if result.refused:
@@ -166,7 +144,7 @@ def coverage_html(result: CoverageResult) -> str:
     """Return the table and what it means in HTML."""
     rows = coverage_rows(result.found)
     caption = f"{result.done} of {result.requested} replicates"
-    return html_table(caption, _HEADINGS, map(_cells, rows)) + f"<p>{escape(verdict(rows[-1]))}</p>"
+    return html_of(coverage_table(rows, caption)) + f"<p>{escape(verdict(rows[-1]))}</p>"
 
 
 def _refusals(refused: Sequence[str]) -> str:
@@ -178,24 +156,25 @@ def _refusals(refused: Sequence[str]) -> str:
     return f"{number} refused; the first: {what}" + "".join(f" ({f})" for f in found)
 
 
-def coverage_numbers(result: CoverageResult) -> Iterator[tuple[Any, ...]]:
-    """Yield one row a band, then all of them, as `COLUMNS` says; NaN where there is nothing."""
-    for row in coverage_rows(result.found):
-        yield (
-            *("all" if row.band_hz is None else row.band_hz, row.holds.of),
-            *(row.holds.value, row.holds.low, row.holds.high),
-            *(row.identifiable.value, row.outside.value, row.outside.low, row.outside.high),
-            *(row.width, row.error, row.error_prior, row.error_uniform),
-        )
-
-
-def coverage_csv(result: CoverageResult) -> str:
-    """Return the table as CSV; empty cells where nothing can be counted."""
+def coverage_records(result: CoverageResult) -> Table:
+    """Return the content of calibration.csv: one row a band, then all of them."""
+    columns = (
+        *(Column("band_hz", "g"), "values", "hold", "hold_low", "hold_high"),
+        *("identifiable", "identifiable_wrong", "wrong_low", "wrong_high"),
+        *("median_width", "median_error", "median_error_prior", "median_error_uniform"),
+    )
     rows = []
-    for band, count, *values in coverage_numbers(result):
-        cells = ["" if math.isnan(x) else f"{x:.4f}" for x in values]
-        rows.append([band if band == "all" else f"{band:g}", count, *cells])
-    return csv_text(COLUMNS, rows)
+    for row in coverage_rows(result.found):
+        holds, outside = row.holds, row.outside
+        rows.append(
+            (
+                *("all" if row.band_hz is None else row.band_hz, holds.of),
+                *(holds.value, holds.low, holds.high),
+                *(row.identifiable.value, outside.value, outside.low, outside.high),
+                *(row.width, row.error, row.error_prior, row.error_uniform),
+            )
+        )
+    return Table("", columns, rows, form=".4f")
 
 
 def _counts(counted: Iterable[tuple[str, int]]) -> str:
@@ -208,14 +187,6 @@ def _fraction(proportion: Proportion) -> str:
     return (
         f"{100 * proportion.value:.0f} ({100 * proportion.low:.0f}-{100 * proportion.high:.0f}) %"
     )
-
-
-def _percent(proportion: Proportion) -> str:
-    return f"{100 * proportion.value:.0f} %" if proportion.of else "-"
-
-
-def _short(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.3f}"
 
 
 def coverage_json(result: CoverageResult) -> dict[str, Any]:

@@ -23,7 +23,6 @@ from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.scattering import band_factors
 from roomfit.inversion.trace_plan import LEAST_RAYS, plan_trace
 from roomfit.io.campaign import Campaign, MeasuredTable
-from roomfit.io.encoding import csv_text
 from roomfit.io.iso3382 import NAMES
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.response.directivity import Pattern, UnknownDirectivity
@@ -46,6 +45,7 @@ from roomfit.synthetic.boxes import (
     specular_box,
 )
 from roomfit.synthetic.polyhedra import SyntheticPolyhedron, convex_cells, pressure_responses
+from roomfit.table import Table, csv_of
 from roomfit.tracing.paths import Paths, hits
 from roomfit.tracing.trace import trace
 from roomfit.typing import BoolArray, FloatArray
@@ -312,8 +312,7 @@ def synthetic_table(
     rows = []
 
     def add(source: str, receiver: str, key: str, values: FloatArray) -> None:
-        cells = [f"{v:.6g}" if np.isfinite(v) else "" for v in values]
-        rows.append([source, receiver, key, *cells])
+        rows.append((source, receiver, key, *values))
 
     source_m = {s.name: s.position_m for s in synthetic.sources}
     receiver_m = {r.name: r.position_m for r in synthetic.receivers}
@@ -326,9 +325,8 @@ def synthetic_table(
             add(source, receiver, _WRITTEN[name], _possible(name, found[name] + error))
             if np.isfinite(spread).any():
                 add(source, receiver, f"{_WRITTEN[name]}_sd", spread)
-    return csv_text(
-        ["source", "receiver", "parameter", *(f"{f:g}" for f in bands.centres_hz)], rows
-    )
+    columns = ("source", "receiver", "parameter", *(f"{f:g}" for f in bands.centres_hz))
+    return csv_of(Table("", columns, rows, form=".6g"))
 
 
 def _values(

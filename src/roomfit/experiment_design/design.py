@@ -111,10 +111,10 @@ class Design:
 
         Without pandas, on which roomfit does not depend, an `InputError` says what to install.
         """
-        from roomfit.experiment_design.output import COLUMNS, design_rows
-        from roomfit.report.wording import data_frame
+        from roomfit.experiment_design.output import design_records
+        from roomfit.table import data_frame
 
-        return data_frame(COLUMNS, design_rows(self), "design.csv")
+        return data_frame(design_records(self), "design.csv")
 
 
 @one_blas_thread

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,21 +14,16 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from roomfit.cache import write_json_atomically, write_text_atomically
-from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
+from roomfit.io.encoding import finding_content, numbers_or_null, provenance
 from roomfit.report.figures import OKABE_ITO, figure_legend, new_figure
 from roomfit.report.room_figure import outline_m
 from roomfit.report.text import findings_text
-from roomfit.report.wording import html_findings, html_table
+from roomfit.report.wording import html_findings
+from roomfit.table import Column, Table, csv_of, html_of, text_of
 from roomfit.typing import FloatArray
 
 if TYPE_CHECKING:
     from roomfit.experiment_design.design import Design
-
-COLUMNS = (
-    *("number", "source", "source_x_m", "source_y_m", "source_z_m"),
-    *("receiver", "receiver_x_m", "receiver_y_m", "receiver_z_m"),
-    *("distance_m", "mean_width95"),
-)
 
 
 def mean_widths(design: Design) -> FloatArray:
@@ -51,7 +46,7 @@ def write_design(folder: Path, design: Design, inputs: Iterable[Path]) -> None:
     StoreError
         The disk refuses.
     """
-    write_text_atomically(folder / "design.csv", design_csv(design))
+    write_text_atomically(folder / "design.csv", csv_of(design_records(design)))
     write_json_atomically(folder / "design.json", design_content(design, inputs))
 
 
@@ -71,7 +66,7 @@ def design_content(design: Design, inputs: Iterable[Path]) -> dict[str, Any]:
                 "mean_width95": float(means[i + 1]),
                 "width95": _by_material(design, design.widths[i + 1]),
             }
-            for i, (source, source_m, receiver, receiver_m) in enumerate(_positions(design))
+            for i, (source, source_m, receiver, receiver_m) in enumerate(chosen_positions(design))
         ],
         "before": {
             "mean_width95": float(means[0]),
@@ -97,25 +92,23 @@ def design_content(design: Design, inputs: Iterable[Path]) -> dict[str, Any]:
     }
 
 
-def design_csv(design: Design) -> str:
-    """Return one row a chosen pair: its positions, and the mean width of the intervals after it."""
-    rows = []
-    for number, source, x, y, z, receiver, *more, width in design_rows(design):
-        at, to = ([f"{v:.3f}" for v in values] for values in ((x, y, z), more))
-        rows.append([number, source, *at, receiver, *to, f"{width:.4f}"])
-    return csv_text(COLUMNS, rows)
-
-
-def design_rows(design: Design) -> Iterator[tuple[Any, ...]]:
-    """Yield one row a chosen pair, as `COLUMNS` says."""
-    after = mean_widths(design)[1:]
-    for i, (source, source_m, receiver, receiver_m) in enumerate(_positions(design)):
-        distance = float(np.linalg.norm(source_m - receiver_m))
+def design_records(design: Design) -> Table:
+    """Return the content of design.csv: one row a chosen pair, and the mean width after it."""
+    columns = (
+        *("number", "source", "source_x_m", "source_y_m", "source_z_m"),
+        *("receiver", "receiver_x_m", "receiver_y_m", "receiver_z_m"),
+        *("distance_m", Column("mean_width95", ".4f")),
+    )
+    after, rows = mean_widths(design)[1:].tolist(), []
+    for i, (source, source_m, receiver, receiver_m) in enumerate(chosen_positions(design)):
         ends = (source, *source_m.tolist(), receiver, *receiver_m.tolist())
-        yield (i + 1, *ends, distance, float(after[i]))
+        distance_m = float(np.linalg.norm(source_m - receiver_m))
+        rows.append((i + 1, *ends, distance_m, after[i]))
+    return Table("", columns, rows, form=".3f")
 
 
-def _positions(design: Design) -> list[tuple[str, FloatArray, str, FloatArray]]:
+def chosen_positions(design: Design) -> list[tuple[str, FloatArray, str, FloatArray]]:
+    """Return names and positions of source and receiver of every chosen pair."""
     found = []
     for s, r in design.scene.pairs[design.chosen]:
         source, receiver = design.scene.sources[s], design.scene.receivers[r]
@@ -237,16 +230,8 @@ def design_gain(design: Design) -> Figure:
 
 def design_html(design: Design) -> str:
     """Return the chosen pairs, and all findings, in HTML."""
-    means = mean_widths(design)
-    rows = [["before", "", "", f"{means[0]:.3f}"]]
-    for i, (source, source_m, receiver, receiver_m) in enumerate(_positions(design)):
-        ends = [
-            f"{name} ({', '.join(f'{x:.2f}' for x in at)}) m"
-            for name, at in ((source, source_m), (receiver, receiver_m))
-        ]
-        rows.append([str(i + 1), *ends, f"{means[i + 1]:.3f}"])
-    columns = ("", "source", "receiver", "mean width of the 95 % intervals")
-    return html_table(_opening(design), columns, rows) + html_findings(design.findings)
+    shown = _pairs_table(design, _opening(design))
+    return html_of(shown) + html_findings(design.findings)
 
 
 _CRITERIA = {
@@ -262,7 +247,8 @@ _MODELS = {
 
 def design_text(design: Design) -> str:
     """Return the chosen pairs, the expected intervals of every material, and all findings."""
-    parts = [_opening(design), _table(design), _comparison(design), _materials(design)]
+    pairs, widths = (text_of(t) for t in (_pairs_table(design), _widths_table(design)))
+    parts = [_opening(design), pairs, _comparison(design), widths]
     return "\n\n".join(p for p in (*parts, findings_text(design.findings)) if p)
 
 
@@ -278,18 +264,16 @@ def _opening(design: Design) -> str:
     )
 
 
-def _table(design: Design) -> str:
-    means = mean_widths(design)
-    lines = ["      source   x, y, z in m           receiver   x, y, z in m       mean interval"]
-    lines += [f"   0  {'before':<52} {means[0]:>15.3f}"]
-    for i, (s, r) in enumerate(design.scene.pairs[design.chosen]):
-        source, receiver = design.scene.sources[s], design.scene.receivers[r]
-        at = ["  ".join(f"{x:5.2f}" for x in p.position_m) for p in (source, receiver)]
-        lines.append(
-            f"  {i + 1:>2}  {source.name:<8} {at[0]:<22} {receiver.name:<10} {at[1]:<20}"
-            f"{means[i + 1]:>7.3f}"
-        )
-    return "\n".join(lines)
+def _pairs_table(design: Design, caption: str = "") -> Table:
+    words = [Column(name, align="<") for name in ("source", "receiver")]
+    at = "x, y, z in m"
+    columns = ("", words[0], at, words[1], at, "mean width of the 95 % intervals")
+    means, rows = mean_widths(design).tolist(), []
+    for i, (source, source_m, receiver, receiver_m) in enumerate(chosen_positions(design)):
+        ends = [", ".join(f"{x:.2f}" for x in at_m) for at_m in (source_m, receiver_m)]
+        rows.append((i + 1, source, ends[0], receiver, ends[1], means[i + 1]))
+    before = (0, "before", "", "", "", means[0])
+    return Table(caption, columns, [before, *rows], form=".3f")
 
 
 def _comparison(design: Design) -> str:
@@ -312,15 +296,10 @@ def _comparison(design: Design) -> str:
     return "\n".join(lines)
 
 
-def _materials(design: Design) -> str:
-    width = max(8, *(len(name) for name in design.materials))
-    heads = "".join(f"{f:>9g}" for f in design.bands.centres_hz)
-    lines = [f"expected width of the 95 % interval\n{'Hz':>{width}}{heads}"]
+def _widths_table(design: Design) -> Table:
+    rows = []
     for i, name in enumerate(design.materials):
-        cells = (
-            "".join(f"{w:>9.3f}" for w in design.widths[-1, i])
-            if design.to_find[i]
-            else f"{'known':>9}"
-        )
-        lines.append(f"{name:>{width}}{cells}")
-    return "\n".join(lines)
+        own = design.widths[-1, i]
+        rows.append((name, *(own.tolist() if design.to_find[i] else ["known"] * own.size)))
+    heads = ("Hz", *(f"{f:g}" for f in design.bands.centres_hz))
+    return Table("expected width of the 95 % interval", heads, rows, form=".3f")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,13 +18,13 @@ from roomfit.cache import (
     write_text_atomically,
 )
 from roomfit.io.encoding import (
-    csv_text,
     finding_content,
     number_or_null,
     numbers_or_null,
     provenance,
 )
 from roomfit.report.figures import OKABE_ITO, new_figure, png
+from roomfit.table import Column, Table, csv_of
 from roomfit.typing import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def write_impedance(
         The disk refuses.
     """
     with whole_output_folder(out, overwrite=overwrite) as folder:
-        write_text_atomically(folder / "impedance.csv", _csv(result))
+        write_text_atomically(folder / "impedance.csv", csv_of(impedance_records(result)))
         write_json_atomically(folder / "result.json", impedance_content(result, inputs))
         for material in result.materials:
             # without what a path gives a meaning to
@@ -126,25 +126,19 @@ def _pair(result: ImpedanceResult, i: int) -> dict[str, Any]:
     }
 
 
-def csv_columns(result: ImpedanceResult) -> tuple[str, ...]:
-    """Return the heading of impedance.csv."""
-    return ("material", "frequency_hz", *result.materials[0].columns(), "identified")
-
-
-def csv_rows(result: ImpedanceResult) -> Iterator[tuple[Any, ...]]:
-    """Yield one row a material and frequency, as `csv_columns` says; nan where Z is not shown."""
-    for material in result.materials:
-        table = zip(result.frequency_hz, *material.columns().values(), strict=True)
-        for row, identified in zip(table, material.identified, strict=True):
-            yield (material.name, *map(float, row), bool(identified))
-
-
-def _csv(result: ImpedanceResult) -> str:
-    rows = []
-    for name, frequency_hz, *values, identified in csv_rows(result):
-        cells = [f"{v:.6g}" if np.isfinite(v) else "" for v in values]
-        rows.append([name, f"{frequency_hz:g}", *cells, "true" if identified else "false"])
-    return csv_text(csv_columns(result), rows)
+def impedance_records(result: ImpedanceResult) -> Table:
+    """Return the content of impedance.csv: one row a material and frequency."""
+    names = (*result.materials[0].columns(), "identified")
+    rows = [
+        (material.name, *map(float, row), bool(identified))
+        for material in result.materials
+        for *row, identified in zip(
+            *(result.frequency_hz, *material.columns().values()),
+            material.identified,
+            strict=True,
+        )
+    ]
+    return Table("", ("material", Column("frequency_hz"), *names), rows, form=".6g")
 
 
 def walls_figure(result: ImpedanceResult, materials: Sequence[MaterialImpedance]) -> Figure:

@@ -15,6 +15,7 @@ import numpy as np
 from roomfit._checks import check_known, read_only
 from roomfit.findings import Finding
 from roomfit.impedance.laws import absorption_normal, absorption_random, impedance_of_r0
+from roomfit.table import Column, Table, data_frame, html_of, text_of
 from roomfit.typing import BoolArray, ComplexArray, FloatArray
 
 if TYPE_CHECKING:
@@ -152,19 +153,17 @@ class ImpedanceResult:
 
         parts = [_headline(self)]
         if self.evaluations:
-            parts += [_material_text(self, m) for m in self.materials]
+            parts += [text_of(_table(self, m)) for m in self.materials]
             parts.append(_fit_text(self))
         parts.append(findings_text(self.findings))
         return "\n\n".join(p for p in parts if p)
 
     def _repr_html_(self) -> str:
         """Return what `str` says with tables in HTML, for notebooks."""
-        from roomfit.report.wording import html_findings, html_table
+        from roomfit.report.wording import html_findings
 
         parts = [f"<p><strong>{escape(_headline(self))}</strong></p>"]
-        for material in self.materials if self.evaluations else ():
-            rows = [[c.strip() for c in _cells(self, material, i)] for i in _shown_rows(self)]
-            parts.append(html_table(f"{material.name} ({material.kind})", _HEADINGS, rows))
+        parts += [html_of(_table(self, m)) for m in self.materials if self.evaluations]
         return "".join([*parts, html_findings(self.findings)])
 
     def plot(self, material: str | None = None) -> Figure:
@@ -190,13 +189,9 @@ class ImpedanceResult:
 
         Without pandas, on which roomfit does not depend, an `InputError` says what to install.
         """
-        from roomfit.impedance.output import csv_columns, csv_rows
-        from roomfit.report.wording import data_frame
+        from roomfit.impedance.output import impedance_records
 
-        return data_frame(csv_columns(self), csv_rows(self), "impedance.csv")
-
-
-_HEADINGS = ("Hz", "R0", "absorption, 95 %", "random", "Z / rho c")
+        return data_frame(impedance_records(self), "impedance.csv")
 
 
 def _headline(result: ImpedanceResult) -> str:
@@ -204,33 +199,27 @@ def _headline(result: ImpedanceResult) -> str:
     return result.verdict.sentence + weaker
 
 
-def _shown_rows(result: ImpedanceResult) -> list[int]:
-    n = len(result.frequency_hz)
-    return [int(i) for i in np.unique(np.linspace(0, n - 1, min(_ROWS, n)).round())]
-
-
-def _cells(result: ImpedanceResult, material: MaterialImpedance, i: int) -> tuple[str, ...]:
-    """Return frequency, R0 (with ? where not identified), absorption, random absorption and Z."""
-    r0, z = material.r0[i], material.impedance[i]
-    low, up = material.absorption_normal_lower95[i], material.absorption_normal_upper95[i]
-    return (
-        f"{result.frequency_hz[i]:.0f}",
-        f"{r0.real:+.3f} {r0.imag:+.3f}j{' ' if material.identified[i] else '?'}",
-        f"{material.absorption_normal[i]:6.3f} {low:.3f}-{up:.3f}",
-        f"{material.absorption_random[i]:.3f}",
-        f"{z.real:7.2f} {z.imag:+7.2f}j" if material.impedance_shown[i] else "not narrow",
-    )
-
-
-def _material_text(result: ImpedanceResult, material: MaterialImpedance) -> str:
-    heading = "  {:>6}  {:>14}  {:>18}  {:>6}  {:>16}".format(*_HEADINGS)
-    lines = [f"{material.name} ({material.kind})", heading]
-    for i in _shown_rows(result):
-        f, r0, absorption, random, z = _cells(result, material, i)
-        lines.append(f"  {f:>6}  {r0} {absorption}    {random:>6}  {z:>16}")
-    for p in material.parameters:
-        lines.append(f"  {p.name} {p.value:.4g} {p.unit}, 95 % {p.lower95:.4g} to {p.upper95:.4g}")
-    return "\n".join(lines)
+def _table(result: ImpedanceResult, material: MaterialImpedance) -> Table:
+    """Return some frequencies: R0 (with ? where not identified), absorption and impedance."""
+    n, rows = len(result.frequency_hz), []
+    for i in np.unique(np.linspace(0, n - 1, min(_ROWS, n)).round()).astype(int):
+        r0, z = material.r0[i], material.impedance[i]
+        low, up = material.absorption_normal_lower95[i], material.absorption_normal_upper95[i]
+        rows.append(
+            (
+                f"{result.frequency_hz[i]:.0f}",
+                f"{r0.real:+.3f} {r0.imag:+.3f}j{' ' if material.identified[i] else '?'}",
+                f"{material.absorption_normal[i]:.3f} {low:.3f}-{up:.3f}",
+                material.absorption_random[i],
+                f"{z.real:.2f} {z.imag:+7.2f}j" if material.impedance_shown[i] else "not narrow",
+            )
+        )
+    columns = (Column("Hz", align=">"), "R0", "absorption, 95 %", "random", "Z / rho c")
+    notes = [
+        f"{p.name} {p.value:.4g} {p.unit}, 95 % {p.lower95:.4g} to {p.upper95:.4g}"
+        for p in material.parameters
+    ]
+    return Table(f"{material.name} ({material.kind})", columns, rows, notes, ".3f")
 
 
 def _fit_text(result: ImpedanceResult) -> str:

@@ -1,12 +1,9 @@
-"""What files have in common: text, findings, provenance, unknown numbers, rows of tables."""
+"""What files have in common: text, findings, provenance, unknown numbers."""
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -27,40 +24,6 @@ def numbers_or_null(values: FloatArray) -> list[float | None]:
 def number_or_null(value: float) -> float | None:
     """Return a number, None where it is unknown (not finite)."""
     return float(value) if np.isfinite(value) else None
-
-
-def csv_text(heading: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table as CSV with one line a row.
-
-    A text that a spreadsheet would take for a formula gets an apostrophe in front, see
-    `without_apostrophe`.
-    """
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerows([inert(cell) for cell in row] for row in (heading, *rows))
-    return stream.getvalue()
-
-
-_FORMULA = re.compile(r"'*[=+\-@\t\r]")
-_NUMBER = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|nan)")
-
-
-def inert(cell: object) -> object:
-    """Return a cell that no spreadsheet takes for a formula: an apostrophe stands before it."""
-    if isinstance(cell, str) and _FORMULA.match(cell) and not _NUMBER.fullmatch(cell):
-        return f"'{cell}"
-    return cell
-
-
-def without_apostrophe(cell: str) -> str:
-    """Return a text as it was before `csv_text` wrote it.
-
-    Examples
-    --------
-    >>> csv_text(["name"], [["=1+1"], ["-0.5"]]).split(), without_apostrophe("'=1+1")
-    (['name', "'=1+1", '-0.5'], '=1+1')
-    """
-    return cell[1:] if cell[:1] == "'" and _FORMULA.match(cell) else cell
 
 
 def one_line(text: str) -> str:

@@ -23,7 +23,9 @@ from roomfit.bands import OCTAVES_HZ, Bands
 from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding
 from roomfit.io.door import complete, csv_rows, json_content, read_text
-from roomfit.io.encoding import csv_text, one_line, without_apostrophe
+from roomfit.io.encoding import one_line
+from roomfit.results import absorption_records
+from roomfit.table import Table, csv_of, without_apostrophe, workbook_of
 from roomfit.typing import BoolArray, FloatArray
 
 CATT_BANDS = Bands("octave", np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3, 16e3]))
@@ -338,20 +340,83 @@ def pyroomacoustics_text(table: MaterialTable, scattering: FloatArray) -> str:
 
 def wide_csv_text(table: MaterialTable) -> str:
     """Return a table with one column a band: absorption, intervals, identifiability."""
-    rows: list[list[str]] = []
-    quantities = [
-        ("absorption", table.absorption),
-        ("lower95", table.lower95),
-        ("upper95", table.upper95),
+    quantities = {
+        **{name: getattr(table, name) for name in ("absorption", "lower95", "upper95")},
+        **({} if table.scattering is None else {"scattering": table.scattering}),
+        "identifiable": table.identifiable,
+    }
+    rows = [
+        (material, quantity, *values[i].tolist())
+        for i, material in enumerate(table.names)
+        for quantity, values in quantities.items()
     ]
-    if table.scattering is not None:
-        quantities.append(("scattering", table.scattering))
-    for i, name in enumerate(table.names):
-        for quantity, values in quantities:
-            rows.append([name, quantity, *(f"{v:.5f}" for v in values[i])])
-        sure = ["true" if t else "false" for t in table.identifiable[i]]
-        rows.append([name, "identifiable", *sure])
-    return csv_text(["material", "quantity", *(f"{f:g}" for f in table.bands.centres_hz)], rows)
+    bands = (f"{f:g}" for f in table.bands.centres_hz)
+    return csv_of(Table("", ("material", "quantity", *bands), rows, form=".5f"))
+
+
+def workbook_bytes(path: Path) -> bytes:
+    """Return the tables of a ``result.json`` or an ``absorption.csv`` as an Excel workbook.
+
+    Raises
+    ------
+    InputError
+        The result cannot be read, or openpyxl is not installed.
+    """
+    return workbook_of(result_tables(path))
+
+
+_COMPARED = ("measured", "predicted", "jnd", "mean_of_others")
+
+
+def result_tables(path: Path) -> dict[str, Table]:
+    """Return the tables of a result by name.
+
+    ``absorption`` has a row for each material and band, ``absorption by band`` one for each
+    material. Of a ``result.json`` also ``room parameters`` (measured, predicted, and the mean of
+    the others), ``fit`` (a row a band) and ``findings``.
+
+    Raises
+    ------
+    InputError
+        The result cannot be read.
+    """
+    table = read_material_table(path)
+    values = np.stack([table.absorption, table.lower95, table.upper95])
+    heads = ("material", *(f"{f:g}" for f in table.bands.centres_hz))
+    by_band = [(n, *a) for n, a in zip(table.names, table.absorption.tolist(), strict=True)]
+    tables = {
+        "absorption": absorption_records(table.names, table.bands, values, table.identifiable),
+        "absorption by band": Table("", heads, by_band),
+    }
+    if path.suffix.lower() == ".csv":
+        return tables
+    content = json_content(read_text(path, "result"), "result")
+    with located(str(path)), complete("result", "a result.json as roomfit writes it"):
+        return tables | _further_tables(content)
+
+
+def _further_tables(content: dict[str, Any]) -> dict[str, Table]:
+    bands = [float(f) for f in content["bands_hz"]]
+    compared = [
+        (
+            *(pair["source"], pair["receiver"], pair["use"], name, band),
+            *(values.get(key, [None] * len(bands))[j] for key in _COMPARED),
+        )
+        for pair in content.get("pairs", [])
+        for name, values in pair["parameters"].items()
+        for j, band in enumerate(bands)
+    ]
+    fit = content.get("fit", {})
+    columns = {key: fit[key] for key in ("phi", "converged", "models") if fit.get(key)}
+    fitted = [(band, *(values[j] for values in columns.values())) for j, band in enumerate(bands)]
+    said = ("severity", "code", "sentence")
+    findings = [tuple(f[key] for key in said) for f in content.get("findings", [])]
+    of_pairs = ("source", "receiver", "use", "parameter", "band_hz", *_COMPARED)
+    return {
+        "room parameters": Table("", of_pairs, compared),
+        "fit": Table("", ("band_hz", *columns), fitted),
+        "findings": Table("", said, findings),
+    }
 
 
 ExportFormat = Literal["catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv"]

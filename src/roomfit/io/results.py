@@ -17,7 +17,7 @@ from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.diagnostics.remaining import what_remains
 from roomfit.errors import InputError, located
 from roomfit.io.door import complete, json_content, read_text
-from roomfit.io.encoding import csv_text, finding_content, finding_of, numbers_or_null, provenance
+from roomfit.io.encoding import finding_content, finding_of, numbers_or_null, provenance
 from roomfit.io.exports import read_material_table
 from roomfit.logit import logit
 from roomfit.objective.coherent import FittedGeometry
@@ -25,6 +25,7 @@ from roomfit.response.directivity import Pattern
 from roomfit.results import ComparedPair, Result, certificate_distance
 from roomfit.signals.speech import sti_of_decay
 from roomfit.solvers.certificate import Certificate
+from roomfit.table import csv_of
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.combinations import Combination, Difference
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
@@ -179,14 +180,7 @@ def write_result(
 
 def absorption_csv(answer: Result) -> str:
     """Return the absorption table: material, band_hz, absorption, bounds, identifiable."""
-    rows = []
-    for i, name in enumerate(answer.materials):
-        for j, centre in enumerate(answer.bands.centres_hz):
-            values = (answer.absorption[i, j], answer.lower95[i, j], answer.upper95[i, j])
-            identifiable = "true" if answer.identifiable[i, j] else "false"
-            rows.append([name, f"{centre:g}", *(f"{v:.5f}" for v in values), identifiable])
-    heading = ["material", "band_hz", "absorption", "lower95", "upper95", "identifiable"]
-    return csv_text(heading, rows)
+    return csv_of(answer.records(), missing="nan")
 
 
 def result_content(

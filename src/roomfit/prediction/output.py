@@ -16,9 +16,9 @@ from roomfit.bands import Bands
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.errors import InputError
 from roomfit.findings import Finding
-from roomfit.io.encoding import csv_text, finding_content, finding_of, numbers_or_null, provenance
+from roomfit.io.encoding import finding_content, finding_of, numbers_or_null, provenance
 from roomfit.prediction.changes import Change, change_text
-from roomfit.prediction.tables import PredictedPair, PredictedValue, named_values
+from roomfit.prediction.tables import PredictedPair, PredictedValue, ValueChange, named_values
 from roomfit.report.figures import (
     LOWEST_DB,
     OKABE_ITO,
@@ -30,20 +30,12 @@ from roomfit.report.figures import (
 )
 from roomfit.report.html import tables_page
 from roomfit.report.text import findings_text
-from roomfit.report.wording import (
-    Cell,
-    Row,
-    Table,
-    band_tables,
-    decay_time_key,
-    html_findings,
-    html_table,
-    parameter,
-)
+from roomfit.report.wording import band_tables, decay_time_key, html_findings, parameter
 from roomfit.signals.decay import FIT_RANGES_DB
 from roomfit.signals.iso3382 import ValueName
 from roomfit.signals.speech import sti_missing
-from roomfit.typing import FloatArray, IntArray
+from roomfit.table import Cell, Column, Table, Value, csv_of, html_of, text_of
+from roomfit.typing import FloatArray
 
 if TYPE_CHECKING:
     from roomfit.prediction.listen import ChangedResponse
@@ -113,31 +105,28 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
     }
 
 
-def predicted_rows(
-    predicted: Predicted,
-) -> Iterator[tuple[tuple[str, str, str, str], tuple[float, ...]]]:
-    """Yield one row a pair, parameter and band: its texts and its numbers, NaN where unknown.
+def predicted_records(predicted: Predicted) -> Table:
+    """Return the content of predicted.csv: one row a pair, parameter and band, NaN where unknown.
 
     The speech transmission index has one row a pair, and no band.
     """
+    rows = []
     for pair in predicted.pairs:
         for name, v in named_values(pair.parameters, pair.sti).items():
             numbers_of = [v.predicted, v.lower95, v.upper95, v.measured, v.jnd, v.mean_of_others]
             unknown = np.full(v.predicted.size, np.nan)
             numbers_of += [getattr(v.change, c, unknown) for c in _OF_A_CHANGE]
-            centres_hz = predicted.bands.centres_hz if name != "STI" else [np.nan]
-            for band, centre in enumerate(centres_hz):
-                values = (float(centre), *(float(n[band]) for n in numbers_of))
-                yield (pair.source, pair.receiver, pair.use or "", name), values
+            centres_hz = predicted.bands.centres_hz.tolist() if name != "STI" else [np.nan]
+            for centre, *values in zip(centres_hz, *numbers_of, strict=True):
+                own = (pair.source, pair.receiver, pair.use or "", name)
+                rows.append((*own, centre, *map(float, values)))
+    columns = [Column(name, "g" if name == "band_hz" else ".4f") for name in COLUMNS]
+    return Table("", columns, rows)
 
 
 def predicted_csv(predicted: Predicted) -> str:
     """Return one row a pair, parameter and band; empty cells where nothing is known."""
-    rows = []
-    for texts, (centre_hz, *values) in predicted_rows(predicted):
-        cells = [f"{v:.4f}" if np.isfinite(v) else "" for v in values]
-        rows.append([*texts, f"{centre_hz:g}" if np.isfinite(centre_hz) else "", *cells])
-    return csv_text(COLUMNS, rows)
+    return csv_of(predicted_records(predicted))
 
 
 def parameters_content(table: Mapping[ValueName, PredictedValue]) -> dict[str, Any]:
@@ -183,78 +172,53 @@ def predict_text(predicted: Predicted) -> str:
     parts = []
     if predicted.changes:
         parts.append("Changed: " + "; ".join(predicted.changes))
-    parts += [mean_table(predicted), sti_text(predicted), pairs_text(predicted)]
-    parts.append(findings_text(predicted.findings))
+    parts += map(text_of, _mean_tables(predicted, _MEAN))
+    if predicted.sti is None:
+        parts.append(f"STI is not predicted: {sti_missing(predicted.bands)}.")
+    parts += [text_of(pairs_table(predicted)), findings_text(predicted.findings)]
     return "\n\n".join(p for p in parts if p).replace("result.json)", "predicted.json)")
 
 
 def predicted_html(predicted: Predicted) -> str:
     """Return the mean over the pairs, and all findings, in HTML."""
     caption = "; ".join((_MEAN, *(f"changed: {c}" for c in predicted.changes)))
-    columns = ("Hz", *(f"{f:g}" for f in predicted.bands.centres_hz))
-    table = html_table(
-        caption,
-        columns,
-        text_lines(named_values(predicted.mean, None), is_changed=bool(predicted.changes)),
-    )
+    tables = map(html_of, _mean_tables(predicted, caption))
+    return "".join([*tables, html_findings(predicted.findings)])
+
+
+def _mean_tables(predicted: Predicted, caption: str) -> list[Table]:
+    """Return the mean of every parameter, and that of the speech transmission index if known."""
+    is_changed = bool(predicted.changes)
+    rows = parameter_rows(named_values(predicted.mean, None), is_changed=is_changed)
+    tables = [Table(caption, _heads(predicted), rows)]
     if predicted.sti is not None:
-        table += html_table(
-            _STI,
-            ("", "mean"),
-            text_lines({"STI": predicted.sti}, is_changed=bool(predicted.changes)),
-        )
-    return table + html_findings(predicted.findings)
+        sti = parameter_rows({"STI": predicted.sti}, is_changed=is_changed)
+        tables.append(Table(_STI, ("", "mean"), sti))
+    return tables
 
 
-def mean_table(predicted: Predicted) -> str:
-    """Return the mean of every parameter with its interval, and the measured mean below it."""
-    lines = text_lines(named_values(predicted.mean, None), is_changed=bool(predicted.changes))
-    return "\n".join([_MEAN, _head(predicted), *map(_justified, lines)])
-
-
-def sti_text(predicted: Predicted) -> str:
-    """Return the speech transmission index of the mean, or why there is none."""
-    if predicted.sti is None:
-        return f"STI is not predicted: {sti_missing(predicted.bands)}."
-    return "\n".join(
-        [
-            _STI,
-            *map(
-                _justified, text_lines({"STI": predicted.sti}, is_changed=bool(predicted.changes))
-            ),
-        ]
-    )
-
-
-def pairs_text(predicted: Predicted) -> str:
+def pairs_table(predicted: Predicted) -> Table:
     """Return T20 and C80, or what is nearest to them, and STI of every pair, a dozen at most."""
-    lines = ["By pair", _head(predicted)]
+    rows: list[Sequence[Value]] = []
     for pair in predicted.pairs[:_PAIRS_SHOWN]:
-        lines.append(f"{pair.source} to {pair.receiver}, {_USES[pair.use]}")
+        rows.append([f"{pair.source} to {pair.receiver}, {_USES[pair.use]}"])
         chosen = [next((n for n in names if n in pair.parameters), None) for names in _OF_A_PAIR]
         shown = {name: value for name, value in pair.parameters.items() if name in chosen}
-        lines += map(
-            _justified,
-            text_lines(named_values(shown, pair.sti), is_changed=bool(predicted.changes)),
-        )
+        own = parameter_rows(named_values(shown, pair.sti), is_changed=bool(predicted.changes))
+        # the speech transmission index has no band
+        rows += [[*row, *[""] * (len(predicted.bands) + 1 - len(row))] for row in own]
     left = len(predicted.pairs) - _PAIRS_SHOWN
-    if left > 0:
-        lines.append(f"... and {left} more in predicted.csv")
-    return "\n".join(lines)
+    notes = [f"... and {left} more in predicted.csv"] if left > 0 else []
+    return Table("By pair", _heads(predicted), rows, notes)
 
 
-def _head(predicted: Predicted) -> str:
-    return _justified(["Hz", *(f"{f:g}" for f in predicted.bands.centres_hz)])
-
-
-def _justified(cells: Sequence[str]) -> str:
-    first, *others = cells
-    return f"{first:<17}  " + "  ".join(f"{c:>20}" for c in others)
+def _heads(predicted: Predicted) -> tuple[str, ...]:
+    return ("Hz", *(f"{f:g}" for f in predicted.bands.centres_hz))
 
 
 def _lines(
     table: Mapping[str, PredictedValue], *, is_changed: bool
-) -> list[tuple[str, str, list[str]]]:
+) -> list[tuple[str, str, list[Cell]]]:
     """Return name, what is said of it, and cells of every line of a table.
 
     What was measured is set against the model of the room as it was measured, never against a
@@ -267,37 +231,38 @@ def _lines(
         v, c = table[name], table[name].change
         after = _with_bounds(form, v.predicted, v.lower95, v.upper95)
         is_measured = np.isfinite(v.measured).any()
-        if not is_changed:
-            lines.append((label, "predicted", after))
-            if is_measured:
-                lines.append((label, "measured", _measured_cells(v, form)))
-            continue
-        lines.append((label, "model after", after))
-        if is_measured:
-            cells = [form.format(m) if np.isfinite(m) else "-" for m in v.measured]
+        lines.append((label, "model after" if is_changed else "predicted", after))
+        if is_measured and is_changed:
+            cells = [Cell(form.format(m) if np.isfinite(m) else "-") for m in v.measured]
             lines.append((label, "measured before", cells))
-        if c is None:
-            continue
-        before = _with_bounds(form, c.before, c.before_lower95, c.before_upper95)
-        lines.append((label, "model before", before))
-        if is_measured:
-            carried = _with_bounds(form, c.carried, c.carried_lower95, c.carried_upper95)
-            lines.append((label, "carried over", carried))
-        rows = (c.change, c.change_lower95, c.change_upper95)
-        if name in FIT_RANGES_DB:
-            percent = _with_bounds("{:+.0f}", *(100 * (r - 1) for r in rows))
-            lines.append((label, "change %", percent))
-        else:
-            unit = label.partition(" ")[2].replace("%", "points")
-            signed = _with_bounds(form.replace(":", ":+"), *rows)
-            lines.append((label, f"change {unit}".rstrip(), signed))
+        elif is_measured:
+            lines.append((label, "measured", _measured_cells(v, form)))
+        if is_changed and c is not None:
+            lines += [
+                (label, what, cells)
+                for what, cells in _change_cells(name, c, form)
+                if is_measured or what != "carried over"
+            ]
     return lines
 
 
-def text_lines(table: Mapping[str, PredictedValue], *, is_changed: bool) -> list[list[str]]:
-    """Return the cells of a table as text: the name of a parameter stands above its other lines."""
+def _change_cells(name: str, c: ValueChange, form: str) -> Iterator[tuple[str, list[Cell]]]:
+    yield "model before", _with_bounds(form, c.before, c.before_lower95, c.before_upper95)
+    yield "carried over", _with_bounds(form, c.carried, c.carried_lower95, c.carried_upper95)
+    rows = (c.change, c.change_lower95, c.change_upper95)
+    if name in FIT_RANGES_DB:
+        yield "change %", _with_bounds("{:+.0f}", *(100 * (r - 1) for r in rows))
+    else:
+        unit = {n: label for n, label, _ in _SHOWN}[name].partition(" ")[2].replace("%", "points")
+        yield f"change {unit}".rstrip(), _with_bounds(form.replace(":", ":+"), *rows)
+
+
+def parameter_rows(
+    table: Mapping[str, PredictedValue], *, is_changed: bool
+) -> list[tuple[Value, ...]]:
+    """Return rows as text has them: the name of a parameter stands above its other lines."""
     return [
-        [{"predicted": label, "model after": f"{label} after"}.get(what, f"  {what}"), *cells]
+        ({"predicted": label, "model after": f"{label} after"}.get(what, f"  {what}"), *cells)
         for label, what, cells in _lines(table, is_changed=is_changed)
     ]
 
@@ -313,65 +278,61 @@ def predicted_page(predicted: Predicted) -> str:
     measured carried over by the change, and the change, with their intervals.
     """
 
-    def tables(title: str, values: Mapping[ValueName, PredictedValue]) -> tuple[Table, ...]:
-        lines = _lines(named_values(values, None), is_changed=bool(predicted.changes))
-        return band_tables(
-            title, "parameter", predicted.bands.centres_hz, lambda at: _rows(lines, at)
-        )
-
-    shown = [*tables(_MEAN, predicted.mean)]
-    for p in predicted.pairs:
-        shown += tables(f"{p.source} to {p.receiver}, {_USES[p.use]}", p.parameters)
+    is_changed, centres_hz = bool(predicted.changes), predicted.bands.centres_hz
+    titled = [
+        (_MEAN, predicted.mean),
+        *((f"{p.source} to {p.receiver}, {_USES[p.use]}", p.parameters) for p in predicted.pairs),
+    ]
+    shown = []
+    for title, values in titled:
+        lines = _lines(named_values(values, None), is_changed=is_changed)
+        shown.append(band_tables(title, "parameter", centres_hz, _page_rows(lines)))
+    sti = [("mean over the pairs", predicted.sti)]
+    sti += [(f"{p.source} to {p.receiver}", p.sti) for p in predicted.pairs]
     rows = []
-    for title, sti in (
-        ("mean over the pairs", predicted.sti),
-        *((f"{p.source} to {p.receiver}", p.sti) for p in predicted.pairs),
-    ):
-        if sti is not None:
-            lines = [
-                (title, *rest)
-                for _, *rest in _lines({"STI": sti}, is_changed=bool(predicted.changes))
-            ]
-            rows += _rows(lines, np.zeros(1, dtype=np.int64))
+    for title, value in sti:
+        if value is not None:
+            lines = _lines({"STI": value}, is_changed=is_changed)
+            rows += _page_rows([(title, what, cells) for _, what, cells in lines])
     if rows:
-        shown.insert(1, Table(_STI, "pair", ("125 Hz to 8 kHz",), tuple(rows)))
+        shown.insert(1, (Table(_STI, ("pair", "125 Hz to 8 kHz"), rows),))
     lead = [f"Changed: {'; '.join(predicted.changes)}."] if predicted.changes else []
     lead += [] if rows else [f"STI is not predicted: {sti_missing(predicted.bands)}."]
     lead += [f.sentence for f in predicted.findings if f.severity != "info"]
     title = "Before and after" if predicted.compares_states else "Predicted"
-    return tables_page(title, " ".join(lead), shown)
+    return tables_page(title, " ".join(lead), [t for tables in shown for t in tables])
 
 
-def _rows(lines: Sequence[Sequence[Any]], at: IntArray) -> list[Row]:
-    """Return lines in the order of time, values above their intervals; each name stands once."""
+def _page_rows(lines: Sequence[tuple[str, str, list[Cell]]]) -> list[tuple[Cell, ...]]:
+    """Return lines in the order of time; each name stands once."""
     rows = []
+    order = {what: i for i, what in enumerate(_IN_A_PAGE)}
     for label, own in groupby(lines, key=itemgetter(0)):
-        ordered = sorted(
-            own, key=lambda r: _IN_A_PAGE.index(r[1]) if r[1] in _IN_A_PAGE else len(_IN_A_PAGE)
-        )
+        ordered = sorted(own, key=lambda line: order.get(line[1], len(order)))
         for i, (_, what, cells) in enumerate(ordered):
-            parts = [str(cells[j]).partition(" (") for j in at]
-            shown = tuple(Cell(v, (low.rstrip(")"),) if low else ()) for v, _, low in parts)
-            rows.append(Row(label if i == 0 else "", shown, what))
+            rows.append((Cell(label if i == 0 else "", (what,)), *cells))
     return rows
 
 
 def _with_bounds(
     form: str, values: FloatArray, lower95: FloatArray, upper95: FloatArray
-) -> list[str]:
+) -> list[Cell]:
     return [
-        f"{form.format(v)} ({form.format(low)} to {form.format(high)})" if np.isfinite(v) else "-"
+        Cell(form.format(v), (f"{form.format(low)} to {form.format(high)}",))
+        if np.isfinite(v)
+        else Cell("-")
         for v, low, high in zip(values, lower95, upper95, strict=True)
     ]
 
 
-def _measured_cells(value: PredictedValue, form: str) -> list[str]:
-    """Measured values; in brackets how far the prediction is above, in just noticeable steps."""
-    cells = []
-    for m, steps in zip(value.measured, value.jnd, strict=True):
-        steps_text = f" ({steps:+.1f} jnd)" if np.isfinite(steps) else ""
-        cells.append(f"{form.format(m)}{steps_text}" if np.isfinite(m) else "-")
-    return cells
+def _measured_cells(value: PredictedValue, form: str) -> list[Cell]:
+    """Measured values; below how far the prediction is above, in just noticeable steps."""
+    return [
+        Cell(form.format(m), (f"{steps:+.1f} jnd",) if np.isfinite(steps) else ())
+        if np.isfinite(m)
+        else Cell("-")
+        for m, steps in zip(value.measured, value.jnd, strict=True)
+    ]
 
 
 def change_figure(predicted: Predicted) -> Figure:
@@ -495,15 +456,12 @@ def listen_content(
 
 def listen_text(content: Mapping[str, Any]) -> str:
     """Return what was changed, and from when on noise carries what is predicted of the tail."""
-    lines = ["Changed: " + ("; ".join(content["changes"]) or "nothing: every response as it was")]
-    lines.append(
-        "From these times after emission the measured noise carries the predicted tail, s:"
-    )
-    lines.append(_justified(["Hz", *(f"{f:g}" for f in content["bands_hz"])]))
-    for r in content["responses"]:
-        cells = ["-" if t is None else f"{t:.2f}" for t in r["noise_from_s"]]
-        lines.append(_justified([f"{r['source']} to {r['receiver']}", *cells]))
-    low, high = content["bands_hz"][0], content["bands_hz"][-1]
-    lines.append(f"Below {low:g} and above {high:g} Hz the nearest band stands for all.")
+    changed = "; ".join(content["changes"]) or "nothing: every response as it was"
+    caption = f"Changed: {changed}\n"
+    caption += "From these times after emission the measured noise carries the predicted tail, s:"
+    rows = [(f"{r['source']} to {r['receiver']}", *r["noise_from_s"]) for r in content["responses"]]
+    bands = [f"{f:g}" for f in content["bands_hz"]]
+    note = f"Below {bands[0]} and above {bands[-1]} Hz the nearest band stands for all."
+    shown = text_of(Table(caption, ("Hz", *bands), rows, (note,), ".2f"))
     doubts = findings_text(tuple(finding_of(one, "findings") for one in content["findings"]))
-    return "\n".join(lines) + f"\n\n{doubts}".rstrip().replace("result.json)", "listen.json)")
+    return f"{shown}\n\n{doubts}".rstrip().replace("result.json)", "listen.json)")

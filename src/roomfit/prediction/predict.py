@@ -123,11 +123,10 @@ class Predicted:
         InputError
             pandas, on which roomfit does not depend, is not installed.
         """
-        from roomfit.prediction.output import COLUMNS, predicted_rows
-        from roomfit.report.wording import data_frame
+        from roomfit.prediction.output import predicted_records
+        from roomfit.table import data_frame
 
-        rows = ((*texts, *values) for texts, values in predicted_rows(self))
-        return data_frame(COLUMNS, rows, "predicted.csv")
+        return data_frame(predicted_records(self), "predicted.csv")
 
 
 @one_blas_thread

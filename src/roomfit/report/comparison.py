@@ -17,9 +17,6 @@ from roomfit.report.figures import OKABE_ITO, band_panels, frame_panels, frequen
 from roomfit.report.html import tables_page
 from roomfit.report.wording import (
     DASH,
-    Cell,
-    Row,
-    Table,
     band_tables,
     coefficient,
     count,
@@ -27,7 +24,8 @@ from roomfit.report.wording import (
     listing,
     number,
 )
-from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.table import Cell, Column, Table, text_of
+from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 Verdict = Literal["changed", "perhaps", "no", "given"]
@@ -214,20 +212,17 @@ _MARKS = {"changed": "*", "perhaps": "?", "no": "", "given": "="}
 
 def comparison_text(compared: Comparison) -> str:
     """Return the table as text: first, second, difference with its 95 % bounds."""
-    width = max(8, *(len(name) for name in compared.materials))
-    lines = [
-        f"{'material':<{width}} {'Hz':>6}  {'first':<18} {'second':<18} {'difference':<24}",
-    ]
+    rows = []
     for i, name in enumerate(compared.materials):
         for j, centre in enumerate(compared.centres_hz):
             first, second = (_interval(x[:, i, j]) for x in (compared.first, compared.second))
             d, low, high = compared.difference[:, i, j]
+            difference = f"{d:+.3f} ({low:+.3f} to {high:+.3f})"
             mark = _MARKS[compared.verdicts[i][j]]
-            lines.append(
-                f"{name:<{width}} {centre:>6g}  {first:<18} {second:<18} "
-                f"{d:+.3f} ({low:+.3f} to {high:+.3f}) {mark}".rstrip()
-            )
-    return "\n".join([*lines, "", *comparison_sentences(compared)])
+            rows.append((name, centre, first, second, difference, mark))
+    columns = ("material", "Hz", "first", "second", "difference", "")
+    notes = ("", *comparison_sentences(compared))
+    return text_of(Table("", columns, rows, notes))
 
 
 def _interval(values: FloatArray) -> str:
@@ -235,22 +230,21 @@ def _interval(values: FloatArray) -> str:
     return f"{value:.3f} ({low:.3f}-{high:.3f})"
 
 
-def comparison_rows(compared: Comparison) -> list[list[str]]:
-    """Return the rows of a table: names, numbers with five decimals, and the verdict."""
-    rows = [
-        [
-            *("material", "band_hz", "first", "first_lower95", "first_upper95"),
-            *("second", "second_lower95", "second_upper95"),
-            *("difference", "difference_lower95", "difference_upper95", "p_value", "changed"),
-        ]
+def comparison_records(compared: Comparison) -> Table:
+    """Return the content of compared.csv: numbers with five decimals, and the verdict."""
+    columns = [
+        *("material", Column("band_hz"), "first", "first_lower95", "first_upper95"),
+        *("second", "second_lower95", "second_upper95"),
+        *("difference", "difference_lower95", "difference_upper95"),
+        *(Column("p_value", ".3g"), "changed"),
     ]
-    for i, name in enumerate(compared.materials):
-        for j, centre in enumerate(compared.centres_hz):
-            tables = (compared.first, compared.second, compared.difference)
-            numbers = [f"{v:.5f}" for table in tables for v in table[:, i, j]]
-            p_value = f"{compared.p_value[i, j]:.3g}"
-            rows.append([name, f"{centre:g}", *numbers, p_value, compared.verdicts[i][j]])
-    return rows
+    tables = np.concatenate([compared.first, compared.second, compared.difference])
+    rows = [
+        (name, centre, *tables[:, i, j], compared.p_value[i, j], compared.verdicts[i][j])
+        for i, name in enumerate(compared.materials)
+        for j, centre in enumerate(compared.centres_hz)
+    ]
+    return Table("", columns, rows, form=".5f")
 
 
 def comparison_figure(compared: Comparison, labels: tuple[str, str]) -> Figure:
@@ -299,12 +293,8 @@ def comparison_tables(compared: Comparison) -> tuple[Table, ...]:
         small = (bounds, " → ".join(values), *words[verdict])
         return Cell(number(d, 2, signed=True) if np.isfinite(d) else DASH, small, styles[verdict])
 
-    def rows(block: IntArray) -> list[Row]:
-        return [
-            Row(name, tuple(cell(i, int(j)) for j in block))
-            for i, name in enumerate(compared.materials)
-        ]
-
+    n = len(compared.centres_hz)
+    rows = [(name, *(cell(i, j) for j in range(n))) for i, name in enumerate(compared.materials)]
     caption = "Difference of absorption, second minus first, 95 % bounds"
     return band_tables(caption, "material", compared.centres_hz, rows)
 

@@ -12,9 +12,6 @@ from roomfit.findings import Code
 from roomfit.geometry.mesh import volume_m3
 from roomfit.report.html_tables import parameter_keys
 from roomfit.report.wording import (
-    Cell,
-    Row,
-    Table,
     band_ranges,
     coefficient,
     count,
@@ -26,6 +23,7 @@ from roomfit.report.wording import (
 )
 from roomfit.results import ComparedPair, Result
 from roomfit.scene import Scene
+from roomfit.table import Cell, Table
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
 
@@ -72,21 +70,15 @@ def disagreement_table(answer: Result, scene: Scene) -> Table | None:
     if not groups:
         return None
     centres = answer.bands.centres_hz
-    rows = [
-        Row(
-            f"{parameter(key).symbol}, "
-            + band_ranges(centres, np.isin(np.arange(len(centres)), bands)),
-            (
-                Cell("; ".join(sizes[key, why, meaning]), style="words"),
-                Cell(why, style="words"),
-                Cell(meaning, style="words"),
-            ),
-        )
-        for (key, why, meaning), bands in groups.items()
-    ]
-    columns = ("predicted minus measured", "why", "what it means for the absorption")
+    rows = []
+    for (key, why, meaning), bands in groups.items():
+        where = band_ranges(centres, np.isin(np.arange(len(centres)), bands))
+        words = ("; ".join(sizes[key, why, meaning]), why, meaning)
+        head = f"{parameter(key).symbol}, {where}"
+        rows.append((head, *(Cell(text, style="words") for text in words)))
+    columns = ("", "predicted minus measured", "why", "what it means for the absorption")
     which = count(len(pairs), "pair") + (" not fitted" if kept else "")
-    return Table(f"Where model and measurement disagree audibly, {which}", "", columns, tuple(rows))
+    return Table(f"Where model and measurement disagree audibly, {which}", columns, rows)
 
 
 def _band(

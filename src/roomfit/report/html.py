@@ -11,6 +11,7 @@ import hashlib
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
+from html import escape
 from importlib.metadata import version
 from typing import Any
 
@@ -34,7 +35,7 @@ from roomfit.report.html_tables import (
     absorption_tables,
     area_tables,
     certificate_tables,
-    coefficient_cell,
+    coefficient_cells,
     error_tables,
     errors_of,
     fit_tables,
@@ -59,9 +60,6 @@ from roomfit.report.text import DIFFUSE_WORDS
 from roomfit.report.usable import remaining_usable
 from roomfit.report.wording import (
     DASH,
-    Cell,
-    Row,
-    Table,
     area,
     band_heads,
     band_ranges,
@@ -76,7 +74,8 @@ from roomfit.report.wording import (
 )
 from roomfit.results import Result
 from roomfit.scene import Scene
-from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.table import Cell, Table, html_of
+from roomfit.typing import BoolArray
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE
 
 _SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "info")
@@ -458,38 +457,31 @@ def tables_page(title: str, lead: str, shown: Iterable[Table]) -> str:
 def diffuse_page(found: DiffuseAbsorption) -> str:
     """Return mean absorption from decay times as a page: times, formulas, materials by Eyring."""
 
-    def interval(column: FloatArray) -> Cell:
-        return coefficient_cell(*map(float, column), sure=True, fixed=False)
-
-    def times(block: IntArray) -> list[Row]:
-        cells = [
-            Cell(number(found.decay_s[j], 2), (f"± {number(found.decay_sd_s[j], 2)}",))
-            for j in block
-        ]
-        return [Row("mean over positions", tuple(cells))]
-
-    def means(block: IntArray) -> list[Row]:
-        return [
-            Row(formula, tuple(interval(found.mean[i, :, j]) for j in block))
-            for i, formula in enumerate(FORMULAS)
-        ]
-
-    def materials(block: IntArray) -> list[Row]:
-        own = found.absorption[FORMULAS.index("Eyring")]
-        return [
-            Row(name, tuple(interval(own[k, :, j]) for j in block))
-            for k, name in enumerate(found.materials)
-        ]
-
-    centres = found.bands.centres_hz
-    captions = (
-        ("Decay time in s, with its standard deviation", "", times),
-        ("Mean absorption of the room, 95 % interval", "formula", means),
-        ("Materials by Eyring: their priors, moved together, and no more", "material", materials),
+    centres, eyring = found.bands.centres_hz, found.absorption[FORMULAS.index("Eyring")]
+    measured = zip(found.decay_s.tolist(), found.decay_sd_s.tolist(), strict=True)
+    times = [Cell(number(t, 2), (f"± {number(sd, 2)}",)) for t, sd in measured]
+    means = zip(FORMULAS, found.mean, strict=True)
+    materials = zip(found.materials, eyring, strict=True)
+    shown = (
+        *band_tables(
+            "Decay time in s, with its standard deviation",
+            "",
+            centres,
+            [("mean over positions", *times)],
+        ),
+        *band_tables(
+            "Mean absorption of the room, 95 % interval",
+            "formula",
+            centres,
+            [(formula, *coefficient_cells(values)) for formula, values in means],
+        ),
+        *band_tables(
+            "Materials by Eyring: their priors, moved together, and no more",
+            "material",
+            centres,
+            [(name, *coefficient_cells(values)) for name, values in materials],
+        ),
     )
-    shown = [
-        t for words, corner, rows in captions for t in band_tables(words, corner, centres, rows)
-    ]
     middle = int(np.argmin(np.abs(np.log(centres / 500.0))))
     value, low, high = (number(x, 2) for x in found.mean[FORMULAS.index("Eyring"), :, middle])
     first = f"By Eyring the mean absorption of the room at {hertz(centres[middle])} is {value} "
@@ -512,34 +504,26 @@ def result_fragment(answer: Result) -> str:
     usable stands above it.
     """
 
-    def row(name: str, cells: Iterable[Cell]) -> Markup:
-        data = Markup("").join(_fragment_cell(cell) for cell in cells)
-        return Markup("<tr><th>{}</th>{}</tr>").format(name, data)
-
-    every = np.arange(len(answer.bands))
-    rows = (*material_rows(answer, every), mean_row(answer, every))
-    heads = (Markup("<th>{}</th>").format(h) for h in band_heads(answer.bands.centres_hz))
-    usable = Markup("").join(Markup("<p>{}</p>").format(s) for s in remaining_usable(answer))
-    return str(usable) + str(
-        Markup(
-            "<table><caption>Absorption coefficient, 95 % interval ({}); ? = not identifiable"
-            "</caption><thead><tr><th></th>{}</tr></thead><tbody>{}</tbody></table>"
-        ).format(
-            answer.interval_kind,
-            Markup("").join(heads),
-            Markup("").join(row(r.head, r.cells) for r in rows),
-        )
-    )
+    caption = f"Absorption coefficient, 95 % interval ({answer.interval_kind}); "
+    rows = [
+        (Cell(row[0].text), *map(_without_brackets, row[1:]))
+        for row in (*material_rows(answer), mean_row(answer))
+    ]
+    heads = ("", *band_heads(answer.bands.centres_hz))
+    usable = "".join(f"<p>{escape(sentence)}</p>" for sentence in remaining_usable(answer))
+    shown = html_of(Table(caption + "? = not identifiable", heads, rows), "roomfit")
+    return usable + _FRAGMENT_STYLE + shown
 
 
-def _fragment_cell(cell: Cell) -> Markup:
-    unsure = cell.style == "unsure"
-    return Markup("<td{}>{}{}<br><small>{}</small></td>").format(
-        Markup(' style="color:#777"') if unsure else "",
-        cell.text.strip("()"),
-        "?" if unsure and cell.text != DASH else "",
-        cell.small[0],
-    )
+_FRAGMENT_STYLE = (
+    "<style>table.roomfit td.unsure { color: #777 } table.roomfit small { display: block }</style>"
+)
+
+
+def _without_brackets(cell: Cell) -> Cell:
+    """Return a cell as a page without a style sheet shows it: a question mark says what is open."""
+    doubt = "?" if cell.style == "unsure" and cell.text != DASH else ""
+    return Cell(f"{cell.text.strip('()')}{doubt}", cell.small[:1], cell.style)
 
 
 def _drawing(
@@ -682,4 +666,5 @@ def _template(name: str) -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.globals["html_of"] = lambda *shown: Markup(html_of(*shown))
     return environment.get_template(name)

@@ -2,16 +2,16 @@
 
 Absorption with intervals, shares and absorption areas; the fit and its certificate; errors of
 predictions beside those of the baseline, and pair by pair in just noticeable differences; the
-room's materials and positions; fitted directivities. `wording.Table` is what the template draws.
+room's materials and positions; fitted directivities.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from roomfit.air import attenuation_per_m
 from roomfit.geometry.mesh import volume_m3
@@ -21,9 +21,6 @@ from roomfit.report.text import pair_sti
 from roomfit.report.wording import (
     DASH,
     PARAMETERS,
-    Cell,
-    Row,
-    Table,
     area,
     band_tables,
     coefficient,
@@ -37,7 +34,8 @@ from roomfit.response.directivity import axial_index_db
 from roomfit.results import Compared, ComparedPair, Result, Use, certificate_distance
 from roomfit.scene import Room, Scene, material_areas_m2
 from roomfit.signals.decay import in_jnd
-from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.table import Cell, Table, Value
+from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
 
 NOT_IDENTIFIABLE = "not identif."
@@ -50,53 +48,42 @@ def fixed_coefficients(answer: Result) -> BoolArray:
 
 def absorption_tables(answer: Result, say: Callable[[str], str] = str) -> tuple[Table, ...]:
     """Return absorption with its 95 % interval, materials in rows, with the mean of the room."""
-
-    def translated(row: Row) -> Row:
-        cells = tuple(replace(c, small=tuple(say(line) for line in c.small)) for c in row.cells)
-        head = say(row.head) if row.style == "total" else row.head
-        return replace(row, head=head, cells=cells)
-
+    rows = [
+        tuple(replace(c, small=tuple(map(say, c.small))) if i else c for i, c in enumerate(row))
+        for row in (*material_rows(answer), mean_row(answer))
+    ]
+    total = replace(rows[-1][0], text=say(rows[-1][0].text))
     return band_tables(
         f"{say('Absorption coefficient, 95 % interval')} ({answer.interval_kind})",
         say("material"),
         answer.bands.centres_hz,
-        lambda block: (
-            *(translated(r) for r in material_rows(answer, block)),
-            translated(mean_row(answer, block)),
-        ),
+        [*rows[:-1], (total, *rows[-1][1:])],
     )
 
 
-def material_rows(answer: Result, block: IntArray) -> list[Row]:
-    """Return absorption with its interval in the bands of a block, one row a material."""
-    fixed = fixed_coefficients(answer)
-    return [
-        Row(
-            name,
-            tuple(
-                coefficient_cell(
-                    answer.absorption[i, j],
-                    answer.lower95[i, j],
-                    answer.upper95[i, j],
-                    sure=bool(answer.identifiable[i, j]),
-                    fixed=bool(fixed[i, j]),
-                )
-                for j in block
-            ),
-            small=f"{area(float(answer.areas_m2[i]))} m²",
-            colour=material_colour(i),
-        )
-        for i, name in enumerate(answer.materials)
-    ]
+def material_rows(answer: Result) -> list[tuple[Cell, ...]]:
+    """Return absorption with its interval in every band, one row a material."""
+    rows, fixed = [], fixed_coefficients(answer)
+    values = np.stack([answer.absorption, answer.lower95, answer.upper95])
+    for i, name in enumerate(answer.materials):
+        head = Cell(name, (f"{area(float(answer.areas_m2[i]))} m²",), colour=material_colour(i))
+        rows.append((head, *coefficient_cells(values[:, i], answer.identifiable[i], fixed[i])))
+    return rows
 
 
-def mean_row(answer: Result, block: IntArray) -> Row:
-    """Return the mean absorption of the room, weighted by area, in the bands of a block."""
-    total = float(np.sum(answer.areas_m2))
-    cells = tuple(
-        coefficient_cell(*answer.mean_absorption[:, j], sure=True, fixed=False) for j in block
-    )
-    return Row("mean of the room", cells, small=f"by area, {area(total)} m²", style="total")
+def mean_row(answer: Result) -> tuple[Cell, ...]:
+    """Return the mean absorption of the room in every band, weighted by area."""
+    small = f"by area, {area(float(np.sum(answer.areas_m2)))} m²"
+    return (Cell("mean of the room", (small,), "total"), *coefficient_cells(answer.mean_absorption))
+
+
+def coefficient_cells(
+    values: FloatArray, sure: ArrayLike = True, fixed: ArrayLike = False
+) -> list[Cell]:
+    """Return cells of coefficients and their bounds, shape (3, n_bands)."""
+    rest = np.broadcast_arrays(values[0], sure, fixed)[1:]
+    columns = zip(*values.tolist(), *(x.tolist() for x in rest), strict=True)
+    return [coefficient_cell(*x, sure=is_sure, fixed=given) for *x, is_sure, given in columns]
 
 
 def coefficient_cell(value: float, lower: float, upper: float, *, sure: bool, fixed: bool) -> Cell:
@@ -114,14 +101,11 @@ def coefficient_cell(value: float, lower: float, upper: float, *, sure: bool, fi
 
 def fit_tables(answer: Result) -> tuple[Table, ...]:
     """Return how well the model fits each band, and whether the fit converged."""
-
-    def rows(block: IntArray) -> tuple[Row, ...]:
-        chi2 = tuple(_chi2_cell(float(value)) for value in answer.chi2_reduced[block])
-        converged = tuple(
-            Cell("yes") if answer.converged[j] else Cell("no", style="far") for j in block
-        )
-        return Row("φ", chi2, "1: as expected"), Row("the fit converged", converged)
-
+    converged = (Cell("yes") if c else Cell("no", style="far") for c in answer.converged)
+    rows = [
+        (Cell("φ", ("1: as expected",)), *map(_chi2_cell, answer.chi2_reduced)),
+        ("the fit converged", *converged),
+    ]
     caption = "How well the model explains the data"
     return band_tables(caption, "", answer.bands.centres_hz, rows)
 
@@ -141,96 +125,63 @@ def area_tables(answer: Result, scene: Scene) -> tuple[Table, ...]:
     the last term of the reverberation formula of ISO 354:2003, equation 6.
     """
     areas = answer.absorption * answer.areas_m2[:, None]
-    walls = areas.sum(axis=0)
-    air = 4.0 * attenuation_per_m(scene.air, answer.bands) * volume_m3(scene.room.mesh)
-    bounds = answer.mean_absorption[1:] * float(np.sum(answer.areas_m2))
-    return band_tables(
-        "Equivalent absorption area A = \N{GREEK SMALL LETTER ALPHA}S in m²",
-        "material",
-        answer.bands.centres_hz,
-        lambda block: (
-            *_area_rows(answer, areas, block),
-            _wall_row(answer, walls, bounds, block),
-            _sum_row("air, 4mV", air, block, f"V = {area(volume_m3(scene.room.mesh))} m³"),
-            _sum_row("total", walls + air, block, "surfaces and air", "total"),
-        ),
-        before=("S in m²",),
-    )
-
-
-def _area_rows(answer: Result, areas: FloatArray, block: IntArray) -> list[Row]:
-    rows = []
+    walls, volume_ = areas.sum(axis=0), volume_m3(scene.room.mesh)
+    air = 4.0 * attenuation_per_m(scene.air, answer.bands) * volume_
+    whole = float(np.sum(answer.areas_m2))
+    rows: list[Sequence[Value]] = []
     for i, name in enumerate(answer.materials):
-        cells = [Cell(area(float(answer.areas_m2[i])), style="first")]
-        for j in block:
-            cell = _area_cell(float(areas[i, j]))
-            if np.isfinite(areas[i, j]) and not answer.identifiable[i, j]:
-                cell = Cell(f"({cell.text})", style="unsure")
-            cells.append(cell)
-        rows.append(Row(name, tuple(cells)))
-    return rows
+        cells = map(_doubted_area, areas[i], answer.identifiable[i])
+        rows.append((name, Cell(area(float(answer.areas_m2[i])), style="first"), *cells))
+    all_walls = map(_area_cell, walls, *(answer.mean_absorption[1:] * whole))
+    head = Cell("all surfaces", ("95 % interval below",), "total")
+    rows.append((head, Cell(area(whole), style="first"), *all_walls))
+    nothing = Cell("", style="first")
+    volume = f"V = {area(volume_)} m³"
+    rows.append((Cell("air, 4mV", (volume,)), nothing, *map(_area_cell, air)))
+    total = Cell("total", ("surfaces and air",), "total")
+    rows.append((total, nothing, *map(_area_cell, walls + air)))
+    caption = "Equivalent absorption area A = \N{GREEK SMALL LETTER ALPHA}S in m²"
+    centres = answer.bands.centres_hz
+    return band_tables(caption, "material", centres, rows, before=("S in m²",))
 
 
-def _wall_row(answer: Result, walls: FloatArray, bounds: FloatArray, block: IntArray) -> Row:
-    cells = []
-    for j in block:
-        known = bool(np.isfinite(bounds[:, j]).all())
-        interval = f"{area(bounds[0, j])}{DASH}{area(bounds[1, j])}" if known else ""
-        cells.append(_area_cell(float(walls[j]), interval))
-    whole = Cell(area(float(np.sum(answer.areas_m2))), style="first")
-    return Row("all surfaces", (whole, *cells), "95 % interval below", style="total")
+def _area_cell(value_m2: float, low_m2: float = np.nan, high_m2: float = np.nan) -> Cell:
+    if not np.isfinite(value_m2):
+        return Cell(DASH, ("not determined",), "unsure")
+    known = np.isfinite(low_m2) and np.isfinite(high_m2)
+    return Cell(area(value_m2), (f"{area(low_m2)}{DASH}{area(high_m2)}",) if known else ())
 
 
-def _sum_row(head: str, values: FloatArray, block: IntArray, small: str, style: str = "") -> Row:
-    cells = tuple(_area_cell(float(values[j])) for j in block)
-    return Row(head, (Cell("", style="first"), *cells), small, style=style)
+def _doubted_area(value_m2: float, identifiable: bool) -> Cell:
+    cell = _area_cell(value_m2)
+    if identifiable or not np.isfinite(value_m2):
+        return cell
+    return Cell(f"({cell.text})", style="unsure")
 
 
 def share_tables(answer: Result) -> tuple[Table, ...]:
     """Return what share of the room's absorption each material contributes, with its interval."""
     if answer.shares is None:
         return ()
-    shares = answer.shares
-    return band_tables(
-        "Share of the surfaces' absorption in %, 95 % interval below",
-        "material",
-        answer.bands.centres_hz,
-        lambda block: (
-            Row(name, tuple(_share_cell(*shares[:, i, j]) for j in block))
-            for i, name in enumerate(answer.materials)
-        ),
-    )
+    rows = []
+    for i, name in enumerate(answer.materials):
+        texts = ([number(100.0 * x, 0) for x in column] for column in answer.shares[:, i].T)
+        rows.append((name, *(Cell(value, (f"{low}{DASH}{high}",)) for value, low, high in texts)))
+    caption = "Share of the surfaces' absorption in %, 95 % interval below"
+    return band_tables(caption, "material", answer.bands.centres_hz, rows)
 
 
 def prior_tables(answer: Result) -> tuple[Table, ...]:
     """Return the prior, in the order of `absorption_tables`."""
     if answer.prior is None:
         return ()
-    prior, fixed = answer.prior, fixed_coefficients(answer)
-
-    def cell(i: int, j: int) -> Cell:
-        return coefficient_cell(*prior[:, i, j], sure=True, fixed=bool(fixed[i, j]))
-
-    return band_tables(
-        "Prior, specified or assumed, 95 % interval",
-        "material",
-        answer.bands.centres_hz,
-        lambda block: (
-            Row(name, tuple(cell(i, int(j)) for j in block))
-            for i, name in enumerate(answer.materials)
-        ),
-    )
-
-
-def _share_cell(value: float, lower: float, upper: float) -> Cell:
-    texts = [number(100.0 * x, 0) for x in (value, lower, upper)]
-    return Cell(texts[0], (f"{texts[1]}{DASH}{texts[2]}",))
-
-
-def _area_cell(value_m2: float, interval: str = "") -> Cell:
-    if not np.isfinite(value_m2):
-        return Cell(DASH, ("not determined",), "unsure")
-    return Cell(area(value_m2), (interval,) if interval else ())
+    fixed = fixed_coefficients(answer)
+    rows = [
+        (name, *coefficient_cells(answer.prior[:, i], fixed=fixed[i]))
+        for i, name in enumerate(answer.materials)
+    ]
+    caption = "Prior, specified or assumed, 95 % interval"
+    return band_tables(caption, "material", answer.bands.centres_hz, rows)
 
 
 _STATUS = {"certified": "proven", "stopped": "stopped early", "unresolved": "not resolved"}
@@ -249,26 +200,18 @@ def certificate_tables(answer: Result) -> tuple[Table, ...]:
             )
             for cluster in proof.clusters
         ]
-        rows.append(
-            Row(
-                hertz(float(answer.bands.centres_hz[band])),
-                (
-                    Cell(_STATUS[proof.status]),
-                    Cell(number(proof.value, 3)),
-                    Cell(number(proof.lower_bound, 3)),
-                    Cell(str(len(minimisers)), tuple(minimisers)),
-                    Cell(number(certificate_distance(answer, band), 3)),
-                ),
-            )
-        )
+        minima = Cell(str(len(minimisers)), tuple(minimisers))
+        proven = (_STATUS[proof.status], proof.value, proof.lower_bound, minima)
+        at = hertz(float(answer.bands.centres_hz[band]))
+        rows.append((at, *proven, certificate_distance(answer, band)))
     if not rows:
         return ()
-    columns = ("status", "lowest cost found", "proven bound", "minima", "answer differs by")
+    costs = ("lowest cost found", "proven bound", "minima", "answer differs by")
     caption = (
         "How low the cost of the energies can be, their weights fixed, and in how many regions "
         "it comes within what other rays would change"
     )
-    return (Table(caption, "band", columns, tuple(rows)),)
+    return (Table(caption, ("band", "status", *costs), rows, form=".3f"),)
 
 
 NEAR_JND, FAR_JND = 1.0, 2.0
@@ -317,27 +260,23 @@ def known_mean(values: FloatArray) -> float:
 
 def pair_sections(answer: Result) -> tuple[tuple[str, tuple[Table, ...]], ...]:
     """Return the title and the tables of every pair."""
-    keys = parameter_keys(answer.pairs)
-    return tuple((pair_title(pair), _pair_tables(answer, pair, keys)) for pair in answer.pairs)
+    keys, found = parameter_keys(answer.pairs), []
+    for pair in answer.pairs:
+        title = pair_title(pair)
+        caption, rows = f"{title}: predicted minus measured in JND", []
+        for key in keys:
+            rows.append(_parameter_row(pair, key, len(answer.bands)))
+        found.append((title, band_tables(caption, "parameter", answer.bands.centres_hz, rows)))
+    return tuple(found)
 
 
-def _pair_tables(answer: Result, pair: ComparedPair, keys: Sequence[str]) -> tuple[Table, ...]:
-    return band_tables(
-        f"{pair_title(pair)}: predicted minus measured in JND",
-        "parameter",
-        answer.bands.centres_hz,
-        lambda block: (_parameter_row(pair, key, block) for key in keys),
-    )
-
-
-def _parameter_row(pair: ComparedPair, key: str, block: IntArray) -> Row:
-    how = parameter(key)
-    compared = pair.parameters.get(key)
+def _parameter_row(pair: ComparedPair, key: str, n_bands: int) -> tuple[Cell, ...]:
+    how, compared = parameter(key), pair.parameters.get(key)
     if compared is None:
-        return Row(how.symbol, tuple(Cell(DASH, ("not given",), "missing") for _ in block))
+        return (Cell(how.symbol), *[Cell(DASH, ("not given",), "missing")] * n_bands)
     baseline = baseline_jnd(key, compared)
-    cells = tuple(_jnd_cell(compared, float(baseline[j]), j, how.decimals) for j in block)
-    return Row(how.symbol, cells, small=f"in {how.unit}" if how.unit else "")
+    cells = (_jnd_cell(compared, float(baseline[j]), j, how.decimals) for j in range(n_bands))
+    return (Cell(how.symbol, (f"in {how.unit}",) if how.unit else ()), *cells)
 
 
 def _jnd_cell(compared: Compared, baseline: float, band: int, decimals: int) -> Cell:
@@ -369,12 +308,8 @@ def overview_table(answer: Result) -> Table | None:
         return None
     return Table(
         "Mean size of the error over all bands in JND, beside that of the mean of the others",
-        "pair",
-        tuple(parameter(key).symbol for key in keys),
-        tuple(
-            Row(pair_title(pair), tuple(_overview_cell(pair, key) for key in keys))
-            for pair in answer.pairs
-        ),
+        ("pair", *(parameter(key).symbol for key in keys)),
+        [(pair_title(pair), *(_overview_cell(pair, key) for key in keys)) for pair in answer.pairs],
     )
 
 
@@ -419,8 +354,10 @@ def error_tables(answer: Result) -> tuple[Table, ...]:
     tables: list[Table] = []
     for use, words in uses:
         pairs = [pair for pair in answer.pairs if pair.use == use]
-        if parameter_keys(pairs):
-            tables += _tables(answer, pairs, f"Mean error over {count(len(pairs), 'pair')} {words}")
+        if keys := parameter_keys(pairs):
+            caption = f"Mean error over {count(len(pairs), 'pair')} {words}"
+            centres, rows = answer.bands.centres_hz, [_error_row(pairs, k) for k in keys]
+            tables += band_tables(caption, "parameter", centres, rows, after=("all bands",))
     return tuple(tables)
 
 
@@ -431,42 +368,22 @@ def sti_tables(answer: Result) -> tuple[Table, ...]:
     if not known.any():
         return ()
     jnd, beside = in_jnd("STI", measured, predicted), in_jnd("STI", measured, others)
-    rows = [
-        Row(
-            pair_title(pair),
-            (
-                Cell(number(measured[i], 2)),
-                Cell(number(predicted[i], 2)),
-                Cell(
-                    number(jnd[i], 1, signed=True),
-                    (f"others {number(beside[i], 1, signed=True)}",),
-                    jnd_style(float(jnd[i])),
-                ),
-            ),
-        )
-        for i, pair in enumerate(answer.pairs)
-        if known[i]
-    ]
+    rows = []
+    for i in np.flatnonzero(known):
+        small = (f"others {number(beside[i], 1, signed=True)}",)
+        error = Cell(number(jnd[i], 1, signed=True), small, jnd_style(float(jnd[i])))
+        rows.append((pair_title(answer.pairs[i]), measured[i], predicted[i], error))
     caption = "Speech transmission index of the room alone: without noise, masking and threshold"
-    return (Table(caption, "pair", ("measured", "predicted", "error in JND"), tuple(rows)),)
+    columns = ("pair", "measured", "predicted", "error in JND")
+    return (Table(caption, columns, rows, form=".2f"),)
 
 
-def _tables(answer: Result, pairs: Sequence[ComparedPair], caption: str) -> tuple[Table, ...]:
-    keys = parameter_keys(pairs)
-    found = {key: errors_of(pairs, key) for key in keys}
-    every = list(range(len(answer.bands)))
-
-    def rows(block: IntArray) -> Iterator[Row]:
-        groups = [[int(j)] for j in block] + ([every] if block[-1] == every[-1] else [])
-        for key in keys:
-            cells = tuple(
-                _cell(key, *(known_mean(errors[:, bands]) for errors in found[key]))
-                for bands in groups
-            )
-            yield Row(parameter(key).symbol, cells, small=f"in {parameter(key).error_unit}")
-
-    centres = answer.bands.centres_hz
-    return band_tables(caption, "parameter", centres, rows, after=("all bands",))
+def _error_row(pairs: Sequence[ComparedPair], key: str) -> tuple[Cell, ...]:
+    """Return the mean errors of a parameter in each band, and over all of them."""
+    model, baseline = errors_of(pairs, key)
+    bands = (*([j] for j in range(model.shape[1])), slice(None))
+    cells = (_cell(key, known_mean(model[:, j]), known_mean(baseline[:, j])) for j in bands)
+    return (Cell(parameter(key).symbol, (f"in {parameter(key).error_unit}",)), *cells)
 
 
 def _cell(key: str, model: float, baseline: float) -> Cell:
@@ -488,20 +405,13 @@ def material_table(room: Room) -> Table:
     """Return colour, area, share and surfaces of each material: the legend of the picture."""
     areas = material_areas_m2(room)
     whole = float(areas.sum())
-    rows = [
-        Row(
-            name,
-            (
-                Cell(area(float(areas[i]))),
-                Cell(f"{number(100.0 * areas[i] / whole, 1) if whole > 0.0 else DASH} %"),
-                Cell(_surfaces(room, i), style="words"),
-            ),
-            colour=material_colour(i),
-        )
-        for i, name in enumerate(room.materials)
-    ]
-    total = Row("all", (Cell(area(whole)), Cell("100 %"), Cell("")), style="total")
-    return Table("Materials", "material", ("area in m²", "share", "surfaces"), (*rows, total))
+    rows: list[Sequence[Value]] = []
+    for i, name in enumerate(room.materials):
+        share = f"{number(100.0 * areas[i] / whole, 1) if whole > 0.0 else DASH} %"
+        surfaces = Cell(_surfaces(room, i), style="words")
+        rows.append((Cell(name, colour=material_colour(i)), area(float(areas[i])), share, surfaces))
+    rows.append((Cell("all", style="total"), area(whole), "100 %", ""))
+    return Table("Materials", ("material", "area in m²", "share", "surfaces"), rows)
 
 
 def _surfaces(room: Room, material: int) -> str:
@@ -523,57 +433,40 @@ def _surfaces(room: Room, material: int) -> str:
 def position_table(scene: Scene) -> Table:
     """Return the positions of sources and receivers, in metres."""
     points = [("source", p) for p in scene.sources] + [("receiver", p) for p in scene.receivers]
-    return Table(
-        "Positions in metres",
-        "name",
-        ("", "x", "y", "z"),
-        tuple(
-            Row(p.name, (Cell(kind, style="words"), *(Cell(number(v, 2)) for v in p.position_m)))
-            for kind, p in points
-        ),
-    )
+    rows = [(p.name, Cell(kind, style="words"), *p.position_m) for kind, p in points]
+    return Table("Positions in metres", ("name", "", "x", "y", "z"), rows, form=".2f")
 
 
 def source_tables(answer: Result) -> tuple[Table, ...]:
     """Return a table of every source whose directivity was fitted, none where none was."""
-    return tuple(
-        table
-        for found in answer.directivities
-        for table in band_tables(
-            f"Directivity of {found.source}: amplitude "
-            + (
-                "by Legendre polynomials of the cosine of the angle to the aim"
-                if _is_axial(found)
-                else "1 + b cos of the angle to its axis"
-            ),
-            "b",
-            answer.bands.centres_hz,
-            partial(_rows, found),
+    tables: list[Table] = []
+    for found in answer.directivities:
+        axial = any(aim is not None for aim in found.aims.values())
+        words = (
+            "by Legendre polynomials of the cosine of the angle to the aim"
+            if axial
+            else "1 + b cos of the angle to its axis"
         )
-    )
+        caption = f"Directivity of {found.source}: amplitude {words}"
+        rows = _directivity_rows(found, axial=axial)
+        tables += band_tables(caption, "b", answer.bands.centres_hz, rows)
+    return tuple(tables)
 
 
-def _is_axial(found: FittedDirectivity) -> bool:
-    return any(aim is not None for aim in found.aims.values())
-
-
-def _rows(found: FittedDirectivity, block: IntArray) -> tuple[Row, ...]:
-    if _is_axial(found):
-        index = tuple(Cell(number(axial_index_db(found.b[j]), 1)) for j in block)
-        rows = [Row("directivity index, dB", index, f"{len(found.aims)} sources")]
-        names: tuple[str, ...] = ("order 1", "order 2", "order 3")
+def _directivity_rows(found: FittedDirectivity, *, axial: bool) -> list[tuple[Cell, ...]]:
+    if axial:
+        first = [number(axial_index_db(b), 1) for b in found.b]
+        head = Cell("directivity index, dB", (f"{len(found.aims)} sources",))
+        names = ("order 1", "order 2", "order 3")
     else:
-        length = np.linalg.norm(found.b, axis=1)
-        whole = tuple(Cell(number(float(length[j]), 2)) for j in block)
-        rows = [Row("strength |b|", whole, "0 omnidirectional, 1 cardioid")]
+        first = [number(float(length), 2) for length in np.linalg.norm(found.b, axis=1)]
+        head = Cell("strength |b|", ("0 omnidirectional, 1 cardioid",))
         names = ("along x", "along y", "along z")
-    for axis, name in enumerate(names):
-        cells = tuple(
-            Cell(
-                number(float(found.b[j, axis]), 2, signed=True),
-                (f"± {number(float(found.sd[j, axis]), 2)}",),
-            )
-            for j in block
+    rows = [(head, *map(Cell, first))]
+    for name, values, sds in zip(names, found.b.T, found.sd.T, strict=True):
+        cells = (
+            Cell(number(float(b), 2, signed=True), (f"± {number(float(sd), 2)}",))
+            for b, sd in zip(values, sds, strict=True)
         )
-        rows.append(Row(name, cells, "± standard deviation"))
-    return tuple(rows)
+        rows.append((Cell(name, ("± standard deviation",)), *cells))
+    return rows

@@ -16,6 +16,7 @@ from roomfit.report.wording import PARAMETERS, decay_time_key, parameter, short_
 from roomfit.response.directivity import axial_index_db
 from roomfit.scene import RoomCheck
 from roomfit.signals.speech import sti_of_decay
+from roomfit.table import Column, Table
 from roomfit.typing import BoolArray, FloatArray
 
 if TYPE_CHECKING:  # heavy, and no text of a room needs them
@@ -479,17 +480,18 @@ def diffuse_text(found: DiffuseAbsorption) -> str:
     return "\n".join([*rows, "", textwrap.fill(DIFFUSE_WORDS, 100)])
 
 
-def diffuse_rows(found: DiffuseAbsorption) -> list[list[str]]:
-    """Return the rows of a table, the first the heading; material "" is the mean of the room."""
+def diffuse_records(found: DiffuseAbsorption) -> Table:
+    """Return the content of reverberation.csv; material "" is the mean of the room."""
     from roomfit.inversion.diffuse import FORMULAS
 
-    rows = [["formula", "material", "band_hz", "absorption", "lower95", "upper95"]]
+    rows = []
     for i, formula in enumerate(FORMULAS):
         named = (("", found.mean[i]), *zip(found.materials, found.absorption[i], strict=True))
         for name, values in named:
             for centre, column in zip(found.bands.centres_hz, values.T, strict=True):
-                rows.append([formula, name, f"{centre:g}", *(f"{v:.5f}" for v in column)])
-    return rows
+                rows.append((formula, name, centre, *column))
+    names = ("absorption", "lower95", "upper95")
+    return Table("", ("formula", "material", Column("band_hz"), *names), rows, form=".5f")
 
 
 def recordings_text(checked: CheckedRecordings) -> str:

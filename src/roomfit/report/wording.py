@@ -1,22 +1,17 @@
-"""Numbers, names and tables as a reader expects them: sensible digits, units, no NaN.
-
-Tables of the report, and tables of results as data frames and as HTML for notebooks.
-"""
+"""Numbers, names and bands as a reader expects them: sensible digits, units, no NaN."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
-from importlib import import_module
 from itertools import groupby
-from typing import Any
 
 import numpy as np
 
-from roomfit.errors import InputError
 from roomfit.findings import Finding
-from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.table import Table, Value
+from roomfit.typing import BoolArray, FloatArray
 
 DASH = "\N{EN DASH}"
 
@@ -159,37 +154,6 @@ BANDS_AT_MOST = 8
 """Columns that fit on a sheet of A4; further bands go into a table below."""
 
 
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """Text, smaller lines below it, the style sheet's name for what it means, and a link."""
-
-    text: str
-    small: tuple[str, ...] = ()
-    style: str = ""
-    link: str = ""  # relative address, quoted as in a URL
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """The head of a row, a colour beside it (CSS, or none), and its cells."""
-
-    head: str
-    cells: tuple[Cell, ...]
-    small: str = ""
-    colour: str = ""
-    style: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A captioned table; `corner` heads the column of row heads."""
-
-    caption: str
-    corner: str
-    columns: tuple[str, ...]
-    rows: tuple[Row, ...]
-
-
 def band_heads(centres_hz: FloatArray) -> tuple[str, ...]:
     """Return the heads of columns of bands."""
     return tuple(hertz(float(f)) for f in centres_hz)
@@ -199,7 +163,7 @@ def band_tables(
     caption: str,
     corner: str,
     centres_hz: FloatArray,
-    rows: Callable[[IntArray], Iterable[Row]],
+    rows: Sequence[Sequence[Value]],
     *,
     before: tuple[str, ...] = (),
     after: tuple[str, ...] = (),
@@ -210,68 +174,23 @@ def band_tables(
     ----------
     caption, corner : str
     centres_hz : float array, shape (n_bands,)
-    rows : callable
-        Returns the rows of the bands of these indices.
+    rows : sequence of sequences
+        A head, the cells of `before`, one a band, and those of `after`.
     before, after : tuple of str
         Heads of other columns, in every table and behind the last band.
     """
+    n, first = len(centres_hz), 1 + len(before)
+    heads = (corner, *before, *band_heads(centres_hz), *after)
     tables = []
-    for block in np.array_split(np.arange(len(centres_hz)), -(-len(centres_hz) // BANDS_AT_MOST)):
-        heads = band_heads(centres_hz[block])
-        whole = len(block) == len(centres_hz)
-        words = caption if whole else f"{caption}; {heads[0]} to {heads[-1]}"
-        last = after if block[-1] == len(centres_hz) - 1 else ()
-        tables.append(Table(words, corner, (*before, *heads, *last), tuple(rows(block))))
+    for block in np.array_split(np.arange(first, first + n), -(-n // BANDS_AT_MOST)):
+        words = caption
+        if len(block) < n:
+            words += f"; {heads[block[0]]} to {heads[block[-1]]}"
+        last = range(first + n, len(heads)) if block[-1] == first + n - 1 else ()
+        chosen = [*range(first), *block, *last]
+        shown = [[row[k] for k in chosen] for row in rows]
+        tables.append(Table(words, [heads[k] for k in chosen], shown))
     return tuple(tables)
-
-
-def data_frame(columns: Sequence[str], rows: Iterable[Sequence[object]], file: str) -> Any:
-    """Return a pandas data frame.
-
-    Parameters
-    ----------
-    columns : sequence of str
-    rows : iterable of sequences, one value a column
-    file : str
-        Where the command line writes the same table, for the message.
-
-    Raises
-    ------
-    InputError
-        pandas, on which roomfit does not depend, is not installed.
-    """
-    pandas = optional_package("pandas", "data frames", "to_dataframe", file)
-    return pandas.DataFrame(list(rows), columns=list(columns))
-
-
-def optional_package(name: str, what: str, where: str, file: str = "result.json") -> Any:
-    """Return a package on which roomfit does not depend.
-
-    Raises
-    ------
-    InputError
-        It is not installed; `what` needs it, and `file` holds the same.
-    """
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise InputError(
-            f"{what} need {name}",
-            where=where,
-            found=str(error),
-            needed=f"the package {name}, on which roomfit does not depend",
-            hint=f"pip install {name}; or read {file}, which the command line writes",
-        ) from error
-
-
-def html_table(caption: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return a table of texts, its first column as row headings."""
-    head = "".join(f"<th>{escape(c)}</th>" for c in columns)
-    body = "".join(
-        f"<tr><th>{escape(first)}</th>" + "".join(f"<td>{escape(c)}</td>" for c in cells) + "</tr>"
-        for first, *cells in rows
-    )
-    return f"<table><caption>{escape(caption)}</caption><tr>{head}</tr>{body}</table>"
 
 
 def html_findings(findings: Iterable[Finding]) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -24,7 +24,6 @@ from roomfit.cache import (
     write_json_atomically,
     write_text_atomically,
 )
-from roomfit.io.encoding import csv_text
 from roomfit.io.results import certificate_content
 from roomfit.report.figures import OKABE_ITO, new_figure, png
 from roomfit.suh2001.independent import (
@@ -55,6 +54,7 @@ from roomfit.suh2001.room import (
     WALLS_APART,
 )
 from roomfit.suh2001.searches import Landscape
+from roomfit.table import Column, Table, Value, csv_of, text_of
 from roomfit.typing import FloatArray, Progress
 
 
@@ -79,8 +79,8 @@ def run_paper(
     check_output_folder(folder, overwrite=overwrite)
     result = repeat_paper(seeds, workers, progress=progress)
     with whole_output_folder(folder, overwrite=overwrite) as aside:
-        for name, (heading, rows) in _tables(result).items():
-            write_text_atomically(aside / f"{name}.csv", _csv(heading, rows))
+        for name, table in _tables(result).items():
+            write_text_atomically(aside / f"{name}.csv", csv_of(table))
         for name, figure in _figures(result).items():
             write_bytes_atomically(aside / f"{name}.png", png(figure))
         write_json_atomically(aside / "paper.json", paper_json(result))
@@ -179,25 +179,24 @@ def _independent_content(result: PaperResult) -> dict[str, Any]:
     }
 
 
-Row: TypeAlias = Sequence[object]
-
-
-def _csv(heading: Row, rows: Sequence[Row]) -> str:
-    return csv_text(
-        heading,
-        ([f"{cell:.6g}" if isinstance(cell, float) else cell for cell in row] for row in rows),
-    )
-
-
-def _tables(result: PaperResult) -> dict[str, tuple[Row, Sequence[Row]]]:
-    """Return name, heading and rows of every CSV table."""
+def _tables(result: PaperResult) -> dict[str, Table]:
+    """Return every CSV table by its name."""
     table, shapes, responses = result.table2, result.landscapes, result.responses
-    independent = [asdict(row) for row in result.independent]
     searched = (
-        "problem", "method", "materials", "successes", "seeds", "largest_error",
-        "median_evaluations", "median_seconds",
-    )  # fmt: skip
-    return {
+        *("problem", "method", "materials", "successes", "seeds", "largest_error"),
+        *("median_evaluations", "median_seconds"),
+    )
+    proven = (
+        *("problem", "materials", "status", "clusters", "proven_single", "value"),
+        *("lower_bound", "delta", "boxes", "seconds"),
+    )
+    records = [
+        [len(r.true_absorption) if n == "materials" else getattr(r, n) for n in searched]
+        for r in result.records
+    ]
+    energies = np.column_stack([r.fine for r in responses]).tolist()
+    independent = [asdict(row) for row in result.independent]
+    described: dict[str, tuple[Sequence[str], Sequence[Sequence[Value]]]] = {
         "table2": (
             ("alpha1", "alpha2", "error_paper", "error_ours"),
             np.column_stack((table.absorption, table.paper, table.ours)).tolist(),
@@ -206,13 +205,7 @@ def _tables(result: PaperResult) -> dict[str, tuple[Row, Sequence[Row]]]:
             ("case", "direct_ms", "first_reflection_ms"),
             [(r.name, r.direct_ms, r.first_reflection_ms) for r in responses],
         ),
-        "responses_1ms": (
-            ("from_ms", *CASES),
-            [
-                (i, *energies)
-                for i, energies in enumerate(np.column_stack([r.fine for r in responses]).tolist())
-            ],
-        ),
+        "responses_1ms": (("from_ms", *CASES), [(i, *e) for i, e in enumerate(energies)]),
         "responses_5ms": (
             ("case", "from_ms", "energy"),
             [
@@ -221,45 +214,39 @@ def _tables(result: PaperResult) -> dict[str, tuple[Row, Sequence[Row]]]:
                 for t, e in zip(r.edges_s[:-1].tolist(), r.windows.tolist(), strict=True)
             ],
         ),
-        "grid_errors": (
-            ("problem", "alpha1", "alpha2", "error"),
-            [
-                (name, a, b, shape.errors[i, j].item())
-                for name, shape in shapes.items()
-                for i, a in enumerate(shape.grid.tolist())
-                for j, b in enumerate(shape.grid.tolist())
-            ],
-        ),
+        "grid_errors": (("problem", "alpha1", "alpha2", "error"), _grid_rows(shapes)),
         "minima": (("problem", "kind", "alpha1", "alpha2", "descents"), _minima_rows(shapes)),
-        "search_paths": (
-            ("method", "step", "alpha1", "alpha2", "error"),
-            [
-                (name, i, *x, e)
-                for name, fit in result.case1_searches.items()
-                for i, (x, e) in enumerate(
-                    zip(fit.trail.tolist(), fit.trail_cost.tolist(), strict=True)
-                )
-            ],
-        ),
-        "identified": (
-            searched,
-            [
-                [len(r.true_absorption) if n == "materials" else getattr(r, n) for n in searched]
-                for r in result.records
-            ],
-        ),
-        "certified": (
-            ("problem", "materials", "status", "clusters", "proven_single", "value",
-             "lower_bound", "delta", "boxes", "seconds"),
-            _certified_rows(result),
-        ),
+        "search_paths": (("method", "step", "alpha1", "alpha2", "error"), _path_rows(result)),
+        "identified": (searched, records),
+        "certified": (proven, _certified_rows(result)),
         "independent_rays": (tuple(independent[0]), [tuple(r.values()) for r in independent]),
-    }  # fmt: skip
+    }
+    return {
+        name: Table("", columns, rows, form=".6g") for name, (columns, rows) in described.items()
+    }
 
 
-def _minima_rows(shapes: Mapping[str, Landscape]) -> list[Row]:
+def _grid_rows(shapes: Mapping[str, Landscape]) -> list[Sequence[Value]]:
+    return [
+        (name, a, b, shape.errors[i, j].item())
+        for name, shape in shapes.items()
+        for i, a in enumerate(shape.grid.tolist())
+        for j, b in enumerate(shape.grid.tolist())
+    ]
+
+
+def _path_rows(result: PaperResult) -> list[Sequence[Value]]:
+    """Return where each search of case 1 went, step by step."""
+    return [
+        (name, i, *x, e)
+        for name, fit in result.case1_searches.items()
+        for i, (x, e) in enumerate(zip(fit.trail.tolist(), fit.trail_cost.tolist(), strict=True))
+    ]
+
+
+def _minima_rows(shapes: Mapping[str, Landscape]) -> list[Sequence[Value]]:
     """Return minima of the grid in either sense, and true ones with how many descents end there."""
-    rows: list[Row] = []
+    rows: list[Sequence[Value]] = []
     for name, shape in shapes.items():
         rows += [(name, "grid, 4 neighbours", *x, "") for x in shape.four_neighbours]
         rows += [(name, "grid, 8 neighbours", *x, "") for x in shape.eight_neighbours]
@@ -268,9 +255,9 @@ def _minima_rows(shapes: Mapping[str, Landscape]) -> list[Row]:
     return rows
 
 
-def _certified_rows(result: PaperResult) -> list[Row]:
+def _certified_rows(result: PaperResult) -> list[Sequence[Value]]:
     """Return what is proven of each problem: how low, in how many boxes, with how much work."""
-    rows: list[Row] = []
+    rows: list[Sequence[Value]] = []
     for name, c in result.certificates.items():
         single = sum(cluster.unique for cluster in c.clusters)
         proven = (name, len(c.coordinates), c.status, len(c.clusters), single)
@@ -296,12 +283,13 @@ def paper_text(result: PaperResult) -> str:
 
 
 def _arrivals_text(result: PaperResult) -> str:
-    lines = ["Arrival of direct sound / first reflection (1 ms bins), here and in the paper"]
+    rows = []
     for r in result.responses:
         direct, first = PRINTED_ARRIVALS_MS[r.name]
         here = f"{r.direct_ms} / {r.first_reflection_ms}"
-        lines.append(f"  {r.name}  {here} ms, paper {direct} / {first} ms")
-    return "\n".join(lines)
+        rows.append((r.name, f"{here} ms, paper {direct} / {first} ms"))
+    caption = "Arrival of direct sound / first reflection (1 ms bins), here and in the paper"
+    return text_of(Table(caption, ("", ""), rows), indent="  ")
 
 
 def _minima_text(result: PaperResult) -> str:
@@ -324,22 +312,22 @@ def _minima_text(result: PaperResult) -> str:
 
 
 def _searches_text(result: PaperResult) -> str:
-    lines = [
-        f"Searches that found every absorption within 0.005, of {result.seeds} seeds "
-        "(median evaluations)",
-        f"  {'':<29}" + "".join(f"{method.heading:>14}" for method in METHODS.values()),
-    ]
+    rows = []
     records = {(r.problem, r.method): r for r in result.records}
     for problem, wanted in SPECIFICATIONS.items():
-        own = [records[problem, method] for method in METHODS]
-        cells = "".join(f"{f'{r.successes} ({r.median_evaluations:.0f})':>14}" for r in own)
-        mark = "" if wanted.in_paper else " *"
-        lines.append(f"  {problem + mark:<29}{cells}")
-    lines += [
+        own = (records[problem, method] for method in METHODS)
+        cells = (f"{r.successes} ({r.median_evaluations:.0f})" for r in own)
+        rows.append((problem + ("" if wanted.in_paper else " *"), *cells))
+    caption = (
+        f"Searches that found every absorption within 0.005, of {result.seeds} seeds "
+        "(median evaluations)"
+    )
+    notes = (
         "  * not in the paper. least squares: from the one absorption that the decay gives,",
         "  then random points; one start: from one random point alone",
-    ]
-    return "\n".join(lines)
+    )
+    columns = ("", *(method.heading for method in METHODS.values()))
+    return text_of(Table(caption, columns, rows, notes), indent="  ")
 
 
 def _walls_apart_text(result: PaperResult) -> str:
@@ -363,35 +351,36 @@ def _walls_apart_text(result: PaperResult) -> str:
 
 
 def _certified_text(result: PaperResult) -> str:
-    lines = [
-        "Certified: no absorption at all errs less, and only in these regions is the error within "
-        "1e-08 of it",
-        f"  {'':<29}{'materials':>10}{'regions':>8}{'boxes':>8}   proven to hold one minimum each",
-    ]
+    rows = []
     for name, c in result.certificates.items():
         single = sum(cluster.unique for cluster in c.clusters)
         outcome = "all" if single == len(c.clusters) else f"{single} of {len(c.clusters)}"
         if c.status != "certified":
             outcome = f"{c.status}: at best {c.value - c.lower_bound:.1e} better"
-        lines.append(
-            f"  {name:<29}{len(c.coordinates):>10}{len(c.clusters):>8}{c.boxes:>8}   {outcome}"
-        )
-    lines.append("  (of these rays: what other rays would change is not in it)")
-    return "\n".join(lines)
+        rows.append((name, len(c.coordinates), len(c.clusters), c.boxes, outcome))
+    outcomes = Column("proven to hold one minimum each", align="<")
+    caption = (
+        "Certified: no absorption at all errs less, and only in these regions is the error within "
+        "1e-08 of it"
+    )
+    columns = ("", "materials", "regions", "boxes", outcomes)
+    notes = ("  (of these rays: what other rays would change is not in it)",)
+    return text_of(Table(caption, columns, rows, notes), indent="  ")
 
 
 def _independent_text(result: PaperResult) -> str:
-    rays = [r.rays for r in _rows_of(result, 1, 2)]
-    lines = [
-        "The same with other rays for the measurement than for the model: rms error of the found "
-        "absorption",
-        f"  {'pairs, materials':<18}" + "".join(f"{n:>9,}" for n in rays) + "  rays",
+    rays = [f"{r.rays:,}" for r in _rows_of(result, 1, 2)]
+    rows = [
+        (f"{pairs}, {materials}", *(r.rms_error for r in _rows_of(result, pairs, materials)))
+        for pairs in (1, 3)
+        for materials in DIVISIONS
     ]
-    for pairs in (1, 3):
-        for materials in DIVISIONS:
-            cells = "".join(f"{r.rms_error:>9.3f}" for r in _rows_of(result, pairs, materials))
-            lines.append(f"  {f'{pairs}, {materials}':<18}{cells}")
-    return "\n".join(lines)
+    caption = (
+        "The same with other rays for the measurement than for the model: rms error of the found "
+        "absorption"
+    )
+    columns = ("pairs, materials", *rays[:-1], f"{rays[-1]} rays")
+    return text_of(Table(caption, columns, rows, form=".3f"), indent="  ")
 
 
 def _rows_of(result: PaperResult, pairs: int, materials: int) -> list[IndependentRow]:

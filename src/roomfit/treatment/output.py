@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,20 +15,19 @@ from matplotlib.patches import Patch
 
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.geometry.mesh import corners_m
-from roomfit.io.encoding import csv_text, finding_content, number_or_null, provenance
-from roomfit.prediction.output import one_number, parameters_content, text_lines
+from roomfit.io.encoding import finding_content, number_or_null, provenance
+from roomfit.prediction.output import one_number, parameter_rows, parameters_content
 from roomfit.prediction.tables import named_values
 from roomfit.report.figures import OKABE_ITO, figure_legend, literal, new_figure
 from roomfit.report.room_figure import COLOURS, drawn_faces, outline_m, projection
 from roomfit.report.text import findings_text
 from roomfit.scene import triangle_material
 from roomfit.signals.decay import FIT_RANGES_DB
+from roomfit.table import Column, Table, csv_of, text_of
 from roomfit.treatment.question import USUAL_HZ, TargetName
 
 if TYPE_CHECKING:
     from roomfit.treatment.treat import Arrangement, Treatment
-
-COLUMNS = ("arrangement", "surface", "product", "area_m2", "share", "cost", "probability_of_all")
 
 
 def write_treatment(folder: Path, treatment: Treatment, inputs: Iterable[Path]) -> None:
@@ -45,14 +44,16 @@ def write_treatment(folder: Path, treatment: Treatment, inputs: Iterable[Path]) 
 
 def treatment_csv(treatment: Treatment) -> str:
     """Return one row for each product on each surface of each arrangement."""
-    rows: list[Sequence[object]] = []
-    for number, a in enumerate(treatment.arrangements, start=1):
-        common = (f"{a.cost:g}", f"{a.joint:.3f}")
-        rows += [
-            (number, h.surface, h.product, f"{h.area_m2:.3f}", f"{h.share:.4f}", *common)
-            for h in a.hung
-        ]
-    return csv_text(COLUMNS, rows)
+    columns = (
+        *("arrangement", "surface", "product", Column("area_m2", ".3f"), Column("share", ".4f")),
+        *(Column("cost"), Column("probability_of_all", ".3f")),
+    )
+    rows = [
+        (number, h.surface, h.product, h.area_m2, h.share, a.cost, a.joint)
+        for number, a in enumerate(treatment.arrangements, start=1)
+        for h in a.hung
+    ]
+    return csv_of(Table("", columns, rows))
 
 
 def treatment_content(treatment: Treatment, inputs: Iterable[Path]) -> dict[str, Any]:
@@ -132,12 +133,9 @@ def _arrangement_text(treatment: Treatment, a: Arrangement, number: int) -> str:
             lines += [f"    {line}" for line in treatment.to_measure]
     wanted = {t.parameter for t in treatment.targets}
     shown = {n: v for n, v in a.mean.items() if n in wanted or n in ("T30_s", "C50_dB")}
-    head = ["Hz", *(f"{f:g}" for f in treatment.bands.centres_hz)]
-    rows = text_lines(named_values(shown, a.sti), is_changed=True)
-    for first, *cells in (head, *rows):
-        first = first.replace("model before", "before")
-        lines.append(f"  {first:<15}  " + "  ".join(f"{c:>20}" for c in cells))
-    return "\n".join(lines)
+    rows = parameter_rows(named_values(shown, a.sti), is_changed=True)
+    heads = ("Hz", *(f"{f:g}" for f in treatment.bands.centres_hz))
+    return "\n".join([*lines, text_of(Table("", heads, rows), indent="  ")])
 
 
 def treatment_figure(treatment: Treatment) -> Figure:
