@@ -44,7 +44,7 @@ Status = Literal["done", "refused", "failed", "waiting"]
 ROOMS, FAILURES = "rooms", "failures"
 # Where the field quotes one number for a room.
 _MIDDLE_HZ = (500.0, 1000.0)
-_COLUMNS = (
+_COLUMNS: tuple[str | Column, ...] = (
     *("room", "status", "result", "identifiable", "values"),
     *(Column(f"room_mean_{name}", ".4f") for name in ("absorption", "lower95", "upper95")),
     *(Column(f"T_{name}_s", ".3f") for name in ("measured", "predicted")),

@@ -33,7 +33,8 @@ class Cell:
     colour: str = ""  # CSS, of a square before the text
 
 
-Value: TypeAlias = Cell | str | float | np.generic | None
+Value: TypeAlias = object
+"""What may stand in a table: a `Cell`, a text, a number, a truth value, or None for an unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +87,9 @@ def written(value: Value, form: str = "g", missing: str = "") -> str:
         return "true" if value else "false"
     if isinstance(value, int | np.integer):
         return str(value)
-    number = float(value)  # type: ignore[arg-type]  # of numpy there are real numbers alone
-    return format(number, form) if np.isfinite(number) else missing
+    if isinstance(value, float | np.floating):
+        return format(float(value), form) if np.isfinite(value) else missing
+    raise TypeError(f"no cell of a table is a {type(value).__name__}")
 
 
 def text_of(shown: Table, gap: str = "  ", indent: str = "") -> str:

@@ -232,7 +232,7 @@ def _interval(values: FloatArray) -> str:
 
 def comparison_records(compared: Comparison) -> Table:
     """Return the content of compared.csv: numbers with five decimals, and the verdict."""
-    columns = [
+    columns: list[str | Column] = [
         *("material", Column("band_hz"), "first", "first_lower95", "first_upper95"),
         *("second", "second_lower95", "second_upper95"),
         *("difference", "difference_lower95", "difference_upper95"),

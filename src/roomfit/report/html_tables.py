@@ -381,7 +381,8 @@ def sti_tables(answer: Result) -> tuple[Table, ...]:
 def _error_row(pairs: Sequence[ComparedPair], key: str) -> tuple[Cell, ...]:
     """Return the mean errors of a parameter in each band, and over all of them."""
     model, baseline = errors_of(pairs, key)
-    bands = (*([j] for j in range(model.shape[1])), slice(None))
+    every = np.arange(model.shape[1])
+    bands = (*every[:, None], every)
     cells = (_cell(key, known_mean(model[:, j]), known_mean(baseline[:, j])) for j in bands)
     return (Cell(parameter(key).symbol, (f"in {parameter(key).error_unit}",)), *cells)
 
