@@ -34,7 +34,7 @@ from roomfit.io.door import complete, json_content, read_text
 from roomfit.io.encoding import input_digests
 from roomfit.report.figures import in_file_name
 from roomfit.report.html import tables_page
-from roomfit.table import Cell, Column, Table, Value, csv_of, written
+from roomfit.table import Cell, Column, Table, Value, csv_of, text_of, written
 from roomfit.typing import Progress
 from roomfit.workers import completed, keep_one_thread, result_of
 
@@ -374,14 +374,14 @@ def _page_row(row: RoomRow) -> tuple[Value, ...]:
 
 def rooms_text(rows: Sequence[RoomRow]) -> str:
     """Return the table for a terminal: a line a room, and what failed below it."""
-    width = max((len(r.name) for r in rows), default=4)
-    lines = [f"{'room':<{width}}  status   identifiable  mean absorption      T (predicted)"]
+    shown: list[Sequence[Value]] = []
     for r in rows:
-        line = f"{r.name:<{width}}  {r.status:<7}"
+        cells = ["", "", ""]
         if r.status == "done":
-            mean, lower, upper = r.mean
-            line += f"  {f'{r.identifiable} of {r.values}':<12}  {mean:.2f} ({lower:.2f} to "
-            line += f"{upper:.2f})  {r.decay_s[0]:.2f} s ({r.decay_s[1]:.2f} s)"
-        lines.append(line)
-        lines += [f"{'':<{width}}    {text}" for text in r.message.splitlines()]
-    return "\n".join([*lines, "", counted(rows)])
+            mean, lower, upper = (f"{x:.2f}" for x in r.mean)
+            cells = [f"{r.identifiable} of {r.values}", f"{mean} ({lower} to {upper})"]
+            cells.append(f"{r.decay_s[0]:.2f} s ({r.decay_s[1]:.2f} s)")
+        shown += [(r.name, r.status, *cells), *([f"    {x}"] for x in r.message.splitlines())]
+    words = ("status", "identifiable", "mean absorption", "T (predicted)")
+    columns = [Column(word, align="<") for word in ("room", *words)]
+    return text_of(Table("", columns, shown, ("", counted(rows))))

@@ -374,7 +374,7 @@ def test_records_in_memory_are_designed_as_a_campaign_is(small):
 def test_a_design_shows_itself(small, monkeypatch):
     found = small[2]
     first = found.scene.receivers[found.scene.pairs[found.chosen[0], 1]].name
-    assert f" {first} " in str(found) and f"{first} (" in found._repr_html_()
+    assert f" {first} " in str(found) and f"<td>{first}</td>" in found._repr_html_()
     assert len(found.plot().axes) == 2
     frame = SimpleNamespace(
         DataFrame=lambda rows, columns: [dict(zip(columns, r, strict=True)) for r in rows]

@@ -52,7 +52,7 @@ def test_a_sound_room_is_described_in_numbers_and_leaves_with_zero(tmp_path, mon
     output = capsys.readouterr().out
     for text in ("5.00 x 4.00 x 3.00 m", "60.00 m3", "94.00 m2", "2.553 m", "closed, no ray lost"):
         assert text in output
-    assert "plaster        54.00   57.4 %" in output
+    assert "plaster        54.00  57.4 %" in output
     assert "The room can be traced." in output
 
 

@@ -18,6 +18,7 @@ from roomfit.geometry.mesh import shoebox_mesh
 from roomfit.results import Compared, ComparedPair, Decay, Result
 from roomfit.scene import Point, Room, Scene, material_areas_m2
 from roomfit.signals.decay import in_jnd
+from roomfit.table import Table, written
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 VALUES = {
@@ -155,6 +156,12 @@ class Reader(HTMLParser):
             self._caption += data
         if self._lines is not None:
             self._lines[-1] += data
+
+
+def texts_of(table: Table) -> list[list[str]]:
+    """Return the texts of all cells of a table, smaller lines left out."""
+    forms = [c.form for c in table.described()]
+    return [[written(v, f) for v, f in zip(row, forms, strict=True)] for row in table.rows]
 
 
 def read_page(text: str) -> Reader:

@@ -147,7 +147,7 @@ def test_the_command_prints_the_table_and_writes_three_files(tmp_path, capsys):
     files = [str(tmp_path / f"{name}.csv") for name in ("before", "after")]
     main(["compare", *files, "--out", str(tmp_path / "out")])
     printed = capsys.readouterr().out
-    assert "+0.300 (+0.258 to +0.342) *" in printed
+    assert "+0.300 (+0.258 to +0.342)  *" in printed
     assert "1 of 2 coefficients changed" in printed
     rows = list(csv.DictReader((tmp_path / "out" / "compared.csv").open()))
     assert [row["changed"] for row in rows] == ["changed", "no"]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from report_cases import answer_of, scene_of
+from report_cases import answer_of, scene_of, texts_of
 from roomfit.report.figures import (
     absorption_figure,
     answer_figures,
@@ -90,8 +90,8 @@ def test_without_profiles_samples_or_priors_nothing_is_drawn():
 
 def test_the_prior_stands_in_a_table_of_its_own(answer):
     (table,) = prior_tables(answer)
-    assert [row.head for row in table.rows] == list(answer.materials)
-    assert len(table.rows[0].cells) == 6
+    assert [row[0] for row in texts_of(table)] == list(answer.materials)
+    assert len(table.rows[0]) == 1 + 6
 
 
 def numbers_of(figure):

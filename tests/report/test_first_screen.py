@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import roomfit
-from report_cases import answer_of, drawing, finding, read_page, scene_of
+from report_cases import answer_of, drawing, finding, read_page, scene_of, texts_of
 from roomfit.bands import bands_between
 from roomfit.diagnostics.decay import DECAY_SCATTER
 from roomfit.errors import InputError
@@ -194,7 +194,7 @@ def test_small_words_within_names_are_not_translated():
 
 
 def rows_of(table):
-    return [(row.head, *(cell.text for cell in row.cells)) for row in table.rows]
+    return [tuple(row) for row in texts_of(table)]
 
 
 def test_where_predictions_agree_there_is_no_table(answer, scene):

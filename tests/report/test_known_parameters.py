@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from report_cases import answer_of, read_page, scene_of
+from report_cases import answer_of, read_page, scene_of, texts_of
 from roomfit.io.results import result_content
 from roomfit.prediction.decay import PredictedDecay
 from roomfit.prediction.output import predict_text, predicted_decay_figure
@@ -108,12 +108,12 @@ def test_the_tables_of_the_report_show_the_parameters_and_no_others():
         answer = with_parameters(names)
         expected = [SYMBOLS[n] for n in SYMBOLS if n in names]
         for _, tables in pair_sections(answer):
-            assert [row.head for row in tables[0].rows] == expected
+            assert [row[0] for row in texts_of(tables[0])] == expected
         overview = overview_table(answer)
         assert overview is not None
-        assert list(overview.columns) == expected
+        assert list(overview.names[1:]) == expected
         for table in error_tables(answer):
-            assert [row.head for row in table.rows] == expected
+            assert [row[0] for row in texts_of(table)] == expected
         reported = next(s for s in summary_sentences(answer) if s.startswith("Mean error"))
         assert any(SYMBOLS[n] in reported for n in names), reported
 
@@ -199,17 +199,18 @@ def test_the_speech_transmission_index_stands_in_text_report_and_result():
     text = pairs_table(answer)
     assert "STI of the room alone, fitted: 0." in text
     assert "STI of the room alone, not fitted: 0." in text
-    rows = next(t for t in sti_tables(answer)).rows
-    assert [row.head for row in rows] == ["S1 to R1", "S1 to R2 (not fitted)"]
+    (table,) = sti_tables(answer)
+    titles, measured, predicted, _ = zip(*texts_of(table), strict=True)
+    assert titles == ("S1 to R1", "S1 to R2 (not fitted)")
     content = [pair["sti"] for pair in result_content(answer, [])["pairs"]]
-    assert [row.cells[0].text for row in rows] == [f"{c['measured']:.2f}" for c in content]
-    assert [row.cells[1].text for row in rows] == [f"{c['predicted']:.2f}" for c in content]
+    assert list(measured) == [f"{c['measured']:.2f}" for c in content]
+    assert list(predicted) == [f"{c['predicted']:.2f}" for c in content]
     caption = next(
         c for c in read_page(report_html(answer, SCENE, title="A")).tables if "Speech" in c
     )
     assert "without noise" in caption
     # the only other pair was not fitted, so that the fitted one has no baseline
-    assert rows[0].cells[2].small[0] == f"others {DASH}"
+    assert table.rows[0][3].small[0] == f"others {DASH}"
     bare = replace(answer, pairs=tuple(replace(p, decay=None) for p in answer.pairs))
     for other in (bare, without_means(answer_of(SCENE, low=125, high=4000))):
         assert sti_tables(other) == () and "STI" not in pairs_table(other)

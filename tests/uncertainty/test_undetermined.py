@@ -171,7 +171,7 @@ def test_text_report_and_result_tell_shares_and_what_is_open():
     assert sentence in separable_text(answer)
     assert "30 (20-40)" in shares_table(answer)
     (table,) = share_tables(answer)
-    assert [(c.text, c.small) for c in table.rows[0].cells] == [("30", (f"20{DASH}40",))] * 2
+    assert [(c.text, c.small) for c in table.rows[0][1:]] == [("30", (f"20{DASH}40",))] * 2
     content = json.loads(json_text(result_content(answer, ())))
     assert content["materials"]["floor"]["share_upper95"] == [0.4, 0.4]
     reported = [c for c in content["combinations"] if c["band_hz"] == 1000.0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Sequence
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +17,7 @@ from roomfit.report.wording import PARAMETERS, decay_time_key, parameter, short_
 from roomfit.response.directivity import axial_index_db
 from roomfit.scene import RoomCheck
 from roomfit.signals.speech import sti_of_decay
-from roomfit.table import Column, Table
+from roomfit.table import Column, Table, Value, text_of
 from roomfit.typing import BoolArray, FloatArray
 
 if TYPE_CHECKING:  # heavy, and no text of a room needs them
@@ -71,27 +72,14 @@ def plan_text(answer: Result) -> str:
 
 def absorption_table(answer: Result) -> str:
     """Return absorption with its interval per material and band; ``?`` marks what is not sure."""
-    width = max(len(n) for n in (*answer.materials, "room mean"))
-    head = "  ".join(f"{f:>13g}" for f in answer.bands.centres_hz)
-    lines = [
-        f"Absorption, 95 % interval ({answer.interval_kind}); ? = not identifiable",
-        f"{'Hz':<{width}}  {head}",
+    values = np.stack([answer.absorption, answer.lower95, answer.upper95])
+    rows = [
+        (name, *map(_interval_cell, *values[:, i], answer.identifiable[i]))
+        for i, name in enumerate(answer.materials)
     ]
-    for i, name in enumerate(answer.materials):
-        cells = [
-            _interval_cell(*values, sure=bool(sure))
-            for *values, sure in zip(
-                answer.absorption[i],
-                answer.lower95[i],
-                answer.upper95[i],
-                answer.identifiable[i],
-                strict=True,
-            )
-        ]
-        lines.append(f"{name:<{width}}  " + "  ".join(cells))
-    cells = [_interval_cell(*column, sure=True) for column in answer.mean_absorption.T]
-    lines.append(f"{'room mean':<{width}}  " + "  ".join(cells))
-    return "\n".join(lines)
+    rows.append(("room mean", *map(_interval_cell, *answer.mean_absorption)))
+    caption = f"Absorption, 95 % interval ({answer.interval_kind}); ? = not identifiable"
+    return text_of(Table(caption, _heads(answer.bands.centres_hz), rows))
 
 
 def separable_text(answer: Result) -> str:
@@ -126,19 +114,18 @@ def shares_table(answer: Result) -> str:
     """Return what each material contributes to the room's absorption, in percent."""
     if answer.shares is None:
         return ""
-    width = max(len(n) for n in answer.materials)
-    head = "  ".join(f"{f:>10g}" for f in answer.bands.centres_hz)
-    lines = [
-        "Share of the room's absorption in %, 95 % interval (air left out)",
-        f"{'Hz':<{width}}  {head}",
-    ]
+    rows = []
     for i, name in enumerate(answer.materials):
-        cells = [
-            f"{100 * value:.0f} ({100 * low:.0f}-{100 * high:.0f})"
-            for value, low, high in answer.shares[:, i].T
-        ]
-        lines.append(f"{name:<{width}}  " + "  ".join(f"{cell:>10}" for cell in cells))
-    return "\n".join(lines)
+        columns = 100.0 * answer.shares[:, i].T
+        rows.append(
+            (name, *(f"{value:.0f} ({low:.0f}-{high:.0f})" for value, low, high in columns))
+        )
+    caption = "Share of the room's absorption in %, 95 % interval (air left out)"
+    return text_of(Table(caption, _heads(answer.bands.centres_hz), rows))
+
+
+def _heads(centres_hz: FloatArray) -> tuple[str, ...]:
+    return ("Hz", *(f"{f:g}" for f in centres_hz))
 
 
 def directivity_text(answer: Result) -> str:
@@ -344,7 +331,7 @@ def findings_text(findings: tuple[Finding, ...]) -> str:
     return "\n".join(lines)
 
 
-def _interval_cell(value: float, lower: float, upper: float, *, sure: bool) -> str:
+def _interval_cell(value: float, lower: float, upper: float, sure: object = True) -> str:
     mark = " " if sure else "?"
     return f"{_short(value)}{mark}{_short(lower)}-{_short(upper)}"
 
@@ -365,58 +352,39 @@ def _mean_error(name: str, guesses: list[FloatArray], measured: list[FloatArray]
     return np.asarray(np.where(counts > 0, sums / np.maximum(counts, 1), np.nan))
 
 
-_WIDTH = 34
+_OCTAVES = tuple(Column(short_hertz(f), ".2f") for f in OCTAVES_HZ)
 
 
 def catalogue_text(entries: Sequence[CatalogueEntry]) -> str:
     """Return one line for each entry, under its group: name and absorption in octaves."""
-    head = f"{'absorption at':<{_WIDTH}}" + "".join(f"{short_hertz(f):>6}" for f in OCTAVES_HZ)
-    lines = [head]
-    group = None
-    for entry in entries:
-        if entry.group != group:
-            group = entry.group
-            lines += ["", group]
-        lines.append(f"  {entry.name:<{_WIDTH - 2}}" + _row(entry.absorption))
-    count = f"{len(entries)} materials" if len(entries) != 1 else "1 material"
-    lines += ["", f"{count}. roomfit catalogue NAME shows one with its spread and sources."]
-    return "\n".join(lines)
+    rows: list[Sequence[Value]] = []
+    for group, own in groupby(entries, key=lambda entry: entry.group):
+        rows += [[""], [group], *([f"  {e.name}", *e.absorption] for e in own)]
+    number = f"{len(entries)} materials" if len(entries) != 1 else "1 material"
+    notes = ("", f"{number}. roomfit catalogue NAME shows one with its spread and sources.")
+    return text_of(Table("", ("absorption at", *_OCTAVES), rows, notes))
 
 
 def entry_text(entry: CatalogueEntry) -> str:
     """Return one entry in full: middle, spread, and every reading with its source."""
     low, high = (expit(entry.logit_mean + z * entry.logit_sd) for z in (-Z95, Z95))
-    rows: list[tuple[str, FloatArray]] = [
-        ("absorption", entry.absorption),
-        ("standard deviation", entry.sd),
-        ("95 % from", low),
-        ("95 % to", high),
-    ]
-    lines = [
-        entry.name,
-        f"{entry.description} ({entry.group})",
-        "",
-        f"{'octave, Hz':<{_WIDTH}}" + "".join(f"{short_hertz(f):>6}" for f in OCTAVES_HZ),
-        *(f"{label:<{_WIDTH}}{_row(values)}" for label, values in rows),
-        "",
-        "readings",
+    rows: list[Sequence[Value]] = [
+        ("absorption", *entry.absorption),
+        ("standard deviation", *entry.sd),
+        ("95 % from", *low),
+        ("95 % to", *high),
+        ("",),
+        ("readings",),
     ]
     for reading in entry.readings:
-        lines += [
-            f"{'':<{_WIDTH}}{_row(reading.absorption)}",
-            f"  {reading.row}",
-            f"    {reading.source}",
-        ]
-    lines += [
+        rows += [("", *reading.absorption), (f"  {reading.row}",), (f"    {reading.source}",)]
+    caption = f"{entry.name}\n{entry.description} ({entry.group})\n"
+    notes = (
         "",
         "63 Hz and 8 kHz are extrapolated from their neighbours, with a wider spread, where no",
         f'reading has them. As a prior in a campaign: prior = "{entry.name}"',
-    ]
-    return "\n".join(lines)
-
-
-def _row(values: FloatArray) -> str:
-    return "".join(f"{'-':>6}" if np.isnan(v) else f"{v:6.2f}" for v in values)
+    )
+    return text_of(Table(caption, ("octave, Hz", *_OCTAVES), rows, notes))
 
 
 def room_text(title: str, check: RoomCheck) -> str:
@@ -463,21 +431,14 @@ def diffuse_text(found: DiffuseAbsorption) -> str:
     """Return mean absorption and materials by each formula, and what may be concluded from them."""
     from roomfit.inversion.diffuse import FORMULAS
 
-    width = max(len(n) for n in (*found.materials, "decay time, s"))
-    bands = "  ".join(f"{f:>13g}" for f in found.bands.centres_hz)
     times = [f"{t:.2f} +- {sd:.2f}" for t, sd in zip(found.decay_s, found.decay_sd_s, strict=True)]
-    rows = [f"{'Hz':<{width}}  {bands}"]
-    rows.append(f"{'decay time, s':<{width}}  " + "  ".join(f"{cell:>13}" for cell in times))
-    for i, formula in enumerate(FORMULAS):
-        rows += ["", f"Absorption by {formula}, 95 % interval"]
-        named = (
-            ("room mean", found.mean[i]),
-            *zip(found.materials, found.absorption[i], strict=True),
-        )
-        for name, values in named:
-            cells = [_interval_cell(*column, sure=True) for column in values.T]
-            rows.append(f"{name:<{width}}  " + "  ".join(f"{cell:>13}" for cell in cells))
-    return "\n".join([*rows, "", textwrap.fill(DIFFUSE_WORDS, 100)])
+    rows: list[Sequence[Value]] = [("decay time, s", *times)]
+    for formula, mean, absorption in zip(FORMULAS, found.mean, found.absorption, strict=True):
+        rows += [("",), (f"Absorption by {formula}, 95 % interval",)]
+        named = (("room mean", mean), *zip(found.materials, absorption, strict=True))
+        rows += [(name, *map(_interval_cell, *values)) for name, values in named]
+    notes = ("", textwrap.fill(DIFFUSE_WORDS, 100))
+    return text_of(Table("", _heads(found.bands.centres_hz), rows, notes))
 
 
 def diffuse_records(found: DiffuseAbsorption) -> Table:
@@ -539,13 +500,12 @@ def _leak(leak: float | None) -> str:
 
 
 def _materials(check: RoomCheck) -> list[str]:
-    names = [name or "(no material)" for name, _ in check.material_areas_m2]
-    width = max(map(len, (*names, "material")))
-    rows = [f"  {'material':<{width}}  {'area in m2':>10}  {'share':>6}"]
-    for name, (_, area) in zip(names, check.material_areas_m2, strict=True):
-        share = area / check.surface_m2 if check.surface_m2 > 0.0 else 0.0
-        rows.append(f"  {name:<{width}}  {area:10.2f}  {1e2 * share:5.1f} %")
-    return rows
+    rows = [
+        (name or "(no material)", area, f"{1e2 * area / (check.surface_m2 or np.inf):.1f} %")
+        for name, area in check.material_areas_m2
+    ]
+    shown = Table("", ("material", "area in m2", "share"), rows, form=".2f")
+    return text_of(shown, indent="  ").splitlines()
 
 
 def _fault(finding: Finding) -> list[str]:
