@@ -17,12 +17,13 @@ from roomfit.io import door
 from roomfit.io.campaign import read_campaign
 from roomfit.io.directivity import read_directivity
 from roomfit.io.door import LIMITS, check_limit, limit, read_bytes, read_text
-from roomfit.io.encoding import csv_text, one_line
+from roomfit.io.encoding import one_line
 from roomfit.io.exports import catt_text, read_material_table
 from roomfit.io.responses import read_response
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.rooms import read_mesh
 from roomfit.io.rooms.model import RoomSpec
+from roomfit.table import Table, csv_of
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="pipes and devices of POSIX")
 SOURCE = Path(roomfit.__file__).parent
@@ -205,12 +206,14 @@ def test_the_child_imports_nothing_of_roomfit():
 
 def test_no_name_becomes_a_formula_or_a_statement(tmp_path):
     names = ["=1+1", "+x", "-x", "@x", "'=1", "plain", "\tx", "-0.5"]
-    rows = [line for line in csv_text(["name"], [[n] for n in names]).split("\n")[1:] if line]
+    rows = [
+        line for line in csv_of(Table("", ["name"], [[n] for n in names])).split("\n")[1:] if line
+    ]
     assert rows == ["'=1+1", "'+x", "'-x", "'@x", "''=1", "plain", "'\tx", "-0.5"]
     head = ["material", "band_hz", "absorption", "lower95", "upper95", "identifiable"]
     values = ["500", "0.3", "0.2", "0.4", "true"]
     path = tmp_path / "absorption.csv"
-    path.write_text(csv_text(head, [[name, *values] for name in names[:6]]))
+    path.write_text(csv_of(Table("", head, [[name, *values] for name in names[:6]])))
     assert list(read_material_table(path).names) == names[:6]
     hostile = "wall\r\nINCLUDE evil\x0b\x85\u2028\x1aabs x = <1 1 1 1 1 1>"
     table = np.full((1, 8), 0.3)

@@ -397,8 +397,8 @@ def test_records_in_memory_predict_what_a_campaign_does(campaign, predicted):
 
 def test_a_prediction_shows_itself(predicted, monkeypatch):
     """Text, notebook, figure and data frame tell the same mean."""
-    mean = f"{predicted.mean['T20_s'].predicted[0]:.2f} ("
-    assert mean in str(predicted) and mean in predicted._repr_html_()
+    mean = f"{predicted.mean['T20_s'].predicted[0]:.2f}"
+    assert f"{mean} (" in str(predicted) and f"{mean} <small>" in predicted._repr_html_()
     assert len(predicted.plot().axes) == len(predicted.bands)
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(InputError, match="pip install pandas"):

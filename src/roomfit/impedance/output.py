@@ -24,7 +24,7 @@ from roomfit.io.encoding import (
     provenance,
 )
 from roomfit.report.figures import OKABE_ITO, new_figure, png
-from roomfit.table import Column, Table, csv_of
+from roomfit.table import Column, Table, Value, csv_of
 from roomfit.typing import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
@@ -129,15 +129,11 @@ def _pair(result: ImpedanceResult, i: int) -> dict[str, Any]:
 def impedance_records(result: ImpedanceResult) -> Table:
     """Return the content of impedance.csv: one row a material and frequency."""
     names = (*result.materials[0].columns(), "identified")
-    rows = [
-        (material.name, *map(float, row), bool(identified))
-        for material in result.materials
-        for *row, identified in zip(
-            *(result.frequency_hz, *material.columns().values()),
-            material.identified,
-            strict=True,
-        )
-    ]
+    rows: list[Sequence[Value]] = []
+    for material in result.materials:
+        numbers = np.column_stack([result.frequency_hz, *material.columns().values()]).tolist()
+        flags = material.identified.tolist()
+        rows += [(material.name, *x, flag) for x, flag in zip(numbers, flags, strict=True)]
     return Table("", ("material", Column("frequency_hz"), *names), rows, form=".6g")
 
 
