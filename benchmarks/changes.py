@@ -24,6 +24,7 @@ import numpy as np
 import room_values
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
+from roomfit.core import room_posterior
 from roomfit.findings import Code
 from roomfit.geometry.mesh import volume_m3
 from roomfit.identification import identify
@@ -33,7 +34,6 @@ from roomfit.materials.catalogue import material_prior
 from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import Measurement
 from roomfit.objective.room_parameters import predicted_values
-from roomfit.prediction.campaign import room_posterior
 from roomfit.prediction.changes import Change
 from roomfit.prediction.predict import Predicted, predict
 from roomfit.results import absorption_posterior

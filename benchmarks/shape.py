@@ -32,6 +32,8 @@ SATELLITES = (
     "synthetic",
     "treatment",
 )
+# Beside the core as well, and no part of what satellites may take from it.
+AROUND = (*SATELLITES, "batch", "cli", "commands", "io", "report", "table")
 # What `identify` works with in the first place; commands, reports and files come on top of it.
 FRONT = "identification"
 
@@ -117,6 +119,39 @@ def core(found: list[Module]) -> list[Module]:
                 observed.add(name)
                 waiting.append(name)
     return [m for m in found if m.name in observed]
+
+
+def taken(found: list[Module], satellite: str) -> set[tuple[str, str]]:
+    """Return module and name of everything that a satellite imports from the core.
+
+    Names for type checkers alone count; those of `roomfit.core` stand with the module that holds
+    them.
+    """
+    homes, names = front_door(found), set()
+    for m in found:
+        if m.name.split(".")[0] != satellite:
+            continue
+        for node in ast.walk(m.tree):
+            if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith(
+                "roomfit."
+            ):
+                continue
+            base = (node.module or "").removeprefix("roomfit.")
+            if base.split(".")[0] in AROUND:
+                continue
+            names |= {(homes[a.name] if base == "core" else base, a.name) for a in node.names}
+    return names
+
+
+def front_door(found: list[Module]) -> dict[str, str]:
+    """Return every name that `roomfit.core` publishes, and the module that holds it."""
+    (core_module,) = (m for m in found if m.name == "core")
+    return {
+        alias.name: (node.module or "").removeprefix("roomfit.")
+        for node in ast.walk(core_module.tree)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("roomfit.")
+        for alias in node.names
+    }
 
 
 def functions(found: list[Module]) -> list[tuple[Module, ast.FunctionDef]]:
@@ -278,6 +313,11 @@ def main() -> None:
         ("calls of the form f(*(a, b), c)", len(splats(found))),
         ("import arrows", arrows),
     ]
+    public = set(front_door(found).items())
+    for satellite in (*SATELLITES, "batch", "report"):
+        own = {(name, home) for home, name in taken(found, satellite)}
+        rows.append((f"names that {satellite} takes from the core", len(own)))
+        rows.append(("  of these not in roomfit.core", len(own - public)))
     if wanted.frames:
         stacks = deepest_stacks()
         rows.append(("frames to the innermost kernel", len(stacks[0])))

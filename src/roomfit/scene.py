@@ -7,7 +7,7 @@ room is like, whether it can be traced, and whether sources and receivers stand 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
@@ -19,7 +19,7 @@ from roomfit.air import Air
 from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding
 from roomfit.geometry.check import examine
-from roomfit.geometry.inside import is_inside, nearest_triangles
+from roomfit.geometry.inside import distance_to_walls_m, is_inside, nearest_triangles
 from roomfit.geometry.mesh import (
     SHOEBOX_SURFACES,
     Mesh,
@@ -506,6 +506,12 @@ def select_pairs(scene: Scene, kept: BoolArray | IntArray | slice) -> Scene:
     return replace(scene, pairs=scene.pairs[kept], pair_state=state)
 
 
+def named_pairs(scene: Scene, names: Container[tuple[str, str]]) -> Scene:
+    """Return a scene with those of its pairs whose source and receiver are named."""
+    chosen = [(scene.sources[s].name, scene.receivers[r].name) in names for s, r in scene.pairs]
+    return select_pairs(scene, np.array(chosen, dtype=np.bool_))
+
+
 def scene_of(
     room: Room,
     sources: Mapping[str, ArrayLike] | Sequence[Point],
@@ -598,6 +604,18 @@ def position_findings(
         elif not inside[i]:
             found.append(_outside(f"{kind} {point.name!r}", point, wall, distance[i], low, high))
     return (*_misread(room, points, inside), *found, *_coinciding(sources, receivers))
+
+
+def check_points(room: Room, sources: Sequence[Point], receivers: Sequence[Point]) -> None:
+    """Refuse positions in a wall or outside of the room."""
+    refuse(position_findings(room, sources, receivers))
+
+
+def is_clear_of_walls(room: Room, positions_m: FloatArray, distance_m: float) -> BoolArray:
+    """Return which positions, (n, 3), are inside and so far from all walls, shape (n,)."""
+    clear = is_inside(room.mesh, positions_m)
+    clear[clear] = distance_to_walls_m(room.mesh, positions_m[clear]) >= distance_m - 1e-9
+    return np.asarray(clear)
 
 
 _READINGS: tuple[tuple[str, FloatArray], ...] = (

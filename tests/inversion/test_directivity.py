@@ -21,6 +21,7 @@ from report_cases import answer_of, scene_of, texts_of
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
 from roomfit.commands import identify_to_folder
+from roomfit.core import room_posterior
 from roomfit.diagnostics import source_patterns
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
@@ -51,7 +52,6 @@ from roomfit.io.results import read_result, write_result
 from roomfit.io.rooms import read_room
 from roomfit.materials.priors import MaterialPrior, uniform_scattering
 from roomfit.objective.directivity import DirectivityParameters, FittedDirectivity
-from roomfit.prediction.campaign import room_posterior
 from roomfit.report.html_tables import source_tables
 from roomfit.report.text import directivity_text
 from roomfit.response.binned import bin_paths

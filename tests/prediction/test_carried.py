@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from roomfit.bands import Bands
-from roomfit.prediction.carried import scatter_correlation, with_common_noise
-from roomfit.prediction.decay import FewRows, PairNumbers, PredictedDecay, few_energies, few_values
+from roomfit.objective.reduced_rows import ReducedRows
+from roomfit.prediction.carried import with_common_noise
+from roomfit.prediction.decay import PairNumbers, PredictedDecay
 from roomfit.response.energy import EnergyRows
 from roomfit.signals.iso3382 import VALUE_NAMES
 
@@ -32,10 +33,10 @@ def few():
         np.zeros(at.size, dtype=np.int32),
         1,
     )
-    return FewRows(0.01 * np.arange(N_BINS + 1), 0.0, (rows,))
+    return ReducedRows(OCTAVE, 0.01 * np.arange(N_BINS + 1), 0.0, (rows,))
 
 
-def simulated(few: FewRows, states: np.ndarray, *, n_rooms: int, n_parts: int) -> np.ndarray:
+def simulated(few: ReducedRows, states: np.ndarray, *, n_rooms: int, n_parts: int) -> np.ndarray:
     """Return the correlations of values of random phases, of paths that meet the wall anew.
 
     Every bin has so many independent parts as a wide band has in it, each the squared sum of the
@@ -53,7 +54,7 @@ def simulated(few: FewRows, states: np.ndarray, *, n_rooms: int, n_parts: int) -
         for state, root in enumerate(roots):
             pressure = (root * z[state]).reshape(2, n_parts, N_BINS, N_EACH).sum(axis=3)
             energies[state, room, 0] = np.mean(pressure**2, axis=(0, 1))
-    values = [few_values(few, e)[:, :, 0] for e in energies]
+    values = [few.values(e)[:, :, 0] for e in energies]
     return np.array(
         [np.corrcoef(values[0][:, k], values[1][:, k])[0, 1] for k in range(len(VALUE_NAMES))]
     )
@@ -64,7 +65,7 @@ def simulated(few: FewRows, states: np.ndarray, *, n_rooms: int, n_parts: int) -
 def test_values_scatter_together_as_those_of_random_pressures_do(few, after):
     """Within .08: 1,200 rooms know no correlation to .03, and one of .5 to .022."""
     before, changed = np.array([[0.2], [0.15]]), np.array([[0.2], [after]])
-    found = scatter_correlation(few, OCTAVE, before, changed)[:, 0]
+    found = few.scatter_correlation(before, changed)[:, 0]
     drawn = simulated(few, np.stack([before, changed]), n_rooms=1200, n_parts=60)
     at = [VALUE_NAMES.index(name) for name in NAMES]
     np.testing.assert_allclose(found[at], drawn[at], atol=0.08)
@@ -75,7 +76,7 @@ def test_values_scatter_together_as_those_of_random_pressures_do(few, after):
 
 def test_what_does_not_change_scatters_as_it_did(few):
     same = np.array([[0.2], [0.15]])
-    np.testing.assert_allclose(scatter_correlation(few, OCTAVE, same, same), 1.0)
+    np.testing.assert_allclose(few.scatter_correlation(same, same), 1.0)
 
 
 def test_a_single_path_interferes_with_nothing(few):
@@ -87,10 +88,10 @@ def test_a_single_path_interferes_with_nothing(few):
     weight[1:N_EACH] = 1e-12
     direct = EnergyRows(rows.materials, N_BINS, rows.offsets, weight, hits, rows.length_m, batch, 1)
     before, after = np.array([[0.2], [0.15]]), np.array([[0.2], [0.5]])
-    alone = FewRows(few.edges_s, 0.0, (direct,))
-    found = scatter_correlation(alone, OCTAVE, before, after)[VALUE_NAMES.index("C50_dB"), 0]
+    alone = ReducedRows(OCTAVE, few.edges_s, 0.0, (direct,))
+    found = alone.scatter_correlation(before, after)[VALUE_NAMES.index("C50_dB"), 0]
     avoiding = np.array([[0.2], [1.0]])
-    late = few_energies(alone, np.stack([before, after, avoiding]))[:, 0, 5:] ** 2
+    late = alone.energies(np.stack([before, after, avoiding]))[:, 0, 5:] ** 2
     expected = late[2].sum() / np.sqrt(late[0].sum() * late[1].sum())
     assert found == pytest.approx(expected, rel=0.1)
 
@@ -108,8 +109,8 @@ def test_noise_that_no_change_alters_stays_as_a_whole(few, steady):
         )
         for sd in (0.5, 0.3)
     )  # fmt: skip
-    found = with_common_noise(new, old, few, OCTAVE, before, after).common_noise
-    alike = scatter_correlation(few, OCTAVE, before, after)
+    found = with_common_noise(new, old, few, before, after).common_noise
+    alike = few.scatter_correlation(before, after)
     np.testing.assert_allclose(found, (steady * 1.0 + (1.0 - steady) * alike) * 0.15)
     assert np.all(found <= 0.15 + 1e-12)
 
@@ -118,10 +119,10 @@ def test_a_wall_that_hardly_changes_reflects_as_it_did(few):
     """By the normal law of one material; a change of three times that is another wall."""
     before = np.array([[0.2], [0.15]])
     found = [
-        scatter_correlation(few, OCTAVE, before, before + np.array([[0.0], [change]]))[:, 0]
+        few.scatter_correlation(before, before + np.array([[0.0], [change]]))[:, 0]
         for change in (0.0, 1e-3, 0.02, 0.05, 0.15)
     ]
     assert np.all(found[1] > 0.995) and np.all(np.diff(found, axis=0) < 0.0)
-    away = scatter_correlation(few, OCTAVE, before, np.array([[0.2], [0.3]]))[:, 0]
-    never = scatter_correlation(few, OCTAVE, before, np.array([[0.2], [1.0 - 1e-9]]))[:, 0]
+    away = few.scatter_correlation(before, np.array([[0.2], [0.3]]))[:, 0]
+    never = few.scatter_correlation(before, np.array([[0.2], [1.0 - 1e-9]]))[:, 0]
     assert np.all(np.isfinite(never)) and np.all(away < found[2])

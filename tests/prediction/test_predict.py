@@ -18,6 +18,7 @@ from roomfit.diagnostics.unreached import unreached_materials
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.inversion.measurements import observe
+from roomfit.inversion.traced_room import scene_decay_s
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.inputs import identify_arguments, load_campaign
 from roomfit.io.results import read_result
@@ -27,7 +28,6 @@ from roomfit.materials.catalogue import catalogue_prior
 from roomfit.materials.priors import uniform_scattering
 from roomfit.prediction.campaign import predict_arguments
 from roomfit.prediction.changes import read_change
-from roomfit.prediction.decay import scene_decay_s
 from roomfit.prediction.predict import Predicted, predict
 from roomfit.response.energy import energy_rows, thinned_rows, weigh
 from roomfit.scene import Point, Scene

@@ -7,16 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roomfit.air import attenuation_per_m
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
 from roomfit.io.campaign import read_campaign
-from roomfit.prediction import decay
+from roomfit.objective import reduced_rows
 from roomfit.prediction.campaign import predict_arguments
 from roomfit.prediction.changes import read_change
-from roomfit.prediction.decay import RELATIVE, few_energies, few_rows
+from roomfit.prediction.decay import RELATIVE
 from roomfit.prediction.predict import numbers_at, predict, predict_change, prepare_prediction
-from roomfit.response.binned import pair_energies
 from roomfit.signals.decay import jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.uncertainty.posterior import AbsorptionPosterior
@@ -86,13 +84,13 @@ def test_equal_changes_give_equal_bits_and_nothing_is_left_of_others(room):
 
 def test_only_bands_that_have_changed_are_weighed_anew(room, monkeypatch):
     """Bit by bit what a room says that remembers nothing, intervals from all draws included."""
-    weighed, weigh_points = [], decay.weigh_points
+    weighed, weigh_points = [], reduced_rows.weigh_points
 
     def counted(rows, absorption):
         weighed.append(len(absorption))
         return weigh_points(rows, absorption)
 
-    monkeypatch.setattr(decay, "weigh_points", counted)
+    monkeypatch.setattr(reduced_rows, "weigh_points", counted)
     predict_change(room, [read_change("carpet=x0.6,x1")])
     weighed.clear()
     moved = predict_change(room, [read_change("carpet=x0.8,x1")])
@@ -109,15 +107,15 @@ def test_only_bands_that_have_changed_are_weighed_anew(room, monkeypatch):
 
 def test_few_rows_bring_the_energies_of_all_of_them(room):
     """Each wall changed, all of them, and cases between: whole energies within 1 %."""
-    scene, bands, a = room.scene, room.absorption.bands, room.absorption.absorption
-    few = few_rows(scene, bands, room.binned, 0, a, 1500)
-    assert all(len(rows) <= 1500 < len(room.binned.rows[0]) for rows in few.by_band)
+    a = room.absorption.absorption
+    traced = room.traced
+    few = traced.reduced(0, a, 1500)
+    assert all(len(rows) <= 1500 < len(traced.binned.rows[0]) for rows in few.by_band)
     far = np.where(a < 0.4, 0.6, 0.15)
     points = [a, far, 0.5 * (a + far)]
     points += [np.where(np.arange(len(a))[:, None] == m, far, a) for m in range(len(a))]
-    air = attenuation_per_m(scene.air, bands)
-    for point, energy in zip(points, few_energies(few, np.array(points)), strict=True):
-        every = pair_energies(room.binned, bands, 0, point, air)
+    for point, energy in zip(points, few.energies(np.array(points)), strict=True):
+        every = traced.energies(point)[0]
         np.testing.assert_allclose(energy.sum(axis=1), every.sum(axis=1), rtol=0.01)
 
 

@@ -12,6 +12,7 @@ from certified_cases import box_room
 from posterior_cases import Linear, Posynomial, gain_block
 from roomfit.bands import bands_between
 from roomfit.certified.question import is_certifiable
+from roomfit.core import room_posterior
 from roomfit.coverage.synthetic_room import _absorption
 from roomfit.errors import InputError
 from roomfit.experiment_design.prior import information_from_priors
@@ -27,7 +28,6 @@ from roomfit.materials.priors import (
 )
 from roomfit.objective.observation import absorption_block
 from roomfit.objective.parameters import Parameters, prior_residuals, start_vector
-from roomfit.prediction.campaign import room_posterior
 from roomfit.settings import Settings
 from roomfit.solvers.least_squares import fit_band
 from roomfit.uncertainty.combinations import band_sentence, undetermined_groups

@@ -21,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from roomfit.air import attenuation_per_m
 from roomfit.cache import (
     check_output_folder,
     hidden_folder,
@@ -29,6 +28,24 @@ from roomfit.cache import (
     nearest_existing,
     shared_folder,
     write_json_atomically,
+)
+from roomfit.core import (
+    BoolArray,
+    CannotTell,
+    Code,
+    FloatArray,
+    InputError,
+    Progress,
+    Result,
+    RoomfitError,
+    StoreError,
+    attenuation_per_m,
+    expit,
+    eyring_absorption,
+    identify,
+    part,
+    prior_logit_law,
+    volume_m3,
 )
 from roomfit.coverage.simulate import (
     synthetic_campaign,
@@ -43,18 +60,12 @@ from roomfit.coverage.synthetic_room import (
     coverage_plan,
     draw_synthetic_room,
 )
-from roomfit.errors import CannotTell, InputError, RoomfitError, StoreError
-from roomfit.eyring import eyring_absorption
-from roomfit.findings import Code, code_of
-from roomfit.geometry.mesh import surface_area_m2, volume_m3
-from roomfit.identification import compile_kernels, identify
+from roomfit.findings import code_of
+from roomfit.geometry.mesh import surface_area_m2
+from roomfit.identification import compile_kernels
 from roomfit.io.campaign import Campaign
 from roomfit.io.door import json_content, read_text
 from roomfit.io.inputs import identify_arguments
-from roomfit.logit import expit
-from roomfit.materials.priors import prior_logit_law
-from roomfit.results import Result
-from roomfit.typing import BoolArray, FloatArray, Progress, part
 from roomfit.workers import (
     bundled,
     cluster_pool,

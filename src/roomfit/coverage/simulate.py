@@ -14,24 +14,31 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.air import attenuation_per_m
-from roomfit.bands import Bands
 from roomfit.cache import write_text_atomically
+from roomfit.core import (
+    Bands,
+    BoolArray,
+    FloatArray,
+    ImpulseResponse,
+    Pattern,
+    Scene,
+    Settings,
+    UnknownDirectivity,
+    ValueName,
+    attenuation_per_m,
+    coherent_paths,
+    material_areas_m2,
+    volume_m3,
+)
 from roomfit.coverage.synthetic_room import CoveragePlan, SyntheticRoom
 from roomfit.eyring import eyring_time_s
-from roomfit.geometry.mesh import surface_area_m2, volume_m3
-from roomfit.inversion.scattering import band_factors
-from roomfit.inversion.trace_plan import LEAST_RAYS, plan_trace
+from roomfit.geometry.mesh import surface_area_m2
 from roomfit.io.campaign import Campaign, MeasuredTable
 from roomfit.io.iso3382 import NAMES
 from roomfit.io.responses.recordings import ResponseSpec
-from roomfit.response.directivity import Pattern, UnknownDirectivity
-from roomfit.scene import Scene, material_areas_m2
-from roomfit.settings import Settings
 from roomfit.signals.decay import PARAMETER_NAMES, decay_curve, room_parameters
 from roomfit.signals.filters import filter_pressure
-from roomfit.signals.iso3382 import ValueName
-from roomfit.signals.response import ImpulseResponse, padded
+from roomfit.signals.response import padded
 from roomfit.synthetic.boxes import (
     ECHOGRAM_BIN_S,
     PRESSURE_SQUARED,
@@ -47,8 +54,6 @@ from roomfit.synthetic.boxes import (
 from roomfit.synthetic.polyhedra import SyntheticPolyhedron, convex_cells, pressure_responses
 from roomfit.table import Table, csv_of
 from roomfit.tracing.paths import Paths, hits
-from roomfit.tracing.trace import trace
-from roomfit.typing import BoolArray, FloatArray
 
 _OVERSAMPLING = 8
 _NOTHING = 1e-30
@@ -80,14 +85,10 @@ def traced_pressures(
         for k, row in zip(plan.priors, synthetic.scattering, strict=True)
     )
     own_rays = Settings(seed=int(rng.integers(2**62)))
-    planned = plan_trace(scene, priors, 0.0, duration_s, own_rays, coherent=True)
-    n_rays = 0 if planned.settings.n_rays == 0 else max(planned.settings.n_rays, LEAST_RAYS)
-    settings = replace(planned.settings, n_rays=n_rays, duration_s=duration_s)
-    paths = trace(scene, settings, planned.scattering).paths
     bands = plan.campaign.bands
     drawn = {name: Pattern(np.tile(b, (len(bands), 1))) for name, b in synthetic.b.items()}
     directivities = {**plan.directivities, **drawn}
-    factors, _ = band_factors(directivities, scene, bands, paths, synthetic.scattering)
+    paths, factors = coherent_paths(scene, bands, priors, directivities, duration_s, own_rays)
     energy = _energies(plan, synthetic, paths, factors)
     times_s = paths.length_m / synthetic.speed_of_sound_m_s + hits(paths) @ synthetic.delays_s
     images = paths.batch < 0

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import betaincinv, ndtri
 
-from roomfit.bands import Bands
-from roomfit.logit import Z95, logit
-from roomfit.typing import BoolArray, FloatArray
+from roomfit.core import Z95, Bands, BoolArray, FloatArray, logit
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,31 +12,35 @@ from pathlib import Path
 import numpy as np
 
 from roomfit._checks import check_range, read_only
-from roomfit.air import relative_speed_sd, speed_of_sound_m_s
-from roomfit.bands import Bands
+from roomfit.air import relative_speed_sd
 from roomfit.cache import code_digest, digest
-from roomfit.errors import CannotTell, InputError
+from roomfit.core import (
+    AbsorptionPosterior,
+    Bands,
+    CannotTell,
+    Directivity,
+    FloatArray,
+    InputError,
+    IntArray,
+    MaterialPrior,
+    MeasuredValues,
+    Point,
+    Room,
+    UnknownDirectivity,
+    ValueName,
+    expit,
+    logit,
+    prior_logit_law,
+    speed_of_sound_m_s,
+)
 from roomfit.inversion.measurements import collect_measurements
 from roomfit.io.campaign import Campaign, input_files
 from roomfit.io.door import read_bytes
-from roomfit.io.inputs import (
-    campaign_room,
-    campaign_scene,
-    material_priors,
-    read_measurements,
-    source_directivities,
-)
+from roomfit.io.inputs import CampaignInputs
 from roomfit.io.results import read_result
-from roomfit.logit import expit, logit
-from roomfit.materials.priors import MaterialPrior, prior_logit_law
 from roomfit.objective.directivity import DEFAULT_B_SD
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
-from roomfit.objective.room_parameters import values_at
-from roomfit.response.directivity import Directivity, UnknownDirectivity
-from roomfit.scene import Point, Room, position_findings
-from roomfit.signals.iso3382 import MeasuredValues, ValueName
-from roomfit.typing import FloatArray, IntArray
-from roomfit.uncertainty.posterior import AbsorptionPosterior
+from roomfit.scene import position_findings
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +134,9 @@ def coverage_plan(campaign: Campaign, settings: CoverageSettings) -> CoveragePla
         measurements=tuple(m for m in campaign.measurements if m.use == "fit"),
         tables=tuple(t for t in campaign.tables if t.use == "fit"),
     )
-    room = campaign_room(campaign)
-    priors = material_priors(campaign, room.materials)
+    inputs = CampaignInputs(campaign)
+    room = inputs.room()
+    priors = inputs.priors(room.materials)
     answer = None
     if settings.result is not None:
         answer = _reference(read_result(settings.result), settings.result, campaign, room)
@@ -150,7 +155,7 @@ def coverage_plan(campaign: Campaign, settings: CoverageSettings) -> CoveragePla
         read_only(observed[:, nearest]),
         length_s,
         tabulated,
-        source_directivities(campaign, campaign.bands),
+        inputs.directivities(campaign.bands),
         _digest(campaign, settings),
     )
 
@@ -195,8 +200,8 @@ def _as_measured(
     read = campaign if snr_db is None else replace(campaign, measurements=())
     if not read.measurements and not read.tables:
         return np.full((n, n_bands), snr_db), (), np.inf
-    scene = campaign_scene(read, room)
-    measurements = collect_measurements(scene, read_measurements(read), read.bands, {})
+    inputs = CampaignInputs(read)
+    measurements = collect_measurements(inputs.scene(room), inputs.measurements(), read.bands, {})
     tabulated = tuple(_tabulated(v, campaign.bands) for v in measurements.values)
     if not read.measurements:
         return np.full((n, n_bands), snr_db or USUAL_SNR_DB), tabulated, np.inf
@@ -209,8 +214,7 @@ def _as_measured(
 
 
 def _tabulated(values: MeasuredValues, bands: Bands) -> Tabulated:
-    stated = replace(values, values=values.spread, spread={})
-    spread = {name: values_at(stated, name, bands) for name in values.values}
+    spread = {name: values.spread_at(name, bands.centres_hz) for name in values.values}
     return values.source, values.receiver, spread
 
 

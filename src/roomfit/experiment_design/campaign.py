@@ -6,25 +6,21 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any, TypedDict
 
-import numpy as np
-
-from roomfit.bands import Bands
-from roomfit.errors import located
+from roomfit.core import (
+    AbsorptionPosterior,
+    Bands,
+    Directivities,
+    MaterialPrior,
+    Scene,
+    Settings,
+    common_bands,
+    located,
+    named_pairs,
+    room_posterior,
+)
 from roomfit.experiment_design.candidates import DesignOptions
 from roomfit.io.campaign import Campaign
-from roomfit.io.inputs import (
-    campaign_room,
-    campaign_scene,
-    material_priors,
-    read_measurements,
-    source_directivities,
-)
-from roomfit.materials.priors import MaterialPrior, in_bands
-from roomfit.prediction.campaign import common_bands, of_pairs, room_posterior
-from roomfit.response.directivity import Directivity, UnknownDirectivity
-from roomfit.scene import Room, Scene
-from roomfit.settings import Settings
-from roomfit.uncertainty.posterior import AbsorptionPosterior
+from roomfit.io.inputs import CampaignInputs
 
 
 class DesignArguments(TypedDict):
@@ -34,7 +30,7 @@ class DesignArguments(TypedDict):
     materials: tuple[MaterialPrior, ...]
     bands: Bands
     absorption: AbsorptionPosterior | None
-    directivities: dict[str, Directivity | UnknownDirectivity]
+    directivities: Directivities
     options: DesignOptions
     settings: Settings
 
@@ -88,22 +84,22 @@ def design_arguments(
     >>> design_arguments(campaign, changed={"number": 4})["options"].criterion
     'mean'
     """
-    room = campaign_room(campaign)
+    inputs = CampaignInputs(campaign)
+    room = inputs.room()
     bands, absorption = campaign.bands, None
-    priors = material_priors(campaign, room.materials)
+    priors = inputs.priors(room.materials)
     if result is not None:
         with located(f"{campaign.path}, identify"):
             bands, doubts = common_bands(campaign.bands, result.bands)
-        at = np.flatnonzero(np.isin(campaign.bands.centres_hz, bands.centres_hz))
-        priors = in_bands(priors, at)
+        priors = inputs.priors(room.materials, bands)
         with located(str(campaign.path)):
             absorption = replace(room_posterior(result, priors, bands), findings=doubts)
     return {
-        "scene": _measured_scene(campaign, room),
+        "scene": _measured_scene(campaign, inputs.scene(room)),
         "materials": priors,
         "bands": bands,
         "absorption": absorption,
-        "directivities": source_directivities(campaign, bands),
+        "directivities": inputs.directivities(bands),
         "options": _options(campaign, changed or {}, after_fit=result is not None),
         "settings": campaign.settings,
     }
@@ -120,9 +116,9 @@ def _options(campaign: Campaign, changed: Mapping[str, Any], *, after_fit: bool)
     return DesignOptions(**{**options, **changed})
 
 
-def _measured_scene(campaign: Campaign, room: Room) -> Scene:
+def _measured_scene(campaign: Campaign, scene: Scene) -> Scene:
     """Return all sources and receivers of a campaign, and the pairs measured to be fitted."""
     names = {(m.source, m.receiver) for m in campaign.measurements if m.use == "fit"}
-    tables = read_measurements(replace(campaign, measurements=(), spectra=()))
+    tables = CampaignInputs(replace(campaign, measurements=(), spectra=())).measurements()
     names |= {(v.source, v.receiver) for v in tables if v.use == "fit"}
-    return of_pairs(campaign_scene(campaign, room), names)
+    return named_pairs(scene, names)

@@ -3,47 +3,37 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit._checks import check_known
-from roomfit.air import Air, speed_of_sound_m_s
-from roomfit.errors import InputError
-from roomfit.experiment_design.choose import Criterion, Rules
-from roomfit.experiment_design.information import (
-    ExpectedMeasurement,
-    information_of_pairs,
-)
-from roomfit.experiment_design.prior import PriorInformation
-from roomfit.findings import About, Code, Finding
-from roomfit.geometry.inside import distance_to_walls_m, is_inside
-from roomfit.geometry.mesh import refuse, volume_m3
-from roomfit.inversion.scattering import band_factors, specified_scattering
-from roomfit.inversion.sequential import FIT_END_S
-from roomfit.inversion.solve import prior_speed_sd
-from roomfit.inversion.trace_plan import TracePlan, fits_pressures, plan_trace
-from roomfit.materials.priors import MaterialPrior
-from roomfit.measurement import LATENCY_SD_S, Level
-from roomfit.objective.coherent import DELAY_SD_S, RINGING_PERIODS
-from roomfit.objective.parameters import Geometry
-from roomfit.prediction.decay import scene_decay_s
-from roomfit.response.directivity import Directivities
-from roomfit.scene import (
+from roomfit.core import (
     NEAREST_PAIR_M,
+    About,
+    BoolArray,
+    Code,
+    Directivities,
+    Finding,
+    FloatArray,
+    InputError,
+    IntArray,
+    Level,
     Point,
+    Progress,
     Room,
     Scene,
+    Settings,
+    check_known,
+    check_points,
     distances_m,
-    position_findings,
-    select_pairs,
+    expected_fit,
+    is_clear_of_walls,
 )
-from roomfit.settings import Settings
-from roomfit.tracing.paths import Paths, TraceSettings, concatenate, select
-from roomfit.tracing.trace import trace
-from roomfit.typing import BoolArray, FloatArray, IntArray, Progress, part
+from roomfit.experiment_design.choose import Criterion, Rules
+from roomfit.experiment_design.information import information_of_pair
+from roomfit.experiment_design.prior import PriorInformation
 
 Position = tuple[float, float, float]
 
@@ -153,7 +143,9 @@ def spread_positions(room: Room, region: Region, n: int, seed: int) -> FloatArra
         points = sampler.random(max(256, 1 << (4 * n - 1).bit_length()))
         tried += len(points)
         positions = region.low_m + points * (region.high_m - region.low_m)
-        found = np.concatenate((found, positions[_clear(room, region, positions)]))
+        found = np.concatenate(
+            (found, positions[is_clear_of_walls(room, positions, region.wall_distance_m)])
+        )
     if len(found) < n:
         raise _too_narrow(region, len(found), n)
     return found[:n]
@@ -186,7 +178,7 @@ def grid_positions(room: Room, region: Region, spacing_m: float) -> FloatArray:
     for low, high, n in zip(region.low_m, region.high_m, steps, strict=True):
         axes.append(0.5 * (low + high) + spacing_m * (np.arange(n + 1) - 0.5 * n))
     positions = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    positions = positions[_clear(room, region, positions)]
+    positions = positions[is_clear_of_walls(room, positions, region.wall_distance_m)]
     if not len(positions):
         raise _too_narrow(region, 0, 1)
     return positions
@@ -217,14 +209,6 @@ def compatible_positions(receivers_m: FloatArray, apart_m: float) -> BoolArray:
     fine = (distance >= apart_m) | (distance < _SAME_POSITION_M)
     np.fill_diagonal(fine, False)
     return np.asarray(fine)
-
-
-def _clear(room: Room, region: Region, positions_m: FloatArray) -> BoolArray:
-    inside = is_inside(room.mesh, positions_m)
-    inside[inside] = (
-        distance_to_walls_m(room.mesh, positions_m[inside]) >= region.wall_distance_m - 1e-9
-    )
-    return np.asarray(inside)
 
 
 def _too_narrow(region: Region, found: int, needed: int) -> InputError:
@@ -278,21 +262,13 @@ def design_candidates(
                 f"there is no candidate for a {kind}",
                 needed=f"[{kind}s.NAME] with a position, or positions in [design]",
             )
-        refuse(position_findings(existing.room, points, ()))
+        check_points(existing.room, points, ())
     # existing points come first, so that their indices are those of the existing scene
     measured = {(int(s), int(r)) for s, r in existing.pairs}
     every = np.array([(i, j) for i in range(len(sources)) for j in range(len(receivers))])
     was = np.array([(int(s), int(r)) in measured for s, r in every])
     whole = Scene(existing.room, sources, receivers, every, existing.air)
-    possible = np.flatnonzero(~was & (distances_m(whole) >= source_distance_m))
-    if not possible.size:
-        raise InputError(
-            "no pair of source and receiver is far enough apart",
-            found=f"{int((~was).sum())} pairs, the farthest "
-            f"{distances_m(whole)[~was].max(initial=0.0):.2f} m apart",
-            needed=f"at least {source_distance_m:.2f} m",
-            hint="set source_distance_m in [design]",
-        )
+    possible = _far_enough(whole, was, source_distance_m)
     n, rng = options.n_candidates, np.random.default_rng(seed)
     possible = possible[even_part(every[possible, 0], n, rng)]
     fixed = np.flatnonzero(was) if count_measured else np.zeros(0, dtype=np.int64)
@@ -314,6 +290,21 @@ def design_candidates(
         {"found": possible.size, "asked": n},
     )
     return scene, rules, (few,)
+
+
+def _far_enough(whole: Scene, was: BoolArray, source_distance_m: float) -> IntArray:
+    """Return the pairs that have not been measured and whose receiver is far from its source."""
+    distance_m = distances_m(whole)
+    possible = np.flatnonzero(~was & (distance_m >= source_distance_m))
+    if not possible.size:
+        raise InputError(
+            "no pair of source and receiver is far enough apart",
+            found=f"{int((~was).sum())} pairs, the farthest "
+            f"{distance_m[~was].max(initial=0.0):.2f} m apart",
+            needed=f"at least {source_distance_m:.2f} m",
+            hint="set source_distance_m in [design]",
+        )
+    return possible
 
 
 def even_part(source: IntArray, n: int, rng: np.random.Generator) -> IntArray:
@@ -383,15 +374,6 @@ def _used(whole: Scene, pairs: IntArray) -> Scene:
     )
 
 
-# Rays caught by all receivers of one source: more would fill memory for nothing.
-_MOST_CAUGHT = 4e6
-_FEWEST_RAYS = 2_000
-# Of a pair: a window late in the decay has a thousand or more.
-_LATE_IMAGES = 100_000
-# The part of the time that tracing takes.
-_TRACING = 0.3
-
-
 def information_of_candidates(
     scene: Scene,
     known: PriorInformation,
@@ -401,7 +383,7 @@ def information_of_candidates(
     directivities: Directivities,
     progress: Progress | None,
 ) -> tuple[FloatArray, bool, tuple[Finding, ...]]:
-    """Trace the candidates of every source at once and return the information of each.
+    """Return the information of every candidate, those of one source traced at once.
 
     Parameters
     ----------
@@ -413,118 +395,29 @@ def information_of_candidates(
     Returns
     -------
     matrices : float array, shape (n_pairs, n_draws, n_bands, n + 1, n + 1)
-        See `information_of_pairs`.
+        See `information_of_pair`.
     coherent : bool
         Whether by pressures of image sources.
     findings : tuple of Finding
     """
-    plan = _plan(scene, known, options, settings)
-    expected = _expected_measurement(scene.air, known.priors, plan, n_pairs, options, settings)
-    findings = list(plan.findings)
+    fit = expected_fit(
+        scene,
+        known.bands,
+        known.priors,
+        known.typical,
+        settings,
+        directivities=directivities,
+        decay_range_db=options.decay_range_db,
+        position_sd_m=options.position_sd_m,
+    )
+    findings = list(fit.plan.findings)
     found: list[FloatArray] = []
     indices: list[IntArray] = []
-    fineness, late = _late_images(scene, known, plan)
-    # rays serve all receivers of a source
-    groups = scene.pairs[:, 0] if late is None else np.arange(len(scene.pairs))
-    names = np.unique(groups)
-    for number, name in enumerate(names):
-        at = np.flatnonzero(groups == name)
-        own = select_pairs(scene, at)
-        done = part(progress, number / names.size, (number + 1) / names.size)
-        traced = trace(own, fineness, plan.scattering, part(done, 0.0, _TRACING))
-        paths = traced.paths if late is None else concatenate((traced.paths, late))
-        n_bands = len(known.bands)
-        scattering = specified_scattering(known.priors, plan.scattering.coefficients, n_bands)
-        factors, degenerate = band_factors(directivities, own, known.bands, paths, scattering)
-        # a candidate near a wall is no doubt about anything
-        doubts = [f for f in traced.findings if f.code is not Code.RECEIVER_SPHERE_SHRUNK]
+    for at, pairs, doubts in fit.groups(progress):
         reported = {f.code for f in findings}
-        findings += [f for f in (*doubts, *degenerate) if f.code not in reported]
-        weighing = part(done, _TRACING, 1.0)
-        found.append(information_of_pairs(own, paths, factors, known, expected, weighing))
+        findings += [f for f in doubts if f.code not in reported]
+        found += [information_of_pair(own, fit, known, n_pairs - 1) for own in pairs]
         indices.append(at)
     # back from the order of the sources to that of the pairs
-    matrices = np.concatenate(found)[np.argsort(np.concatenate(indices))]
-    return matrices, expected.coherent, tuple(findings)
-
-
-def _late_images(
-    scene: Scene, known: PriorInformation, plan: TracePlan
-) -> tuple[TraceSettings, Paths | None]:
-    """Return how to trace each pair of a box without rays, and late images of one for all of them.
-
-    What comes after all that is added as pressures is so much that its energies are alike wherever
-    source and receiver stand: every n-th image of the first pair, of n times the weight. None where
-    there are rays.
-    """
-    if plan.settings.n_rays:
-        return plan.settings, None
-    early_s = FIT_END_S + 2.0 * RINGING_PERIODS / float(known.bands.centres_hz[0])
-    early_s = min(early_s, plan.settings.duration_s)
-    paths = trace(select_pairs(scene, slice(0, 1)), plan.settings, plan.scattering).paths
-    far = np.flatnonzero(paths.length_m > early_s * speed_of_sound_m_s(scene.air))
-    every = max(far.size // _LATE_IMAGES, 1)
-    late = select(paths, far[::every])
-    late = replace(late, weight_per_m2=far.size / max(len(late), 1) * late.weight_per_m2)
-    return replace(plan.settings, duration_s=early_s), late
-
-
-def _plan(
-    scene: Scene, known: PriorInformation, options: DesignOptions, settings: Settings
-) -> TracePlan:
-    """Choose how to trace: as for a fit, for as long as decays will be observed."""
-    decay_s = float(scene_decay_s(scene, known.bands, known.typical).max())
-    # how far image sources can be had costs several searches for them: one source stands for all
-    first = select_pairs(scene, scene.pairs[:, 0] == scene.pairs[0, 0])
-    observed_s = decay_s * options.decay_range_db / 60.0
-    plan = plan_trace(
-        first, known.priors, decay_s, observed_s, settings, coherent=fits_pressures(settings)
-    )
-    # what a box's images need to be moved follows from where they stand
-    moved = plan.settings.keep_image_transforms and scene.room.shoebox_m is None
-    fineness = replace(plan.settings, keep_image_transforms=moved)
-    return replace(plan, settings=_with_fewer_rays(fineness, scene))
-
-
-def _with_fewer_rays(settings: TraceSettings, scene: Scene) -> TraceSettings:
-    """Return settings under which the receivers of one source catch some million rays at most.
-
-    A ray of length l crosses a sphere of radius r in a volume V ``pi r**2 l / V`` times on average.
-    """
-    length_m = settings.duration_s * speed_of_sound_m_s(scene.air)
-    crossings = np.pi * settings.receiver_radius_m**2 * length_m / volume_m3(scene.room.mesh)
-    most = int(np.bincount(scene.pairs[:, 0]).max())
-    affordable = int(_MOST_CAUGHT / (crossings * most))
-    return replace(settings, n_rays=min(settings.n_rays, max(affordable, _FEWEST_RAYS)))
-
-
-def _expected_measurement(
-    air: Air,
-    priors: tuple[MaterialPrior, ...],
-    plan: TracePlan,
-    n_pairs: int,
-    options: DesignOptions,
-    settings: Settings,
-) -> ExpectedMeasurement:
-    """Return what a fit under these settings would be given, and leave open."""
-    delays = [DELAY_SD_S if k.wall_delay_sd_s is None else k.wall_delay_sd_s for k in priors]
-    n, delays_free = len(priors), settings.reflection_delays
-    sd = [*(6 * [options.position_sd_m]), prior_speed_sd(air, settings), LATENCY_SD_S["emission"]]
-    points = (f"{p} {x}" for p in ("source", "receiver") for x in "xyz")
-    geometry = Geometry(
-        (*points, "speed", "latency", *(f"delay {k.name}" for k in priors)),
-        np.array([*sd, *(delays if delays_free else n * [0.0])]),
-        np.array(8 * [settings.positions != "fixed"] + n * [delays_free]),
-        speed_of_sound_m_s(air),
-        np.arange(8 + n)[None, :],
-    )
-    common = np.array([label == "speed" or label.startswith("delay") for label in geometry.labels])
-    return ExpectedMeasurement(
-        fits_pressures(settings) and (plan.far_images or settings.model == "coherent"),
-        n_pairs,
-        options.decay_range_db,
-        options.position_sd_m,
-        plan.settings.duration_s,
-        geometry,
-        common[geometry.fitted & (geometry.sd > 0.0)],
-    )
+    matrices = np.stack(found)[np.argsort(np.concatenate(indices))]
+    return matrices, fit.coherent, tuple(findings)

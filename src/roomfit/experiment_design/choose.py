@@ -8,7 +8,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from roomfit.errors import InputError
+from roomfit.core import BoolArray, FloatArray, InputError, IntArray
 from roomfit.experiment_design.information import (
     PairInformation,
     information_of,
@@ -16,7 +16,6 @@ from roomfit.experiment_design.information import (
     without_gain,
 )
 from roomfit.experiment_design.prior import Unknowns
-from roomfit.typing import BoolArray, FloatArray, IntArray
 
 Criterion = Literal["determinant", "mean", "worst"]
 # The widest interval decides; among designs that leave it alike, the mean does.

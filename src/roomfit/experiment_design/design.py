@@ -10,10 +10,29 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from roomfit._numba import one_blas_thread
-from roomfit.air import speed_of_sound_m_s
-from roomfit.bands import Bands, bands_between
-from roomfit.errors import InputError
+from roomfit.core import (
+    AbsorptionPosterior,
+    Bands,
+    BoolArray,
+    Directivities,
+    Finding,
+    FloatArray,
+    InputError,
+    IntArray,
+    Level,
+    MaterialPrior,
+    Progress,
+    Scene,
+    Settings,
+    bands_between,
+    complete_priors,
+    one_blas_thread,
+    part,
+    result_doubts,
+    scene_decay_s,
+    speed_of_sound_m_s,
+    volume_m3,
+)
 from roomfit.experiment_design.candidates import (
     DesignOptions,
     design_candidates,
@@ -39,18 +58,6 @@ from roomfit.experiment_design.prior import (
     information_from_fit,
     information_from_priors,
 )
-from roomfit.findings import Finding
-from roomfit.geometry.mesh import volume_m3
-from roomfit.materials.priors import MaterialPrior, complete_priors
-from roomfit.measurement import Level
-from roomfit.prediction.decay import scene_decay_s
-from roomfit.prediction.predict import check_materials
-from roomfit.response.directivity import Directivities
-from roomfit.results import result_doubts
-from roomfit.scene import Scene
-from roomfit.settings import Settings
-from roomfit.typing import BoolArray, FloatArray, IntArray, Progress, part
-from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -201,14 +208,9 @@ def design(
     possible_design(rules, n)  # else all would be computed before it is refused
     _LOG.info("evaluating %d candidates", len(candidates.pairs) - len(rules.fixed))
     n_pairs = n + len({(int(s), int(r)) for s, r in scene.pairs})
+    done = part(progress, 0.0, 0.95)
     matrices, coherent, doubts = information_of_candidates(
-        candidates,
-        known,
-        n_pairs,
-        options,
-        settings,
-        directivities or {},
-        part(progress, 0.0, 0.95),
+        candidates, known, n_pairs, options, settings, directivities or {}, done
     )
     if absorption is not None and absorption.chi2_reduced is not None:
         matrices = matrices / np.maximum(absorption.chi2_reduced, 1.0)[:, None, None]
@@ -218,6 +220,7 @@ def design(
     _LOG.info("choosing")
     chosen = choose(known.unknowns, pairs, rules, n, criterion, rng=rng)
     rng = np.random.default_rng(settings.seed)
+    of_fit = () if absorption is None else _doubts(absorption, scene)
     return Design(
         scene=candidates,
         n_fixed=len(rules.fixed),
@@ -235,12 +238,7 @@ def design(
         source_distance_m=distance_m,
         receiver_distance_m=options.receiver_distance_m,
         wall_distance_m=options.wall_distance_m,
-        findings=(
-            *scene.room.findings,
-            *(() if absorption is None else _doubts(absorption, scene)),
-            *few,
-            *doubts,
-        ),
+        findings=(*scene.room.findings, *of_fit, *few, *doubts),
         seed=settings.seed,
         seconds=time.perf_counter() - began,
     )
@@ -265,7 +263,7 @@ def _prior_information(
         priors = complete_priors(names, materials, bands)
         rng = np.random.default_rng(settings.seed)
         return information_from_priors(priors, bands, options.n_draws, rng)
-    check_materials(absorption, scene)
+    absorption.check_materials(names)
     own = absorption.bands
     if bands is not None and not np.array_equal(bands.centres_hz, own.centres_hz):
         raise InputError(

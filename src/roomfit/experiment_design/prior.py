@@ -7,14 +7,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtri
 
-from roomfit.bands import Bands
-from roomfit.errors import InputError
-from roomfit.logit import expit, logit
-from roomfit.materials.priors import MaterialPrior, prior_logit_law
-from roomfit.objective.observation import absorption_block
-from roomfit.objective.parameters import leaders
-from roomfit.typing import FloatArray, IntArray
-from roomfit.uncertainty.posterior import AbsorptionPosterior
+from roomfit.core import (
+    AbsorptionPosterior,
+    Bands,
+    FloatArray,
+    InputError,
+    IntArray,
+    MaterialPrior,
+    absorption_block,
+    expit,
+    leaders,
+    logit,
+    prior_logit_law,
+)
 
 # Of a variance in logit: nothing is known better than to a millionth.
 _LEAST_VARIANCE = 1e-12

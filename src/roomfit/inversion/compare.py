@@ -11,14 +11,13 @@ from roomfit.bands import Bands
 from roomfit.inversion.measurements import Measurements
 from roomfit.measurement import MeasuredPair, Use
 from roomfit.objective.observation import spread_over_time
-from roomfit.objective.room_parameters import predicted_values, values_at
+from roomfit.objective.room_parameters import predicted_values
 from roomfit.response.binned import BinnedPaths, pair_energies
 from roomfit.results import Compared, ComparedPair, Decay
 from roomfit.scene import pair_names
 from roomfit.signals.decay import (
     PARAMETER_NAMES,
     DecayCurve,
-    decay_curve_db,
     echogram_decay_curve,
     in_jnd,
     reduced_alike,
@@ -49,10 +48,10 @@ def compared_values(
     for m, row in zip(measured, predicted, strict=True):
         table: dict[ValueName, Compared] = {}
         for name, values in zip(names, row, strict=True):
-            found = values_at(m, name, bands)
+            found = m.at(name, bands.centres_hz)
             if not np.isfinite(found).any():
                 continue
-            others = np.array([values_at(o, name, bands) for o in fitted if o is not m])
+            others = np.array([o.at(name, bands.centres_hz) for o in fitted if o is not m])
             null = _mean_of_known(others.reshape(-1, len(bands)))
             table[name] = Compared(found, values, null, in_jnd(name, found, values))
         tables.append(table)
@@ -157,9 +156,4 @@ def _decay(measured: DecayCurve, predicted: DecayCurve) -> Decay:
 
 def _at(times: FloatArray, curve: DecayCurve) -> FloatArray:
     """Return the curves in dB at given times; NaN after their usable end."""
-    levels = np.maximum(decay_curve_db(curve), -200.0)
-    rows = [
-        np.where(times <= end_s, np.interp(times, curve.time_s, row), np.nan)
-        for row, end_s in zip(levels, curve.usable_end_s, strict=True)
-    ]
-    return np.stack(rows)
+    return np.where(times <= curve.usable_end_s[:, None], curve.levels_db(times), np.nan)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypedDict
 
@@ -42,6 +42,7 @@ from roomfit.scene import (
 )
 from roomfit.settings import Settings
 from roomfit.signals.iso3382 import MeasuredValues
+from roomfit.signals.speech import speech_levels
 from roomfit.typing import FloatArray
 
 
@@ -344,6 +345,53 @@ def campaign_scene(campaign: Campaign, room: Room) -> Scene:
         campaign.air,
         groups=campaign.groups,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignInputs:
+    """What a campaign describes and names, each part read from its files when it is asked for.
+
+    Raises
+    ------
+    InputError, StoreError
+        Of every method: a file is missing or broken, or says what cannot be.
+    """
+
+    campaign: Campaign
+
+    def check_files(self) -> None:
+        """Refuse files that are missing, all of them at once."""
+        check_files(input_files(self.campaign), str(self.campaign.path))
+
+    def room(self) -> Room:
+        """Return the room with what was found in reading it."""
+        return campaign_room(self.campaign)
+
+    def scene(self, room: Room) -> Scene:
+        """Return every source with every receiver."""
+        return campaign_scene(self.campaign, room)
+
+    def priors(
+        self, materials: tuple[str, ...], bands: Bands | None = None
+    ) -> tuple[MaterialPrior, ...]:
+        """Return what is said of each of the room's materials, in some of the campaign's bands."""
+        priors, own = material_priors(self.campaign, materials), self.campaign.bands
+        if bands is None:
+            return priors
+        return in_bands(priors, np.flatnonzero(np.isin(own.centres_hz, bands.centres_hz)))
+
+    def directivities(self, bands: Bands) -> dict[str, Directivity | UnknownDirectivity]:
+        """Return the directivity of every source that is not omnidirectional."""
+        return source_directivities(self.campaign, bands)
+
+    def measurements(self) -> tuple[Measurement | MeasuredValues, ...]:
+        """Return all recordings, then all tables of room parameters."""
+        return read_measurements(self.campaign)
+
+    def speech_db(self) -> FloatArray | None:
+        """Return octave levels of speech and noise, shape (2, 7), None where none are stated."""
+        speech = self.campaign.speech
+        return speech_levels(speech.level_dba, speech.noise_db) if speech else None
 
 
 def check_room(spec: RoomSpec) -> RoomCheck:

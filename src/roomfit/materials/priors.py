@@ -10,7 +10,7 @@ import numpy as np
 from roomfit._checks import check_known, float_array, unique_names
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.logit import logit
+from roomfit.logit import expit, logit
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # A broad prior of absorption: 95 % of it from 0.01 to 0.77.
@@ -117,6 +117,21 @@ def logit_prior(mean: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArra
         Above 0, dimensionless.
     """
     return logit(mean, 0.0), sd / (mean * (1.0 - mean))
+
+
+def logit_normal(mean: FloatArray, sd: FloatArray, z: FloatArray) -> FloatArray:
+    """Return draws between 0 and 1 about a mean; where the spread is 0 the mean itself.
+
+    Parameters
+    ----------
+    mean, sd : float arrays, shape (n_bands,)
+        Of absorption coefficients; the mean is taken as 0.0001 to 0.9999.
+    z : float array, shape (n_draws,)
+        Standard normal numbers, one a draw for all bands.
+    """
+    middle, width = logit_prior(np.clip(mean, 1e-4, 1.0 - 1e-4), sd)
+    drawn = expit(middle + width * z[:, None])
+    return np.asarray(np.where(sd > 0.0, drawn, mean))
 
 
 def prior_logit_law(priors: tuple[MaterialPrior, ...]) -> tuple[FloatArray, FloatArray]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Protocol, TypeAlias
 
@@ -140,6 +140,35 @@ class Objective:
             * np.concatenate([p.get(name, np.zeros(n)) for p, n in zip(each, sizes, strict=True)])
             for name in dict.fromkeys(name for parts in each for name in parts)
         }
+
+    def residual(self, vector: FloatArray) -> FloatArray:
+        """Return measured minus expected data over their standard deviation, shape (n_data,)."""
+        misfit = self.measured() - self.expected(vector)
+        return np.asarray(misfit / np.sqrt(self.variance(vector)))
+
+    def jacobian(self, vector: FloatArray) -> FloatArray:
+        """Return the derivative of the expected data by the free vector, (n_data, n_free)."""
+        return self.predict(vector).jacobian
+
+    def logl(self, vector: FloatArray) -> float:
+        """Return the log likelihood of the data with every constant, priors left out."""
+        return float(self.log_likelihood(self.expected(vector), self.variance(vector)).sum())
+
+    def information(self, absorption: FloatArray) -> FloatArray:
+        """Return the Fisher information of the data on the free vector, without priors.
+
+        Of shape (n_free, n_free), at an absorption of shape (n_materials,), all other unknowns
+        where they start.
+        """
+        blocks = tuple(
+            replace(b, start=absorption) if b.name == "absorption" else b
+            for b in self.parameters.blocks
+        )
+        parameters = replace(self.parameters, blocks=blocks)
+        there, vector = replace(self, parameters=parameters), start_vector(parameters)
+        jacobian = there.jacobian(vector)
+        spread = there.correlation_length() * there.variance(vector)
+        return np.asarray(jacobian.T @ (jacobian / spread[:, None]))
 
     def correlation_length(self) -> FloatArray:
         """Return how many neighbours share the information of each datum, shape (n_data,)."""

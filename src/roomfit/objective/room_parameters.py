@@ -354,6 +354,11 @@ def curve_by_pressures(
     return echogram_decay_curve(term.bands, rest + together, edges, observed.direct_s)
 
 
+def model_sd(name: str, values: FloatArray) -> FloatArray:
+    """Return the standard deviation by which the model may be wrong, in the unit of a value."""
+    return MODEL_ERROR_JND * jnd_of(name, values)
+
+
 def _model(term: ValuesTerm, observed: ValueObservation, predicted: FloatArray) -> FloatArray:
     # the larger of both, so that a trial far off does not pass for a precise one
     units = [
@@ -512,20 +517,6 @@ def predicted_values(
     return found
 
 
-def values_at(measured: MeasuredValues, name: ValueName, bands: Bands) -> FloatArray:
-    """Return a measured parameter at the centres of bands, NaN where unknown, (n_bands,)."""
-    return _at(measured.centres_hz, measured.values.get(name), bands.centres_hz)
-
-
-def _at(centres_hz: FloatArray, row: FloatArray | None, wanted_hz: FloatArray) -> FloatArray:
-    out: FloatArray = np.full(wanted_hz.size, np.nan)
-    if row is not None:
-        match = np.abs(centres_hz[None, :] / wanted_hz[:, None] - 1.0) < 1e-6
-        found = match.any(axis=1)
-        out[found] = row[match.argmax(axis=1)[found]]
-    return out
-
-
 def _pairs(scene: Scene, measured: Sequence[MeasuredValues]) -> list[int]:
     index = {name: i for i, name in enumerate(pair_names(scene))}
     found = []
@@ -547,9 +538,9 @@ def _observation(
     pair: int, direct_s: float, m: MeasuredValues, centre_hz: float, names: Sequence[ValueName]
 ) -> ValueObservation:
     at = np.array([centre_hz])
-    found = {n: float(_at(m.centres_hz, m.values.get(n), at)[0]) for n in names}
+    found = {n: float(m.at(n, at)[0]) for n in names}
     known = tuple(n for n in names if np.isfinite(found[n]))
-    spread = [float(_at(m.centres_hz, m.spread.get(n), at)[0]) for n in known]
+    spread = [float(m.spread_at(n, at)[0]) for n in known]
     return ValueObservation(
         pair,
         direct_s,

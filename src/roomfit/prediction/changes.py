@@ -9,16 +9,23 @@ from typing import Literal
 
 import numpy as np
 
-from roomfit._checks import did_you_mean
-from roomfit.bands import Bands
-from roomfit.errors import InputError, located
-from roomfit.findings import About, Code, Finding
-from roomfit.logit import expit
-from roomfit.materials.catalogue import catalogue_prior, suggested_entries
-from roomfit.materials.priors import logit_prior
-from roomfit.typing import FloatArray
-from roomfit.uncertainty.combinations import area_shares
-from roomfit.uncertainty.posterior import AbsorptionPosterior, prior_draws, prior_law
+from roomfit.core import (
+    About,
+    AbsorptionPosterior,
+    Bands,
+    Code,
+    Finding,
+    FloatArray,
+    InputError,
+    IntArray,
+    area_shares,
+    catalogue_prior,
+    did_you_mean,
+    draw_prior,
+    located,
+    logit_normal,
+    suggested_entries,
+)
 
 _NEEDED = (
     "MATERIAL=0.3, 0.3+-0.05, one value per band, x1.5+-0.2, another material of the room in one "
@@ -151,7 +158,7 @@ def changed_draws(
                 else:
                     mean, sd = _per_band(change, posterior.bands, high=1.0)
                 absorption[index] = mean
-                drawn[:, index] = _logit_normal(mean, sd, z)
+                drawn[:, index] = logit_normal(mean, sd, z)
     return absorption, drawn, tuple(findings)
 
 
@@ -183,14 +190,6 @@ def _per_band(change: Change, bands: Bands, high: float) -> tuple[FloatArray, Fl
             hint="if these are percentages, divide by 100",
         )
     return np.broadcast_to(values, len(bands)).copy(), np.broadcast_to(sds, len(bands)).copy()
-
-
-def _logit_normal(mean: FloatArray, sd: FloatArray, z: FloatArray) -> FloatArray:
-    """Return draws between 0 and 1 about a mean; where the spread is 0 the mean itself."""
-    inside = np.clip(mean, 1e-4, 1.0 - 1e-4)
-    middle, width = logit_prior(inside, sd)
-    drawn = expit(middle + width * z[:, None])
-    return np.asarray(np.where(sd > 0.0, drawn, mean))
 
 
 def _clipped(change: Change, wanted: FloatArray, bands: Bands) -> tuple[Finding, ...]:
@@ -238,10 +237,8 @@ def prior_dominated(
     shares = _band_shares(areas_m2, draws)
     low, high = np.quantile(shares, (0.025, 0.975), axis=0)
     is_wide = (high > _WIDE_RATIO * low) & (high >= _LARGE_SHARE)
-    law, before = prior_law(posterior), None
-    if law is not None:
-        bands = zip(posterior.absorption.T, posterior.logit_covariance, *law, strict=True)
-        drawn = np.stack([prior_draws(*band, len(draws), rng) for band in bands], axis=2)
+    drawn, before = draw_prior(posterior, len(draws), rng), None
+    if drawn is not None:
         prior = _band_shares(areas_m2, drawn)
         before = np.quantile(prior, (0.025, 0.975), axis=0)
         is_wide &= np.std(shares, axis=0) > _LEFT_OF_PRIOR * np.std(prior, axis=0)
@@ -250,34 +247,54 @@ def prior_dominated(
     for name in (c.material for c in changes):
         i = posterior.materials.index(name)
         at = np.flatnonzero(is_wide[i])
-        if not at.size:
-            continue
-        b = int(at[np.argmax(high[i, at] - low[i, at])])
-        centres_hz = posterior.bands.centres_hz
-        known = "" if before is None else f" ({_percents(before[0, i, b], before[1, i, b])} before "
-        known += "" if before is None else "anything was measured)"
-        entries = ", ".join(f'"{e}"' for e in suggested_entries(name)) or "a name of the catalogue"
-        findings.append(
-            Finding(
-                Code.CHANGE_PRIOR_DOMINATED,
-                About(materials=[name], bands_hz=centres_hz[at].tolist()),
-                f"What a change of {name} does hangs on its prior at "
-                f"{', '.join(f'{f:g}' for f in centres_hz[at])} Hz: before the change its share in "
-                f"the absorption of the room is {_percents(low[i, b], high[i, b])} at "
-                f"{centres_hz[b]:g} Hz{known}. State what is known of it: "
-                f'[materials."{name}"] prior = '
-                f"{entries}, or a mean and a standard deviation, and identify again; or "
-                "measure more pairs, which `roomfit design` with --result names.",
-                {
-                    "material": name,
-                    "bands_hz": centres_hz[at].tolist(),
-                    "share": found[i, at].tolist(),
-                    "share_lower95": low[i, at].tolist(),
-                    "share_upper95": high[i, at].tolist(),
-                },
-            )
-        )
+        if at.size:
+            of_prior = None if before is None else before[:, i]
+            own = found[i], low[i], high[i]
+            findings.append(_prior_dominated(name, posterior.bands, at, own, of_prior))
     return tuple(findings)
+
+
+def _prior_dominated(
+    name: str,
+    bands: Bands,
+    at: IntArray,
+    shares: tuple[FloatArray, FloatArray, FloatArray],
+    before: FloatArray | None,
+) -> Finding:
+    """Return the finding of one material in the bands `at`.
+
+    Parameters
+    ----------
+    shares : float arrays, shape (n_bands,) each
+        The most likely share, and its 95 % bounds.
+    before : float array, shape (2, n_bands), or None
+        Bounds before anything was measured.
+    """
+    found, low, high = shares
+    b = int(at[np.argmax(high[at] - low[at])])
+    centres_hz = bands.centres_hz
+    known = ""
+    if before is not None:
+        known = f" ({_percents(before[0, b], before[1, b])} before anything was measured)"
+    entries = ", ".join(f'"{e}"' for e in suggested_entries(name)) or "a name of the catalogue"
+    return Finding(
+        Code.CHANGE_PRIOR_DOMINATED,
+        About(materials=[name], bands_hz=centres_hz[at].tolist()),
+        f"What a change of {name} does hangs on its prior at "
+        f"{', '.join(f'{f:g}' for f in centres_hz[at])} Hz: before the change its share in "
+        f"the absorption of the room is {_percents(low[b], high[b])} at "
+        f"{centres_hz[b]:g} Hz{known}. State what is known of it: "
+        f'[materials."{name}"] prior = '
+        f"{entries}, or a mean and a standard deviation, and identify again; or "
+        "measure more pairs, which `roomfit design` with --result names.",
+        {
+            "material": name,
+            "bands_hz": centres_hz[at].tolist(),
+            "share": found[at].tolist(),
+            "share_lower95": low[at].tolist(),
+            "share_upper95": high[at].tolist(),
+        },
+    )
 
 
 def _band_shares(areas_m2: FloatArray, draws: FloatArray) -> FloatArray:

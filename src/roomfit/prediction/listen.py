@@ -12,33 +12,26 @@ from typing import NamedTuple
 import numpy as np
 from scipy import fft
 
-from roomfit._checks import float_array
-from roomfit._numba import one_blas_thread
-from roomfit.air import attenuation_per_m
-from roomfit.bands import Bands
-from roomfit.cache import Cache
-from roomfit.errors import InputError
-from roomfit.findings import Finding
-from roomfit.inversion.measurements import observe
-from roomfit.measurement import Measurement
-from roomfit.objective.observation import spread_over_time
-from roomfit.prediction.changes import Change, changed_draws
-from roomfit.prediction.decay import follow_decay
-from roomfit.prediction.predict import check_materials, is_unknown
-from roomfit.response.binned import pair_energies
-from roomfit.results import result_doubts
-from roomfit.scene import Scene
-from roomfit.settings import Settings
-from roomfit.signals.decay import PARAMETER_NAMES
-from roomfit.signals.filters import (
-    check_sampling_rate,
-    frequency_response,
-    ringing_s,
+from roomfit.core import (
+    AbsorptionPosterior,
+    Cache,
+    Finding,
+    FloatArray,
+    InputError,
+    MeasuredPair,
+    Measurement,
+    Progress,
+    Scene,
+    Settings,
+    TracedRoom,
+    draw_absorption,
+    observe,
+    one_blas_thread,
+    result_doubts,
+    scaled_response,
+    trace_room,
 )
-from roomfit.signals.noise import NoiseEstimate
-from roomfit.signals.response import ImpulseResponse, times_s
-from roomfit.typing import FloatArray, Progress
-from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
+from roomfit.prediction.changes import Change, changed_draws
 
 # Ratios are means over a tenth of the time since the direct sound, and over 10 ms at most: of
 # decays of .3 and .6 s the mean over 20 ms is off by 0.1 dB.
@@ -56,81 +49,6 @@ class ChangedResponse(NamedTuple):
     # (n_bands,), s after emission, from which the measured noise carries the predicted tail; NaN
     # where the file ends before its noise
     noise_from_s: FloatArray
-
-
-def scaled_response(
-    response: ImpulseResponse,
-    bands: Bands,
-    time_s: FloatArray,
-    ratio: FloatArray,
-    noise: NoiseEstimate | None = None,
-) -> FloatArray:
-    """Return a response with the energy of its bands scaled over time, shape (n_samples,).
-
-    Parameters
-    ----------
-    response : ImpulseResponse
-        On the clock of `time_s`.
-    bands : Bands
-        What lies below the lowest and above the highest is scaled with these.
-    time_s : float array, shape (n_times,)
-        Rising; before the first and after the last the ratio stays as it is there.
-    ratio : float array, shape (n_bands, n_times)
-        Of energies, 0 or larger.
-    noise : NoiseEstimate, optional
-        From `estimate_noise`: the decay alone is scaled, the noise stays what it is. Left out:
-        there is none.
-
-    Raises
-    ------
-    InputError
-        Shapes disagree, a ratio is negative, or a band reaches above half the sampling rate.
-
-    Notes
-    -----
-    Where the decay has the power D and the noise N, the power is scaled by ``(r D + N) / (D + N)``:
-    noise is never scaled by itself, and where it masks the decay it carries no more than what is
-    predicted of it, as well as the exponential D that leads to the noise is known.
-
-    The magnitudes of the bands are squares of those of `frequency_response`: they add up to one at
-    every frequency, without delay. What is added to the response is the sum of bands times gain
-    minus one: where every ratio is 1 it comes back bit by bit.
-
-    Examples
-    --------
-    >>> response = ImpulseResponse(np.array([1.0, 0.5, 0.25]), 8000.0)
-    >>> octave = Bands("octave", np.array([1000.0]))
-    >>> scaled_response(response, octave, np.zeros(1), np.array([[4.0]])).round(9)
-    array([2. , 1. , 0.5])
-    """
-    ratios = float_array("ratios", ratio, (len(bands), len(time_s)), low=0.0)
-    rate_hz = response.sampling_rate_hz
-    check_sampling_rate(bands, rate_hz)
-    t, n = times_s(response), len(response.pressure)
-    length = fft.next_fast_len(n + int(np.ceil(ringing_s(bands).max() * rate_hz)), real=True)
-    frequencies = fft.rfftfreq(length, 1.0 / rate_hz)
-    magnitudes = frequency_response(bands, frequencies) ** 2
-    magnitudes[0, frequencies <= bands.exact_centres_hz[0]] = 1.0
-    magnitudes[-1, frequencies >= bands.exact_centres_hz[-1]] = 1.0
-    spectrum = fft.rfft(response.pressure, length)
-    made = response.pressure.copy()
-    for band, magnitude in enumerate(magnitudes):
-        power = np.interp(t, time_s, ratios[band])
-        if noise is not None:
-            power = 1.0 + (power - 1.0) * _decay_share(noise, band, t)
-        if np.any(power != 1.0):
-            made += (np.sqrt(power) - 1.0) * fft.irfft(spectrum * magnitude, length)[:n]
-    return made
-
-
-def _decay_share(noise: NoiseEstimate, band: int, t: FloatArray) -> FloatArray:
-    """Return the share of the decay in the power of a band at every time."""
-    constant_s, floor = noise.tail_time_constant_s[band], noise.floor[band]
-    if not constant_s > 0.0:
-        return np.zeros_like(t)
-    at_end = noise.tail_energy[band] / constant_s
-    decay = at_end * np.exp(np.clip((noise.usable_end_s[band] - t) / constant_s, -300.0, 300.0))
-    return np.asarray(decay / (decay + floor)) if floor > 0.0 else np.ones_like(t)
 
 
 def energy_ratio(
@@ -206,48 +124,48 @@ def listen(
         absorption was not known, no measured response, or one that cannot be examined.
     """
     settings = Settings() if settings is None else settings
-    check_materials(absorption, scene)
+    absorption.check_materials(scene.room.materials)
     if not measurements:
         raise InputError("no measured response to change", needed="[[measurements]] with a file")
     rng = np.random.default_rng(settings.seed)
     old = absorption.absorption
     new, _, findings = changed_draws(absorption, draw_absorption(absorption, 2, rng), changes, rng)
     materials = scene.room.materials
-    unknown = [c.material for c in changes if is_unknown(absorption)[materials.index(c.material)]]
+    unknown = [c.material for c in changes if absorption.is_unknown[materials.index(c.material)]]
     if unknown:
         raise InputError(
             "the absorption before the change is not known",
             found=", ".join(unknown),
             needed="a material of the result: there is no ratio of after to before",
         )
-    bands = absorption.bands
-    observed, doubts = observe(scene, measurements, bands)
-    times = [m.parameters.values[PARAMETER_NAMES.index("T30_s")] for m in observed]
+    observed, doubts = observe(scene, measurements, absorption.bands)
+    times = [m.parameters.of("T30_s") for m in observed]
     longest_s = max((float(np.nanmax(row)) for row in times if np.isfinite(row).any()), default=0.0)
-    binned, _, traced = follow_decay(
-        scene, absorption, np.minimum(old, new), longest_s, settings, cache, progress
-    )
-    attenuation = attenuation_per_m(scene.air, bands)
-    edges, bin_s = binned.edges_s, float(binned.edges_s[1] - binned.edges_s[0])
-    found = []
-    for m in observed:
-        # nothing is predicted between the end of the trace and that of the file
-        silent = max(0, int(np.ceil((times_s(m.response)[-1] - edges[-1]) / bin_s)))
-        edges_s = np.append(edges, edges[-1] + bin_s * np.arange(1, silent + 1))
-        before, after = (
-            np.pad(
-                spread_over_time(bands, pair_energies(binned, bands, m.pair, a, attenuation)),
-                ((0, 0), (0, silent)),
-            )
-            for a in (old, new)
-        )
-        ratio = energy_ratio(before, after, edges_s, m.direct_s)
-        middle = 0.5 * (edges_s[1:] + edges_s[:-1])
-        samples = scaled_response(m.response, bands, middle, ratio, m.noise)
-        from_s = np.where(m.noise.reached, m.noise.usable_end_s, np.nan)
-        found.append(ChangedResponse(m.measurement, samples, from_s))
+    room = trace_room(scene, absorption, np.minimum(old, new), longest_s, settings, cache, progress)
+    found = tuple(_changed_response(room, m, old, new) for m in observed)
     rests_on = result_doubts(absorption)
-    return tuple(found), (*rests_on, *absorption.findings, *findings, *doubts, *traced)
+    return found, (*rests_on, *absorption.findings, *findings, *doubts, *room.findings)
+
+
+def _changed_response(
+    room: TracedRoom, m: MeasuredPair, old: FloatArray, new: FloatArray
+) -> ChangedResponse:
+    """Return a response scaled by what is predicted under one absorption over that under another.
+
+    Parameters
+    ----------
+    old, new : float arrays, shape (n_materials, n_bands)
+    """
+    edges, bin_s = room.edges_s, float(room.edges_s[1] - room.edges_s[0])
+    # nothing is predicted between the end of the trace and that of the file
+    silent = max(0, int(np.ceil((m.response.last_s - edges[-1]) / bin_s)))
+    edges_s = np.append(edges, edges[-1] + bin_s * np.arange(1, silent + 1))
+    before, after = (np.pad(room.echogram(m.pair, a), ((0, 0), (0, silent))) for a in (old, new))
+    ratio = energy_ratio(before, after, edges_s, m.direct_s)
+    middle = 0.5 * (edges_s[1:] + edges_s[:-1])
+    samples = scaled_response(m.response, room.bands, middle, ratio, m.noise)
+    from_s = np.where(m.noise.reached, m.noise.usable_end_s, np.nan)
+    return ChangedResponse(m.measurement, samples, from_s)
 
 
 def convolved(dry: FloatArray, response: FloatArray) -> FloatArray:

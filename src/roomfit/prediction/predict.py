@@ -13,26 +13,41 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from roomfit._numba import one_blas_thread
-from roomfit.bands import Bands
-from roomfit.cache import Cache, cached
-from roomfit.errors import InputError
-from roomfit.findings import About, Code, Finding
-from roomfit.geometry.mesh import refuse
-from roomfit.measurement import Measurement
+from roomfit.core import (
+    FIT_RANGES_DB,
+    VALUE_NAMES,
+    About,
+    AbsorptionPosterior,
+    Bands,
+    Cache,
+    Code,
+    Finding,
+    FloatArray,
+    InputError,
+    MeasuredValues,
+    Measurement,
+    Progress,
+    ReducedRows,
+    Scene,
+    Settings,
+    TracedRoom,
+    ValueName,
+    cached,
+    check_scene,
+    draw_absorption,
+    one_blas_thread,
+    pair_names,
+    part,
+    result_doubts,
+    trace_room,
+)
 from roomfit.prediction.carried import with_common_noise
 from roomfit.prediction.changes import Change, change_text, changed_draws, prior_dominated
 from roomfit.prediction.decay import (
-    FewRows,
     LatestBands,
     PairNumbers,
     PredictedDecay,
     changed_numbers,
-    few_energies,
-    few_rows,
-    few_sti,
-    few_values,
-    follow_decay,
     pair_numbers,
 )
 from roomfit.prediction.tables import (
@@ -46,20 +61,6 @@ from roomfit.prediction.tables import (
     with_sti,
     without_jnd,
 )
-from roomfit.response.binned import BinnedPaths
-from roomfit.results import result_doubts
-from roomfit.scene import (
-    Scene,
-    material_areas_m2,
-    pair_names,
-    pair_states,
-    position_findings,
-)
-from roomfit.settings import Settings
-from roomfit.signals.decay import FIT_RANGES_DB
-from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
-from roomfit.typing import BoolArray, FloatArray, Progress, part
-from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
 
 _LOG = logging.getLogger("roomfit")
 
@@ -160,14 +161,14 @@ def predict(
     absorption : AbsorptionPosterior
         Of exactly the room's materials, in their order; in the bands to predict, 0 to 1,
         dimensionless. Scattering coefficients and directivities of sources come with it. A result
-        of another room is brought to this form by `roomfit.prediction.campaign.room_posterior`.
+        of another room is brought to this form by `roomfit.core.room_posterior`.
     changes : sequence of Change, optional
         What if: materials with another absorption, from `roomfit.prediction.changes.read_change`.
     measurements : sequence of Measurement or MeasuredValues, optional
         Of pairs of the scene, to stand beside the prediction; nothing is fitted to them.
     speech_db : float array, shape (2, 7), optional
         Octave levels from 125 Hz to 8 kHz of speech at 1 m in the free field, and of noise at the
-        listeners, from `roomfit.signals.speech.speech_levels`; left out: the speech transmission
+        listeners, from `roomfit.core.speech_levels`; left out: the speech transmission
         index is that of the room, without noise, masking and threshold.
     settings : Settings, optional
         `Settings.n_draws` draws of the absorption stand behind the intervals.
@@ -233,22 +234,25 @@ def predict(
 class PreparedRoom:
     """A room whose walls may change: all that a prediction needs and no change touches."""
 
-    scene: Scene
+    traced: TracedRoom
     absorption: AbsorptionPosterior
     draws: FloatArray  # (n_draws, n_materials, n_bands), common to all changes
     rng: np.random.Generator  # to be copied: equal changes are drawn alike
     observed: tuple[ObservedPair, ...]
-    binned: BinnedPaths
-    weighed_by: tuple[object, ...]  # what decided `binned`, for keys
     # of every pair, as it was found; none where some absorption is known after a change only
     before: tuple[PairNumbers, ...]
-    few: tuple[FewRows, ...]  # of every pair
+    few: tuple[ReducedRows, ...]  # of every pair
     base: FloatArray  # (n_pairs, n_names, n_bands), values of `few` at the absorption found
     base_sti: FloatArray  # (n_pairs,), likewise
     findings: tuple[Finding, ...]
     seed: int
     speech_db: FloatArray | None  # as of `predict`
     latest: tuple[LatestBands, ...]  # of every pair, what `numbers_at` found last
+
+    @property
+    def scene(self) -> Scene:
+        """Room, sources, receivers and pairs."""
+        return self.traced.scene
 
 
 @one_blas_thread
@@ -281,31 +285,18 @@ def prepare_prediction(
     _check(scene, absorption, measurements)
     rng = np.random.default_rng(settings.seed)
     draws = draw_absorption(absorption, settings.n_draws, rng)
-    changed = [scene.room.materials.index(c.material) for one in alternatives for c in one
-               if c.material in scene.room.materials]  # fmt: skip
-    is_known = not is_unknown(absorption)[changed].any()
-    followed = [changed_draws(absorption, draws, c, deepcopy(rng))[0] for c in alternatives]
-    followed += [absorption.absorption] if is_known or not followed else []
+    least, is_known = _least_absorption(absorption, draws, alternatives, rng)
     observed, measured_findings = observed_pairs(scene, measurements, absorption.bands)
-    binned, weighed_by, decay_findings = follow_decay(
-        scene,
-        absorption,
-        np.min(followed, axis=0),
-        _longest_s(observed),
-        settings,
-        cache,
-        part(progress, 0.02, 0.6),
-    )
+    longest_s, done = _longest_s(observed), part(progress, 0.02, 0.6)
+    traced = trace_room(scene, absorption, least, longest_s, settings, cache, done)
     bands, found = absorption.bands, absorption.absorption
-    few = tuple(few_rows(scene, bands, binned, i, found) for i in range(len(scene.pairs)))
-    energies = [few_energies(f, found[None]) for f in few]
-    base = [few_values(f, e) for f, e in zip(few, energies, strict=True)]
-    base_sti = [
-        few_sti(f, bands, e, v, speech_db) for f, e, v in zip(few, energies, base, strict=True)
-    ]
+    few = tuple(traced.reduced(i, found) for i in range(len(scene.pairs)))
+    energies = [f.energies(found[None]) for f in few]
+    base = [f.values(e) for f, e in zip(few, energies, strict=True)]
+    base_sti = [f.sti(e, v, speech_db) for f, e, v in zip(few, energies, base, strict=True)]
     room = PreparedRoom(
-        scene, absorption, draws, rng, observed, binned, weighed_by, (), few,
-        np.concatenate(base), np.concatenate(base_sti), (*measured_findings, *decay_findings),
+        traced, absorption, draws, rng, observed, (), few,
+        np.concatenate(base), np.concatenate(base_sti), (*measured_findings, *traced.findings),
         settings.seed, speech_db, tuple({} for _ in few),
     )  # fmt: skip
     if not is_known:
@@ -317,6 +308,21 @@ def prepare_prediction(
         observed=with_sti(scene, bands, observed, before, speech_db),
         findings=(*room.findings, *cache_findings),
     )
+
+
+def _least_absorption(
+    absorption: AbsorptionPosterior,
+    draws: FloatArray,
+    alternatives: Sequence[Sequence[Change]],
+    rng: np.random.Generator,
+) -> tuple[FloatArray, bool]:
+    """Return the least absorption of all alternatives, and whether that before them is known."""
+    names = absorption.materials
+    changed = [names.index(c.material) for one in alternatives for c in one if c.material in names]
+    is_known = not absorption.is_unknown[changed].any()
+    followed = [changed_draws(absorption, draws, c, deepcopy(rng))[0] for c in alternatives]
+    followed += [absorption.absorption] if is_known or not followed else []
+    return np.asarray(np.min(followed, axis=0)), is_known
 
 
 def _exact_numbers(
@@ -334,9 +340,9 @@ def _exact_numbers(
         one = cached(
             cache,
             "pair",
-            (scene, room.weighed_by, bands, i, absorption, draws, room.speech_db),
+            (scene, room.traced.key, bands, i, absorption, draws, room.speech_db),
             lambda i=i: pair_numbers(  # type: ignore[misc]
-                scene, bands, room.binned, i, room.few[i], absorption, draws, room.speech_db
+                room.traced, i, room.few[i], absorption, draws, room.speech_db
             ),
             (PairNumbers, PredictedDecay),
         )
@@ -369,12 +375,12 @@ def numbers_at(
             needed="an absorption of every material of the room",
             hint="predict the change with roomfit.predict",
         )
-    absorptions, bands = np.concatenate((absorption[None], draws)), room.absorption.bands
+    absorptions = np.concatenate((absorption[None], draws))
 
     def numbers(i: int) -> PairNumbers:
         base = room.base[i], room.base_sti[i]
         return changed_numbers(
-            room.before[i], room.few[i], bands, absorptions, base, room.speech_db, room.latest[i]
+            room.before[i], room.few[i], absorptions, base, room.speech_db, room.latest[i]
         )
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
@@ -428,25 +434,14 @@ def predict_change(
     if len(numbers) > 1:
         if compare_pairs or room.observed:  # what both states share
             numbers[0] = tuple(
-                with_common_noise(after, before, few, bands, absorption.absorption, expected)
+                with_common_noise(after, before, few, absorption.absorption, expected)
                 for after, before, few in zip(numbers[0], room.before, room.few, strict=True)
             )
-        areas_m2 = material_areas_m2(scene.room, int(pair_states(scene)[0]))
-        doubts += prior_dominated(absorption, room.draws, changes, areas_m2, rng)
-    observed = room.observed
-    if not room.before:
-        observed = with_sti(scene, bands, observed, numbers[-1], room.speech_db)
-    means, sti = predicted_means(scene, numbers, observed)
-    pairs = predicted_pairs(scene, bands, numbers if compare_pairs else numbers[:1], observed)
-    if not room.before:
-        # the room as it was measured is not known: nothing stands beside the measurement
-        pairs = tuple(
-            replace(p, parameters=without_jnd(p.parameters), sti=without_jnd({0: p.sti})[0])
-            for p in pairs
-        )
-        means, sti = without_jnd(means), without_jnd({0: sti})[0]
+        doubts += prior_dominated(absorption, room.draws, changes, room.traced.areas_m2, rng)
+    pairs, means, sti = _tables(room, numbers, compare_pairs=compare_pairs)
     lower, upper = absorption.lower95.copy(), absorption.upper95.copy()
     lower[changed], upper[changed] = np.quantile(drawn[:, changed], (0.025, 0.975), axis=0)
+    stated = _what_if(changes, room.observed, bands, means)
     return Predicted(
         bands,
         scene.room.materials,
@@ -462,7 +457,7 @@ def predict_change(
             *absorption.findings,
             *doubts,
             *room.findings,
-            *_what_if(changes, observed, bands, means),
+            *stated,
         ),
         len(drawn),
         room.seed,
@@ -471,15 +466,29 @@ def predict_change(
     )
 
 
-def check_materials(absorption: AbsorptionPosterior, scene: Scene) -> None:
-    """Refuse an absorption of other materials than the room's, or in another order."""
-    if absorption.materials != scene.room.materials:
-        raise InputError(
-            "the absorption is of other materials than the room's",
-            found=", ".join(absorption.materials),
-            needed=", ".join(scene.room.materials) + ", in this order",
-            hint="room_posterior of roomfit.prediction.campaign matches materials by name",
+def _tables(
+    room: PreparedRoom, numbers: list[tuple[PairNumbers, ...]], *, compare_pairs: bool
+) -> tuple[tuple[PredictedPair, ...], dict[ValueName, PredictedValue], PredictedValue | None]:
+    """Return what is predicted of every pair, and the means over them.
+
+    Parameters
+    ----------
+    numbers : list
+        Of every pair with the changes, and without where they are compared.
+    """
+    scene, bands, observed = room.scene, room.absorption.bands, room.observed
+    if not room.before:
+        observed = with_sti(scene, bands, observed, numbers[-1], room.speech_db)
+    means, sti = predicted_means(scene, numbers, observed)
+    pairs = predicted_pairs(scene, bands, numbers if compare_pairs else numbers[:1], observed)
+    if not room.before:
+        # the room as it was measured is not known: nothing stands beside the measurement
+        pairs = tuple(
+            replace(p, parameters=without_jnd(p.parameters), sti=without_jnd({0: p.sti})[0])
+            for p in pairs
         )
+        means, sti = without_jnd(means), without_jnd({0: sti})[0]
+    return pairs, means, sti
 
 
 def _check(
@@ -487,16 +496,8 @@ def _check(
     absorption: AbsorptionPosterior,
     measurements: Sequence[Measurement | MeasuredValues],
 ) -> None:
-    check_materials(absorption, scene)
-    if not len(scene.pairs):
-        raise InputError("the scene has no pair to predict", needed="a source and a receiver")
-    refuse(position_findings(scene.room, scene.sources, scene.receivers))
-    if np.unique(pair_states(scene)).size > 1:
-        raise InputError(
-            "a prediction is of one state of the room",
-            found="pairs in several states",
-            needed="a scene whose pair_state is the same everywhere; predict each state by itself",
-        )
+    absorption.check_materials(scene.room.materials)
+    check_scene(scene)
     pairs = pair_names(scene)
     for m in measurements:
         if m.pair_name not in pairs:
@@ -512,12 +513,6 @@ def _longest_s(observed: Sequence[ObservedPair]) -> float:
     rows = [VALUE_NAMES.index("T20_s"), VALUE_NAMES.index("T30_s")]
     known = [o.values[rows][np.isfinite(o.values[rows])] for o in observed]
     return max((float(k.max()) for k in known if k.size), default=0.0)
-
-
-def is_unknown(absorption: AbsorptionPosterior) -> BoolArray:
-    """Return of which materials nothing is known before a change, (n_materials,)."""
-    variance = np.diagonal(absorption.logit_covariance, axis1=1, axis2=2).T
-    return np.asarray(((variance <= 0.0) & (absorption.lower95 < absorption.upper95)).any(axis=1))
 
 
 # Of a mean one decay time, and the parameters by which a change is described.

@@ -9,23 +9,27 @@ from typing import TypeVar
 import numpy as np
 from scipy.special import ndtri
 
-from roomfit.bands import Bands
-from roomfit.findings import Finding
-from roomfit.inversion.measurements import observe
-from roomfit.measurement import Measurement, Use
-from roomfit.objective.room_parameters import MODEL_ERROR_JND, values_at
-from roomfit.prediction.decay import (
-    PairNumbers,
-    PredictedDecay,
-    levels_at,
-    levels_at_listener,
-    speech_bands,
+from roomfit.core import (
+    FIT_RANGES_DB,
+    VALUE_NAMES,
+    Bands,
+    DecayCurve,
+    Finding,
+    FloatArray,
+    MeasuredValues,
+    Measurement,
+    Scene,
+    Use,
+    ValueName,
+    in_jnd,
+    model_sd,
+    modulation_transfer,
+    observe,
+    pair_names,
+    room_sti,
+    sti_missing,
 )
-from roomfit.scene import Scene, pair_names
-from roomfit.signals.decay import FIT_RANGES_DB, DecayCurve, in_jnd, jnd_of
-from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
-from roomfit.signals.speech import modulation_transfer, speech_transmission, sti_missing
-from roomfit.typing import FloatArray
+from roomfit.prediction.decay import PairNumbers, PredictedDecay
 
 # Steps of equal probability by which noise widens every draw.
 _STEPS = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
@@ -118,9 +122,8 @@ def observed_pairs(
     for t in measurements:
         if isinstance(t, MeasuredValues):
             findings += t.findings
-            values = np.stack([values_at(t, name, bands) for name in VALUE_NAMES])
-            stated = replace(t, values=t.spread, spread={})
-            sds = np.nan_to_num([values_at(stated, name, bands) for name in VALUE_NAMES])
+            values = np.stack([t.at(name, bands.centres_hz) for name in VALUE_NAMES])
+            sds = np.nan_to_num([t.spread_at(name, bands.centres_hz) for name in VALUE_NAMES])
             found.append(ObservedPair(t.source, t.receiver, t.use, values, sds, None))
     return tuple(found), findings
 
@@ -135,13 +138,12 @@ def with_sti(
     """Return what was measured with its speech transmission index, at the levels predicted."""
     if sti_missing(bands):
         return tuple(observed)
-    at, pairs = speech_bands(bands), [p[:2] for p in pair_names(scene)]
+    pairs = [p[:2] for p in pair_names(scene)]
     found = []
     for o in observed:
         if o.curve is not None:
-            strength_db = numbers[pairs.index((o.source, o.receiver))].values[-1, at]
-            levels_db = levels_at_listener(speech_db, strength_db)
-            index = speech_transmission(modulation_transfer(o.curve)[at], levels_db)
+            strength_db = numbers[pairs.index((o.source, o.receiver))].values[-1]
+            index = room_sti(bands, modulation_transfer(o.curve), strength_db, speech_db)
             o = replace(o, sti=float(index))
         found.append(o)
     return tuple(found)
@@ -238,10 +240,6 @@ def _weighted(weights: FloatArray, values: FloatArray) -> FloatArray:
     return np.asarray(np.where(weights > 0.0, weights * values, 0.0).sum(axis=0))
 
 
-def _model_sd(own: PairNumbers, row: int, name: str) -> FloatArray:
-    return MODEL_ERROR_JND * jnd_of(name, own.values[row])
-
-
 N = TypeVar("N", bound=str)
 K = TypeVar("K")
 V = TypeVar("V", PredictedValue, PredictedValue | None)
@@ -266,7 +264,7 @@ def _table(
     table = {}
     for row, name in enumerate(names):
         # the model is wrong in the same way everywhere
-        rest_sd = np.hypot(after.noise_sd[row], _model_sd(after, row, name))
+        rest_sd = np.hypot(after.noise_sd[row], model_sd(name, after.values[row]))
         low, high = _interval(name, after.draws[:, row], rest_sd)
         table[name] = PredictedValue(
             after.values[row],
@@ -317,7 +315,7 @@ def _change(
     old, new, drawn_old, drawn_new = (
         before.values[row], after.values[row], before.draws[:, row], after.draws[:, row]
     )  # fmt: skip
-    sds = before.noise_sd[row], after.noise_sd[row], _model_sd(before, row, name), measured_sd
+    sds = before.noise_sd[row], after.noise_sd[row], model_sd(name, before.values[row]), measured_sd
     in_ratios = name in FIT_RANGES_DB
     scales = (old, new, old, measured) if in_ratios else (1.0,) * 4
     with np.errstate(divide="ignore", invalid="ignore"):  # unknown values
@@ -378,5 +376,5 @@ def _decay(own: PairNumbers, m: ObservedPair | None) -> PredictedDecay:
     if m is None or m.curve is None:
         return own.decay
     usable = own.decay.time_s <= m.curve.usable_end_s[:, None]
-    measured = np.where(usable, levels_at(m.curve, own.decay.time_s), np.nan)
+    measured = np.where(usable, m.curve.levels_db(own.decay.time_s), np.nan)
     return replace(own.decay, measured_db=measured)

@@ -27,6 +27,7 @@ from roomfit.typing import BoolArray, FloatArray
 
 # Beyond this share of `ringing_s` (4 periods of an octave) lies less than 1e-4 of an impulse.
 _LEAD = 1.0 / 16.0
+_LOWEST_DB = -200.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +44,11 @@ class DecayCurve:
     usable_db: FloatArray  # (n_bands,), range below its beginning in which the curve is reliable
     tail_time_constant_s: FloatArray  # (n_bands,), of the extrapolation after `usable_end_s`
     noise_reached: BoolArray  # (n_bands,), whether noise, not the end of data, sets the usable end
+
+    def levels_db(self, time_s: FloatArray) -> FloatArray:
+        """Return the curves in dB at given times, -200 at least; shape (n_bands, n_times)."""
+        levels = np.maximum(decay_curve_db(self), _LOWEST_DB)
+        return np.stack([np.interp(time_s, self.time_s, row) for row in levels])
 
 
 def decay_curve(

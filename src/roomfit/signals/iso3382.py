@@ -376,6 +376,22 @@ class MeasuredValues:
         """Source, receiver and state of the room."""
         return self.source, self.receiver, self.state
 
+    def at(self, name: ValueName, wanted_hz: FloatArray) -> FloatArray:
+        """Return a parameter at given centres of bands, NaN where it is unknown, (n_bands,)."""
+        return self._row(self.values.get(name), wanted_hz)
+
+    def spread_at(self, name: ValueName, wanted_hz: FloatArray) -> FloatArray:
+        """Return its stated standard deviation, NaN where none is stated, shape (n_bands,)."""
+        return self._row(self.spread.get(name), wanted_hz)
+
+    def _row(self, row: FloatArray | None, wanted_hz: FloatArray) -> FloatArray:
+        out: FloatArray = np.full(wanted_hz.size, np.nan)
+        if row is not None:
+            match = np.abs(self.centres_hz[None, :] / wanted_hz[:, None] - 1.0) < 1e-6
+            found = match.any(axis=1)
+            out[found] = row[match.argmax(axis=1)[found]]
+        return out
+
 
 def check_possible(name: ValueName, value: float, where: str) -> None:
     """Refuse a value that no room has.

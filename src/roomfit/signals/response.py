@@ -36,6 +36,11 @@ class ImpulseResponse:
         check_range("sampling rate", self.sampling_rate_hz, 1000.0, 1e6, "Hz")
         object.__setattr__(self, "pressure", float_array("pressure", self.pressure, (None,)))
 
+    @property
+    def last_s(self) -> float:
+        """Time of the last sample after emission."""
+        return (len(self.pressure) - 1) / self.sampling_rate_hz - self.time_zero_s
+
 
 def times_s(response: ImpulseResponse) -> FloatArray:
     """Return the time after emission of every sample, shape (n_samples,)."""

@@ -14,7 +14,7 @@ from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.signals.decay import DecayCurve, tail_of
 from roomfit.signals.iso3382 import tail_gradients
-from roomfit.typing import FloatArray
+from roomfit.typing import FloatArray, IntArray
 
 SPEECH_BANDS_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
 MODULATIONS_HZ = np.array(
@@ -52,6 +52,11 @@ def sti_missing(bands: Bands) -> str:
         return ""
     verb = "is" if len(missing) == 1 else "are"
     return f"{needed}{', '.join(f'{f:g}' for f in missing)} Hz {verb} missing"
+
+
+def speech_bands(bands: Bands) -> IntArray:
+    """Return where the octaves from 125 Hz to 8 kHz stand among bands that have them, (7,)."""
+    return np.searchsorted(bands.centres_hz, SPEECH_BANDS_HZ)
 
 
 def speech_levels(level_dba: float, noise_db: ArrayLike | None = None) -> FloatArray:
@@ -279,6 +284,49 @@ def sti_gradients(
     by_level = by_share * by_own
     by_level[:-1] += by_share[1:] * by_lower[1:]
     return by_index * share[:, None], by_level
+
+
+def room_sti(
+    bands: Bands, transfer: FloatArray, strength_db: FloatArray, speech_db: FloatArray | None
+) -> FloatArray:
+    """Return the speech transmission index at a place of known strength, shape (...).
+
+    Parameters
+    ----------
+    bands : Bands
+        With the octaves from 125 Hz to 8 kHz among them, see `sti_missing`.
+    transfer : float array, shape (..., n_bands, 14)
+    strength_db : float array, shape (..., n_bands)
+        G at the listener.
+    speech_db : float array, shape (2, 7), or None
+        Speech at 1 m in the free field, 20 dB above what G refers to, and noise at the listener;
+        None as without levels in `speech_transmission`.
+    """
+    at = speech_bands(bands)
+    levels_db = levels_at_listener(speech_db, strength_db[..., at])
+    return speech_transmission(transfer[..., at, :], levels_db)
+
+
+def room_sti_weights(
+    bands: Bands, transfer: FloatArray, strength_db: FloatArray, speech_db: FloatArray | None
+) -> FloatArray:
+    """Return the derivatives of `room_sti` of one place, shape (n_bands, 14 + 1).
+
+    By the modulation transfers, and last by the strength; 0 in bands that do not count.
+    """
+    at = speech_bands(bands)
+    levels_db = levels_at_listener(speech_db, strength_db[at])
+    weights = np.zeros((len(bands), len(MODULATIONS_HZ) + 1))
+    weights[at, :-1], weights[at, -1] = sti_gradients(transfer[at], levels_db)
+    return weights
+
+
+def levels_at_listener(speech_db: FloatArray | None, strength_db: FloatArray) -> FloatArray | None:
+    """Return levels of speech and noise where the strength G is known, shape (..., 2, 7)."""
+    if speech_db is None:
+        return None
+    speech = speech_db[0] - 20.0 + strength_db
+    return np.stack([speech, np.broadcast_to(speech_db[1], speech.shape)], axis=-2)
 
 
 def _by_band(

@@ -9,17 +9,23 @@ from typing import TypedDict, cast
 import numpy as np
 from pydantic import ValidationError
 
-from roomfit._checks import did_you_mean
-from roomfit.bands import Bands
-from roomfit.errors import InputError, located
-from roomfit.findings import Finding
+from roomfit.core import (
+    AbsorptionPosterior,
+    Bands,
+    Finding,
+    FloatArray,
+    InputError,
+    Room,
+    Scene,
+    catalogue_prior,
+    did_you_mean,
+    jnd_of,
+    located,
+)
 from roomfit.io.campaign import read_toml
 from roomfit.io.complaints import explained
 from roomfit.io.schema import HungTable, Spectrum, TargetTable, TreatmentTable
-from roomfit.materials.catalogue import catalogue_prior
 from roomfit.prediction.changes import Change
-from roomfit.scene import Room, Scene
-from roomfit.signals.decay import jnd_of
 from roomfit.treatment.polygons import forbidden_area_m2
 from roomfit.treatment.question import (
     Product,
@@ -30,8 +36,6 @@ from roomfit.treatment.question import (
     target_name,
 )
 from roomfit.treatment.standards import standard_target
-from roomfit.typing import FloatArray
-from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 
 class TreatArguments(TypedDict):

@@ -7,10 +7,9 @@ from itertools import combinations
 
 import numpy as np
 
-from roomfit.errors import InputError
+from roomfit.core import FloatArray, InputError, Room
 from roomfit.geometry.mesh import corners_m
-from roomfit.scene import Room, triangle_material
-from roomfit.typing import FloatArray
+from roomfit.scene import triangle_material
 
 _OFF_PLANE_M = 0.02  # how far a corner may lie before or behind its wall
 _ROUNDING = 1e-3  # of an area

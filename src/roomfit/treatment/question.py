@@ -8,18 +8,22 @@ from typing import Literal
 
 import numpy as np
 
-from roomfit._checks import did_you_mean
-from roomfit.bands import Bands
-from roomfit.errors import InputError
-from roomfit.logit import expit
-from roomfit.materials.priors import logit_prior
-from roomfit.prediction.decay import speech_bands
+from roomfit.core import (
+    FIT_RANGES_DB,
+    VALUE_NAMES,
+    Bands,
+    FloatArray,
+    InputError,
+    Scene,
+    ValueName,
+    did_you_mean,
+    logit_normal,
+    material_areas_m2,
+    pair_states,
+    speech_bands,
+    sti_missing,
+)
 from roomfit.prediction.predict import PreparedRoom
-from roomfit.scene import Scene, material_areas_m2, pair_states
-from roomfit.signals.decay import FIT_RANGES_DB
-from roomfit.signals.iso3382 import VALUE_NAMES, ValueName
-from roomfit.signals.speech import sti_missing
-from roomfit.typing import FloatArray
 
 # The speech transmission index is one number of all octaves from 125 Hz to 8 kHz.
 TargetName = Literal[ValueName, "STI"]
@@ -267,12 +271,11 @@ def _product_draws(room: PreparedRoom, products: Sequence[Product]) -> FloatArra
     """Return draws of what products absorb, (n_draws, n_products, n_bands): equal in every call."""
     rng, drawn = np.random.default_rng(room.seed + 1), []
     for p in products:
-        z = rng.standard_normal(len(room.draws))[:, None]
+        z = rng.standard_normal(len(room.draws))
         if p.material:
             drawn.append(room.draws[:, room.absorption.materials.index(p.material)])
             continue
-        middle, width = logit_prior(np.clip(p.absorption, 1e-4, 1.0 - 1e-4), p.sd)
-        drawn.append(np.where(p.sd > 0.0, expit(middle + width * z), p.absorption))
+        drawn.append(logit_normal(p.absorption, p.sd, z))
     return np.stack(drawn, axis=1)
 
 

@@ -5,16 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, milp
 
-from roomfit.bands import Bands
-from roomfit.prediction.decay import few_energies, few_sti, few_values, moved, moved_sti
+from roomfit.core import BoolArray, FloatArray
+from roomfit.prediction.decay import moved, moved_sti
 from roomfit.prediction.predict import PreparedRoom
 from roomfit.treatment.question import Question, is_time, limits_of, rows_of, treated
-from roomfit.typing import BoolArray, FloatArray
 
 _ROUNDS, _EXCHANGES = 5, 60
 _TRIED_AT_ONCE = 48
@@ -37,22 +35,17 @@ def mean_values(
     wanted : bool array, shape (n_bands,), optional
         All other bands are left NaN.
     """
-    bands = room.absorption.bands
     at = np.flatnonzero(np.ones(absorptions.shape[2], dtype=np.bool_) if wanted is None else wanted)
 
-    some = Bands(bands.kind, bands.centres_hz[at])
-
     def own(i: int) -> FloatArray:
-        few = replace(room.few[i], by_band=tuple(room.few[i].by_band[b] for b in at))
+        few = room.few[i].in_bands(at)
         n_names, n_bands = room.base.shape[1:]
         values = np.full((len(absorptions), n_names + 1, n_bands), np.nan)
         for a in range(0, len(absorptions), _POINTS):
-            part, energies = (
-                values[a : a + _POINTS],
-                few_energies(few, absorptions[a : a + _POINTS, :, at]),
-            )
-            there = few_values(few, energies)
-            sti = few_sti(few, some, energies, there, room.speech_db)
+            part = values[a : a + _POINTS]
+            energies = few.energies(absorptions[a : a + _POINTS, :, at])
+            there = few.values(energies)
+            sti = few.sti(energies, there, room.speech_db)
             part[:, :-1, at] = moved(room.before[i].values[:, at], there, room.base[i][:, at])
             part[:, -1] = moved_sti(room.before[i], sti, room.base_sti[i])[:, None]
         return values

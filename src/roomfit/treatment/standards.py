@@ -9,11 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from roomfit._checks import did_you_mean
-from roomfit.errors import InputError
-from roomfit.findings import About, Code, Finding
-from roomfit.geometry.mesh import volume_m3
-from roomfit.scene import Room
+from roomfit.core import About, Code, Finding, InputError, Room, did_you_mean, volume_m3
 from roomfit.treatment.question import Target
 
 _SABINE_S_PER_M = 0.16  # T = 0.16 V / A, as DIN EN 12354-6 and the sources have it

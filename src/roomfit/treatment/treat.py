@@ -9,16 +9,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import ndtr, ndtri
 
-from roomfit._numba import one_blas_thread
-from roomfit.bands import Bands
-from roomfit.errors import InputError
-from roomfit.findings import About, Code, Finding
+from roomfit.core import (
+    About,
+    Bands,
+    Code,
+    Finding,
+    FloatArray,
+    InputError,
+    Progress,
+    ValueName,
+    one_blas_thread,
+    pair_names,
+    result_doubts,
+)
 from roomfit.prediction.decay import moved
 from roomfit.prediction.predict import PreparedRoom, numbers_at
 from roomfit.prediction.tables import PredictedValue, named_values, predicted_means
-from roomfit.results import result_doubts
-from roomfit.scene import pair_names
-from roomfit.signals.iso3382 import ValueName
 from roomfit.treatment.question import (
     Product,
     Question,
@@ -31,7 +37,6 @@ from roomfit.treatment.question import (
     treated_draws,
 )
 from roomfit.treatment.search import best_arrangement, excess
-from roomfit.typing import FloatArray, Progress
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

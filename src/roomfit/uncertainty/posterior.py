@@ -97,6 +97,22 @@ class AbsorptionPosterior:
                 )
         object.__setattr__(self, "directivities", MappingProxyType(dict(self.directivities or {})))
 
+    @property
+    def is_unknown(self) -> BoolArray:
+        """Of which materials nothing is known before a change, shape (n_materials,)."""
+        variance = np.diagonal(self.logit_covariance, axis1=1, axis2=2).T
+        return np.asarray(((variance <= 0.0) & (self.lower95 < self.upper95)).any(axis=1))
+
+    def check_materials(self, materials: tuple[str, ...]) -> None:
+        """Refuse other materials than those of a room, or another order."""
+        if self.materials != materials:
+            raise InputError(
+                "the absorption is of other materials than the room's",
+                found=", ".join(self.materials),
+                needed=", ".join(materials) + ", in this order",
+                hint="room_posterior of roomfit.core matches materials by name",
+            )
+
 
 def prior_law(posterior: AbsorptionPosterior) -> tuple[FloatArray, FloatArray] | None:
     """Return prior mean and covariance of logit absorption, None where they are not known.
@@ -386,6 +402,20 @@ def band_draws(
     return draws
 
 
+def draw_prior(
+    posterior: AbsorptionPosterior, n_draws: int, rng: np.random.Generator
+) -> FloatArray | None:
+    """Return draws of the absorption before anything was measured, None where that is not known.
+
+    Of the shape (n_draws, n_materials, n_bands), fixed and tied as in `band_draws`.
+    """
+    law = prior_law(posterior)
+    if law is None:
+        return None
+    bands = zip(posterior.absorption.T, posterior.logit_covariance, *law, strict=True)
+    return np.stack([prior_draws(*band, n_draws, rng) for band in bands], axis=2)
+
+
 def prior_draws(
     absorption: FloatArray,
     covariance_logit: FloatArray,
@@ -394,7 +424,7 @@ def prior_draws(
     n_draws: int,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Return draws from the prior alone, fixed and tied as in `band_draws`."""
+    """Return draws of one band from the prior alone, shape (n_draws, n_materials)."""
     fixed = np.diag(covariance_logit) <= 0.0
     draws = np.tile(absorption, (n_draws, 1))
     own, twin = _own(absorption, covariance_logit, prior_logit_covariance)

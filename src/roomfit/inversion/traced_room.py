@@ -1,0 +1,371 @@
+"""A room traced once, whose energies, decays and room parameters follow from any absorption."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from roomfit.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.bands import Bands
+from roomfit.cache import Cache
+from roomfit.errors import InputError
+from roomfit.eyring import eyring_time_s
+from roomfit.findings import About, Code, Finding
+from roomfit.geometry.mesh import surface_area_m2, volume_m3
+from roomfit.inversion.compare import predicted_curve
+from roomfit.inversion.scattering import band_factors, specified_scattering
+from roomfit.inversion.trace_plan import LEAST_RAYS, cached_trace, plan_trace
+from roomfit.materials.priors import MaterialPrior, unknown_material
+from roomfit.objective.observation import spread_over_time
+from roomfit.objective.reduced_rows import (
+    BINS_TOGETHER,
+    ROWS_OF_A_CASE,
+    ROWS_OF_A_DRAW,
+    ReducedRows,
+    reduced,
+)
+from roomfit.objective.room_parameters import (
+    ValuesTerm,
+    predicted_values,
+    scatter_parts,
+    value_terms,
+)
+from roomfit.response.binned import BinnedPaths, bin_paths, pair_energies, rows_at
+from roomfit.response.directivity import Directivities, known_directivities
+from roomfit.response.energy import regrouped_rows, rows_in_air
+from roomfit.scene import (
+    Scene,
+    check_points,
+    distances_m,
+    material_areas_m2,
+    pair_names,
+    pair_states,
+    select_pairs,
+)
+from roomfit.settings import Settings
+from roomfit.signals.decay import DecayCurve, room_parameters
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName, value_gradients
+from roomfit.signals.speech import modulation_gradients
+from roomfit.tracing.paths import Paths
+from roomfit.tracing.trace import trace
+from roomfit.typing import FloatArray, Progress, part
+from roomfit.uncertainty.posterior import AbsorptionPosterior
+
+# T30 is read from 5 to 35 dB below the start of the decay.
+_NEEDED_DB = 36.0
+_ATTEMPTS = 4
+_LONGER = 1.5
+_LONGEST_S = 30.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TracedRoom:
+    """Paths of every pair of a scene, to be weighed by any absorption.
+
+    Absorption has the shape (n_materials, n_bands), materials in the order of the room, 0 to 1.
+    """
+
+    scene: Scene
+    bands: Bands
+    binned: BinnedPaths
+    key: tuple[object, ...]  # what, besides scene and bands, decided the paths: for caches
+    findings: tuple[Finding, ...]
+
+    @property
+    def edges_s(self) -> FloatArray:
+        """Edges of the bins of `energies`, s after emission, shape (n_bins + 1,)."""
+        return self.binned.edges_s
+
+    @property
+    def direct_s(self) -> FloatArray:
+        """Travel time of the direct sound of every pair, shape (n_pairs,)."""
+        return distances_m(self.scene) / speed_of_sound_m_s(self.scene.air)
+
+    @property
+    def areas_m2(self) -> FloatArray:
+        """Area of every material in the room's state, shape (n_materials,)."""
+        return material_areas_m2(self.scene.room, int(pair_states(self.scene)[0]))
+
+    def of_pair(self, pair: int) -> TracedRoom:
+        """Return the same room with one pair alone."""
+        bands_of = {f: (rows[pair],) for f, rows in self.binned.by_band.items()}
+        own = BinnedPaths(self.binned.edges_s, (self.binned.rows[pair],), bands_of)
+        return replace(self, scene=select_pairs(self.scene, slice(pair, pair + 1)), binned=own)
+
+    def energies(self, absorption: FloatArray) -> FloatArray:
+        """Return the energies of every pair in bins of 0.1 ms, shape (n_pairs, n_bands, n_bins).
+
+        In 1/m2: that of the direct sound at a distance r is ``1 / (4 pi r^2)``.
+        """
+        air = attenuation_per_m(self.scene.air, self.bands)
+        pairs = range(len(self.scene.pairs))
+        return np.stack([pair_energies(self.binned, self.bands, i, absorption, air) for i in pairs])
+
+    def predict(
+        self, absorption: FloatArray, names: Sequence[ValueName] = VALUE_NAMES
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return ISO 3382 values and their derivatives by the absorption.
+
+        Returns
+        -------
+        values : float array, shape (n_pairs, n_names, n_bands)
+            In the units of their names.
+        derivatives : float array, shape (n_pairs, n_names, n_bands, n_materials)
+            By the absorption of the same band.
+        """
+        shape = (len(self.scene.pairs), len(names), len(self.bands))
+        values, slopes = np.empty(shape), np.empty((*shape, len(absorption)))
+        for band in range(len(self.bands)):
+            term = _band_term(self, band, names)
+            found, _, by = term.predict({"absorption": absorption[:, band]})
+            values[:, :, band] = found.reshape(shape[:2])
+            slopes[:, :, band] = by["absorption"].reshape(*shape[:2], -1)
+        return values, slopes
+
+    def decay(self, pair: int, absorption: FloatArray) -> tuple[DecayCurve, FloatArray]:
+        """Return a pair's decay curves and room parameters, the latter (n_names, n_bands).
+
+        NaN where the paths do not follow the decay far enough, names in the order of `VALUE_NAMES`.
+        """
+        own = self.of_pair(pair)
+        air = attenuation_per_m(self.scene.air, self.bands)
+        direct_s = float(own.direct_s[0])
+        curve = predicted_curve(self.bands, own.binned, 0, absorption, air, direct_s)
+        strength = predicted_values(own.scene, self.bands, own.binned, absorption, ("G_dB",))[0]
+        return curve, np.vstack([room_parameters(curve).values, strength])
+
+    def echogram(self, pair: int, absorption: FloatArray) -> FloatArray:
+        """Return a pair's energies spread over time as by the filters, shape (n_bands, n_bins)."""
+        air = attenuation_per_m(self.scene.air, self.bands)
+        energy = pair_energies(self.binned, self.bands, pair, absorption, air)
+        return spread_over_time(self.bands, energy)
+
+    def scatter(
+        self, pair: int, absorption: FloatArray, weights: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return by how much measured values scatter though the absorption is known.
+
+        Parameters
+        ----------
+        weights : float array, shape (n_bands, 14 + 1), optional
+            Of modulation transfers and the level in a weighted sum, as `room_sti_weights` gives.
+
+        Returns
+        -------
+        sd, common : float arrays, shape (n_names + 1, n_bands)
+            Standard deviation, and the part of the variance that is common to other absorptions: of
+            pressures beside their energies, and of the number of rays. Last stands the weighted
+            sum, zero without weights; NaN where a value is not predicted.
+        """
+        own = self.of_pair(pair)
+        sd = np.zeros((len(VALUE_NAMES) + 1, len(self.bands)))
+        common = np.zeros_like(sd)
+        for band in range(len(self.bands)):
+            one = Bands(self.bands.kind, self.bands.centres_hz[band : band + 1])
+            chosen = absorption[:, band : band + 1]
+            expected = predicted_values(own.scene, one, own.binned, chosen)
+            if not np.isfinite(expected).all():
+                sd[:, band] = np.nan
+                continue
+            term = _band_term(own, band, VALUE_NAMES)
+            read = partial(_read, None if weights is None else weights[band])
+            _, interference, added, tracing = scatter_parts(term, 0, chosen[:, 0], read)
+            steady = added**2 + np.diag(tracing)
+            sd[: added.size, band] = np.sqrt(np.diag(interference) + steady)
+            common[: added.size, band] = steady
+        return sd, common
+
+    def reduced(self, pair: int, absorption: FloatArray, most: int | None = None) -> ReducedRows:
+        """Return few rows of one pair, for absorptions near and far from one.
+
+        Parameters
+        ----------
+        most : int, optional
+            At most about so many; left out, 5,000, or more for rooms of many materials.
+        """
+        if most is None:
+            most = max(ROWS_OF_A_DRAW, ROWS_OF_A_CASE * (len(absorption) + 2))
+        edges = self.binned.edges_s
+        first = np.arange(0, edges.size - 1, BINS_TOGETHER)
+        air = attenuation_per_m(self.scene.air, self.bands)
+        rows = []
+        for band, f in enumerate(self.bands.centres_hz):
+            coarse = regrouped_rows(rows_at(self.binned, f)[pair], first)
+            rows.append(reduced(rows_in_air(coarse, float(air[band])), absorption[:, band], most))
+        edges_s = np.append(edges[:-1][::BINS_TOGETHER], edges[-1])
+        return ReducedRows(self.bands, edges_s, float(self.direct_s[pair]), tuple(rows))
+
+
+def _band_term(room: TracedRoom, band: int, names: Sequence[ValueName]) -> ValuesTerm:
+    """Return what predicts the values of all pairs in one band; nothing measured is read of it."""
+    one = Bands(room.bands.kind, room.bands.centres_hz[band : band + 1])
+    anything = dict.fromkeys(names, np.ones(1))
+    as_measured = tuple(
+        MeasuredValues(source, receiver, one.centres_hz, anything, state=state)
+        for source, receiver, state in pair_names(room.scene)
+    )
+    (term,) = value_terms(room.scene, one, as_measured, room.binned, names=names)
+    if term is None:
+        raise InputError("no name of a room parameter", needed=", ".join(VALUE_NAMES))
+    return term
+
+
+def _read(
+    weights: FloatArray | None, curve: DecayCurve, *, derivative: bool = True
+) -> tuple[FloatArray, FloatArray]:
+    """Return the values of a band and their derivatives; below them the weighted sum, if any."""
+    values, gradients = value_gradients(curve, 0, VALUE_NAMES, derivative=derivative)
+    if weights is None:
+        return values, gradients
+    transfer, by_energy = modulation_gradients(curve, 0)
+    together = float(weights[:-1] @ transfer + weights[-1] * values[-1])
+    if derivative:
+        row = weights[:-1] @ by_energy + weights[-1] * gradients[-1]
+        gradients = np.vstack([gradients, row])
+    return np.append(values, together), gradients
+
+
+def check_scene(scene: Scene) -> None:
+    """Refuse a scene without pairs, of several states, or with a position in a wall or outside."""
+    if not len(scene.pairs):
+        raise InputError("the scene has no pair to predict", needed="a source and a receiver")
+    check_points(scene.room, scene.sources, scene.receivers)
+    if np.unique(pair_states(scene)).size > 1:
+        raise InputError(
+            "a prediction is of one state of the room",
+            found="pairs in several states",
+            needed="a scene whose pair_state is the same everywhere; predict each state by itself",
+        )
+
+
+def trace_room(
+    scene: Scene,
+    known: AbsorptionPosterior,
+    absorption: FloatArray | None = None,
+    measured_decay_s: float = 0.0,
+    settings: Settings | None = None,
+    cache: Cache | None = None,
+    progress: Progress | None = None,
+) -> TracedRoom:
+    """Trace until every band of every pair has fallen by 36 dB, in up to four attempts.
+
+    How long is estimated from Eyring's formula and the measured decay, the longer of both; where
+    walls differ much, sound between the hard ones lasts longer still, and the trace is repeated.
+
+    Parameters
+    ----------
+    known : AbsorptionPosterior
+        Bands, scattering and directivities.
+    absorption : float array, shape (n_materials, n_bands), optional
+        The least for which decays are to be followed; left out, that of `known`.
+    measured_decay_s : float
+        Longest measured reverberation time, 0 where none is known.
+    """
+    settings = Settings() if settings is None else settings
+    bands, directivities = known.bands, known.directivities or {}
+    absorption = known.absorption if absorption is None else absorption
+    priors = _scattering_priors(known)
+    longest_s = max(measured_decay_s, float(scene_decay_s(scene, bands, absorption).max()))
+    found: list[Finding] = []
+    for attempt in range(_ATTEMPTS):
+        plan = plan_trace(scene, priors, min(longest_s, _LONGEST_S), 0.0, settings)
+        done = part(progress, attempt / _ATTEMPTS, (attempt + 1) / _ATTEMPTS)
+        traced = cached_trace(scene, plan.settings, plan.scattering, cache, done)
+        found += traced.findings
+        paths = traced.value.paths
+        scattering = specified_scattering(priors, plan.scattering.coefficients, len(bands))
+        factors, degenerate = band_factors(directivities, scene, bands, paths, scattering)
+        binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
+        key = (plan.settings, scattering, known_directivities(directivities, scene.sources))
+        room = TracedRoom(scene, bands, binned, key, ())
+        short = _short_bands(room, absorption)
+        if not short or longest_s >= _LONGEST_S:
+            break
+        longest_s *= _LONGER
+    if progress is not None:
+        progress(1.0)
+    doubts = (*plan.findings, *traced.value.findings, *found, *degenerate)
+    return replace(room, findings=(*doubts, *_short_finding(bands, short)))
+
+
+def coherent_paths(
+    scene: Scene,
+    bands: Bands,
+    priors: tuple[MaterialPrior, ...],
+    directivities: Directivities,
+    duration_s: float,
+    settings: Settings,
+) -> tuple[Paths, FloatArray | None]:
+    """Trace for as long as is asked, image sources as far as they can be added as pressures.
+
+    Parameters
+    ----------
+    priors : tuple of MaterialPrior
+        With the scattering of every material of the room.
+
+    Returns
+    -------
+    paths : Paths
+        Of `LEAST_RAYS` rays at least, where there are any.
+    factors : float array, shape (n_bands, n_paths), or None
+        On the weight of every path in every band.
+    """
+    planned = plan_trace(scene, priors, 0.0, duration_s, settings, coherent=True)
+    n_rays = 0 if planned.settings.n_rays == 0 else max(planned.settings.n_rays, LEAST_RAYS)
+    fineness = replace(planned.settings, n_rays=n_rays, duration_s=duration_s)
+    paths = trace(scene, fineness, planned.scattering).paths
+    scattering = specified_scattering(priors, planned.scattering.coefficients, len(bands))
+    return paths, band_factors(directivities, scene, bands, paths, scattering)[0]
+
+
+def scene_decay_s(scene: Scene, bands: Bands, absorption: FloatArray) -> FloatArray:
+    """Return the reverberation time of a scene by Eyring's formula in every band, (n_bands,)."""
+    mesh = scene.room.mesh
+    state = int(pair_states(scene)[0]) if len(scene.pairs) else 0
+    areas = material_areas_m2(scene.room, state)
+    mean = np.maximum(areas @ absorption / areas.sum(), 1e-4)
+    room = (volume_m3(mesh), surface_area_m2(mesh), speed_of_sound_m_s(scene.air))
+    return eyring_time_s(mean, *room, attenuation_per_m(scene.air, bands))
+
+
+def _scattering_priors(known: AbsorptionPosterior) -> tuple[MaterialPrior, ...]:
+    """Return priors that hold nothing but the scattering, as the plan of a trace reads them."""
+    n = len(known.bands)
+    rows = np.full((len(known.materials), n), np.nan)
+    if known.scattering is not None:
+        rows = known.scattering
+    return tuple(
+        replace(unknown_material(name, n), scattering=None if np.isnan(row).any() else row)
+        for name, row in zip(known.materials, rows, strict=True)
+    )
+
+
+def _short_bands(room: TracedRoom, absorption: FloatArray) -> Sequence[int]:
+    """Return the bands in which the decay of some pair is not followed far enough."""
+    air = attenuation_per_m(room.scene.air, room.bands)
+    usable_db = np.array(
+        [
+            predicted_curve(room.bands, room.binned, i, absorption, air, float(t)).usable_db
+            for i, t in enumerate(room.direct_s)
+        ]
+    )
+    return [int(j) for j in np.flatnonzero(usable_db.min(axis=0) < _NEEDED_DB)]
+
+
+def _short_finding(bands: Bands, short: Sequence[int]) -> tuple[Finding, ...]:
+    if not short:
+        return ()
+    centres = [float(bands.centres_hz[j]) for j in short]
+    return (
+        Finding(
+            Code.DECAY_NOT_FOLLOWED,
+            About(bands_hz=centres),
+            f"The trace does not follow the decay over 35 dB at "
+            f"{', '.join(f'{f:g}' for f in centres)} Hz: T30 is not predicted there. Some walls "
+            "absorb next to nothing.",
+            {"bands_hz": centres},
+        ),
+    )

@@ -1,0 +1,203 @@
+"""What a result says of another room: materials matched by name, bands by frequency."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from roomfit.bands import Bands
+from roomfit.errors import InputError
+from roomfit.findings import About, Code, Finding
+from roomfit.materials.priors import MaterialPrior
+from roomfit.response.directivity import (
+    Directivities,
+    Directivity,
+    Pattern,
+    UnknownDirectivity,
+)
+from roomfit.typing import FloatArray
+from roomfit.uncertainty.posterior import AbsorptionPosterior
+
+
+def common_bands(wanted: Bands, known: Bands) -> tuple[Bands, tuple[Finding, ...]]:
+    """Return those of the wanted bands in which the absorption is known.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    common = [f for f in wanted.centres_hz if f in known.centres_hz and wanted.kind == known.kind]
+    if not common:
+        raise InputError(
+            "the absorption is known in other bands than the campaign asks for",
+            found=", ".join(f"{f:g}" for f in known.centres_hz),
+            needed=", ".join(f"{f:g}" for f in wanted.centres_hz) + f" Hz ({wanted.kind})",
+            hint="change bands, from_hz and to_hz of the campaign",
+        )
+    left_out = [float(f) for f in wanted.centres_hz if f not in common]
+    if not left_out:
+        return wanted, ()
+    return Bands(wanted.kind, np.array(common)), (
+        Finding(
+            Code.BAND_NOT_PREDICTED,
+            About(bands_hz=left_out),
+            f"The absorption is not known at {', '.join(f'{f:g}' for f in left_out)} Hz: nothing "
+            "is predicted there.",
+            {"bands_hz": left_out},
+        ),
+    )
+
+
+def room_posterior(
+    absorption: AbsorptionPosterior,
+    priors: Sequence[MaterialPrior],
+    bands: Bands,
+    directivities: Directivities | None = None,
+    *,
+    replaced: Sequence[str] = (),
+) -> AbsorptionPosterior:
+    """Return what is known of a room's own materials and sources, from a result of any room.
+
+    Materials are matched by name. One that the result does not name has its fixed absorption. What
+    a fit found or assumed of scattering belongs to the absorption it found, and stands wherever
+    the room's own is unspecified or to be fitted; so does the directivity of sources. A source
+    whose directivity is unknown and was not found has the mean of its prior, or is
+    omnidirectional, with a finding.
+
+    Parameters
+    ----------
+    absorption : AbsorptionPosterior
+    priors : sequence of MaterialPrior
+        Of all materials of the room, in its order and in these bands.
+    bands : Bands
+        Some of those of `absorption`, see `common_bands`.
+    directivities : mapping of source to directivity, optional
+        Of sources that are not omnidirectional, in these bands.
+    replaced : sequence of str
+        Materials whose absorption will be specified later, and need none here.
+
+    Raises
+    ------
+    InputError
+        The absorption of some materials is unspecified.
+    """
+    names = tuple(k.name for k in priors)
+    _check_known(absorption, priors, replaced)
+    own = [names.index(n) for n in absorption.materials if n in names]
+    theirs = [i for i, n in enumerate(absorption.materials) if n in names]
+    at = [int(np.flatnonzero(absorption.bands.centres_hz == f)[0]) for f in bands.centres_hz]
+    shape = (len(names), len(bands))
+    fixed = np.full(shape, 0.5)
+    # what is only known after a change has no variance, and an interval of 0 to 1
+    lowest, highest = np.zeros(shape), np.ones(shape)
+    for i, k in enumerate(priors):
+        if k.known is not None:
+            fixed[i] = lowest[i] = highest[i] = k.known
+
+    def matched(values: FloatArray | None, otherwise: FloatArray) -> FloatArray:
+        found = otherwise.copy()
+        if values is not None:
+            found[own] = values[np.ix_(theirs, at)]
+        return found
+
+    def matched_covariance(values: FloatArray, otherwise: FloatArray) -> FloatArray:
+        found = np.tile(otherwise, (len(bands), 1, 1))
+        for j, band in enumerate(at):
+            found[j][np.ix_(own, own)] = values[band][np.ix_(theirs, theirs)]
+        return found
+
+    n = len(names)
+    mean, sd = absorption.prior_logit_mean, absorption.prior_logit_sd
+    has_prior = mean is not None and sd is not None
+    before, draws = absorption.prior_logit_covariance, absorption.draws
+    misfit, specified = absorption.chi2_reduced, absorption.prior_specified
+    if specified is not None:
+        flags = np.ones(n, dtype=np.bool_)
+        flags[own] = specified[theirs]
+        specified = flags
+    sources, findings = _sources_as_found(absorption, directivities or {}, at)
+    return AbsorptionPosterior(
+        names,
+        bands,
+        matched(absorption.absorption, fixed),
+        matched(absorption.lower95, lowest),
+        matched(absorption.upper95, highest),
+        matched_covariance(absorption.logit_covariance, np.zeros((n, n))),
+        matched(mean, np.zeros(shape)) if has_prior else None,
+        matched(sd, np.ones(shape)) if has_prior else None,
+        None if before is None else matched_covariance(before, np.eye(n)),
+        scattering=_scattering(priors, matched(absorption.scattering, np.full(shape, np.nan))),
+        directivities=sources,
+        prior_specified=specified,
+        chi2_reduced=None if misfit is None else misfit[at],
+        draws=None if draws is None else np.stack([matched(drawn, fixed) for drawn in draws]),
+        findings=findings,
+        result_findings=absorption.result_findings,
+    )
+
+
+def _check_known(
+    absorption: AbsorptionPosterior, priors: Sequence[MaterialPrior], replaced: Sequence[str]
+) -> None:
+    missing = [
+        k.name
+        for k in priors
+        if k.name not in absorption.materials and k.known is None and k.name not in replaced
+    ]
+    if missing:
+        raise InputError(
+            "the absorption of some of the room's materials is not known",
+            found=f"no {', '.join(missing)} among {', '.join(absorption.materials)}",
+            needed="the same names in both, or absorption = [...] in the campaign",
+            hint=f"add absorption to [materials.{missing[0]}], or --set {missing[0]}=...",
+        )
+
+
+def _scattering(priors: Sequence[MaterialPrior], found: FloatArray) -> FloatArray:
+    """Return what was found, or what is specified where nothing was or it is not to be fitted."""
+    scattering = found.copy()
+    for i, k in enumerate(priors):
+        if k.scattering is not None and (not k.fit_scattering or np.isnan(scattering[i]).any()):
+            scattering[i] = k.scattering
+    return scattering
+
+
+def _sources_as_found(
+    absorption: AbsorptionPosterior, directivities: Directivities, at: Sequence[int]
+) -> tuple[Mapping[str, Directivity], tuple[Finding, ...]]:
+    """Return known directivities, and unknown ones as the fit of the absorption found them.
+
+    Parameters
+    ----------
+    at : sequence of int
+        Indices of the bands among those of the absorption.
+    """
+    found = absorption.directivities or {}
+    known: dict[str, Directivity] = {}
+    unfitted = []
+    for name, directivity in directivities.items():
+        if not isinstance(directivity, UnknownDirectivity):
+            known[name] = directivity
+            continue
+        fitted = found.get(name)
+        if isinstance(fitted, Pattern) and fitted.b.ndim == 2:
+            known[name] = Pattern(fitted.b[at], fitted.aim)
+        elif fitted is not None:
+            known[name] = fitted
+        elif directivity.mean is not None:
+            known[name] = Pattern(np.tile(directivity.mean, (len(at), 1)), directivity.aim)
+        else:
+            unfitted.append(name)
+    if not unfitted:
+        return known, ()
+    return known, (
+        Finding(
+            Code.DIRECTIVITY_NOT_KNOWN,
+            About(),
+            f"The directivity of {', '.join(unfitted)} was to be fitted, and the absorption comes "
+            "without it: predicted as omnidirectional.",
+            {"sources": unfitted},
+        ),
+    )
