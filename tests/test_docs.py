@@ -179,13 +179,14 @@ def test_every_page_is_reached_from_the_first():
 
 def listed_names(module: str) -> list[str]:
     """Return the names that the reference lists under a module, without those of its parts."""
-    return [
-        line.strip()
-        for block in code_blocks(DOCS / "api.md", r"\{eval-rst\}")
-        if f".. currentmodule:: {module}\n" in block
-        for line in block.split("\n")
-        if re.fullmatch(r" {3}\w+", line)
-    ]
+    current, found = "", list[str]()
+    for block in code_blocks(DOCS / "api.md", r"\{eval-rst\}"):
+        for line in block.split("\n"):
+            if line.startswith(".. currentmodule:: "):
+                current = line.rpartition(" ")[2]
+            elif current == module and re.fullmatch(r" {3}\w+", line):
+                found.append(line.strip())
+    return found
 
 
 def test_every_public_name_stands_in_the_reference_and_no_other():
