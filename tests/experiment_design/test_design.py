@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 
 import roomfit
 from roomfit.errors import InputError
-from roomfit.experiment_design import candidates
 from roomfit.experiment_design.campaign import design_arguments
 from roomfit.experiment_design.candidates import (
     Region,
@@ -42,6 +41,7 @@ from roomfit.experiment_design.information import (
 )
 from roomfit.experiment_design.prior import Unknowns, information_from_priors
 from roomfit.findings import Code
+from roomfit.inversion import expected
 from roomfit.io.campaign import Campaign
 from roomfit.scene import Scene
 from roomfit.suh2001.room import paper_scene
@@ -423,13 +423,13 @@ def test_late_images_of_one_pair_of_a_box_stand_for_those_of_all(tmp_path, monke
         traced.append((len(scene.pairs), settings.duration_s))
         return trace(scene, settings, *others)
 
-    monkeypatch.setattr(candidates, "trace", counted)
+    monkeypatch.setattr(expected, "trace", counted)
     found = designed(campaign, n_candidates=6, number=3, n_random=1)
     assert found.model == "coherent"
     whole_s = traced[0][1]
     assert len(traced) == 9 and all(n == 1 for n, _ in traced)
     assert {s for _, s in traced[1:]} == {min(s for _, s in traced)} and traced[1][1] < whole_s
-    monkeypatch.setattr(candidates, "_late_images", lambda _s, _k, plan: (plan.settings, None))
+    monkeypatch.setattr(expected, "_late_images", lambda fit: (fit.plan.settings, None))
     exact = designed(campaign, n_candidates=6, number=3, n_random=1)
     np.testing.assert_array_equal(found.chosen, exact.chosen)
     # 0.8 % at most when this was written, 0.1 % in the mean

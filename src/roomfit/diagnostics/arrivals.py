@@ -9,12 +9,21 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from roomfit.air import speed_of_sound_m_s
-from roomfit.diagnostics.evidence import ArrivalVerdict, ClockCorrection, Law, Recorded, pair_of
+from roomfit.diagnostics.evidence import (
+    UNDECIDED,
+    ArrivalVerdict,
+    ClockCorrection,
+    Law,
+    Recorded,
+    pair_of,
+)
 from roomfit.errors import InputError
 from roomfit.findings import About, Code, Finding
 from roomfit.measurement import Measurement
@@ -39,17 +48,19 @@ _FEWEST = 3
 _LEVEL = 1e-3
 _ONSET_SD_M, _ONSET_SD_SAMPLES = 0.01, 1.0
 _LEAST_SHIFT_M = 0.05
+# What a displacement, and a scale, may be before anything is measured; steps of Gauss-Newton.
+_MOST_SHIFT_M, _SCALES, _STEPS = 3.0, 0.5, 6
 _LEAD_S = 0.1  # no position is 34 m off: the recorder was started so long before the sound
 _MORE_THAN_OTHERS = 10.0  # chi-square by which a displaced point explains more than any other
 
 LAWS = {
     Code.RECORDINGS_LATE: Law(
-        "direct sounds arrive by the geometry",
-        "the median of late arrivals, against the tolerance of one onset",
+        "direct sounds arrive by the geometry, to the tolerance of one onset",
+        "evidence of a delay, common or of each source, against a scale and displaced receivers",
     ),
     Code.COORDINATES_SCALED: Law(
-        "direct sounds arrive by the geometry",
-        "residual of arrivals in proportion to the distance, against that of one delay",
+        "direct sounds arrive by the geometry, to the tolerance of one onset",
+        "evidence of arrivals in proportion to the distance, against delays and a displacement",
     ),
     Code.EXCHANGED: Law(
         "direct sounds arrive by the geometry",
@@ -93,9 +104,9 @@ def arrival_verdicts(
     """Return the one cause, if there is one, why direct sounds do not arrive when they should.
 
     Only recordings whose clock starts at emission are compared. Patterns are tried from the
-    simplest on: every file begins at its direct sound; all of a source are late alike; coordinates
-    in another unit; every file begins long before, each at another instant; two files, or two
-    points, exchanged; one point displaced.
+    simplest on: every file begins at its direct sound; the likeliest of delays, a scale, and
+    receivers that are displaced together; coordinates in another unit; every file begins long
+    before, each at another instant; two files, or two points, exchanged; one point displaced.
 
     Parameters
     ----------
@@ -116,8 +127,7 @@ def arrival_verdicts(
     if off.any():
         for cause in (
             _begin_at_direct,
-            _stretched,
-            _alike_late,
+            _likeliest,
             _other_unit,
             _begin_anywhere,
             _exchanged,
@@ -130,7 +140,8 @@ def arrival_verdicts(
         displaced = verdicts[0].finding.about.files
         rest = _arrivals(scene, [m for m in found.measurements if m.where not in displaced])
         if rest is not None:
-            verdicts = (*_alike_late(rest), *verdicts)
+            delays = [e for e in (_one_delay(rest), _delays(rest)) if e is not None]
+            verdicts = (*(delays[0].verdicts if delays else ()), *verdicts)
     return verdicts
 
 
@@ -203,25 +214,110 @@ def _about(measurements: Sequence[Measurement]) -> About:
     return About(files=[m.where for m in measurements], pairs=[pair_of(m) for m in measurements])
 
 
-def _alike_late(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
-    """All recordings, or all of some sources, are late by one time."""
-    n_all = len(found.measurements)
-    together = [np.ones(n_all, dtype=np.bool_)]
+class _Explanation(NamedTuple):
+    """One cause of all late arrivals."""
+
+    evidence: float  # logarithm of the marginal likelihood
+    words: str  # after "or"
+    verdicts: tuple[ArrivalVerdict, ...]
+
+
+def _likeliest(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
+    """Return the likeliest of delays, a scale and displaced receivers that mends all arrivals.
+
+    It must be a thousand times as likely as arrivals by the geometry that err; others whose
+    evidence is within 2 units are named beside it.
+    """
+    makers = (_one_delay, _delays, _stretched, _receivers_displaced)
+    none = np.zeros((len(found.late_m), 0))
+    least = _evidence(found, found.late_m, none, none[0]) - np.log(_LEVEL)
+    made = (make(found) for make in makers)
+    explanations = [e for e in made if e is not None and e.evidence > least]
+    if not explanations:
+        return ()
+    best = max(explanations, key=lambda e: e.evidence)
+    others = [
+        e.words for e in explanations if e is not best and best.evidence - e.evidence < UNDECIDED
+    ]
+    if not others:
+        return best.verdicts
+    return tuple(
+        replace(v, finding=replace(v.finding, sentence=f"{v.finding.sentence} Or {others[0]}."))
+        for v in best.verdicts
+    )
+
+
+def _evidence(
+    found: _Arrivals, rest_m: FloatArray, columns: FloatArray, ranges: FloatArray
+) -> float:
+    """Return the marginal likelihood's logarithm of unknowns that leave some residuals.
+
+    By Laplace's approximation; each unknown has a uniform prior over its range. Arrivals err by
+    Student's t with four degrees of freedom, since onsets of real loudspeakers scatter by more than
+    a centimetre.
+
+    Parameters
+    ----------
+    columns : float array, shape (n_files, n_unknowns)
+        Derivatives of the arrivals in m.
+    ranges : float array, shape (n_unknowns,)
+    """
+    white = _whitening(found)
+    chi2, own = float(np.sum((white @ rest_m) ** 2)), white @ columns
+    _, logdet = np.linalg.slogdet(own.T @ own)
+    width = float(np.sum(np.log(ranges))) - 0.5 * len(ranges) * np.log(2.0 * np.pi)
+    n = len(rest_m)
+    return float(-0.5 * (4 + n) * np.log1p(chi2 / 4.0) - 0.5 * logdet - width)
+
+
+def _whitening(found: _Arrivals, robust_m: float = 0.0) -> FloatArray:
+    """Return what makes independent of unit variance what onsets and positions may be off."""
+    rate_hz = min(m.response.sampling_rate_hz for m in found.measurements)
+    onset_sd = max(_ONSET_SD_M + _ONSET_SD_SAMPLES * found.speed_m_s / rate_hz, robust_m)
+    covariance = onset_sd**2 * np.eye(len(found.late_m))
+    for point, own in _derivatives(found).items():
+        sd = DEFAULT_POSITION_SD_M if point.position_sd_m is None else point.position_sd_m
+        covariance += sd**2 * own @ own.T
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+def _is_adequate(found: _Arrivals, rest_m: FloatArray, n_unknowns: int) -> bool:
+    """Return whether residuals are those of onsets and positions, by chi-square."""
+    chi2 = float(np.sum((_whitening(found) @ rest_m) ** 2))
+    return bool(chdtrc(len(rest_m) - n_unknowns, chi2) >= _LEVEL)
+
+
+def _one_delay(found: _Arrivals) -> _Explanation | None:
+    """All recordings are late by one time."""
+    return _late_by(found, np.ones((len(found.late_m), 1)))
+
+
+def _delays(found: _Arrivals) -> _Explanation | None:
+    """All recordings of some sources are late by a time of each."""
     names = np.array([m.source for m in found.measurements])
-    by_source = [np.asarray(names == name) for name in dict.fromkeys(names.tolist())]
-    for groups in (together, by_source):
-        verdicts, fits = [], True
-        for group in groups:
-            late_m, tolerance_m = found.late_m[group], found.tolerance_m[group]
-            middle_m = float(np.median(late_m))
-            fits &= bool(np.all(np.abs(late_m - middle_m) <= tolerance_m))
-            if abs(middle_m) > float(tolerance_m.max()):
-                fits &= len(late_m) >= 2
-                chosen = [m for m, own in zip(found.measurements, group, strict=True) if own]
-                verdicts.append(_late(chosen, middle_m / found.speed_m_s, n_all))
-        if fits and verdicts:
-            return tuple(verdicts)
-    return ()
+    own = np.unique(names)
+    return None if len(own) < 2 else _late_by(found, names[:, None] == own)
+
+
+def _late_by(found: _Arrivals, groups: NDArray[Any]) -> _Explanation | None:
+    verdicts, columns, rest_m = [], [], np.array(found.late_m)
+    for group in groups.T.astype(np.bool_):
+        late_m, tolerance_m = found.late_m[group], found.tolerance_m[group]
+        middle_m = float(np.median(late_m))
+        if np.any(np.abs(late_m - middle_m) > tolerance_m):
+            return None
+        if abs(middle_m) > float(tolerance_m.max()):
+            if len(late_m) < 2:
+                return None
+            chosen = [m for m, own in zip(found.measurements, group, strict=True) if own]
+            verdicts.append(_late(chosen, middle_m / found.speed_m_s, len(groups)))
+            rest_m[group] -= float(np.mean(late_m))
+            columns.append(group.astype(float))
+    if not verdicts:
+        return None
+    ranges = np.full(len(columns), 2.0 * _LEAD_S * found.speed_m_s)
+    evidence = _evidence(found, rest_m, np.stack(columns, axis=1), ranges)
+    return _Explanation(evidence, "their clocks are late", tuple(verdicts))
 
 
 def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> ArrivalVerdict:
@@ -248,20 +344,66 @@ def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> Arr
     return ArrivalVerdict(finding, ClockCorrection(files, late_s))
 
 
-def _stretched(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
-    """All arrivals are early or late in proportion to the distance, better than by one delay."""
-    distance_m, tolerance_m = found.distance_m, found.tolerance_m
+def _stretched(found: _Arrivals) -> _Explanation | None:
+    """All arrivals are early or late in proportion to the distance."""
+    distance_m = found.distance_m
     factor = float(found.path_m @ distance_m / (distance_m @ distance_m))
     rest_m = found.path_m - factor * distance_m
     apart_m = found.late_m - np.median(found.late_m)
     clear = 2.0 * float(np.linalg.norm(rest_m)) < float(np.linalg.norm(apart_m))
-    if len(rest_m) < _FEWEST or not clear or np.any(np.abs(rest_m) > tolerance_m):
-        return ()
-    for known, what in _FACTORS.items():
-        if abs(factor / known - 1.0) < _SAME_FACTOR:
-            return (_scaled(known, what, found),)
+    if len(rest_m) < _FEWEST or np.any(np.abs(rest_m) > found.tolerance_m):
+        return None
+    if not (clear or _is_adequate(found, rest_m, 1)):
+        return None
+    evidence = _evidence(found, rest_m, distance_m[:, None], np.array([_SCALES]))
     what = "the scale of the drawing, the sampling rate, or the temperature is another"
-    return (_scaled(factor, what, found),)
+    for known, reading in _FACTORS.items():
+        if abs(factor / known - 1.0) < _SAME_FACTOR:
+            factor, what = known, reading
+    words = f"all positions are {factor:.4g} times as far apart"
+    return _Explanation(evidence, words, (_scaled(factor, what, found),))
+
+
+def _receivers_displaced(found: _Arrivals) -> _Explanation | None:
+    """All receivers stand elsewhere by one vector, found by Gauss-Newton steps."""
+    names = {p.name for p in found.receiver}
+    n = len(found.late_m)
+    if len(names) < 2 or n <= 3:
+        return None
+    from_m, to_m = (
+        np.array([p.position_m for p in ends]) for ends in (found.source, found.receiver)
+    )
+    shift_m = np.zeros(3)
+    for _ in range(_STEPS):
+        away = to_m + shift_m - from_m
+        distance_m = np.linalg.norm(away, axis=1)
+        columns = away / distance_m[:, None]
+        rest_m = found.path_m - distance_m
+        step_m, _, rank, _ = np.linalg.lstsq(columns, rest_m, rcond=1e-3)
+        if rank < 3:
+            return None
+        shift_m += step_m
+    rest_m = found.path_m - np.linalg.norm(to_m + shift_m - from_m, axis=1)
+    size_m = float(np.linalg.norm(shift_m))
+    if not _LEAST_SHIFT_M < size_m < _MOST_SHIFT_M or np.any(np.abs(rest_m) > found.tolerance_m):
+        return None
+    if not _is_adequate(found, rest_m, 3):
+        return None  # not all of them alike
+    evidence = _evidence(found, rest_m, columns, np.full(3, 2.0 * _MOST_SHIFT_M))
+    by = ", ".join(f"{x:+.2f}" for x in shift_m)
+    words = f"all {len(names)} receivers stand elsewhere than specified, by ({by}) m"
+    text = (
+        f"By the direct sounds {words} against the sources: these explain the arrivals better than "
+        "a delay. Measure them again, or compare the origins of both lists."
+    )
+    points = {p.name: p.position_m for p in found.receiver}.values()
+    about = replace(
+        _about(found.measurements), points_m=[(float(x), float(y), float(z)) for x, y, z in points]
+    )
+    finding = Finding(
+        Code.DISPLACEMENT_DETECTED, about, text, {"receivers": sorted(names), "metres": size_m}
+    )
+    return _Explanation(evidence, words, (ArrivalVerdict(finding),))
 
 
 def _scaled(factor: float, what: str, found: _Arrivals) -> ArrivalVerdict:
@@ -378,14 +520,8 @@ def _displaced(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
     delays = np.stack([names == name for name in dict.fromkeys(names.tolist())], axis=1).astype(
         float
     )
-    rate_hz = min(m.response.sampling_rate_hz for m in found.measurements)
-    robust = 1.4826 * float(np.median(np.abs(found.late_m - np.median(found.late_m))))
-    onset_sd = max(_ONSET_SD_M + _ONSET_SD_SAMPLES * found.speed_m_s / rate_hz, robust)
-    covariance = onset_sd**2 * np.eye(n)
-    for point, own in columns.items():
-        sd = DEFAULT_POSITION_SD_M if point.position_sd_m is None else point.position_sd_m
-        covariance += sd**2 * own @ own.T
-    white = np.linalg.inv(np.linalg.cholesky(covariance))
+    robust_m = 1.4826 * float(np.median(np.abs(found.late_m - np.median(found.late_m))))
+    white = _whitening(found, robust_m)
     data, base = white @ found.late_m, white @ delays
     whole, rank = _left(base, data)
     gains = {}

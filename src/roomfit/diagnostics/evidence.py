@@ -85,6 +85,10 @@ def file_name(m: Measurement) -> str:
     return f"{m.source} to {m.receiver} ({m.name})"
 
 
+# Of log-likelihood, unknowns counted: explanations that are no farther apart are both named.
+UNDECIDED = 2.0
+
+
 def pair_of(m: Measurement) -> tuple[str, str]:
     """Return the source and the receiver of a recording, as findings name them."""
     return m.source, m.receiver

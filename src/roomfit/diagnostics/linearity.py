@@ -7,12 +7,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.special import chdtri, stdtrit
 
-from roomfit.diagnostics.evidence import Evidence, Law
+from roomfit.diagnostics.evidence import UNDECIDED, Evidence, Law
 from roomfit.findings import About, Code, Finding
 from roomfit.inversion.score_tests import ChainScores, FreedAbsorption, Score
 
 _LEVEL = 1e-3  # of power, loss and window together
-_UNDECIDED = 2.0  # of log-likelihood, less one for each unknown, between two explanations
 # An exponent nearer to 1, a smaller loss at the peak, and a decay rate that is a smaller share of
 # the room's own, do less to absorption than intervals allow for.
 _LEAST_EXPONENT, _LEAST_LOSS, _LEAST_RATE = 0.04, 0.05, 0.05
@@ -116,7 +115,7 @@ def explained_by_the_chain(
     n, gain = len(freed.gains), sum(freed.gains.values())
     alone, beside = scores.alone[clearest], scores.beside_freed[clearest]
     left = gain + beside.gain - alone.gain
-    return 2.0 * left <= float(chdtri(n, _LEVEL)) and alone.gain - 1.0 > gain - n + _UNDECIDED
+    return 2.0 * left <= float(chdtri(n, _LEVEL)) and alone.gain - 1.0 > gain - n + UNDECIDED
 
 
 def _is_clear(score: Score) -> bool:
@@ -136,4 +135,4 @@ def _explained_by_walls(scores: ChainScores, freed: Sequence[FreedAbsorption]) -
     if any(_is_clear(s) for s in scores.beside_freed):
         return False
     by_walls = max((sum(f.gains.values()) - len(f.gains) for f in freed), default=0.0)
-    return by_walls > scores.alone[clearest].gain - 1.0 + _UNDECIDED
+    return by_walls > scores.alone[clearest].gain - 1.0 + UNDECIDED

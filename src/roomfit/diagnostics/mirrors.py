@@ -7,15 +7,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from roomfit.bands import Bands, bands_in_words
-from roomfit.diagnostics.evidence import Evidence, Law
+from roomfit.diagnostics.evidence import UNDECIDED, Evidence, Law
 from roomfit.findings import About, Code, Finding
 from roomfit.inversion.symmetry import Symmetry, deviation_m, fitted_scene, mirror_symmetries
 from roomfit.scene import Scene
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.gaussian import MirrorTrial
-
-# Log-likelihoods nearer than this do not decide between an answer and its image.
-_UNDECIDED = 2.0
 
 LAWS = {
     Code.MIRROR_AMBIGUITY: Law(
@@ -39,7 +36,7 @@ def check(evidence: Evidence) -> Iterator[Finding]:
         other = absorption[symmetry.exchange]
         differs = (other < evidence.lower95) | (other > evidence.upper95)
         tried = [t[number] if number < len(t) else None for t in trials]
-        differs &= np.array([t is None or t.gain > -_UNDECIDED for t in tried] or [True])
+        differs &= np.array([t is None or t.gain > -UNDECIDED for t in tried] or [True])
         if np.any(differs):
             apart = float(deviation_m(symmetry, scene).max())
             yield _finding(symmetry, scene, bands, apart, absorption, differs, tried)

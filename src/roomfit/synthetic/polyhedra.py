@@ -244,7 +244,8 @@ def _straight_lines(
             what[waiting, 2] = n
             waiting += 1
             if waiting == len(what):
-                raise ValueError("more copies of the room than the stack has room for")
+                what, view = np.concatenate((what, what)), np.concatenate((view, view))
+                turn, shift = np.concatenate((turn, turn)), np.concatenate((shift, shift))
     return owner[:n_found].copy(), place[:n_found].copy()
 
 
