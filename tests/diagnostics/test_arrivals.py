@@ -214,6 +214,38 @@ def test_another_scale_is_no_delay(factor):
     assert found.evidence["factor"] == pytest.approx(factor, abs=0.02)
 
 
+@pytest.mark.parametrize("metres", [0.5, 1.0])
+def test_receivers_displaced_together_are_neither_a_delay_nor_a_scale(metres):
+    """An array put down by another origin than its coordinates were measured from."""
+    by = np.array([0.6, -0.8, 0.0]) * metres
+    at = {name: tuple(np.add(p, by)) for name, p in RECEIVERS.items()}
+    (found,) = causes(SCENE, recordings(at=at))
+    assert found.code is Code.DISPLACEMENT_DETECTED
+    assert found.sentence.startswith("By the direct sounds all 4 receivers stand elsewhere")
+    assert found.evidence["metres"] == pytest.approx(metres, abs=0.03)
+    assert len(found.about.points_m) == 4
+
+
+def test_explanations_that_are_as_likely_are_named_beside_each_other():
+    """Two distances that are alike: a delay, or each source's, or a scale."""
+    near = {"M1": (4.1, 2.3, 1.2), "M2": (4.2, 2.5, 1.2), "M3": (4.0, 2.2, 1.3)}
+    scene = scene_of(ROOM, {"LS1": SOURCES["LS1"]}, near)
+    rng = np.random.default_rng(3)
+    files = [
+        roomfit.Measurement(
+            "LS1",
+            name,
+            response(1.1 * float(np.linalg.norm(np.subtract(SOURCES["LS1"], at))), rng),
+            RATE_HZ,
+            name=f"{name}.wav",
+        )
+        for name, at in near.items()
+    ]
+    (found,) = causes(scene, files)
+    assert found.code in (Code.RECORDINGS_LATE, Code.COORDINATES_SCALED)
+    assert " Or " in found.sentence
+
+
 def test_two_exchanged_files_are_named():
     files = recordings()
     a, b = (

@@ -18,6 +18,7 @@ from roomfit.synthetic.boxes import SyntheticBox, box_images, pressure_response
 from roomfit.synthetic.polyhedra import (
     Cells,
     SyntheticPolyhedron,
+    _view,
     cell_arrays,
     cell_images,
     pressure_responses,
@@ -64,6 +65,13 @@ def test_a_box_has_the_images_of_the_formula() -> None:
     np.testing.assert_array_equal(
         rows[np.lexsort(rows.T[::-1])], expected[np.lexsort(expected.T[::-1])]
     )
+
+
+@pytest.mark.parametrize(("width_m", "n_sides"), [(1e-3, 4), (1e-8, 0)])
+def test_a_window_of_no_width_shows_nothing(width_m: float, n_sides: int) -> None:
+    """Its two long sides would show what lies behind as well, and copies would have no end."""
+    window = np.array([[-1.0, 0, 5], [1, 0, 5], [1, width_m, 5], [-1, width_m, 5]])
+    assert _view(window + np.array([0.1, 0.2, 0.0]), 4, np.zeros((20, 3))) == n_sides
 
 
 def test_a_box_sounds_as_the_simulator_of_boxes_has_it() -> None:

@@ -50,6 +50,8 @@ _ONSET_SD_M, _ONSET_SD_SAMPLES = 0.01, 1.0
 _LEAST_SHIFT_M = 0.05
 # What a displacement, and a scale, may be before anything is measured; steps of Gauss-Newton.
 _MOST_SHIFT_M, _SCALES, _STEPS = 3.0, 0.5, 6
+# A delay is early or late, and as likely to be of tenths of milliseconds as of tenths of seconds.
+_LOG_DELAYS = float(np.log(1e4))
 _LEAD_S = 0.1  # no position is 34 m off: the recorder was started so long before the sound
 _MORE_THAN_OTHERS = 10.0  # chi-square by which a displaced point explains more than any other
 
@@ -252,7 +254,8 @@ def _evidence(
 ) -> float:
     """Return the marginal likelihood's logarithm of unknowns that leave some residuals.
 
-    By Laplace's approximation; each unknown has a uniform prior over its range. Arrivals err by
+    By Laplace's approximation; each unknown has a uniform prior over its range, delays one over
+    the range of their logarithm, which is as dense as a range that grows with them. Arrivals err by
     Student's t with four degrees of freedom, since onsets of real loudspeakers scatter by more than
     a centimetre.
 
@@ -300,7 +303,7 @@ def _delays(found: _Arrivals) -> _Explanation | None:
 
 
 def _late_by(found: _Arrivals, groups: NDArray[Any]) -> _Explanation | None:
-    verdicts, columns, rest_m = [], [], np.array(found.late_m)
+    verdicts, columns, ranges_m, rest_m = [], [], [], np.array(found.late_m)
     for group in groups.T.astype(np.bool_):
         late_m, tolerance_m = found.late_m[group], found.tolerance_m[group]
         middle_m = float(np.median(late_m))
@@ -313,10 +316,10 @@ def _late_by(found: _Arrivals, groups: NDArray[Any]) -> _Explanation | None:
             verdicts.append(_late(chosen, middle_m / found.speed_m_s, len(groups)))
             rest_m[group] -= float(np.mean(late_m))
             columns.append(group.astype(float))
+            ranges_m.append(2.0 * _LOG_DELAYS * abs(middle_m))
     if not verdicts:
         return None
-    ranges = np.full(len(columns), 2.0 * _LEAD_S * found.speed_m_s)
-    evidence = _evidence(found, rest_m, np.stack(columns, axis=1), ranges)
+    evidence = _evidence(found, rest_m, np.stack(columns, axis=1), np.array(ranges_m))
     return _Explanation(evidence, "their clocks are late", tuple(verdicts))
 
 

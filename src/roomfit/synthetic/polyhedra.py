@@ -142,6 +142,7 @@ _SIDES = 20
 _ON_EDGE_M = 1e-9
 _SAME_PLACE_M = 1e-5
 _SHORT_M = 1e-7
+_NARROW_RAD = 1e-6
 
 
 def cell_images(
@@ -319,7 +320,8 @@ def _part_in_view(polygon: FloatArray, n: int, sides: FloatArray, m: int, cut: F
 def _view(polygon: FloatArray, n: int, sides: FloatArray) -> int:
     """Write the planes through the origin and each edge of a polygon; return how many.
 
-    0 for a sliver of no width, whose planes would face anywhere.
+    0 for a sliver of no width: its planes would face anywhere, and two that are opposite would
+    also show what lies behind the origin.
     """
     mx = my = mz = 0.0
     for i in range(n):
@@ -342,6 +344,12 @@ def _view(polygon: FloatArray, n: int, sides: FloatArray) -> int:
         if depth < 0.0:
             length = -length
         sides[count, 0], sides[count, 1], sides[count, 2] = sx / length, sy / length, sz / length
+        for j in range(count):
+            together = 0.0
+            for axis in range(3):
+                together += (sides[j, axis] + sides[count, axis]) ** 2
+            if together < _NARROW_RAD**2:
+                return 0
         count += 1
     return count
 
