@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +16,7 @@ from roomfit.inversion.trace_plan import plan_trace
 from roomfit.io.campaign import read_campaign
 from roomfit.io.inputs import identify_arguments
 from roomfit.synthetic.boxes import demo_plan
-from seen import evidence
+from seen import of_scattering_trial
 from simulated_rooms.random_boxes import write_scattering_box
 
 
@@ -49,5 +48,5 @@ def test_smooth_walls_are_doubted_where_they_scatter_and_nowhere_else(
     assert trial is not None
     fit, specified = trial
     tried = tried_scattering(fit, measurements.scene.room.materials, specified)
-    found = check(evidence(traced=SimpleNamespace(scattering_trial=tried)))
+    found = check(of_scattering_trial(tried))
     assert [f.code for f in found] == codes

@@ -26,6 +26,12 @@ def of_files(files: Any) -> Any:
     return evidence(measured=SimpleNamespace(responses=tuple(files)))
 
 
+def of_scattering_trial(trial: Any, contradicted: tuple[Any, ...] = ()) -> Any:
+    """Return evidence of walls that were tried as scattering, and of sources that are doubted."""
+    fits = SimpleNamespace(unknown_sources=None, contradicted=contradicted)
+    return evidence(traced=SimpleNamespace(scattering_trial=trial), fits=fits)
+
+
 def of_answers(answers: Any, bands: Any = None, **parts: Any) -> Any:
     """Return evidence of the answers of bands."""
     fits = SimpleNamespace(answers=tuple(answers))

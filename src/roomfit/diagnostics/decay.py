@@ -90,7 +90,8 @@ def decay_misses(
     so the lower the band. That scatter is the one of ISO 3382-2 for decays by an integrated
     impulse response [1]_ or, over three pairs and more, the one observed if it is larger. T30 alone
     does not count: its last decibels lie where next to nothing was fitted, and hang in a room of
-    smooth walls on a few flutter echoes.
+    smooth walls on a few flutter echoes. EDT counts over three pairs and more: near a source the
+    direct sound makes it as short as it likes, which the theory of its scatter leaves out.
 
     Predictions add energies. Between smooth, parallel walls pressures do not add so: the right
     absorption may miss the decay by half there. A band that was fitted by pressures is therefore
@@ -116,6 +117,8 @@ def decay_misses(
     for name, factor in DECAY_SCATTER.items():
         for band in np.flatnonzero(fitted).tolist():
             time_s, jnd = _of_fitted_pairs(pairs, name, band)
+            if name == "EDT_s" and jnd.size < _FEWEST_FOR_SCATTER:
+                continue
             mean, sd = mean_miss(jnd, factor / np.sqrt(bandwidth_hz[band] * time_s))
             if abs(mean) >= max(_LARGEST_MISS_JND, _MISS_SDS * sd):
                 before = found.get(band, DecayMiss(band, {}, 0))

@@ -13,7 +13,7 @@ from roomfit.measurement import MeasuredPair
 from roomfit.typing import FloatArray
 
 # The reverberant level of a source varies by 1 to 2 dB over a room, the direct sound's more.
-_LEAST_STEP_DB, _WITHIN_DB, _DIRECT_WITHIN_DB = 4.0, 1.2, 2.5
+_LEAST_STEP_DB, _WITHIN_DB, _DIRECT_WITHIN_DB = 4.0, 1.2, 2.0
 _LATE_S = 0.05
 
 LAWS = {

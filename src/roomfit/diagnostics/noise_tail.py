@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 from scipy.special import chdtri, digamma, polygamma, stdtrit
 
@@ -18,10 +19,16 @@ _LEVEL = 1e-4  # of a campaign whose noise is stationary
 # Noise is sought above 500 Hz in so many blocks of a last part of the files, the first of three
 # whose levels lie on a line, and in blocks of 1 ms until 3 ms before the direct sound.
 _TAIL_SHARES, _TAIL_BLOCKS, _TAIL_HZ, _RINGING_S = (0.4, 0.25, 0.15), 8, 500.0, 0.05
+# A response that is limited to half of the sampling rate rings there before the direct sound; up to
+# a quarter of that rate noise is noise.
+_MOST_OF_RATE, _LEAST_RATE_HZ = 0.25, 4000.0
 _EDGE_S, _BEFORE_S, _BLOCK_S, _MOST_BEFORE, _FEWEST_BEFORE = 0.5e-3, 3e-3, 1e-3, 8, 2
 # Levels of noise scatter about the line as chi-square; of music-like or impulsive noise so many
 # times as much at most. Of files without noise it is 80 times and more.
 _STRAIGHT_CHANCE, _LARGEST_DISPERSION = 1e-3, 3.0
+# One campaign in a hundred whose noise is noise rises towards the direct sound by so many standard
+# deviations, in some milliseconds; filters and deconvolution that ring before it rise by more.
+_STEEPEST_RISE = 2.33
 # Averaged over so many bins, a spectrum gives the bandwidth of noise without its own scatter.
 _SMOOTHED_BINS = 17
 # Early sound stands 6 dB above the line of the noise at least, or what falls is the sound itself;
@@ -63,12 +70,12 @@ class _Line(NamedTuple):
 def check(evidence: Evidence) -> Iterator[Finding]:
     """Yield a finding where the background noise falls, as in files under an exponential window.
 
-    Noise is stationary, unless a window was applied after it was recorded. Above 500 Hz the levels
-    before the direct sound and at the end of the files are put on one line. They are taken for
-    noise only if they scatter about it as the energies of noise do: sound that decays, that rises
-    before the direct sound as that of a filter or of deconvolution, or that a simulator puts there,
-    scatters by far more. A rest of reverberation at the end, which falls as the room does, is
-    fitted along.
+    Noise is stationary, unless a window was applied after it was recorded. From 500 Hz to a quarter
+    of the sampling rate the levels before the direct sound and at the end of the files are put on
+    one line. They are taken for noise only if they scatter about it as the energies of noise do,
+    and do not rise before the direct sound: sound that decays, or rings before the direct sound as
+    that of a filter or of deconvolution, or that a simulator puts there, scatters by far more. A
+    rest of reverberation at the end, which falls as the room does, is fitted along.
     """
     measured = [m for m in evidence.measured.responses if m.measurement.use == "fit"]
     rings = [1.0 / t for m in measured for t in m.noise.tail_time_constant_s if t > 0.0]
@@ -150,23 +157,43 @@ def _fitted(files: Sequence[_Levels], ring_per_s: float) -> _Line:
         for f in files
     ]
     limit = max(float(chdtri(n_free, _STRAIGHT_CHANCE)), _LARGEST_DISPERSION * n_free)
+    is_straight = chi2 <= limit and _rise(files) < _STEEPEST_RISE
     return _Line(
         float(rate),
         float(np.sqrt(covariance[0, 0] * max(chi2 / n_free, 1.0))),
         chi2 / n_free,
         n_free,
         float(np.median(excess)),
-        chi2 <= limit,
+        is_straight,
     )
 
 
-def high_passed(x: FloatArray, from_hz: float, rate_hz: float) -> FloatArray:
-    """Return a signal through a causal digital Butterworth filter of order 4, which rings after."""
+def _rise(files: Sequence[_Levels]) -> float:
+    """Return by how many standard deviations levels rise towards the direct sound, in all files."""
+    rise = information = 0.0
+    for f in files:
+        time_s, level, variance = (x[:-_TAIL_BLOCKS] for x in (f.time_s, f.level, f.variance))
+        since_s = time_s - np.average(time_s, weights=1.0 / variance)
+        rise += float(np.sum(since_s * level / variance))
+        information += float(np.sum(since_s**2 / variance))
+    return rise / float(np.sqrt(information))
+
+
+def band_passed(x: FloatArray, from_hz: float, to_hz: float, rate_hz: float) -> FloatArray:
+    """Return a signal through causal digital Butterworth filters, which ring after it.
+
+    One of order 4 from one frequency on, and one of order 8 up to the other.
+    """
     n = fft.next_fast_len(x.size + round(_RINGING_S * rate_hz), real=True)
-    s = 1j * np.tan(np.pi * fft.rfftfreq(n)) / np.tan(np.pi * from_hz / rate_hz)
-    poles = np.exp(0.125j * np.pi * np.arange(5, 13, 2))[:, None]
-    gain = s**4 / np.prod(1.0 - poles * s, axis=0)
+    s = 1j * np.tan(np.pi * fft.rfftfreq(n))
+    high, low = (s / np.tan(np.pi * hz / rate_hz) for hz in (from_hz, to_hz))
+    gain = high**4 / np.prod(1.0 - _poles(4) * high, axis=0) / np.prod(low - _poles(8), axis=0)
     return np.asarray(fft.irfft(fft.rfft(x, n) * gain, n)[: x.size])
+
+
+def _poles(order: int) -> NDArray[np.complex128]:
+    """Return the poles of Butterworth's low pass of an even order at 1 rad/s, (order, 1)."""
+    return np.exp(0.5j * np.pi * (np.arange(1, 2 * order, 2) / order + 1.0))[:, None]
 
 
 def _levels(m: MeasuredPair, share: float) -> _Levels | None:
@@ -189,9 +216,9 @@ def _levels(m: MeasuredPair, share: float) -> _Levels | None:
     stop = direct - round(_BEFORE_S * rate_hz)
     n_before = min(int((stop - begin) / (_BLOCK_S * rate_hz)), _MOST_BEFORE)
     size = int(share * (end - direct)) // _TAIL_BLOCKS
-    if n_before < _FEWEST_BEFORE or size < _BLOCK_S * rate_hz or rate_hz < 2.5 * _TAIL_HZ:
+    if n_before < _FEWEST_BEFORE or size < _BLOCK_S * rate_hz or rate_hz < _LEAST_RATE_HZ:
         return None
-    pressure = high_passed(x, _TAIL_HZ, rate_hz)
+    pressure = band_passed(x, _TAIL_HZ, _MOST_OF_RATE * rate_hz, rate_hz)
     before = np.linspace(begin, stop, n_before + 1).astype(np.int64)
     tail = np.arange(end - _TAIL_BLOCKS * size, end + 1, size)
     first, last = np.append(before[:-1], tail[:-1]), np.append(before[1:], tail[1:])

@@ -19,7 +19,7 @@ LAWS = {
     Code.SCATTERING_ASSUMED: _GIVEN,
     Code.SCATTERING_FITTED: _GIVEN,
     Code.SCATTERING_UNDERESTIMATED: Law(
-        "walls that are specified as smooth are smooth",
+        "walls that are specified as smooth are smooth, and sources radiate as specified",
         "log-likelihood of a scattering of 0.15 over that of 0, by energies",
         0.0067,  # e^-5
     ),
@@ -59,9 +59,11 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     Of walls that are smooth, a model that is otherwise right raises the doubt in fewer than one
     room in a hundred: a likelihood ratio has the mean 1 under the model in its denominator, so that
     it exceeds e^5 with a probability below e^-5 (A. Wald, Sequential Analysis, 1947, section 3.2).
+    Sources whose directivity was fitted, or that the data contradict, radiate otherwise than in
+    both of its models, so that the ratio says nothing.
     """
-    trial = evidence.traced.scattering_trial
-    if trial is None:
+    trial, fits = evidence.traced.scattering_trial, evidence.fits
+    if trial is None or fits.unknown_sources is not None or fits.contradicted:
         return
     gain, names = float(np.sum(trial.gains)), list(trial.materials)
     if gain > _LEAST_GAIN and np.all(trial.gains > -_LARGEST_LOSS):
