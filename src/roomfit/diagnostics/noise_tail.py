@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +26,9 @@ _EDGE_S, _BEFORE_S, _BLOCK_S, _MOST_BEFORE, _FEWEST_BEFORE = 0.5e-3, 3e-3, 1e-3,
 # Levels of noise scatter about the line as chi-square; of music-like or impulsive noise so many
 # times as much at most. Of files without noise it is 80 times and more.
 _STRAIGHT_CHANCE, _LARGEST_DISPERSION = 1e-3, 3.0
-# One campaign in a hundred whose noise is noise rises towards the direct sound by so many standard
-# deviations, in some milliseconds; filters and deconvolution that ring before it rise by more.
-_STEEPEST_RISE = 2.33
+# Noise that falls by 6 dB an octave from 500 Hz on has three degrees of freedom in a millisecond;
+# the last modes of a room, in a file without noise, have one.
+_FEWEST_FREE = 2.0
 # Averaged over so many bins, a spectrum gives the bandwidth of noise without its own scatter.
 _SMOOTHED_BINS = 17
 # Early sound stands 6 dB above the line of the noise at least, or what falls is the sound itself;
@@ -72,10 +72,10 @@ def check(evidence: Evidence) -> Iterator[Finding]:
 
     Noise is stationary, unless a window was applied after it was recorded. From 500 Hz to a quarter
     of the sampling rate the levels before the direct sound and at the end of the files are put on
-    one line. They are taken for noise only if they scatter about it as the energies of noise do,
-    and do not rise before the direct sound: sound that decays, or rings before the direct sound as
-    that of a filter or of deconvolution, or that a simulator puts there, scatters by far more. A
-    rest of reverberation at the end, which falls as the room does, is fitted along.
+    one line. They are taken for noise only if they scatter about it as the energies of noise do:
+    sound that decays, that rises before the direct sound as that of a filter or of deconvolution,
+    or that a simulator puts there, scatters by far more. A rest of reverberation at the end, which
+    falls as the room does, is fitted along.
     """
     measured = [m for m in evidence.measured.responses if m.measurement.use == "fit"]
     rings = [1.0 / t for m in measured for t in m.noise.tail_time_constant_s if t > 0.0]
@@ -157,26 +157,14 @@ def _fitted(files: Sequence[_Levels], ring_per_s: float) -> _Line:
         for f in files
     ]
     limit = max(float(chdtri(n_free, _STRAIGHT_CHANCE)), _LARGEST_DISPERSION * n_free)
-    is_straight = chi2 <= limit and _rise(files) < _STEEPEST_RISE
     return _Line(
         float(rate),
         float(np.sqrt(covariance[0, 0] * max(chi2 / n_free, 1.0))),
         chi2 / n_free,
         n_free,
         float(np.median(excess)),
-        is_straight,
+        chi2 <= limit,
     )
-
-
-def _rise(files: Sequence[_Levels]) -> float:
-    """Return by how many standard deviations levels rise towards the direct sound, in all files."""
-    rise = information = 0.0
-    for f in files:
-        time_s, level, variance = (x[:-_TAIL_BLOCKS] for x in (f.time_s, f.level, f.variance))
-        since_s = time_s - np.average(time_s, weights=1.0 / variance)
-        rise += float(np.sum(since_s * level / variance))
-        information += float(np.sum(since_s**2 / variance))
-    return rise / float(np.sqrt(information))
 
 
 def band_passed(x: FloatArray, from_hz: float, to_hz: float, rate_hz: float) -> FloatArray:
@@ -191,9 +179,10 @@ def band_passed(x: FloatArray, from_hz: float, to_hz: float, rate_hz: float) -> 
     return np.asarray(fft.irfft(fft.rfft(x, n) * gain, n)[: x.size])
 
 
-def _poles(order: int) -> NDArray[np.complex128]:
+def _poles(order: int) -> NDArray[Any]:
     """Return the poles of Butterworth's low pass of an even order at 1 rad/s, (order, 1)."""
-    return np.exp(0.5j * np.pi * (np.arange(1, 2 * order, 2) / order + 1.0))[:, None]
+    angle = 0.5 * np.pi * (np.arange(1, 2 * order, 2) / order + 1.0)
+    return np.asarray(np.exp(1j * angle))[:, None]
 
 
 def _levels(m: MeasuredPair, share: float) -> _Levels | None:
@@ -231,7 +220,9 @@ def _levels(m: MeasuredPair, share: float) -> _Levels | None:
         return None
     power = np.abs(np.fft.rfft(pressure[tail[0] :])) ** 2
     power = np.convolve(power, np.ones(_SMOOTHED_BINS) / _SMOOTHED_BINS, "same")
-    n_free = np.maximum((last - first) * np.sum(power) ** 2 / (power.size * np.sum(power**2)), 1.0)
+    n_free = (last - first) * np.sum(power) ** 2 / (power.size * np.sum(power**2))
+    if np.min(n_free) < _FEWEST_FREE:
+        return None
     mean = digamma(0.5 * n_free) - np.log(0.5 * n_free)
     return _Levels(
         np.asarray(0.5 * (first + last) / rate_hz, dtype=np.float64),
