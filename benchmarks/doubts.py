@@ -1,7 +1,7 @@
 """How often each doubt is raised where it should not be, and where it should: a confusion matrix.
 
-    python benchmarks/doubts.py --out FILE [--seeds choose|second|third|report] [--right N] [--faults N]
-        [--measured DATA] [--only PATTERN] [--jobs N]
+    python benchmarks/doubts.py --out FILE [--seeds choose|second|third|report] [--right N]
+        [--faults N] [--measured DATA] [--only PATTERN] [--jobs N]
     python benchmarks/doubts.py --summarise FILE ... [--only PATTERN]
     python benchmarks/doubts.py --list
 
@@ -44,9 +44,9 @@ from roomfit.errors import CannotTell, InputError
 from roomfit.findings import Code
 from roomfit.results import Result
 
-# Added to the seed of a room: rooms of all sets differ in everything. Sets that were reported on and
-# led to other rules cannot be reported on again: the second had 25 false alarms in 237 right rooms,
-# the third 5 in 238.
+# Added to the seed of a room: rooms of all sets differ in everything. Sets that led to other rules
+# when they were reported on are not reported on again: the second had 25 false alarms in 237 right
+# rooms, the third 5 in 238.
 SETS = {"choose": 0, "second": 500, "third": 750, "report": 250}
 MOST_ROOMS = 250  # of one kind and set
 

@@ -38,6 +38,9 @@ AROUND = (*SATELLITES, "batch", "cli", "commands", "io", "report", "table")
 FRONT = "identification"
 
 
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
 @dataclass(frozen=True, slots=True)
 class Module:
     """One file of the package with something in it."""
@@ -98,7 +101,7 @@ def _nodes(tree: ast.AST, *, lazily: bool) -> Iterator[ast.AST]:
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
             continue
-        if isinstance(node, ast.FunctionDef) and not lazily:
+        if isinstance(node, Function) and not lazily:
             continue
         yield node
         yield from _nodes(node, lazily=lazily)
@@ -154,11 +157,16 @@ def front_door(found: list[Module]) -> dict[str, str]:
     }
 
 
-def functions(found: list[Module]) -> list[tuple[Module, ast.FunctionDef]]:
+def functions(found: list[Module]) -> list[tuple[Module, Function]]:
     """Return every function and method with its module."""
-    return [
-        (m, node) for m in found for node in ast.walk(m.tree) if isinstance(node, ast.FunctionDef)
-    ]
+    return [(m, node) for m in found for node in ast.walk(m.tree) if isinstance(node, Function)]
+
+
+def n_code_lines(function: Function) -> int:
+    """Return the number of lines of a function beside its docstring."""
+    first = function.body[0]
+    text = (first.end_lineno or 0) - first.lineno + 1 if _is_text(first) else 0
+    return (function.end_lineno or 0) - function.lineno + 1 - text
 
 
 def dataclasses(found: list[Module]) -> list[tuple[Module, ast.ClassDef]]:
@@ -187,14 +195,14 @@ def used_once(found: list[Module]) -> list[tuple[Module, ast.FunctionDef]]:
     return once
 
 
-def n_parameters(function: ast.FunctionDef) -> int:
+def n_parameters(function: Function) -> int:
     """Return how many arguments a function takes, `self` and `cls` not counted."""
     a = function.args
     named = [p.arg for p in (*a.posonlyargs, *a.args, *a.kwonlyargs)]
     return len([p for p in named if p not in ("self", "cls")])
 
 
-def is_compiled(function: ast.FunctionDef) -> bool:
+def is_compiled(function: Function) -> bool:
     """Whether a function is compiled by numba, or stands for one that is."""
     marks = ("kernel", "njit", "overload", "intrinsic", "device_function")
     return any(mark in ast.unparse(d) for d in function.decorator_list for mark in marks)

@@ -47,6 +47,28 @@ def test_no_function_outside_of_kernels_takes_more_than_eight_arguments() -> Non
     assert long == {}
 
 
+# Functions that are longer, in lines beside the docstring: neither grows, nor do they.
+LONG = {
+    "diagnostics.reflections._isolated": 81,
+    "inversion.displacement.outline_of": 67,
+    "inversion.coherent.fit_coherent": 66,
+    "inversion.trace_plan.plan_trace": 63,
+    "inversion.paths.traced_paths": 63,
+    "uncertainty.other_room.room_posterior": 61,
+}
+
+
+def test_a_function_outside_of_kernels_is_one_screen() -> None:
+    """60 lines beside its docstring; those that wait on purpose (``async``) count as others do."""
+    lines = {
+        f"{m.name}.{f.name}": shape.n_code_lines(f)
+        for m, f in shape.functions(FOUND)
+        if not shape.is_compiled(f)
+    }
+    assert {name for name, n in lines.items() if n > LONG.get(name, 60)} == set()
+    assert {name: lines[name] for name in LONG} == LONG, "a limit that may fall"
+
+
 def test_no_call_spreads_a_tuple_written_on_the_spot() -> None:
     """``f(*(a, b), c)`` hides which argument is which."""
     assert [f"{m.name}:{line}" for m, line in shape.splats(FOUND)] == []
@@ -122,6 +144,9 @@ def test_the_counts_see_what_they_count() -> None:
     (first, second) = (n for n in tree.body if isinstance(n, ast.FunctionDef))
     assert shape.n_parameters(first) == 9
     assert [shape.is_compiled(f) for f in (first, second)] == [False, True]
+    late = ast.parse('async def f():\n    """What\n    it does."""\n    return 1\n')
+    ((_, waiting),) = shape.functions([shape.Module("made", shape.SOURCE, late, 4)])
+    assert shape.n_code_lines(waiting) == 2
     module = shape.Module("made", shape.SOURCE, tree, 5)
     assert [line for _, line in shape.splats([module])] == [4]
     assert shape.imported(module, NAMES) == {"identification"}

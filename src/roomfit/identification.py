@@ -356,11 +356,13 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
         eyring_absorption=eyring_start(measured),
         settings=settings,
         trace=traced_with(evidence.traced),
-        state_means={
-            state.name: _room_means(_determined(evidence, number)[0])
-            for number, state in enumerate(scene.room.states, start=1)
-        },
+        state_means=_state_means(evidence),
     )
+
+
+def _state_means(evidence: Evidence) -> dict[str, FloatArray]:
+    names = [state.name for state in evidence.measured.scene.room.states]
+    return {name: _room_means(_determined(evidence, 1 + i)[0]) for i, name in enumerate(names)}
 
 
 def _determined(
