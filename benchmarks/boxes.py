@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.errors import CannotTell
+from roomfit.errors import InsufficientDataError
 from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.results import Result
@@ -64,7 +64,7 @@ def main() -> None:
     for seed in range(asked.first, asked.first + asked.rooms):
         try:
             answers.append(identified(seed))
-        except CannotTell as refusal:
+        except InsufficientDataError as refusal:
             print(f"{seed:>6} refused: {refusal.what}, {refusal.where}")
             continue
         print(line(str(seed), answers[-1:]), flush=True)

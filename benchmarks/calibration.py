@@ -28,7 +28,7 @@ from roomfit.coverage.statistics import (
     grouped_proportion,
     scaled_errors,
 )
-from roomfit.errors import CannotTell
+from roomfit.errors import InsufficientDataError
 from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.materials.priors import DEFAULT_MEAN
@@ -151,7 +151,7 @@ def main() -> None:
     for make, seed in tasks:
         try:
             room = make(seed)
-        except CannotTell as refusal:
+        except InsufficientDataError as refusal:
             print(f"{make.__name__} {seed} refused: {refusal.what}", flush=True)
             continue
         done.append(room)

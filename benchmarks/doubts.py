@@ -40,7 +40,7 @@ from _doubt_faults import FAULTS, HARMLESS_CHANGES
 from _doubt_rooms import RIGHT_ROOMS, measured_rooms
 from _doubt_summary import Group, Raised, Record, record_of, summary
 from hostile import Case, fixed, missed_by
-from roomfit.errors import CannotTell, InputError
+from roomfit.errors import InputError, InsufficientDataError
 from roomfit.findings import Code
 from roomfit.results import Result
 
@@ -97,7 +97,7 @@ def run(room: Room) -> Record:
     base = partial(Record, room.group, room.name, room.seed, tuple(sorted(expected)))
     try:
         answer = roomfit.identify(**case.arguments)
-    except (InputError, CannotTell) as refusal:
+    except (InputError, InsufficientDataError) as refusal:
         return base(refused=refusal.what, cpu_s=time.process_time() - began)
     seconds = time.process_time() - began
     miss = missed_by(answer, case)

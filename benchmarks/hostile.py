@@ -30,7 +30,7 @@ from scipy.signal import resample_poly
 
 import roomfit
 from _other_box import write_other_box
-from roomfit.errors import CannotTell, InputError
+from roomfit.errors import InputError, InsufficientDataError
 from roomfit.findings import Code
 from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
@@ -438,7 +438,7 @@ def outcome(case: Case, fault: Fault) -> Outcome:
     try:
         case = fault(case)
         answer = identify(**case.arguments)
-    except (InputError, CannotTell) as refusal:
+    except (InputError, InsufficientDataError) as refusal:
         return Outcome(refused=refusal.what, seconds=time.process_time() - cpu)
     miss = missed_by(answer, case)
     sure = answer.identifiable & ~fixed(case.arguments["materials"])

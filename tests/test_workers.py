@@ -18,7 +18,7 @@ import pytest
 
 from cluster_tasks import die, die_once, fail, fill_memory, number_into
 from roomfit import workers
-from roomfit.errors import CannotTell, InputError, StoreError
+from roomfit.errors import InputError, InsufficientDataError, StoreError
 from roomfit.workers import bundled, cluster_pool, completed, in_pool, result_of
 
 HELPERS = Path(__file__).parent / "helpers"
@@ -199,7 +199,7 @@ def failure(future: Future[object]) -> str | None:
     """Why a task was not done."""
     try:
         result_of(future)
-    except (CannotTell, ValueError) as error:
+    except (InsufficientDataError, ValueError) as error:
         return str(error)
     return None
 

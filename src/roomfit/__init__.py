@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from roomfit.coverage.estimate import estimate_coverage
     from roomfit.coverage.synthetic_room import CoverageSettings
     from roomfit.diagnostics.usable import check_recordings
-    from roomfit.errors import CannotTell, InputError, RoomfitError, StoreError
+    from roomfit.errors import InputError, InsufficientDataError, RoomfitError, StoreError
     from roomfit.experiment_design.campaign import design_arguments
     from roomfit.experiment_design.candidates import DesignOptions
     from roomfit.experiment_design.design import design
@@ -51,12 +51,12 @@ __version__ = "0.1.0"
 __all__ = [
     "Air",
     "Bands",
-    "CannotTell",
     "CoverageSettings",
     "DesignOptions",
     "Finding",
     "ImpedanceSettings",
     "InputError",
+    "InsufficientDataError",
     "MeasuredValues",
     "Measurement",
     "Observed",
@@ -99,7 +99,7 @@ _HOME = {
     "Air": "air",
     "Bands": "bands",
     "bands_between": "bands",
-    "CannotTell": "errors",
+    "InsufficientDataError": "errors",
     "CoverageSettings": "coverage.synthetic_room",
     "design": "experiment_design.design",
     "design_arguments": "experiment_design.campaign",

@@ -651,7 +651,7 @@ def estimate_coverage_to_folder(
 
     Raises
     ------
-    InputError, CannotTell, StoreError
+    InputError, InsufficientDataError, StoreError
         See `roomfit.estimate_coverage`.
     """
     from roomfit.coverage.estimate import estimate_coverage
@@ -705,7 +705,7 @@ def identify_to_folder(
     ------
     InputError
         The campaign, the room, a response or the output folder is invalid.
-    CannotTell
+    InsufficientDataError
         The data cannot be fitted at all.
     StoreError
         The disk refuses.

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
         what_remains as what_remains,
     )
     from roomfit.errors import (
-        CannotTell as CannotTell,
+        InsufficientDataError as InsufficientDataError,
         InputError as InputError,
         RoomfitError as RoomfitError,
         StoreError as StoreError,
@@ -157,7 +157,7 @@ _HOME = {
         "bands": "Bands bands_between",
         "cache": "Cache cached write_json_atomically write_text_atomically",
         "diagnostics.remaining": "Remaining VOID_ANY_MEAN what_remains",
-        "errors": "CannotTell InputError RoomfitError StoreError located",
+        "errors": "InsufficientDataError InputError RoomfitError StoreError located",
         "eyring": "eyring_absorption",
         "findings": "About Code Finding",
         "geometry.mesh": "volume_m3",

@@ -1,8 +1,8 @@
 """Errors, and who can mend what went wrong.
 
 A message answers five questions: what is wrong, where, what was found, what was needed, and what
-to try. The class says who must act: the caller (`InputError`), who measures (`CannotTell`), or who
-owns the disk (`StoreError`).
+to try. The class says who must act: the caller (`InputError`), who measures
+(`InsufficientDataError`), or who owns the disk (`StoreError`).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class InputError(RoomfitError):
     """A file, a table or an argument is not what it must be."""
 
 
-class CannotTell(RoomfitError):  # noqa: N818 -- a verdict about the data, not a fault in them
+class InsufficientDataError(RoomfitError):
     """The measurements do not determine the answer that was asked for."""
 
 

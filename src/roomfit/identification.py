@@ -24,16 +24,16 @@ from roomfit.diagnostics.checks import (
 )
 from roomfit.diagnostics.evidence import Evidence, Recorded
 from roomfit.diagnostics.verdict import judge
-from roomfit.errors import CannotTell
+from roomfit.errors import InsufficientDataError
 from roomfit.findings import About, Code, Finding
 from roomfit.inversion.coherent import fit_coherent, initialise
 from roomfit.inversion.displacement import (
+    DisplacementModel,
     Offset,
-    Outline,
     displaced,
+    displacement_model,
     located,
     offsets_of,
-    outline_of,
     with_offsets,
 )
 from roomfit.inversion.fits import BandFits
@@ -122,7 +122,7 @@ def identify(
     InputError
         A name, a position, a response or a prior is not as needed, or the method does not go with
         the data.
-    CannotTell
+    InsufficientDataError
         The data cannot be fitted at all.
 
     Notes
@@ -265,15 +265,15 @@ def _outline(
     fits: BandFits,
     offsets: tuple[Offset, ...],
     moved_m: FloatArray,
-) -> Outline | None:
+) -> DisplacementModel | None:
     """Return the fitted room to be displaced, if anything can be."""
     sources = fits.unknown_sources, fits.directivities
-    return outline_of(measured, priors, traced, fits.answers, sources, offsets, moved_m)
+    return displacement_model(measured, priors, traced, fits.answers, sources, offsets, moved_m)
 
 
 def _check_any_fitted(fits: BandFits) -> None:
     if all(answer.model == "prior" for answer in fits.answers):
-        raise CannotTell(
+        raise InsufficientDataError(
             "no band has enough windows above the noise",
             needed="in some band, more windows than unknown absorptions and gains",
             hint="choose other bands with from_hz and to_hz, or measure with less noise",

@@ -134,7 +134,7 @@ class Result:
     # as `mean_absorption`, of each further state of the room by its name
     state_means: Mapping[str, FloatArray] = field(default_factory=dict)
     # by band, (n_materials,), standard deviation of each logit absorption by which term of the
-    # uncertainty were left out, "" for none (`roomfit.uncertainty.gaussian.sds_without`)
+    # uncertainty were left out, "" for none (`roomfit.uncertainty.gaussian.sd_without_term`)
     costs: tuple[Mapping[str, FloatArray], ...] = ()
     # (n_materials, n_bands), what is identifiable by the rule alone, before findings; None: unknown
     identifiable_by_rule: BoolArray | None = None

@@ -32,7 +32,7 @@ import numba
 
 from roomfit._numba import keep_one_blas_thread
 from roomfit.cache import code_digest
-from roomfit.errors import CannotTell, InputError, StoreError
+from roomfit.errors import InputError, InsufficientDataError, StoreError
 from roomfit.typing import Progress
 
 T = TypeVar("T")
@@ -398,7 +398,7 @@ def result_of(future: Future[T]) -> T:
 
     Raises
     ------
-    CannotTell
+    InsufficientDataError
         Every worker that had the task died of it.
     StoreError
         The connection to the scheduler is lost.
@@ -411,7 +411,7 @@ def result_of(future: Future[T]) -> T:
         )
     error = future.exception()
     if type(error).__name__ == _DEATH:
-        raise CannotTell(
+        raise InsufficientDataError(
             "every worker that had the task died",
             found=f"{getattr(error, 'allowed_failures', _MOST_DEATHS) + 1} of them",
             hint="memory is the usual reason: fewer workers on a machine leave more for each",

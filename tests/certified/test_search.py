@@ -14,7 +14,7 @@ from certified_cases import misfit_of, random_case, reaching_black
 from roomfit.certified import search as boxes_module
 from roomfit.certified.bounds import planes_over, powers
 from roomfit.certified.certificate import certify, touching
-from roomfit.certified.convex import is_convex, least_over, priors_over
+from roomfit.certified.convex import is_convex, minimum_over, priors_over
 from roomfit.certified.question import GlobalProblem
 from roomfit.certified.search import Incumbent, Searched, SearchSettings, examine, search, tools_for
 from roomfit.suh2001.repeat import squares_global_problem
@@ -131,7 +131,7 @@ def bound_over(
         *(threshold, tools.values),
     )
     separable = priors_over(tools.data[5], box[0], box[1], centre, half)
-    least = least_over(
+    least = minimum_over(
         *(tools.data, own, separable, -half, half, threshold, np.zeros(half.size), True)
     )
     return min(max(corners, apart + least), threshold)

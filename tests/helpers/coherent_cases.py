@@ -16,7 +16,7 @@ from roomfit.inversion.coherent import (
     decided,
     energy_estimates,
 )
-from roomfit.inversion.systematics import widened_by_neighbours
+from roomfit.inversion.systematics import inflated_by_adjacent_bands
 from roomfit.materials.priors import uniform_scattering
 from roomfit.objective.coherent import CoherentTerm, coherent_term
 from roomfit.objective.energy import (
@@ -146,7 +146,7 @@ def estimates_of(fit: CoherentFit) -> tuple[BandEstimate | None, ...]:
     areas_m2 = material_areas_m2(fit.state.task.scene.room)
     coherent = tuple(b if b is None else b.estimate for b in coherent_estimates(fit))
     energy = [b if b is None else b.estimate for b in energy_estimates(fit)]
-    return decided(fit, energy, widened_by_neighbours(coherent, areas_m2))
+    return decided(fit, energy, inflated_by_adjacent_bands(coherent, areas_m2))
 
 
 def estimate_of(absorption: list[float], half_width: float) -> BandEstimate:

@@ -433,10 +433,10 @@ def test_all_files_that_are_missing_are_reported_at_once_before_one_is_read(refu
 
 def test_what_is_refused_after_the_trace_leaves_no_folder(tmp_path, monkeypatch, capsys):
     import roomfit.identification as stages
-    from roomfit.errors import CannotTell
+    from roomfit.errors import InsufficientDataError
 
     def refused(*_args: object, **_settings: object) -> None:
-        raise CannotTell("nothing can be determined", where="here")
+        raise InsufficientDataError("nothing can be determined", where="here")
 
     monkeypatch.setattr(stages, "combine", refused)
     campaign = write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 500"))

@@ -9,7 +9,7 @@ import pytest
 
 from coherent_cases import estimate_of, objective_of, small_geometry, small_term, with_data
 from roomfit.inversion.sequential import cavity_prior
-from roomfit.inversion.systematics import widened_by_neighbours
+from roomfit.inversion.systematics import inflated_by_adjacent_bands
 from roomfit.materials.priors import unknown_material
 from roomfit.objective.coherent import with_coherence
 from roomfit.objective.parameters import (
@@ -175,21 +175,21 @@ def test_absorption_that_jumps_between_bands_has_wider_intervals() -> None:
         estimate_of([0.3, 0.2], 0.02),
         estimate_of([0.3, 0.95], 0.02),
     ]
-    wide = widened_by_neighbours(bands, areas)
+    wide = inflated_by_adjacent_bands(bands, areas)
     middle = wide[1]
     assert middle is not None
     np.testing.assert_allclose((middle.lower95[0], middle.upper95[0]), (0.28, 0.32), atol=1e-9)
     # 0.144 of 0.75 above less 0.078 of 0.1 below, times 1.96: about a fifth on either side
     assert middle.upper95[1] - middle.lower95[1] > 0.3
     np.testing.assert_array_equal(middle.identifiable, [True, False])
-    assert widened_by_neighbours([bands[0], None, None], areas)[0] is bands[0]
+    assert inflated_by_adjacent_bands([bands[0], None, None], areas)[0] is bands[0]
 
 
 def test_a_material_that_is_held_stays_held() -> None:
     """No interval grows about a given absorption."""
     held = replace(estimate_of([0.3, 0.1], 0.02), lower95=np.array([0.3, 0.1]))
     held = replace(held, upper95=held.lower95)
-    wide = widened_by_neighbours([held, estimate_of([0.6, 0.7], 0.02)], np.ones(2))[0]
+    wide = inflated_by_adjacent_bands([held, estimate_of([0.6, 0.7], 0.02)], np.ones(2))[0]
     assert wide is not None
     np.testing.assert_array_equal(wide.lower95, wide.upper95)
 
@@ -204,7 +204,7 @@ def test_tied_walls_jump_together_and_those_of_a_product_nearly() -> None:
         *(replace(k, product="panel", product_sd=0.3) for k in priors[2:]),
     )
     bands = [estimate_of([0.3] * 4, 0.02), estimate_of([0.8] * 4, 0.02)]
-    apart, alike = (widened_by_neighbours(bands, np.ones(4), k)[0] for k in (priors, tied))
+    apart, alike = (inflated_by_adjacent_bands(bands, np.ones(4), k)[0] for k in (priors, tied))
     assert apart is not None and alike is not None
     np.testing.assert_allclose(alike.lower95, apart.lower95)
     more = alike.logit_covariance - bands[0].logit_covariance

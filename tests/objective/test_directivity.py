@@ -16,7 +16,7 @@ from roomfit.objective.directivity import (
     directed,
     directivity_block,
 )
-from roomfit.objective.early import kept_paths
+from roomfit.objective.early import fixed_paths
 from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.parameters import Parameters, position_of, start_vector, whole_covariance
 from roomfit.objective.problem import Objective
@@ -138,12 +138,12 @@ def test_paths_that_stay_are_weighed_as_the_source_sends() -> None:
     factors = directivity_factors(paths, [Pattern(SMALL_B, None)], scene.pairs[:, 0].tolist(), 0)
     weighted = replace(paths, weight_per_m2=paths.weight_per_m2 * factors)
     absorption = np.full(small_term().energies.rows[0].hits.shape[1], 0.2)
-    found = kept_paths(term.windows, term.directivity, absorption, SMALL_B[None])
-    right = kept_paths(small_term(paths=weighted).energies, None, absorption, np.zeros((0, 3)))
+    found = fixed_paths(term.windows, term.directivity, absorption, SMALL_B[None])
+    right = fixed_paths(small_term(paths=weighted).energies, None, absorption, np.zeros((0, 3)))
     for name in ("energy", "fine_energy", "tracing", "mean_hits"):
         ours, theirs = getattr(found, name), getattr(right, name)
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-6 * np.abs(theirs).max())
-    omnidirectional = kept_paths(small_term().energies, None, absorption, np.zeros((0, 3)))
+    omnidirectional = fixed_paths(small_term().energies, None, absorption, np.zeros((0, 3)))
     assert np.abs(found.fine_energy / omnidirectional.fine_energy - 1.0).max() > 0.1
 
 

@@ -31,7 +31,7 @@ from roomfit.objective.room_parameters import (
     value_terms,
     without_responses,
 )
-from roomfit.objective.windows import band_spreading, before_spreading, spread_energy
+from roomfit.objective.windows import band_spreading, despread, spread_energy
 from roomfit.response.binned import bin_paths
 from roomfit.response.energy import EnergyRows, weigh
 from roomfit.scene import Point, Scene, scene_of, shoebox_room
@@ -146,9 +146,7 @@ def test_smearing_and_its_transpose_agree():
     rng = np.random.default_rng(1)
     spreading = band_spreading(ONE_BAND, 800, 5e-4)
     x, y = rng.random(800), rng.random(800)
-    assert spread_energy(spreading, x) @ y == pytest.approx(
-        x @ before_spreading(spreading, y), rel=1e-12
-    )
+    assert spread_energy(spreading, x) @ y == pytest.approx(x @ despread(spreading, y), rel=1e-12)
     lone = np.zeros(800)
     lone[400] = 1.0
     # 1e-11 of an impulse lies farther than 64 periods away

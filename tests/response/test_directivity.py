@@ -234,7 +234,7 @@ def test_directivities_that_say_too_little_are_refused(tmp_path):
         measured_directivity(MANY, np.zeros((len(MANY), 1)), centres, axes)
     with pytest.raises(InputError, match="do not determine its orientation"):
         loudspeaker_axes([0.0, 0.0, 2.0])
-    with pytest.raises(InputError, match="aims nowhere"):
+    with pytest.raises(InputError, match="zero length"):
         aimed([0.0, 0.0, 0.0], 1.0)
     with pytest.raises(InputError, match="does not exist"):
         read_directivity(tmp_path / "missing.sofa", OCTAVES)

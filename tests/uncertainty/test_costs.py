@@ -15,7 +15,12 @@ from roomfit.objective.parameters import prior_residuals, start_vector
 from roomfit.report.text import costs_text
 from roomfit.results import Result
 from roomfit.solvers.least_squares import score_band
-from roomfit.uncertainty.gaussian import add_covariance, answer_steps, costs_of_terms, sds_without
+from roomfit.uncertainty.gaussian import (
+    add_covariance,
+    answer_steps,
+    costs_of_terms,
+    sd_without_term,
+)
 
 RNG = np.random.default_rng(4)
 JACOBIAN = RNG.standard_normal((40, 3))
@@ -29,7 +34,7 @@ def costs(**changed):
     given = {"parts": PARTS, "shared": SHARED, "neighbours": NEIGHBOURS, "misfit": 1.3}
     given |= changed
     misfit = given.pop("misfit")
-    return sds_without(JACOBIAN, PRIOR, **given, known={"gain": np.array([2])}, misfit=misfit)
+    return sd_without_term(JACOBIAN, PRIOR, **given, known={"gain": np.array([2])}, misfit=misfit)
 
 
 def plain(variance, prior, shared, misfit):
@@ -57,7 +62,7 @@ def test_each_term_left_out_is_the_information_of_the_others():
 
 
 def test_what_is_taken_for_known_is_no_unknown():
-    alone = sds_without(JACOBIAN[:, :2], PRIOR[:2, :2], PARTS, SHARED, NEIGHBOURS, {}, 1.3)[""]
+    alone = sd_without_term(JACOBIAN[:, :2], PRIOR[:2, :2], PARTS, SHARED, NEIGHBOURS, {}, 1.3)[""]
     np.testing.assert_allclose(costs()["gain"], [*alone, 0.0], rtol=1e-9)
 
 
@@ -72,7 +77,7 @@ def test_no_part_of_a_variance_costs_less_than_nothing():
 def test_without_a_prior_nothing_is_known_where_the_data_say_nothing():
     nothing = np.array(JACOBIAN)
     nothing[:, 0] = 0.0
-    found = sds_without(nothing, PRIOR + np.eye(3), PARTS, {}, NEIGHBOURS, {})
+    found = sd_without_term(nothing, PRIOR + np.eye(3), PARTS, {}, NEIGHBOURS, {})
     assert np.all(np.isinf(found["prior"]))
     assert np.all(np.isfinite(found[""]))
 

@@ -67,7 +67,7 @@ def tail_of_squares(m: float, left: float) -> float:
 
 
 @kernel(allocates=False)
-def lowered(
+def lower_bound(
     m: float, c: float, level: float, remainder: float, tail: float
 ) -> tuple[float, float, float]:
     """Return the least misfit for L in [level, level + remainder], convex in `level`, and slopes.

@@ -19,7 +19,7 @@ from roomfit.certified.bounds import (
     energies,
     in_log,
     log_slopes,
-    lowered,
+    lower_bound,
     misfit,
     powers,
     stiffness,
@@ -62,7 +62,7 @@ def bound_at(
         here = level[i]
         for a in range(n):
             here += slope[i, a] * d[a]
-        value, first, second = lowered(measured[i], precision[i], here, remainder[i], tail[i])
+        value, first, second = lower_bound(measured[i], precision[i], here, remainder[i], tail[i])
         total += value
         if first == 0.0:
             continue
@@ -78,7 +78,7 @@ def bound_at(
 
 
 @kernel()
-def least_over(
+def minimum_over(
     global_problem: Arrays,
     planes: Planes,
     separable: Separable,
@@ -654,7 +654,7 @@ _SLICES = (0.5, 0.25, 0.125)
 
 
 @kernel()
-def shave(
+def contract(
     global_problem: Arrays,
     planes: Planes,
     separable: Separable,
@@ -694,7 +694,7 @@ def shave(
                     low[m] = edge
                 for a in range(n):
                     d[a] = low_ends[a]
-                bound = least_over(
+                bound = minimum_over(
                     global_problem, planes, separable, low, high, threshold, d, False
                 )
                 low[m], high[m] = old_low, old_high

@@ -14,12 +14,12 @@ import numpy as np
 
 from roomfit.certified.bounds import kappa_nodes, planes_over, relative_rounding
 from roomfit.certified.convex import (
+    contract,
     descend,
     is_convex,
     least_of_convex,
-    least_over,
+    minimum_over,
     priors_over,
-    shave,
     total_misfit,
 )
 from roomfit.certified.question import Arrays, GlobalProblem, arrays
@@ -139,7 +139,7 @@ def _bounded(
         return corners, 1.0, planes[4]
     separable = priors_over(data[5], box[0], box[1], centre, half)
     d: FloatArray = np.zeros(len(half))
-    bound = apart + least_over(data, planes, separable, -half, half, threshold - apart, d, True)
+    bound = apart + minimum_over(data, planes, separable, -half, half, threshold - apart, d, True)
     if bound >= threshold:
         return bound, 1.0, planes[4]
     # the misfit at the bound's lowest point, and where a descent from there within the box ends
@@ -151,7 +151,7 @@ def _bounded(
     threshold = incumbent.value + delta
     if bound >= threshold:
         return bound, 1.0, planes[4]
-    kept = shave(data, planes, separable, box, centre, half, threshold - apart, d)
+    kept = contract(data, planes, separable, box, centre, half, threshold - apart, d)
     return bound, kept, planes[4]
 
 

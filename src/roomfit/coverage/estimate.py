@@ -31,10 +31,10 @@ from roomfit.cache import (
 )
 from roomfit.core import (
     BoolArray,
-    CannotTell,
     Code,
     FloatArray,
     InputError,
+    InsufficientDataError,
     Progress,
     Result,
     RoomfitError,
@@ -384,7 +384,7 @@ def estimate_coverage(
     InputError
         Something in the campaign or its files is not as needed, or the folder holds replicates of
         another campaign or other settings.
-    CannotTell
+    InsufficientDataError
         No replicate could be answered.
     StoreError
         The disk refuses.
@@ -499,7 +499,7 @@ def collected(plan: CoveragePlan, out: Path, settings: CoverageSettings) -> Cove
 
     Raises
     ------
-    CannotTell
+    InsufficientDataError
         None of them was answered.
     """
     there = [read_replicate(out, n, plan.digest) for n in range(settings.replicates)]
@@ -507,7 +507,7 @@ def collected(plan: CoveragePlan, out: Path, settings: CoverageSettings) -> Cove
     answered = [r for r in done if r.found is not None]
     refused = tuple(r.refused for r in done if r.refused is not None)
     if not answered:
-        raise CannotTell(
+        raise InsufficientDataError(
             "no replicate could be identified",
             where=str(plan.campaign.path),
             found=f"{len(refused)} refused; the first: {refused[0].splitlines()[0]}"

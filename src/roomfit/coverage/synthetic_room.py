@@ -17,10 +17,10 @@ from roomfit.cache import code_digest, digest
 from roomfit.core import (
     AbsorptionPosterior,
     Bands,
-    CannotTell,
     Directivity,
     FloatArray,
     InputError,
+    InsufficientDataError,
     IntArray,
     MaterialPrior,
     MeasuredValues,
@@ -259,7 +259,7 @@ def draw_synthetic_room(plan: CoveragePlan, rng: np.random.Generator) -> Synthet
 
     Raises
     ------
-    CannotTell
+    InsufficientDataError
         Positions are so uncertain that hardly any draw stands within the room.
     """
     absorption = _absorption(plan, rng)
@@ -351,7 +351,7 @@ def _positions(
         )
         if not position_findings(plan.room, sources, receivers):
             return sources, receivers
-    raise CannotTell(
+    raise InsufficientDataError(
         "positions so uncertain that hardly any draw stands within the room",
         where=str(plan.campaign.path),
         found=f"{_MOST_DRAWS} draws, each with a point in a wall or outside",

@@ -23,7 +23,7 @@ LAWS = {
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
-    """Yield a finding where sound goes on after stretches without any, as behind a noise gate.
+    """Yield a finding where responses resume after intervals of digital silence, as by a gate.
 
     A gate, and a noise reduction, leave equal samples wherever the sound falls below a threshold,
     and let it rise out of them again. A file that is padded with zeros has them once; where the
@@ -38,9 +38,9 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     yield Finding(
         Code.NOISE_GATED,
         About(files=[m.where for m in gated], pairs=[pair_of(m) for m in gated]),
-        f"Sound goes on after stretches without any in {names}: a noise gate or a noise "
-        "reduction was left in. It shortens the late decay and hides the noise; no material "
-        "is called identifiable. Export the files without.",
+        f"The response resumes after intervals of digital silence in {names}: a noise gate or "
+        "a noise reduction was left in. It shortens the late decay and hides the noise; no "
+        "material is called identifiable. Export the files without.",
         {"gaps": gaps},
     )
 

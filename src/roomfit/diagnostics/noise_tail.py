@@ -26,8 +26,7 @@ _EDGE_S, _BEFORE_S, _BLOCK_S, _MOST_BEFORE, _FEWEST_BEFORE = 0.5e-3, 3e-3, 1e-3,
 # Levels of noise scatter about the line as chi-square; of music-like or impulsive noise so many
 # times as much at most. Of files without noise it is 80 times and more.
 _STRAIGHT_CHANCE, _LARGEST_DISPERSION = 1e-3, 3.0
-# Noise that falls by 6 dB an octave from 500 Hz on has three degrees of freedom in a millisecond;
-# the last modes of a room, in a file without noise, have one.
+# Noise of 6 dB an octave has three degrees of freedom in a millisecond, the last modes have one.
 _FEWEST_FREE = 2.0
 # Averaged over so many bins, a spectrum gives the bandwidth of noise without its own scatter.
 _SMOOTHED_BINS = 17

@@ -90,7 +90,7 @@ class IsolatedReflection(NamedTuple):
     predicted: float  # (1 - alpha) (1 - s) of the absorption that was fitted
 
 
-class WallReturn(NamedTuple):
+class WallReflectance(NamedTuple):
     """What all isolated reflections of one wall say in one band, beside the fit."""
 
     wall: str
@@ -236,7 +236,7 @@ def _wall(room: Room, towards: FloatArray, material: int) -> str:
 
 def wall_returns(
     reflections: Sequence[IsolatedReflection], measured: Measurements, scattering: FloatArray
-) -> tuple[WallReturn, ...]:
+) -> tuple[WallReflectance, ...]:
     """Return the absorption of each wall and band by its isolated reflections, two or more.
 
     Their mean, weighed by variance, the variance raised where they scatter by more than it says. To
@@ -267,13 +267,13 @@ def wall_returns(
         kept = 1.0 - float(scattering[measured.scene.room.materials.index(material), band])
         sd = float(np.hypot(np.sqrt(variance) / kept, _ANGLE_SD))
         out.append(
-            WallReturn(wall, material, band, len(own), 1.0 - mean / kept, sd, sources <= known)
+            WallReflectance(wall, material, band, len(own), 1.0 - mean / kept, sd, sources <= known)
         )
     return tuple(out)
 
 
 def reflection_findings(
-    returns: Sequence[WallReturn],
+    returns: Sequence[WallReflectance],
     bands: Bands,
     materials: Sequence[str],
     fitted: tuple[FloatArray, FloatArray, FloatArray],
@@ -293,7 +293,7 @@ def reflection_findings(
     fitted : three float arrays, shape (n_materials, n_bands)
         Absorption and its 95 % interval.
     """
-    by_wall: dict[tuple[str, str, bool], list[WallReturn]] = {}
+    by_wall: dict[tuple[str, str, bool], list[WallReflectance]] = {}
     for r in returns:
         _, lower, upper = (float(x[materials.index(r.material), r.band]) for x in fitted)
         if r.absorption - Z95 * r.sd > upper or r.absorption + Z95 * r.sd < lower:
@@ -303,7 +303,7 @@ def reflection_findings(
 
 
 def _finding(
-    own: Sequence[WallReturn],
+    own: Sequence[WallReflectance],
     bands: Bands,
     fitted: tuple[FloatArray, FloatArray, FloatArray],
     names: Sequence[str],

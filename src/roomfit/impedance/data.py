@@ -88,7 +88,7 @@ class Observed:
             )
         if not np.abs(p).max(initial=0.0) <= _LOUDEST:
             raise InputError(
-                "pressures that no sound has",
+                "sound pressure exceeds the largest plausible value",
                 found=f"{np.abs(p).max():.3g}",
                 needed=f"at most {_LOUDEST:g} in whatever unit, so that squares stay finite",
             )

@@ -48,8 +48,8 @@ from roomfit.inversion.sequential import (
     CoherentBandFit,
     CoherentOptions,
     agree,
-    explained_more,
     forward_pass,
+    increases_likelihood,
     leave_one_out_pass,
     log_likelihoods,
 )
@@ -106,7 +106,7 @@ _REACH_PERIODS = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoherentTask:
-    """What stays the same while paths are traced anew.
+    """Quantities independent of the traced paths.
 
     `values` has the room parameters of each band that are fitted with its windows.
     `directivity_parameters` are the sources whose directivity is fitted, `tested_sources` those
@@ -170,10 +170,10 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
         return state
     coloured = False
     if task.directivity_parameters is None:
-        even = _even(state, measured, absorption_so_far(state), SCHROEDER_FACTOR)
+        even = _even(state, measured, current_absorption(state), SCHROEDER_FACTOR)
         coloured = any(new is not old for new, old in zip(even, measured, strict=True))
         if coloured:
-            state = let_go(replace(state, task=replace(task, measured=even)))
+            state = release(replace(state, task=replace(task, measured=even)))
             state = rebuild(state)
     moves = retrace is not None and settings.positions == "fit"
     if not (moves or coloured) or settings.quick:
@@ -184,7 +184,7 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
         for band, f in zip(state.bands, task.bands.centres_hz, strict=True)
     ]
     fits = forward_pass(low, settings, None)
-    guess = absorption_so_far(state, fits)
+    guess = current_absorption(state, fits)
     known = [f.found for f in fits if f is not None and f.found is not None]
     if retrace is not None and moves and known and state.geometry is not None:
         place, origin = moved_scene(task.scene, state.geometry, known[-1].mean)
@@ -193,7 +193,7 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
         state = replace(
             state, paths=paths, weights=weights, binned=binned, origin=origin, images=None
         )
-    state = replace(let_go(state), first=_vectors(fits))
+    state = replace(release(state), first=_vectors(fits))
     del low, fits
     if coloured:
         even = _even(state, measured, guess, 0.0)
@@ -201,7 +201,7 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
     return rebuild(state)
 
 
-def let_go(state: SequentialState) -> SequentialState:
+def release(state: SequentialState) -> SequentialState:
     """Return a state without its bands, whose answers are kept: if no other name holds them."""
     return replace(state, bands=(), starts=_answers(state))
 
@@ -359,7 +359,7 @@ def _under_cavity_priors(
     return out
 
 
-def absorption_so_far(
+def current_absorption(
     state: SequentialState, fits: Sequence[CoherentBandFit | None] = ()
 ) -> FloatArray:
     """Return absorption by pressures where fitted, else by energies, else the start.
@@ -420,7 +420,7 @@ def _freed(
     """Return by how much the data are likelier, over all bands, and by how many more unknowns."""
     freer = rebuild(replace(state, task=replace(state.task, settings=settings)))
     freed = forward_pass(freer.bands, settings, None, _vectors(fits))
-    gain = explained_more(fits, freed)
+    gain = increases_likelihood(fits, freed)
     before, after = (
         0 if g is None else int(np.count_nonzero(g.fitted & (g.sd > 0.0)))
         for g in (state.geometry, freer.geometry)
@@ -485,14 +485,14 @@ def fit_coherent(
         state = replace(state, task=replace(state.task, outliers=outliers))
         # what is known of a directivity by other bands depends on the outliers
         is_directed = state.task.directivity_parameters is not None
-        state = let_go(state) if is_directed else state
+        state = release(state) if is_directed else state
         state = rebuild(state) if is_directed else with_outliers(state)
         fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0), first)
     position_sd_scale = estimate_position_sd_scale(state.task.scene, state.bands, fits)
     if position_sd_scale > 1.0:
         place, origin = inflate_position_sds(state.task.scene, state.origin, position_sd_scale)
         moved, first, fits = replace(state.task, scene=place), _vectors(fits), []
-        state = let_go(replace(state, task=moved, origin=origin))
+        state = release(replace(state, task=moved, origin=origin))
         state = rebuild(state)
         fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0), first)
     delays, positions = freed_parameters(state, fits)
@@ -502,7 +502,7 @@ def fit_coherent(
         trim_memory()
         other = forward_pass(state.bands, settings, None, _vectors(fits), final)
         other, found = leave_one_out_pass(state.bands, other, settings)
-        is_settled = explained_more(fits, other) < UNDECIDED
+        is_settled = increases_likelihood(fits, other) < UNDECIDED
         if not is_settled:
             fits, final = other, found
         del other
@@ -632,7 +632,7 @@ def _with_sources_examined(state: SequentialState, traced: TracedPaths) -> Seque
 
 
 def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
-    """Give what pressures say of each band, with the errors that windows share.
+    """Return the coherent estimates, common-mode errors included in the covariance.
 
     Without fit and problem where energies explain the band better: its intervals are of no use.
     """

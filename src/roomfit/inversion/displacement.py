@@ -33,7 +33,7 @@ from roomfit.objective.directivity import (
     row_bases,
     with_directivities,
 )
-from roomfit.objective.early import DisplacedTerm, KeptPaths, displaced_term, kept_paths
+from roomfit.objective.early import DisplacedTerm, FixedPaths, displaced_term, fixed_paths
 from roomfit.objective.energy import chosen_rows
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M, energy_terms, fitted_in_band
 from roomfit.objective.parameters import (
@@ -108,7 +108,7 @@ class Offset:
         return f"{self.group or 'length'} {AXES[self.axis]}"
 
 
-class Worth(Protocol):
+class LogL(Protocol):
     """Log-likelihood of a vector of offsets; minus infinity where a point leaves the room.
 
     Roughly also where high bands rule it out, so that the others need not be asked.
@@ -183,11 +183,11 @@ def _lengthened(room: Room, by_m: FloatArray) -> Room:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OutlineBand:
-    """One band of an outline: what stays, and where its fit starts."""
+class DisplacementBand:
+    """One band of an model: what stays, and where its fit starts."""
 
     band: int
-    kept: KeptPaths
+    kept: FixedPaths
     parameters: Parameters
     start: FloatArray  # (n_free,)
     attenuation_per_m: float
@@ -195,7 +195,7 @@ class OutlineBand:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outline:
+class DisplacementModel:
     """A fitted room whose early image sources can be displaced."""
 
     measured: Measurements
@@ -205,7 +205,7 @@ class Outline:
     until_s: float
     order: int
     kernel: SpreadingKernel
-    bands: tuple[OutlineBand, ...]  # the highest first
+    bands: tuple[DisplacementBand, ...]  # the highest first
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,7 +217,7 @@ class Located:
     beyond: Displacement | None  # what is displaced farther than specified
 
 
-def outline_of(
+def displacement_model(
     measured: Measurements,
     priors: tuple[MaterialPrior, ...],
     traced: TracedPaths,
@@ -225,7 +225,7 @@ def outline_of(
     directivities: tuple[DirectivityParameters | None, Sequence[FittedDirectivity]],
     offsets: tuple[Offset, ...],
     moved_m: FloatArray,
-) -> Outline | None:
+) -> DisplacementModel | None:
     """Return what is needed to displace a fitted room; None where there is too little to go by.
 
     Too little are fewer than four responses, no band from 500 Hz, or a room of more than 60
@@ -249,13 +249,13 @@ def outline_of(
         return None
     c = speed_of_sound_m_s(scene.air)
     reach_m = float(distances_m(scene).max()) + _MEAN_FREE_PATHS * mean_free_path_m(scene.room.mesh)
-    until_s, order = reach_m / c, min(_ORDER, traced.settings.image_order)
+    order = min(_ORDER, traced.settings.image_order)
+    until_s = min(reach_m / c, traced.settings.duration_s)
     if traced.settings.image_until_s is not None:
         until_s = min(until_s, traced.settings.image_until_s)
-    until_s = min(until_s, traced.settings.duration_s)
     moves = (paths.batch < 0) & (paths.length_m <= c * until_s)
     moves[moves] = hits(paths)[moves].sum(axis=1) <= order
-    attenuation = attenuation_per_m(scene.air, bands)
+    air = attenuation_per_m(scene.air, bands)
     unknown, found = directivities
     start = np.array([float(np.mean(a.absorption)) for a in answers])
     responses = _with_gains_of_their_own(measured.responses)
@@ -291,12 +291,12 @@ def outline_of(
             free = b.ravel() - directivity.unknown.mean
             vector[-b.size :] = np.linalg.solve(directivity.unknown.root, free)
         values, _ = physical_values(parameters, vector)
-        kept = kept_paths(term, directivity, values["absorption"], b)
-        out.append(OutlineBand(band, kept, parameters, vector, float(attenuation[band]), files))
+        kept = fixed_paths(term, directivity, values["absorption"], b)
+        out.append(DisplacementBand(band, kept, parameters, vector, float(air[band]), files))
     if not out:
         return None
-    kernel = spreading_kernel(bands)
-    return Outline(measured, traced, offsets, moved_m, until_s, order, kernel, tuple(out[::-1]))
+    kernel, out = spreading_kernel(bands), out[::-1]
+    return DisplacementModel(measured, traced, offsets, moved_m, until_s, order, kernel, tuple(out))
 
 
 def _with_gains_of_their_own(responses: Sequence[MeasuredPair]) -> tuple[MeasuredPair, ...]:
@@ -321,17 +321,17 @@ def _starting_at(parameters: Parameters, absorption: FloatArray) -> Parameters:
     return Parameters(tuple(own if b.name == "absorption" else b for b in parameters.blocks))
 
 
-def displaced_terms(outline: Outline, shift_m: FloatArray) -> Iterator[DisplacedTerm]:
+def displaced_terms(model: DisplacementModel, shift_m: FloatArray) -> Iterator[DisplacedTerm]:
     """Return the windows of every band with the offsets moved on by so much, made one by one."""
-    before, traced = outline.measured.scene, outline.traced
-    scene = displaced(before, outline.offsets, shift_m)
+    before, traced = model.measured.scene, model.traced
+    scene = displaced(before, model.offsets, shift_m)
     c = speed_of_sound_m_s(scene.air)
     thinned = Scattering(traced.paths.materials, traced.paths.sampling_scattering)
-    images = trace_images(scene, outline.order, outline.until_s, thinned)
-    bands, directivities = outline.measured.bands, outline.measured.directivities
+    images = trace_images(scene, model.order, model.until_s, thinned)
+    bands, directivities = model.measured.bands, model.measured.directivities
     factors, _ = band_factors(directivities, scene, bands, images, traced.scattering)
     farther_m = distances_m(scene) - distances_m(before)
-    for own in outline.bands:
+    for own in model.bands:
         weight = images.weight_per_m2 * np.exp(-own.attenuation_per_m * images.length_m)
         if factors is not None:
             weight *= factors[own.band]
@@ -340,28 +340,28 @@ def displaced_terms(outline: Outline, shift_m: FloatArray) -> Iterator[Displaced
             [0.0 if m.measurement.time_zero == "emission" else farther_m[m.pair] for m in own.files]
         )
         times_s = (images.length_m - late_m[:, None]) / c
-        kernel = outline.kernel, own.band
+        kernel = model.kernel, own.band
         yield displaced_term(own.kept, images, times_s, weight, kernel)
 
 
-def worth_of(outline: Outline) -> Worth:
+def logl_of(model: DisplacementModel) -> LogL:
     """Return the log-likelihood of offsets with absorption, gains and directivity near the best.
 
     Windows follow a normal law whose scale is fitted in each band, so that a model that misses some
     of them alike at every place neither gains nor loses; neighbours count as for absorption.
     """
-    vectors, least = [own.start for own in outline.bands], [-np.inf] * len(outline.bands)
+    vectors, least = [own.start for own in model.bands], [-np.inf] * len(model.bands)
     known: dict[bytes, float] = {}
 
     def at(shift_m: FloatArray, roughly: bool, max_rounds: int) -> float:
         key = np.round(shift_m, 4).tobytes()
         if key in known and (roughly or known[key] > -np.inf):
             return known[key]
-        if not _is_possible(displaced(outline.measured.scene, outline.offsets, shift_m)):
+        if not _is_possible(displaced(model.measured.scene, model.offsets, shift_m)):
             return -np.inf
         total = 0.0
-        for i, term in enumerate(displaced_terms(outline, shift_m)):
-            objective = Objective(outline.bands[i].parameters, (term,))
+        for i, term in enumerate(displaced_terms(model, shift_m)):
+            objective = Objective(model.bands[i].parameters, (term,))
             fit = score_band(objective, vectors[i], max_rounds=max_rounds)
             prior, _ = prior_residuals(objective.parameters, fit.vector)
             total += _log_likelihood(objective, fit) - 0.5 * float(prior @ prior)
@@ -373,7 +373,7 @@ def worth_of(outline: Outline) -> Worth:
         known[key] = total
         return total
 
-    at(np.zeros(len(outline.offsets)), False, 12)
+    at(np.zeros(len(model.offsets)), False, 12)
     return lambda shift_m, roughly=False: at(shift_m, roughly, 2)
 
 
@@ -394,21 +394,19 @@ def _log_likelihood(objective: Objective, fit: BandFit) -> float:
     return -0.5 * n * spread
 
 
-def located(outline: Outline) -> Located:
+def located(model: DisplacementModel) -> Located:
     """Return the most likely offsets, and what is farther off than specified."""
-    offsets, n = outline.offsets, len(outline.offsets)
+    offsets, n = model.offsets, len(model.offsets)
     stated = np.array([o.is_stated for o in offsets])
     sd_m = np.array([o.sd_m if o.is_stated else _tolerance_m(o) for o in offsets])
-    worth = worth_of(outline)
+    logl = logl_of(model)
 
     def posterior(shift_m: FloatArray, roughly: bool = False) -> float:
-        return worth(shift_m, roughly) - 0.5 * float(
-            np.sum(((outline.moved_m + shift_m) / sd_m) ** 2)
-        )
+        return logl(shift_m, roughly) - 0.5 * float(np.sum(((model.moved_m + shift_m) / sd_m) ** 2))
 
     shift_m = _swept(posterior, np.zeros(n), sd_m)
     for _ in range(n if stated.any() else 0):
-        at = _stated_step(outline, posterior, shift_m)
+        at = _stated_step(model, posterior, shift_m)
         if at is None:
             break
         shift_m = _swept(posterior, at, sd_m)
@@ -417,41 +415,41 @@ def located(outline: Outline) -> Located:
         for k in (*own.tolist(), *own.tolist()):
             shift_m = _highest(posterior, shift_m, k, max(float(sd_m[k]), _LEAST_REACH_M))
         found_sd_m[own] = np.sqrt(np.diag(_covariance(posterior, shift_m, own.tolist(), sd_m[own])))
-    beyond = _implausible(outline, worth, shift_m)
-    far_m = None if beyond is not None else _farthest(outline, worth, shift_m)
+    beyond = _implausible(model, logl, shift_m)
+    far_m = None if beyond is not None else _farthest(model, logl, shift_m)
     if far_m is not None:
-        beyond = _named(outline, worth, shift_m, far_m)
-    return Located(outline.moved_m + shift_m, found_sd_m, beyond)
+        beyond = _named(model, logl, shift_m, far_m)
+    return Located(model.moved_m + shift_m, found_sd_m, beyond)
 
 
-def with_offsets(fits: BandFits, outline: Outline, found: Located) -> BandFits:
+def with_offsets(fits: BandFits, model: DisplacementModel, found: Located) -> BandFits:
     """Return fits with what is displaced, and with the offsets that were fitted in the geometry.
 
     Intervals allow for what is left open of these offsets.
     """
-    own = np.flatnonzero([o.is_stated for o in outline.offsets])
+    own = np.flatnonzero([o.is_stated for o in model.offsets])
     fits = replace(fits, displacement=found.beyond)
     if not own.size:
         return fits
     none = np.zeros(0)
-    speed = speed_of_sound_m_s(outline.measured.scene.air)
+    speed = speed_of_sound_m_s(model.measured.scene.air)
     before = fits.geometry or FittedGeometry((), none, none, none, speed)
     geometry = replace(
         before,
-        labels=(*before.labels, *(outline.offsets[k].label for k in own)),
-        change=np.concatenate((before.change, outline.moved_m[own])),
+        labels=(*before.labels, *(model.offsets[k].label for k in own)),
+        change=np.concatenate((before.change, model.moved_m[own])),
         sd=np.concatenate((before.sd, found.sd_m[own])),
-        prior_sd=np.concatenate((before.prior_sd, [outline.offsets[k].sd_m for k in own])),
+        prior_sd=np.concatenate((before.prior_sd, [model.offsets[k].sd_m for k in own])),
         n_offsets=own.size,
     )
     answers = list(fits.answers)
-    areas_m2 = material_areas_m2(outline.measured.scene.room)
-    for band, steps in offset_steps(outline, found.sd_m).items():
+    areas_m2 = material_areas_m2(model.measured.scene.room)
+    for band, steps in offset_steps(model, found.sd_m).items():
         answers[band] = widened(answers[band], steps @ steps.T, areas_m2)
     return replace(fits, geometry=geometry, answers=tuple(answers))
 
 
-def offset_steps(outline: Outline, sd_m: FloatArray) -> dict[int, FloatArray]:
+def offset_steps(model: DisplacementModel, sd_m: FloatArray) -> dict[int, FloatArray]:
     """Return how far the logit absorption of a band moves by one sd of each stated offset.
 
     Half the difference of fits of the early windows with the offset one standard deviation to
@@ -466,16 +464,16 @@ def offset_steps(outline: Outline, sd_m: FloatArray) -> dict[int, FloatArray]:
     dict from band to float array, shape (n_materials, n_stated)
         0 for an offset that is not possible to either side.
     """
-    ways = np.diag(sd_m)[[o.is_stated for o in outline.offsets]]
-    n = len(outline.measured.scene.room.materials)
-    found = {own.band: np.zeros((n, len(ways))) for own in outline.bands}
+    ways = np.diag(sd_m)[[o.is_stated for o in model.offsets]]
+    n = len(model.measured.scene.room.materials)
+    found = {own.band: np.zeros((n, len(ways))) for own in model.bands}
     for number, way in enumerate(ways):
-        sides = [displaced(outline.measured.scene, outline.offsets, s * way) for s in (-1.0, 1.0)]
+        sides = [displaced(model.measured.scene, model.offsets, s * way) for s in (-1.0, 1.0)]
         if not all(_is_possible(scene) for scene in sides):
             continue
         for sign in (-1.0, 1.0):
-            terms = displaced_terms(outline, sign * way)
-            for own, term in zip(outline.bands, terms, strict=True):
+            terms = displaced_terms(model, sign * way)
+            for own, term in zip(model.bands, terms, strict=True):
                 fit = score_band(Objective(own.parameters, (term,)), own.start, max_rounds=12)
                 values, _ = physical_values(own.parameters, fit.vector)
                 found[own.band][:, number] += 0.5 * sign * logit(values["absorption"], 1e-9)
@@ -489,49 +487,48 @@ def _tolerance_m(offset: Offset) -> float:
 def _log_prior(offset: Offset, by_m: float) -> float:
     """Return the logarithm of the prior of an offset over that of none.
 
-    Student's t with four degrees of freedom, scaled by what is specified: one box in a thousand has
-    a wall 8.6 standard deviations off, and a likelihood that knows one model only, and looks at a
-    hundred places, gains 20 somewhere.
+    Student's t with four degrees of freedom, scaled by what is specified: a likelihood of one model
+    that is maximised over a hundred places gains 20 somewhere.
     """
     return -2.5 * float(np.log1p(0.25 * (by_m / _tolerance_m(offset)) ** 2))
 
 
-def _swept(worth: Worth, shift_m: FloatArray, sd_m: FloatArray) -> FloatArray:
-    """Return each offset at its best, that of the largest gain first.
+def _swept(logl: LogL, shift_m: FloatArray, sd_m: FloatArray) -> FloatArray:
+    """Maximise the likelihood over one offset at a time, in order of decreasing gain.
 
     On a grid within its standard deviations, then along a parabola.
     """
     ways = np.eye(shift_m.size)
     grids = [[t * min(s, _REACH_M) for t in _WITHIN_SD] for s in sd_m]
-    gains = [max(worth(shift_m + d * w, True) for d in g) for w, g in zip(ways, grids, strict=True)]
-    at, best = np.array(shift_m), worth(shift_m)
+    gains = [max(logl(shift_m + d * w, True) for d in g) for w, g in zip(ways, grids, strict=True)]
+    at, best = np.array(shift_m), logl(shift_m)
     for k in [i for i in np.argsort(gains)[::-1] if gains[i] > best]:
         for trial in [at + d * ways[k] for d in grids[k]]:
-            if (found := worth(trial, True)) > best:
+            if (found := logl(trial, True)) > best:
                 at, best = trial, found
-        trial = at + _parabola(worth, at, ways[k], best) * ways[k]
-        at, best = (trial, value) if (value := worth(trial)) > best else (at, best)
+        trial = at + _parabola(logl, at, ways[k], best) * ways[k]
+        at, best = (trial, value) if (value := logl(trial)) > best else (at, best)
     return at
 
 
-def _highest(worth: Worth, shift_m: FloatArray, entry: int, reach_m: float) -> FloatArray:
+def _highest(logl: LogL, shift_m: FloatArray, entry: int, reach_m: float) -> FloatArray:
     """Return offsets with one of them at its best within a reach; the top is sharp."""
     from scipy.optimize import minimize_scalar  # heavy, and rarely needed
 
     way = np.eye(shift_m.size)[entry]
     found = minimize_scalar(
-        lambda d: -worth(shift_m + d * way),
+        lambda d: -logl(shift_m + d * way),
         bounds=(-reach_m, reach_m),
         method="bounded",
         options={"xatol": _NEAR_M, "maxiter": 20},
     )
     at = shift_m + float(found.x) * way
-    return at if worth(at) > worth(shift_m) else shift_m
+    return at if logl(at) > logl(shift_m) else shift_m
 
 
-def _parabola(worth: Worth, at: FloatArray, way: FloatArray, here: float) -> float:
+def _parabola(logl: LogL, at: FloatArray, way: FloatArray, here: float) -> float:
     """Return how far the top of the parabola through three values lies along a way, in m."""
-    ahead, behind = worth(at + _STEP_M * way), worth(at - _STEP_M * way)
+    ahead, behind = logl(at + _STEP_M * way), logl(at - _STEP_M * way)
     if not np.isfinite(ahead + behind):
         return 0.0
     curvature = 2.0 * here - ahead - behind
@@ -541,11 +538,13 @@ def _parabola(worth: Worth, at: FloatArray, way: FloatArray, here: float) -> flo
     return float(_STEP_M * slope / curvature)
 
 
-def _stated_step(outline: Outline, posterior: Worth, shift_m: FloatArray) -> FloatArray | None:
+def _stated_step(
+    model: DisplacementModel, posterior: LogL, shift_m: FloatArray
+) -> FloatArray | None:
     """Return offsets with one that is stated a step of the grid away, where that is likelier."""
     here = posterior(shift_m)
     trials: list[FloatArray] = []
-    for k, offset in enumerate(outline.offsets):
+    for k, offset in enumerate(model.offsets):
         if offset.is_stated:
             for d in (*-_GRID_M, *_GRID_M):
                 if abs(d) < 2.0 * LARGEST_SHIFT_SD * offset.sd_m:
@@ -556,33 +555,33 @@ def _stated_step(outline: Outline, posterior: Worth, shift_m: FloatArray) -> Flo
     return trials[int(np.argmax(values))]
 
 
-def _farthest(outline: Outline, worth: Worth, shift_m: FloatArray) -> FloatArray | None:
+def _farthest(model: DisplacementModel, logl: LogL, shift_m: FloatArray) -> FloatArray | None:
     """Return where one offset is beyond what is specified and gains most, None where none gains.
 
     Over its axis as specified; less likely than what is within the specified, it is nowhere. What
     was to stay within the specified may have gone beyond it step by step: then that is far.
     """
-    limits_m = np.array([LARGEST_SHIFT_SD * _tolerance_m(o) for o in outline.offsets])
-    inside, best, at = worth(shift_m), LEAST_GAIN, None
-    for k, offset in enumerate(outline.offsets):
+    limits_m = np.array([LARGEST_SHIFT_SD * _tolerance_m(o) for o in model.offsets])
+    inside, best, at = logl(shift_m), LEAST_GAIN, None
+    for k, offset in enumerate(model.offsets):
         way = np.eye(shift_m.size)[k]
-        same = [o.axis == offset.axis for o in outline.offsets]
-        start_m = np.where(same, -outline.moved_m, shift_m)
-        here = worth(start_m)
+        same = [o.axis == offset.axis for o in model.offsets]
+        start_m = np.where(same, -model.moved_m, shift_m)
+        here = logl(start_m)
         for d in (*-_GRID_M, *_GRID_M):
             if abs(d) <= limits_m[k]:
                 continue
-            found = worth(start_m + d * way, True)
+            found = logl(start_m + d * way, True)
             gain = found - here + _log_prior(offset, d)
             if found > inside and gain > best:
                 best, at = gain, start_m + d * way
-    went = np.abs(outline.moved_m + shift_m) > limits_m
-    is_free = np.array([not o.is_stated for o in outline.offsets])
+    went = np.abs(model.moved_m + shift_m) > limits_m
+    is_free = np.array([not o.is_stated for o in model.offsets])
     return shift_m if at is None and np.any(went & is_free) else at
 
 
 def _named(
-    outline: Outline, worth: Worth, inside_m: FloatArray, far_m: FloatArray
+    model: DisplacementModel, logl: LogL, inside_m: FloatArray, far_m: FloatArray
 ) -> Displacement | None:
     """Return the significant displacement after refinement, or None.
 
@@ -590,31 +589,31 @@ def _named(
     differ by which of two opposite walls is nearer or farther: the likeliest of them is named, its
     axis otherwise as specified.
     """
-    offsets, unit = outline.offsets, np.eye(inside_m.size)
-    axis = offsets[int(np.argmax(np.abs(far_m + outline.moved_m)))].axis
+    offsets, unit = model.offsets, np.eye(inside_m.size)
+    axis = offsets[int(np.argmax(np.abs(far_m + model.moved_m)))].axis
     along = [k for k, o in enumerate(offsets) if o.axis == axis]
-    scene = outline.measured.scene
+    scene = model.measured.scene
     every = tuple(frozenset(p.name for p in points) for points in (scene.sources, scene.receivers))
     whole = [k for k in along if (offsets[k].sources, offsets[k].receivers) == every]
     lengths = [k for k in along if not offsets[k].group]
     start_m = np.array(inside_m)
-    start_m[along] = -outline.moved_m[along]
+    start_m[along] = -model.moved_m[along]
     ways = [(k, unit[k]) for k in along]
     if whole and lengths:
         ways.append((-1, unit[whole[0]] + unit[lengths[0]]))
     trials = [
-        (worth(start_m + d * w, True), k, d, w) for k, w in ways for d in (*-_GRID_M, *_GRID_M)
+        (logl(start_m + d * w, True), k, d, w) for k, w in ways for d in (*-_GRID_M, *_GRID_M)
     ]
     value, k, size_m, way = max(trials, key=lambda t: t[0])
     if not np.isfinite(value):  # no single displacement keeps the high bands
         return None
     for _ in range(5):  # the top is narrower than the grid
-        step_m = _parabola(worth, start_m + size_m * way, way, value)
-        finer = worth(start_m + (size_m + step_m) * way)
+        step_m = _parabola(logl, start_m + size_m * way, way, value)
+        finer = logl(start_m + (size_m + step_m) * way)
         if finer <= value:
             break
         value, size_m = finer, size_m + step_m
-    shift_m, gain = start_m + size_m * way, value - worth(start_m)
+    shift_m, gain = start_m + size_m * way, value - logl(start_m)
     entry = lengths[0] if k < 0 else k
     far = abs(size_m) > LARGEST_SHIFT_SD * _tolerance_m(offsets[entry])
     if not far or gain + _log_prior(offsets[entry], size_m) <= LEAST_GAIN:
@@ -622,21 +621,21 @@ def _named(
     farther_m: dict[str, tuple[float, float]] | None = None
     if whole and lengths:
         pair = [whole[0], lengths[0]]
-        covariance = _covariance(worth, shift_m, pair, np.full(2, 10.0))
+        covariance = _covariance(logl, shift_m, pair, np.full(2, 10.0))
         ends = np.array([[1.0, 0.0], [-1.0, 1.0]])
-        ends_m = ends @ (outline.moved_m + shift_m)[pair]
+        ends_m = ends @ (model.moved_m + shift_m)[pair]
         deviations_m = np.sqrt(np.diag(ends @ covariance @ ends.T))
         farther_m = {
             w: (round(float(x), 3), round(float(s), 3))
-            for w, x, s in zip(_walls(outline, axis), ends_m, deviations_m, strict=True)
+            for w, x, s in zip(_walls(model, axis), ends_m, deviations_m, strict=True)
             if s < WORTH_TELLING_M
         }
-    found = float(size_m), _sd_along(worth, shift_m, way)
-    return _displacement(outline, k, axis, found, gain, farther_m)
+    found = float(size_m), _sd_along(logl, shift_m, way)
+    return _displacement(model, k, axis, found, gain, farther_m)
 
 
 def _displacement(
-    outline: Outline,
+    model: DisplacementModel,
     k: int,
     axis: int,
     found: tuple[float, float],
@@ -644,33 +643,33 @@ def _displacement(
     farther_m: Mapping[str, tuple[float, float]] | None,
 ) -> Displacement:
     """Return what stands elsewhere: an offset by its index, or the wall at the origin, -1."""
-    offset, walls = outline.offsets[k], _walls(outline, axis)
+    offset, walls = model.offsets[k], _walls(model, axis)
     if k < 0:
         return Displacement("wall", frozenset(), axis, *found, LENGTH_SD_M, gain, walls, farther_m)
     points, kind = offset.sources | offset.receivers, offset.group or "length"
     return Displacement(kind, points, axis, *found, offset.sd_m, gain, walls, farther_m)
 
 
-def _implausible(outline: Outline, worth: Worth, shift_m: FloatArray) -> Displacement | None:
+def _implausible(model: DisplacementModel, logl: LogL, shift_m: FloatArray) -> Displacement | None:
     """Return the stated offset that had to move farthest beyond what is plausible."""
-    total_m = outline.moved_m + shift_m
+    total_m = model.moved_m + shift_m
     limits_m = [
-        LARGEST_SHIFT_SD * _tolerance_m(o) if o.is_stated else np.inf for o in outline.offsets
+        LARGEST_SHIFT_SD * _tolerance_m(o) if o.is_stated else np.inf for o in model.offsets
     ]
     k = int(np.argmax(np.abs(total_m) / limits_m))
     way = np.eye(total_m.size)[k]
     if abs(total_m[k]) <= limits_m[k]:
         return None
-    gain = worth(shift_m) - worth(shift_m - total_m[k] * way)
+    gain = logl(shift_m) - logl(shift_m - total_m[k] * way)
     if gain <= LEAST_GAIN:
         return None
-    found = float(total_m[k]), _sd_along(worth, shift_m, way)
-    return _displacement(outline, k, outline.offsets[k].axis, found, gain, None)
+    found = float(total_m[k]), _sd_along(logl, shift_m, way)
+    return _displacement(model, k, model.offsets[k].axis, found, gain, None)
 
 
-def _walls(outline: Outline, axis: int) -> tuple[str, ...]:
+def _walls(model: DisplacementModel, axis: int) -> tuple[str, ...]:
     """Return the names of a box's walls at both ends of an axis; none of another room."""
-    room = outline.measured.scene.room
+    room = model.measured.scene.room
     if room.shoebox_m is None:
         return ()
     names = []
@@ -682,26 +681,26 @@ def _walls(outline: Outline, axis: int) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _sd_along(worth: Worth, at: FloatArray, way: FloatArray) -> float:
+def _sd_along(logl: LogL, at: FloatArray, way: FloatArray) -> float:
     """Return the standard deviation along a way in m, at most 10."""
-    here, ahead, behind = worth(at), worth(at + _APART_M * way), worth(at - _APART_M * way)
+    here, ahead, behind = logl(at), logl(at + _APART_M * way), logl(at - _APART_M * way)
     curvature = (2.0 * here - ahead - behind) / _APART_M**2
     return float(1.0 / np.sqrt(max(curvature if np.isfinite(curvature) else 0.0, 1e-2)))
 
 
 def _covariance(
-    worth: Worth, at: FloatArray, entries: Sequence[int], prior_sd_m: FloatArray
+    logl: LogL, at: FloatArray, entries: Sequence[int], prior_sd_m: FloatArray
 ) -> FloatArray:
     """Return the covariance of some offsets, the others fixed, by second differences."""
     h, n = _APART_M, len(entries)
     ways = h * np.eye(at.size)[list(entries)]
-    here = worth(at)
-    ahead, behind = [worth(at + w) for w in ways], [worth(at - w) for w in ways]
+    here = logl(at)
+    ahead, behind = [logl(at + w) for w in ways], [logl(at - w) for w in ways]
     hessian = np.zeros((n, n))
     for i in range(n):
         hessian[i, i] = (2.0 * here - ahead[i] - behind[i]) / h**2
         for j in range(i):
-            cross = worth(at + ways[i] + ways[j]) - ahead[i] - ahead[j] + here
+            cross = logl(at + ways[i] + ways[j]) - ahead[i] - ahead[j] + here
             hessian[i, j] = hessian[j, i] = -cross / h**2
     hessian = np.where(np.isfinite(hessian), hessian, 0.0)
     # rough as it is, a likelihood cannot know less than the prior

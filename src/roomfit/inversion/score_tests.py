@@ -54,7 +54,7 @@ class FittedWindows(NamedTuple):
 
 
 class Score(NamedTuple):
-    """What the data ask of one more unknown, to first order."""
+    """Score-test statistic of one additional parameter."""
 
     value: float
     sd: float

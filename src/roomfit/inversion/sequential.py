@@ -274,7 +274,7 @@ def leave_one_out_pass(
     return again, final
 
 
-def explained_more(
+def increases_likelihood(
     before: Sequence[CoherentBandFit | None], after: Sequence[CoherentBandFit | None]
 ) -> float:
     """Return by how much all bands' data together are likelier after than before."""

@@ -30,9 +30,9 @@ from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions
 from roomfit.inversion.systematics import (
+    inflated_by_adjacent_bands,
     relative_errors,
     shared_errors,
-    widened_by_neighbours,
     with_shared_errors,
 )
 from roomfit.materials.priors import MaterialPrior
@@ -205,7 +205,9 @@ def coherent_answers(
         coherent.append(None if band is None else refine(band, done))
     areas_m2 = material_areas_m2(task.scene.room)
     energy = [None if b is None else refine(b, None) for b in energy_estimates(fit)]
-    chosen = decided(fit, energy, widened_by_neighbours(tuple(coherent), areas_m2, task.priors))
+    chosen = decided(
+        fit, energy, inflated_by_adjacent_bands(tuple(coherent), areas_m2, task.priors)
+    )
     # where no response has data, room parameters or the prior
     alone = [
         without_responses(own, task.priors, band, task.start) if e is None else None

@@ -47,7 +47,7 @@ ABOVE, BELOW = 0.144, 0.078
 _SLOT_S = 0.04
 
 
-def widened_by_neighbours(
+def inflated_by_adjacent_bands(
     answers: Sequence[BandEstimate | None],
     areas_m2: FloatArray,
     priors: tuple[MaterialPrior, ...] = (),
@@ -259,8 +259,8 @@ def air_error(air: Air, bands: Bands, band: int, energies: EnergyTerm) -> FloatA
     """Return the relative error of each window by air that attenuates unevenly within a band.
 
     The model has the attenuation at the band's centre. Its mean over the band differs from that as
-    the walls' absorption does (`widened_by_neighbours`): at 4 kHz by a third, as much as by 15 %
-    of relative humidity. To first order in the attenuation.
+    the walls' absorption does (`inflated_by_adjacent_bands`): at 4 kHz by a third, as much as by
+    15 % of relative humidity. To first order in the attenuation.
 
     Returns
     -------

@@ -179,7 +179,7 @@ class TracedRoom:
         return sd, common
 
     def reduced(self, pair: int, absorption: FloatArray, most: int | None = None) -> ReducedRows:
-        """Return few rows of one pair, for absorptions near and far from one.
+        """Return a reduced set of rows of one pair, for absorptions near and far from one.
 
         Parameters
         ----------

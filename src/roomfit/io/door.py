@@ -1,4 +1,4 @@
-"""The one door through which files come in: regular files, and no more of them than can be meant.
+"""Bounded reading of untrusted files: regular files only, size and counts limited.
 
 A file may come from a stranger. Every reader of this package takes its bytes from `read_bytes` or
 `read_text`, and counts what it unpacks with `check_limit`. The limits lie far above what rooms and

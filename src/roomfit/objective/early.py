@@ -42,7 +42,7 @@ _TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KeptPaths:
+class FixedPaths:
     """The windows of a band and what paths that stay bring to them, linearised at one answer."""
 
     # without rows and their bases: what is linearised needs no path any more
@@ -67,7 +67,7 @@ class DisplacedTerm(DataTerm):
     """The windows of one band, explained by image sources of one geometry and by kept paths."""
 
     is_gamma: ClassVar[bool] = True
-    kept: KeptPaths
+    kept: FixedPaths
     observation: IntArray  # (n_images,), rising
     hits: FloatArray  # (n_images, n_materials)
     weight: FloatArray  # (n_images,), with the loss in air and known directivity
@@ -176,9 +176,9 @@ class DisplacedTerm(DataTerm):
         return np.array(of_observation)[self.kept.observation]
 
 
-def kept_paths(
+def fixed_paths(
     term: EnergyTerm, directivity: BandDirectivities | None, absorption: FloatArray, b: FloatArray
-) -> KeptPaths:
+) -> FixedPaths:
     """Return what stays of a band, linearised at an answer.
 
     Parameters
@@ -213,7 +213,7 @@ def kept_paths(
     noise = np.concatenate([o.noise for o in observations])
     widths_s = np.concatenate([np.diff(o.edges_s) for o in observations])
     beat = noise / (term.bandwidth_hz * widths_s)
-    return KeptPaths(
+    return FixedPaths(
         replace(term, rows=()),
         None if directivity is None else replace(directivity, basis=()),
         np.log(left),
@@ -232,7 +232,7 @@ def kept_paths(
 
 
 def displaced_term(
-    kept: KeptPaths,
+    kept: FixedPaths,
     images: Paths,
     times_s: FloatArray,
     weight: FloatArray,

@@ -9,7 +9,7 @@ import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
-from roomfit.errors import CannotTell
+from roomfit.errors import InsufficientDataError
 from roomfit.materials.priors import MaterialPrior, prior_logit_law
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.energy import (
@@ -226,7 +226,7 @@ def _gain_block(labels: tuple[str, ...], term: EnergyTerm, absorption: Block) ->
         sums[1, observed.gain] += float((observed.spreading @ energy).sum())
     for label, (found, expected) in zip(labels, sums.T, strict=True):
         if not (found > 0.0 and expected > 0.0):
-            raise CannotTell(
+            raise InsufficientDataError(
                 "a measurement and its prediction cannot be brought to one level",
                 where=label,
                 found="no energy above the noise" if expected > 0.0 else "no path in any window",

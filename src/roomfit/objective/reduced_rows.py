@@ -145,7 +145,7 @@ class ReducedRows:
 
 
 def reduced(rows: EnergyRows, absorption: FloatArray, most: int) -> EnergyRows:
-    """Return few rows that reproduce the energies of all of them for several absorptions.
+    """Return a reduced set of rows that reproduces the energies for several absorptions.
 
     The cases are an absorption, each of its walls changed, and all of them. In every stretch of ten
     bins rows are drawn with the largest share that they have of the energy in any case, and are

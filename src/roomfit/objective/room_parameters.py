@@ -20,7 +20,7 @@ from roomfit.objective.problem import DataTerm, Objective, Rows, Values, count_e
 from roomfit.objective.windows import (
     Spreading,
     band_spreading,
-    before_spreading,
+    despread,
     spread_energy,
     spread_squared_energy,
 )
@@ -299,7 +299,7 @@ def _decay(
     parts = weigh_parts(rows, None, absorption, term.attenuation_per_m, derivative=derivative)
     curve, spread = _curve(term, i, parts.energy[None])
     values, gradients = read(curve)
-    before = before_spreading(term.spreading, gradients)
+    before = despread(term.spreading, gradients)
     by_absorption = before @ parts.columns[:, 2 + len(parts.batches) : -3]
     batches = parts.batches @ before.T
     return _Decay(parts.energy, parts.squares, spread, values, gradients, batches, by_absorption)

@@ -66,7 +66,7 @@ def spread_squared_energy(spreading: Spreading, squares: FloatArray) -> FloatArr
     return np.maximum(_through(spreading, spreading.squares, squares), 0.0)
 
 
-def before_spreading(spreading: Spreading, gradients: FloatArray) -> FloatArray:
+def despread(spreading: Spreading, gradients: FloatArray) -> FloatArray:
     """Return derivatives by the energies before the filter from those by the energies after it.
 
     The transpose of `spread_energy`; shapes (..., n_bins).

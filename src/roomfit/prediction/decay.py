@@ -77,7 +77,7 @@ def _latest_values(
     return np.stack([f[1] for f in found], axis=2), np.stack([f[2] for f in found], axis=1)
 
 
-def moved_sti(before: PairNumbers, there: FloatArray, base: FloatArray) -> FloatArray:
+def extrapolated_sti(before: PairNumbers, there: FloatArray, base: FloatArray) -> FloatArray:
     """Return the index before, carried over by the difference, (n,); NaN where it has none.
 
     Parameters
@@ -90,7 +90,7 @@ def moved_sti(before: PairNumbers, there: FloatArray, base: FloatArray) -> Float
 
 
 def moved(values: FloatArray, there: FloatArray, base: FloatArray) -> FloatArray:
-    """Return values carried over from one absorption to others as few rows tell.
+    """Extrapolate values to other absorptions by differences computed from the reduced rows.
 
     Times by their ratio, all else by the difference. Shapes (..., n_names, n_bands).
     """
@@ -181,6 +181,7 @@ def changed_numbers(
         noise_sd[times] *= np.sqrt(ratio[times])
         noise_sd[d50] *= ratio[d50] * (100.0 - values[0, d50]) / (100.0 - before.values[d50])
     if sti is not None:
-        index = moved_sti(before, room_sti(rows.bands, transfer, there[:, -1], speech_db), base[1])
+        now = room_sti(rows.bands, transfer, there[:, -1], speech_db)
+        index = extrapolated_sti(before, now, base[1])
         sti = replace(sti, values=index[:1, None], draws=index[1:, None, None])
     return PairNumbers(values[0], values[1:], noise_sd, before.decay, before.common_noise, sti)

@@ -1,4 +1,4 @@
-"""What would be measured in a room, between any two points, with any walls."""
+"""Prediction of room parameters for arbitrary positions and wall absorption."""
 
 from __future__ import annotations
 

@@ -551,7 +551,9 @@ def unit_vector(aim: ArrayLike) -> FloatArray:
     axis = float_array("aim", aim, (3,), low=-1e6, high=1e6)
     length = float(np.linalg.norm(axis))
     if length == 0.0:
-        raise InputError("a source aims nowhere", found="aim of length 0", needed="a direction")
+        raise InputError(
+            "the aim vector of a source has zero length", found="0, 0, 0", needed="a direction"
+        )
     return np.asarray(axis / length)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, milp
 
 from roomfit.core import BoolArray, FloatArray
-from roomfit.prediction.decay import moved, moved_sti
+from roomfit.prediction.decay import extrapolated_sti, moved
 from roomfit.prediction.predict import PreparedRoom
 from roomfit.treatment.question import Question, is_time, limits_of, rows_of, treated
 
@@ -47,7 +47,7 @@ def mean_values(
             there = few.values(energies)
             sti = few.sti(energies, there, room.speech_db)
             part[:, :-1, at] = moved(room.before[i].values[:, at], there, room.base[i][:, at])
-            part[:, -1] = moved_sti(room.before[i], sti, room.base_sti[i])[:, None]
+            part[:, -1] = extrapolated_sti(room.before[i], sti, room.base_sti[i])[:, None]
         return values
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:

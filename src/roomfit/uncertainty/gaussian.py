@@ -218,7 +218,7 @@ def add_covariance(fit: BandFit, steps: FloatArray) -> BandFit:
 def costs_of_terms(
     objective: Objective, fit: BandFit, jacobian: FloatArray, shared: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return `sds_without` of a fit, its gains and other blocks of unknowns among what is known.
+    """Return `sd_without_term` of a fit, gains and other blocks of unknowns among what is known.
 
     Parameters
     ----------
@@ -235,7 +235,7 @@ def costs_of_terms(
         for b, first, last in zip(parameters.blocks, ends[:-1], ends[1:], strict=True)
         if b.name != "absorption" and last > first
     }
-    return sds_without(
+    return sd_without_term(
         jacobian,
         rows.T @ rows,
         objective.variance_parts(fit.vector),
@@ -246,7 +246,7 @@ def costs_of_terms(
     )
 
 
-def sds_without(
+def sd_without_term(
     jacobian: FloatArray,
     prior: FloatArray,
     parts: Mapping[str, FloatArray],
@@ -369,7 +369,7 @@ class BandEstimate:
     mirrors: tuple[MirrorTrial, ...] = ()  # one a symmetry
     starts: Starts | None = None  # where random starts were tried
     moved: tuple[str, ...] = ()  # of a fit that did not converge: what the last round moved most
-    # (n_materials,), standard deviation in the logit by which term were left out, see `sds_without`
+    # (n_materials,), sd in the logit by which term were left out, see `sd_without_term`
     costs: Mapping[str, FloatArray] = field(default_factory=dict)
 
     # by parameter, (2, n_files): decay of each file's windows in s, measured and as fitted, where

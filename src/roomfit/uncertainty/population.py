@@ -78,7 +78,7 @@ def posterior_draws(
     law = replace(log_posterior(objective, fit), fixed_weights=fit)
     n = law.n_kept
     approximation = objective.at_points(fit.vector)
-    worth_of = _one_by_one(law) if approximation is None else _all_together(law, approximation, fit)
+    log_p_at = _one_by_one(law) if approximation is None else _all_together(law, approximation, fit)
     near = surrogate(law, fit, windows=fit.variance.size * n * n <= _MOST_CURVATURES)
     size = max((n_draws + 1) // 2, _LEAST_POINTS)
     # gains have no prior to begin with, and energies one minimum; values alone may have several
@@ -90,15 +90,15 @@ def posterior_draws(
         of_near = _log_prior(near, points)
     else:
         points, of_near = near.walk(np.tile(near.centre, (size, 1)), near.usual_steps[1], rng)
-    worth = worth_of(points)
-    first_share = _share(worth - of_near, 1.0)
+    log_p = log_p_at(points)
+    first_share = _share(log_p - of_near, 1.0)
     here, rounds = _led_to_posterior(
-        worth_of, near, (points, worth, of_near), rng, from_prior=from_prior
+        log_p_at, near, (points, log_p, of_near), rng, from_prior=from_prior
     )
     drawn: list[FloatArray] = []
     moves: list[float] = []
     while len(drawn) * size < n_draws:
-        here, taken, more = _moved(worth_of, near, here, rng, from_prior=from_prior)
+        here, taken, more = _moved(log_p_at, near, here, rng, from_prior=from_prior)
         rounds += more
         moves.append(taken)
         drawn.append(rng.permutation(here[0]))
@@ -106,7 +106,7 @@ def posterior_draws(
     return Population(kept, first_share, min(moves), size * (1 + rounds))
 
 
-Worth: TypeAlias = Callable[[FloatArray], FloatArray]
+LogP: TypeAlias = Callable[[FloatArray], FloatArray]
 """From points, shape (n_points, n_kept), to their log densities."""
 
 Points: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
@@ -114,58 +114,58 @@ Points: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 
 
 def _led_to_posterior(
-    worth_of: Worth, near: Surrogate, here: Points, rng: np.random.Generator, *, from_prior: bool
+    log_p_at: LogP, near: Surrogate, here: Points, rng: np.random.Generator, *, from_prior: bool
 ) -> tuple[Points, int]:
     """Return points led from the first law to the posterior, and how many rounds that took."""
-    points, worth, of_near = here
+    points, log_p, of_near = here
     power = 0.0
     for rounds in range(_MOST_LEVELS):
-        ratio = worth - of_near
+        ratio = log_p - of_near
         step = _power_step(ratio, 1.0 - power)
         power += step
         chosen = _resampled(step * ratio, rng)
-        points, worth, of_near = points[chosen], worth[chosen], of_near[chosen]
+        points, log_p, of_near = points[chosen], log_p[chosen], of_near[chosen]
         if power >= 1.0 - 1e-9:
-            return (points, worth, of_near), rounds
+            return (points, log_p, of_near), rounds
         if from_prior:
-            points, worth, _ = _differed(worth_of, points, worth, rng, (near, power))
+            points, log_p, _ = _differed(log_p_at, points, log_p, rng, (near, power))
             of_near = _log_prior(near, points)
         else:
-            here = points, worth, of_near
-            points, worth, of_near, _ = _walked(worth_of, near, here, power, rng)
-    return (points, worth, of_near), _MOST_LEVELS
+            here = points, log_p, of_near
+            points, log_p, of_near, _ = _walked(log_p_at, near, here, power, rng)
+    return (points, log_p, of_near), _MOST_LEVELS
 
 
 def _moved(
-    worth_of: Worth, near: Surrogate, here: Points, rng: np.random.Generator, *, from_prior: bool
+    log_p_at: LogP, near: Surrogate, here: Points, rng: np.random.Generator, *, from_prior: bool
 ) -> tuple[Points, float, int]:
     """Return points after Metropolis steps, accepted moves a point, and the number of rounds."""
-    points, worth, of_near = here
+    points, log_p, of_near = here
     moves = 0.0
     for number in range(_MOST_ROUNDS):
         if number % 2 != from_prior:
-            points, worth, taken = _differed(worth_of, points, worth, rng)
+            points, log_p, taken = _differed(log_p_at, points, log_p, rng)
         else:
-            here = points, worth, of_near
-            points, worth, of_near, taken = _walked(worth_of, near, here, 1.0, rng)
+            here = points, log_p, of_near
+            points, log_p, of_near, taken = _walked(log_p_at, near, here, 1.0, rng)
         moves += taken
         if moves >= _MOVES:
             break
-    return (points, worth, of_near), moves, number + 1
+    return (points, log_p, of_near), moves, number + 1
 
 
-def _one_by_one(law: LogPosterior) -> Worth:
+def _one_by_one(law: LogPosterior) -> LogP:
     return lambda points: np.array([law(p) for p in points])
 
 
 def _all_together(
     law: LogPosterior, approximation: Callable[[FloatArray], FloatArray], fit: BandFit
-) -> Worth:
+) -> LogP:
     """Return the same law by data that are approximated at all points together."""
     parameters, measured = law.objective.parameters, law.objective.measured()
     weight = 1.0 / (fit.variance * law.objective.correlation_length() * law.flattening)
 
-    def worth(points: FloatArray) -> FloatArray:
+    def log_p(points: FloatArray) -> FloatArray:
         inside = np.all(np.abs(points) < FARTHEST_FREE, axis=1)
         walls = [physical_values(parameters, p)[0]["absorption"] for p in points]
         off = measured - approximation(np.array(walls))
@@ -173,7 +173,7 @@ def _all_together(
         found = -0.5 * (np.sum(weight * off**2, axis=1) + np.sum(prior**2, axis=1))
         return np.where(inside & np.isfinite(found), found, -np.inf)
 
-    return worth
+    return log_p
 
 
 def _share(ratio: FloatArray, power: float) -> float:
@@ -201,20 +201,16 @@ def _resampled(log_weight: FloatArray, rng: np.random.Generator) -> IntArray:
 
 
 def _walked(
-    worth_of: Worth,
-    near: Surrogate,
-    here: Points,
-    power: float,
-    rng: np.random.Generator,
+    log_p_at: LogP, near: Surrogate, here: Points, power: float, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
     """Move points, with their log densities under both laws, by walks under the surrogate."""
-    points, worth, of_near = here
+    points, log_p, of_near = here
     there, gain = near.walk(points, int(rng.choice(near.usual_steps)), rng)
-    new = worth_of(there)
-    taken = np.log(rng.random(len(points))) < power * (new - worth - gain)
+    new = log_p_at(there)
+    taken = np.log(rng.random(len(points))) < power * (new - log_p - gain)
     return (
         np.where(taken[:, None], there, points),
-        np.where(taken, new, worth),
+        np.where(taken, new, log_p),
         np.where(taken, of_near + gain, of_near),
         float(taken.mean()),
     )
@@ -226,14 +222,14 @@ def _log_prior(near: Surrogate, points: FloatArray) -> FloatArray:
 
 
 def _differed(
-    worth_of: Worth,
+    log_p_at: LogP,
     points: FloatArray,
-    worth: FloatArray,
+    log_p: FloatArray,
     rng: np.random.Generator,
     tempered: tuple[Surrogate, float] | None = None,
 ) -> tuple[FloatArray, FloatArray, float]:
     """Move each half of the points by differences of two points of the other half."""
-    points, worth = points.copy(), worth.copy()
+    points, log_p = points.copy(), log_p.copy()
     taken = 0.0
     halves = np.array_split(rng.permutation(len(points)), 2)
     for own, other in (halves, halves[::-1]):
@@ -241,13 +237,13 @@ def _differed(
         scale = 2.38 / np.sqrt(2.0 * points.shape[1]) * rng.uniform(0.2, 1.0, (own.size, 1))
         there = points[own] + scale * (points[pairs[:, 0]] - points[pairs[:, 1]])
         there += 1e-5 * rng.standard_normal(there.shape)
-        new = worth_of(there)
-        more = new - worth[own]
+        new = log_p_at(there)
+        more = new - log_p[own]
         if tempered is not None:
             near, power = tempered
             by_prior = _log_prior(near, there) - _log_prior(near, points[own])
             more = power * more + (1.0 - power) * by_prior
         better = np.log(rng.random(own.size)) < more
-        points[own[better]], worth[own[better]] = there[better], new[better]
+        points[own[better]], log_p[own[better]] = there[better], new[better]
         taken += float(better.sum()) / len(points)
-    return points, worth, taken
+    return points, log_p, taken
