@@ -210,6 +210,16 @@ def test_files_and_tests_that_a_page_names_are_there():
         assert (ROOT / "benchmarks" / f"{name}.py").exists(), name
 
 
+def test_every_benchmark_is_run_or_left_out_by_name_and_stands_on_its_page():
+    """Those that need no argument are run; each has a row that says what it prints."""
+    programs = {p.stem for p in (ROOT / "benchmarks").glob("[a-z]*.py")}
+    script = (ROOT / "scripts" / "bench").read_text(encoding="utf-8")
+    left_out = set(re.findall(r'left_out="([^"]*)"', script)[0].split())
+    assert left_out < programs
+    named = set(re.findall(r"scripts/bench (\w+)", page("benchmarks.md")))
+    assert programs - named == {"golden"}  # a script of its own
+
+
 def test_every_command_and_option_is_reported():
     reported = "".join(path.read_text(encoding="utf-8") for path in PAGES)
     for name, parser in command_parsers().items():
