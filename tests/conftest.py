@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,6 +19,10 @@ settings.load_profile("roomfit")
 # No test writes into the folder of whoever runs it, nor does any process that a test starts; those
 # of the cache name a folder of their own.
 os.environ["ROOMFIT_CACHE"] = "off"
+# A shell without job control starts background jobs with interrupts ignored, which the processes
+# that tests start would inherit: tests that interrupt a command would wait in vain.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The files that take longest, so that none begins when another worker has nothing left to do. The
 # second needs hardly a kernel: while the first compiles them, it compiles none of them as well.
