@@ -180,6 +180,25 @@ def dataclasses(found: list[Module]) -> list[tuple[Module, ast.ClassDef]]:
     ]
 
 
+def n_constants(found: list[Module]) -> int:
+    """Return how many numbers, and tuples of numbers, have a name at the level of a module."""
+    values = (
+        node.value
+        for m in found
+        for node in m.tree.body
+        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None
+    )
+    return sum(_is_number(value) for value in values)
+
+
+def _is_number(value: ast.expr) -> bool:
+    """Whether an expression is made of numbers alone."""
+    leaves = [n for n in ast.walk(value) if isinstance(n, ast.Constant | ast.Name | ast.Call)]
+    return bool(leaves) and all(
+        isinstance(n, ast.Constant) and type(n.value) in (int, float) for n in leaves
+    )
+
+
 def used_once(found: list[Module]) -> list[tuple[Module, ast.FunctionDef]]:
     """Return the private functions at the top of a module that one place of it mentions."""
     once = []
@@ -312,6 +331,7 @@ def main() -> None:
         ("modules of the core", len(inner)),
         ("longest module, lines", max(m.n_lines for m in found)),
         ("dataclasses", len(dataclasses(found))),
+        ("numbers named at the level of a module", n_constants(found)),
         ("functions and methods", len(defined)),
         ("private functions used once", len(used_once(found))),
         (
