@@ -30,8 +30,9 @@ from roomfit.cache import (
 from roomfit.commands import identify_to_folder
 from roomfit.errors import InputError, RoomfitError, StoreError
 from roomfit.io.campaign import input_files, read_campaign
-from roomfit.io.door import complete, json_content, read_text
-from roomfit.io.encoding import input_digests
+from roomfit.io.door import complete
+from roomfit.io.encoding import input_digests, written_content
+from roomfit.io.exports import read_result_content
 from roomfit.report.figures import in_file_name
 from roomfit.report.html import tables_page
 from roomfit.table import Cell, Column, Table, Value, csv_of, text_of, written
@@ -266,7 +267,7 @@ def room_row(out: Path, task: RoomTask) -> RoomRow:
         return RoomRow(task.name, "waiting")
     what = "record of a failure"
     try:
-        content = json_content(read_text(failure, what), what)
+        content, _ = written_content(failure, what)
         with complete(what, "status and message, as roomfit writes them"):
             status: Status = "refused" if content["status"] == "refused" else "failed"
             return RoomRow(task.name, status, message=str(content["message"]))
@@ -276,7 +277,7 @@ def room_row(out: Path, task: RoomTask) -> RoomRow:
 
 def _answered(name: str, folder: Path, shown: str) -> RoomRow:
     path = folder / "result.json"
-    content = json_content(read_text(path, "result"), "result")
+    content, _ = read_result_content(path)
     with complete("result", "a result.json as roomfit writes it"):
         centres_hz = np.array(content["bands_hz"], dtype=np.float64)
         middle = np.isin(centres_hz, _MIDDLE_HZ)
