@@ -438,6 +438,12 @@ def near_tests(path: str) -> tuple[str, ...]:
         found += [t.relative_to(REPOSITORY / "tests").as_posix() for t in own]
         ring = {m for m, f in files.items() if _imports(f) & ring} - reached
         reached |= ring
+    if not found:  # it is run as a file and imported by nobody
+        found = [
+            t.relative_to(REPOSITORY / "tests").as_posix()
+            for t in tests
+            if folder in t.relative_to(REPOSITORY / "tests").parts
+        ]
     return tuple(dict.fromkeys(found))
 
 
