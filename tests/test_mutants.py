@@ -43,6 +43,7 @@ AREAS = {
     "kept apart",
     "limits of absorption",
     "treatment",
+    "workers",
 }
 
 

@@ -32,7 +32,7 @@ import numpy as np
 from platformdirs import user_cache_dir
 
 from roomfit._checks import ARCHIVE_DAMAGE
-from roomfit.errors import InputError, RoomfitError, StoreError
+from roomfit.errors import FolderInUseError, InputError, RoomfitError, StoreError
 from roomfit.findings import About, Code, Finding
 
 if sys.platform != "win32":
@@ -307,7 +307,7 @@ def sole_writer(command: Callable[P, T]) -> Callable[P, T]:
 
     Raises
     ------
-    InputError
+    FolderInUseError
         Another run has this folder.
     """
     wanted = signature(command)
@@ -374,7 +374,7 @@ def _locked(lock: Path, path: Path) -> Iterator[None]:
         raise _cannot_be_made(path, error) from error
     if not locked:
         os.close(descriptor)
-        raise InputError(
+        raise FolderInUseError(
             "another run is writing into the output folder",
             where=str(path),
             hint="wait for it, or choose another folder",
