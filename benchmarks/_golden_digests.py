@@ -26,7 +26,17 @@ import soundfile
 from PIL import Image
 
 # In neither digest: they change from run to run, or from release to release.
-TIMES = frozenset({"seconds", "median_seconds", "provenance", "roomfit", "digest"})
+TIMES = frozenset(
+    {
+        "seconds",
+        "median_seconds",
+        "provenance",
+        "roomfit",
+        "digest",
+        "content_sha256",
+        "files_sha256",
+    }
+)
 # In "whole" and not in "numbers": how often a function was evaluated on the way to the answer.
 COUNTS = frozenset({"evaluations", "median_evaluations"})
 # Old name -> new name of keys, one-word values and file names, applied when two runs are compared.

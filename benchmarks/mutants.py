@@ -3,8 +3,14 @@
 ``python benchmarks/mutants.py`` plants all of mutants.toml, half an hour on two cores; with names
 of bugs or areas, some: ``python benchmarks/mutants.py gamma-halved air``. Each bug is a text that
 stands once in a file of src, replaced in a temporary copy; the tests named beside it run against
-that copy, nearest first, and stop at the first that fails. A bug that all of them pass has
-survived. Before that the same tests run once without any bug, and must pass.
+that copy, nearest first, and stop at the first that fails: quick ones, then those marked slow. A
+bug that all of them pass has survived, and one whose tests were stopped by time is undecided.
+Before that the same tests run once without any bug, and must pass.
+
+``--random N --seed S`` plants N bugs at random places of the syntax tree instead: signs,
+comparisons, constants, indices, dropped statements, exchanged arguments; ``--packages`` names the
+packages of src. The tests are those that import the module, and what they notice is tried without
+the bug. The share noticed is printed by package, with its interval of 95 % (Clopper and Pearson).
 """
 
 from __future__ import annotations
@@ -13,22 +19,27 @@ import argparse
 import ast
 import contextlib
 import os
+import random
 import shutil
 import signal
 import sys
 import tempfile
 import time
 import tomllib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
+
+from scipy.stats import beta
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SOURCE = REPOSITORY / "src"
 # Imported once and shared by all runs; nothing of roomfit, which differs from run to run.
 _PRELOADED = ["numpy", "scipy.signal", "scipy.optimize", "scipy.stats", "numba", "hypothesis"]
 LIMIT_S = 240.0
+Verdict = Literal["noticed", "SURVIVED", "undecided"]
 
 
 class Mutant(NamedTuple):
@@ -37,18 +48,24 @@ class Mutant(NamedTuple):
     name: str
     area: str
     path: str  # below src/roomfit
-    old: str  # stands there once
+    old: str  # stands there once, or at `start`
     new: str
     tests: tuple[str, ...]  # below tests/, nearest first; a file, or one test of it
+    start: int | None = None  # where the old text begins; None: where it stands
 
 
 class Outcome(NamedTuple):
     """What the tests made of a bug."""
 
     mutant: Mutant | None
-    noticed: bool
+    verdict: Verdict
     how: str
     seconds: float
+
+    @property
+    def noticed(self) -> bool:
+        """Whether a test failed."""
+        return self.verdict == "noticed"
 
 
 def planted(path: Path = REPOSITORY / "benchmarks" / "mutants.toml") -> tuple[Mutant, ...]:
@@ -74,17 +91,21 @@ MUTANTS = planted()
 def mutated(mutant: Mutant) -> str:
     """Return the text of a source file with a bug in it; its old text must stand there once."""
     text = (SOURCE / "roomfit" / mutant.path).read_text(encoding="utf-8")
-    if text.count(mutant.old) != 1:
-        raise SystemExit(
-            f"{mutant.name}: {mutant.old!r} stands {text.count(mutant.old)} times in {mutant.path}"
-        )
-    return text.replace(mutant.old, mutant.new)
+    start = mutant.start
+    if start is None:
+        if text.count(mutant.old) != 1:
+            times = text.count(mutant.old)
+            raise SystemExit(f"{mutant.name}: {mutant.old!r} stands {times} times in {mutant.path}")
+        start = text.index(mutant.old)
+    assert text[start:].startswith(mutant.old), mutant
+    return text[:start] + mutant.new + text[start + len(mutant.old) :]
 
 
 def _is_compiled(mutant: Mutant) -> bool:
     """Whether a bug lies in a compiled function."""
     text = (SOURCE / "roomfit" / mutant.path).read_text(encoding="utf-8")
-    line = text[: text.index(mutant.old)].count("\n") + 1
+    start = text.index(mutant.old) if mutant.start is None else mutant.start
+    line = text[:start].count("\n") + 1
     return any(
         isinstance(node, ast.FunctionDef)
         and node.lineno <= line <= (node.end_lineno or 0)
@@ -93,7 +114,7 @@ def _is_compiled(mutant: Mutant) -> bool:
     )
 
 
-def run_tests(copy: str, tests: Sequence[str], log: str) -> None:
+def run_tests(copy: str, tests: Sequence[str], log: str, marked: str) -> None:
     """Run tests of this repository against the package below `copy`; exit with pytest's status."""
     os.setsid()
     with open(log, "w", encoding="utf-8") as stream:  # noqa: PTH123
@@ -110,28 +131,25 @@ def run_tests(copy: str, tests: Sequence[str], log: str) -> None:
 
     if not str(roomfit.__file__).startswith(copy):
         os._exit(70)
-    arguments = ["-x", "-q", "-p", "no:cacheprovider", "-m", "not slow"]
+    arguments = ["-x", "-q", "-p", "no:cacheprovider", *(["-m", marked] if marked else [])]
     status = pytest.main([*arguments, *(f"tests/{t}" for t in tests)])
     sys.stdout.flush()
     os._exit(int(status))
 
 
-def tried(mutant: Mutant | None, tests: Sequence[str], folder: Path, limit_s: float) -> Outcome:
-    """Plant a bug, or none, in a copy of src and return whether tests notice it."""
-    began = time.perf_counter()
-    copy, log = folder / "src", folder / "log.txt"
-    shutil.copytree(SOURCE, copy, ignore=shutil.ignore_patterns("*.egg-info"))
-    (folder / "docs").symlink_to(REPOSITORY / "docs")
-    if mutant is not None:
-        path = copy / "roomfit" / mutant.path
-        path.write_text(mutated(mutant), encoding="utf-8")
-        if _is_compiled(mutant):
-            # machine code of callers, in other files, may hold what was changed
-            for kept in copy.glob("roomfit/**/__pycache__/*.nb[ci]"):
-                kept.unlink()
+class _Run(NamedTuple):
+    """How pytest ended: None where it was stopped by time."""
+
+    status: int | None
+    failed: str
+    log: str
+
+
+def _tested(copy: Path, tests: Sequence[str], log: Path, marked: str, limit_s: float) -> _Run:
     context = get_context("forkserver")
     context.set_forkserver_preload(_PRELOADED)
-    process = context.Process(target=run_tests, args=(str(copy), tuple(tests), str(log)))
+    arguments = (str(copy), tuple(tests), str(log), marked)
+    process = context.Process(target=run_tests, args=arguments)
     process.start()
     try:
         process.join(limit_s)
@@ -144,17 +162,44 @@ def tried(mutant: Mutant | None, tests: Sequence[str], folder: Path, limit_s: fl
     process.join()
     text = log.read_text(encoding="utf-8") if log.exists() else ""
     failed = [line for line in text.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    # 1: a test failed; 2: a test file could not be read
-    noticed = late or process.exitcode in (1, 2)
-    if process.exitcode not in (0, 1, 2) and not late:
+    first = failed[0].split(" - ")[0] if failed else ""
+    # 0: all passed; 1: a test failed; 2: a test file could not be read; 5: none is marked so
+    if not late and process.exitcode not in (0, 1, 2, 5):
         raise SystemExit(f"pytest ended with {process.exitcode}:\n{text[-2000:]}")
-    how = "time limit" if late else (failed[0].split(" - ")[0] if failed else "")
-    if mutant is None and noticed:
-        raise SystemExit(f"the tests fail without any bug:\n{text[-4000:]}")
-    return Outcome(mutant, noticed, how, time.perf_counter() - began)
+    return _Run(None if late else process.exitcode, first, text)
 
 
-def outcomes(mutants: Iterable[Mutant], limit_s: float = LIMIT_S) -> Iterable[Outcome]:
+def tried(mutant: Mutant | None, tests: Sequence[str], folder: Path, limit_s: float) -> Outcome:
+    """Plant a bug, or none, in a copy of src and return whether tests notice it.
+
+    Tests marked slow run where the quick ones notice nothing; each of the two has the time limit.
+    """
+    began = time.perf_counter()
+    copy = folder / "src"
+    shutil.copytree(SOURCE, copy, ignore=shutil.ignore_patterns("*.egg-info"))
+    (folder / "docs").symlink_to(REPOSITORY / "docs")
+    if mutant is not None:
+        path = copy / "roomfit" / mutant.path
+        path.write_text(mutated(mutant), encoding="utf-8")
+        if _is_compiled(mutant):
+            # machine code of callers, in other files, may hold what was changed
+            for kept in copy.glob("roomfit/**/__pycache__/*.nb[ci]"):
+                kept.unlink()
+    verdict: Verdict = "SURVIVED"
+    how = ""
+    for marked in ("not slow",) if mutant is None else ("not slow", "slow"):
+        run = _tested(copy, tests, folder / "log.txt", marked, limit_s)
+        if run.status in (1, 2):
+            verdict, how = "noticed", run.failed
+            break
+        if run.status is None:
+            verdict, how = "undecided", f"stopped after {limit_s:g} s ({marked})"
+    if mutant is None and verdict != "SURVIVED":
+        raise SystemExit(f"the tests fail without any bug ({verdict}):\n{run.log[-4000:]}")
+    return Outcome(mutant, verdict, how, time.perf_counter() - began)
+
+
+def outcomes(mutants: Iterable[Mutant], limit_s: float = LIMIT_S) -> Iterator[Outcome]:
     """Try one bug after the other, after a run of all their tests without any."""
     chosen = tuple(mutants)
     every = tuple(dict.fromkeys(t for m in chosen for t in m.tests))
@@ -165,34 +210,293 @@ def outcomes(mutants: Iterable[Mutant], limit_s: float = LIMIT_S) -> Iterable[Ou
             yield tried(mutant, mutant.tests, Path(name), limit_s)
 
 
+def random_outcomes(mutants: Iterable[Mutant], limit_s: float = LIMIT_S) -> Iterator[Outcome]:
+    """Try one bug after the other; a test that fails without the bug as well decides nothing."""
+
+    @cache
+    def fails_anyway(test: str) -> bool:
+        with tempfile.TemporaryDirectory() as name:
+            return _tested(SOURCE, [test], Path(name) / "log.txt", "", 2 * limit_s).status != 0
+
+    for mutant in mutants:
+        with tempfile.TemporaryDirectory() as name:
+            outcome = tried(mutant, mutant.tests, Path(name), limit_s)
+        test = outcome.how.removeprefix("FAILED ").removeprefix("ERROR ").removeprefix("tests/")
+        if outcome.noticed and (not test or fails_anyway(test)):
+            outcome = outcome._replace(verdict="undecided", how=f"fails without it, too: {test}")
+        yield outcome
+
+
+_SIGNS = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.Pow: "*"}
+_COMPARISONS = {
+    ast.Lt: "<=",
+    ast.LtE: "<",
+    ast.Gt: ">=",
+    ast.GtE: ">",
+    ast.Eq: "!=",
+    ast.NotEq: "==",
+    ast.Is: "is not",
+    ast.IsNot: "is",
+    ast.In: "not in",
+    ast.NotIn: "in",
+}
+# The same whichever argument comes first.
+_SYMMETRIC = frozenset({"max", "min", "maximum", "minimum", "hypot", "isclose", "gcd"})
+# Their text is read by people alone, or by type checkers.
+_NOT_PLANTED = (ast.JoinedStr, ast.Raise, ast.Assert)
+
+
+class Place(NamedTuple):
+    """Where a random bug may be planted, and what would stand there."""
+
+    kind: str
+    start: int
+    end: int
+    new: str
+
+
+def places(text: str) -> list[Place]:
+    """Return the bugs that can be planted in a module, in the order of its syntax tree.
+
+    Messages, annotations, decorators and what only type checkers see are left out.
+    """
+    lines = [0]
+    for line in text.split("\n"):
+        lines.append(lines[-1] + len(line) + 1)
+
+    def offset(line: int, column: int) -> int:
+        start = lines[line - 1]
+        own = text[start : lines[line]].encode()[:column]
+        return start + len(own.decode())
+
+    def span(node: ast.expr | ast.stmt) -> tuple[int, int]:
+        assert node.end_lineno is not None and node.end_col_offset is not None
+        return offset(node.lineno, node.col_offset), offset(node.end_lineno, node.end_col_offset)
+
+    found: list[Place] = []
+
+    def between(kind: str, left: ast.expr, right: ast.expr, old: str, new: str) -> None:
+        start, end = span(left)[1], span(right)[0]
+        at = text.find(old, start, end)
+        if at >= 0 and "#" not in text[start:end]:
+            found.append(Place(kind, at, at + len(old), new))
+
+    def visit(node: ast.AST) -> None:
+        if isinstance(node, _NOT_PLANTED):
+            return
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            return
+        _plant_in(node, text, span, between, found)
+        for name, value in ast.iter_fields(node):
+            if name in ("annotation", "returns", "decorator_list", "type_params"):
+                continue
+            for child in value if isinstance(value, list) else [value]:
+                if isinstance(child, ast.AST):
+                    visit(child)
+
+    visit(ast.parse(text))
+    return found
+
+
+Span = Callable[[ast.expr | ast.stmt], tuple[int, int]]
+Between = Callable[[str, ast.expr, ast.expr, str, str], None]
+
+
+def _plant_in(node: ast.AST, text: str, span: Span, between: Between, found: list[Place]) -> None:
+    """Add the bugs that can be planted in one node, not in those within it."""
+    if isinstance(node, ast.BinOp) and type(node.op) in _SIGNS:
+        old = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}[
+            type(node.op)
+        ]
+        between("sign", node.left, node.right, old, _SIGNS[type(node.op)])
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.Not):
+        start = span(node)[0]
+        length = 1 if isinstance(node.op, ast.USub) else 3
+        found.append(Place("sign", start, start + length, ""))
+    elif isinstance(node, ast.Compare):
+        olds = {
+            type(op): ast.unparse(ast.Compare(ast.Name("a"), [op], [ast.Name("b")]))[2:-2]
+            for op in node.ops
+        }
+        for left, op, right in zip(
+            [node.left, *node.comparators], node.ops, node.comparators, strict=False
+        ):
+            between("comparison", left, right, olds[type(op)], _COMPARISONS[type(op)])
+    elif isinstance(node, ast.BoolOp):
+        old, new = ("and", "or") if isinstance(node.op, ast.And) else ("or", "and")
+        between("comparison", node.values[0], node.values[1], old, new)
+    elif isinstance(node, ast.Constant) and type(node.value) in (int, float, bool):
+        value = node.value
+        new = repr(not value if value is True or value is False else value + 1)
+        if isinstance(value, float):
+            new = repr(1.5 * value if value else 1.0)
+        found.append(Place("constant", *span(node), new))
+    elif isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Slice):
+        for bound in (node.slice.lower, node.slice.upper):
+            if bound is not None:
+                start, end = span(bound)
+                found.append(Place("index", start, end, f"({text[start:end]}) + 1"))
+    elif isinstance(node, ast.Expr | ast.AugAssign):
+        if not (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant | ast.Yield)):
+            found.append(Place("dropped statement", *span(node), "pass"))
+    elif isinstance(node, ast.Call) and len(node.args) > 1:
+        (a, b), (c, d) = span(node.args[0]), span(node.args[1])
+        is_symmetric = ast.unparse(node.func).split(".")[-1] in _SYMMETRIC
+        if text[a:b] != text[c:d] and "*" not in (text[a], text[c]) and not is_symmetric:
+            new = text[c:d] + text[b:c] + text[a:b]
+            found.append(Place("exchanged arguments", a, d, new))
+
+
+def package_of(path: str) -> str:
+    """Return the package of a file below src/roomfit, or the module where it lies in none."""
+    return path.split("/")[0].removesuffix(".py")
+
+
+def random_mutants(
+    number: int, seed: int, packages: Sequence[str] = (), most_tests: int = 6
+) -> list[Mutant]:
+    """Return bugs at random places, all places of the packages equally likely."""
+    every: list[tuple[str, Place, str]] = []
+    for file in sorted((SOURCE / "roomfit").rglob("*.py")):
+        path = file.relative_to(SOURCE / "roomfit").as_posix()
+        if not packages or package_of(path) in packages:
+            text = file.read_text(encoding="utf-8")
+            every += [(path, place, text) for place in places(text)]
+    chosen = random.Random(seed).sample(every, min(number, len(every)))
+    return [
+        Mutant(
+            f"{path}:{text[: place.start].count(chr(10)) + 1} {place.kind}",
+            package_of(path),
+            path,
+            text[place.start : place.end],
+            place.new,
+            near_tests(path)[:most_tests],
+            place.start,
+        )
+        for path, place, text in chosen
+    ]
+
+
+@cache
+def _imports(file: Path) -> frozenset[str]:
+    """Return the modules of roomfit that a file imports; public names stand for their modules."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found.add(node.module)
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.Attribute) and ast.unparse(node.value) == "roomfit":
+            found.add(f"roomfit.{_public().get(node.attr, node.attr)}")
+    return frozenset(name for name in found if name.startswith("roomfit."))
+
+
+@cache
+def _public() -> dict[str, str]:
+    text = (SOURCE / "roomfit" / "__init__.py").read_text(encoding="utf-8")
+    dicts = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Dict)]
+    return {
+        key.value: value.value
+        for node in dicts
+        for key, value in zip(node.keys, node.values, strict=True)
+        if isinstance(key, ast.Constant) and isinstance(value, ast.Constant)
+    }
+
+
+# They look at the text of the sources, which a copy has elsewhere.
+_OF_TEXT = frozenset(f"test_{n}.py" for n in ("shape", "words", "docs", "mutants", "front_door"))
+
+
+@cache
+def near_tests(path: str) -> tuple[str, ...]:
+    """Return the test files that reach a module by the fewest imports, nearest first.
+
+    Those that import it come before those that import what imports it, and so on; among them those
+    named after it, those in the folder of its package, then those that import least.
+    """
+    source, folder, stem = SOURCE / "roomfit", package_of(path), Path(path).stem
+    name = ".".join(("roomfit", *Path(path).with_suffix("").parts)).removesuffix(".__init__")
+    files = {
+        ".".join(("roomfit", *f.relative_to(source).with_suffix("").parts)).removesuffix(
+            ".__init__"
+        ): f
+        for f in source.rglob("*.py")
+        if f != source / "__init__.py"
+    }
+    tests = sorted(t for t in (REPOSITORY / "tests").rglob("test_*.py") if t.name not in _OF_TEXT)
+    reached, ring, found = {name}, {name}, list[str]()
+    for _ in range(3):
+        own = [t for t in tests if _imports(t) & ring]
+        own.sort(
+            key=lambda t: (
+                stem not in t.stem,
+                folder not in t.as_posix().split("tests/")[1],
+                len(_imports(t)),
+            )
+        )
+        found += [t.relative_to(REPOSITORY / "tests").as_posix() for t in own]
+        ring = {m for m, f in files.items() if _imports(f) & ring} - reached
+        reached |= ring
+    if not found:  # it is run as a file and imported by nobody
+        found = [
+            t.relative_to(REPOSITORY / "tests").as_posix()
+            for t in tests
+            if folder in t.relative_to(REPOSITORY / "tests").parts
+        ]
+    return tuple(dict.fromkeys(found))
+
+
+def share(noticed: int, number: int) -> str:
+    """Return a share in percent with its interval of 95 % by Clopper and Pearson."""
+    if not number:
+        return "none"
+    low = float(beta.ppf(0.025, noticed, number - noticed + 1)) if noticed else 0.0
+    high = float(beta.ppf(0.975, noticed + 1, number - noticed)) if noticed < number else 1.0
+    return f"{100 * noticed / number:.0f} % ({100 * low:.0f} to {100 * high:.0f} %)"
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help="bugs, or areas; left out: all")
     parser.add_argument("--limit", type=float, default=LIMIT_S, help="seconds a bug, %(default)g")
+    parser.add_argument("--random", type=int, metavar="N", help="bugs at random places")
+    parser.add_argument("--seed", type=int, default=1, help="of the places, %(default)s")
+    parser.add_argument("--packages", nargs="*", default=[], help="of random bugs; all")
+    parser.add_argument("--most-tests", type=int, default=6, help="files a bug, %(default)s")
     given = parser.parse_args()
-    names: list[str] = given.names
-    known = {m.name for m in MUTANTS} | {m.area for m in MUTANTS}
-    for name in names:
-        if name not in known:
-            parser.error(f"no bug {name!r}")
-    chosen = [m for m in MUTANTS if not names or m.name in names or m.area in names]
+    if given.random:
+        chosen = random_mutants(given.random, given.seed, given.packages, given.most_tests)
+        tries = random_outcomes(chosen, given.limit)
+    else:
+        names: list[str] = given.names
+        known = {m.name for m in MUTANTS} | {m.area for m in MUTANTS}
+        for name in names:
+            if name not in known:
+                parser.error(f"no bug {name!r}")
+        chosen = [m for m in MUTANTS if not names or m.name in names or m.area in names]
+        tries = outcomes(chosen, given.limit)
     done = []
-    for outcome in outcomes(chosen, given.limit):
+    for outcome in tries:
         if outcome.mutant is None:
             print(f"without a bug all tests pass, {outcome.seconds:.0f} s", flush=True)
             continue
         done.append(outcome)
-        word = "noticed" if outcome.noticed else "SURVIVED"
         mutant = outcome.mutant
+        what = f"  {mutant.old!r} -> {mutant.new!r}" if given.random else ""
         print(
-            f"{word:8} {mutant.area}: {mutant.name}, {outcome.seconds:.0f} s  {outcome.how}",
+            f"{outcome.verdict:9} {mutant.area}: {mutant.name}, {outcome.seconds:.0f} s{what}  "
+            f"{outcome.how}",
             flush=True,
         )
-    for area in dict.fromkeys(m.area for m in chosen):
-        own = [o.noticed for o in done if o.mutant is not None and o.mutant.area == area]
-        print(f"{area}: {sum(own)} of {len(own)} noticed")
-    found = sum(o.noticed for o in done)
-    print(f"{found} of {len(done)} bugs noticed, {100 * found / max(len(done), 1):.1f} %")
+    for area in (*dict.fromkeys(m.area for m in chosen), None):
+        own = [o for o in done if o.mutant and area in (None, o.mutant.area)]
+        decided = [o for o in own if o.verdict != "undecided"]
+        noticed = sum(o.noticed for o in decided)
+        print(
+            f"{area or 'all'}: {noticed} of {len(decided)} noticed, "
+            f"{share(noticed, len(decided))}; {len(own) - len(decided)} undecided"
+        )
 
 
 if __name__ == "__main__":

@@ -67,7 +67,7 @@ def results(out: Path) -> dict[str, object]:
     found = {}
     for path in sorted((out / "rooms").glob("*/result.json")):
         content = json.loads(path.read_text())
-        del content["fit"]["seconds"]
+        del content["fit"]["seconds"], content["content_sha256"]
         content["provenance"] = {}
         found[path.parent.name] = content
     return found

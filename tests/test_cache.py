@@ -395,7 +395,7 @@ def prediction_command(folder: Path, out: Path) -> list[str]:
 def numbers_of(out: Path) -> dict:
     """Everything in predicted.json but how long it took and what was said of the cache."""
     content = json.loads((out / "predicted.json").read_text())
-    del content["prediction"]["seconds"]
+    del content["prediction"]["seconds"], content["content_sha256"]
     content["findings"] = [f for f in content["findings"] if not f["code"].startswith("cache-")]
     return content
 

@@ -6,8 +6,20 @@ import ast
 from collections import Counter
 
 import pytest
+from scipy.stats import binomtest
 
-from mutants import MUTANTS, REPOSITORY, mutated, outcomes
+from mutants import (
+    MUTANTS,
+    REPOSITORY,
+    SOURCE,
+    mutated,
+    near_tests,
+    outcomes,
+    places,
+    random_mutants,
+    share,
+    tried,
+)
 
 # Each with tests of a few seconds, of four areas.
 QUICK = ("phi-over-all-data", "misfit-not-in-gaussian", "energies-as-pressures", "g-at-1-m")
@@ -23,6 +35,15 @@ AREAS = {
     "air",
     "scattering weights",
     "seeds",
+    "certificate",
+    "coverage",
+    "displacement",
+    "doors",
+    "impedance",
+    "kept apart",
+    "limits of absorption",
+    "treatment",
+    "workers",
 }
 
 
@@ -44,6 +65,59 @@ def test_the_tests_named_beside_a_bug_exist():
         file, _, function = name.partition("::")
         text = (REPOSITORY / "tests" / file).read_text(encoding="utf-8")
         assert f"def {function or 'test_'}" in text, name
+
+
+def test_a_random_bug_is_planted_where_it_is_named_and_leaves_the_source_readable():
+    """Every kind; the same seed plants the same; nothing else of the file changes."""
+    chosen = random_mutants(400, 5)
+    assert chosen == random_mutants(400, 5) != random_mutants(400, 6)
+    kinds = Counter(m.name.split(" ", 1)[1] for m in chosen)
+    assert kinds.keys() == {
+        *("sign", "comparison", "constant", "index"),
+        *("dropped statement", "exchanged arguments"),
+    }
+    for mutant in chosen:
+        text = (SOURCE / "roomfit" / mutant.path).read_text(encoding="utf-8")
+        changed = mutated(mutant)
+        assert ast.dump(ast.parse(changed)) != ast.dump(ast.parse(text)), mutant
+        assert changed[: mutant.start] == text[: mutant.start]
+        assert mutant.tests, mutant
+
+
+@pytest.mark.parametrize(
+    ("old", "kinds"),
+    [
+        ("def f(a, b):\n    return a - b * 2\n", ["sign", "sign", "constant"]),
+        ("x = g(a, b)[1:]\n", ["index", "exchanged arguments", "constant"]),
+        ("if -x < 3 and y:\n    z += 1\n", ["comparison", "comparison", "sign", "constant"]),
+        ('raise E(f"{a + 1}")\n', []),
+        ("x: Final[3] = max(a, b)\n", []),
+    ],
+)
+def test_places_of_random_bugs_are_those_of_the_syntax_tree(old, kinds):
+    found = [place.kind for place in places(old)]
+    assert found[: len(kinds)] == kinds and bool(found) == bool(kinds)
+
+
+def test_the_tests_near_a_module_are_those_that_import_it():
+    assert near_tests("batch.py")[0] == "test_batch.py"
+    assert near_tests("uncertainty/smoothing.py")[0] == "uncertainty/test_smoothing.py"
+    assert all((REPOSITORY / "tests" / name).exists() for name in near_tests("logit.py"))
+    assert all(name.startswith("io/") for name in near_tests("io/child.py"))
+
+
+def test_a_share_has_the_interval_of_clopper_and_pearson():
+    """By scipy's own exact interval of a proportion."""
+    for noticed, number in ((0, 5), (5, 5), (43, 71), (1, 60)):
+        exact = binomtest(noticed, number).proportion_ci(0.95, method="exact")
+        assert f"({100 * exact.low:.0f} to {100 * exact.high:.0f} %)" in share(noticed, number)
+
+
+@pytest.mark.slow
+def test_a_bug_whose_tests_are_stopped_by_time_is_undecided(tmp_path):
+    """And one that a test marked slow alone would notice is not called a survivor before it."""
+    mutant = next(m for m in MUTANTS if m.name == "replicates-alike")
+    assert tried(mutant, mutant.tests, tmp_path / "a", 0.5).verdict == "undecided"
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -28,10 +28,11 @@ from roomfit.cache import (
     write_text_atomically,
 )
 from roomfit.commands import identify_to_folder
-from roomfit.errors import InputError, RoomfitError, StoreError
+from roomfit.errors import FolderInUseError, InputError, RoomfitError, StoreError
 from roomfit.io.campaign import input_files, read_campaign
-from roomfit.io.door import complete, json_content, read_text
-from roomfit.io.encoding import input_digests
+from roomfit.io.door import complete
+from roomfit.io.encoding import input_digests, written_content
+from roomfit.io.exports import read_result_content
 from roomfit.report.figures import in_file_name
 from roomfit.report.html import tables_page
 from roomfit.table import Cell, Column, Table, Value, csv_of, text_of, written
@@ -40,7 +41,8 @@ from roomfit.workers import completed, keep_one_thread, result_of
 
 _LOG = logging.getLogger("roomfit")
 
-Status = Literal["done", "refused", "failed", "waiting"]
+# "elsewhere": another run is at it, so that this one has left it
+Status = Literal["done", "refused", "failed", "waiting", "elsewhere"]
 ROOMS, FAILURES = "rooms", "failures"
 # Where the field quotes one number for a room.
 _MIDDLE_HZ = (500.0, 1000.0)
@@ -154,7 +156,8 @@ def identify_rooms(
     """Identify the rooms of many campaigns and write ``rooms.csv`` and ``rooms.html``.
 
     Rooms that are done already, with the same files and the same roomfit, are not done again; those
-    that failed are. A room that fails stops no other.
+    that failed are. A room that fails stops no other, and one that another run is identifying is
+    left to it.
 
     Parameters
     ----------
@@ -186,14 +189,23 @@ def identify_rooms(
         make_folder(out / name)
     missing = [t for t in own if t.address and not (out / ROOMS / t.address).exists()]
     jobs = [partial(identify_room, t.campaign, out / ROOMS / t.address) for t in missing]
+    elsewhere: dict[str, str] = {}
     try:
         for n_done, (number, status, message) in enumerate(_ends(jobs, pool), start=1):
             _LOG.info("%s: %s", missing[number].name, status)
             _note(out, missing[number], status, message)
+            if status == "elsewhere":
+                elsewhere[missing[number].address] = message
             if progress is not None:
                 progress(n_done / len(jobs))
     finally:
         rows = tuple(room_row(out, task) for task in tasks)
+        rows = tuple(
+            replace(row, status="elsewhere", message=elsewhere[task.address])
+            if row.status == "waiting" and task.address in elsewhere
+            else row
+            for row, task in zip(rows, tasks, strict=True)
+        )
         write_table(out, rows)
     return rows
 
@@ -205,7 +217,7 @@ def identify_room(campaign: Path, folder: Path) -> str:
     """
     try:
         identify_to_folder(campaign, folder)
-    except StoreError:
+    except (StoreError, FolderInUseError):
         raise
     except RoomfitError as error:
         return "" if folder.exists() else str(error)
@@ -235,6 +247,8 @@ def _end(job: Callable[[], str]) -> tuple[Status, str]:
         message = job()
     except StoreError:
         raise  # the disk, or the way to the cluster: it would be the same for every room
+    except FolderInUseError:
+        return "elsewhere", "another run is identifying this room"
     except RoomfitError as error:
         return "failed", str(error)
     except Exception as error:  # noqa: BLE001 -- a fault in one room must not stop the others
@@ -247,7 +261,7 @@ def _note(out: Path, task: RoomTask, status: Status, message: str) -> None:
     path = out / FAILURES / f"{task.address}.json"
     if status == "done":
         path.unlink(missing_ok=True)
-    else:
+    elif status != "elsewhere":
         write_json_atomically(path, {"status": status, "message": message})
 
 
@@ -266,7 +280,7 @@ def room_row(out: Path, task: RoomTask) -> RoomRow:
         return RoomRow(task.name, "waiting")
     what = "record of a failure"
     try:
-        content = json_content(read_text(failure, what), what)
+        content, _ = written_content(failure, what)
         with complete(what, "status and message, as roomfit writes them"):
             status: Status = "refused" if content["status"] == "refused" else "failed"
             return RoomRow(task.name, status, message=str(content["message"]))
@@ -276,7 +290,7 @@ def room_row(out: Path, task: RoomTask) -> RoomRow:
 
 def _answered(name: str, folder: Path, shown: str) -> RoomRow:
     path = folder / "result.json"
-    content = json_content(read_text(path, "result"), "result")
+    content, _ = read_result_content(path)
     with complete("result", "a result.json as roomfit writes it"):
         centres_hz = np.array(content["bands_hz"], dtype=np.float64)
         middle = np.isin(centres_hz, _MIDDLE_HZ)
@@ -335,7 +349,7 @@ def write_table(out: Path, rows: Sequence[RoomRow]) -> None:
 
 def counted(rows: Sequence[RoomRow]) -> str:
     """Return how many rooms are done and how many are not, in a sentence."""
-    kinds: tuple[Status, ...] = ("done", "refused", "failed", "waiting")
+    kinds: tuple[Status, ...] = ("done", "refused", "failed", "waiting", "elsewhere")
     numbers = [(sum(r.status == kind for r in rows), kind) for kind in kinds]
     return f"{len(rows)} rooms: " + ", ".join(f"{n} {kind}" for n, kind in numbers if n) + "."
 

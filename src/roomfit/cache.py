@@ -32,7 +32,7 @@ import numpy as np
 from platformdirs import user_cache_dir
 
 from roomfit._checks import ARCHIVE_DAMAGE
-from roomfit.errors import InputError, RoomfitError, StoreError
+from roomfit.errors import FolderInUseError, InputError, RoomfitError, StoreError
 from roomfit.findings import About, Code, Finding
 
 if sys.platform != "win32":
@@ -75,7 +75,7 @@ def code_digest() -> str:
     return digest(contents, {name: version(name) for name in _LIBRARIES})
 
 
-_OUTLINE = "outline"
+_OUTLINE, CONTENT_DIGEST = "outline", "content_sha256"
 
 
 class BrokenRecordError(ValueError):
@@ -101,16 +101,16 @@ def save_record(path: Path, value: object) -> None:
         arrays[name] = array
         return name
 
-    outline = json.dumps(_outlined(value, keep))
+    arrays[_OUTLINE] = np.array(json.dumps(_outlined(value, keep)))
     with path.open("wb") as stream:
-        np.savez(stream, allow_pickle=False, **{_OUTLINE: np.array(outline), **arrays})
+        np.savez(stream, allow_pickle=False, **arrays, **{CONTENT_DIGEST: np.array(digest(arrays))})
 
 
 def load_record(path: Path, classes: Iterable[type]) -> Any:
     """Return the record of a file, made of no other classes than those given.
 
-    Arrays are read-only. The archive holds a checksum of each array, so that a file that was cut
-    short or altered is found out.
+    Arrays are read-only. The archive holds the digest of its content: a file that was cut short or
+    altered is found out.
 
     Raises
     ------
@@ -121,6 +121,8 @@ def load_record(path: Path, classes: Iterable[type]) -> Any:
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
+        if str(arrays.pop(CONTENT_DIGEST)) != digest(arrays):
+            raise ValueError("its content is not that of its digest")
         return _rebuilt(json.loads(str(arrays[_OUTLINE])), arrays, known)
     except FileNotFoundError:
         raise
@@ -305,7 +307,7 @@ def sole_writer(command: Callable[P, T]) -> Callable[P, T]:
 
     Raises
     ------
-    InputError
+    FolderInUseError
         Another run has this folder.
     """
     wanted = signature(command)
@@ -372,7 +374,7 @@ def _locked(lock: Path, path: Path) -> Iterator[None]:
         raise _cannot_be_made(path, error) from error
     if not locked:
         os.close(descriptor)
-        raise InputError(
+        raise FolderInUseError(
             "another run is writing into the output folder",
             where=str(path),
             hint="wait for it, or choose another folder",
@@ -588,8 +590,16 @@ def write_text_atomically(path: Path, text: str) -> Path:
 
 
 def write_json_atomically(path: Path, content: Mapping[str, Any]) -> Path:
-    """Write `json_text` to a file; see `write_bytes_atomically`."""
-    return write_text_atomically(path, json_text(content))
+    """Write `json_text` to a file, with `content_digest`; see `write_bytes_atomically`."""
+    whole = {**content, CONTENT_DIGEST: content_digest(content)}
+    return write_text_atomically(path, json_text(whole))
+
+
+def content_digest(content: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of the JSON text, without spaces, of all but the digest itself."""
+    rest = {key: value for key, value in content.items() if key != CONTENT_DIGEST}
+    text = json.dumps(rest, separators=(",", ":"), default=_listed)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def json_text(content: Any) -> str:
@@ -736,7 +746,9 @@ def cached(
     except FileNotFoundError:
         pass
     except BrokenRecordError:
-        findings = (_damaged(kind, path),)
+        text = f"An intermediate result ({kind}, {path.name}) was damaged; it was computed again."
+        evidence = {"kind": kind, "file": path.name}
+        findings = (Finding(Code.CACHE_FILE_DAMAGED, About(), text, evidence),)
         _remove(path)
     else:
         with suppress(OSError):
@@ -756,15 +768,11 @@ def _keep(cache: Cache, kind: str, path: Path, value: object) -> tuple[Finding, 
             save_record(aside, value)
             make_room(cache, aside.stat().st_size)
     except OSError as error:
-        return (
-            Finding(
-                Code.CACHE_NOT_WRITTEN,
-                About(),
-                f"An intermediate result ({kind}) could not be kept: {error}. The answer is not "
-                "affected; an interrupted run would begin this step again.",
-                {"kind": kind},
-            ),
+        text = (
+            f"An intermediate result ({kind}) could not be kept: {error}. The answer is not "
+            "affected; an interrupted run would begin this step again."
         )
+        return (Finding(Code.CACHE_NOT_WRITTEN, About(), text, {"kind": kind}),)
     return ()
 
 
@@ -789,12 +797,3 @@ def make_room(cache: Cache, n_bytes: int) -> None:
 def _remove(path: Path) -> None:
     with suppress(OSError):  # on a disk that is read-only: it is not used in any case
         path.unlink(missing_ok=True)
-
-
-def _damaged(kind: str, path: Path) -> Finding:
-    return Finding(
-        Code.CACHE_FILE_DAMAGED,
-        About(),
-        f"An intermediate result ({kind}, {path.name}) was damaged; it was computed again.",
-        {"kind": kind, "file": path.name},
-    )

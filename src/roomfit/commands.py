@@ -29,7 +29,7 @@ from roomfit.cache import (
 from roomfit.errors import InputError, located
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import files_read, read_text, reading_noted
-from roomfit.io.encoding import input_digests
+from roomfit.io.encoding import ResultFile, input_digests, path_of
 from roomfit.io.inputs import campaign_room, identify_arguments
 from roomfit.io.inputs import check_campaign as check_campaign
 from roomfit.io.inputs import check_room as check_room
@@ -185,7 +185,7 @@ def reverberation_to_folder(
 
 @reading_noted()
 def compare_to_folder(
-    first: Path, second: Path, out: Path | None = None, *, overwrite: bool = False
+    first: ResultFile, second: ResultFile, out: Path | None = None, *, overwrite: bool = False
 ) -> Comparison:
     """Compare two results; write compared.csv, compared.html and compared.png into a folder.
 
@@ -211,7 +211,8 @@ def compare_to_folder(
         check_output_folder(out, overwrite=overwrite)
     compared = comparison.compare_results(read_result(first), read_result(second))
     if out is not None:
-        labels = ("/".join(first.parts[-2:]), "/".join(second.parts[-2:]))
+        names = ["/".join(path_of(file).parts[-2:]) for file in (first, second)]
+        labels = (names[0], names[1])
         records = comparison.comparison_records(compared)
         with whole_output_folder(out, overwrite=overwrite) as folder:
             write_text_atomically(folder / "compared.csv", csv_of(records))
@@ -231,7 +232,7 @@ class ExportedFiles:
 
 
 def export_result(
-    result_file: Path,
+    result_file: ResultFile,
     wanted: str,
     out: Path,
     *,
@@ -283,11 +284,13 @@ def export_result(
     out = Path(out)
     if wanted in ("excel", "gltf", "pdf"):
         _check_place(out, overwrite)
-        write_bytes_atomically(out, _whole_export(Path(result_file), wanted, campaign_file))
-        return ExportedFiles((out,), ())
+        content, findings = _whole_export(result_file, wanted, campaign_file)
+        write_bytes_atomically(out, content)
+        return ExportedFiles((out,), findings)
     usual = Settings().default_scattering if scattering is None else scattering
-    texts, findings = export_materials(read_material_table(result_file), wanted, usual)
-    return ExportedFiles(_write_texts(out, texts, overwrite), findings)
+    table = read_material_table(result_file)
+    texts, findings = export_materials(table, wanted, usual)
+    return ExportedFiles(_write_texts(out, texts, overwrite), (*findings, *table.findings))
 
 
 def _write_texts(out: Path, texts: Mapping[str, str], overwrite: bool) -> tuple[Path, ...]:
@@ -302,29 +305,32 @@ def _write_texts(out: Path, texts: Mapping[str, str], overwrite: bool) -> tuple[
     return tuple(out / name for name in texts)
 
 
-def _whole_export(result_file: Path, wanted: str, campaign_file: Path | None) -> bytes:
-    if wanted == "excel":
-        from roomfit.io.exports import workbook_bytes
+def _whole_export(
+    result_file: ResultFile, wanted: str, campaign_file: Path | None
+) -> tuple[bytes, tuple[Finding, ...]]:
+    from roomfit.io.exports import read_material_table, workbook_bytes
 
-        return workbook_bytes(result_file)
+    if wanted == "excel":
+        return workbook_bytes(result_file), read_material_table(result_file).findings
     if wanted == "pdf":
         from roomfit.report.pdf import report_pdf
 
         # the page that was written beside the result
-        own = result_file.suffix.lower() in (".html", ".htm")
-        page = result_file if own else result_file.with_name("report.html")
-        return report_pdf(read_text(page, "report"))
+        path = path_of(result_file)
+        own = path.suffix.lower() in (".html", ".htm")
+        page = path if own else path.with_name("report.html")
+        return report_pdf(read_text(page, "report")), ()
     if campaign_file is None:
         raise InputError(
             "glTF holds the room, which a result does not",
             needed="the campaign that the result was identified from",
             hint="add --campaign campaign.toml",
         )
-    from roomfit.io.exports import read_material_table
     from roomfit.io.gltf import gltf_text
 
     room = campaign_room(read_campaign(campaign_file, to_fit=False))
-    return gltf_text(room, read_material_table(result_file)).encode()
+    table = read_material_table(result_file)
+    return gltf_text(room, table).encode(), table.findings
 
 
 def _check_place(out: Path, overwrite: bool) -> None:
@@ -363,7 +369,7 @@ def design_to_folder(
     out: Path,
     changed: Mapping[str, Any] | None = None,
     *,
-    result_file: Path | None = None,
+    result_file: ResultFile | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Design:
@@ -409,7 +415,7 @@ _MOST_PICTURES = 24
 @reading_noted()
 def predict_to_folder(
     campaign_file: Path,
-    absorption_file: Path,
+    absorption_file: ResultFile,
     out: Path,
     changes: Sequence[Change] = (),
     *,
@@ -459,7 +465,7 @@ def predict_to_folder(
 @reading_noted()
 def treat_to_folder(
     campaign_file: Path,
-    absorption_file: Path,
+    absorption_file: ResultFile,
     treatment_file: Path,
     out: Path,
     *,
@@ -515,7 +521,7 @@ _TO_MEASURE: dict[str, Any] = {"number": 2, "n_candidates": 60, "n_random": 1, "
 
 
 def _what_to_measure(
-    campaign: Campaign, absorption_file: Path, answer: Treatment, progress: Progress | None
+    campaign: Campaign, absorption_file: ResultFile, answer: Treatment, progress: Progress | None
 ) -> tuple[str, ...]:
     """Return pairs that tell most of the absorption, where a target hangs on that of a wall.
 
@@ -550,7 +556,7 @@ def _what_to_measure(
 
 def listen_to_folder(
     campaign_file: Path,
-    absorption_file: Path,
+    absorption_file: ResultFile,
     out: Path,
     changes: Sequence[Change] = (),
     *,

@@ -54,6 +54,10 @@ class InputError(RoomfitError):
     """A file, a table or an argument is not what it must be."""
 
 
+class FolderInUseError(InputError):
+    """Another run is writing into the same output folder."""
+
+
 class InsufficientDataError(RoomfitError):
     """The measurements do not determine the answer that was asked for."""
 

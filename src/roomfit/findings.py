@@ -187,6 +187,8 @@ class Code(StrEnum):
 
     # Predictions.
 
+    RESULT_EDITED = "result-edited", "serious"
+    RESULT_WITHOUT_DIGEST = "result-without-digest", "info"
     RESULT_DOUBTED = "result-doubted", "serious"
     MATERIALS_CHANGED = "materials-changed", "info"
     CHANGE_PRIOR_DOMINATED = "change-prior-dominated", "warning"

@@ -7,8 +7,12 @@ between processes.
 
 from __future__ import annotations
 
+import ctypes
+import logging
+import os
 import signal
 import sys
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import (
@@ -24,8 +28,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
 from itertools import islice
-from multiprocessing import active_children, get_context
-from threading import Lock
+from multiprocessing import active_children, get_context, parent_process
+from threading import Lock, Thread
 from typing import Any, TypeVar
 
 import numba
@@ -36,6 +40,7 @@ from roomfit.errors import InputError, InsufficientDataError, StoreError
 from roomfit.typing import Progress
 
 T = TypeVar("T")
+_LOG, _NOTICE = logging.getLogger("roomfit"), 25
 
 # In the hands of an executor at once: dask's scheduler slows down from some 10,000 on.
 LARGEST_WINDOW = 10_000
@@ -47,6 +52,11 @@ _LIFETIME_S = 3600
 # A task that has taken so many workers with it is not given to another.
 _MOST_DEATHS = 2
 _DEATH = "KilledWorker"
+# A room takes 310 to 370 MB, and dask ends a worker at 95 % of its limit.
+LEAST_MEMORY_BYTES = 400_000_000
+# After so long without an end of a task, whoever waits is told for whom.
+_SILENCE_S = 60.0
+_PR_SET_PDEATHSIG = 1
 _ONE_THREAD = {
     "NUMBA_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
@@ -66,7 +76,8 @@ def worker_pool(n_workers: int) -> Iterator[Executor]:
     -----
     Processes are spawned, not forked, because compiled threads do not survive a fork. A script
     that asks for more than one must therefore guard its main part with
-    ``if __name__ == "__main__":``.
+    ``if __name__ == "__main__":``. They end with the thread that submits tasks: see
+    `end_with_parent`.
     """
     _check_workers(n_workers)
     pool: Executor
@@ -114,7 +125,33 @@ def _check_workers(n_workers: int) -> None:
 def _become_worker() -> None:
     # an interrupt reaches the whole group; only the parent decides what happens then
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
     keep_one_thread()
+
+
+def end_with_parent() -> None:
+    """End this process when the one that has started it is gone, whatever it is doing then.
+
+    On Linux the system sees to it. Elsewhere a thread watches, which a call that lets no other
+    thread run keeps waiting.
+    """
+    parent = os.getppid()
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:  # it was gone before
+            os._exit(1)
+    elif (starter := parent_process()) is not None:
+
+        def watch() -> None:
+            starter.join()
+            os._exit(1)
+
+        Thread(target=watch, daemon=True).start()
+
+
+def dask_setup(_: object) -> None:
+    """Prepare a worker of dask's own cluster on this machine, which loads this module first."""
+    end_with_parent()
 
 
 def keep_one_thread() -> None:
@@ -129,10 +166,12 @@ def completed(
     """Yield the number and the future of each task as it ends.
 
     Tasks are taken from their iterable as others end, so that at most `window` are submitted and
-    not yet yielded. When the iterator is closed, those that wait are dropped.
+    not yet yielded. When the iterator is closed, those that wait are dropped. After a minute in
+    which none ends, a message names the workers of a cluster that are waited for.
     """
     waiting = enumerate(tasks)
     running: dict[Future[T], int] = {}
+    since = time.strftime("%H:%M:%S")
     try:
         while True:
             with _interrupts_deferred():
@@ -140,7 +179,11 @@ def completed(
                     running[pool.submit(task)] = number
             if not running:
                 return
-            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            done, _ = wait(running, _SILENCE_S, return_when=FIRST_COMPLETED)
+            if done:
+                since = time.strftime("%H:%M:%S")
+            elif isinstance(pool, _ClusterExecutor):
+                _LOG.log(_NOTICE, "waiting for %s since %s", pool.at_work(), since)
             for future in done:
                 yield running.pop(future), future
     finally:
@@ -208,11 +251,11 @@ def cluster_pool(
     ------
     InputError
         dask.distributed is not installed, no scheduler answers, it has no workers, or these run
-        another version of Python, roomfit or numba.
+        another version of Python, roomfit or numba, or have too little memory for a room.
     """
     _check_workers(n_workers)
     distributed = _distributed()
-    with ExitStack() as stack:
+    with _without_dasks_messages(), ExitStack() as stack:
         address = scheduler if scheduler is not None else _own_cluster(stack, n_workers)
         try:
             client = stack.enter_context(
@@ -238,6 +281,25 @@ def cluster_pool(
         yield _ClusterExecutor(client)
 
 
+@contextmanager
+def _without_dasks_messages() -> Iterator[None]:
+    """Leave out what dask itself logs in this process: whatever ends a task is reported by us."""
+    handlers = logging.getLogger("distributed").handlers
+    others = [logging.getLogger(name) for name in ("tornado.application", "asyncio")]
+    before = [h.level for h in handlers], [logger.disabled for logger in others]
+    for handler in handlers:
+        handler.setLevel(logging.CRITICAL + 1)
+    for logger in others:
+        logger.disabled = True
+    try:
+        yield
+    finally:
+        for handler, level in zip(handlers, before[0], strict=True):
+            handler.setLevel(level)
+        for logger, was in zip(others, before[1], strict=True):
+            logger.disabled = was
+
+
 _OWN_CLUSTER: Mapping[str, object] = {
     "distributed.scheduler.allowed-failures": _MOST_DEATHS,
     # a task that waits at a worker would be blamed for its death, too
@@ -250,16 +312,26 @@ _OWN_CLUSTER: Mapping[str, object] = {
     # a worker that dies is always started again; if it was just starting so long after a death,
     # dask would take it for lost
     "distributed.deploy.lost-worker-timeout": "365 days",
+    # a worker that pauses for want of memory waits for ever, since its only task holds it: it is
+    # ended at 95 %, and its task given to another
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.preload": ["roomfit.workers"],
 }
 
 
 def _own_cluster(stack: ExitStack, n_workers: int) -> Any:
     """Return a cluster of processes on this machine that ends with a stack."""
     import dask
+    from distributed.system import MEMORY_LIMIT
 
+    each_bytes = int(MEMORY_LIMIT / n_workers)
+    check_memory(each_bytes, f"--workers {n_workers}", "fewer workers leave more for each")
+    message = "%d workers, each with up to %.1f GB of this machine's memory"
+    _LOG.log(_NOTICE, message, n_workers, 1e-9 * each_bytes)
     stack.enter_context(dask.config.set(dict(_OWN_CLUSTER)))
     cluster = _distributed().LocalCluster(
         n_workers=n_workers,
+        memory_limit=each_bytes,
         threads_per_worker=1,
         processes=True,
         host="127.0.0.1",
@@ -273,6 +345,24 @@ def _own_cluster(stack: ExitStack, n_workers: int) -> Any:
     )
     stack.callback(_quietly, cluster.close)
     return cluster
+
+
+def check_memory(limit_bytes: int, where: str, hint: str) -> None:
+    """Refuse a worker whose limit of memory is below what a room takes; 0 is no limit.
+
+    Raises
+    ------
+    InputError
+        The limit is below `LEAST_MEMORY_BYTES`.
+    """
+    if 0 < limit_bytes < LEAST_MEMORY_BYTES:
+        raise InputError(
+            "a worker has too little memory for a room",
+            where=where,
+            found=f"{1e-6 * limit_bytes:.0f} MB for each worker",
+            needed=f"{1e-6 * LEAST_MEMORY_BYTES:.0f} MB: a room takes 310 to 370",
+            hint=hint,
+        )
 
 
 def _quietly(end: Callable[[], object]) -> None:
@@ -304,6 +394,23 @@ class _ClusterExecutor(Executor):
             self._n_running += 1
         self._send(outer, partial(fn, *args, **kwargs), alone=False)
         return outer
+
+    def at_work(self) -> str:
+        """Return the workers that have tasks, and which of them do not go on with theirs."""
+        try:
+            busy = self._client.processing()
+            known = self._client.scheduler_info(n_workers=-1)["workers"]
+        except Exception as error:  # noqa: BLE001 -- a message, whatever ails the scheduler
+            return f"the scheduler, which does not answer ({type(error).__name__})"
+        found = []
+        for address, tasks in busy.items():
+            own = known.get(address, {})
+            paused = ", paused: its memory is full" * (own.get("status") == "paused")
+            silent_s = time.time() - own.get("last_seen", time.time())
+            silent = f", silent for {silent_s:.0f} s" if silent_s > _SILENCE_S / 2.0 else ""
+            if tasks:
+                found.append(f"worker {address}{paused}{silent}")
+        return "; ".join(found[:5]) or "workers, of which none has a task"
 
     def _send(self, outer: Future[Any], task: Callable[[], Any], *, alone: bool) -> None:
         inner = self._client.submit(task, pure=False)
@@ -380,6 +487,10 @@ def _check_alike(client: Any, scheduler: str | None) -> None:
             needed="the same roomfit on every worker as here",
             hint="install it in the workers' environment",
         ) from error
+    if scheduler is not None:
+        for address, own in client.scheduler_info(n_workers=-1)["workers"].items():
+            hint = "start it with more: dask worker ADDRESS --memory-limit 2GB"
+            check_memory(int(own.get("memory_limit") or 0), str(address), hint)
     here = about_this_process()
     for address, there in found.items():
         other = [name for name in here if there.get(name) != here[name]]

@@ -15,6 +15,7 @@ pytest.importorskip("tomlkit", reason="the workbench needs the extra app")
 
 from roomfit.app import project, views
 from roomfit.app.jobs import Job, Jobs, Worker
+from roomfit.cache import write_json_atomically
 from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import refuse
@@ -141,6 +142,8 @@ def write_result(folder: Path, findings: list[dict[str, object]], usable: list[s
     own = {"absorption": [0.3], "lower95": [0.2], "upper95": [0.4]}
     own |= {"identifiable": [True], "area_m2": 12.0}
     content = {
+        "format": "roomfit-result",
+        "format_version": 1,
         "bands_hz": [1000.0],
         "materials": dict.fromkeys(("walls", "floor", "ceiling", "door", "glass"), own),
         "findings": findings,
@@ -148,7 +151,7 @@ def write_result(folder: Path, findings: list[dict[str, object]], usable: list[s
         **({"usable": usable} if usable else {}),
     }
     (folder / "first").mkdir(exist_ok=True)
-    (folder / "first" / "result.json").write_text(json.dumps(content))
+    write_json_atomically(folder / "first" / "result.json", content)
 
 
 def test_a_finding_stands_at_the_materials_that_it_is_about_not_at_those_that_it_mentions(

@@ -28,7 +28,7 @@ def test_content_that_cannot_be_written_leaves_the_old_file(tmp_path):
     write_json_atomically(target, {"x": 1})
     with pytest.raises(ValueError, match="not JSON compliant"):
         write_json_atomically(target, {"x": float("nan")})
-    assert json.loads(target.read_text()) == {"x": 1}
+    assert json.loads(target.read_text())["x"] == 1
     assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
 
 

@@ -19,9 +19,10 @@ from roomfit.errors import InputError, RoomfitError
 from roomfit.findings import About, Code
 from roomfit.geometry.mesh import Mesh, triangle_areas_m2
 from roomfit.io.campaign import Campaign, read_campaign
-from roomfit.io.door import json_content, read_bytes, read_text
+from roomfit.io.door import read_bytes
 from roomfit.io.draft import matching_files
-from roomfit.io.encoding import finding_content, number_or_null, numbers_or_null
+from roomfit.io.encoding import EditedFile, finding_content, number_or_null, numbers_or_null
+from roomfit.io.exports import read_result_content
 from roomfit.io.inputs import check_campaign
 from roomfit.io.responses import SOUND_SUFFIXES, read_response
 from roomfit.io.responses.recordings import ResponseSpec
@@ -240,7 +241,8 @@ def result_view(_: Progress, folder: str, name: str) -> dict[str, Any] | None:
     file = Path(folder) / name / "result.json"
     if not file.is_file():
         return None
-    content = json_content(read_text(file, "result"), "result")
+    content, doubts = read_result_content(EditedFile(file))
+    content["findings"] = [*content["findings"], *map(finding_content, doubts)]
     materials, findings = content["materials"], []
     for finding in content["findings"]:
         named = finding.get("about", {}).get("materials", [])

@@ -26,7 +26,7 @@ from roomfit.app.elements import (
 )
 from roomfit.app.jobs import Bench
 from roomfit.errors import InputError
-from roomfit.io.door import json_content, read_text
+from roomfit.io.encoding import written_content
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.materials.catalogue import catalogue
 from roomfit.report.wording import count, short_hertz
@@ -449,7 +449,7 @@ def _place(file: Path) -> str:
 
 def sounds_html(folder: Path) -> str:
     """Return what `roomfit listen` has written, before and after side by side."""
-    content = json_content(read_text(folder / "listen.json", "sounds"), "sounds")
+    content, _ = written_content(folder / "listen.json", "sounds")
     rows = []
     for own in content["responses"][:100]:
         name = f"{own['source']} to {own['receiver']}"

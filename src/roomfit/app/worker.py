@@ -27,6 +27,9 @@ def main() -> None:
 
     from roomfit.app.views import TASKS  # after the limit, which the import needs not much of
     from roomfit.errors import RoomfitError
+    from roomfit.workers import end_with_parent
+
+    end_with_parent()  # the thread that listens has no turn while compiled code runs
 
     def send(**content: Any) -> None:
         answers.write(json.dumps(content, allow_nan=False) + "\n")

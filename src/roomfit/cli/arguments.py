@@ -5,9 +5,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, NoReturn, TypeAlias
+from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 from roomfit.errors import InputError
+
+if TYPE_CHECKING:
+    from roomfit.io.encoding import ResultFile
 
 
 class Parser(argparse.ArgumentParser):
@@ -50,6 +53,12 @@ class Parser(argparse.ArgumentParser):
         self.add_option(
             "--absorption", "result.json or absorption.csv of a fit.", type=Path, required=True
         )
+        self.add_edited()
+
+    def add_edited(self) -> None:
+        """Add ``--edited``, of which `result_file` makes use."""
+        text = "Read a result that was edited since roomfit wrote it."
+        self.add_argument("--edited", action="store_true", help=text)
 
     def add_state(self) -> None:
         """Add ``--state``."""
@@ -72,6 +81,13 @@ class Parser(argparse.ArgumentParser):
     def add_overwrite(self, text: str = "Write into a folder that is not empty.") -> None:
         """Add ``--overwrite``."""
         self.add_argument("--overwrite", action="store_true", help=text)
+
+
+def result_file(options: argparse.Namespace, path: Path) -> ResultFile:
+    """Return a result to read, as ``--edited`` has it."""
+    from roomfit.io.encoding import EditedFile  # needs numpy, which --help must not wait for
+
+    return EditedFile(path) if options.edited else path
 
 
 Commands: TypeAlias = "argparse._SubParsersAction[Parser]"

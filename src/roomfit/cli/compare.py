@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from roomfit.cli.arguments import Commands, add_command
+from roomfit.cli.arguments import Commands, add_command, result_file
 from roomfit.cli.terminal import say
 
 
@@ -17,6 +17,7 @@ def add(commands: Commands) -> None:
     parser.add_option(
         "--out", "Folder for a table, a page and a picture; made if needed.", type=Path
     )
+    parser.add_edited()
     parser.add_overwrite()
 
 
@@ -24,7 +25,10 @@ def run(options: argparse.Namespace) -> None:
     from roomfit.commands import compare_to_folder
 
     compared = compare_to_folder(
-        options.first, options.second, options.out, overwrite=options.overwrite
+        result_file(options, options.first),
+        result_file(options, options.second),
+        options.out,
+        overwrite=options.overwrite,
     )
     say(str(compared))
     if options.out is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from roomfit.cli.arguments import Commands, add_command, number, whole_number
+from roomfit.cli.arguments import Commands, add_command, number, result_file, whole_number
 from roomfit.cli.terminal import say
 from roomfit.report.progress import shown_progress
 
@@ -43,6 +43,7 @@ def add(commands: Commands) -> None:
         "With it no response is read, and none need exist.",
         type=number,
     )
+    parser.add_edited()
     parser.add_option("--seed", "Of the draws.", type=whole_number, default=1)
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--workers", type=whole_number, default=1, help="Processes (default: 1).")
@@ -62,7 +63,7 @@ def run(options: argparse.Namespace) -> None:
         replicates=options.replicates,
         first=options.first,
         only=options.only,
-        result=None if options.source == "prior" else Path(options.source),
+        result=None if options.source == "prior" else result_file(options, Path(options.source)),
         snr_db=options.snr_db,
         seed=options.seed,
         workers=options.workers,

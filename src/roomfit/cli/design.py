@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from roomfit.cli.arguments import Commands, add_command, whole_number
+from roomfit.cli.arguments import Commands, add_command, result_file, whole_number
 from roomfit.cli.terminal import say
 from roomfit.report.progress import shown_progress
 
@@ -27,6 +27,7 @@ def add(commands: Commands) -> None:
     parser.add_option("--sources", "How many different sources at most.", type=whole_number)
     parser.add_option("--criterion", "What is to become small: determinant, mean or worst.")
     parser.add_option("--result", "result.json of a fit: what to measure next.", type=Path)
+    parser.add_edited()
     parser.add_overwrite()
 
 
@@ -44,7 +45,7 @@ def run(options: argparse.Namespace) -> None:
             options.campaign,
             options.out,
             {name: value for name, value in wanted.items() if value is not None},
-            result_file=options.result,
+            result_file=options.result and result_file(options, options.result),
             overwrite=options.overwrite,
             progress=progress,
         )

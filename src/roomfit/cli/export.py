@@ -6,7 +6,7 @@ import argparse
 import textwrap
 from pathlib import Path
 
-from roomfit.cli.arguments import Commands, add_command, number
+from roomfit.cli.arguments import Commands, add_command, number, result_file
 from roomfit.cli.terminal import say
 
 
@@ -24,6 +24,7 @@ def add(commands: Commands) -> None:
         "--scattering", "For all materials, where the result does not specify it.", type=number
     )
     parser.add_option("--campaign", "For gltf: the campaign, which has the room.", type=Path)
+    parser.add_edited()
     parser.add_overwrite("Replace what exists.")
 
 
@@ -31,7 +32,7 @@ def run(options: argparse.Namespace) -> None:
     from roomfit.commands import export_result
 
     written = export_result(
-        options.result,
+        result_file(options, options.result),
         options.format,
         options.out,
         scattering=options.scattering,

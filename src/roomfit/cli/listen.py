@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from roomfit.cli.arguments import Commands, add_command
+from roomfit.cli.arguments import Commands, add_command, result_file
 from roomfit.cli.terminal import say
 from roomfit.report.progress import shown_progress
 
@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> None:
     with shown_progress("listening") as progress:
         content = listen_to_folder(
             options.campaign,
-            options.absorption,
+            result_file(options, options.absorption),
             options.out,
             [read_change(text) for text in options.changes or []],
             state=options.state or "",

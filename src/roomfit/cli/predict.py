@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from roomfit.cli.arguments import Commands, add_command
+from roomfit.cli.arguments import Commands, add_command, result_file
 from roomfit.cli.terminal import say
 from roomfit.report.progress import shown_progress
 
@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> None:
     with shown_progress("predicting") as progress:
         predicted = predict_to_folder(
             options.campaign,
-            options.absorption,
+            result_file(options, options.absorption),
             options.out,
             changes,
             wanted=wanted,

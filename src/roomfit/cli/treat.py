@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from roomfit.cli.arguments import Commands, add_command
+from roomfit.cli.arguments import Commands, add_command, result_file
 from roomfit.cli.terminal import say
 from roomfit.report.progress import shown_progress
 
@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> None:
     with shown_progress("choosing what to hang") as progress:
         answer = treat_to_folder(
             options.campaign,
-            options.absorption,
+            result_file(options, options.absorption),
             options.treatment,
             options.out,
             wanted=wanted,

@@ -64,7 +64,7 @@ from roomfit.findings import code_of
 from roomfit.geometry.mesh import surface_area_m2
 from roomfit.identification import compile_kernels
 from roomfit.io.campaign import Campaign
-from roomfit.io.door import json_content, read_text
+from roomfit.io.encoding import written_content
 from roomfit.io.inputs import identify_arguments
 from roomfit.workers import (
     bundled,
@@ -161,7 +161,7 @@ def read_replicate(out: Path, number: int, digest: str) -> Replicate | None:
     if not path.exists():
         return None
     try:
-        content = json_content(read_text(path, "replicate"), "replicate")
+        content, _ = written_content(path, "replicate")
     except InputError as error:
         raise _damaged(path, str(error.found or error.what)) from error
     if not isinstance(content, dict) or content.get("format") != _FORMAT:

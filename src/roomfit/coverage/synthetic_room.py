@@ -36,6 +36,7 @@ from roomfit.core import (
 from roomfit.inversion.measurements import collect_measurements
 from roomfit.io.campaign import Campaign, input_files
 from roomfit.io.door import read_bytes
+from roomfit.io.encoding import ResultFile, path_of
 from roomfit.io.inputs import CampaignInputs
 from roomfit.io.results import read_result
 from roomfit.objective.directivity import DEFAULT_B_SD
@@ -50,7 +51,7 @@ class CoverageSettings:
     replicates: int = 200  # of the whole estimate, 1 to 100,000
     first: int = 0  # the first replicate of this run
     only: int | None = None  # how many this run simulates at most; None: all that follow
-    result: Path | None = None  # result.json whose posterior is drawn from; None: the priors
+    result: ResultFile | None = None  # result.json whose posterior is drawn from; None: the priors
     # loudest 10 ms over noise in every band, 20 to 90 dB; None: that of the recordings
     snr_db: float | None = None
     seed: int = 1  # of the draws; replicate n of one seed is the same in any slice
@@ -139,7 +140,7 @@ def coverage_plan(campaign: Campaign, settings: CoverageSettings) -> CoveragePla
     priors = inputs.priors(room.materials)
     answer = None
     if settings.result is not None:
-        answer = _reference(read_result(settings.result), settings.result, campaign, room)
+        answer = _reference(read_result(settings.result), path_of(settings.result), campaign, room)
     grid = synthetic_bands(campaign.bands)
     steps = np.abs(np.log(grid.centres_hz[:, None] / campaign.bands.exact_centres_hz[None, :]))
     nearest = np.argmin(steps, axis=1)
@@ -226,7 +227,7 @@ def _digest(campaign: Campaign, settings: CoverageSettings) -> str:
         unread |= {m.response.excitation for m in campaign.measurements if m.response.excitation}
     files = [p for p in input_files(campaign) if p not in unread]
     if settings.result is not None:
-        files.append(settings.result)
+        files.append(path_of(settings.result))
     contents = [read_bytes(p, "input file") for p in files]
     return digest(code_digest(), "calibration", contents, settings.snr_db, settings.seed)
 

@@ -7,13 +7,103 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from roomfit.findings import About, Finding, code_of
-from roomfit.io.door import files_read, read_bytes
+from roomfit._checks import did_you_mean
+from roomfit.cache import CONTENT_DIGEST, content_digest
+from roomfit.errors import InputError, located
+from roomfit.findings import About, Code, Finding, code_of
+from roomfit.io.door import files_read, json_content, read_bytes, read_text
 from roomfit.typing import FloatArray
+
+
+class EditedFile(NamedTuple):
+    """A file that was changed since roomfit wrote it, and is to be read as it is."""
+
+    path: Path
+
+
+ResultFile = Path | EditedFile
+
+
+def path_of(file: ResultFile) -> Path:
+    """Return where a file lies."""
+    return file.path if isinstance(file, EditedFile) else Path(file)
+
+
+def written_content(file: ResultFile, what: str) -> tuple[Any, tuple[Finding, ...]]:
+    """Return what a JSON file of roomfit holds, and whether its digest vouches for it.
+
+    A file without digest, by hand or of an earlier version, is read and named in a finding.
+
+    Raises
+    ------
+    InputError
+        No JSON, or its content is not that of its digest and the file no `EditedFile`.
+    """
+    path = path_of(file)
+    text = read_text(path, what)
+    with located(str(path)):
+        content = json_content(text, what)
+    if not isinstance(content, dict):
+        return content, ()
+    needed = content.get(CONTENT_DIGEST)
+    try:
+        found = content_digest(content)
+    except RecursionError:
+        found = "nested too deep"
+    return content, digest_findings(file, what, found, needed)
+
+
+def digest_findings(file: ResultFile, what: str, found: str, needed: object) -> tuple[Finding, ...]:
+    """Return what a digest says of a file; `needed` is None where nothing states it.
+
+    Raises
+    ------
+    InputError
+        The two differ, and the file is no `EditedFile`.
+    """
+    path = path_of(file)
+    if found == needed:
+        return ()
+    if needed is not None and not isinstance(file, EditedFile):
+        raise InputError(
+            f"the {what} was changed after roomfit wrote it",
+            where=str(path),
+            found=f"content with the SHA-256 {found}",
+            needed=str(needed),
+            hint="copy or make it again, or add --edited to read it as it is",
+        )
+    code = Code.RESULT_WITHOUT_DIGEST if needed is None else Code.RESULT_EDITED
+    text = (
+        f"The {what} {path.name} bears no digest, so that nobody can tell whether it is as written."
+        if needed is None
+        else f"The {what} {path.name} was edited after roomfit wrote it; it was read as it is."
+    )
+    return (Finding(code, About(), text, {"found": found, "needed": needed}),)
+
+
+def check_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
+    """Refuse keys that a table of a file cannot have.
+
+    Raises
+    ------
+    InputError
+        Names the first of them, and the known key most like it.
+    """
+    names = sorted(known)
+    unknown = next((key for key in table if key not in names), None)
+    if unknown is not None:
+        raise InputError(
+            "unknown key in a file of roomfit",
+            where=where,
+            found=repr(unknown),
+            needed=f"one of {', '.join(names)}",
+            hint=did_you_mean(unknown, names)
+            or "read it with the version of roomfit that wrote it, which `provenance` names",
+        )
 
 
 def numbers_or_null(values: FloatArray) -> list[float | None]:

@@ -9,10 +9,12 @@ pyroomacoustics (its arguments as JSON), or as a wide CSV.
 from __future__ import annotations
 
 import colorsys
+import hashlib
 import json
 import re
 import unicodedata
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -20,10 +22,17 @@ import numpy as np
 
 from roomfit._checks import bool_array, check_known, check_range, float_array, unique_names
 from roomfit.bands import OCTAVES_HZ, Bands
-from roomfit.errors import InputError, located
+from roomfit.errors import InputError, RoomfitError, located
 from roomfit.findings import About, Code, Finding
-from roomfit.io.door import complete, csv_rows, json_content, read_text
-from roomfit.io.encoding import one_line
+from roomfit.io.door import complete, csv_rows, decoded, read_text
+from roomfit.io.encoding import (
+    ResultFile,
+    check_keys,
+    digest_findings,
+    one_line,
+    path_of,
+    written_content,
+)
 from roomfit.results import absorption_records
 from roomfit.table import Table, csv_of, without_apostrophe, workbook_of
 from roomfit.typing import BoolArray, FloatArray
@@ -212,6 +221,7 @@ class MaterialTable:
     upper95: FloatArray
     identifiable: BoolArray  # (n_materials, n_bands)
     scattering: FloatArray | None = None  # (n_materials, n_bands); None where the result has none
+    findings: tuple[Finding, ...] = ()  # on the file
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "names", unique_names("material", self.names))
@@ -225,24 +235,47 @@ class MaterialTable:
         object.__setattr__(self, "identifiable", flags)
 
 
-def read_material_table(path: Path) -> MaterialTable:
-    """Read the materials of a ``result.json`` or an ``absorption.csv``.
+# Of result.json, by table: what may stand there.
+RESULT_KEYS = {
+    "": "format format_version bands_hz materials combinations pairs findings fit plan settings "
+    "trace provenance usable remains states sd_without directivity geometry posterior "
+    "files_sha256 content_sha256",
+    "materials": "absorption lower95 upper95 identifiable area_m2 scattering share share_lower95 "
+    "share_upper95 prior interval",
+    "posterior": "materials logit_mean logit_covariance prior_logit_mean prior_logit_sd "
+    "prior_logit_covariance draws prior_specified",
+    "fit": "method model cost models phi evaluations converged seconds certified seed intervals "
+    "method_chosen reasons sampling",
+    "pairs": "source receiver use state parameters sti",
+    "findings": "code severity sentence about evidence",
+}
+
+
+def read_result_content(file: ResultFile) -> tuple[dict[str, Any], tuple[Finding, ...]]:
+    """Return the content of a ``result.json`` of this version, and what its digest says of it.
 
     Raises
     ------
     InputError
-        There is no such file, it is neither of the two, or its numbers are out of range.
+        There is no such file, it is no result, has unknown keys, or was changed.
     """
-    path = Path(path)
-    text = read_text(path, "result")
-    with located(str(path)):
-        if path.suffix.lower() == ".csv":
-            return _from_csv(text)
-        return _from_json(text)
+    content, findings = written_content(file, "result")
+    path = path_of(file)
+    with located(str(path)), complete("result", "a result.json as roomfit writes it"):
+        _check_format(content)
+        for name, known in RESULT_KEYS.items():
+            part = content.get(name, {}) if name else content
+            tables: dict[str, Any] = {name or "top level": part}
+            if name == "materials":
+                tables = {f"materials.{own}": table for own, table in part.items()}
+            elif isinstance(part, list):
+                tables = {f"{name}[{i}]": table for i, table in enumerate(part, start=1)}
+            for where, table in tables.items():
+                check_keys(table, known.split(), where)
+    return content, findings
 
 
-def _from_json(text: str) -> MaterialTable:
-    content = json_content(text, "result")
+def _check_format(content: Any) -> None:
     if not isinstance(content, dict) or content.get("format") != "roomfit-result":
         raise InputError(
             "this is no result of roomfit",
@@ -256,8 +289,54 @@ def _from_json(text: str) -> MaterialTable:
             needed="format_version 1",
             hint="identify again, or export with the version of roomfit that wrote it",
         )
-    with complete(
-        "result", "bands_hz, and for each material absorption, lower95, upper95, identifiable"
+
+
+def read_material_table(file: ResultFile) -> MaterialTable:
+    """Read the materials of a ``result.json`` or an ``absorption.csv``.
+
+    Raises
+    ------
+    InputError
+        There is no such file, it is neither of the two, or its numbers are out of range; or its
+        content is not that of its digest, which is in the ``result.json`` beside a table.
+    """
+    path = path_of(file)
+    if path.suffix.lower() != ".csv":
+        return material_table(file, *read_result_content(file))
+    text = read_text(path, "result")
+    findings = digest_findings(file, "table", text_digest(text), _digest_beside(path))
+    with located(str(path)):
+        return replace(_from_csv(text), findings=findings)
+
+
+def text_digest(text: str) -> str:
+    """Return the SHA-256 of a text file as roomfit writes it, whatever ends its lines."""
+    return hashlib.sha256(decoded(text.encode(errors="replace")).encode()).hexdigest()
+
+
+def _digest_beside(path: Path) -> object:
+    """Return the digest of a file that the result beside it states; None without such a result."""
+    with suppress(RoomfitError, AttributeError):
+        content, doubts = written_content(path.with_name("result.json"), "result")
+        return None if doubts else content.get("files_sha256", {}).get(path.name)
+    return None
+
+
+def material_table(
+    file: ResultFile, content: dict[str, Any], findings: tuple[Finding, ...] = ()
+) -> MaterialTable:
+    """Return the materials of a result from its content.
+
+    Raises
+    ------
+    InputError
+        Something is missing, or out of range.
+    """
+    with (
+        located(str(path_of(file))),
+        complete(
+            "result", "bands_hz, and for each material absorption, lower95, upper95, identifiable"
+        ),
     ):
         materials: dict[str, Any] = content["materials"]
         entries = list(materials.values())
@@ -270,6 +349,7 @@ def _from_json(text: str) -> MaterialTable:
             np.array([m["upper95"] for m in entries]),
             np.array([m["identifiable"] for m in entries]),
             None if None in scattering or not entries else np.array(scattering),
+            findings,
         )
 
 
@@ -354,7 +434,7 @@ def wide_csv_text(table: MaterialTable) -> str:
     return csv_of(Table("", ("material", "quantity", *bands), rows, form=".5f"))
 
 
-def workbook_bytes(path: Path) -> bytes:
+def workbook_bytes(file: ResultFile) -> bytes:
     """Return the tables of a ``result.json`` or an ``absorption.csv`` as an Excel workbook.
 
     Raises
@@ -362,13 +442,13 @@ def workbook_bytes(path: Path) -> bytes:
     InputError
         The result cannot be read, or openpyxl is not installed.
     """
-    return workbook_of(result_tables(path))
+    return workbook_of(result_tables(file))
 
 
 _COMPARED = ("measured", "predicted", "jnd", "mean_of_others")
 
 
-def result_tables(path: Path) -> dict[str, Table]:
+def result_tables(file: ResultFile) -> dict[str, Table]:
     """Return the tables of a result by name.
 
     ``absorption`` has a row for each material and band, ``absorption by band`` one for each
@@ -380,7 +460,9 @@ def result_tables(path: Path) -> dict[str, Table]:
     InputError
         The result cannot be read.
     """
-    table = read_material_table(path)
+    path = path_of(file)
+    content = {} if path.suffix.lower() == ".csv" else read_result_content(file)[0]
+    table = material_table(file, content) if content else read_material_table(file)
     values = np.stack([table.absorption, table.lower95, table.upper95])
     heads = ("material", *(f"{f:g}" for f in table.bands.centres_hz))
     by_band = [(n, *a) for n, a in zip(table.names, table.absorption.tolist(), strict=True)]
@@ -388,9 +470,8 @@ def result_tables(path: Path) -> dict[str, Table]:
         "absorption": absorption_records(table.names, table.bands, values, table.identifiable),
         "absorption by band": Table("", heads, by_band),
     }
-    if path.suffix.lower() == ".csv":
+    if not content:
         return tables
-    content = json_content(read_text(path, "result"), "result")
     with located(str(path)), complete("result", "a result.json as roomfit writes it"):
         return tables | _further_tables(content)
 

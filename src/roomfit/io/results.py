@@ -6,6 +6,7 @@ contract: they keep their names where a term in the code is another.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,21 @@ from roomfit.bands import Bands
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.diagnostics.remaining import what_remains
 from roomfit.errors import InputError, located
-from roomfit.io.door import complete, json_content, read_text
-from roomfit.io.encoding import finding_content, finding_of, numbers_or_null, provenance
-from roomfit.io.exports import read_material_table
+from roomfit.io.door import complete
+from roomfit.io.encoding import (
+    ResultFile,
+    finding_content,
+    finding_of,
+    numbers_or_null,
+    path_of,
+    provenance,
+)
+from roomfit.io.exports import (
+    material_table,
+    read_material_table,
+    read_result_content,
+    text_digest,
+)
 from roomfit.logit import logit
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.response.directivity import Pattern
@@ -30,17 +43,25 @@ from roomfit.typing import FloatArray
 from roomfit.uncertainty.combinations import Combination, Difference
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
 
+_LOG = logging.getLogger("roomfit")
 
-def read_result(path: Path) -> AbsorptionPosterior:
+
+def read_result(file: ResultFile) -> AbsorptionPosterior:
     """Return the absorption of a result with its posterior.
 
     A ``result.json`` holds the covariance between materials; from an ``absorption.csv``, or a
     result without ``posterior``, the intervals are taken as independent.
 
+    Parameters
+    ----------
+    file : Path or EditedFile
+        ``EditedFile(path)`` reads what was changed since roomfit wrote it.
+
     Raises
     ------
     InputError
-        There is no such file, it is neither of the two, or its numbers are out of range.
+        There is no such file, it is neither of the two, or its numbers are out of range; or its
+        content is not that of its digest, and the file is given as a path.
 
     Examples
     --------
@@ -55,10 +76,15 @@ def read_result(path: Path) -> AbsorptionPosterior:
     >>> found.materials, found.absorption
     (('carpet',), array([[0.3]]))
     """
-    path = Path(path)
-    table = read_material_table(path)
-    is_table = path.suffix.lower() == ".csv"
-    content = {} if is_table else json_content(read_text(path, "result"), "result")
+    path = path_of(file)
+    content: dict[str, Any] = {}
+    if path.suffix.lower() == ".csv":
+        table = read_material_table(file)
+    else:
+        content, doubts = read_result_content(file)
+        table = material_table(file, content, doubts)
+    for doubt in table.findings:
+        _LOG.warning("%s: %s", doubt.severity, doubt.sentence)
     with located(str(path)), complete("result", "a result.json as roomfit writes it"):
         posterior = content.get("posterior")
         if posterior is None:
@@ -88,8 +114,9 @@ def read_result(path: Path) -> AbsorptionPosterior:
             chi2_reduced=content.get("fit", {}).get("phi"),
             prior_specified=None if flags is None else np.array(flags, dtype=np.bool_),
             draws=_posterior_table(posterior, "draws") if "draws" in (posterior or {}) else None,
-            result_findings=tuple(
-                finding_of(one, "findings") for one in content.get("findings", ())
+            result_findings=(
+                *table.findings,
+                *(finding_of(one, "findings") for one in content.get("findings", ())),
             ),
         )
 
@@ -173,8 +200,9 @@ def write_result(
     >>> bool(np.all(found.absorption == result.absorption))
     True
     """
-    content = result_content(answer, inputs, usable)
-    write_text_atomically(folder / "absorption.csv", absorption_csv(answer))
+    content, table = result_content(answer, inputs, usable), absorption_csv(answer)
+    content["files_sha256"] = {"absorption.csv": text_digest(table)}
+    write_text_atomically(folder / "absorption.csv", table)
     write_json_atomically(folder / "result.json", content)
 
 

@@ -1,0 +1,55 @@
+"""Tasks that hold the interpreter or memory, and programs that are killed while they do."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import psutil
+
+
+def hold(folder: Path, number: int) -> None:
+    """Note the process, and then call what does not release the interpreter for ten minutes."""
+    (folder / f"{number}.pid").write_text(str(os.getpid()))
+    ctypes.PyDLL(None).sleep(600)
+
+
+KEPT: list[np.ndarray] = []
+
+
+def keep_memory(most_bytes: float) -> float:
+    """Take memory until the process has so much, and keep it; return what it has."""
+    process = psutil.Process()
+    while process.memory_info().rss < most_bytes:
+        KEPT.append(np.ones(500_000))
+    time.sleep(1.5)  # dask looks at it ten times a second
+    return float(process.memory_info().rss)
+
+
+def main() -> None:
+    """Have two workers hold, in a pool or a cluster; or start the page's worker."""
+    from roomfit.workers import cluster_pool, completed, worker_pool
+
+    kind, folder = sys.argv[1], Path(sys.argv[2])
+    if kind == "page":
+        reading, _ = map(int, sys.argv[3].split(","))
+        module = [sys.executable, "-m", "roomfit.app.worker", "0"]
+        found = subprocess.Popen(
+            module, stdin=reading, stdout=subprocess.PIPE, start_new_session=True
+        )
+        assert found.stdout is not None
+        found.stdout.readline()  # it is ready
+        (folder / "0.pid").write_text(str(found.pid))
+        time.sleep(600)
+    with cluster_pool(n_workers=2) if kind == "cluster" else worker_pool(2) as pool:
+        list(completed(pool, [partial(hold, folder, n) for n in range(2)]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,75 @@
+"""What a treatment costs, what a standard asks, and how likely a target is: by hand."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from roomfit.geometry.mesh import shoebox_mesh
+from roomfit.scene import room_from_mesh
+from roomfit.treatment import question as question_module
+from roomfit.treatment import treat as treat_module
+from roomfit.treatment.question import Product, Surface, Target, question_of
+from roomfit.treatment.standards import standard_target
+
+
+@pytest.mark.parametrize(("name", "per_m"), [("b3", 0.20), ("b4", 0.25), ("b5", 0.30)])
+def test_rooms_below_two_and_a_half_metres_have_the_limits_of_one_that_high(name, per_m):
+    """DIN 18041:2016, table 4: A/V of 0.20, 0.25 and 0.30 per metre up to 2.5 m, less above."""
+
+    def limit_s(height_m: float) -> float:
+        room = room_from_mesh(shoebox_mesh((6.0, 5.0, height_m)), {})
+        return standard_target(f"din-18041-{name}", room)[0].high
+
+    for height_m in (2.0, 2.3, 2.5):
+        assert limit_s(height_m) == pytest.approx(0.16 / per_m, rel=0.002)
+    # each doubling of the height adds 4.69 log10(2) to the reciprocal of A/V
+    assert limit_s(5.0) - limit_s(2.5) == pytest.approx(0.16 * 4.69 * np.log10(2.0), rel=1e-6)
+
+
+def test_a_piece_costs_its_area_times_the_price_of_a_square_metre(monkeypatch):
+    bands = SimpleNamespace(centres_hz=np.array([500.0]))
+    here = SimpleNamespace(room=None)
+    room: Any = SimpleNamespace(absorption=SimpleNamespace(bands=bands), scene=here)
+    columns = [(0, 0, 4.0), (0, 1, 2.0), (1, 0, 3.0)]
+    monkeypatch.setattr(question_module, "material_areas_m2", lambda *_: np.array([9.0, 8.0]))
+    monkeypatch.setattr(question_module, "pair_states", lambda _: np.array([0]))
+    monkeypatch.setattr(question_module, "columns_of", lambda *_: (columns, {0: 9.0, 1: 8.0}))
+    monkeypatch.setattr(question_module, "row_weights", lambda *_: np.ones((1, 1)))
+    monkeypatch.setattr(question_module, "_product_draws", lambda *_: np.zeros((1, 2, 1)))
+    a = np.array([0.5])
+    products = (Product("foam", a, a, 30.0, 2.0), Product("panel", a, a, 55.0, 0.72))
+    target = (Target("T30_s", high=0.5, bands_hz=(500.0,)),)
+    asked = question_of(room, (Surface("walls"),), products, target)
+    np.testing.assert_allclose(asked.cost, [60.0, 39.6, 60.0])
+
+
+def test_the_odds_of_a_target_count_both_of_its_limits(monkeypatch):
+    """Of draws with a Gaussian rest, by scipy: at most, at least, and between; and all at once."""
+    rng = np.random.default_rng(4)
+    rows, sd = rng.normal(1.0, 0.3, (64, 4)), np.array([0.2, 0.1, 0.15, 0.3])
+    low = np.array([-np.inf, 0.9, 0.8, 0.7])
+    high = np.array([1.1, np.inf, 1.2, np.inf])
+    targets = (0, 1, 2, 1)  # the second has two rows
+    number = SimpleNamespace(draws=np.zeros((64, 1, 1)), sti=None)
+    monkeypatch.setattr(treat_module, "numbers_at", lambda *_: [number])
+    monkeypatch.setattr(treat_module, "treated", lambda *_: None)
+    monkeypatch.setattr(treat_module, "treated_draws", lambda *_: None)
+    monkeypatch.setattr(treat_module, "predicted_means", lambda *_: (None, None))
+    monkeypatch.setattr(treat_module, "rows_of", lambda *_: rows)
+    monkeypatch.setattr(treat_module, "_rest_sd", lambda *_: sd)
+    monkeypatch.setattr(treat_module, "limits_of", lambda _: (low, high))
+    room = SimpleNamespace(scene=None, before=())
+    question: Any = SimpleNamespace(room=room, targets=(1, 2, 3), target=targets)
+    _, odds, drawn, joint = treat_module._outcome(question, np.zeros(0))
+    assert drawn is rows
+    within = norm.cdf(high, rows, sd) - norm.cdf(low, rows, sd)
+    np.testing.assert_allclose(
+        odds, [within[:, 0].mean(), (within[:, 1] * within[:, 3]).mean(), within[:, 2].mean()]
+    )
+    assert joint == pytest.approx(within.prod(axis=1).mean())
+    assert odds[1] < 0.7  # a target that is not met for certain

@@ -1,0 +1,148 @@
+"""Means, bounds and draws of absorption stay within 0 to 1; deviations count in their own sd."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from coherent_cases import estimate_of
+from posterior_cases import absorption_block
+from roomfit.air import Air
+from roomfit.bands import bands_between
+from roomfit.coverage.statistics import CoverageSample, grouped_proportion, scaled_errors
+from roomfit.inversion import displacement
+from roomfit.inversion.outliers import file_misfits, variance_inflation
+from roomfit.inversion.solve import prior_speed_sd
+from roomfit.materials.priors import unknown_material
+from roomfit.objective.parameters import Parameters
+from roomfit.prediction.changes import Change, changed_draws
+from roomfit.settings import Settings
+from roomfit.uncertainty.gaussian import weighted_mean_interval
+from roomfit.uncertainty.posterior import AbsorptionPosterior
+from roomfit.uncertainty.smoothing import smoothed
+
+BANDS = bands_between("octave", 500, 1000)
+
+
+def test_a_mean_of_the_room_is_clipped_at_0_and_at_1():
+    parameters, weights = Parameters((absorption_block(2),)), np.array([0.6, 0.4])
+    for x in (3.0, -3.0):
+        found = weighted_mean_interval(parameters, np.full(2, x), 9.0 * np.eye(2), weights)
+        mean, low, high = found
+        assert 0.0 <= low <= mean <= high <= 1.0
+        assert (high == 1.0) if x > 0 else (low == 0.0)
+
+
+def test_a_smoothed_mean_of_the_room_is_clipped_at_0_and_at_1():
+    for a, sd in ((0.97, 1.3), (0.03, 1.3)):
+        one = replace(
+            estimate_of([a, a], 0.01),
+            logit_mean=np.full(2, np.log(a / (1.0 - a))),
+            logit_covariance=sd**2 * np.eye(2),
+        )
+        priors = tuple(unknown_material(n, 2) for n in ("walls", "floor"))
+        for answer in smoothed((one, one), priors, BANDS, 5.0, np.array([3.0, 2.0])):
+            mean, low, high = answer.mean
+            assert 0.0 <= low < mean < high <= 1.0
+            assert (high == 1.0) if a > 0.5 else (low == 0.0)
+
+
+def test_draws_of_a_factor_stay_between_0_and_1():
+    a = np.array([[0.6, 0.9], [0.3, 0.2]])
+    covariance = np.stack([0.04 * np.eye(2)] * 2)
+    bounds = (0.8 * a, np.minimum(1.1 * a, 1.0))
+    known = AbsorptionPosterior(("walls", "floor"), BANDS, a, *bounds, covariance)
+    rng = np.random.default_rng(7)
+    draws = np.clip(a + 0.05 * rng.standard_normal((200, 2, 2)), 0.01, 0.99)
+    change = Change("walls", "factor", (1.5,), (0.8,))
+    absorption, drawn, findings = changed_draws(known, draws, (change,), rng)
+    np.testing.assert_allclose(absorption, [[0.9, 1.0], [0.3, 0.2]])
+    assert drawn.min() == 0.0 and drawn.max() == 1.0  # a factor of -1 and of 3 are drawn
+    np.testing.assert_array_equal(drawn[:, 1], draws[:, 1])
+    assert [f.about.bands_hz for f in findings] == [(1000.0,)]
+
+
+# Coverage.
+
+
+def test_an_error_is_scaled_by_the_side_of_the_interval_on_which_the_truth_lies():
+    """An interval from -1 to +3 standard units of the logit about its middle."""
+
+    def expit(x):
+        return 1.0 / (1.0 + np.exp(-x))
+
+    true = np.array([-1.5, -0.5, 0.0, 1.5, 4.5]).reshape(5, 1, 1)
+    ones = np.ones((5, 1, 1))
+    sample = CoverageSample(
+        ("walls",), bands_between("octave", 500, 500), expit(true), 0.5 * ones, expit(-ones),
+        expit(3.0 * ones), ones > 0.0, ones > 0.0, 0.5 * np.ones((1, 1)), 0.5 * np.ones((5, 1)),
+        np.ones((5, 1)),
+    )  # fmt: skip
+    in_bounds = [-1.5, -0.5, 0.0, 0.5, 1.5]  # of the side: below by 1, above by 3
+    np.testing.assert_allclose(scaled_errors(sample), 1.959964 * np.array(in_bounds), rtol=1e-6)
+
+
+def test_the_spread_of_groups_has_bessels_factor():
+    """Of 5 groups of 8 values that are alike within: the effective number is 4 for 5 groups.
+
+    The variance of a group's sum about p, with n - 1 below, is what the design effect compares.
+    """
+    hit = np.repeat(np.array([1, 1, 1, 0, 0]) > 0, 8).reshape(5, 8)
+    found = grouped_proportion(hit, np.ones_like(hit))
+    from scipy.stats import beta
+
+    n, k = 4.0, 4.0 * 0.6
+    assert found.low == pytest.approx(beta.ppf(0.025, k, n - k + 1.0), rel=1e-9)
+    assert found.high == pytest.approx(beta.ppf(0.975, k + 1.0, n - k), rel=1e-9)
+
+
+# What enters a fit.
+
+
+def test_the_air_is_known_as_well_as_its_temperature_is():
+    """c goes as the root of the temperature: 2 K of 293.15 K are 0.34 %."""
+    air, usual = Air(temperature_c=20.0), Settings()
+    assert prior_speed_sd(air, usual) == usual.speed_of_sound_sd
+    found = prior_speed_sd(air, replace(usual, temperature_sd_c=2.0))
+    assert found == pytest.approx(0.5 * 2.0 / 293.15, rel=1e-3)
+    assert prior_speed_sd(air, replace(usual, temperature_sd_c=0.0)) == 1e-6
+
+
+def test_an_outlier_has_its_variances_inflated_and_is_judged_as_if_it_had_not():
+    sizes = (3, 2, 4)
+    files: Any = [object() for _ in sizes]
+    windows: Any = SimpleNamespace(
+        observations=[SimpleNamespace(energy=np.zeros(n)) for n in sizes]
+    )
+    assert variance_inflation(windows, files, {object(): 9.0}, 11) is None  # type: ignore[dict-item]
+    factor = variance_inflation(windows, files, {files[1]: 9.0}, 11)
+    np.testing.assert_array_equal(factor, [1, 1, 1, 9, 9, 1, 1, 1, 1, 1, 1])
+    fit: Any = SimpleNamespace(
+        measured=np.arange(11.0), expected=np.arange(11.0) - 3.0, variance=factor
+    )
+    found = file_misfits(files, windows, fit, factor)
+    assert [found[f] for f in files] == pytest.approx([9.0, 9.0, 9.0])
+    found = file_misfits(files, windows, fit, None)
+    assert [found[f] for f in files] == pytest.approx([9.0, 1.0, 9.0])
+
+
+def test_a_group_moves_as_far_as_data_and_prior_have_it_by_their_variances(monkeypatch):
+    """A Gaussian likelihood at 0.30 +- 0.10 m under a prior of 0 +- 0.20 m: 0.24 +- 0.089 m."""
+    offset = SimpleNamespace(sd_m=0.2, is_stated=True)
+    model: Any = SimpleNamespace(offsets=(offset,), moved_m=np.zeros(1))
+
+    def logl(shift_m, roughly=False):
+        assert roughly in (True, False)
+        return float(-0.5 * ((shift_m[0] - 0.3) / 0.1) ** 2)
+
+    monkeypatch.setattr(displacement, "logl_of", lambda _: logl)
+    monkeypatch.setattr(displacement, "_stated_step", lambda *_: None)
+    for name in ("_implausible", "_farthest"):
+        monkeypatch.setattr(displacement, name, lambda *_: None)
+    found = displacement.located(model)
+    assert found.shift_m[0] == pytest.approx(0.3 * 0.04 / (0.04 + 0.01), abs=0.005)
+    assert found.sd_m[0] == pytest.approx(np.sqrt(1.0 / (1.0 / 0.04 + 1.0 / 0.01)), rel=0.02)
