@@ -210,8 +210,30 @@ def exponents(parameters: Parameters, kept: FloatArray) -> FloatArray:
     return out
 
 
+class Windows(NamedTuple):
+    """Data whose expectation without noise is known to second order in the exponents.
+
+    Of energies its log, a sum over paths of exponentials of the exponents: the mean and the
+    covariance of their counts of hits are its first two derivatives.
+    """
+
+    # measured, signal, noise: (n_data,), `signal` at the centre; `noise` is what is expected
+    # besides
+    measured: FloatArray
+    signal: FloatArray
+    noise: FloatArray
+    # (n_data, n_kept), of the log of the signal by the exponents; of data that are no energies, of
+    # the signal
+    slopes: FloatArray
+    curvature: FloatArray  # (n_data, n_kept, n_kept), second derivative of the same
+    # (n_data,), of energies the shape of their Gamma law, else one over the variance; neighbours
+    # that share information counted once, flattened by the misfit
+    weight: FloatArray
+    energies: BoolArray  # (n_data,)
+
+
 class _Law(NamedTuple):
-    """What a density of free numbers is made of, in the words of `Surrogate` and `Windows`."""
+    """What a density of free numbers is made of, in the words of `Surrogate`."""
 
     farthest: float  # no free number may be farther from zero
     first: int  # where the absorptions begin, whose bounds are `low` and `high`
@@ -223,14 +245,7 @@ class _Law(NamedTuple):
     prior_mean: FloatArray
     data: FloatArray
     pull: FloatArray
-    # (n_data,), (n_data, n), (n_data, n, n): of no data where `data` and `pull` suffice
-    measured: FloatArray
-    signal: FloatArray
-    background: FloatArray
-    slopes: FloatArray
-    curvature: FloatArray
-    weight: FloatArray
-    energies: BoolArray
+    windows: Windows  # of no data where `data` and `pull` suffice
 
 
 @kernel()
@@ -294,8 +309,8 @@ def _log_density(kept: FloatArray, away: FloatArray, zero: FloatArray, law: _Law
 
     Minus infinity far outside, and where a window's likelihood is no number.
     """
-    farthest, first, low, high, _, prior, prior_mean, data, pull = law[:9]
-    measured, signal, background, slopes, curvature, weight, energies = law[9:]
+    farthest, first, low, high, _, prior, prior_mean, data, pull, windows = law
+    measured, signal, background, slopes, curvature, weight, energies = windows
     n = len(kept)
     for i in range(n):
         if not abs(kept[i]) < farthest:
@@ -333,29 +348,6 @@ def _log_density(kept: FloatArray, away: FloatArray, zero: FloatArray, law: _Law
 
 # Of a free number, for second derivatives: large beside rounding, small beside what bends.
 _STEP = 0.05
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Windows:
-    """Data whose expectation without noise is known to second order in the exponents.
-
-    Of energies its log, a sum over paths of exponentials of the exponents: the mean and the
-    covariance of their counts of hits are its first two derivatives.
-    """
-
-    # measured, signal, noise: (n_data,), `signal` at the centre; `noise` is what is expected
-    # besides
-    measured: FloatArray
-    signal: FloatArray
-    noise: FloatArray
-    # (n_data, n_kept), of the log of the signal by the exponents; of data that are no energies, of
-    # the signal
-    slopes: FloatArray
-    curvature: FloatArray  # (n_data, n_kept, n_kept), second derivative of the same
-    # (n_data,), of energies the shape of their Gamma law, else one over the variance; neighbours
-    # that share information counted once, flattened by the misfit
-    weight: FloatArray
-    energies: BoolArray  # (n_data,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -409,7 +401,11 @@ class Surrogate:
         here = np.array(points, dtype=np.float64, order="C")
         first, columns = absorption_columns(self.parameters)
         block = absorption_of(self.parameters)
-        w = _no_windows(n) if self.windows is None else self.windows
+        windows = self.windows
+        if windows is None:
+            none: FloatArray = np.zeros(0)
+            no_curvature, no_flags = np.zeros((0, n, n)), np.zeros(0, dtype=np.bool_)
+            windows = Windows(none, none, none, np.zeros((0, n)), no_curvature, none, no_flags)
         law = _Law(
             FARTHEST_FREE,
             first,
@@ -420,13 +416,7 @@ class Surrogate:
             np.array(self.prior_mean),
             np.array(self.data),
             np.array(self.pull),
-            np.array(w.measured),
-            np.array(w.signal),
-            np.array(w.noise),
-            np.array(w.slopes),
-            np.array(w.curvature),
-            np.array(w.weight),
-            np.array(w.energies),
+            Windows._make(np.array(column) for column in windows),
         )
         gain = walk_points(
             here,
@@ -437,13 +427,6 @@ class Surrogate:
             law,
         )
         return here, gain
-
-
-def _no_windows(n: int) -> Windows:
-    """Return what stands for no windows of n exponents."""
-    none: FloatArray = np.zeros(0)
-    flags = np.zeros(0, dtype=np.bool_)
-    return Windows(none, none, none, np.zeros((0, n)), np.zeros((0, n, n)), none, flags)
 
 
 def surrogate(posterior: LogPosterior, fit: BandFit, *, windows: bool = True) -> Surrogate:
