@@ -502,19 +502,8 @@ def _curvature(objective: Objective, slopes: FloatArray, vector: FloatArray) -> 
 # Of the first steps; the walkers begin close to the posterior.
 _FORGOTTEN = 0.2
 _LOOK_EVERY = 10
-
-
-@dataclass(frozen=True, slots=True)
-class SamplingSettings:
-    """How much one band's samples may cost, and when there are enough."""
-
-    most_evaluations: int = 6_000  # of the posterior
-    # how many times longer than the autocorrelation every walker must have walked
-    autocorrelations: float = 20.0
-    largest_r_hat: float = 1.1  # how much alike the halves of all walkers must be (`split_r_hat`)
-    # steps under the surrogate between two evaluations, one of them at random: where the surrogate
-    # is far from the posterior only short walks are taken. None for `Surrogate.usual_steps`.
-    inner_steps: tuple[int, ...] | None = None
+# How much alike the halves of all walkers must be (`split_r_hat`).
+_LARGEST_R_HAT = 1.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -536,8 +525,10 @@ def sample(
     posterior: LogPosterior,
     near: Surrogate,
     rng: np.random.Generator,
-    settings: SamplingSettings | None = None,
     *,
+    most_evaluations: int = 6_000,
+    autocorrelations: float = 20.0,
+    inner_steps: tuple[int, ...] | None = None,
     progress: Progress | None = None,
 ) -> Sampled:
     """Return draws from a posterior by an ensemble of walkers [1]_.
@@ -551,6 +542,14 @@ def sample(
     ----------
     rng : numpy Generator
         The only source of chance: equal generators give equal draws.
+    most_evaluations : int
+        Of the posterior.
+    autocorrelations : float
+        How many times longer than the autocorrelation every walker must have walked.
+    inner_steps : tuple of int, optional
+        Steps under the surrogate between two evaluations, one of them at random: where the
+        surrogate is far from the posterior only short walks are taken. None for
+        `Surrogate.usual_steps`.
 
     Raises
     ------
@@ -563,27 +562,39 @@ def sample(
     .. [2] C. J. F. ter Braak, "A Markov chain Monte Carlo version of the genetic algorithm
            differential evolution", Stat. Comput. 16, 239-249 (2006).
     """
-    settings = SamplingSettings() if settings is None else settings
     emcee = _emcee()
     walkers = max(2 * near.centre.size + 2, 12)
     quiet = _Quiet(posterior)
-    surrogate_move = _surrogate_move(emcee, near, settings.inner_steps or near.usual_steps, rng)
+    surrogate_move = _surrogate_move(emcee, near, inner_steps or near.usual_steps, rng)
     moves = [(surrogate_move, 0.8), (emcee.moves.DEMove(), 0.2)]
     sampler = emcee.EnsembleSampler(walkers, near.centre.size, quiet, moves=moves)
     legacy = np.random.RandomState(rng.integers(2**31))
-    start = emcee.State(_initial_positions(near, walkers, rng), random_state=legacy.get_state())
-    steps = max(settings.most_evaluations // walkers - 1, _LOOK_EVERY)
+    # the walkers begin all over the surrogate
+    root = np.linalg.cholesky(near.covariance)
+    spread = near.centre + 0.5 * rng.standard_normal((walkers, near.centre.size)) @ root.T
+    places, _ = near.walk(spread, 400, rng)
+    start = emcee.State(places, random_state=legacy.get_state())
+    steps = max(most_evaluations // walkers - 1, _LOOK_EVERY)
     found: Sampled | None = None
     for number, _ in enumerate(sampler.sample(start, iterations=steps), start=1):
         if quiet.interrupted:
             raise KeyboardInterrupt
         if number % _LOOK_EVERY and number < steps:
             continue
-        chain = sampler.get_chain(discard=int(_FORGOTTEN * number))
-        taken = float(np.mean(sampler.acceptance_fraction))
-        found = _judged(np.asarray(chain), taken, walkers * (number + 1), settings)
+        chain = np.asarray(sampler.get_chain(discard=int(_FORGOTTEN * number)))
+        r_hat, length = split_r_hat(chain), autocorrelation_steps(chain)
+        longest = float(length.max())
+        found = Sampled(
+            chain.reshape(-1, near.centre.size),
+            length,
+            r_hat,
+            len(chain) * walkers / longest,
+            float(np.mean(sampler.acceptance_fraction)),
+            walkers * (number + 1),
+            bool(len(chain) >= autocorrelations * longest and np.all(r_hat <= _LARGEST_R_HAT)),
+        )
         if progress is not None:
-            share = found.autocorrelation.max() * settings.autocorrelations / len(chain)
+            share = longest * autocorrelations / len(chain)
             progress(min(max(number / steps, 1.0 / max(share, 1.0)), 1.0))
         if found.converged:
             break
@@ -606,30 +617,6 @@ class _Quiet:
         except KeyboardInterrupt:
             self.interrupted = True
             return -np.inf
-
-
-def _judged(
-    chain: FloatArray, acceptance: float, evaluations: int, settings: SamplingSettings
-) -> Sampled:
-    r_hat, length = split_r_hat(chain), autocorrelation_steps(chain)
-    enough = len(chain) >= settings.autocorrelations * float(length.max())
-    alike = bool(np.all(r_hat <= settings.largest_r_hat))
-    return Sampled(
-        chain.reshape(-1, chain.shape[2]),
-        length,
-        r_hat,
-        chain.shape[0] * chain.shape[1] / float(length.max()),
-        acceptance,
-        evaluations,
-        bool(enough and alike),
-    )
-
-
-def _initial_positions(near: Surrogate, walkers: int, rng: np.random.Generator) -> FloatArray:
-    """Return where the walkers begin: all over the surrogate."""
-    root = np.linalg.cholesky(near.covariance)
-    positions = near.centre + 0.5 * rng.standard_normal((walkers, near.centre.size)) @ root.T
-    return near.walk(positions, 400, rng)[0]
 
 
 def _surrogate_move(
