@@ -40,7 +40,6 @@ from roomfit.impedance.wave_model import (
 )
 from roomfit.scene import Point, Scene
 from roomfit.solvers.search import (
-    AnnealingSettings,
     Fit,
     SimplexSettings,
     anneal,
@@ -399,9 +398,7 @@ def the_papers_way(seeds: int = 15) -> None:
         "simplex": lambda rng: downhill_simplex(
             error, random_simplex(6, rng), SimplexSettings(max_evaluations=4000)
         ),
-        "annealing + simplex": lambda rng: anneal(
-            error, 6, rng, AnnealingSettings(levels=40, trials_per_unknown=10)
-        ),
+        "annealing + simplex": lambda rng: anneal(error, 6, rng, levels=40, trials_per_unknown=10),
     }
     for name, way in ways.items():
         right, evaluations, seconds = 0, [], []

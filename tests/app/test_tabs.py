@@ -192,8 +192,8 @@ def test_an_error_is_shown_though_what_was_clicked_is_gone(monkeypatch: pytest.M
         slot = box.default_slot
         place.clear()
         del box
-        with slot:
-            elements.said(InputError("no such thing"), place)
+        with slot, elements.saying_errors(place):
+            raise InputError("no such thing")
 
     asyncio.run(fail())
     assert messages == ["no such thing"]

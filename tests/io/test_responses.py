@@ -505,7 +505,7 @@ def test_a_sofa_file_is_read_as_sofar_reads_it(tmp_path, convention):
     path = tmp_path / "a.sofa"
     sofar.write_sofa(str(path), sofa)
     theirs = sofar.read_sofa(str(path), verify=False, verbose=False)
-    ours, data_type = read_sofa_variables(path.read_bytes(), "a.sofa")
+    ours, data_type = read_sofa_variables(path.read_bytes())
     assert data_type == theirs.GLOBAL_DataType == "FIR"
     names = ["Data.IR", "Data.SamplingRate", "Data.Delay", "ReceiverPosition", "SourcePosition"]
     for name in [*names, "ListenerPosition", "EmitterPosition"]:

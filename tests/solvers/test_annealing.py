@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from roomfit.solvers.search import (
-    AnnealingSettings,
     accepts,
     anneal,
     downhill_simplex,
@@ -51,8 +52,8 @@ def test_cooled_slowly_annealing_finds_the_lowest_of_many_minima_and_the_simplex
     def found(x: FloatArray) -> bool:
         return bool(np.max(np.abs(x - TRUE)) < 1e-3)
 
-    settings = AnnealingSettings(cooling=0.96, levels=120, trials_per_unknown=50)
-    annealed = [anneal(rastrigin, 2, np.random.default_rng(s), settings).x for s in range(10)]
+    slowly = partial(anneal, rastrigin, 2, cooling=0.96, levels=120, trials_per_unknown=50)
+    annealed = [slowly(np.random.default_rng(s)).x for s in range(10)]
     descended = [
         downhill_simplex(rastrigin, random_simplex(2, np.random.default_rng(s))).x
         for s in range(10)
@@ -96,7 +97,9 @@ def test_a_hot_walk_goes_up_and_down_and_a_cold_one_only_down() -> None:
             rastrigin,
             2,
             np.random.default_rng(2),
-            AnnealingSettings(start_temperature=temperature, cooling=0.99, levels=20),
+            start_temperature=temperature,
+            cooling=0.99,
+            levels=20,
         ).trail_cost[:20]
         for temperature in (1e9, 1e-9)
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -16,6 +17,7 @@ from roomfit.suh2001.repeat import problem_landscape, problems_of, table2, walls
 from roomfit.suh2001.room import (
     CASES,
     DIVISIONS,
+    ENERGY_UNIT_PER_M2,
     MATERIAL_PROBLEMS,
     PLANES,
     PRINTED_ARRIVALS_MS,
@@ -24,10 +26,9 @@ from roomfit.suh2001.room import (
     PaperProblem,
     SquaresProblem,
     arrivals_ms,
+    division_rows,
     error,
     exchanged_walls,
-    grouped_rows,
-    in_unit,
     joined_rows,
     paper_scene,
     residuals,
@@ -150,8 +151,8 @@ def test_merging_equal_rows_and_grouping_walls_change_no_energy(paths: dict[str,
     rows = energy_rows(paths["paper"], 2, whole_windows_s(22, 5), 341.0)
     for division in (*DIVISIONS.values(), WALLS_APART):
         truth = np.array(division.true_absorption)
-        grouped = grouped_rows(rows, division.materials, np.array(division.group))
-        expected = window_energies(rows, truth[list(division.group)])
+        grouped = division_rows(paths["paper"], 2, whole_windows_s(22, 5), division)
+        expected = ENERGY_UNIT_PER_M2 * window_energies(rows, truth[list(division.group)])
         np.testing.assert_allclose(window_energies(grouped, truth), expected, rtol=1e-12)
         merged = squares_problem(grouped, expected)
         assert len(merged.rows) < len(rows)
@@ -166,7 +167,8 @@ def test_joined_pairs_have_the_sum_of_the_errors(problems: dict[str, PaperProble
     )
     a = np.array([0.3, 0.6])
     assert error(joined, a) == pytest.approx(sum(error(p, a) for p in parts), rel=1e-12)
-    halved = SquaresProblem(in_unit(joined.rows, 0.5), 0.5 * joined.measured)
+    rows = replace(joined.rows, weight_per_m2=0.5 * joined.rows.weight_per_m2)
+    halved = SquaresProblem(rows, 0.5 * joined.measured)
     assert error(halved, a) == pytest.approx(0.25 * error(joined, a), rel=1e-12)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,7 +17,6 @@ from roomfit.solvers.least_squares import fit_band
 from roomfit.uncertainty.gaussian import band_estimate
 from roomfit.uncertainty.intervals import sampled
 from roomfit.uncertainty.sampling import (
-    SamplingSettings,
     autocorrelation_steps,
     check_sampler,
     log_posterior,
@@ -173,7 +173,8 @@ def test_samples_have_the_quantiles_of_a_quadrature():
         law,
         surrogate(law, fit),
         np.random.default_rng(1),
-        SamplingSettings(autocorrelations=40.0, inner_steps=(20, 400)),
+        autocorrelations=40.0,
+        inner_steps=(20, 400),
     )
     assert found.converged
     assert found.effective > 400
@@ -193,11 +194,9 @@ def test_equal_seeds_give_equal_samples_and_too_few_evaluations_are_reported():
     problem = decay_case(np.random.default_rng(5), np.array([0.2, 0.4]))
     fit = fitted(problem)
     law = log_posterior(problem, fit)
-    near, few = surrogate(law, fit), SamplingSettings(most_evaluations=150, inner_steps=(5, 20))
+    few = partial(sample, law, surrogate(law, fit), most_evaluations=150, inner_steps=(5, 20))
     reported = []
-    one, other = (
-        sample(law, near, np.random.default_rng(7), few, progress=reported.append) for _ in range(2)
-    )
+    one, other = (few(np.random.default_rng(7), progress=reported.append) for _ in range(2))
     np.testing.assert_array_equal(one.draws, other.draws)
     assert not one.converged
     assert one.evaluations <= 150
@@ -215,8 +214,7 @@ def test_an_answer_by_samples_has_their_quantiles():
     problem = decay_case(np.random.default_rng(5), np.array([0.2, 0.4]))
     fit = fitted(problem)
     law = log_posterior(problem, fit)
-    quick = SamplingSettings(inner_steps=(5, 20))
-    found = sample(law, surrogate(law, fit), np.random.default_rng(7), quick)
+    found = sample(law, surrogate(law, fit), np.random.default_rng(7), inner_steps=(5, 20))
     answer = band_estimate(problem.parameters, fit, np.array([1.0, 3.0]), "energy")
     better = sampled(problem.parameters, found, answer, np.array([1.0, 3.0]))
     draws = 1.0 / (1.0 + np.exp(-found.draws[:, :2]))
@@ -247,6 +245,6 @@ def test_an_interrupt_ends_the_sampling_at_once_and_in_silence(capsys):
         return law(kept)
 
     with pytest.raises(KeyboardInterrupt):
-        sample(interrupted, surrogate(law, fit), np.random.default_rng(7), SamplingSettings())
+        sample(interrupted, surrogate(law, fit), np.random.default_rng(7))
     assert len(calls) == 40
     assert capsys.readouterr().out == ""

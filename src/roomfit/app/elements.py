@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from html import escape
 from typing import Any
 from weakref import WeakKeyDictionary
 
 from nicegui import events, ui
 from nicegui.element import Element
+
+from roomfit.errors import InputError
 
 _WORDS = {"serious": "Serious", "warning": "Warning", "info": "Note"}
 _SHOWN: WeakKeyDictionary[Element, object] = WeakKeyDictionary()
@@ -188,22 +190,31 @@ def table_html(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]
     )
 
 
-def said(error: Exception, page: Element) -> None:
-    """Show what went wrong until somebody closes it, unless the page has gone.
+@contextlib.contextmanager
+def saying_errors(page: Element) -> Iterator[None]:
+    """Show what is wrong with the input until somebody closes it, unless the page has gone.
 
     Parameters
     ----------
     page : Element
         Any that is not drawn anew: what has been clicked may be.
     """
-    # what NiceGUI says of a page that has gone
-    with contextlib.suppress(RuntimeError), page.client:
-        ui.notify(
-            str(error),
-            type="negative",
-            multi_line=True,
-            timeout=0,
-            close_button="Close",
-            classes="soft-break",
-            color="#8f1b17",
-        )
+    try:
+        yield
+    except InputError as error:
+        # what NiceGUI says of a page that has gone
+        with contextlib.suppress(RuntimeError), page.client:
+            ui.notify(
+                str(error),
+                type="negative",
+                multi_line=True,
+                timeout=0,
+                close_button="Close",
+                classes="soft-break",
+                color="#8f1b17",
+            )
+
+
+def quiet_button(text: str, on_click: Callable[[], Any]) -> ui.button:
+    """Show a button that does not stand out."""
+    return ui.button(text, on_click=on_click).props("no-caps outline color=quiet")

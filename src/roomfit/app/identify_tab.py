@@ -16,7 +16,8 @@ from roomfit.app.elements import (
     findings,
     heading,
     markup,
-    said,
+    quiet_button,
+    saying_errors,
     table_html,
 )
 from roomfit.app.jobs import Bench
@@ -41,10 +42,9 @@ class IdentifyTab:
         with ui.element("div").classes("bar panel"):
             self.lowest = _octave("Lowest octave", 125.0)
             self.highest = _octave("Highest octave", 4000.0)
-            outlined = "no-caps outline color=quiet"
             ui.button("First answer, then the full one", on_click=self.start_both).props("no-caps")
-            ui.button("First answer only", on_click=lambda: self.start(quick=True)).props(outlined)
-            ui.button("Full answer only", on_click=lambda: self.start(quick=False)).props(outlined)
+            quiet_button("First answer only", lambda: self.start(quick=True))
+            quiet_button("Full answer only", lambda: self.start(quick=False))
         with ui.element("div") as self.stale:
             text = "The campaign has changed since this answer was made."
             findings([{"severity": "warning", "sentence": text}])
@@ -55,15 +55,12 @@ class IdentifyTab:
     def start(self, *, quick: bool) -> None:
         """Put an identification in the chosen bands into the queue."""
         folder = self.bench.folder
-        try:
+        with saying_errors(self.answer):
             if not project.has_campaign(folder):
                 raise InputError("there is no project yet", hint="begin with the room")
             project.set_bands(folder, self.lowest.value, self.highest.value)
-        except InputError as error:
-            said(error, self.answer)
-            return
-        label = "First answer" if quick else "Full answer"
-        self.bench.jobs.add(label, "identify", {"folder": str(folder), "quick": quick}, _STAGES)
+            label = "First answer" if quick else "Full answer"
+            self.bench.jobs.add(label, "identify", {"folder": str(folder), "quick": quick}, _STAGES)
 
     def start_both(self) -> None:
         """Put both answers into the queue, the quick one first."""

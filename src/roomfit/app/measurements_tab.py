@@ -19,11 +19,11 @@ from roomfit.app.elements import (
     findings,
     heading,
     markup,
-    said,
+    quiet_button,
+    saying_errors,
     table_html,
 )
 from roomfit.app.jobs import Bench
-from roomfit.errors import InputError
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.report.wording import short_hertz
 
@@ -49,9 +49,7 @@ class MeasurementsTab:
                 ui.input("How they are named", value=self.shape, on_change=self.type_shape).props(
                     "outlined dense"
                 ).style("flex: 1 1 16rem")
-                ui.button("Use these names", on_click=self.use_shape).props(
-                    "no-caps outline color=quiet"
-                )
+                quiet_button("Use these names", self.use_shape)
         self.general = ui.element("div")
         with ui.element("div").classes("panel two").style("margin: 0.75rem 0"):
             self.table = ui.element("div")
@@ -68,21 +66,17 @@ class MeasurementsTab:
 
     async def use_shape(self, _: object = None) -> None:
         """Name recordings by what is typed; also after some were sent."""
-        try:
+        with saying_errors(self.general):
             project.set_recordings(self.bench.folder, self.shape)
             await self.refresh()
-        except InputError as error:
-            said(error, self.general)
 
     async def drop(self, kind: str, name: str, x: float, y: float) -> None:
         """Put a source or a receiver where it was dragged to; its height stays."""
-        try:
+        with saying_errors(self.general):
             before = self._position(kind, name)["position_m"]
             z = _HEIGHT_M if before is None else before[2]
             project.set_position(self.bench.folder, kind, name, (x, y, z))
             await self.refresh()
-        except InputError as error:
-            said(error, self.general)
 
     async def type_position(self, kind: str, name: str) -> None:
         """Put a source or a receiver where its three fields say, once all are filled."""
@@ -92,12 +86,10 @@ class MeasurementsTab:
         point = self._position(kind, name)
         if point["position_m"] is not None and list(map(float, point["position_m"])) == values:
             return
-        try:
+        with saying_errors(self.general):
             project.set_position(self.bench.folder, kind, name, values)
             point["position_m"] = [round(value, 4) for value in values]  # is not drawn anew
             await self.refresh()
-        except InputError as error:
-            said(error, self.general)
 
     def _position(self, kind: str, name: str) -> dict[str, Any]:
         return next(p for p in self.positions if (p["kind"], p["name"]) == (kind, name))

@@ -9,14 +9,13 @@ from typing import ClassVar, Protocol
 
 from nicegui import ui
 
-from roomfit.app.elements import emptied, heading, said
+from roomfit.app.elements import emptied, heading, saying_errors
 from roomfit.app.identify_tab import IdentifyTab
 from roomfit.app.jobs import Bench, Job
 from roomfit.app.measurements_tab import MeasurementsTab
 from roomfit.app.report_tab import ReportTab
 from roomfit.app.room_tab import RoomTab
 from roomfit.app.what_if_tab import WhatIfTab
-from roomfit.errors import InputError
 
 _STYLE = Path(__file__).with_name("style.css").read_text(encoding="utf-8")
 _LOOK_EVERY_S = 0.5
@@ -90,10 +89,8 @@ class Page:
         if self.shown.get(tab.name) == stamp:
             return
         self.shown[tab.name] = stamp
-        try:
+        with saying_errors(self.work):
             await tab.refresh()
-        except InputError as error:
-            said(error, self.work)
 
     def look_at_work(self) -> None:
         """Show what is at work, and how far it is."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import secrets
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -77,8 +77,9 @@ def _document(folder: Path) -> tomlkit.TOMLDocument:
         ) from error
 
 
-def edit(folder: Path, change: Callable[[tomlkit.TOMLDocument], None]) -> None:
-    """Change the campaign file; what is not changed stays as it is written, and so does its time.
+@contextmanager
+def editing(folder: Path) -> Iterator[tomlkit.TOMLDocument]:
+    """Give the campaign file to be changed; what is not stays as it is written, and so its time.
 
     Raises
     ------
@@ -89,7 +90,7 @@ def edit(folder: Path, change: Callable[[tomlkit.TOMLDocument], None]) -> None:
     """
     document = _document(folder)
     before = tomlkit.dumps(document)
-    change(document)
+    yield document
     if (after := tomlkit.dumps(document)) != before:
         write_text_atomically(campaign_file(folder), after)
 
@@ -133,8 +134,7 @@ def set_room(
             drafted.remove(key)
         write_text_atomically(campaign_file(folder), tomlkit.dumps(drafted))
         return
-
-    def change(document: tomlkit.TOMLDocument) -> None:
+    with editing(folder) as document:
         document["room"] = drafted["room"]
         # what the campaign says of materials that the room does not have would be refused
         known = document.get("materials", {})
@@ -143,8 +143,6 @@ def set_room(
             new[name] = known.get(name, tomlkit.table())
         document["materials"] = new
         document.pop("states", None)
-
-    edit(folder, change)
 
 
 def set_surface_material(folder: Path, surface: str, material: str) -> None:
@@ -157,34 +155,24 @@ def set_surface_material(folder: Path, surface: str, material: str) -> None:
     """
     if not material.strip():
         raise InputError("a material without a name", needed="a name")
-
-    def change(document: tomlkit.TOMLDocument) -> None:
-        own = _table(_table(document, "room"), "materials")
-        own[surface] = material.strip()
-
-    edit(folder, change)
+    with editing(folder) as document:
+        _table(_table(document, "room"), "materials")[surface] = material.strip()
 
 
 def forget_unused_materials(folder: Path, used: Sequence[str]) -> None:
     """Leave out what a campaign says of materials that its room does not have any more."""
-
-    def change(document: tomlkit.TOMLDocument) -> None:
+    with editing(folder) as document:
         for name in [n for n in document.get("materials", {}) if n not in used]:
             document["materials"].remove(name)
-
-    edit(folder, change)
 
 
 def set_prior(folder: Path, material: str, entry: str | None) -> None:
     """Say by the catalogue what a material is, as its prior; None: nothing is known."""
-
-    def change(document: tomlkit.TOMLDocument) -> None:
+    with editing(folder) as document:
         own = _table(_table(document, "materials"), material)
         own.pop("prior", None)
         if entry:
             own["prior"] = entry
-
-    edit(folder, change)
 
 
 def set_position(folder: Path, kind: str, name: str, position_m: Sequence[float] | None) -> None:
@@ -207,15 +195,12 @@ def set_position(folder: Path, kind: str, name: str, position_m: Sequence[float]
         raise InputError(
             "a position is three numbers", where=f"{kind}.{name}", needed="x, y, z in m"
         )
-
-    def change(document: tomlkit.TOMLDocument) -> None:
+    with editing(folder) as document:
         if position_m is None:
             _table(document, kind).pop(name, None)
-            return
-        point = _table(_table(document, kind), name.strip())
-        point["position"] = [round(float(x), 4) for x in position_m]
-
-    edit(folder, change)
+        else:
+            point = _table(_table(document, kind), name.strip())
+            point["position"] = [round(float(x), 4) for x in position_m]
 
 
 def set_recordings(folder: Path, shape: str) -> None:
@@ -229,22 +214,16 @@ def set_recordings(folder: Path, shape: str) -> None:
     if Path(shape).is_absolute() or ".." in Path(shape).parts:
         raise InputError("recordings lie in the project's folder", found=repr(shape))
     matching_files(folder, shape)
-
-    def change(document: tomlkit.TOMLDocument) -> None:
-        document["recordings"] = shape
-
     if has_campaign(folder):
-        edit(folder, change)
+        with editing(folder) as document:
+            document["recordings"] = shape
 
 
 def set_bands(folder: Path, from_hz: float, to_hz: float) -> None:
     """Say which bands are fitted."""
-
-    def change(document: tomlkit.TOMLDocument) -> None:
+    with editing(folder) as document:
         own = _table(document, "identify")
         own["from_hz"], own["to_hz"] = float(from_hz), float(to_hz)
-
-    edit(folder, change)
 
 
 def bands(folder: Path) -> tuple[float, float]:

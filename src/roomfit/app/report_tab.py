@@ -12,9 +12,8 @@ from urllib.parse import quote
 from nicegui import ui
 
 from roomfit.app import project
-from roomfit.app.elements import emptied, heading, markup, said
+from roomfit.app.elements import emptied, heading, markup, quiet_button, saying_errors
 from roomfit.app.jobs import Bench
-from roomfit.errors import InputError
 
 _PROGRAMS = {
     "csv": "CSV",
@@ -43,18 +42,14 @@ class ReportTab:
 
     async def export(self, wanted: str) -> None:
         """Have an export made, and download it where it is one file."""
-        try:
-            files = await self.bench.ask("export", wanted=wanted)
-        except InputError as error:
-            said(error, self.answer)
-            return
-        self.exported[wanted] = files
-        if self.answer.is_deleted:  # the page was closed meanwhile
-            return
-        if len(files) == 1:
-            with self.answer:  # what was clicked may have been drawn anew
-                ui.navigate.to(f"/files/{quote(files[0])}?save=1")
-        await self.refresh()
+        with saying_errors(self.answer):
+            files = self.exported[wanted] = await self.bench.ask("export", wanted=wanted)
+            if self.answer.is_deleted:  # the page was closed meanwhile
+                return
+            if len(files) == 1:
+                with self.answer:  # what was clicked may have been drawn anew
+                    ui.navigate.to(f"/files/{quote(files[0])}?save=1")
+            await self.refresh()
 
     async def refresh(self) -> None:
         """Show the files of the best answer."""
@@ -93,6 +88,4 @@ class ReportTab:
         """Draw a button for each export."""
         with ui.element("div").classes("bar"):
             for wanted, text in offered.items():
-                ui.button(text, on_click=partial(self.export, wanted)).props(
-                    "no-caps outline color=quiet"
-                )
+                quiet_button(text, partial(self.export, wanted))

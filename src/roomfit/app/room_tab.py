@@ -18,10 +18,9 @@ from roomfit.app.elements import (
     finding_html,
     heading,
     markup,
-    said,
+    saying_errors,
 )
 from roomfit.app.jobs import Bench
-from roomfit.errors import InputError
 from roomfit.io.rooms import READERS
 from roomfit.io.rooms.model import METRES_PER_UNIT
 from roomfit.materials.catalogue import catalogue, suggested_entries
@@ -169,14 +168,12 @@ class RoomTab:
 
     async def change(self, action: Callable[[], None]) -> None:
         """Change the campaign, and show what has become of the room."""
-        try:
+        with saying_errors(self.both):
             action()
             found = await self.bench.ask("room_view")
             names = [m["name"] for m in found["materials"]]
             project.forget_unused_materials(self.bench.folder, names)
             await self.refresh()
-        except InputError as error:
-            said(error, self.both)
 
 
 class RoomStart:
@@ -247,11 +244,9 @@ class RoomStart:
 
     async def use(self, **room: Any) -> None:
         """Give the project a room, see `project.set_room`, and show it."""
-        try:
+        with saying_errors(self.place):
             await self.bench.ask("set_room", unit=self.unit, **room)
             await self.then()
-        except InputError as error:
-            said(error, self.place)
 
     def demo(self) -> None:
         """Have the demo project simulated into the folder."""

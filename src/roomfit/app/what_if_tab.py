@@ -21,14 +21,15 @@ from roomfit.app.elements import (
     emptied,
     heading,
     markup,
-    said,
+    quiet_button,
+    saying_errors,
     table_html,
 )
 from roomfit.app.jobs import Bench
 from roomfit.errors import InputError
 from roomfit.io.encoding import written_content
 from roomfit.io.responses import RESPONSE_SUFFIXES
-from roomfit.materials.catalogue import catalogue
+from roomfit.materials.catalogue import OCTAVES_HZ, catalogue
 from roomfit.report.wording import count, short_hertz
 
 _LABELS = {
@@ -45,7 +46,6 @@ _MOST = {"D50_percent": 100.0, "STI": 1.0}
 _SPEECH = "125 to 8k Hz together"
 _SOUND_HEADS = ("Pair", "Before", "After")
 _WIDE, _HIGH, _LEFT, _BELOW = 320.0, 190.0, 44.0, 24.0
-_CATALOGUE_HZ = (63.0, 125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3)
 
 
 @dataclass(slots=True)
@@ -77,7 +77,7 @@ class Changes:
         if own is None:
             return found
         entry = next(e for e in catalogue().entries if e.name == own)
-        octaves = dict(zip(_CATALOGUE_HZ, entry.absorption, strict=True))
+        octaves = dict(zip(OCTAVES_HZ, entry.absorption, strict=True))
         return [
             round(float(octaves.get(f, a)), 3) for f, a in zip(self.bands_hz, found, strict=True)
         ]
@@ -187,22 +187,19 @@ class WhatIfTab:
         if self.is_busy:
             self.is_outdated = True
             return
-        self.is_busy = True
+        self.is_busy = self.is_outdated = True
         try:
-            while True:
-                self.is_outdated = False
-                own = {"folder": str(self.bench.folder), "changes": self.changes.written()}
-                is_current = self.questions.since()
-                found = await self.bench.what_if.ask("what_if", own, limit_s=_PREPARE_S)
-                if self.both.is_deleted:  # the page was closed meanwhile
-                    return
-                if is_current():  # the room is still the one that was asked about
-                    self.predicted = found
-                    self.draw()
-                if not self.is_outdated:
-                    break
-        except InputError as error:
-            said(error, self.both)
+            with saying_errors(self.both):
+                while self.is_outdated:
+                    self.is_outdated = False
+                    own = {"folder": str(self.bench.folder), "changes": self.changes.written()}
+                    is_current = self.questions.since()
+                    found = await self.bench.what_if.ask("what_if", own, limit_s=_PREPARE_S)
+                    if self.both.is_deleted:  # the page was closed meanwhile
+                        return
+                    if is_current():  # the room is still the one that was asked about
+                        self.predicted = found
+                        self.draw()
         finally:
             self.is_busy = False
 
@@ -288,7 +285,7 @@ class Controls:
                 .props("outlined dense")
                 .style("flex: 1 1 16rem")
             )
-            ui.button("Undo all changes", on_click=self.reset).props("no-caps outline color=quiet")
+            quiet_button("Undo all changes", self.reset)
 
     def draw_aims(self, parameters: Sequence[str]) -> None:
         """Draw a field for the target of each parameter."""
@@ -386,7 +383,7 @@ class Treatment:
                 ui.label(text).classes("soft")
                 return
             text = "Search for the cheapest that meets the targets"
-            ui.button(text, on_click=self.search).props("no-caps outline color=quiet")
+            quiet_button(text, self.search)
             for file, place in found.items():
                 if file.suffix == ".png":
                     markup(f'<img alt="{escape(file.stem)}" src="{escape(place)}" width="100%">')
@@ -437,7 +434,7 @@ class Sounds:
                     on_change=lambda e: self.choose_dry(e.value),
                 ).props("outlined dense").style("flex: 1 1 16rem")
                 text = "Make the sounds of what is set above"
-                ui.button(text, on_click=self.make).props("no-caps outline color=quiet")
+                quiet_button(text, self.make)
             if made.is_file():
                 markup(sounds_html(made.parent))
 

@@ -39,8 +39,6 @@ from roomfit.typing import FloatArray, IntArray, Progress
 
 # Descents within a cluster: from its boxes of lowest bounds.
 _DESCENTS = 24
-# To show that a cluster in which nothing comes near the lowest misfit is empty.
-_MORE_BOXES = 2000
 _ALMOST_BLACK = math.log(1e-6)
 # In g: far above the rounding of faces that were computed twice, far below any width.
 _TOUCHING = 1e-9
@@ -56,7 +54,7 @@ def certify(global_problem: GlobalProblem, settings: SearchSettings) -> Certific
         own = np.flatnonzero(label == number)
         cluster = _cluster(global_problem, tools, found, own)
         empty = cluster.value > found.value + found.delta and proven_empty(
-            global_problem, found, found.boxes[own], found.bounds[own], _MORE_BOXES
+            tools, found, found.boxes[own], found.bounds[own]
         )
         if not empty:
             clusters.append(cluster)

@@ -80,12 +80,7 @@ def tools_for(global_problem: GlobalProblem) -> Tools:
 
 
 def examine(
-    tools: Tools,
-    box: FloatArray,
-    incumbent: Incumbent,
-    delta: float,
-    width: float,
-    narrowest: float,
+    tools: Tools, box: FloatArray, incumbent: Incumbent, settings: SearchSettings
 ) -> tuple[BoxStatus, float, int]:
     """Work on one box: return what became of it, a lower bound of the misfit, and where to cut.
 
@@ -96,13 +91,8 @@ def examine(
         threshold.
     incumbent : Incumbent
         Lowered in place.
-    delta : float
-        Points whose misfit exceeds the lowest by more are of no interest.
-    width : float
-        A box no wider is kept, if its bound reaches the lowest less `delta`.
-    narrowest : float
-        A box no wider is kept in any case.
     """
+    delta, width, narrowest = settings.delta, settings.width, settings.narrowest
     bound = -math.inf
     share = np.empty(0)
     for _ in range(_ROUNDS):
@@ -173,7 +163,8 @@ def halves(box: FloatArray, m: int) -> FloatArray:
 
 _TOGETHER = 64
 _STARTS = 12
-_NARROW = 1e-4
+# To show that a cluster in which nothing comes near the lowest misfit is empty.
+_NARROW, _MORE_BOXES = 1e-4, 2000
 _EVEN = (0.05, 0.2, 0.5, 0.8)
 # Where a descent may reach instead of minus infinity: an absorption of 1 - 1e-6.
 _ALMOST_BLACK = math.log(1e-6)
@@ -256,9 +247,7 @@ def _work_on(
         if parent_bound >= incumbent.value + settings.delta:
             continue
         try:
-            box_status, bound, where = examine(
-                tools, box, incumbent, settings.delta, settings.width, settings.narrowest
-            )
+            box_status, bound, where = examine(tools, box, incumbent, settings)
         except KeyboardInterrupt:
             for rest, least in zip(chosen[i:], bounds[i:], strict=True):
                 queue.add(rest[None], least)
@@ -270,13 +259,7 @@ def _work_on(
     return len(chosen)
 
 
-def proven_empty(
-    global_problem: GlobalProblem,
-    found: Searched,
-    boxes: FloatArray,
-    bounds: FloatArray,
-    max_boxes: int,
-) -> bool:
+def proven_empty(tools: Tools, found: Searched, boxes: FloatArray, bounds: FloatArray) -> bool:
     """Whether narrower boxes prove that no misfit within delta of the lowest lies in these boxes.
 
     For boxes that a search has kept as narrow enough, and in which no descent comes so low.
@@ -284,17 +267,14 @@ def proven_empty(
     Parameters
     ----------
     boxes, bounds : float arrays, shapes (n_boxes, 2, n) and (n_boxes,)
-    max_boxes : int
-        How many may be examined.
     """
-    tools = tools_for(global_problem)
     incumbent = Incumbent(found.value, found.minimiser)
     settings = SearchSettings(found.delta, width=_NARROW, narrowest=_NARROW)
     queue, kept = _Boxes(boxes.shape[2]), _Boxes(boxes.shape[2])
     for box, bound in zip(boxes, bounds, strict=True):
         queue.add(box[None], float(bound))
     examined = 0
-    while queue.n and not kept.n and examined < max_boxes:
+    while queue.n and not kept.n and examined < _MORE_BOXES:
         examined += _work_on(tools, queue, kept, incumbent, settings)
     return not queue.n and not kept.n
 

@@ -274,17 +274,6 @@ _EDGE = 0.1
 _MOST_RESTARTS = 10  # of the simplex, from its own answer
 
 
-@dataclass(frozen=True, slots=True)
-class AnnealingSettings:
-    """Schedule of temperatures."""
-
-    # in the unit of the error; None takes the spread of the error over random points
-    start_temperature: float | None = None
-    cooling: float = 0.9  # factor from one temperature to the next
-    levels: int = 60  # how many temperatures
-    trials_per_unknown: int = 10  # trials at each temperature for every unknown
-
-
 def accepts(change: float, temperature: float, rng: np.random.Generator) -> bool:
     """Return whether a step that changes the error by `change` is taken, by equation (10).
 
@@ -293,41 +282,6 @@ def accepts(change: float, temperature: float, rng: np.random.Generator) -> bool
     """
     # 1 - random lies in (0, 1], whose logarithm is finite
     return temperature * math.log(1.0 - rng.random()) < -change
-
-
-def anneal(
-    error: ErrorFunction,
-    n: int,
-    rng: np.random.Generator,
-    settings: AnnealingSettings | None = None,
-) -> Fit:
-    """Walk the unit box while it cools, then go downhill from the best point met.
-
-    Parameters
-    ----------
-    error : callable
-        Takes a point of the unit box, shape (n,).
-    n : int
-        Number of unknowns.
-
-    Returns
-    -------
-    Fit
-        The trail holds the state at the end of each temperature, then the simplexes' own trails.
-    """
-    settings = AnnealingSettings() if settings is None else settings
-    counted = Counted(error)
-    walk = _walk(counted, n, rng, settings)
-    polished = _polish(error, _lowest_of_quarters(walk))
-    return Fit(
-        polished.x,
-        polished.cost,
-        counted.evaluations + polished.evaluations,
-        settings.levels * settings.trials_per_unknown * n + polished.iterations,
-        polished.ending,
-        np.concatenate(([level.x for level in walk], polished.trail)),
-        np.concatenate(([level.error for level in walk], polished.trail_cost)),
-    )
 
 
 class _Level(NamedTuple):
@@ -340,24 +294,69 @@ class _Level(NamedTuple):
     accepted: float
 
 
-def _walk(
-    error: Counted, n: int, rng: np.random.Generator, settings: AnnealingSettings
-) -> list[_Level]:
+def anneal(
+    error: ErrorFunction,
+    n: int,
+    rng: np.random.Generator,
+    *,
+    start_temperature: float | None = None,
+    cooling: float = 0.9,
+    levels: int = 60,
+    trials_per_unknown: int = 10,
+) -> Fit:
+    """Walk the unit box while it cools, then go downhill from the best point met.
+
+    Parameters
+    ----------
+    error : callable
+        Takes a point of the unit box, shape (n,).
+    n : int
+        Number of unknowns.
+    start_temperature : float, optional
+        In the unit of the error; None takes the spread of the error over random points.
+    cooling : float
+        Factor from one temperature to the next.
+    levels : int
+        How many temperatures.
+    trials_per_unknown : int
+        Trials at each temperature for every unknown.
+
+    Returns
+    -------
+    Fit
+        The trail holds the state at the end of each temperature, then the simplexes' own trails.
+    """
+    counted = Counted(error)
     samples = rng.random((10 * n, n))
-    errors = np.array([error(x) for x in samples])
-    temperature = settings.start_temperature or max(float(np.std(errors)), np.finfo(float).tiny)
+    errors = np.array([counted(x) for x in samples])
+    temperature = start_temperature or max(float(np.std(errors)), np.finfo(float).tiny)
     start = int(np.argmin(errors))
     x, e, step = samples[start], float(errors[start]), _LARGEST_STEP
-    levels: list[_Level] = []
-    for _ in range(settings.levels):
-        proposals = rng.uniform(-step, step, (settings.trials_per_unknown * n, n))
+    walk: list[_Level] = []
+    for _ in range(levels):
+        proposals = rng.uniform(-step, step, (trials_per_unknown * n, n))
         proposals[::_LONG_EVERY] *= _LARGEST_STEP / step
-        level = _walk_at(error, x, e, temperature, proposals, rng)
-        levels.append(level)
-        x, e = level.x, level.error
-        step = _next_step(step, level.accepted)
-        temperature *= settings.cooling
-    return levels
+        walk.append(_walk_at(counted, x, e, temperature, proposals, rng))
+        x, e, _, _, accepted = walk[-1]
+        if accepted > 0.6:
+            step = min(1.5 * step, _LARGEST_STEP)
+        elif accepted < 0.4:
+            step = max(step / 1.5, _SMALLEST_STEP)
+        temperature *= cooling
+    # from the lowest state of each quarter of the schedule
+    bounds = np.linspace(0, levels, 5).round().astype(int)
+    quarters = (walk[a:b] for a, b in itertools.pairwise(bounds) if b > a)
+    starts = [min(quarter, key=lambda level: level.lowest_error).lowest_x for quarter in quarters]
+    polished = _polish(error, starts)
+    return Fit(
+        polished.x,
+        polished.cost,
+        counted.evaluations + polished.evaluations,
+        levels * trials_per_unknown * n + polished.iterations,
+        polished.ending,
+        np.concatenate(([level.x for level in walk], polished.trail)),
+        np.concatenate(([level.error for level in walk], polished.trail_cost)),
+    )
 
 
 def _walk_at(
@@ -372,7 +371,8 @@ def _walk_at(
     lowest_x, lowest = x, e
     accepted = 0
     for proposal in proposals:
-        next_x = _mirrored(x + proposal)
+        # at most half a box outside, folded back through the wall it left
+        next_x = np.asarray(1.0 - np.abs(1.0 - np.abs(x + proposal)))
         next_e = error(next_x)
         if accepts(next_e - e, temperature, rng):
             x, e = next_x, next_e
@@ -380,13 +380,6 @@ def _walk_at(
             if e < lowest:
                 lowest_x, lowest = x, e
     return _Level(x, e, lowest_x, lowest, accepted / len(proposals))
-
-
-def _lowest_of_quarters(walk: list[_Level]) -> list[FloatArray]:
-    """Return the lowest state of each quarter of the schedule."""
-    bounds = np.linspace(0, len(walk), 5).round().astype(int)
-    quarters = [walk[a:b] for a, b in itertools.pairwise(bounds) if b > a]
-    return [min(quarter, key=lambda level: level.lowest_error).lowest_x for quarter in quarters]
 
 
 def _polish(error: ErrorFunction, starts: list[FloatArray]) -> Fit:
@@ -402,16 +395,3 @@ def _polish(error: ErrorFunction, starts: list[FloatArray]) -> Fit:
         if last.cost - again.cost <= settings.tolerance:
             break
     return best_of(fits)
-
-
-def _mirrored(x: FloatArray) -> FloatArray:
-    """Fold a point at most half a box outside back through the wall it left."""
-    return np.asarray(1.0 - np.abs(1.0 - np.abs(x)))
-
-
-def _next_step(step: float, accepted: float) -> float:
-    if accepted > 0.6:
-        step *= 1.5
-    elif accepted < 0.4:
-        step /= 1.5
-    return min(max(step, _SMALLEST_STEP), _LARGEST_STEP)

@@ -127,7 +127,15 @@ def paper_json(result: PaperResult) -> dict[str, Any]:
         "identified": [_identified_content(record) for record in result.records],
         "walls_apart": _walls_apart_content(result),
         "certified": {name: certificate_content(c) for name, c in result.certificates.items()},
-        "independent_rays": _independent_content(result),
+        "independent_rays": {
+            "measurement_rays": MEASUREMENT_RAYS * MEASUREMENT_PARTS,
+            "repeats": REPEATS,
+            "method": "least-squares",
+            "sentence": "Measurement and model have different rays. With the same rays the error "
+            "is exactly 0 at the truth, which says nothing about a real room.",
+            "truth": {str(n): list(division.true_absorption) for n, division in DIVISIONS.items()},
+            "rows": [asdict(row) for row in result.independent],
+        },
     }
 
 
@@ -167,18 +175,6 @@ def _walls_apart_content(result: PaperResult) -> dict[str, Any]:
     }
 
 
-def _independent_content(result: PaperResult) -> dict[str, Any]:
-    return {
-        "measurement_rays": MEASUREMENT_RAYS * MEASUREMENT_PARTS,
-        "repeats": REPEATS,
-        "method": "least-squares",
-        "sentence": "Measurement and model have different rays. With the same rays the error is "
-        "exactly 0 at the truth, which says nothing about a real room.",
-        "truth": {str(n): list(division.true_absorption) for n, division in DIVISIONS.items()},
-        "rows": [asdict(row) for row in result.independent],
-    }
-
-
 def _tables(result: PaperResult) -> dict[str, Table]:
     """Return every CSV table by its name."""
     table, shapes, responses = result.table2, result.landscapes, result.responses
@@ -214,9 +210,24 @@ def _tables(result: PaperResult) -> dict[str, Table]:
                 for t, e in zip(r.edges_s[:-1].tolist(), r.windows.tolist(), strict=True)
             ],
         ),
-        "grid_errors": (("problem", "alpha1", "alpha2", "error"), _grid_rows(shapes)),
+        "grid_errors": (
+            ("problem", "alpha1", "alpha2", "error"),
+            [
+                (name, a, b, shape.errors[i, j].item())
+                for name, shape in shapes.items()
+                for i, a in enumerate(shape.grid.tolist())
+                for j, b in enumerate(shape.grid.tolist())
+            ],
+        ),
         "minima": (("problem", "kind", "alpha1", "alpha2", "descents"), _minima_rows(shapes)),
-        "search_paths": (("method", "step", "alpha1", "alpha2", "error"), _path_rows(result)),
+        "search_paths": (
+            ("method", "step", "alpha1", "alpha2", "error"),
+            [
+                (name, i, *x, e)
+                for name, fit in result.case1_searches.items()
+                for i, (*x, e) in enumerate(np.column_stack((fit.trail, fit.trail_cost)).tolist())
+            ],
+        ),
         "identified": (searched, records),
         "certified": (proven, _certified_rows(result)),
         "independent_rays": (tuple(independent[0]), [tuple(r.values()) for r in independent]),
@@ -224,24 +235,6 @@ def _tables(result: PaperResult) -> dict[str, Table]:
     return {
         name: Table("", columns, rows, form=".6g") for name, (columns, rows) in described.items()
     }
-
-
-def _grid_rows(shapes: Mapping[str, Landscape]) -> list[Sequence[Value]]:
-    return [
-        (name, a, b, shape.errors[i, j].item())
-        for name, shape in shapes.items()
-        for i, a in enumerate(shape.grid.tolist())
-        for j, b in enumerate(shape.grid.tolist())
-    ]
-
-
-def _path_rows(result: PaperResult) -> list[Sequence[Value]]:
-    """Return where each search of case 1 went, step by step."""
-    return [
-        (name, i, *x, e)
-        for name, fit in result.case1_searches.items()
-        for i, (x, e) in enumerate(zip(fit.trail.tolist(), fit.trail_cost.tolist(), strict=True))
-    ]
 
 
 def _minima_rows(shapes: Mapping[str, Landscape]) -> list[Sequence[Value]]:

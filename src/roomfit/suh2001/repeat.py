@@ -303,19 +303,6 @@ DELTA = 1e-8
 _MAX_SECONDS = 120.0
 
 
-def certificates_of(
-    problems: Mapping[str, PaperProblem], progress: Progress | None
-) -> dict[str, Certificate]:
-    """Return a certificate for each problem by its name."""
-    found = {}
-    for number, (name, problem) in enumerate(problems.items(), start=1):
-        settings = SearchSettings(DELTA, max_seconds=_MAX_SECONDS)
-        found[name] = certify(squares_global_problem(problem.squares), settings)
-        if progress is not None:
-            progress(number / len(problems))
-    return found
-
-
 _SEEDS_PER_TASK = 10
 _FINE = 201
 
@@ -354,23 +341,30 @@ def repeat_paper(seeds: int, workers: int, *, progress: Progress | None = None) 
         Processes; 1 stays in this one.
     """
     int_array("number of seeds", np.array(seeds), (), low=1, high=100_000)
-    shapes = {s.shape for s in SPECIFICATIONS.values()}
-    paths: dict[str, Paths] = {s: trace_paper_room(paper_scene(s)) for s in sorted(shapes)}
+    rooms = sorted({s.shape for s in SPECIFICATIONS.values()})
+    paths: dict[str, Paths] = {room: trace_paper_room(paper_scene(room)) for room in rooms}
     problems = problems_of(paths)
     with worker_pool(workers) as pool:
         independent = _independent(pool, part(progress, 0.0, 0.4))
-        landscapes = _landscapes(pool, problems, part(progress, 0.4, 0.45))
+        flat = {n: p for n, p in problems.items() if p.true_absorption.size == 2}
+        shapes = [partial(problem_landscape, problem) for problem in flat.values()]
+        found = in_pool(pool, shapes, part(progress, 0.4, 0.45))
         records = _records(pool, seeds, problems, part(progress, 0.45, 0.95))
     exact, as_traced = (
         walls_apart_problem(paths["paper"], mirrored=mirrored) for mirrored in (True, False)
     )
-    certificates = certificates_of({**problems, "walls_apart": exact}, part(progress, 0.95, 1.0))
+    certificates, last = {}, part(progress, 0.95, 1.0)
+    for name, problem in {**problems, "walls_apart": exact}.items():
+        certified = squares_global_problem(problem.squares)
+        certificates[name] = certify(certified, SearchSettings(DELTA, max_seconds=_MAX_SECONDS))
+        if last is not None:
+            last(len(certificates) / (len(problems) + 1))
     exchanged = exact.true_absorption[exchanged_walls(exact.squares.rows.materials)]
     return PaperResult(
         seeds,
         case_responses(paths["paper"]),
         table2(problems["case1"]),
-        landscapes,
+        dict(zip(flat, found, strict=True)),
         grid_errors(partial(error, problems["ill_defined"].squares), unit_grid(_FINE)),
         searches_of_table2(problems["case1"]),
         records,
@@ -398,14 +392,6 @@ def _independent(pool: Executor, progress: Progress | None) -> tuple[Independent
     fits = iter(in_pool(pool, tasks, part(progress, 0.25, 1.0)))
     rows = [row for n in numbers for row in summarise(n, [next(fits) for _ in range(REPEATS)])]
     return tuple(sorted(rows, key=lambda row: (row.pairs, row.materials, row.rays)))
-
-
-def _landscapes(
-    pool: Executor, problems: Mapping[str, PaperProblem], progress: Progress | None
-) -> dict[str, Landscape]:
-    flat = [problem for problem in problems.values() if problem.true_absorption.size == 2]
-    found = in_pool(pool, [partial(problem_landscape, problem) for problem in flat], progress)
-    return {problem.name: shape for problem, shape in zip(flat, found, strict=True)}
 
 
 def _records(

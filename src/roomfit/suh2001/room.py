@@ -84,27 +84,6 @@ def joined_rows(parts: Sequence[EnergyRows]) -> EnergyRows:
     )
 
 
-def grouped_rows(rows: EnergyRows, materials: tuple[str, ...], group: IntArray) -> EnergyRows:
-    """Return the same rows for a coarser division of the walls: hits of a group are summed.
-
-    Absorption does not bend rays, so that one trace serves every division into materials.
-
-    Parameters
-    ----------
-    materials : tuple of str
-        Names of the groups.
-    group : int array, shape (len(rows.materials),)
-        Index into `materials` for each material of the rows.
-    """
-    membership = np.asarray(group)[:, None] == np.arange(len(materials))
-    return replace(rows, materials=materials, hits=rows.hits.astype(np.int64) @ membership)
-
-
-def in_unit(rows: EnergyRows, unit_per_m2: float) -> EnergyRows:
-    """Return the same rows in a unit of energy of which `unit_per_m2` make 1/m2."""
-    return replace(rows, weight_per_m2=rows.weight_per_m2 * unit_per_m2)
-
-
 RECONSTRUCTED = "Room reconstructed from the arrival times and Table 2 of the paper."
 
 SPEED_OF_SOUND_M_S = 341.0
@@ -335,7 +314,16 @@ def walls_apart_problem(paths: Paths, *, mirrored: bool) -> PaperProblem:
     windows_s = _windows_s(paths, wanted)
     rows = division_rows(paths, 0, windows_s, WALLS_APART)
     if mirrored:
-        rows = in_unit(_with_mirror_images(rows), 0.5)
+        exchanged = rows.hits[:, exchanged_walls(rows.materials)]
+        rows = replace(
+            rows,
+            offsets=2 * rows.offsets,
+            weight_per_m2=0.5 * np.repeat(rows.weight_per_m2, 2),
+            hits=np.stack((rows.hits, exchanged), axis=1).reshape(-1, len(rows.materials)),
+            length_m=np.repeat(rows.length_m, 2),
+            batch=np.repeat(rows.batch, 2),
+            path=None,
+        )
     return _prepared("walls_apart", rows, windows_s, wanted)
 
 
@@ -355,11 +343,18 @@ def _windows_s(paths: Paths, wanted: Specification) -> FloatArray:
 def division_rows(paths: Paths, case: int, windows_s: FloatArray, division: Division) -> EnergyRows:
     """Return the rows of one pair in the paper's unit of energy, hits counted by material.
 
+    Absorption does not bend rays, so that one trace serves every division into materials.
+
     `windows_s`, shape (n_windows + 1,): edges of the windows, from emission.
     """
     rows = energy_rows(paths, case, windows_s, SPEED_OF_SOUND_M_S)
-    grouped = grouped_rows(rows, division.materials, np.array(division.group))
-    return in_unit(grouped, ENERGY_UNIT_PER_M2)
+    membership = np.array(division.group)[:, None] == np.arange(len(division.materials))
+    return replace(
+        rows,
+        materials=division.materials,
+        hits=rows.hits.astype(np.int64) @ membership,
+        weight_per_m2=rows.weight_per_m2 * ENERGY_UNIT_PER_M2,
+    )
 
 
 def uniform_absorption(energy: FloatArray, windows_s: FloatArray, shape: Shape = "paper") -> float:
@@ -380,19 +375,6 @@ def _prepared(
     squares = squares_problem(rows, window_energies(rows, true_absorption))
     start = uniform_absorption(squares.measured, windows_s, wanted.shape)
     return PaperProblem(name, true_absorption, squares, start)
-
-
-def _with_mirror_images(rows: EnergyRows) -> EnergyRows:
-    exchanged = rows.hits[:, exchanged_walls(rows.materials)]
-    return replace(
-        rows,
-        offsets=2 * rows.offsets,
-        weight_per_m2=np.repeat(rows.weight_per_m2, 2),
-        hits=np.stack((rows.hits, exchanged), axis=1).reshape(-1, len(rows.materials)),
-        length_m=np.repeat(rows.length_m, 2),
-        batch=np.repeat(rows.batch, 2),
-        path=None,
-    )
 
 
 # alpha of floor and ceilings, alpha of walls, error in the paper's unknown unit

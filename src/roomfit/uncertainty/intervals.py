@@ -24,7 +24,13 @@ from roomfit.typing import FloatArray, IntArray, Progress
 from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, MirrorTrial, is_identifiable
 from roomfit.uncertainty.population import posterior_draws
 from roomfit.uncertainty.profile import may_be_bent, profile
-from roomfit.uncertainty.sampling import Sampled, log_posterior, sample, surrogate
+from roomfit.uncertainty.sampling import (
+    Sampled,
+    absorption_columns,
+    log_posterior,
+    sample,
+    surrogate,
+)
 
 # A profile never narrows either side of an interval, in the logit, to less than this of the
 # Gaussian's: a skew likelihood halves a side at most in every case examined, and what asks for
@@ -54,7 +60,12 @@ class Refinement:
         evaluations = answer.evaluations + sum(t.evaluations for t in trials)
         answer = replace(answer, mirrors=trials, evaluations=evaluations)
         if self.n_draws and (answer.model == "values" or not self.only_values):
-            answer = _drawn(objective, fit, answer, self.n_draws, self.seed)
+            rng, parameters = np.random.default_rng(self.seed), objective.parameters
+            found = posterior_draws(objective, fit, self.n_draws, rng)
+            beyond = _beyond_fit(parameters, fit, answer)
+            draws, _ = _absorptions(parameters, found.draws, answer, beyond, rng)
+            evaluations = answer.evaluations + found.evaluations
+            answer = replace(answer, draws=draws, evaluations=evaluations)
         return INTERVALS[self.intervals](objective, fit, answer, self, progress)
 
 
@@ -62,17 +73,6 @@ IntervalMethod: TypeAlias = Callable[
     [Objective, BandFit, BandEstimate, Refinement, Progress | None], BandEstimate
 ]
 """From a band's objective, fit and Gaussian estimate to its estimate with other intervals."""
-
-
-def _as_fitted(
-    _objective: Objective,
-    _fit: BandFit,
-    answer: BandEstimate,
-    _settings: Refinement,
-    _progress: Progress | None = None,
-) -> BandEstimate:
-    """Return the Gaussian estimate."""
-    return answer
 
 
 def by_samples(
@@ -89,9 +89,7 @@ def by_samples(
     # the curvature of the surrogate's windows takes one prediction an unknown, and one more
     more = 0 if near.windows is None else 1 + near.centre.size
     answer = replace(answer, evaluations=answer.evaluations + more)
-    first = position_of(objective.parameters, "absorption")
-    fitted = np.flatnonzero(absorption_of(objective.parameters).fitted)
-    beyond = _beyond_fit(fit, answer, first, fitted)
+    beyond = _beyond_fit(objective.parameters, fit, answer)
     return sampled(objective.parameters, found, answer, settings.areas_m2, beyond)
 
 
@@ -109,11 +107,11 @@ def profiled(
     to either side as one more standard deviation.
     """
     block = absorption_of(objective.parameters)
-    first, fitted = position_of(objective.parameters, "absorption"), np.flatnonzero(block.fitted)
+    first, fitted = absorption_columns(objective.parameters)
     free, sd = to_free(block, answer.absorption), np.sqrt(np.diag(answer.logit_covariance))
     lower, upper = np.array(answer.lower95), np.array(answer.upper95)
     kinds, found = list(answer.kinds), []
-    more = np.sqrt(np.diag(_beyond_fit(fit, answer, first, fitted)))
+    more = np.sqrt(np.diag(_beyond_fit(objective.parameters, fit, answer)))
     prediction = None  # at the answer, the same for all
     for number, own in enumerate(fitted):
         unspecified = (lower[own], upper[own]) == (0.0, 1.0)
@@ -145,22 +143,6 @@ def profiled(
     )
 
 
-def _drawn(
-    objective: Objective, fit: BandFit, answer: BandEstimate, n_draws: int, seed: int
-) -> BandEstimate:
-    """Return the answer with draws of the posterior."""
-    rng = np.random.default_rng(seed)
-    found = posterior_draws(objective, fit, n_draws, rng)
-    first = position_of(objective.parameters, "absorption")
-    fitted = np.flatnonzero(absorption_of(objective.parameters).fitted)
-    beyond = _beyond_fit(fit, answer, first, fitted)
-    return replace(
-        answer,
-        draws=_absorptions(objective.parameters, found.draws, answer, beyond, rng)[0],
-        evaluations=answer.evaluations + found.evaluations,
-    )
-
-
 def _absorptions(
     parameters: Parameters,
     draws: FloatArray,
@@ -173,7 +155,7 @@ def _absorptions(
     They are scattered by the covariance `beyond`, of what the law drawn from does not include.
     """
     block = absorption_of(parameters)
-    first, fitted = position_of(parameters, "absorption"), np.flatnonzero(block.fitted)
+    first, fitted = absorption_columns(parameters)
     low, high = block.lower[fitted], block.upper[fitted]
     free = draws[:, first : first + fitted.size]
     if beyond is not None and beyond.any():
@@ -185,11 +167,12 @@ def _absorptions(
     return found[:, leaders(block)], free
 
 
-def _beyond_fit(fit: BandFit, answer: BandEstimate, first: int, fitted: IntArray) -> FloatArray:
+def _beyond_fit(parameters: Parameters, fit: BandFit, answer: BandEstimate) -> FloatArray:
     """Return the covariance of an answer's fitted logits that its fit does not know of.
 
     Shape (n_fitted, n_fitted), symmetric, positive semi-definite.
     """
+    first, fitted = absorption_columns(parameters)
     own = slice(first, first + fitted.size)
     plain = np.linalg.inv(fit.information)[own, own] * max(fit.chi2_reduced, 1.0)
     more = answer.logit_covariance[np.ix_(fitted, fitted)] - plain
@@ -265,7 +248,7 @@ def _mirrored(objective: Objective, fit: BandFit, exchange: IntArray) -> MirrorT
 # A new method is a function and a row here; `roomfit.settings.Method` names what a user may choose,
 # docs/campaign-file.md and docs/how-far-to-trust.md say what it means.
 INTERVALS: Mapping[str, IntervalMethod] = {
-    "gaussian": _as_fitted,
+    "gaussian": lambda _objective, _fit, answer, _settings, _progress: answer,
     "profile": profiled,
     "posterior": by_samples,
 }

@@ -42,7 +42,6 @@ class Population:
     """Draws from a posterior, all of the same weight."""
 
     draws: FloatArray  # (n_draws, n_kept)
-    first_share: float  # of the population that counted when it was first weighed, 0 to 1
     moves: float  # accepted a point before it was drawn from
     evaluations: int
 
@@ -91,7 +90,6 @@ def posterior_draws(
     else:
         points, of_near = near.walk(np.tile(near.centre, (size, 1)), near.usual_steps[1], rng)
     log_p = log_p_at(points)
-    first_share = _share(log_p - of_near, 1.0)
     here, rounds = _led_to_posterior(
         log_p_at, near, (points, log_p, of_near), rng, from_prior=from_prior
     )
@@ -103,7 +101,7 @@ def posterior_draws(
         moves.append(taken)
         drawn.append(rng.permutation(here[0]))
     kept = rng.permutation(np.concatenate(drawn)[:n_draws])
-    return Population(kept, first_share, min(moves), size * (1 + rounds))
+    return Population(kept, min(moves), size * (1 + rounds))
 
 
 LogP: TypeAlias = Callable[[FloatArray], FloatArray]

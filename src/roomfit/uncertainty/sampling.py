@@ -210,8 +210,30 @@ def exponents(parameters: Parameters, kept: FloatArray) -> FloatArray:
     return out
 
 
+class Windows(NamedTuple):
+    """Data whose expectation without noise is known to second order in the exponents.
+
+    Of energies its log, a sum over paths of exponentials of the exponents: the mean and the
+    covariance of their counts of hits are its first two derivatives.
+    """
+
+    # measured, signal, noise: (n_data,), `signal` at the centre; `noise` is what is expected
+    # besides
+    measured: FloatArray
+    signal: FloatArray
+    noise: FloatArray
+    # (n_data, n_kept), of the log of the signal by the exponents; of data that are no energies, of
+    # the signal
+    slopes: FloatArray
+    curvature: FloatArray  # (n_data, n_kept, n_kept), second derivative of the same
+    # (n_data,), of energies the shape of their Gamma law, else one over the variance; neighbours
+    # that share information counted once, flattened by the misfit
+    weight: FloatArray
+    energies: BoolArray  # (n_data,)
+
+
 class _Law(NamedTuple):
-    """What a density of free numbers is made of, in the words of `Surrogate` and `Windows`."""
+    """What a density of free numbers is made of, in the words of `Surrogate`."""
 
     farthest: float  # no free number may be farther from zero
     first: int  # where the absorptions begin, whose bounds are `low` and `high`
@@ -223,14 +245,7 @@ class _Law(NamedTuple):
     prior_mean: FloatArray
     data: FloatArray
     pull: FloatArray
-    # (n_data,), (n_data, n), (n_data, n, n): of no data where `data` and `pull` suffice
-    measured: FloatArray
-    signal: FloatArray
-    background: FloatArray
-    slopes: FloatArray
-    curvature: FloatArray
-    weight: FloatArray
-    energies: BoolArray
+    windows: Windows  # of no data where `data` and `pull` suffice
 
 
 @kernel()
@@ -294,8 +309,8 @@ def _log_density(kept: FloatArray, away: FloatArray, zero: FloatArray, law: _Law
 
     Minus infinity far outside, and where a window's likelihood is no number.
     """
-    farthest, first, low, high, _, prior, prior_mean, data, pull = law[:9]
-    measured, signal, background, slopes, curvature, weight, energies = law[9:]
+    farthest, first, low, high, _, prior, prior_mean, data, pull, windows = law
+    measured, signal, background, slopes, curvature, weight, energies = windows
     n = len(kept)
     for i in range(n):
         if not abs(kept[i]) < farthest:
@@ -333,29 +348,6 @@ def _log_density(kept: FloatArray, away: FloatArray, zero: FloatArray, law: _Law
 
 # Of a free number, for second derivatives: large beside rounding, small beside what bends.
 _STEP = 0.05
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Windows:
-    """Data whose expectation without noise is known to second order in the exponents.
-
-    Of energies its log, a sum over paths of exponentials of the exponents: the mean and the
-    covariance of their counts of hits are its first two derivatives.
-    """
-
-    # measured, signal, noise: (n_data,), `signal` at the centre; `noise` is what is expected
-    # besides
-    measured: FloatArray
-    signal: FloatArray
-    noise: FloatArray
-    # (n_data, n_kept), of the log of the signal by the exponents; of data that are no energies, of
-    # the signal
-    slopes: FloatArray
-    curvature: FloatArray  # (n_data, n_kept, n_kept), second derivative of the same
-    # (n_data,), of energies the shape of their Gamma law, else one over the variance; neighbours
-    # that share information counted once, flattened by the misfit
-    weight: FloatArray
-    energies: BoolArray  # (n_data,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -409,7 +401,11 @@ class Surrogate:
         here = np.array(points, dtype=np.float64, order="C")
         first, columns = absorption_columns(self.parameters)
         block = absorption_of(self.parameters)
-        w = _no_windows(n) if self.windows is None else self.windows
+        windows = self.windows
+        if windows is None:
+            none: FloatArray = np.zeros(0)
+            no_curvature, no_flags = np.zeros((0, n, n)), np.zeros(0, dtype=np.bool_)
+            windows = Windows(none, none, none, np.zeros((0, n)), no_curvature, none, no_flags)
         law = _Law(
             FARTHEST_FREE,
             first,
@@ -420,13 +416,7 @@ class Surrogate:
             np.array(self.prior_mean),
             np.array(self.data),
             np.array(self.pull),
-            np.array(w.measured),
-            np.array(w.signal),
-            np.array(w.noise),
-            np.array(w.slopes),
-            np.array(w.curvature),
-            np.array(w.weight),
-            np.array(w.energies),
+            Windows._make(np.array(column) for column in windows),
         )
         gain = walk_points(
             here,
@@ -437,13 +427,6 @@ class Surrogate:
             law,
         )
         return here, gain
-
-
-def _no_windows(n: int) -> Windows:
-    """Return what stands for no windows of n exponents."""
-    none: FloatArray = np.zeros(0)
-    flags = np.zeros(0, dtype=np.bool_)
-    return Windows(none, none, none, np.zeros((0, n)), np.zeros((0, n, n)), none, flags)
 
 
 def surrogate(posterior: LogPosterior, fit: BandFit, *, windows: bool = True) -> Surrogate:
@@ -519,19 +502,8 @@ def _curvature(objective: Objective, slopes: FloatArray, vector: FloatArray) -> 
 # Of the first steps; the walkers begin close to the posterior.
 _FORGOTTEN = 0.2
 _LOOK_EVERY = 10
-
-
-@dataclass(frozen=True, slots=True)
-class SamplingSettings:
-    """How much one band's samples may cost, and when there are enough."""
-
-    most_evaluations: int = 6_000  # of the posterior
-    # how many times longer than the autocorrelation every walker must have walked
-    autocorrelations: float = 20.0
-    largest_r_hat: float = 1.1  # how much alike the halves of all walkers must be (`split_r_hat`)
-    # steps under the surrogate between two evaluations, one of them at random: where the surrogate
-    # is far from the posterior only short walks are taken. None for `Surrogate.usual_steps`.
-    inner_steps: tuple[int, ...] | None = None
+# How much alike the halves of all walkers must be (`split_r_hat`).
+_LARGEST_R_HAT = 1.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -553,8 +525,10 @@ def sample(
     posterior: LogPosterior,
     near: Surrogate,
     rng: np.random.Generator,
-    settings: SamplingSettings | None = None,
     *,
+    most_evaluations: int = 6_000,
+    autocorrelations: float = 20.0,
+    inner_steps: tuple[int, ...] | None = None,
     progress: Progress | None = None,
 ) -> Sampled:
     """Return draws from a posterior by an ensemble of walkers [1]_.
@@ -568,6 +542,14 @@ def sample(
     ----------
     rng : numpy Generator
         The only source of chance: equal generators give equal draws.
+    most_evaluations : int
+        Of the posterior.
+    autocorrelations : float
+        How many times longer than the autocorrelation every walker must have walked.
+    inner_steps : tuple of int, optional
+        Steps under the surrogate between two evaluations, one of them at random: where the
+        surrogate is far from the posterior only short walks are taken. None for
+        `Surrogate.usual_steps`.
 
     Raises
     ------
@@ -580,27 +562,39 @@ def sample(
     .. [2] C. J. F. ter Braak, "A Markov chain Monte Carlo version of the genetic algorithm
            differential evolution", Stat. Comput. 16, 239-249 (2006).
     """
-    settings = SamplingSettings() if settings is None else settings
     emcee = _emcee()
     walkers = max(2 * near.centre.size + 2, 12)
     quiet = _Quiet(posterior)
-    surrogate_move = _surrogate_move(emcee, near, settings.inner_steps or near.usual_steps, rng)
+    surrogate_move = _surrogate_move(emcee, near, inner_steps or near.usual_steps, rng)
     moves = [(surrogate_move, 0.8), (emcee.moves.DEMove(), 0.2)]
     sampler = emcee.EnsembleSampler(walkers, near.centre.size, quiet, moves=moves)
     legacy = np.random.RandomState(rng.integers(2**31))
-    start = emcee.State(_initial_positions(near, walkers, rng), random_state=legacy.get_state())
-    steps = max(settings.most_evaluations // walkers - 1, _LOOK_EVERY)
+    # the walkers begin all over the surrogate
+    root = np.linalg.cholesky(near.covariance)
+    spread = near.centre + 0.5 * rng.standard_normal((walkers, near.centre.size)) @ root.T
+    places, _ = near.walk(spread, 400, rng)
+    start = emcee.State(places, random_state=legacy.get_state())
+    steps = max(most_evaluations // walkers - 1, _LOOK_EVERY)
     found: Sampled | None = None
     for number, _ in enumerate(sampler.sample(start, iterations=steps), start=1):
         if quiet.interrupted:
             raise KeyboardInterrupt
         if number % _LOOK_EVERY and number < steps:
             continue
-        chain = sampler.get_chain(discard=int(_FORGOTTEN * number))
-        taken = float(np.mean(sampler.acceptance_fraction))
-        found = _judged(np.asarray(chain), taken, walkers * (number + 1), settings)
+        chain = np.asarray(sampler.get_chain(discard=int(_FORGOTTEN * number)))
+        r_hat, length = split_r_hat(chain), autocorrelation_steps(chain)
+        longest = float(length.max())
+        found = Sampled(
+            chain.reshape(-1, near.centre.size),
+            length,
+            r_hat,
+            len(chain) * walkers / longest,
+            float(np.mean(sampler.acceptance_fraction)),
+            walkers * (number + 1),
+            bool(len(chain) >= autocorrelations * longest and np.all(r_hat <= _LARGEST_R_HAT)),
+        )
         if progress is not None:
-            share = found.autocorrelation.max() * settings.autocorrelations / len(chain)
+            share = longest * autocorrelations / len(chain)
             progress(min(max(number / steps, 1.0 / max(share, 1.0)), 1.0))
         if found.converged:
             break
@@ -623,30 +617,6 @@ class _Quiet:
         except KeyboardInterrupt:
             self.interrupted = True
             return -np.inf
-
-
-def _judged(
-    chain: FloatArray, acceptance: float, evaluations: int, settings: SamplingSettings
-) -> Sampled:
-    r_hat, length = split_r_hat(chain), autocorrelation_steps(chain)
-    enough = len(chain) >= settings.autocorrelations * float(length.max())
-    alike = bool(np.all(r_hat <= settings.largest_r_hat))
-    return Sampled(
-        chain.reshape(-1, chain.shape[2]),
-        length,
-        r_hat,
-        chain.shape[0] * chain.shape[1] / float(length.max()),
-        acceptance,
-        evaluations,
-        bool(enough and alike),
-    )
-
-
-def _initial_positions(near: Surrogate, walkers: int, rng: np.random.Generator) -> FloatArray:
-    """Return where the walkers begin: all over the surrogate."""
-    root = np.linalg.cholesky(near.covariance)
-    positions = near.centre + 0.5 * rng.standard_normal((walkers, near.centre.size)) @ root.T
-    return near.walk(positions, 400, rng)[0]
 
 
 def _surrogate_move(

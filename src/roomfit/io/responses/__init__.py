@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.errors import InputError
+from roomfit.errors import InputError, located
 from roomfit.findings import Finding
 from roomfit.io.door import read_bytes
 from roomfit.io.responses.formats import (
@@ -83,14 +83,16 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
             needed="a name that ends in .wav, .flac, .aiff, .w64, .mat, .ita, .npy, .sofa, or .txt "
             "(REW)",
         )
-    _refuse_foreign_keys(spec, kind)
-    recording = _READERS[kind](
-        spec, read_bytes(path, "response file", most=_MOST.get(kind, "file_bytes"))
-    )
-    _check_clock(recording, spec)
+    with located(str(path)):
+        _refuse_foreign_keys(spec, kind)
+    content = read_bytes(path, "response file", most=_MOST.get(kind, "file_bytes"))
+    with located(str(path)):
+        recording = _READERS[kind](spec, content)
+        _check_clock(recording, spec)
     if spec.excitation is not None:
         recording = deconvolved(recording, _excitation(spec, kind), path, spec.excitation)
-    pressure, findings = checked(recording, path)
+    with located(str(path)):
+        pressure, findings = checked(recording, path.name)
     time_zero_s = spec.latency_s - recording.delay_s
     return ImpulseResponse(pressure, recording.sampling_rate_hz, time_zero_s), findings
 
@@ -105,24 +107,21 @@ def _excitation(spec: ResponseSpec, kind: str) -> Recording:
             found=f"a {kind} file with the excitation {path.name}",
             needed="a recording as sound file, MAT, ITA or NPY, and an excitation as sound file",
         )
-    return _READERS[played](
-        ResponseSpec(path, channel=spec.excitation_channel), read_bytes(path, "response file")
-    )
+    content = read_bytes(path, "response file")
+    with located(str(path)):
+        return _READERS[played](ResponseSpec(path, channel=spec.excitation_channel), content)
 
 
 def _refuse_foreign_keys(spec: ResponseSpec, kind: str) -> None:
     """A key that this kind of file cannot obey would be silently lost."""
     if spec.excitation is None and spec.excitation_channel is not None:
         raise InputError(
-            "a channel of an excitation without the excitation",
-            where=str(spec.path),
-            needed="excitation = a WAV file",
+            "a channel of an excitation without the excitation", needed="excitation = a WAV file"
         )
     for key in _CHOICES:
         if getattr(spec, key) is not None and key not in _KEYS[kind]:
             raise InputError(
                 "a key does not belong to this kind of file",
-                where=str(spec.path),
                 found=f"{key} for a {kind} file",
                 needed=f"only {', '.join(_KEYS[kind]) or 'the path'}",
             )
@@ -133,20 +132,16 @@ def _check_clock(recording: Recording, spec: ResponseSpec) -> None:
     if not 1000.0 <= rate_hz <= 1e6:
         raise InputError(
             "the sampling rate is out of range",
-            where=str(spec.path),
             found=f"{rate_hz:g} Hz",
             needed="1000 to 1000000 Hz",
         )
     if spec.sampling_rate_hz is not None and abs(spec.sampling_rate_hz / rate_hz - 1.0) > 1e-6:
         raise InputError(
             "two sampling rates for one file",
-            where=str(spec.path),
             found=f"{rate_hz:g} Hz in the file, sampling_rate_hz = {spec.sampling_rate_hz:g}",
             needed="the same, or no sampling_rate_hz",
         )
     if not np.isfinite(recording.delay_s):
         raise InputError(
-            "the delay of the response is not a finite number",
-            where=str(spec.path),
-            found=f"{recording.delay_s:g} s",
+            "the delay of the response is not a finite number", found=f"{recording.delay_s:g} s"
         )

@@ -26,8 +26,8 @@ from itertools import islice
 import numpy as np
 import soundfile
 
-from roomfit._checks import ARCHIVE_DAMAGE, nearest
-from roomfit.errors import InputError
+from roomfit._checks import ARCHIVE_DAMAGE, did_you_mean
+from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding
 from roomfit.io.door import decoded, limit, npy_array, quiet, unpacked_limit_bytes
 from roomfit.io.responses.hdf5 import is_mat73, mat73_arrays
@@ -45,11 +45,10 @@ def read_mat(spec: ResponseSpec, content: bytes) -> Recording:
     InputError
         Not a MAT file, version 4, no such variable or column, or no sampling rate.
     """
-    where = str(spec.path)
-    variables = _variables(content, where)
-    responses = _responses(variables, spec, where)
-    channel = pick("response", spec.channel, responses.shape[1], "channel", where)
-    return Recording(responses[:, channel].copy(), _sampling_rate_hz(variables, spec, where))
+    variables = _variables(content)
+    responses = _responses(variables, spec)
+    channel = pick("response", spec.channel, responses.shape[1], "channel")
+    return Recording(responses[:, channel].copy(), _sampling_rate_hz(variables, spec))
 
 
 _ITA = "ITA_TOOLBOX_AUDIO_OBJECT"
@@ -69,8 +68,7 @@ def read_ita(spec: ResponseSpec, content: bytes) -> Recording:
     ----------
     .. [1] RWTH Aachen, ITA-Toolbox, ``itaSuper.saveobj`` and ``ita_write_ita`` (2011-2024).
     """
-    where = str(spec.path)
-    variables = _variables(content, where)
+    variables = _variables(content)
     keys = ("domain", "data", "samplingRate", "dataFactor")
     own = {key: variables[f"{_ITA}.{key}"] for key in keys if f"{_ITA}.{key}" in variables}
     domain, data, rate, factor = (own.get(key) for key in keys)
@@ -79,18 +77,17 @@ def read_ita(spec: ResponseSpec, content: bytes) -> Recording:
     if isinstance(data, str | None) or data.ndim != 2 or domain != "text 'time'" or len(scales) < 2:
         raise InputError(
             "this is not an audio object of the ITA-Toolbox that can be read",
-            where=where,
             found=_listed(own or variables)[:300],
             needed=f"a structure {_ITA} with data in the domain 'time' and one samplingRate",
             hint="in MATLAB: a = ita_read(FILE); RIR = a.timeData; Fs = a.samplingRate; "
             "save('a.mat', 'RIR', 'Fs', '-v7')",
         )
-    columns = _columns(data, where) * float(scales[1].reshape(-1)[0])
-    channel = pick("channel", spec.channel, columns.shape[1], "channel", where)
+    columns = _columns(data) * float(scales[1].reshape(-1)[0])
+    channel = pick("channel", spec.channel, columns.shape[1], "channel")
     return Recording(columns[:, channel].copy(), float(scales[0].reshape(-1)[0]))
 
 
-def _variables(content: bytes, where: str) -> Variables:
+def _variables(content: bytes) -> Variables:
     try:
         if is_mat73(content):
             return mat73_arrays(content)
@@ -98,51 +95,47 @@ def _variables(content: bytes, where: str) -> Variables:
     except ValueError as error:
         raise InputError(
             "this is not a MAT file that can be read",
-            where=where,
             found=str(error),
             needed="a MATLAB file of version 5 to 7.3",
             hint="in MATLAB: save(file, '-v7')",
         ) from error
 
 
-def _responses(variables: Variables, spec: ResponseSpec, where: str) -> FloatArray:
+def _responses(variables: Variables, spec: ResponseSpec) -> FloatArray:
     """Return the named variable as columns of samples."""
     if spec.variable is None:
         raise InputError(
             "which variable of the MAT file holds the responses?",
-            where=where,
             found=_listed(variables),
             needed="variable = one of these names",
         )
     if spec.variable not in variables:
-        guess = nearest(spec.variable, variables)
         raise InputError(
             "the MAT file has no such variable",
-            where=where,
             found=f"variable = {spec.variable!r}; the file holds {_listed(variables)}",
-            hint=f"did you mean {guess!r}?" if guess else None,
+            hint=did_you_mean(spec.variable, variables),
         )
     values = variables[spec.variable]
     if isinstance(values, str) or values.ndim != 2 or values.size == 0:
         nested = values in ("a structure", "a cell array") if isinstance(values, str) else False
         raise InputError(
             "the variable of the MAT file holds no responses",
-            where=f"{where}, {spec.variable}",
+            where=spec.variable,
             found=_kind(values),
             needed="an array of real numbers, one response a column",
             hint="in MATLAB, save what lies in it as a variable of its own" if nested else None,
         )
-    return _columns(values, f"{where}, {spec.variable}")
+    with located(spec.variable):
+        return _columns(values)
 
 
-def _columns(values: FloatArray, where: str) -> FloatArray:
+def _columns(values: FloatArray) -> FloatArray:
     """Return responses as columns; a single one may stand in a row."""
     if values.shape[0] == 1:
         return np.ascontiguousarray(values.T)
     if values.shape[1] > values.shape[0]:
         raise InputError(
             "the responses stand in rows",
-            where=where,
             found=f"{values.shape[0]} rows and {values.shape[1]} columns",
             needed="one response a column",
             hint="save the transposed array",
@@ -150,14 +143,13 @@ def _columns(values: FloatArray, where: str) -> FloatArray:
     return values
 
 
-def _sampling_rate_hz(variables: Variables, spec: ResponseSpec, where: str) -> float:
+def _sampling_rate_hz(variables: Variables, spec: ResponseSpec) -> float:
     if spec.sampling_rate_variable is None:
         if spec.sampling_rate_hz is not None:
             return spec.sampling_rate_hz
         single = [name for name, v in variables.items() if not isinstance(v, str) and v.size == 1]
         raise InputError(
             "the sampling rate of the MAT file is missing",
-            where=where,
             needed="sampling_rate_variable (a name) or sampling_rate_hz (a number)",
             hint=f"single numbers in the file: {', '.join(single)}" if single else None,
         )
@@ -165,7 +157,6 @@ def _sampling_rate_hz(variables: Variables, spec: ResponseSpec, where: str) -> f
     if values is None or isinstance(values, str) or values.size != 1:
         raise InputError(
             "the MAT file has no such sampling rate",
-            where=where,
             found=f"sampling_rate_variable = {spec.sampling_rate_variable!r}",
             needed=f"one number; the file holds {_listed(variables)}",
         )
@@ -353,19 +344,17 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
         Not such a file, cut off, a number that is none, or a minimum-phase version, which has lost
         all arrival times.
     """
-    where = str(spec.path)
     if b"\0" in content:
-        raise _not_rew(where, "a binary file")
+        raise _not_rew("a binary file")
     lines = decoded(content).split("\n")
-    numbers, notes, n_header = _header(lines, where)
+    numbers, notes, n_header = _header(lines)
     if "ir is the min phase version" in notes:
         raise InputError(
             "a minimum-phase response has lost its arrival times",
-            where=where,
             hint="export the response itself, not its minimum-phase version",
         )
-    rate_hz = _rate_hz(numbers["interval_s"], where)
-    pressure = _samples(lines, n_header, numbers["length"], where)
+    rate_hz = _rate_hz(numbers["interval_s"])
+    pressure = _samples(lines, n_header, numbers["length"])
     name, start_s, findings = spec.path.name, numbers["start_s"], []
     if "ir is normalised" in notes:
         peak = abs(numbers.get("peak_value", 0.0))
@@ -397,11 +386,11 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
     return Recording(pressure, rate_hz, start_s, tuple(findings))
 
 
-def _header(lines: list[str], where: str) -> tuple[dict[str, float], str, int]:
+def _header(lines: list[str]) -> tuple[dict[str, float], str, int]:
     """Return the numbers above the samples, other lines in lower case, and how many there are."""
     first = next((line.strip() for line in lines if line.strip()), "")
     if not first.lstrip("* ").lower().startswith(_TITLE):
-        raise _not_rew(where, repr(first[:60]))
+        raise _not_rew(repr(first[:60]))
     numbers: dict[str, float] = {}
     notes: list[str] = []
     n_lines = len(lines)
@@ -410,7 +399,7 @@ def _header(lines: list[str], where: str) -> tuple[dict[str, float], str, int]:
         text = line.strip()
         most_letters -= len(line)
         if most_letters < 0:
-            raise _not_rew(where, f"a header of more than {limit('header_bytes'):g} letters")
+            raise _not_rew(f"a header of more than {limit('header_bytes'):g} letters")
         if text.lstrip("* ").lower() == "data start":
             n_lines = index + 1
             break
@@ -420,24 +409,22 @@ def _header(lines: list[str], where: str) -> tuple[dict[str, float], str, int]:
         value, mark, label = text.partition("//")
         key = _REW_NUMBERS.get(label.strip().lower())
         if mark and key:
-            numbers[key] = _number(value.lstrip("* "), f"{where}, line {index + 1}")
+            numbers[key] = _number(value.lstrip("* "), index + 1)
         else:
             notes.append(text.lstrip("* ").lower())
     for key, label in _NEEDED.items():
         if key not in numbers:
             raise InputError(
                 "the header of the REW file is not complete",
-                where=where,
                 needed=f'a line "... // {label}"',
                 hint="the file may be cut off: export it again from REW",
             )
     return numbers, "\n".join(notes), n_lines
 
 
-def _not_rew(where: str, found: str) -> InputError:
+def _not_rew(found: str) -> InputError:
     return InputError(
         "this is not an impulse response that REW exported as text",
-        where=where,
         found=found,
         needed='a first line "* Impulse Response data saved by REW"',
         hint="in REW: File, Export, Export impulse response as text",
@@ -450,7 +437,7 @@ def _is_number(text: str) -> bool:
     )
 
 
-def _number(text: str, where: str) -> float:
+def _number(text: str, line: int) -> float:
     """Return a finite number; some settings of REW write a decimal comma."""
     try:
         value = float(text.strip().replace(",", "."))
@@ -458,16 +445,17 @@ def _number(text: str, where: str) -> float:
         value = math.nan
     if not math.isfinite(value):
         raise InputError(
-            "a number of the REW file is not one", where=where, found=repr(text.strip()[:40])
+            "a number of the REW file is not one",
+            where=f"line {line}",
+            found=repr(text.strip()[:40]),
         )
     return value
 
 
-def _rate_hz(interval_s: float, where: str) -> float:
+def _rate_hz(interval_s: float) -> float:
     if not 1e-6 <= interval_s <= 1e-3:
         raise InputError(
             "the sample interval of the REW file is out of range",
-            where=where,
             found=f"{interval_s:g} s",
             needed="0.000001 to 0.001 s",
         )
@@ -476,20 +464,17 @@ def _rate_hz(interval_s: float, where: str) -> float:
     return float(whole) if abs(rate_hz - whole) < 1e-6 * rate_hz else rate_hz
 
 
-def _samples(lines: list[str], n_header: int, needed: float, where: str) -> FloatArray:
+def _samples(lines: list[str], n_header: int, needed: float) -> FloatArray:
     lines = lines[n_header:]
     while lines and not lines[-1].strip():
         lines = lines[:-1]
     try:
         samples = np.array([float(line) for line in lines])
     except ValueError:
-        samples = np.array(
-            [_number(line, f"{where}, line {n}") for n, line in enumerate(lines, n_header + 1)]
-        )
+        samples = np.array([_number(line, n) for n, line in enumerate(lines, n_header + 1)])
     if len(samples) != needed:
         raise InputError(
             "the REW file is cut off" if len(samples) < needed else "the REW file is too long",
-            where=where,
             found=f"{len(samples)} samples",
             needed=f"{needed:g}, by its own header",
             hint="export it again from REW",
@@ -511,7 +496,7 @@ def read_wav(spec: ResponseSpec, content: bytes) -> Recording:
     InputError
         Not a WAV file, cut off, an encoding that loses what is needed, or no such channel.
     """
-    start, declared = _data_chunk(content, str(spec.path))
+    start, declared = _data_chunk(content)
     available = len(content) - start
     findings: tuple[Finding, ...] = ()
     if declared in _UNKNOWN_LENGTHS and available > 0:
@@ -532,8 +517,7 @@ def read_wav(spec: ResponseSpec, content: bytes) -> Recording:
         struct.pack_into("<I", patched, start - 4, min(available, 0xFFFFFFFF))
         content = bytes(patched)
     elif declared > available:
-        found, needed = f"{available} bytes of samples", f"{declared} bytes, by its own header"
-        raise _cut_off(str(spec.path), found, needed)
+        raise _cut_off(f"{available} bytes of samples", f"{declared} bytes, by its own header")
     samples, rate_hz = _decoded(spec, content, "WAV")
     return Recording(samples, rate_hz, 0.0, findings)
 
@@ -546,7 +530,6 @@ def read_sound(spec: ResponseSpec, content: bytes) -> Recording:
     InputError
         Not such a file, cut off, an encoding that loses what is needed, or no such channel.
     """
-    where = str(spec.path)
     declared = len(content)
     if content[:4] == b"FORM" and content[8:12] in (b"AIFF", b"AIFC") and len(content) >= 12:
         declared = 8 + int(struct.unpack_from(">I", content, 4)[0])
@@ -554,33 +537,29 @@ def read_sound(spec: ResponseSpec, content: bytes) -> Recording:
         declared = int(struct.unpack_from("<Q", content, 16)[0])
     elif content[:4] != b"fLaC":
         raise _not_readable(
-            _SOUNDS, where, f"a file of {len(content)} bytes that begins with {content[:12]!r}"
+            _SOUNDS, f"a file of {len(content)} bytes that begins with {content[:12]!r}"
         )
     if declared > len(content):
-        raise _cut_off(where, f"{len(content)} bytes", f"{declared} bytes, by its own header")
+        raise _cut_off(f"{len(content)} bytes", f"{declared} bytes, by its own header")
     return Recording(*_decoded(spec, content, _SOUNDS))
 
 
 def _decoded(spec: ResponseSpec, content: bytes, kind: str) -> tuple[FloatArray, float]:
     """Return the samples of the channel that is asked for, and their rate in Hz."""
-    where = str(spec.path)
     try:
         with quiet(), soundfile.SoundFile(io.BytesIO(content)) as file:
             if file.subtype not in _SUBTYPES:
                 raise InputError(
                     "this encoding of a sound file is not read",
-                    where=where,
                     found=file.subtype,
                     needed="PCM of 16, 24 or 32 bits, or floating point",
                 )
-            channel = pick("channel", spec.channel, file.channels, "channel", where)
+            channel = pick("channel", spec.channel, file.channels, "channel")
             if 8 * file.frames * file.channels > unpacked_limit_bytes(len(content)):
                 raise ValueError(_TOO_MUCH)
             samples = file.read(dtype="float64", always_2d=True)
             if len(samples) < file.frames:
-                raise _cut_off(
-                    where, f"{len(samples)} samples", f"{file.frames}, by its own header"
-                )
+                raise _cut_off(f"{len(samples)} samples", f"{file.frames}, by its own header")
             return samples[:, channel].copy(), float(file.samplerate)
     except (
         soundfile.SoundFileError,
@@ -589,7 +568,7 @@ def _decoded(spec: ResponseSpec, content: bytes, kind: str) -> tuple[FloatArray,
         OverflowError,
         MemoryError,
     ) as error:
-        raise _not_readable(kind, where, str(error)) from error
+        raise _not_readable(kind, str(error)) from error
 
 
 def read_npy(spec: ResponseSpec, content: bytes) -> Recording:
@@ -600,12 +579,9 @@ def read_npy(spec: ResponseSpec, content: bytes) -> Recording:
     InputError
         Not such a file, cut off, another kind of array, no such column, or no sampling rate.
     """
-    where = str(spec.path)
     if spec.sampling_rate_hz is None:
         raise InputError(
-            "the sampling rate of the NPY file is missing",
-            where=where,
-            needed="sampling_rate_hz (a number)",
+            "the sampling rate of the NPY file is missing", needed="sampling_rate_hz (a number)"
         )
     try:
         values = np.atleast_1d(npy_array(io.BytesIO(content), len(content)))
@@ -614,21 +590,20 @@ def read_npy(spec: ResponseSpec, content: bytes) -> Recording:
     except ARCHIVE_DAMAGE as error:
         raise InputError(
             "this is not an NPY file that can be read",
-            where=where,
             found=" ".join(str(error).split())[:200],
             needed="a file of numpy.save with real numbers, one response a column",
         ) from error
-    columns = _columns(values.astype(np.float64).reshape(len(values), -1), where)
-    channel = pick("response", spec.channel, columns.shape[1], "channel", where)
+    columns = _columns(values.astype(np.float64).reshape(len(values), -1))
+    channel = pick("response", spec.channel, columns.shape[1], "channel")
     return Recording(columns[:, channel].copy(), spec.sampling_rate_hz)
 
 
-def _data_chunk(content: bytes, where: str) -> tuple[int, int]:
+def _data_chunk(content: bytes) -> tuple[int, int]:
     """Return where the samples begin, and how many bytes of them the header declares."""
     form = content[:4]
     if form not in (b"RIFF", b"RF64", b"BW64") or content[8:12] != b"WAVE":
         raise _not_readable(
-            "WAV", where, f"a file of {len(content)} bytes that begins with {content[:12]!r}"
+            "WAV", f"a file of {len(content)} bytes that begins with {content[:12]!r}"
         )
     position, long_size, format_found = 12, None, False
     while position + 8 <= len(content):
@@ -638,33 +613,30 @@ def _data_chunk(content: bytes, where: str) -> tuple[int, int]:
         format_found = format_found or name == b"fmt "
         if name == b"data":
             if not format_found:
-                raise _not_readable("WAV", where, "samples without a format before them")
+                raise _not_readable("WAV", "samples without a format before them")
             if form != b"RIFF" and size == 0xFFFFFFFF and long_size is not None:
                 size = long_size
             return position + 8, size
         position += 8 + size + size % 2  # chunks are padded to even lengths
     raise InputError(
         "the WAV file holds no samples",
-        where=where,
         found=f"{len(content)} bytes without a data chunk",
         hint="the file may be cut off: copy or export it again",
     )
 
 
-def _cut_off(where: str, found: str, needed: str) -> InputError:
+def _cut_off(found: str, needed: str) -> InputError:
     return InputError(
         "the sound file is cut off",
-        where=where,
         found=found,
         needed=needed,
         hint="copy or export the file again",
     )
 
 
-def _not_readable(kind: str, where: str, found: str) -> InputError:
+def _not_readable(kind: str, found: str) -> InputError:
     return InputError(
         f"this is not a {kind} file that can be read",
-        where=where,
         found=found,
         needed="PCM or floating-point samples under a header of that format",
         hint="export it again, under a name that ends as its format demands",

@@ -141,26 +141,24 @@ def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:
         The file is no SOFA file or holds no impulse responses, several emitters at once, or no
         such measurement or receiver.
     """
-    where = str(spec.path)
-    sofa, data_type = read_sofa_variables(content, where)
-    responses = sofa_data(sofa, "Data.IR", where)
+    sofa, data_type = read_sofa_variables(content)
+    responses = sofa_data(sofa, "Data.IR")
     rates_hz = sofa_values(sofa, "Data.SamplingRate")
     if responses is None or rates_hz is None:
         raise InputError(
             "the SOFA file holds no impulse responses",
-            where=where,
             found=f"data type {data_type!r}",
             needed="data type FIR with a sampling rate",
         )
-    measurement = pick("measurement", spec.measurement, responses.shape[0], "measurement", where)
-    receiver = pick("receiver", spec.receiver_index, responses.shape[1], "receiver_index", where)
+    measurement = pick("measurement", spec.measurement, responses.shape[0], "measurement")
+    receiver = pick("receiver", spec.receiver_index, responses.shape[1], "receiver_index")
     rate_hz = float(rates_hz.reshape(-1)[min(measurement, rates_hz.size - 1)])
     delay_samples = _delay_samples(sofa, measurement, receiver)
     pressure = responses[measurement, receiver].copy()
     return Recording(pressure, rate_hz, delay_samples / rate_hz if rate_hz > 0.0 else 0.0)
 
 
-def read_sofa_variables(content: bytes, where: str) -> tuple[Variables, str]:
+def read_sofa_variables(content: bytes) -> tuple[Variables, str]:
     """Return the variables of a SOFA file, whatever its convention, and its data type.
 
     The type is FIR, FIR-E, TF, TF-E or SOS; "unknown" where the file does not say.
@@ -177,7 +175,6 @@ def read_sofa_variables(content: bytes, where: str) -> tuple[Variables, str]:
         old = content[:3] == b"CDF"
         raise InputError(
             "this is not a SOFA file that can be read",
-            where=where,
             found="a file of netCDF-3" if old else str(error),
             needed=needed,
             hint="nccopy -k nc4 old.sofa new.sofa" if old else "copy the file anew",
@@ -185,7 +182,6 @@ def read_sofa_variables(content: bytes, where: str) -> tuple[Variables, str]:
     if "SOFAConventions" not in attributes and attributes.get("Conventions") != "SOFA":
         raise InputError(
             "this is not a SOFA file that can be read",
-            where=where,
             found="an HDF5 file without the attribute SOFAConventions",
             needed=needed,
         )
@@ -194,7 +190,7 @@ def read_sofa_variables(content: bytes, where: str) -> tuple[Variables, str]:
         if {"scale_factor", "add_offset"} & set(variable.attributes):
             raise InputError(
                 "a variable of the SOFA file holds packed numbers",
-                where=f"{where}, {name}",
+                where=name,
                 found="an attribute scale_factor or add_offset",
                 needed="plain numbers, as AES69 has it",
             )
@@ -209,7 +205,7 @@ def sofa_values(sofa: Variables, name: str) -> FloatArray | None:
     return variable.values
 
 
-def sofa_data(sofa: Variables, name: str, where: str) -> FloatArray | None:
+def sofa_data(sofa: Variables, name: str) -> FloatArray | None:
     """Return data as (n_measurements, n_receivers, n), or None where there are no such.
 
     Several emitters at once are refused.
@@ -224,7 +220,6 @@ def sofa_data(sofa: Variables, name: str, where: str) -> FloatArray | None:
         if values.shape[3] != 1:
             raise InputError(
                 "the SOFA file holds several emitters at once",
-                where=where,
                 found=f"{values.shape[3]} emitters",
                 needed="one emitter a file",
             )

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from roomfit.errors import InputError
+from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding
 from roomfit.measurement import TimeZero
 from roomfit.signals.response import clipping, clipping_findings
@@ -56,7 +56,7 @@ class Recording:
     findings: tuple[Finding, ...] = ()
 
 
-def pick(kind: str, index: int | None, count: int, key: str, where: str) -> int:
+def pick(kind: str, index: int | None, count: int, key: str) -> int:
     """Return the index that was asked for, which must exist; 0 where there is only one."""
     numbers = "0" if count == 1 else f"0 to {count - 1}"
     if index is None and count == 1:
@@ -64,7 +64,6 @@ def pick(kind: str, index: int | None, count: int, key: str, where: str) -> int:
     if index is None:
         raise InputError(
             f"the file holds several {kind}s and none was chosen",
-            where=where,
             found=f"{count} {kind}s, {numbers}",
             needed=f"{key} = a number from {numbers}",
             hint=f"what holds of all files stands once: {key} = 0 under [defaults]",
@@ -72,30 +71,28 @@ def pick(kind: str, index: int | None, count: int, key: str, where: str) -> int:
     if not 0 <= index < count:
         raise InputError(
             f"the file has no such {kind}",
-            where=where,
             found=f"{key} = {index}",
             needed=f"{key} = {numbers} ({kind}s are counted from 0)",
         )
     return index
 
 
-def checked(recording: Recording, where: Path) -> tuple[FloatArray, tuple[Finding, ...]]:
+def checked(recording: Recording, name: str) -> tuple[FloatArray, tuple[Finding, ...]]:
     """Return the pressure without a constant offset, and a finding for every doubt."""
-    refuse_useless(recording, where)
+    refuse_useless(recording)
     pressure = recording.pressure
-    offset, offset_findings = _offset(pressure, where)
-    clipped = clipping_findings(pressure, where.name)
+    offset, offset_findings = _offset(pressure, name)
+    clipped = clipping_findings(pressure, name)
     return pressure - offset, (*recording.findings, *clipped, *offset_findings)
 
 
-def refuse_useless(recording: Recording, where: Path) -> None:
+def refuse_useless(recording: Recording) -> None:
     """Refuse what cannot be sound: too short, not finite, too loud, or nothing but silence."""
-    pressure, place = recording.pressure, str(where)
+    pressure = recording.pressure
     duration_s = len(pressure) / recording.sampling_rate_hz
     if duration_s < _SHORTEST_S:
         raise InputError(
             "the response is too short",
-            where=place,
             found=f"{len(pressure)} samples, {1000.0 * duration_s:.3g} ms",
             needed=f"at least {1000.0 * _SHORTEST_S:g} ms",
             hint="copy or export the file again, whole",
@@ -104,7 +101,6 @@ def refuse_useless(recording: Recording, where: Path) -> None:
     if bad.size:
         raise InputError(
             "the response holds samples that are not finite numbers",
-            where=place,
             found=f"{bad.size} of {len(pressure)}, the first at sample {bad[0]}",
             needed="finite pressures",
             hint="look at how the file was made: a division by an empty spectrum leaves nan",
@@ -113,7 +109,6 @@ def refuse_useless(recording: Recording, where: Path) -> None:
     if largest > _LOUDEST:
         raise InputError(
             "the response holds values that no pressure has",
-            where=place,
             found=f"{largest:.3g}",
             needed=f"at most {_LOUDEST:g} in whatever unit",
             hint="the file may be damaged, or of another number format than it says",
@@ -121,14 +116,13 @@ def refuse_useless(recording: Recording, where: Path) -> None:
     if np.ptp(pressure) <= _SOFTEST:
         raise InputError(
             "the response is silent",
-            where=place,
             found=f"{len(pressure)} samples, all of them {pressure[0] + 0.0:g}",
             needed="a response, which rises and decays",
             hint="another channel may hold the response",
         )
 
 
-def _offset(pressure: FloatArray, where: Path) -> tuple[float, tuple[Finding, ...]]:
+def _offset(pressure: FloatArray, name: str) -> tuple[float, tuple[Finding, ...]]:
     """Return the offset to subtract: one where the quiet end of the file is mostly offset.
 
     The mean of the whole would be wrong: every response has some. What stays of an offset makes a
@@ -141,8 +135,8 @@ def _offset(pressure: FloatArray, where: Path) -> tuple[float, tuple[Finding, ..
     return mean, (
         Finding(
             Code.DC_OFFSET,
-            About(files=[where.name]),
-            f"{where.name} has a constant offset of {mean:.3g} ({abs(mean) / peak:.2%} of its "
+            About(files=[name]),
+            f"{name} has a constant offset of {mean:.3g} ({abs(mean) / peak:.2%} of its "
             "peak); it was subtracted.",
             {"offset": mean, "relative_to_peak": mean / peak},
         ),
@@ -203,10 +197,13 @@ def deconvolved(
            Eng. Soc. 49, 443-471 (2001).
     """
     rate_hz = recording.sampling_rate_hz
-    _check_rates(rate_hz, excitation.sampling_rate_hz, path, excitation_path)
-    refuse_useless(recording, path)
-    refuse_useless(excitation, excitation_path)
-    n_kept = _kept(recording.pressure, excitation.pressure, rate_hz, path)
+    with located(str(path)):
+        _check_rates(rate_hz, excitation.sampling_rate_hz, excitation_path)
+        refuse_useless(recording)
+    with located(str(excitation_path)):
+        refuse_useless(excitation)
+    with located(str(path)):
+        n_kept = _kept(recording.pressure, excitation.pressure, rate_hz)
     low_hz, high_hz = band_of(excitation.pressure, rate_hz)
     response = regularised_quotient(
         recording.pressure, excitation.pressure, rate_hz, (low_hz, high_hz)
@@ -226,11 +223,10 @@ def deconvolved(
     return Recording(pressure, rate_hz, recording.delay_s - n_lead / rate_hz, findings)
 
 
-def _check_rates(rate_hz: float, played_hz: float, path: Path, excitation_path: Path) -> None:
+def _check_rates(rate_hz: float, played_hz: float, excitation_path: Path) -> None:
     if abs(played_hz / rate_hz - 1.0) > 1e-6:
         raise InputError(
             "recording and excitation have different sampling rates",
-            where=str(path),
             found=f"{rate_hz:g} Hz, and {played_hz:g} Hz in {excitation_path}",
             needed="one rate",
             hint="take the excitation as it was played, at the rate of the recording",
@@ -244,21 +240,19 @@ def _with_lead(response: FloatArray, n_lead: int, n_kept: int) -> FloatArray:
     return np.concatenate([fade * lead, response[:n_kept]])
 
 
-def _kept(recorded: FloatArray, played: FloatArray, rate_hz: float, path: Path) -> int:
+def _kept(recorded: FloatArray, played: FloatArray, rate_hz: float) -> int:
     """Return how many samples of the response contain all frequencies."""
     size = np.abs(played - np.median(played))
     sounding = int(np.flatnonzero(size > _SILENT * size.max())[-1]) + 1
     if len(recorded) + len(played) > _MOST_SAMPLES:
         raise InputError(
             "recording and excitation are too long together",
-            where=str(path),
             found=f"{len(recorded)} and {len(played)} samples",
             needed=f"at most {_MOST_SAMPLES}",
         )
     if len(recorded) < sounding + _LEAST_DECAY_S * rate_hz:
         raise InputError(
             "the recording ends before the decay after the excitation",
-            where=str(path),
             found=f"{len(recorded) / rate_hz:.4g} s",
             needed=f"the {sounding / rate_hz:.4g} s of the excitation, and the decay after it",
             hint="record until the room is silent",

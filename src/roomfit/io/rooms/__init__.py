@@ -11,7 +11,6 @@ from roomfit._checks import nearest
 from roomfit.errors import InputError, located
 from roomfit.findings import Finding
 from roomfit.geometry.build import build_mesh, oriented
-from roomfit.geometry.check import examine
 from roomfit.geometry.mesh import WELD_TOLERANCE_M, Mesh, refuse, shoebox_mesh
 from roomfit.io.door import check_limit
 from roomfit.io.rooms.catt import read_catt
@@ -27,7 +26,7 @@ from roomfit.io.rooms.mesh_formats import (
 )
 from roomfit.io.rooms.model import METRES_PER_UNIT, RoomModel, RoomSpec, in_metres
 from roomfit.io.rooms.tables import read_polygons
-from roomfit.scene import Room, axis_findings, material_findings, room_from_mesh
+from roomfit.scene import Room, check_mesh, room_from_mesh
 from roomfit.typing import FloatArray, IntArray
 
 READERS: dict[str, Callable[[Path], RoomModel]] = {
@@ -67,9 +66,8 @@ def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
     >>> room.materials[4], len(findings)
     ('carpet', 0)
     """
-    mesh, findings = read_mesh(spec)
-    _, _, doubts = examine(mesh)
-    findings = (*findings, *material_findings(mesh, spec.materials), *axis_findings(mesh), *doubts)
+    mesh, built = read_mesh(spec)
+    findings = check_mesh(mesh, spec.materials, built).findings
     refuse(findings)
     return room_from_mesh(mesh, spec.materials, shoebox_lengths_m(spec)), findings
 

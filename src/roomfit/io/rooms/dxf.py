@@ -13,7 +13,17 @@ from roomfit.errors import InputError
 from roomfit.findings import About, Code, Finding, Severity
 from roomfit.geometry.mesh import Surface
 from roomfit.io.door import check_limit, quiet, read_bytes
-from roomfit.io.rooms.model import PARSER_ERRORS, Polygon, RoomModel, check_corners, finite, joined
+from roomfit.io.rooms.model import (
+    PARSER_ERRORS,
+    Polygon,
+    RoomModel,
+    check_corners,
+    counted,
+    damaged,
+    finite,
+    joined,
+    no_faces,
+)
 
 _UNITS = {1: "in", 2: "ft", 4: "mm", 5: "cm", 6: "m"}  # $INSUNITS
 _DEEPEST = 20
@@ -71,12 +81,11 @@ def _read(path: Path) -> RoomModel:
                 polygons.append((np.array(points).reshape(-1, 3), surface))
         unit = _UNITS.get(int(document.header.get("$INSUNITS", 0)))
     except PARSER_ERRORS as error:
-        raise _damaged(path, error) from error
+        raise damaged("DXF", path, f"{type(error).__name__}: {error}"[:200]) from error
     if not polygons:
-        raise InputError(
-            "the room file has no faces",
-            where=str(path),
-            found=_counted(ignored + hidden) or "an empty drawing",
+        raise no_faces(
+            path,
+            found=counted(ignored + hidden) or "an empty drawing",
             needed="3DFACE, polyface or MESH entities, or closed polylines, in the model space",
             hint="explode solids into faces before the export",
         )
@@ -97,16 +106,7 @@ def _opened(path: Path) -> Any:
     try:
         return readfile(path)
     except (*PARSER_ERRORS, DXFError, StopIteration) as error:
-        raise _damaged(path, error) from error
-
-
-def _damaged(path: Path, error: Exception) -> InputError:
-    return InputError(
-        "this DXF file cannot be read",
-        where=str(path),
-        found=f"{type(error).__name__}: {error}"[:200],
-        hint="the file may be damaged or cut short: export it again",
-    )
+        raise damaged("DXF", path, f"{type(error).__name__}: {error}"[:200]) from error
 
 
 def _taken_apart(
@@ -215,13 +215,9 @@ def _findings(ignored: Counter[str], hidden: Counter[str]) -> tuple[Finding, ...
     found = []
     if ignored:
         graded: Severity = "warning" if any(kind in _FLAT for kind in ignored) else "info"
-        text = f"The drawing has entities that are no faces, ignored: {_counted(ignored)}."
+        text = f"The drawing has entities that are no faces, ignored: {counted(ignored)}."
         found.append(Finding(Code.ENTITIES_IGNORED, About(), text, dict(ignored), graded=graded))
     if hidden:
-        text = f"Entities on layers that are off or frozen were passed over: {_counted(hidden)}."
+        text = f"Entities on layers that are off or frozen were passed over: {counted(hidden)}."
         found.append(Finding(Code.LAYERS_IGNORED, About(), text, dict(hidden)))
     return tuple(found)
-
-
-def _counted(kinds: Counter[str]) -> str:
-    return ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))

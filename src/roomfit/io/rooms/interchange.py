@@ -12,7 +12,15 @@ from roomfit.errors import InputError
 from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import Surface
 from roomfit.io.door import check_limit, of_child, read_bytes
-from roomfit.io.rooms.model import METRES_PER_UNIT, Polygon, RoomModel, finite, joined
+from roomfit.io.rooms.model import (
+    METRES_PER_UNIT,
+    Polygon,
+    RoomModel,
+    counted,
+    damaged,
+    finite,
+    joined,
+)
 from roomfit.typing import FloatArray
 
 
@@ -44,7 +52,7 @@ def read_collada(path: Path) -> RoomModel:
     kinds = {str(kind): int(n) for kind, n in dict(head["ignored"]).items()}
     findings: tuple[Finding, ...] = ()
     if kinds:
-        text = f"The drawing has parts that are no faces, ignored: {_counted(kinds)}."
+        text = f"The drawing has parts that are no faces, ignored: {counted(kinds)}."
         findings = (Finding(Code.ENTITIES_IGNORED, About(), text, kinds, graded="info"),)
     return RoomModel(vertices, faces, findings, unit, up)
 
@@ -84,7 +92,7 @@ def read_ifc(path: Path, space: str | None = None) -> RoomModel:
             needed='space = "NAME" under [room]' if space is None else ", ".join(names)[:300],
         )
     if len(owners) != len(polygons):
-        raise _damaged(path, "ifc", "ifcopenshell gave no answer")
+        raise damaged("IFC", path, "ifcopenshell gave no answer")
     chosen = space or names[0]
     own = [polygon for polygon, owner in zip(polygons, owners, strict=True) if owner == chosen]
     kinds = {str(k): int(n) for k, n in dict(head["ignored"].get(chosen, {})).items()}
@@ -92,23 +100,10 @@ def read_ifc(path: Path, space: str | None = None) -> RoomModel:
     if kinds:
         text = (
             f"The boundaries of the space {chosen!r} do not cover it; ignored within others are: "
-            f"{_counted(kinds)}."
+            f"{counted(kinds)}."
         )
         findings = (Finding(Code.ENTITIES_IGNORED, About(), text, kinds, graded="warning"),)
     return RoomModel(*joined(own), findings, "m", "z")
-
-
-def _counted(kinds: dict[str, int]) -> str:
-    return ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
-
-
-def _damaged(path: Path, kind: str, found: str) -> InputError:
-    return InputError(
-        f"this {'COLLADA' if kind == 'dae' else 'IFC'} file cannot be read",
-        where=str(path),
-        found=found[:300],
-        hint="the file may be damaged or cut short: export it again",
-    )
 
 
 def _polygons(path: Path, kind: str, library: str, extra: str) -> tuple[Any, list[Polygon]]:
@@ -130,7 +125,8 @@ def _polygons(path: Path, kind: str, library: str, extra: str) -> tuple[Any, lis
                 where=str(path),
                 hint=f"pip install roomfit[{extra}]",
             ) from None
-        raise _damaged(path, kind, str(error)) from error
+        name = {"dae": "COLLADA", "ifc": "IFC"}[kind]
+        raise damaged(name, path, str(error)[:300]) from error
 
 
 def _cut(corners: FloatArray, each: FloatArray, surfaces: Sequence[Surface]) -> list[Polygon]:

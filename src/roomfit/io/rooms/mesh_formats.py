@@ -24,7 +24,15 @@ from roomfit.findings import About, Code, Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface
 from roomfit.io.door import check_limit, decoded, json_content, quiet, read_bytes, read_text
-from roomfit.io.rooms.model import PARSER_ERRORS, RoomModel, check_corners, finite, whole
+from roomfit.io.rooms.model import (
+    PARSER_ERRORS,
+    RoomModel,
+    check_corners,
+    damaged,
+    finite,
+    no_faces,
+    whole,
+)
 from roomfit.typing import FloatArray
 
 _WORD = re.compile(r'"[^"]*"|\S+')
@@ -207,9 +215,7 @@ def _count(words: list[str], lines: _Lines) -> int:
 def _collect(path: Path, materials: list[str], objects: list[_Object]) -> RoomModel:
     flags = [two_sided for this in objects for corners, _, two_sided in this.surfs if corners]
     if not flags:
-        raise InputError(
-            "the room file has no faces", where=str(path), hint="the file may be cut short"
-        )
+        raise no_faces(path, hint="the file may be cut short")
     sheets_meant = 0 < sum(flags) < len(flags)
     vertices: list[FloatArray] = []
     faces: list[Face] = []
@@ -287,9 +293,8 @@ def read_obj(path: Path) -> RoomModel:
             case "usemtl" | "g" | "o" as key:
                 names[key] = rest or None
     if not faces:
-        raise InputError(
-            "the room file has no faces",
-            where=str(path),
+        raise no_faces(
+            path,
             found=f"{len(vertices)} vertices",
             needed='lines that start with "f"',
             hint="export again with faces, or check that this is an OBJ file",
@@ -343,24 +348,18 @@ def _corners(words: list[str], n_vertices: int, where: str) -> tuple[int, ...]:
     return tuple(corners)
 
 
-_CODES = {
-    "char": "b",
-    "uchar": "B",
-    "short": "h",
-    "ushort": "H",
-    "int": "i",
-    "uint": "I",
-    "int8": "b",
-    "uint8": "B",
-    "int16": "h",
-    "uint16": "H",
-    "int32": "i",
-    "uint32": "I",
-    "float": "f",
-    "double": "d",
-    "float32": "f",
-    "float64": "d",
+_TYPES = {
+    "char": "int8",
+    "uchar": "uint8",
+    "short": "int16",
+    "ushort": "uint16",
+    "int": "int32",
+    "uint": "uint32",
+    "float": "float32",
+    "double": "float64",
 }
+# of `struct`, by either name
+_CODES = {name: np.dtype(own).char for old, own in _TYPES.items() for name in (old, own)}
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _CORNERS = ("vertex_indices", "vertex_index")
 _LAYER, _LAYER_NAME = "layer_id", "layer_name"
@@ -419,11 +418,7 @@ def read_ply(path: Path) -> RoomModel:
         named = zip(faces, layers, strict=True)
         faces = [Face(f.corners, _layer(names, layer, path) or surface) for f, layer in named]
     if not faces or not points:
-        raise InputError(
-            "the room file has no faces",
-            where=str(path),
-            found=f"{len(points)} vertices and {len(faces)} faces",
-        )
+        raise no_faces(path, found=f"{len(points)} vertices and {len(faces)} faces")
     return RoomModel(np.array(points), tuple(faces))
 
 
@@ -550,8 +545,9 @@ def read_3ds(path: Path) -> RoomModel:
                 check_limit("corners", first, str(path))
                 check_limit("faces", len(faces), str(path))
     if not faces:
-        hint = "the file may hold lights, cameras or curves alone: export meshes"
-        raise InputError("the room file has no faces", where=str(path), hint=hint)
+        raise no_faces(
+            path, hint="the file may hold lights, cameras or curves alone: export meshes"
+        )
     return RoomModel(np.concatenate(parts), tuple(faces))
 
 
@@ -739,12 +735,7 @@ def _triangles(
                 surface = surface_of(str(node), material or None)
                 parts.append((points, np.asarray(mesh.faces), surface))
     except PARSER_ERRORS as error:
-        raise InputError(
-            f"this {kind.upper()} file cannot be read",
-            where=str(path),
-            found=f"{type(error).__name__}: {error}"[:200],
-            hint="the file may be damaged or cut short: export it again",
-        ) from error
+        raise damaged(kind.upper(), path, f"{type(error).__name__}: {error}"[:200]) from error
     faces: list[Face] = []
     first = 0
     for points, triangles, surface in parts:
@@ -755,6 +746,5 @@ def _triangles(
         faces.extend(Face(tuple((t + first).tolist()), surface) for t in triangles)
         first += len(points)
     if not faces:
-        hint = "the file may be damaged or cut short: export it again"
-        raise InputError("the room file has no faces", where=str(path), hint=hint)
+        raise no_faces(path, hint="the file may be damaged or cut short: export it again")
     return np.concatenate([points for points, _, _ in parts]), tuple(faces)

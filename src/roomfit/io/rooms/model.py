@@ -157,6 +157,30 @@ def check_corners(corners: Iterable[int], n_vertices: int, where: str) -> None:
             )
 
 
+def damaged(kind: str, path: Path, found: str) -> InputError:
+    """Return the error of a file in which a library of others gets lost."""
+    return InputError(
+        f"this {kind} file cannot be read",
+        where=str(path),
+        found=found,
+        hint="the file may be damaged or cut short: export it again",
+    )
+
+
+def no_faces(
+    path: Path, found: str | None = None, needed: str | None = None, hint: str | None = None
+) -> InputError:
+    """Return the error of a file in which there is no face."""
+    return InputError(
+        "the room file has no faces", where=str(path), found=found, needed=needed, hint=hint
+    )
+
+
+def counted(kinds: Mapping[str, int]) -> str:
+    """Return kinds of entities with their numbers in words, in the order of their names."""
+    return ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
+
+
 # What a parser of others may raise on a damaged file; anything else is a fault of this program.
 PARSER_ERRORS = (
     *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError),

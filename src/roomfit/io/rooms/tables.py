@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -252,11 +252,10 @@ def _chosen_planes(tables: PolygonSpec) -> tuple[dict[str, Plane], list[Finding]
     return planes, findings
 
 
-def _check_known(key: str, numbers: Mapping[str, object] | list[str], planes: object) -> None:
-    known = planes if isinstance(planes, dict) else {}
+def _check_known(key: str, numbers: Iterable[str], planes: Mapping[str, Plane]) -> None:
     for number in numbers:
-        if number not in known:
-            like = nearest(number, known)
+        if number not in planes:
+            like = nearest(number, planes)
             raise InputError(
                 "no plane has this number",
                 where=f"polygons, {key}",
