@@ -99,8 +99,12 @@ def _directivity(
     return read_directivity(folder / table.file, bands, table.aim, table.up)
 
 
-def material_priors(campaign: Campaign, room: Room) -> tuple[MaterialPrior, ...]:
-    """Return what the campaign says of each of the room's materials and objects, in their order.
+def material_priors(
+    campaign: Campaign, materials: tuple[str, ...], volume_m3: float = 0.0
+) -> tuple[MaterialPrior, ...]:
+    """Return what the campaign says of each of the room's materials, in their order.
+
+    Objects among them have areas in a room of a volume, which is needed only of these.
 
     Raises
     ------
@@ -110,36 +114,34 @@ def material_priors(campaign: Campaign, room: Room) -> tuple[MaterialPrior, ...]
     """
     with located(str(campaign.path)):
         return complete_priors(
-            room.materials,
+            materials,
             [
                 *(_material_prior(campaign, table, k) for k, table in campaign.materials.items()),
-                *_object_priors(campaign, room),
+                *(
+                    _object_prior(campaign, k, volume_m3)
+                    for k in materials
+                    if k in campaign.objects
+                ),
             ],
             campaign.bands,
         )
 
 
-def _object_priors(campaign: Campaign, room: Room) -> list[MaterialPrior]:
-    """Return what the campaign says of the objects in a room, all pieces of each together."""
-    found, volume = [], volume_m3(room.mesh)
-    for name in (one.name for one in room.objects):
-        table = campaign.objects[name]
+def _object_prior(campaign: Campaign, name: str, volume_m3: float) -> MaterialPrior:
+    """Return what the campaign says of an object, all of its pieces together."""
+    table, bands = campaign.objects[name], campaign.bands
+    with located(f"objects.{name}"):
         if table.count is not None and table.floor_area_m2 is not None:
             raise InputError(
                 "an object is counted and measured by floor",
-                where=f"objects.{name}",
                 found="count and floor_area_m2",
                 needed="one of the two",
             )
-        with located(f"objects.{name}"):
-            known, law = _areas_of_one(table, campaign.bands)
-        n = next((x for x in (table.floor_area_m2, table.count) if x is not None), 1.0)
-        own = None if known is None else n * known
-        prior = None if law is None else (n * law[0], n * law[1])
-        found.append(
-            object_prior(name, campaign.bands, volume, absorption_area_m2=own, prior_m2=prior)
-        )
-    return found
+        known, law = _areas_of_one(table, bands)
+    n = next((x for x in (table.floor_area_m2, table.count) if x is not None), 1.0)
+    own = None if known is None else n * known
+    prior = None if law is None else (n * law[0], n * law[1])
+    return object_prior(name, bands, volume_m3, absorption_area_m2=own, prior_m2=prior)
 
 
 def _areas_of_one(
@@ -376,7 +378,7 @@ def identify_arguments(
     return {
         "scene": campaign_scene(campaign, room),
         "measurements": read_measurements(campaign),
-        "materials": in_bands(material_priors(described, room), at),
+        "materials": in_bands(_room_priors(described, room), at),
         "bands": bands,
         "settings": campaign.settings,
         "directivities": source_directivities(campaign, bands),
@@ -390,6 +392,10 @@ def campaign_room(campaign: Campaign) -> Room:
         findings = (*findings, *campaign.findings)
         described = replace(room, findings=findings, lengths_sd_m=campaign.room.lengths_sd)
         return _furnished(with_states(described, campaign.states), campaign)
+
+
+def _room_priors(campaign: Campaign, room: Room) -> tuple[MaterialPrior, ...]:
+    return material_priors(campaign, room.materials, volume_m3(room.mesh))
 
 
 def _furnished(room: Room, campaign: Campaign) -> Room:
@@ -436,7 +442,7 @@ class CampaignInputs:
 
     def priors(self, room: Room, bands: Bands | None = None) -> tuple[MaterialPrior, ...]:
         """Return what is said of each of the room's materials, in some of the campaign's bands."""
-        priors, own = material_priors(self.campaign, room), self.campaign.bands
+        priors, own = _room_priors(self.campaign, room), self.campaign.bands
         if bands is None:
             return priors
         return in_bands(priors, np.flatnonzero(np.isin(own.centres_hz, bands.centres_hz)))
@@ -490,7 +496,7 @@ def check_campaign(campaign: Campaign) -> RoomCheck:
     if not check.traceable:
         return check
     room = _furnished(with_states(room_from_mesh(mesh, spec.materials), campaign.states), campaign)
-    priors = material_priors(campaign, room)
+    priors = _room_priors(campaign, room)
     assumed = (*broad_prior_findings(priors), *product_findings(priors))
     position_doubts = position_findings(room, campaign.sources, campaign.receivers)
     return replace(check, findings=(*check.findings, *position_doubts, *assumed))

@@ -53,7 +53,7 @@ def reverberation_arguments(path: Path) -> DiffuseArguments:
     volume = own.volume_m3
     if campaign.has_room:
         room = campaign_room(campaign)
-        priors = material_priors(replace(campaign, bands=bands), room)
+        priors = material_priors(replace(campaign, bands=bands), room.materials)
         areas_m2, volume = areas_by_axis_m2(room), volume or volume_m3(room.mesh)
     else:
         if volume is None or own.surface_m2 is None:
