@@ -60,6 +60,8 @@ def write_other_box(
     noise_db: float | None = None,
     rate_hz: int = RATE_HZ,
     scattering: float | None = None,
+    objects_m2: float = 0.0,
+    from_hz: float = 125.0,
 ) -> OtherBox:
     """Simulate a random box from a seed and write it as a campaign into an existing folder.
 
@@ -76,6 +78,9 @@ def write_other_box(
     scattering : float, optional
         Of every wall: images to `HYBRID_ORDER`, then 20,000 rays of the other program; left out:
         image sources alone.
+    objects_m2 : float
+        Equivalent absorption area A of what stands in the room, in every band: the other program's
+        pressures fall by ``exp(-A c t / (8 V))``. The campaign says nothing of it.
     """
     import soundfile
 
@@ -101,12 +106,15 @@ def write_other_box(
     else:
         box = lengths, absorption, scattering
         responses = _simulated(box, true, pairs, c, b, rate_hz, seed)
-    for (s, r), pressure in zip(pairs, responses, strict=True):
+    rate = c * objects_m2 / (8.0 * float(np.prod(lengths)))
+    for (s, r), whole in zip(pairs, responses, strict=True):
+        pressure = whole * np.exp(-rate * np.arange(len(whole)) / rate_hz)
         noisy = add_noise(pressure, noise_db, rng).astype(np.float32)
         soundfile.write(folder / f"{s}_{r}.wav", noisy, rate_hz, subtype="FLOAT")
     materials = tuple(f"material_{wall}" for wall in WALLS)
     campaign = folder / "campaign.toml"
-    text = _campaign_text(lengths, materials, at, pairs, position_error_m, top_hz, specified)
+    between = from_hz, top_hz
+    text = _campaign_text(lengths, materials, at, pairs, position_error_m, between, specified)
     campaign.write_text(text)
     return OtherBox(campaign, lengths, materials, absorption, true, c, delays, b)
 
@@ -241,7 +249,7 @@ def _campaign_text(
     at: dict[str, np.ndarray],
     pairs: list[tuple[str, str]],
     position_error_m: float,
-    top_hz: float,
+    between_hz: tuple[float, float],
     directivity: str,
 ) -> str:
     lines = ["[room]", f"shoebox = {lengths.tolist()}", "[room.materials]"]
@@ -258,6 +266,7 @@ def _campaign_text(
     for s, r in pairs:
         lines += ["[[measurements]]", f'source = "{s}"', f'receiver = "{r}"']
         lines += [f'file = "{s}_{r}.wav"']
-    lines += ["[identify]", 'bands = "octave"', "from_hz = 125", f"to_hz = {top_hz:g}"]
+    low, high = between_hz
+    lines += ["[identify]", 'bands = "octave"', f"from_hz = {low:g}", f"to_hz = {high:g}"]
     lines += ["seed = 1"]
     return "\n".join(lines) + "\n"

@@ -3,7 +3,7 @@
     python benchmarks/other_boxes.py [--seeds 1 2 3 4 5] [--pairs 8] [--position-error 0.01]
         [--unfitted] [--energy] [--no-delays] [--c-error 0] [--delay-ms 0] [--top-hz 4000]
         [--third-octaves] [--strength 0] [--directivity omni] [--posterior] [--quick]
-        [--smoothness SD]
+        [--smoothness SD] [--objects A]
 
 What is run and timed is `roomfit identify` on campaign files, without writing its folder.
 
@@ -15,7 +15,9 @@ other program's cardioid of that |b|, 30 degrees off the middle of the room; --d
 what the campaign tells of it. --posterior identifies every box a second time with
 `method = "posterior"`, and shows the table of either, and what became of the samples. --quick shows
 the first answer beside the full one, and how much wider its intervals are. --smoothness
-tells by how much logit absorption changes from octave to octave; it does by 0.4 there. The null
+tells by how much logit absorption changes from octave to octave; it does by 0.4 there. --objects
+puts an absorption of A m2 into every room, in the octaves of 500 and 1000 Hz: the campaigns are
+fitted without a word of it, and with its prior of mean and standard deviation A. The null
 model gives all walls of a room the area mean of the fitted answer.
 """
 
@@ -158,13 +160,15 @@ def main() -> None:
     parser.add_argument("--smoothness", type=float, help="smoothness_per_octave of the campaign")
     parser.add_argument("--posterior", action="store_true", help="sampled intervals beside")
     parser.add_argument("--quick", action="store_true", help="first answers beside")
+    parser.add_argument("--objects", type=float, default=0.0, help="m2 in every room")
     arguments = parser.parse_args()
     more = 'positions = "fixed"\n' if arguments.unfitted else ""
     more += "wall_delays = false\n" if arguments.no_delays else ""
     more += 'model = "energy"\n' if arguments.energy else ""
     if arguments.smoothness is not None:
         more += f"smoothness_per_octave = {arguments.smoothness}\n"
-    done, sampled, first = [], [], []
+    between_hz = (500.0, 1000.0) if arguments.objects else (125.0, arguments.top_hz)
+    done, sampled, first, furnished = [], [], [], []
     for seed in arguments.seeds:
         with tempfile.TemporaryDirectory() as folder:
             box = write_other_box(
@@ -174,13 +178,19 @@ def main() -> None:
                 position_error_m=arguments.position_error,
                 c_error=arguments.c_error,
                 delay_s=1e-3 * arguments.delay_ms,
-                top_hz=arguments.top_hz,
+                from_hz=between_hz[0],
+                top_hz=between_hz[1],
+                objects_m2=arguments.objects,
                 strength=arguments.strength,
                 specified=arguments.directivity,
             )
             done.append(outcome(box, arguments.third_octaves, more))
             if arguments.quick:
                 first.append(outcome(box, False, "", quick=True))
+            if arguments.objects:
+                prior = f"prior = {{mean = {arguments.objects}, sd = {arguments.objects}}}"
+                furnished.append(outcome(box, False, f"[objects.things]\n{prior}\n"))
+                _show_objects(furnished[-1], arguments.objects)
             if arguments.posterior:
                 sampled.append(outcome(box, False, 'method = "posterior"\n'))
         answer = done[-1].answer
@@ -193,7 +203,11 @@ def main() -> None:
         if sampled:
             _show_samples(sampled[-1])
     show(done)
-    for name, others in (("sampled", sampled), ("first answers", first)):
+    for name, others in (
+        ("sampled", sampled),
+        ("first answers", first),
+        ("with objects", furnished),
+    ):
         if others:
             print(f"\n{name}")
             show(others)
@@ -202,6 +216,16 @@ def main() -> None:
         print(
             f"mean width {width.mean():.3f}, {width.mean() / full.mean():.2f} of the full answers'"
         )
+
+
+def _show_objects(o: Outcome, true_m2: float) -> None:
+    """Print the area of what stands in the room in every band."""
+    found = o.answer.objects
+    assert found is not None
+    bands = zip(found.area_m2[0], found.lower95_m2[0], found.upper95_m2[0], strict=True)
+    text = ", ".join(f"{a:.2f} ({low:.2f} to {high:.2f})" for a, low, high in bands)
+    held = (found.lower95_m2[0] <= true_m2) & (true_m2 <= found.upper95_m2[0])
+    print(f"   objects {text} m2, true {true_m2:g}, held {held.sum()} of {held.size}")
 
 
 def _widths(answer: Result) -> np.ndarray:

@@ -68,6 +68,8 @@ if TYPE_CHECKING:
         MaterialPrior as MaterialPrior,
         complete_priors as complete_priors,
         logit_normal as logit_normal,
+        object_absorption as object_absorption,
+        object_area_m2 as object_area_m2,
         prior_logit_law as prior_logit_law,
     )
     from roomfit.measurement import (
@@ -167,7 +169,8 @@ _HOME = {
         "inversion.traced_room": "TracedRoom check_scene coherent_paths scene_decay_s trace_room",
         "logit": "Z95 expit logit",
         "materials.catalogue": "catalogue_prior suggested_entries",
-        "materials.priors": "MaterialPrior complete_priors logit_normal prior_logit_law",
+        "materials.priors": "MaterialPrior complete_priors logit_normal object_absorption "
+        "object_area_m2 prior_logit_law",
         "measurement": "Level MeasuredPair Measurement Use",
         "objective.observation": "absorption_block",
         "objective.parameters": "Block Parameters leaders",

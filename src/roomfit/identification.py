@@ -24,8 +24,9 @@ from roomfit.diagnostics.checks import (
 )
 from roomfit.diagnostics.evidence import Evidence, Recorded
 from roomfit.diagnostics.verdict import judge
-from roomfit.errors import InsufficientDataError
+from roomfit.errors import InputError, InsufficientDataError
 from roomfit.findings import About, Code, Finding
+from roomfit.geometry.mesh import volume_m3
 from roomfit.inversion.coherent import fit_coherent, initialise
 from roomfit.inversion.displacement import (
     DisplacementModel,
@@ -53,13 +54,14 @@ from roomfit.materials.priors import (
     MaterialPrior,
     are_specified,
     complete_priors,
+    object_volumes_m3,
+    plain_logit_law,
     prior_logit_law,
-    prior_logits,
 )
 from roomfit.measurement import Measurement
 from roomfit.objective.problem import counted_evaluations
 from roomfit.response.directivity import Directivities
-from roomfit.results import Result
+from roomfit.results import Result, with_objects_apart
 from roomfit.scene import (
     Scene,
     check_groups,
@@ -67,6 +69,7 @@ from roomfit.scene import (
     plan_in_words,
     scene_of,
     shoebox_room,
+    wall_materials,
 )
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.signals.iso3382 import MeasuredValues
@@ -154,6 +157,7 @@ def identify(
     if settings.method == "posterior":
         check_sampler()
     priors = complete_priors(scene.room.materials, materials, bands)
+    _check_objects(scene, priors)
     check_certifiable(given.measured, settings, priors)
     start = eyring_start(given.measured)
     with counted_evaluations() as made:
@@ -182,6 +186,22 @@ def identify(
     doubts = (*_first_answer(settings), *scene.room.findings, *before, *after)
     result = combine(evidence, doubts)
     return replace(result, evaluations=made[0], seconds=time.perf_counter() - began)
+
+
+def _check_objects(scene: Scene, priors: tuple[MaterialPrior, ...]) -> None:
+    """Refuse objects of which nothing is stated, or for a room of another volume."""
+    volumes, volume = object_volumes_m3(priors), volume_m3(scene.room.mesh)
+    for name in (k.name for k in priors):
+        is_object = name in scene.room.materials[len(wall_materials(scene.room)) :]
+        stated = volumes.get(name, np.nan)
+        if is_object != (name in volumes) or (is_object and abs(stated / volume - 1.0) > 1e-6):
+            raise InputError(
+                "an object of the room and its absorption area do not belong together",
+                where=f"objects.{name}",
+                found=f"stated for {stated:g} m3" if name in volumes else "no area of it",
+                needed=f"roomfit.materials.priors.object_prior for {volume:g} m3 among the "
+                "materials, and roomfit.scene.with_objects of the room",
+            )
 
 
 def _fits(
@@ -306,11 +326,13 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
     combinations, sentences, shares = _determined(evidence, 0)
     inseparable: tuple[Finding, ...] = ()
     if not any(f.code.voids_identifiability for f in doubts):
-        materials, centres_hz = scene.room.materials, bands.centres_hz
-        inseparable = inseparable_findings(materials, centres_hz, identifiable, combinations)
+        materials, centres_hz = wall_materials(scene.room), bands.centres_hz
+        own = identifiable[: len(materials)]
+        inseparable = inseparable_findings(materials, centres_hz, own, combinations)
     shared = any(k.product is not None or k.tied_to is not None for k in priors)
     models = tuple(b.model for b in found)
-    return Result(
+    mean, law = plain_logit_law(priors)
+    whole = Result(
         bands=bands,
         materials=scene.room.materials,
         areas_m2=material_areas_m2(scene.room),
@@ -332,8 +354,8 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
         seed=settings.seed,
         seconds=0.0,
         logit_covariance=evidence.logit_covariance,
-        logit_prior=prior_logits(priors),
-        logit_prior_covariance=prior_logit_law(priors)[1] if shared else None,
+        logit_prior=np.array([mean, np.sqrt(np.diagonal(law, axis1=1, axis2=2)).T]),
+        logit_prior_covariance=law if shared else None,
         prior_specified=are_specified(priors),
         draws=_draws(evidence),
         combinations=combinations,
@@ -358,6 +380,7 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
         trace=traced_with(evidence.traced),
         state_means=_state_means(evidence),
     )
+    return with_objects_apart(whole, priors)
 
 
 def _state_means(evidence: Evidence) -> dict[str, FloatArray]:
@@ -368,17 +391,19 @@ def _state_means(evidence: Evidence) -> dict[str, FloatArray]:
 def _determined(
     evidence: Evidence, state: int
 ) -> tuple[tuple[tuple[Combination, ...], ...], tuple[str, ...], FloatArray]:
-    """Return what the data determine of groups of materials in a state of the room."""
+    """Return what the data determine of groups of walls in a state of the room."""
     room = evidence.measured.scene.room
+    n = len(wall_materials(room))
+    mean, law = prior_logit_law(evidence.priors)
     return determined(
-        room.materials,
-        evidence.absorption,
-        evidence.logit_covariance,
-        prior_logit_law(evidence.priors),
-        material_areas_m2(room, state),
+        wall_materials(room),
+        evidence.absorption[:n],
+        evidence.logit_covariance[:, :n, :n],
+        (mean[:n], law[:, :n, :n]),
+        material_areas_m2(room, state)[:n],
         evidence.settings.seed,
-        [b.samples for b in evidence.fits.answers],
-        are_specified(evidence.priors),
+        [None if b.samples is None else b.samples[:, :n] for b in evidence.fits.answers],
+        are_specified(evidence.priors)[:n],
     )
 
 
@@ -397,7 +422,7 @@ def _draws(evidence: Evidence) -> FloatArray | None:
     absorption, covariance = evidence.absorption, evidence.logit_covariance
     if all(answer.draws is None for answer in found):
         return None
-    drawn, (mean, prior) = [], prior_logit_law(priors)
+    drawn, (mean, prior) = [], plain_logit_law(priors)
     for band, answer in enumerate(found):
         rng = np.random.default_rng((settings.seed, band))
         own = answer.draws

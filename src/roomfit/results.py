@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from roomfit.bands import Bands
 from roomfit.findings import About, Code, Finding
+from roomfit.materials.priors import MaterialPrior, object_area_m2, object_volumes_m3
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.objective.directivity import FittedDirectivity
 from roomfit.settings import Settings
@@ -65,6 +66,20 @@ class ComparedPair:
     parameters: Mapping[str, Compared]  # and "G_dB", those that are known
     decay: Decay | None  # None where room parameters were measured and no response
     state: str = ""  # of the room; "": as it is described
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObjectAreas:
+    """What was found of the objects in a room: equivalent absorption areas in m2."""
+
+    names: tuple[str, ...]
+    area_m2: FloatArray  # (n_objects, n_bands), and its 95 % interval
+    lower95_m2: FloatArray
+    upper95_m2: FloatArray
+    # (n_objects, n_bands), whether the data halve the prior's standard deviation of its logarithm
+    identifiable: BoolArray
+    # absorption of walls and objects with the covariance of both, as predictions take it
+    posterior: AbsorptionPosterior
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,6 +156,7 @@ class Result:
     # (n_bands,), uniform absorption that Eyring's formula gives of the measured decay; NaN or None
     # where no decay was measured
     eyring_absorption: FloatArray | None = None
+    objects: ObjectAreas | None = None  # of what stands in the room; None where nothing does
 
     def __str__(self) -> str:
         """Return what the command line prints: absorption, errors of predictions, findings."""
@@ -242,6 +258,8 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
     >>> found.materials, found.logit_covariance.shape
     (('plaster',), (1, 1, 1))
     """
+    if answer.objects is not None:
+        return replace(answer.objects.posterior, result_findings=answer.findings)
     covariance = answer.logit_covariance
     if covariance is None:
         covariance = covariance_from_intervals(answer.absorption, answer.lower95, answer.upper95)
@@ -263,6 +281,57 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
         draws=answer.draws,
         result_findings=answer.findings,
     )
+
+
+def with_objects_apart(whole: Result, priors: Sequence[MaterialPrior]) -> Result:
+    """Return a result whose materials are those of surfaces, objects with their areas in m2.
+
+    Parameters
+    ----------
+    whole : Result
+        With objects, if any, as the last of its materials.
+    priors : sequence of MaterialPrior
+        Of all of its materials.
+    """
+    volumes = object_volumes_m3(priors)
+    if not volumes:
+        return whole
+    n = len(priors) - len(volumes)
+    posterior = replace(absorption_posterior(whole), objects=volumes)
+    room_m3 = next(iter(volumes.values()))
+    area_m2, lower95_m2, upper95_m2 = (
+        object_area_m2(x[n:], room_m3) for x in (whole.absorption, whole.lower95, whole.upper95)
+    )
+    names = whole.materials
+    return replace(
+        whole,
+        **{f: _of_walls(getattr(whole, f), axes, n) for f, axes in _MATERIAL_AXES.items()},
+        profiles=tuple(tuple(p for p in b if p.entry < n) for b in whole.profiles),
+        costs=tuple({k: v[:n] for k, v in band.items()} for band in whole.costs),
+        interval_kinds=tuple(kinds[:n] for kinds in whole.interval_kinds),
+        samples=tuple(None if s is None else s[:, :n] for s in whole.samples),
+        objects=ObjectAreas(
+            names[n:], area_m2, lower95_m2, upper95_m2, whole.identifiable[n:], posterior
+        ),
+    )
+
+
+# Of the arrays of a result, along which axes they run over materials.
+_MATERIAL_AXES: Mapping[str, tuple[int, ...]] = {
+    **dict.fromkeys(("materials", "areas_m2", "absorption", "lower95", "upper95"), (0,)),
+    **dict.fromkeys(("identifiable", "identifiable_by_rule", "scattering"), (0,)),
+    **dict.fromkeys(("logit_covariance", "logit_prior_covariance"), (1, 2)),
+    **dict.fromkeys(("logit_prior", "prior", "draws"), (1,)),
+    "prior_specified": (0,),
+}
+
+
+def _of_walls(values: Any, axes: tuple[int, ...], n: int) -> Any:
+    """Return the first n entries along some axes of an array or tuple, None of None."""
+    if values is None or isinstance(values, tuple):
+        return values if values is None else values[:n]
+    at = tuple(slice(n) if axis in axes else slice(None) for axis in range(max(axes) + 1))
+    return values[at]
 
 
 def result_doubts(

@@ -47,11 +47,24 @@ class State:
     surface_material: IntArray  #: int32 (n_surfaces,), index into the room's materials
 
 
+@dataclass(frozen=True, slots=True)
+class RoomObject:
+    """What stands in a room and absorbs as an equivalent area in its volume, as people or chairs.
+
+    The area is no property of the room: see `roomfit.materials.priors.object_prior`.
+    """
+
+    name: str
+    #: States of the room in which it is there, "" for the room as it is described; None: in all
+    states: tuple[str, ...] | None = None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Room:
     """A closed mesh and the material of each of its surfaces.
 
     A material is a set of faces that share one absorption; its value is no property of the room.
+    An object stands among the materials, without a face.
     """
 
     mesh: Mesh
@@ -66,6 +79,7 @@ class Room:
     states: tuple[State, ...] = ()
     #: Standard deviations of a box's lengths in m, which then are fitted; 0: exact
     lengths_sd_m: tuple[float, float, float] | None = None
+    objects: tuple[RoomObject, ...] = ()  #: From `with_objects`; the last of `materials`
 
     def __post_init__(self) -> None:
         if self.lengths_sd_m is not None:
@@ -80,7 +94,7 @@ class Room:
         object.__setattr__(self, "materials", unique_names("material", self.materials))
         if not self.materials:
             raise InputError("a room without materials", needed="at least one material")
-        n_surfaces, last = len(self.mesh.surfaces), len(self.materials) - 1
+        n_surfaces, last = len(self.mesh.surfaces), len(wall_materials(self)) - 1
 
         def checked(owner: IntArray) -> IntArray:
             return int_array("material of each surface", owner, (n_surfaces,), low=0, high=last)
@@ -90,6 +104,11 @@ class Room:
             replace(s, surface_material=checked(s.surface_material)) for s in self.states
         )
         object.__setattr__(self, "states", states)
+
+
+def wall_materials(room: Room) -> tuple[str, ...]:
+    """Return the materials of surfaces, objects left out: they stand before these."""
+    return room.materials[: len(room.materials) - len(room.objects)]
 
 
 def triangle_material(room: Room) -> IntArray:
@@ -140,6 +159,8 @@ def with_states(room: Room, states: Mapping[str, Mapping[str, str]]) -> Room:
     [48.0, 30.0, 30.0, 18.0]
     """
     unique_names("state", states)
+    if room.objects:
+        raise InputError("states are given after objects", needed="with_objects as the last step")
     names, found = list(room.materials), []
     for state, materials in states.items():
         if not state:
@@ -155,6 +176,41 @@ def with_states(room: Room, states: Mapping[str, Mapping[str, str]]) -> Room:
             own.append(names.index(material))
         found.append(State(state, np.array(own)))
     return replace(room, materials=tuple(names), states=(*room.states, *found))
+
+
+def with_objects(room: Room, objects: Mapping[str, Sequence[str] | None]) -> Room:
+    """Return a room in which objects stand: what absorbs in its volume, wherever it stands.
+
+    Parameters
+    ----------
+    room : Room
+        With all of its states: what `with_states` adds stands before objects.
+    objects : mapping from name to sequence of str or None
+        States in which each is there, "" for the room as it is described; None: in all.
+
+    Raises
+    ------
+    InputError
+        An object has the name of a material, or of a state that the room does not have.
+
+    Examples
+    --------
+    >>> room = with_objects(shoebox_room((6, 5, 3), "plaster"), {"people": None})
+    >>> room.materials, material_areas_m2(room).tolist()
+    (('plaster', 'people'), [126.0, 0.0])
+    """
+    names = ["", *(s.name for s in room.states)]
+    for name, states in objects.items():
+        for state in states or ():
+            check_known(
+                "an object stands in a state that the room does not have",
+                state,
+                names,
+                where=f"objects.{name}.states",
+                else_needed='a table [[states]], or "" for the room as described',
+            )
+    found = [RoomObject(k, None if v is None else tuple(v)) for k, v in objects.items()]
+    return replace(room, materials=(*room.materials, *objects), objects=(*room.objects, *found))
 
 
 _SHOWN = 12
@@ -498,6 +554,21 @@ def pair_names(scene: Scene) -> list[PairName]:
 def pair_states(scene: Scene) -> IntArray:
     """Return the state of each pair, shape (n_pairs,): 0 as described, i the i-th further state."""
     return np.zeros(len(scene.pairs), np.int32) if scene.pair_state is None else scene.pair_state
+
+
+def object_pairs(scene: Scene) -> BoolArray | None:
+    """Return which materials are objects that stand in the state of each pair.
+
+    Of shape (n_pairs, n_materials), False for materials of surfaces; None without objects.
+    """
+    room = scene.room
+    if not room.objects:
+        return None
+    names = np.array(["", *(s.name for s in room.states)])[pair_states(scene)]
+    stands = np.zeros((len(scene.pairs), len(room.materials)), dtype=np.bool_)
+    for column, one in enumerate(room.objects, start=len(wall_materials(room))):
+        stands[:, column] = True if one.states is None else np.isin(names, one.states)
+    return stands
 
 
 def select_pairs(scene: Scene, kept: BoolArray | IntArray | slice) -> Scene:

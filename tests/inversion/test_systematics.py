@@ -11,7 +11,16 @@ from coherent_cases import SPEED_M_S, objective_of, small_scene, small_term, wit
 from roomfit.air import Air, attenuation_per_m, pressure_decay_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
 from roomfit.inversion.sequential import CoherentBand
-from roomfit.inversion.systematics import air_error, lost_coherence
+from roomfit.inversion.systematics import (
+    DECAY_PROBABILITIES,
+    DECAY_SDS,
+    air_error,
+    decay_error,
+    decay_error_sd,
+    lost_coherence,
+    shared_errors,
+    with_shared_errors,
+)
 from roomfit.objective.coherent import CoherentTerm, fully_coherent
 from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.parameters import start_vector
@@ -143,3 +152,65 @@ def test_lost_coherence_is_what_pressures_of_images_lack_or_have_beyond_their_en
         assert abs(reported[0] - share) < 0.01
     # 24 % of the energy is missing there: it is not nothing that was compared
     assert reported[0] < -0.2
+
+
+def _middles_s(term: EnergyTerm) -> FloatArray:
+    return np.concatenate([0.5 * (o.edges_s[1:] + o.edges_s[:-1]) for o in term.observations])
+
+
+def test_the_error_of_a_decay_is_its_rate_times_the_time() -> None:
+    """Of windows that hold an exponential decay, to the curvature within a window."""
+    term, rate_per_s = energies(), 23.0
+    edges = [o.edges_s for o in term.observations]
+    signal = np.concatenate([-np.diff(np.exp(-rate_per_s * e)) for e in edges])
+    found = decay_error(term, signal)
+    np.testing.assert_allclose(found, -rate_per_s * _middles_s(term), rtol=0.02)
+
+
+def _decay_sd(change: float) -> tuple[float, float]:
+    """Return the size of the term for data whose rate is so much larger, and what data know."""
+    term = energies()
+    signal = np.concatenate([o.energy for o in term.observations])
+    slope = decay_error(term, signal)
+    fit = _converged(_with_data(term, np.exp(change * slope)))
+    problem = objective_of(_with_data(term, np.exp(change * slope)))
+    jacobian = problem.jacobian(fit.vector)
+    error = (fit.expected * decay_error(term, fit.expected))[:, None]
+    (step,) = answer_steps(problem, fit, jacobian, error).T
+    weighed = error[:, 0] / (problem.correlation_length() * fit.variance)
+    known = weighed @ error[:, 0] - (weighed @ jacobian) @ step
+    return decay_error_sd(problem, fit, jacobian, error), float(known)
+
+
+def test_data_that_agree_with_the_rate_leave_the_mean_of_both_priors() -> None:
+    """Without a residual the posterior is the mixture of two normal laws of known variances.
+
+    The priors of the walls leave a residual of 1 % of it.
+    """
+    found, known = _decay_sd(0.0)
+    variance = 1.0 / (known + DECAY_SDS**-2)
+    weight = DECAY_PROBABILITIES * np.sqrt(variance) / DECAY_SDS
+    np.testing.assert_allclose(found**2, weight @ variance / weight.sum(), rtol=0.02)
+    assert found < np.sqrt(DECAY_PROBABILITIES @ DECAY_SDS**2)
+
+
+def test_data_that_contradict_the_rate_of_the_walls_enlarge_the_term() -> None:
+    """The farther off, the larger, and never beyond what they say and the wide prior together."""
+    sizes = [_decay_sd(change)[0] for change in (0.0, 1.5, 3.0)]
+    assert sizes[0] < sizes[1] < sizes[2] < 3.0
+
+
+def test_the_decay_term_widens_the_answer_along_its_shift_alone() -> None:
+    """The covariance grows by the outer product of the shift, and its cost is named."""
+    term = energies()
+    problem, fit = objective_of(term), _converged(term)
+    shared = shared_errors(problem, fit, (0, 0), np.zeros((fit.measured.size, 2)))
+    wider = with_shared_errors(problem, fit, shared)
+    more = np.linalg.inv(wider.information) - np.linalg.inv(fit.information)
+    jacobian = problem.jacobian(fit.vector)
+    step = answer_steps(problem, fit, jacobian, shared["decay"])[:, 0]
+    size = decay_error_sd(problem, fit, jacobian, shared["decay"])
+    expected = np.outer(step, step) * size**2 / max(fit.chi2_reduced, 1.0)
+    np.testing.assert_allclose(more, expected, rtol=1e-4, atol=1e-6 * np.abs(expected).max())
+    assert np.all(wider.costs["decay"] <= wider.costs[""])
+    np.testing.assert_array_equal(wider.vector, fit.vector)

@@ -34,7 +34,7 @@ from roomfit.core import (
     speed_of_sound_m_s,
 )
 from roomfit.inversion.measurements import collect_measurements
-from roomfit.io.campaign import Campaign, input_files
+from roomfit.io.campaign import Campaign, input_files, refuse_objects
 from roomfit.io.door import read_bytes
 from roomfit.io.encoding import ResultFile, path_of
 from roomfit.io.inputs import CampaignInputs
@@ -135,9 +135,10 @@ def coverage_plan(campaign: Campaign, settings: CoverageSettings) -> CoveragePla
         measurements=tuple(m for m in campaign.measurements if m.use == "fit"),
         tables=tuple(t for t in campaign.tables if t.use == "fit"),
     )
+    refuse_objects(campaign, "roomfit coverage")
     inputs = CampaignInputs(campaign)
     room = inputs.room()
-    priors = inputs.priors(room.materials)
+    priors = inputs.priors(room)
     answer = None
     if settings.result is not None:
         answer = _reference(read_result(settings.result), path_of(settings.result), campaign, room)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
 from scipy.special import chdtri
 
 from roomfit.bands import bands_in_words
 from roomfit.diagnostics.evidence import Evidence, Law
 from roomfit.diagnostics.linearity import explained_by_the_chain
 from roomfit.findings import About, Code, Finding
+from roomfit.materials.priors import object_area_m2
 
 # Log-likelihood that one more unknown must gain in some band, and the chance of all bands together:
 # errors of the model that windows share gained 8 and 9 in two bands of 2 in 36 right rooms.
@@ -40,11 +42,17 @@ def check(evidence: Evidence) -> Iterator[Finding]:
         is_directed = bool(evidence.fits.directivities)
         if explained_by_the_chain(evidence.fits.tests.chain, freed, is_directed=is_directed):
             continue
-        notes = [f"{known[b]:.2f} fixed, about {freed.absorption[b]:.2f} likelier" for b in clear]
+        fixed, likelier = (np.array([x[b] for b in clear]) for x in (known, freed.absorption))
+        what, unit = "absorption", ""
+        if prior.object_volume_m3 is not None:
+            what, unit = "absorption area", " m2"
+            fixed, likelier = (object_area_m2(x, prior.object_volume_m3) for x in (fixed, likelier))
+        each = zip(fixed, likelier, strict=True)
+        notes = [f"{x:.2f} fixed, about {y:.2f}{unit} likelier" for x, y in each]
         yield Finding(
             Code.FIXED_ABSORPTION_CONTRADICTED,
             About(materials=[prior.name], bands_hz=bands.centres_hz[clear].tolist()),
-            f"The data contradict the absorption that the campaign fixes for {prior.name}: "
+            f"The data contradict the {what} that the campaign fixes for {prior.name}: "
             f"{bands_in_words(bands, clear, notes)}; freed, the log-likelihood rises by "
             f"{total:.0f}. All others compensate for it: none is called "
             "identifiable. State a prior in its place.",
@@ -52,6 +60,6 @@ def check(evidence: Evidence) -> Iterator[Finding]:
                 "material": prior.name,
                 "bands_hz": bands.centres_hz[clear].tolist(),
                 "log_likelihood_gain": [round(gains[b], 2) for b in clear],
-                "about": [round(freed.absorption[b], 3) for b in clear],
+                "about": likelier.round(3).tolist(),
             },
         )

@@ -19,7 +19,8 @@ LAWS = {
 
 def check(evidence: Evidence) -> Iterator[Finding]:
     """Yield a finding that names the materials to be fitted which no path strikes."""
-    fitted = [k.name for k in evidence.priors if k.known is None]
+    priors = [k for k in evidence.priors if k.object_volume_m3 is None]
+    fitted = [k.name for k in priors if k.known is None]
     names = unreached_materials(evidence.traced.paths, fitted)
     if names:
         yield Finding(

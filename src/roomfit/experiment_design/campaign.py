@@ -87,11 +87,11 @@ def design_arguments(
     inputs = CampaignInputs(campaign)
     room = inputs.room()
     bands, absorption = campaign.bands, None
-    priors = inputs.priors(room.materials)
+    priors = inputs.priors(room)
     if result is not None:
         with located(f"{campaign.path}, identify"):
             bands, doubts = common_bands(campaign.bands, result.bands)
-        priors = inputs.priors(room.materials, bands)
+        priors = inputs.priors(room, bands)
         with located(str(campaign.path)):
             absorption = replace(room_posterior(result, priors, bands), findings=doubts)
     return {

@@ -32,6 +32,7 @@ from roomfit.io.campaign import (
     MeasuredSpectrum,
     input_files,
     read_campaign,
+    refuse_objects,
 )
 from roomfit.io.door import check_files, files_read, npz_arrays, read_bytes, reading_noted
 from roomfit.io.inputs import read_file
@@ -117,6 +118,7 @@ def impedance_arguments(campaign: Campaign) -> tuple[ImpedanceArguments, tuple[F
         a pair that was measured twice, a directional source, or a wall model that is none.
     """
     room, room_findings = read_room(campaign.room)
+    refuse_objects(campaign, "roomfit impedance")
     walls = _wall_models(campaign, room.materials)
     files = [m for m in campaign.measurements if m.use == "fit"]
     spectra = [s for s in campaign.spectra if s.use == "fit"]

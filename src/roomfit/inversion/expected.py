@@ -253,7 +253,8 @@ def _of_pairs(
     for pair in range(len(scene.pairs)):
         own = order[ends[pair] : ends[pair + 1]]
         caught = select(paths, own)
-        caught = replace(caught, n_pairs=1, pair=np.zeros_like(caught.pair))
+        stands = None if caught.objects is None else caught.objects[pair : pair + 1]
+        caught = replace(caught, n_pairs=1, pair=np.zeros_like(caught.pair), objects=stands)
         weights = None if factors is None else factors[:, own]
         alone = select_pairs(scene, slice(pair, pair + 1))
         yield _objectives(fit, alone, caught, weights, filters)

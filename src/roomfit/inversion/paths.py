@@ -27,7 +27,7 @@ from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.directivity import FittedDirectivity
 from roomfit.response.binned import BinnedPaths, bin_paths
 from roomfit.response.directivity import directivity_factors
-from roomfit.scene import Scene
+from roomfit.scene import Scene, wall_materials
 from roomfit.settings import Settings
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths, TraceSettings, concatenate, select
@@ -157,7 +157,7 @@ def traced_paths(
         if not settings.quick:
             trial = scattering_trial(measurements, priors, settings, plan.settings, start)
         if trial is not None:
-            tried = tried_scattering(trial[0], scene.room.materials, trial[1])
+            tried = tried_scattering(trial[0], wall_materials(scene.room), trial[1])
         del trial  # with two traces of its own
     trim_memory()
     done = part(progress, 0.5 if chosen else 0.0, 1.0)

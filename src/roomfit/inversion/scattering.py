@@ -220,7 +220,7 @@ def tried_scattering(
         return None
     without = fit(assumed)
     gains = fit(np.where(smooth[:, None], _TRIAL, assumed)) - without
-    names = tuple(name for name, is_smooth in zip(materials, smooth, strict=True) if is_smooth)
+    names = tuple(name for name, is_smooth in zip(materials, smooth, strict=False) if is_smooth)
     return ScatteringTrial(names, _TRIAL, gains)
 
 
@@ -359,7 +359,8 @@ def scattering_trial(
     ----------
     start : float array, shape (n_bands,)
     """
-    if not any(k.scattering is not None and not np.any(k.scattering > 0.0) for k in priors):
+    walls = [k.scattering for k in priors if k.object_volume_m3 is None]
+    if not any(s is not None and not np.any(s > 0.0) for s in walls):
         return None
     last = max(int(np.searchsorted(measurements.bands.centres_hz, _HIGHEST_TRIAL_HZ)), 1)
     chosen = slice(max(last - _TRIAL_BANDS, 0), last)

@@ -3,7 +3,9 @@
 Windows share errors: the Monte-Carlo noise of the rays, which a ray between hard walls brings to
 all receivers and late times at once (a jackknife over batches of rays, which are independent
 traces); attenuation of air that changes within a band; coherence of images that are taken for
-incoherent. And a band shares absorption that changes within it with its neighbours.
+incoherent; and a rate of decay that is not that of the walls, because of what stands in the room
+and of all that the model has wrong in late windows alike. And a band shares absorption that changes
+within it with its neighbours.
 """
 
 from __future__ import annotations
@@ -43,6 +45,9 @@ _LEAST = 1e-9  # distance of an absorption from 0 and 1 in its logit
 # next, these shares of the mean over a band belong to the band above and the one below: the
 # integral of that weight over the squared magnitude of the octave filter.
 ABOVE, BELOW = 0.144, 0.078
+# Prior of the rate of decay of a room over that of its model: with each probability a normal law
+# about 1 of that standard deviation. docs/decisions/0048-what-stands-in-the-room.md.
+DECAY_PROBABILITIES, DECAY_SDS = np.array([0.75, 0.25]), np.array([0.01, 0.2])
 # Long enough for many independent values of eight responses, short enough to follow a decay.
 _SLOT_S = 0.04
 
@@ -179,8 +184,9 @@ def shared_errors(
 ) -> dict[str, FloatArray]:
     """Return the errors that a fit's windows share by name, (n_windows, n), one sd a column.
 
-    Over the batches of rays, by one standard deviation of what `relative` holds, and by reflections
-    that interfere and are taken for energies that add.
+    Over the batches of rays, by one standard deviation of what `relative` holds, by reflections
+    that interfere and are taken for energies that add; and, under "decay", by a rate of decay that
+    is larger by a factor of 2, which `with_shared_errors` brings to its size.
 
     Parameters
     ----------
@@ -201,6 +207,7 @@ def shared_errors(
         "rays": batch_spread(energies, objective.parameters, fit.vector, sources),
         "air": (signal * relative[:, 0])[:, None],
         "scattering": (signal * relative[:, 1])[:, None],
+        "decay": (signal * decay_error(energies, signal))[:, None],
     }
     if coherent is not None:
         shared["lost coherence"] = (signal * lost_coherence(coherent, fit))[:, None]
@@ -225,6 +232,8 @@ def with_shared_errors(
            section 3: the delete-one variance of an estimate, here linearised.
     """
     jacobian = (objective.predict(fit.vector) if there is None else there).jacobian
+    if (decay := shared.get("decay")) is not None:
+        shared = {**shared, "decay": decay_error_sd(objective, fit, jacobian, decay) * decay}
     costs = costs_of_terms(objective, fit, jacobian, shared)
     steps = answer_steps(objective, fit, jacobian, np.concatenate(list(shared.values()), axis=1))
     return replace(add_covariance(fit, steps), costs=costs)
@@ -272,6 +281,58 @@ def air_error(air: Air, bands: Bands, band: int, energies: EnergyTerm) -> FloatA
     below, own, above = 2.0 * pressure_decay_per_m(air, centre * np.array([1 / step, 1.0, step]))
     error = abs(ABOVE * (above - own) + BELOW * (below - own))
     return np.asarray(-error * speed_of_sound_m_s(air) * _middle_s(energies))
+
+
+def decay_error(energies: EnergyTerm, signal: FloatArray) -> FloatArray:
+    """Return the relative change of each window if energy decayed at twice the rate, (n_windows,).
+
+    ``-k t`` at the time t after emission, with k the median over the observations of the decay of
+    the expected energy per time.
+
+    Parameters
+    ----------
+    signal : float array, shape (n_windows,)
+        Expected energy.
+    """
+    ends = np.cumsum([o.energy.size for o in energies.observations])[:-1]
+    rates_per_s = [0.0]
+    for observed, own in zip(energies.observations, np.split(signal, ends), strict=True):
+        width_s = np.diff(observed.edges_s)
+        used = (own > 0.0) & (np.arange(own.size) > 0)  # after the direct sound
+        if np.count_nonzero(used) > 2:
+            middle_s = 0.5 * (observed.edges_s[1:] + observed.edges_s[:-1])[used]
+            level = np.log(own[used] / width_s[used])
+            rates_per_s.append(-np.polyfit(middle_s, level, 1, w=np.sqrt(width_s[used]))[0])
+    rate_per_s = float(np.median(rates_per_s[1:] or rates_per_s))
+    return np.asarray(-max(rate_per_s, 0.0) * _middle_s(energies))
+
+
+def decay_error_sd(
+    objective: Objective, fit: BandFit, jacobian: FloatArray, error: FloatArray
+) -> float:
+    """Return how far, relatively, the rate of decay may be from that of the fitted walls.
+
+    The root mean square about 0, after the data, of an unknown relative change of the rate that is
+    fitted beside all else to first order: its prior is a mixture, of rooms that decay as their
+    model does and of such that do not, so that data that contradict the walls' rate widen their
+    intervals, and data that determine it hardly do. The answer is not moved: what data prefer there
+    is made by anything that early and late windows disagree about.
+
+    Parameters
+    ----------
+    error : float array, shape (n_windows, 1)
+        Of the expected energy for a relative change of 1, as in `shared_errors`.
+    """
+    n, misfit = len(error), max(fit.chi2_reduced, 1.0)
+    weighed = error[:, 0] / (objective.correlation_length()[:n] * fit.variance[:n])
+    (step,) = answer_steps(objective, fit, jacobian, error).T
+    known = float(weighed @ error[:, 0] - (weighed @ jacobian[:n]) @ step) / misfit
+    pull = float(weighed @ (fit.measured - fit.expected)[:n]) / misfit
+    # of each law: its variance and mean after the data, and how well it predicted them
+    variance = 1.0 / (max(known, 0.0) + DECAY_SDS**-2)
+    log_evidence = 0.5 * (variance * pull**2 + np.log(variance / DECAY_SDS**2))
+    weight = DECAY_PROBABILITIES * np.exp(log_evidence - log_evidence.max())
+    return float(np.sqrt(weight @ (variance + (variance * pull) ** 2) / weight.sum()))
 
 
 def scattering_error(

@@ -35,6 +35,7 @@ from roomfit.io.schema import (
     MaterialTable,
     MeasuredDirectivity,
     MeasurementTable,
+    ObjectTable,
     ProductTable,
     ProjectTable,
     ReceiverTable,
@@ -216,6 +217,7 @@ def _check_names(path: Path, campaign: CampaignTable) -> None:
             [*campaign.materials, *(name for given in used for name in given.values() if name)]
         ),
         "product": campaign.products,
+        "object": campaign.objects,
         "loudspeaker": campaign.loudspeakers,
         "source": campaign.sources,
         "receiver": campaign.receivers,
@@ -352,6 +354,7 @@ class Campaign:
     reverberation: ReverberationTable | None = None  # decay times without positions
     has_room: bool = True  # only decay times may do without
     speech: SpeechTable | None = None  # levels of speech and noise
+    objects: Mapping[str, ObjectTable] = field(default_factory=dict)  # what stands in the room
 
 
 # stands where decay times come with a volume and a surface alone, and is not looked at
@@ -469,7 +472,20 @@ def _campaign(
         table.reverberation,
         has_room,
         table.speech,
+        dict(table.objects),
     )
+
+
+def refuse_objects(campaign: Campaign, command: str) -> None:
+    """Refuse a campaign whose room has objects, for a command that counts walls alone."""
+    if campaign.objects:
+        raise InputError(
+            f"{command} counts walls alone, and the room has objects",
+            where=str(campaign.path),
+            found=", ".join(f"[objects.{name}]" for name in campaign.objects),
+            needed="a room without them, and no [objects]",
+            hint="roomfit identify and roomfit predict count them",
+        )
 
 
 DEFAULTS = Settings()  # of what a campaign file does not say

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from roomfit.bands import Bands, bands_between
 from roomfit.errors import InputError, located
+from roomfit.geometry.mesh import volume_m3
 from roomfit.io.campaign import Campaign, MeasuredFile, input_files, read_campaign
 from roomfit.io.directivity import read_directivity
 from roomfit.io.door import check_files
@@ -20,15 +21,25 @@ from roomfit.io.iso3382 import read_parameters
 from roomfit.io.responses import read_response
 from roomfit.io.rooms import read_mesh, read_room
 from roomfit.io.rooms.model import RoomSpec
+from roomfit.io.schema import (
+    AreaPrior,
+    AreaSpectrum,
+    MaterialTable,
+    ObjectTable,
+    Prior,
+    SharedDirectivity,
+    SourceDirectivity,
+    Spectrum,
+)
 from roomfit.io.schema import Directivity as FirstOrderTable
-from roomfit.io.schema import MaterialTable, Prior, SharedDirectivity, SourceDirectivity, Spectrum
 from roomfit.materials.catalogue import (
     broad_prior_findings,
     catalogue_prior,
     material_prior,
+    object_catalogue_area,
     product_findings,
 )
-from roomfit.materials.priors import MaterialPrior, complete_priors, in_bands
+from roomfit.materials.priors import MaterialPrior, complete_priors, in_bands, object_prior
 from roomfit.measurement import Measurement
 from roomfit.response.directivity import Directivity, UnknownDirectivity, aimed, unit_vector
 from roomfit.scene import (
@@ -38,6 +49,7 @@ from roomfit.scene import (
     check_mesh,
     position_findings,
     room_from_mesh,
+    with_objects,
     with_states,
 )
 from roomfit.settings import Settings
@@ -87,8 +99,12 @@ def _directivity(
     return read_directivity(folder / table.file, bands, table.aim, table.up)
 
 
-def material_priors(campaign: Campaign, materials: tuple[str, ...]) -> tuple[MaterialPrior, ...]:
+def material_priors(
+    campaign: Campaign, materials: tuple[str, ...], volume_m3: float = 0.0
+) -> tuple[MaterialPrior, ...]:
     """Return what the campaign says of each of the room's materials, in their order.
+
+    Objects among them have areas in a room of a volume, which is needed only of these.
 
     Raises
     ------
@@ -99,9 +115,54 @@ def material_priors(campaign: Campaign, materials: tuple[str, ...]) -> tuple[Mat
     with located(str(campaign.path)):
         return complete_priors(
             materials,
-            [_material_prior(campaign, table, name) for name, table in campaign.materials.items()],
+            [
+                *(_material_prior(campaign, table, k) for k, table in campaign.materials.items()),
+                *(
+                    _object_prior(campaign, k, volume_m3)
+                    for k in materials
+                    if k in campaign.objects
+                ),
+            ],
             campaign.bands,
         )
+
+
+def _object_prior(campaign: Campaign, name: str, volume_m3: float) -> MaterialPrior:
+    """Return what the campaign says of an object, all of its pieces together."""
+    table, bands = campaign.objects[name], campaign.bands
+    with located(f"objects.{name}"):
+        if table.count is not None and table.floor_area_m2 is not None:
+            raise InputError(
+                "an object is counted and measured by floor",
+                found="count and floor_area_m2",
+                needed="one of the two",
+            )
+        known, law = _areas_of_one(table, bands)
+    n = next((x for x in (table.floor_area_m2, table.count) if x is not None), 1.0)
+    own = None if known is None else n * known
+    prior = None if law is None else (n * law[0], n * law[1])
+    return object_prior(name, bands, volume_m3, absorption_area_m2=own, prior_m2=prior)
+
+
+def _areas_of_one(
+    table: ObjectTable, bands: Bands
+) -> tuple[FloatArray | None, tuple[FloatArray, FloatArray] | None]:
+    """Return the known area of a piece or of 1 m2 of floor, and mean and sd of an unknown one."""
+    by_floor = table.floor_area_m2 is not None
+    own, prior = table.absorption_area_m2, table.prior
+    known, law = None, None
+    if isinstance(own, str):
+        known = object_catalogue_area(own, bands, by_floor=by_floor)[0]
+    elif isinstance(own, AreaSpectrum):
+        known = _at_bands(own.centres_hz, own.values, bands, "absorption_area_m2")
+    elif own is not None:
+        known = np.asarray(own, dtype=np.float64)
+    if isinstance(prior, str):
+        law = object_catalogue_area(prior, bands, by_floor=by_floor)
+    elif prior is not None:
+        mean, sd = _mean_and_sd(prior, bands)
+        law = np.asarray(mean, dtype=np.float64), np.asarray(sd, dtype=np.float64)
+    return known, law
 
 
 def _material_prior(campaign: Campaign, table: MaterialTable, name: str) -> MaterialPrior:
@@ -139,7 +200,7 @@ def _material_prior(campaign: Campaign, table: MaterialTable, name: str) -> Mate
     )
 
 
-def _mean_and_sd(prior: Prior, bands: Bands) -> tuple[ArrayLike, ArrayLike]:
+def _mean_and_sd(prior: Prior | AreaPrior, bands: Bands) -> tuple[ArrayLike, ArrayLike]:
     if prior.centres_hz is None:
         return prior.mean, prior.sd
     mean, sd = (
@@ -317,7 +378,7 @@ def identify_arguments(
     return {
         "scene": campaign_scene(campaign, room),
         "measurements": read_measurements(campaign),
-        "materials": in_bands(material_priors(described, room.materials), at),
+        "materials": in_bands(_room_priors(described, room), at),
         "bands": bands,
         "settings": campaign.settings,
         "directivities": source_directivities(campaign, bands),
@@ -330,7 +391,15 @@ def campaign_room(campaign: Campaign) -> Room:
     with located(str(campaign.path)):
         findings = (*findings, *campaign.findings)
         described = replace(room, findings=findings, lengths_sd_m=campaign.room.lengths_sd)
-        return with_states(described, campaign.states)
+        return _furnished(with_states(described, campaign.states), campaign)
+
+
+def _room_priors(campaign: Campaign, room: Room) -> tuple[MaterialPrior, ...]:
+    return material_priors(campaign, room.materials, volume_m3(room.mesh))
+
+
+def _furnished(room: Room, campaign: Campaign) -> Room:
+    return with_objects(room, {name: table.states for name, table in campaign.objects.items()})
 
 
 def campaign_scene(campaign: Campaign, room: Room) -> Scene:
@@ -371,11 +440,9 @@ class CampaignInputs:
         """Return every source with every receiver."""
         return campaign_scene(self.campaign, room)
 
-    def priors(
-        self, materials: tuple[str, ...], bands: Bands | None = None
-    ) -> tuple[MaterialPrior, ...]:
+    def priors(self, room: Room, bands: Bands | None = None) -> tuple[MaterialPrior, ...]:
         """Return what is said of each of the room's materials, in some of the campaign's bands."""
-        priors, own = material_priors(self.campaign, materials), self.campaign.bands
+        priors, own = _room_priors(self.campaign, room), self.campaign.bands
         if bands is None:
             return priors
         return in_bands(priors, np.flatnonzero(np.isin(own.centres_hz, bands.centres_hz)))
@@ -428,8 +495,8 @@ def check_campaign(campaign: Campaign) -> RoomCheck:
     check = check_mesh(mesh, spec.materials, findings)
     if not check.traceable:
         return check
-    room = room_from_mesh(mesh, spec.materials)
-    priors = material_priors(campaign, room.materials)
+    room = _furnished(with_states(room_from_mesh(mesh, spec.materials), campaign.states), campaign)
+    priors = _room_priors(campaign, room)
     assumed = (*broad_prior_findings(priors), *product_findings(priors))
     position_doubts = position_findings(room, campaign.sources, campaign.receivers)
     return replace(check, findings=(*check.findings, *position_doubts, *assumed))

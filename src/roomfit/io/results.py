@@ -33,9 +33,16 @@ from roomfit.io.exports import (
     text_digest,
 )
 from roomfit.logit import logit
+from roomfit.materials.priors import object_absorption
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.response.directivity import Pattern
-from roomfit.results import ComparedPair, Result, certificate_distance
+from roomfit.results import (
+    ComparedPair,
+    ObjectAreas,
+    Result,
+    absorption_posterior,
+    certificate_distance,
+)
 from roomfit.signals.speech import sti_of_decay
 from roomfit.solvers.certificate import Certificate
 from roomfit.table import csv_of
@@ -87,8 +94,11 @@ def read_result(file: ResultFile) -> AbsorptionPosterior:
         _LOG.warning("%s: %s", doubt.severity, doubt.sentence)
     with located(str(path)), complete("result", "a result.json as roomfit writes it"):
         posterior = content.get("posterior")
+        objects, of_objects = _read_objects(content, len(table.bands))
+        of_walls = (table.absorption, table.lower95, table.upper95)
+        value, low, high = (np.concatenate(x) for x in zip(of_walls, of_objects, strict=True))
         if posterior is None:
-            covariance = covariance_from_intervals(table.absorption, table.lower95, table.upper95)
+            covariance = covariance_from_intervals(value, low, high)
         else:
             covariance = _posterior_table(posterior, "logit_covariance")
         mean = sd = together = None
@@ -100,16 +110,16 @@ def read_result(file: ResultFile) -> AbsorptionPosterior:
         # None of a file that does not say which priors were specified
         flags = (posterior or {}).get("prior_specified")
         return AbsorptionPosterior(
-            table.names,
+            (*table.names, *objects),
             table.bands,
-            table.absorption,
-            table.lower95,
-            table.upper95,
+            value,
+            low,
+            high,
             logit_covariance=covariance,
             prior_logit_mean=mean,
             prior_logit_sd=sd,
             prior_logit_covariance=together,
-            scattering=_read_scattering(content, table.names),
+            scattering=_read_scattering(content, table.names, np.zeros_like(of_objects[0])),
             directivities=_read_directivities(content),
             chi2_reduced=content.get("fit", {}).get("phi"),
             prior_specified=None if flags is None else np.array(flags, dtype=np.bool_),
@@ -118,7 +128,31 @@ def read_result(file: ResultFile) -> AbsorptionPosterior:
                 *table.findings,
                 *(finding_of(one, "findings") for one in content.get("findings", ())),
             ),
+            objects=objects,
         )
+
+
+def _read_objects(
+    content: dict[str, Any], n_bands: int
+) -> tuple[dict[str, float], tuple[FloatArray, FloatArray, FloatArray]]:
+    """Return the volume of each object's room, and the absorption of its area with both bounds."""
+    found = content.get("objects", {})
+    try:
+        volumes_m3 = {name: float(one["room_volume_m3"]) for name, one in found.items()}
+        keys = ("absorption_area_m2", "lower95_m2", "upper95_m2")
+        areas = [
+            [object_absorption(np.array(one[k], float), volumes_m3[n]) for n, one in found.items()]
+            for k in keys
+        ]
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            "the objects of the result are no table of numbers",
+            where="objects",
+            found=f"{type(error).__name__}: {error}",
+            needed="by object: room_volume_m3, absorption_area_m2, lower95_m2 and upper95_m2",
+        ) from error
+    value, low, high = (np.array(own).reshape(-1, n_bands) for own in areas)
+    return volumes_m3, (value, low, high)
 
 
 def _posterior_table(posterior: Any, name: str) -> FloatArray:
@@ -149,13 +183,15 @@ def _read_directivities(content: dict[str, Any]) -> dict[str, Pattern]:
         ) from error
 
 
-def _read_scattering(content: dict[str, Any], names: tuple[str, ...]) -> FloatArray | None:
-    """Return the scattering that the fit used, None where the file lacks some of it."""
+def _read_scattering(
+    content: dict[str, Any], names: tuple[str, ...], of_objects: FloatArray
+) -> FloatArray | None:
+    """Return the scattering that the fit used, that of objects last, None where some is lacking."""
     rows = [content.get("materials", {}).get(name, {}).get("scattering") for name in names]
     if not rows or any(row is None for row in rows):
         return None
     try:
-        return np.array(rows, dtype=np.float64)
+        return np.concatenate((np.array(rows, dtype=np.float64), of_objects))
     except (TypeError, ValueError) as error:
         raise InputError(
             "the scattering of the result is no table of numbers",
@@ -225,6 +261,7 @@ def result_content(
         "format_version": 1,
         "bands_hz": answer.bands.centres_hz,
         "materials": {name: _material(answer, i) for i, name in enumerate(answer.materials)},
+        **({"objects": _objects(answer.objects)} if answer.objects is not None else {}),
         "combinations": _combinations(answer),
         "pairs": [_pair(p, answer.bands) for p in answer.pairs],
         "findings": [finding_content(f) for f in answer.findings],
@@ -294,21 +331,38 @@ def _fit(answer: Result) -> dict[str, Any]:
 
 def _posterior(answer: Result) -> dict[str, Any]:
     """The Gaussian of logit absorption in each band, its prior, and draws of it."""
+    own = absorption_posterior(answer)  # objects among the materials
     content: dict[str, Any] = {
-        "materials": answer.materials,
-        "logit_mean": logit(answer.absorption).T,
-        "logit_covariance": answer.logit_covariance,
+        "materials": own.materials,
+        "logit_mean": logit(own.absorption).T,
+        "logit_covariance": own.logit_covariance,
     }
-    if answer.logit_prior is not None:
-        mean, sd = answer.logit_prior
-        content |= {"prior_logit_mean": mean.T, "prior_logit_sd": sd.T}
-    if answer.logit_prior_covariance is not None:
-        content["prior_logit_covariance"] = answer.logit_prior_covariance
-    if answer.draws is not None:
-        content["draws"] = np.round(answer.draws, 5)
-    if answer.prior_specified is not None:
-        content["prior_specified"] = [bool(b) for b in answer.prior_specified]
+    if own.prior_logit_mean is not None and own.prior_logit_sd is not None:
+        content |= {"prior_logit_mean": own.prior_logit_mean.T}
+        content |= {"prior_logit_sd": own.prior_logit_sd.T}
+    if own.prior_logit_covariance is not None:
+        content["prior_logit_covariance"] = own.prior_logit_covariance
+    if own.draws is not None:
+        # a share that objects absorb in a step is a hundred times smaller than that of a wall
+        content["draws"] = np.round(own.draws, 7 if own.objects else 5)
+    if own.prior_specified is not None:
+        content["prior_specified"] = [bool(b) for b in own.prior_specified]
     return content
+
+
+def _objects(found: ObjectAreas) -> dict[str, Any]:
+    """Return the equivalent absorption area of each object in m2, with its interval."""
+    volumes_m3 = found.posterior.objects
+    return {
+        name: {
+            "absorption_area_m2": found.area_m2[i],
+            "lower95_m2": found.lower95_m2[i],
+            "upper95_m2": found.upper95_m2[i],
+            "identifiable": found.identifiable[i],
+            "room_volume_m3": round(volumes_m3[name], 4),
+        }
+        for i, name in enumerate(found.names)
+    }
 
 
 def _material(answer: Result, i: int) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import OCTAVES_HZ, Bands
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import area_vectors_m2, is_double_sided, triangle_areas_m2, volume_m3
-from roomfit.io.campaign import read_campaign
+from roomfit.io.campaign import read_campaign, refuse_objects
 from roomfit.io.door import csv_rows, read_text
 from roomfit.io.inputs import campaign_room, material_priors
 from roomfit.materials.priors import MaterialPrior, unknown_material
@@ -48,6 +48,7 @@ def reverberation_arguments(path: Path) -> DiffuseArguments:
         raise InputError(
             "a campaign without decay times", where=str(path), needed="a table [reverberation]"
         )
+    refuse_objects(campaign, "roomfit reverberation")
     decay_s, bands = read_decay_times(path.parent / own.file)
     volume = own.volume_m3
     if campaign.has_room:

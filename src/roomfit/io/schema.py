@@ -172,6 +172,46 @@ class ProductTable(Table):
     """Lowest and highest absorption."""
 
 
+ObjectArea = Annotated[float, _limited(0.0, 1e5, "m2; no hall holds more absorption")]
+ObjectAreaLaw = Annotated[float, _limited(1e-4, 1e5, "m2; what is known is absorption_area_m2")]
+
+
+class AreaSpectrum(Table):
+    """Equivalent absorption areas at frequencies, whatever bands are fitted."""
+
+    centres_hz: list[Hertz] = Field(min_length=1)
+    """Frequencies of the values, in any order."""
+    values: list[ObjectArea] = Field(min_length=1)
+    """One for each frequency, in m2."""
+
+
+class AreaPrior(Table):
+    """Prior of an equivalent absorption area: its mean and standard deviation."""
+
+    centres_hz: list[Hertz] | None = None
+    """Frequencies of lists of `mean` and `sd`, where they are not those of the fitted bands."""
+    mean: ObjectAreaLaw | list[ObjectAreaLaw]
+    """In m2: one number, or one for each band."""
+    sd: ObjectAreaLaw | list[ObjectAreaLaw]
+    """Standard deviation in m2: one number, or one for each band."""
+
+
+class ObjectTable(Table):
+    """``[objects.NAME]``: what absorbs in the volume of the room, as people or chairs."""
+
+    absorption_area_m2: ObjectArea | list[ObjectArea] | AreaSpectrum | str | None = None
+    """Known equivalent absorption area in m2, or an entry of the catalogue; of one piece, or of
+    1 m2 of floor."""
+    prior: AreaPrior | str | None = None
+    """{mean, sd} of that area in m2, or an entry of the catalogue: it then is fitted."""
+    count: Annotated[float, _limited(0.0, 1e5, "no hall seats more")] | None = None
+    """How many pieces there are. Default: 1."""
+    floor_area_m2: ObjectArea | None = None
+    """In place of `count`: floor in m2 on which people or seats stand, the area being of 1 m2."""
+    states: list[str] | None = None
+    """States of the room in which it is there, "" as described. Default: all."""
+
+
 class Directivity(Table):
     """First-order directivity of a source."""
 
@@ -493,6 +533,8 @@ class CampaignTable(Table):
     """What is known of materials before the measurement, by name."""
     products: dict[str, ProductTable] = {}
     """What materials of one product have in common, by name."""
+    objects: dict[str, ObjectTable] = {}
+    """What stands in the room and absorbs in its volume, by name."""
     loudspeakers: dict[str, LoudspeakerTable] = {}
     """What sources of one make have in common, by name."""
     sources: dict[str, SourceTable] = {}

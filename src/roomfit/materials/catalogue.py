@@ -410,8 +410,20 @@ def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
     Raises
     ------
     InputError
-        There is no material of that name.
+        There is no material of that name, or it is an area of one piece.
     """
+    if find_material(name).group == _PIECES:
+        raise InputError(
+            "an entry of the catalogue is no absorption coefficient",
+            found=f"{name!r}, m2 of one piece",
+            needed="an entry of a surface",
+            hint=f"people stand in the room: [objects.NAME] absorption_area_m2 = {name!r}",
+        )
+    return _middle_and_sd(name, bands)
+
+
+def _middle_and_sd(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
+    """Return what tables print of an entry in some bands, with its standard deviation."""
     entry = find_material(name)
     at, known = np.log2(bands.centres_hz), np.log2(OCTAVES_HZ)
     mean = expit(np.interp(at, known, entry.logit_mean))
@@ -419,6 +431,35 @@ def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
     sd = np.interp(at, known, entry.logit_sd)
     sd = np.sqrt(sd**2 + below * LOW_WIDENING**2 + above * HIGH_WIDENING**2)
     return np.asarray(mean), np.asarray(sd * mean * (1.0 - mean))
+
+
+_PIECES = "people, m2 each"
+
+
+def object_catalogue_area(
+    name: str, bands: Bands, *, by_floor: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Return mean and standard deviation of an equivalent absorption area of the catalogue, in m2.
+
+    Of one piece, or of 1 m2 of floor on which people or seats stand: their absorption coefficient.
+
+    Returns
+    -------
+    mean, sd : float arrays, shape (n_bands,)
+
+    Raises
+    ------
+    InputError
+        There is no such entry, or it is one of the other kind.
+    """
+    if (find_material(name).group == _PIECES) == by_floor:
+        raise InputError(
+            "an entry of the catalogue is of another kind than the object",
+            found=f"{name!r}, " + ("m2 of one piece" if by_floor else "a coefficient"),
+            needed="a coefficient, of 1 m2 of floor" if by_floor else f"an entry of {_PIECES!r}",
+            hint="give count in place of floor_area_m2" if by_floor else "give floor_area_m2",
+        )
+    return _middle_and_sd(name, bands)
 
 
 def _eight(values: list[float]) -> FloatArray:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from roomfit._checks import check_known, float_array, unique_names
 from roomfit.bands import Bands
@@ -21,6 +22,12 @@ DEFAULT_LOGIT_SD = 1.5
 # a quarter of a small absorption, by 0.075 of one of a half. Mounting, edges and air behind panels.
 PRODUCT_SD = 0.3
 PRODUCT_SDS = (1e-3, 5.0)
+
+# Sound meets what stands in a room once in so many metres, whatever its path. A path's loss is
+# rounded to whole steps: by 0.3 % of its energy at most for 12 m2 in 250 m3.
+OBJECT_STEP_M = 0.5
+# An unknown area lies below its prior mean and so many standard deviations.
+_OBJECT_REACH_SD = 8.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,6 +52,9 @@ class MaterialPrior:
     # from which each lies off by `product_sd` (standard deviation, in logit); None: by itself
     product: str | None = None
     product_sd: float = PRODUCT_SD
+    # of an object, not a wall: the volume of its room, where "absorption" is the share of energy
+    # that is lost in `OBJECT_STEP_M`, see `object_prior`
+    object_volume_m3: float | None = None
 
     def __post_init__(self) -> None:
         where = f"materials.{self.name}"
@@ -73,6 +83,11 @@ class MaterialPrior:
                 needed="0 to 0.1 s",
                 hint="absorbers delay by tenths of a millisecond: 0.0003",
             )
+
+
+def object_volumes_m3(priors: Sequence[MaterialPrior]) -> dict[str, float]:
+    """Return the volume of the room of every object among some priors, by its name."""
+    return {k.name: v for k in priors if (v := k.object_volume_m3) is not None}
 
 
 def sampling_scattering(prior: MaterialPrior) -> float | None:
@@ -170,6 +185,22 @@ def prior_logit_law(priors: tuple[MaterialPrior, ...]) -> tuple[FloatArray, Floa
     return mean[leader], covariance[:, leader][:, :, leader]
 
 
+def plain_logit_law(priors: tuple[MaterialPrior, ...]) -> tuple[FloatArray, FloatArray]:
+    """Return `prior_logit_law` with objects by the logit of their absorption, whatever its bound.
+
+    To first order; an object's area is far below its bound.
+    """
+    mean, covariance = prior_logit_law(priors)
+    for i, k in enumerate(priors):
+        if k.object_volume_m3 is not None:
+            share = expit(mean[i])
+            slope = (1.0 - share) / (1.0 - k.upper * share)
+            mean[i] = logit(k.upper * share, 0.0)
+            covariance[:, i] *= slope[:, None]
+            covariance[:, :, i] *= slope[:, None]
+    return mean, covariance
+
+
 def prior_logits(priors: tuple[MaterialPrior, ...]) -> FloatArray:
     """Return prior mean and standard deviation of logit absorption, each material by itself.
 
@@ -207,6 +238,105 @@ def _products(priors: Sequence[MaterialPrior]) -> dict[str, list[int]]:
         if k.product is not None:
             found.setdefault(k.product, []).append(i)
     return found
+
+
+def object_absorption(area_m2: FloatArray, volume_m3: float) -> FloatArray:
+    """Return the share of energy that objects absorb while sound travels `OBJECT_STEP_M`.
+
+    ``1 - exp(-A step / (4 V))``: rays cross a volume V evenly in a diffuse field, and those that
+    would meet an area A of full absorption are lost (ISO 354, where A is that of objects).
+
+    Parameters
+    ----------
+    area_m2 : float array
+        Equivalent absorption area A, 0 or more.
+    volume_m3 : float
+        Of the room.
+
+    Examples
+    --------
+    In 100 m3 with 4 m2 the energy of sound falls to 1/e in 100 m, 200 steps:
+
+    >>> left = (1.0 - object_absorption(np.array(4.0), 100.0)) ** 200
+    >>> round(float(left), 3)
+    0.368
+    """
+    return np.asarray(-np.expm1(-area_m2 * OBJECT_STEP_M / (4.0 * volume_m3)))
+
+
+def object_area_m2(absorption: FloatArray, volume_m3: float) -> FloatArray:
+    """Return the equivalent absorption area of objects: the inverse of `object_absorption`."""
+    return np.asarray(-np.log1p(-absorption) * 4.0 * volume_m3 / OBJECT_STEP_M)
+
+
+def object_prior(
+    name: str,
+    bands: Bands,
+    volume_m3: float,
+    *,
+    absorption_area_m2: ArrayLike | None = None,
+    prior_m2: tuple[ArrayLike, ArrayLike] | None = None,
+) -> MaterialPrior:
+    """Return what is known of the equivalent absorption area of an object, in a room's volume.
+
+    To be given to `roomfit.identify` among the materials; the room has the object by
+    `roomfit.scene.with_objects`.
+
+    Parameters
+    ----------
+    volume_m3 : float
+        Of the room, above 0.
+    absorption_area_m2 : array_like, shape () or (n_bands,), optional
+        Known area of all its pieces together, 0 or more, in m2.
+    prior_m2 : (mean, standard deviation), optional
+        Of an unknown one, each above 0 and of shape () or (n_bands,): a logit-normal law of this
+        mean and standard deviation, to first order, between 0 and 8 standard deviations more.
+
+    Raises
+    ------
+    InputError
+        Not one of the two is given, or an area is out of range.
+    """
+    where, n = f"objects.{name}", len(bands)
+    if (absorption_area_m2 is None) == (prior_m2 is None):
+        raise InputError(
+            "an object needs a known absorption area or a prior of it",
+            where=where,
+            needed="either absorption_area_m2 or prior",
+        )
+
+    def per_band(key: str, values: ArrayLike, low: float) -> FloatArray:
+        given = np.asarray(values, dtype=np.float64)
+        whole = np.full(n, float(given)) if given.ndim == 0 else given
+        return float_array(f"{where}.{key}", whole, (n,), low=low, high=1e6, unit="m2")
+
+    plain = MaterialPrior(
+        name,
+        np.zeros(n),
+        np.ones(n),
+        np.zeros(n),
+        wall_delay_sd_s=0.0,
+        object_volume_m3=volume_m3,
+    )
+    if absorption_area_m2 is not None:
+        area_m2 = per_band("absorption_area_m2", absorption_area_m2, 0.0)
+        return replace(plain, known=object_absorption(area_m2, volume_m3))
+    assert prior_m2 is not None  # noqa: S101 - one of the two is given
+    mean, sd = (
+        per_band(f"prior.{key}", values, 1e-6)
+        for key, values in zip(("mean", "sd"), prior_m2, strict=True)
+    )
+    most = float(object_absorption(mean + _OBJECT_REACH_SD * sd, volume_m3).max())
+    share = object_absorption(mean, volume_m3) / most
+    # that of the logarithm of a log-normal law with this mean and standard deviation
+    spread = np.sqrt(np.log1p((sd / mean) ** 2))
+    middle = share * np.exp(-0.5 * spread**2)
+    return replace(
+        plain,
+        prior_logit_mean=logit(middle, 0.0),
+        prior_logit_sd=spread / (1.0 - middle),
+        upper=most,
+    )
 
 
 def unknown_material(name: str, n_bands: int) -> MaterialPrior:

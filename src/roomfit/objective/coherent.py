@@ -308,7 +308,8 @@ def with_coherence(
     spread += 2.0 * (_POSITION_SD_M / c) ** 2 + (_TIMING_SHARE * travel_s) ** 2
     phase = (2.0 * np.pi * term.energies.centre_hz) ** 2 * spread
     if phase_sd > 0.0:
-        phase += phase_sd**2 * images.hits.sum(axis=1)[images.row]
+        struck = images.hits.sum(axis=1) if images.reflections is None else images.reflections
+        phase += phase_sd**2 * struck[images.row]
     known = _with_gamma(term, np.exp(-phase))
     # high bands know few times, all early: windows after them hold no pressure
     last_s = float(travel_s.max(where=known.images.coherence > 0.0, initial=0.0))

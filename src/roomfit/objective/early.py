@@ -31,7 +31,7 @@ from roomfit.signals.filters import (
     spreading_reach_s,
     spreading_slopes_per_s,
 )
-from roomfit.tracing.paths import Paths, hits
+from roomfit.tracing.paths import Paths, losses
 from roomfit.typing import FloatArray, IntArray
 
 _LEAST = 1e-12
@@ -278,7 +278,7 @@ def displaced_term(
     return DisplacedTerm(
         kept,
         observation,
-        hits(images)[own].astype(np.float64),
+        losses(images, own).astype(np.float64),
         weight[own],
         basis,
         spreading_matrix(*kernel, delays, coarse_s)[windows],

@@ -10,6 +10,7 @@ import numpy as np
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import InsufficientDataError
+from roomfit.logit import expit
 from roomfit.materials.priors import MaterialPrior, prior_logit_law
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.energy import (
@@ -200,6 +201,9 @@ def absorption_block(priors: tuple[MaterialPrior, ...], band: int, start: float)
     sd = np.sqrt(np.diag(covariance[band]))
     correlated = np.count_nonzero(covariance[band][np.ix_(fitted, fitted)]) > fitted.sum()
     inside = np.clip(start, lower + 0.02 * (upper - lower), upper - 0.02 * (upper - lower))
+    # of what is in the volume, no wall can say where to start
+    in_volume = np.array([k.object_volume_m3 is not None for k in priors])
+    inside = np.where(in_volume, lower + (upper - lower) * expit(mean[:, band]), inside)
     return Block(
         "absorption",
         tuple(k.name for k in priors),

@@ -113,7 +113,7 @@ def predict_arguments(
     with located(str(campaign.path)):
         known = room_posterior(
             absorption,
-            inputs.priors(room.materials, bands),
+            inputs.priors(room, bands),
             bands,
             inputs.directivities(bands),
             replaced=[c.material for c in changes if c.kind != "factor"],

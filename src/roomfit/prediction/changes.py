@@ -24,12 +24,13 @@ from roomfit.core import (
     draw_prior,
     located,
     logit_normal,
+    object_absorption,
     suggested_entries,
 )
 
 _NEEDED = (
     "MATERIAL=0.3, 0.3+-0.05, one value per band, x1.5+-0.2, another material of the room in one "
-    "of its states, or a name of the catalogue"
+    "of its states, or a name of the catalogue; OBJECT=0, or its area in m2"
 )
 _NUMBER = r"(\d+\.?\d*|\.\d+)"
 _VALUE = re.compile(rf"^(x?){_NUMBER}(?:(?:\+-|±){_NUMBER})?$")
@@ -154,7 +155,19 @@ def changed_draws(
                 drawn[:, index] = draws[:, other]
             else:
                 if change.kind == "catalogue":
+                    if change.material in posterior.objects:
+                        raise InputError(
+                            "an object is changed to an entry of the catalogue",
+                            found=change.entry,
+                            needed="its equivalent absorption area in m2, 0 where it is not there",
+                        )
                     mean, sd = catalogue_prior(change.entry, posterior.bands)
+                elif change.material in posterior.objects:
+                    # areas in m2, as the absorption that they stand for in the room
+                    volume_m3 = posterior.objects[change.material]
+                    area_m2, sd_m2 = _per_band(change, posterior.bands, high=1e5)
+                    mean = object_absorption(area_m2, volume_m3)
+                    sd = object_absorption(area_m2 + sd_m2, volume_m3) - mean
                 else:
                     mean, sd = _per_band(change, posterior.bands, high=1.0)
                 absorption[index] = mean
@@ -183,10 +196,11 @@ def _per_band(change: Change, bands: Bands, high: float) -> tuple[FloatArray, Fl
             needed=f"1 or {len(bands)}: {', '.join(f'{f:g}' for f in bands.centres_hz)} Hz",
         )
     if not (np.all(values >= 0.0) and np.all(values <= high)):
+        is_area = 1.0 < high < np.inf
         raise InputError(
-            "absorption coefficient out of range",
+            f"absorption {'area' if is_area else 'coefficient'} out of range",
             found=f"{values.max():g}",
-            needed="0 <= a <= 1 (energy, dimensionless)",
+            needed=f"0 to {high:g} m2" if is_area else "0 <= a <= 1 (energy, dimensionless)",
             hint="if these are percentages, divide by 100",
         )
     return np.broadcast_to(values, len(bands)).copy(), np.broadcast_to(sds, len(bands)).copy()

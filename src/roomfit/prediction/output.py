@@ -81,6 +81,11 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
             }
             for i, name in enumerate(predicted.materials)
         },
+        **(
+            {"objects": {k: _object_content(v) for k, v in predicted.objects_m2.items()}}
+            if predicted.objects_m2
+            else {}
+        ),
         "changes": list(predicted.changes),
         "pairs": [
             {
@@ -103,6 +108,10 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
         },
         "provenance": provenance(inputs),
     }
+
+
+def _object_content(areas_m2: FloatArray) -> dict[str, Any]:
+    return dict(zip(("absorption_area_m2", "lower95_m2", "upper95_m2"), areas_m2, strict=True))
 
 
 def predicted_records(predicted: Predicted) -> Table:

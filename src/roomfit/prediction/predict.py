@@ -8,7 +8,7 @@ import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +35,7 @@ from roomfit.core import (
     cached,
     check_scene,
     draw_absorption,
+    object_area_m2,
     one_blas_thread,
     pair_names,
     part,
@@ -86,6 +87,8 @@ class Predicted:
     seed: int
     seconds: float
     sti: PredictedValue | None = None  # as `mean`, of shape (1,), where the bands give it
+    # by object, (3, n_bands): equivalent absorption area in m2 and its bounds, changes included
+    objects_m2: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def compares_states(self) -> bool:
@@ -442,12 +445,18 @@ def predict_change(
     lower, upper = absorption.lower95.copy(), absorption.upper95.copy()
     lower[changed], upper[changed] = np.quantile(drawn[:, changed], (0.025, 0.975), axis=0)
     stated = _what_if(changes, room.observed, bands, means)
+    names, n = scene.room.materials, len(scene.room.materials) - len(absorption.objects)
+    values = np.stack([expected, lower, upper])
+    areas = {
+        name: object_area_m2(values[:, i], absorption.objects[name])
+        for i, name in enumerate(names[n:], start=n)
+    }
     return Predicted(
         bands,
-        scene.room.materials,
-        expected,
-        lower,
-        upper,
+        names[:n],
+        expected[:n],
+        lower[:n],
+        upper[:n],
         tuple(change_text(c) for c in changes),
         pairs,
         means,
@@ -463,6 +472,7 @@ def predict_change(
         room.seed,
         time.perf_counter() - began,
         sti,
+        areas,
     )
 
 

@@ -73,7 +73,7 @@ from roomfit.report.wording import (
     parameter,
 )
 from roomfit.results import Result
-from roomfit.scene import Scene
+from roomfit.scene import Scene, wall_materials
 from roomfit.table import Cell, Table, html_of
 from roomfit.typing import BoolArray
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE
@@ -555,7 +555,7 @@ def _room(scene: Scene) -> Markup:
     if n_observed > MOST_FACES:
         caption += f" Of {n_observed} faces in view only the largest {MOST_FACES} are drawn."
     title = (
-        f"The room with {count(len(scene.room.materials), 'material')}, "
+        f"The room with {count(len(wall_materials(scene.room)), 'material')}, "
         f"{count(len(scene.sources), 'source')} and {count(len(scene.receivers), 'receiver')}: "
         "in space, in plan and from two sides; the tables below hold the numbers."
     )

@@ -32,7 +32,7 @@ from roomfit.report.wording import (
 )
 from roomfit.response.directivity import axial_index_db
 from roomfit.results import Compared, ComparedPair, Result, Use, certificate_distance
-from roomfit.scene import Room, Scene, material_areas_m2
+from roomfit.scene import Room, Scene, material_areas_m2, wall_materials
 from roomfit.signals.decay import in_jnd
 from roomfit.table import Cell, Table, Value
 from roomfit.typing import BoolArray, FloatArray
@@ -121,25 +121,34 @@ def _chi2_cell(chi2_reduced: float) -> Cell:
 def area_tables(answer: Result, scene: Scene) -> tuple[Table, ...]:
     """Return equivalent absorption areas ``A = alpha S`` in m2, their sum, and the air's ``4 m V``.
 
+    Those of objects stand behind the surfaces, each with its interval.
+
     The interval of the sum is that of the mean absorption times the whole area. The air's part is
     the last term of the reverberation formula of ISO 354:2003, equation 6.
     """
     areas = answer.absorption * answer.areas_m2[:, None]
-    walls, volume_ = areas.sum(axis=0), volume_m3(scene.room.mesh)
+    solid, volume_ = areas.sum(axis=0), volume_m3(scene.room.mesh)
     air = 4.0 * attenuation_per_m(scene.air, answer.bands) * volume_
     whole = float(np.sum(answer.areas_m2))
     rows: list[Sequence[Value]] = []
     for i, name in enumerate(answer.materials):
         cells = map(_doubted_area, areas[i], answer.identifiable[i])
         rows.append((name, Cell(area(float(answer.areas_m2[i])), style="first"), *cells))
-    all_walls = map(_area_cell, walls, *(answer.mean_absorption[1:] * whole))
+    all_walls = map(_area_cell, solid, *(answer.mean_absorption[1:] * whole))
     head = Cell("all surfaces", ("95 % interval below",), "total")
     rows.append((head, Cell(area(whole), style="first"), *all_walls))
     nothing = Cell("", style="first")
+    if (found := answer.objects) is not None:
+        for i, name in enumerate(found.names):
+            bounds = found.area_m2[i], found.lower95_m2[i], found.upper95_m2[i]
+            rows.append((Cell(name, ("object",)), nothing, *map(_area_cell, *bounds)))
+        solid = solid + found.area_m2.sum(axis=0)
     volume = f"V = {area(volume_)} m³"
     rows.append((Cell("air, 4mV", (volume,)), nothing, *map(_area_cell, air)))
-    total = Cell("total", ("surfaces and air",), "total")
-    rows.append((total, nothing, *map(_area_cell, walls + air)))
+    total = Cell(
+        "total", ("surfaces and air" if found is None else "with objects and air",), "total"
+    )
+    rows.append((total, nothing, *map(_area_cell, solid + air)))
     caption = "Equivalent absorption area A = \N{GREEK SMALL LETTER ALPHA}S in m²"
     centres = answer.bands.centres_hz
     return band_tables(caption, "material", centres, rows, before=("S in m²",))
@@ -407,7 +416,7 @@ def material_table(room: Room) -> Table:
     areas = material_areas_m2(room)
     whole = float(areas.sum())
     rows: list[Sequence[Value]] = []
-    for i, name in enumerate(room.materials):
+    for i, name in enumerate(wall_materials(room)):
         share = f"{number(100.0 * areas[i] / whole, 1) if whole > 0.0 else DASH} %"
         surfaces = Cell(_surfaces(room, i), style="words")
         rows.append((Cell(name, colour=material_colour(i)), area(float(areas[i])), share, surfaces))

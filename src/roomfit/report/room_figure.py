@@ -18,7 +18,7 @@ from matplotlib.ticker import MaxNLocator
 
 from roomfit.geometry.mesh import area_vectors_m2, corners_m
 from roomfit.report.figures import NARROW_IN, OKABE_ITO, PlainFigure, literal
-from roomfit.scene import Room, Scene, triangle_material
+from roomfit.scene import Room, Scene, triangle_material, wall_materials
 from roomfit.typing import FloatArray, IntArray
 
 _SAME_PLANE = 0.9995
@@ -79,7 +79,7 @@ def room_figure(scene: Scene, *, narrow: bool = False) -> Figure:
     flat = (vertices @ projection().T)[:, :2]
     extent = np.maximum(np.ptp(flat, axis=0), 1e-6)
     space_scale = min(room_for_space[0] / extent[0], room_for_space[1] / extent[1])
-    entries = 0 if narrow else min(len(scene.room.materials), _MOST_IN_LEGEND) + 2
+    entries = 0 if narrow else min(len(wall_materials(scene.room)), _MOST_IN_LEGEND) + 2
     above_in = max(extent[1] * space_scale + 0.5, 0.2 * entries + 0.3)
     height_in = above_in + below_in
     figure = PlainFigure(figsize=(width_in, height_in))
@@ -314,12 +314,12 @@ def _draw_legend(figure: Figure, scene: Scene) -> None:
         Line2D([], [], marker="D", color=_SOURCE, ms=7, label="source", **common),
         Line2D([], [], marker="o", color=_RECEIVER, ms=6, label="receiver", **common),
     ]
-    names = scene.room.materials[:_MOST_IN_LEGEND]
+    names = wall_materials(scene.room)[:_MOST_IN_LEGEND]
     handles += [
         Patch(facecolor=material_colour(i), edgecolor="#777777", label=literal(name, 28))
         for i, name in enumerate(names)
     ]
-    if len(names) < len(scene.room.materials):
+    if len(names) < len(wall_materials(scene.room)):
         handles.append(Patch(facecolor="none", label="others: in the table"))
     figure.legend(
         handles=handles, loc="upper left", bbox_to_anchor=(0.7, 0.99), frameon=False, fontsize=9

@@ -38,6 +38,7 @@ def answer_text(answer: Result) -> str:
     parts = [
         usable_text(answer),
         absorption_table(answer),
+        objects_table(answer),
         separable_text(answer),
         shares_table(answer),
         directivity_text(answer),
@@ -126,6 +127,27 @@ def shares_table(answer: Result) -> str:
 
 def _heads(centres_hz: FloatArray) -> tuple[str, ...]:
     return ("Hz", *(f"{f:g}" for f in centres_hz))
+
+
+def objects_table(answer: Result) -> str:
+    """Return the equivalent absorption area of every object with its interval, or nothing."""
+    if answer.objects is None:
+        return ""
+    found, rows = answer.objects, []
+    for i, name in enumerate(found.names):
+        columns = zip(
+            found.area_m2[i], found.lower95_m2[i], found.upper95_m2[i], found.identifiable[i],
+            strict=True,
+        )  # fmt: skip
+        cells = (
+            f"{a:.3g} given"
+            if high <= low
+            else f"{a:.3g}{'' if sure else '?'} ({low:.2g}-{high:.2g})"
+            for a, low, high, sure in columns
+        )
+        rows.append((name, *cells))
+    caption = "Equivalent absorption area of objects in m2, 95 % interval, ? not identifiable"
+    return text_of(Table(caption, _heads(answer.bands.centres_hz), rows))
 
 
 def directivity_text(answer: Result) -> str:

@@ -25,7 +25,7 @@ from roomfit._numba import in_threads, kernel
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.signals.filters import energy_bandwidth_hz, frequency_response
-from roomfit.tracing.paths import Paths, paths_of_pairs
+from roomfit.tracing.paths import Paths, hits, losses, paths_of_pairs
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 RealArray: TypeAlias = NDArray[np.floating[Any]]
@@ -306,6 +306,7 @@ class ImagePaths:
     row: IntArray  # int32 (n_paths,), of each path
     sign: FloatArray | None = None  # (n_paths,), of the source's pressure, 1 or -1; None for all 1
     path: IntArray | None = None  # int32 (n_rows,), of the trace
+    reflections: IntArray | None = None  # (n_rows,), on walls; None for all of `hits`
 
     def lengths_m(self) -> FloatArray:
         """Return the length of every path, shape (n_paths,)."""
@@ -400,12 +401,13 @@ def image_paths(
         paths.materials,
         np.concatenate(([0], np.cumsum([o.size for o in own]))).astype(np.int64),
         paths.weight_per_m2[chosen] * np.exp(-attenuation_per_m * length),
-        np.ascontiguousarray(paths.hits_specular[chosen] + paths.hits_diffuse[chosen]),
+        np.ascontiguousarray(losses(paths, chosen)),
         arrival * length[:, None],
         matrices.reshape(-1, 9),
         np.ones(chosen.size),
         np.arange(chosen.size, dtype=np.int32),
         path=chosen.astype(np.int32),
+        reflections=None if paths.objects is None else hits(paths)[chosen].sum(axis=1),
     )
 
 

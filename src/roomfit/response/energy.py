@@ -17,7 +17,7 @@ import numpy as np
 from roomfit._checks import check_shape, float_array, read_only
 from roomfit._numba import in_threads, kernel
 from roomfit.errors import InputError
-from roomfit.tracing.paths import Paths
+from roomfit.tracing.paths import Paths, losses
 from roomfit.typing import FloatArray, IntArray
 
 
@@ -32,7 +32,7 @@ class EnergyRows:
     n_windows: int
     offsets: IntArray  # int64 (n_windows + 1,), rows of window w: ``offsets[w]:offsets[w + 1]``
     weight_per_m2: FloatArray  # (n_rows,)
-    hits: IntArray  # uint16 (n_rows, n_materials), specular and diffuse hits together
+    hits: IntArray  # uint16 (n_rows, n_materials), see `roomfit.tracing.paths.losses`
     length_m: FloatArray  # (n_rows,)
     batch: IntArray  # int32 (n_rows,), independent Monte-Carlo batch; -1 for exact image paths
     n_batches: int = 0  # Of the trace, with rows or without; 0 where there were no rays
@@ -130,7 +130,7 @@ def energy_rows(
         edges.size - 1,
         _offsets(window, edges.size - 1),
         paths.weight_per_m2[own],
-        paths.hits_specular[own] + paths.hits_diffuse[own],
+        losses(paths, own),
         paths.length_m[own],
         paths.batch[own],
         paths.n_batches,

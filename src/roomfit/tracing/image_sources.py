@@ -22,7 +22,7 @@ from roomfit.air import speed_of_sound_m_s
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.materials.priors import Scattering, coefficients_in_order
-from roomfit.scene import Room, Scene, distances_m, triangle_material
+from roomfit.scene import Room, Scene, distances_m, object_pairs, triangle_material
 from roomfit.tracing.beams import DONE, TOO_MUCH_MEMORY, TOO_MUCH_WORK, Found, Limits, beam_tree
 from roomfit.tracing.paths import (
     ImageSet,
@@ -423,7 +423,8 @@ def trace_images(
             budget=budget,
             progress=progress,
         )
-        return in_every_state(traced, single, scene, scattering)
+        in_all = in_every_state(traced, single, scene, scattering)
+        return replace(in_all, objects=object_pairs(scene))
     coefficients = np.atleast_2d(coefficients_in_order(scattering, scene.room.materials))
     distances = distances_m(scene)
     if distances.size and distances.min() < 1e-6:
@@ -550,6 +551,7 @@ def _as_paths(sets: list[ImageSet], scene: Scene, scattering: FloatArray) -> Pat
         0,
         scattering,
         np.concatenate(transforms, dtype=np.float32) if transforms else None,
+        object_pairs(scene),
     )
 
 

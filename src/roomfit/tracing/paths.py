@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from roomfit._checks import check_shape
 from roomfit.errors import InputError
+from roomfit.materials.priors import OBJECT_STEP_M
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 
@@ -54,6 +55,8 @@ class Paths:
     #: float32 (n_paths, 3, 3), product A of a path's reflections (the last hit's leftmost), for
     #: image paths on request; zeros for rays
     image_transform: NDArray[np.float32] | None = None
+    #: bool (n_pairs, n_materials), which materials are objects in the room of each pair; None: none
+    objects: BoolArray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.length_m)
@@ -69,6 +72,8 @@ class Paths:
             "batch": (n,),
             "sampling_scattering": (None, m),
         }
+        if self.objects is not None:
+            shapes["objects"] = (self.n_pairs, m)
         if self.image_transform is not None:
             shapes["image_transform"] = (n, 3, 3)
         # Paths can be gigabytes and are made by this package only: shapes are checked and the
@@ -98,6 +103,24 @@ def paths_of_pairs(paths: Paths) -> list[IntArray]:
 def hits(paths: Paths) -> IntArray:
     """Return all wall hits of each path, specular and diffuse, uint16, (n_paths, n_materials)."""
     return np.asarray(paths.hits_specular + paths.hits_diffuse)
+
+
+def losses(paths: Paths, own: BoolArray | IntArray | slice) -> IntArray:
+    """Return how often paths lose the share ``a`` of each material, uint16, (n, n_materials).
+
+    At every hit on a wall, and of an object that stands in the room of the pair, which is met with
+    equal probability wherever sound travels, at every `OBJECT_STEP_M` of the path's length.
+
+    Parameters
+    ----------
+    own : array or slice
+        Which paths.
+    """
+    found = np.asarray(paths.hits_specular[own] + paths.hits_diffuse[own])
+    if paths.objects is not None:
+        steps = np.minimum(np.round(paths.length_m[own] / OBJECT_STEP_M), np.iinfo(np.uint16).max)
+        found += steps.astype(np.uint16)[:, None] * paths.objects[paths.pair[own]]
+    return found
 
 
 def select(paths: Paths, keep: BoolArray | IntArray) -> Paths:

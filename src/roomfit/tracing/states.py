@@ -31,7 +31,11 @@ def parts_of(room: Room) -> tuple[Room, IntArray]:
     of_part, part_of_surface = np.unique(owners, axis=1, return_inverse=True)
     names = [" / ".join(room.materials[m] for m in column) for column in of_part.T]
     alone = replace(
-        room, materials=tuple(names), surface_material=part_of_surface.reshape(-1), states=()
+        room,
+        materials=tuple(names),
+        surface_material=part_of_surface.reshape(-1),
+        states=(),
+        objects=(),
     )
     return alone, np.asarray(of_part)
 

@@ -10,7 +10,7 @@ from roomfit.errors import InputError
 from roomfit.findings import About, Code, Finding
 from roomfit.geometry.inside import distance_to_walls_m
 from roomfit.materials.priors import Scattering
-from roomfit.scene import Scene, distances_m
+from roomfit.scene import Scene, distances_m, object_pairs
 from roomfit.tracing.image_sources import thinned_images, trace_images
 from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.rays import RayStatistics, Trace, trace_rays
@@ -92,7 +92,9 @@ def trace(
     if scene.room.states:
         single, of_parts = as_one_state(scene, scattering)
         found = trace(single, settings, of_parts, progress)
-        return replace(found, paths=in_every_state(found.paths, single, scene, scattering))
+        return _with_objects(
+            replace(found, paths=in_every_state(found.paths, single, scene, scattering)), scene
+        )
     images: list[Paths] = []  # whoever holds them beside the rays' trace doubles its peak
     share = _SHARE_OF_IMAGES if settings.n_rays else 1.0
     images_s = settings.duration_s
@@ -123,7 +125,13 @@ def trace(
         receiver_radii_m=radii,
         images=images.pop if images else None,
     )
-    return replace(rays, findings=(*findings, *_leaks(rays.statistics)))
+    return _with_objects(replace(rays, findings=(*findings, *_leaks(rays.statistics))), scene)
+
+
+def _with_objects(found: Trace, scene: Scene) -> Trace:
+    if not scene.room.objects:
+        return found
+    return replace(found, paths=replace(found.paths, objects=object_pairs(scene)))
 
 
 def fitting_radii_m(scene: Scene, radius_m: float) -> tuple[FloatArray, tuple[Finding, ...]]:

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import About, Code, Finding
-from roomfit.materials.priors import MaterialPrior
+from roomfit.materials.priors import (
+    MaterialPrior,
+    object_absorption,
+    object_area_m2,
+    object_volumes_m3,
+)
 from roomfit.response.directivity import (
     Directivities,
     Directivity,
@@ -85,6 +91,7 @@ def room_posterior(
     """
     names = tuple(k.name for k in priors)
     _check_known(absorption, priors, replaced)
+    absorption = _in_volumes(absorption, object_volumes_m3(priors))
     own = [names.index(n) for n in absorption.materials if n in names]
     theirs = [i for i, n in enumerate(absorption.materials) if n in names]
     at = [int(np.flatnonzero(absorption.bands.centres_hz == f)[0]) for f in bands.centres_hz]
@@ -135,7 +142,47 @@ def room_posterior(
         draws=None if draws is None else np.stack([matched(drawn, fixed) for drawn in draws]),
         findings=findings,
         result_findings=absorption.result_findings,
+        objects=object_volumes_m3(priors),
     )
+
+
+def _in_volumes(known: AbsorptionPosterior, volumes_m3: Mapping[str, float]) -> AbsorptionPosterior:
+    """Return the same areas of objects as their absorption in rooms of other volumes.
+
+    Logarithms of areas and of small absorptions differ by a constant: covariances stay.
+    """
+    for name, own in volumes_m3.items():
+        before = known.objects.get(name)
+        if name in known.materials and before is None:
+            raise InputError(
+                "an object has the name of a wall in the result",
+                found=repr(name),
+                needed="an object of the result, or absorption_area_m2 in the campaign",
+            )
+        if before is None or before == own:
+            continue
+        at = known.materials.index(name)
+
+        mean = known.prior_logit_mean
+        if mean is not None:
+            mean = np.array(mean)
+            mean[at] += np.log(before / own)
+        known = replace(
+            known,
+            absorption=_in_volume(known.absorption, at, before, own),
+            lower95=_in_volume(known.lower95, at, before, own),
+            upper95=_in_volume(known.upper95, at, before, own),
+            draws=None if known.draws is None else _in_volume(known.draws, at, before, own),
+            prior_logit_mean=mean,
+        )
+    return known
+
+
+def _in_volume(values: FloatArray, at: int, before_m3: float, after_m3: float) -> FloatArray:
+    """Return (..., n_materials, n_bands) with one row as the same areas absorb in another room."""
+    out = np.array(values)
+    out[..., at, :] = object_absorption(object_area_m2(out[..., at, :], before_m3), after_m3)
+    return out
 
 
 def _check_known(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
@@ -49,6 +49,9 @@ class AbsorptionPosterior:
     draws: FloatArray | None = None
     findings: tuple[Finding, ...] = ()  # what was doubtful in putting it together
     result_findings: tuple[Finding, ...] = ()  # all those of the fit that found the absorption
+    # of what among the materials is an object, the volume of the room: its absorption is
+    # `roomfit.materials.priors.object_absorption` of an area there
+    objects: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "materials", unique_names("material", self.materials))
