@@ -79,7 +79,7 @@ def test_a_box_is_found_within_its_intervals(box: tuple[Path, np.ndarray]) -> No
     campaign, true = box
     fit = fitted(campaign)
     assert [a.model for a in estimates_of(fit) if a is not None] == ["coherent", "coherent"]
-    assert np.all(np.diff(fit.log_likelihoods, axis=1) > 10.0)
+    assert np.all(np.diff(fit.log_evidences, axis=1) > 10.0)
     found, low, high = (
         np.stack([getattr(a, name) for a in estimates_of(fit)], axis=1)
         for name in ("absorption", "lower95", "upper95")
