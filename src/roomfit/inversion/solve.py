@@ -204,8 +204,15 @@ def coherent_task(
     )
 
 
-# The trial of pressures: responses and rays a source at most, and how far apart its two bands are.
-_TRIED_RESPONSES, _TRIED_RAYS, _TRIED_OCTAVES = 8, 10_000, 2.0
+# The trial of pressures: how many responses at most, and how far apart its two bands are; rays a
+# source and images a pair at most, the latter .2 s of 70 m3.
+_TRIED_RESPONSES, _TRIED_OCTAVES = 8, 2.0
+_TRIED_PATHS = {
+    "n_rays": 10_000,
+    "n_rays_beside_images": 10_000,
+    "most_images": 20_000,
+    "most_coherent_images": 20_000,
+}
 
 
 def contradicts_pressures(
@@ -235,9 +242,8 @@ def contradicts_pressures(
     octaves = np.log2(centres_hz[high] / centres_hz[:high])
     low = int(np.argmin(np.abs(octaves - _TRIED_OCTAVES)))
     few = _few(measured, np.isin(np.arange(centres_hz.size), (low, high)))
-    rays = {"n_rays": _TRIED_RAYS, "n_rays_beside_images": _TRIED_RAYS}
-    stated = {name: min(n, getattr(settings, name) or n) for name, n in rays.items()}
-    quick = replace(settings, quick=True, **stated)
+    most = {name: min(n, getattr(settings, name) or n) for name, n in _TRIED_PATHS.items()}
+    quick = replace(settings, quick=True, **most)
     priors = tuple(replace(k, fit_scattering=False) for k in priors)
     traced = replace(traced_paths(few, priors, quick, start, None, None), again=None)
     if not traced.far_images:
