@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,19 +13,27 @@ import pytest
 from coherent_cases import estimates_of
 from roomfit.diagnostics import positions
 from roomfit.findings import Code
+from roomfit.identification import identify
 from roomfit.inversion.coherent import CoherentFit, CoherentTask, fit_coherent, initialise
 from roomfit.inversion.fits import Freed
 from roomfit.inversion.measurements import observe
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions
 from roomfit.io.campaign import read_campaign
-from roomfit.io.inputs import material_priors, read_measurements
+from roomfit.io.inputs import load_campaign, material_priors, read_measurements
 from roomfit.io.rooms import read_room
 from roomfit.materials.priors import uniform_scattering
 from roomfit.measurement import Measurement
 from roomfit.response.binned import bin_paths
+from roomfit.results import Result
 from roomfit.scene import Scene
-from roomfit.synthetic.boxes import demo_plan, write_measured_box
+from roomfit.synthetic.boxes import (
+    BoxPlan,
+    demo_plan,
+    simulated_responses,
+    write_box_campaign,
+    write_measured_box,
+)
 from roomfit.tracing.image_sources import trace_images
 from seen import doubts_of_fit, of_tests
 
@@ -79,7 +88,7 @@ def test_a_box_is_found_within_its_intervals(box: tuple[Path, np.ndarray]) -> No
     campaign, true = box
     fit = fitted(campaign)
     assert [a.model for a in estimates_of(fit) if a is not None] == ["coherent", "coherent"]
-    assert np.all(np.diff(fit.log_likelihoods, axis=1) > 10.0)
+    assert np.all(np.diff(fit.log_evidences, axis=1) > 10.0)
     found, low, high = (
         np.stack([getattr(a, name) for a in estimates_of(fit)], axis=1)
         for name in ("absorption", "lower95", "upper95")
@@ -162,3 +171,56 @@ def test_few_units_of_likelihood_do_not_speak_for_many_unknowns() -> None:
     assert of_positions(60.0, 30, 1000) == []
     assert of_delays(3.0 + 4 * 1.7) == []
     assert of_delays(20.0) == [Code.REFLECTION_DELAY_DETECTED]
+
+
+def specified_elsewhere(plan: BoxPlan, by_m: float) -> BoxPlan:
+    """Return the plan with every coordinate of sources and receivers off by a normal error."""
+    rng = np.random.default_rng(8)
+
+    def off(points: dict[str, tuple[float, ...]]) -> dict[str, tuple[float, ...]]:
+        return {
+            name: tuple((np.array(at) + by_m * rng.standard_normal(3)).tolist())
+            for name, at in points.items()
+        }
+
+    sources_m = off(dict(plan.sources_m))
+    return replace(plan, sources_m=sources_m, receivers_m=off(dict(plan.receivers_m)))
+
+
+@pytest.mark.parametrize("by_m", [0.0, 0.1])
+def test_the_default_takes_pressures_where_they_fit_and_energies_where_they_do_not(
+    tmp_path: Path, by_m: float
+) -> None:
+    """The demo's box, 250 to 1000 Hz; positions stated to a centimetre, and then off by ten.
+
+    As measured, pressures have a fifth of the error of energies. With positions so wrong they miss
+    a fifth of the walls by their 95 % intervals; the default is then the answer by energies alone,
+    bit by bit. Of 18 intervals of 95 %, four or more miss by chance once in 100 boxes; neither seed
+    was chosen.
+    """
+    plan = demo_plan()
+    responses = simulated_responses(plan, np.random.default_rng(3))
+    campaign = write_box_campaign(specified_elsewhere(plan, by_m), tmp_path, responses)
+    text = campaign.read_text().replace("from_hz = 125", "from_hz = 250")
+    campaign.write_text(text.replace("to_hz = 4000", "to_hz = 1000"))
+    arguments, true = load_campaign(campaign), plan.absorption[:, 2:5]
+
+    def answered(model: str) -> Result:
+        settings = replace(arguments["settings"], model=model, quick=True)
+        return identify(**{**arguments, "settings": settings})
+
+    default, other = answered("auto"), answered("energy" if by_m == 0.0 else "coherent")
+    error, others = (np.abs(r.absorption - true) for r in (default, other))
+    misses = [int(np.sum((true < r.lower95) | (true > r.upper95))) for r in (default, other)]
+    assert np.all(default.chi2_reduced < 1.5)
+    assert misses[0] <= 3
+    if by_m == 0.0:
+        assert set(default.models) == {"coherent"}
+        assert np.median(error) < 0.5 * np.median(others)
+        return
+    assert set(default.models) == {"energy"}
+    assert misses[1] > misses[0]
+    assert other.chi2_reduced.max() > 2.0
+    energies = answered("energy")
+    np.testing.assert_array_equal(default.absorption, energies.absorption)
+    np.testing.assert_array_equal(default.upper95, energies.upper95)

@@ -51,7 +51,7 @@ from roomfit.inversion.sequential import (
     forward_pass,
     increases_likelihood,
     leave_one_out_pass,
-    log_likelihoods,
+    log_evidences,
 )
 from roomfit.inversion.systematics import (
     relative_errors,
@@ -436,7 +436,7 @@ class CoherentFit:
     state: SequentialState
     fits: tuple[CoherentBandFit | None, ...]  # None where too few windows rise above the noise
     # of the energy model and of the partly coherent one; NaN where not tried; (n_bands, 2)
-    log_likelihoods: FloatArray
+    log_evidences: FloatArray
     geometry: FittedGeometry | None  # None where no band was coherent
     windows: tuple[FittedWindows | None, ...]  # of the fits
     tests: CoherentTests
@@ -460,14 +460,15 @@ def fit_coherent(
     traced : TracedPaths
         Of all pairs: image sources, the further the better, and rays for what they leave.
     """
-    state = _with_sources_examined(state, traced)
+    if not state.task.settings.quick:
+        state = with_sources_examined(state, traced)
     task, settings = state.task, state.task.settings
     fits = forward_pass(state.bands, settings, part(progress, 0.0, 0.8), state.first)
     if settings.quick:
         fits, _ = leave_one_out_pass(state.bands, fits, settings)
-        likelihoods, windows = _likelihoods(state, fits), _fitted_windows(state, fits)
+        evidences, windows = _log_evidences(state, fits), _fitted_windows(state, fits)
         tests = CoherentTests(_outliers(state))
-        return CoherentFit(state, tuple(fits), likelihoods, None, windows, tests)
+        return CoherentFit(state, tuple(fits), evidences, None, windows, tests)
     _log_first_answer(state, fits)
     misfits = [
         file_misfits(
@@ -510,8 +511,8 @@ def fit_coherent(
     geometry = state.geometry
     estimate = None if geometry is None or final is None else fitted_geometry(geometry, final)
     late = contradicted_sources(task.tested_sources, _source_scores(state))
-    likelihoods, windows = _likelihoods(state, fits), _fitted_windows(state, fits)
-    pressures = [w for w in windows if w and likelihoods[w.band, 1] > likelihoods[w.band, 0]]
+    evidences, windows = _log_evidences(state, fits), _fitted_windows(state, fits)
+    pressures = [w for w in windows if w and not evidences[w.band, 1] < evidences[w.band, 0]]
     tests = CoherentTests(
         _outliers(state),
         position_sd_scale,
@@ -521,7 +522,7 @@ def fit_coherent(
         freed_absorptions(task.priors, pressures),
     )
     return CoherentFit(
-        state, tuple(fits), likelihoods, estimate, windows, tests, (*task.contradicted, *late)
+        state, tuple(fits), evidences, estimate, windows, tests, (*task.contradicted, *late)
     )
 
 
@@ -537,12 +538,12 @@ def _log_first_answer(state: SequentialState, fits: Sequence[CoherentBandFit | N
     """
     if not _LOG.isEnabledFor(_NOTICE):
         return
-    likelihoods, columns = _likelihoods(state, fits), []
+    evidences, columns = _log_evidences(state, fits), []
     for b, (own, fit) in enumerate(zip(state.bands, fits, strict=True)):
         if own is None:
             continue
         parameters, found = own.energies.parameters, own.energy_fit
-        if fit is not None and likelihoods[b, 1] > likelihoods[b, 0]:
+        if fit is not None and not evidences[b, 1] < evidences[b, 0]:
             parameters, found = fit.parameters, fit.fit
         how = parameters, found.vector, found.information, found.chi2_reduced
         at = absorption_intervals(*how)
@@ -555,11 +556,11 @@ def _log_first_answer(state: SequentialState, fits: Sequence[CoherentBandFit | N
         _LOG.log(_NOTICE, "%-16.16s%s", name, "".join(f"{e:>12s}" for e in entries))
 
 
-def _likelihoods(state: SequentialState, fits: Sequence[CoherentBandFit | None]) -> FloatArray:
+def _log_evidences(state: SequentialState, fits: Sequence[CoherentBandFit | None]) -> FloatArray:
     found: FloatArray = np.full((len(fits), 2), np.nan)
     for b, (own, fit) in enumerate(zip(state.bands, fits, strict=True)):
         if own is not None and fit is not None:
-            found[b] = log_likelihoods(own, fit)
+            found[b] = log_evidences(own, fit)
     return found
 
 
@@ -613,7 +614,7 @@ def _source_scores(state: SequentialState) -> dict[int, DirectivityScore]:
     return scores
 
 
-def _with_sources_examined(state: SequentialState, traced: TracedPaths) -> SequentialState:
+def with_sources_examined(state: SequentialState, traced: TracedPaths) -> SequentialState:
     """Return the bands anew with unknown directivities where energies contradict that of a source.
 
     Of all sources taken for omnidirectional: a measurement rarely has two kinds. It comes before
@@ -621,7 +622,7 @@ def _with_sources_examined(state: SequentialState, traced: TracedPaths) -> Seque
     the laws of the measurement chain are bent to explain what it does to the levels of reflections.
     """
     task = state.task
-    if not task.fits_contradicted or task.tested_sources is None or task.settings.quick:
+    if not task.fits_contradicted or task.tested_sources is None:
         return state
     found = contradicted_sources(task.tested_sources, _source_scores(state))
     if not found:
@@ -638,8 +639,8 @@ def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
     """
     state, task = fit.state, fit.state.task
     areas_m2 = material_areas_m2(task.scene.room)
-    each = zip(state.bands, fit.fits, fit.windows, fit.log_likelihoods, strict=True)
-    for band, found, windows, likelihoods in each:
+    each = zip(state.bands, fit.fits, fit.windows, fit.log_evidences, strict=True)
+    for band, found, windows, evidences in each:
         if band is None or found is None or windows is None:
             yield None
             continue
@@ -647,7 +648,7 @@ def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
         noisy = with_shared_errors(objective, found.fit, windows.shared, windows.there)
         own = band_estimate(objective.parameters, noisy, areas_m2, "coherent")
         own = replace(own, window_decays_s=_window_decays_s(windows.energies, found.fit))
-        beaten = task.settings.model != "coherent" and likelihoods[0] - likelihoods[1] >= UNDECIDED
+        beaten = task.settings.model != "coherent" and evidences[0] - evidences[1] >= UNDECIDED
         yield FittedBand(own) if beaten else FittedBand(own, objective, found.fit)
 
 
@@ -696,7 +697,7 @@ def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
     may_decide = task.settings.model != "coherent"
     wanted = [
         f is None or (may_decide and bool(x[1] - x[0] < UNDECIDED))
-        for f, x in zip(fit.fits, fit.log_likelihoods, strict=True)
+        for f, x in zip(fit.fits, fit.log_evidences, strict=True)
     ]
     if not any(wanted):
         yield from [None] * len(wanted)
@@ -739,14 +740,14 @@ def decided(
     energy: Sequence[BandEstimate | None],
     coherent: Sequence[BandEstimate | None],
 ) -> tuple[BandEstimate | None, ...]:
-    """Return each band's estimate by the model that explains it better, None without data.
+    """Return each band's estimate by the model of larger evidence, None without data.
 
     With what is proven of its energies alone, where that is affordable.
     """
     task = fit.state.task
     chosen = [
         _decided(*each, task.settings)
-        for each in zip(energy, coherent, fit.log_likelihoods, strict=True)
+        for each in zip(energy, coherent, fit.log_evidences, strict=True)
     ]
     if task.settings.model != "auto":
         return tuple(chosen)
@@ -762,14 +763,14 @@ def decided(
 def _decided(
     energy: BandEstimate | None,
     coherent: BandEstimate | None,
-    likelihoods: FloatArray,
+    evidences: FloatArray,
     settings: CoherentOptions,
 ) -> BandEstimate | None:
-    """Return the likelier answer; with both intervals where the likelihood cannot decide."""
+    """Return the answer of larger evidence; with both intervals where evidence cannot decide."""
     if coherent is None:
         return energy
     if energy is None or settings.model == "coherent":
         return coherent
-    better = likelihoods[1] - likelihoods[0]
+    better = evidences[1] - evidences[0]
     best, other = (coherent, energy) if better > 0.0 else (energy, coherent)
     return best if abs(better) >= UNDECIDED else with_both_intervals(best, other)

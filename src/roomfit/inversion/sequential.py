@@ -37,8 +37,13 @@ NOISES = ((0.1, 0.0, 0.0), (0.2, 0.1, 0.0), (0.2, 0.1, 0.5), (0.4, 0.2, 0.5))
 _AS_LIKELY = 0.1
 # Mean squared distance of geometries in standard deviations: half of one.
 _AGREED = 0.25
-# Log-likelihoods nearer than this do not decide between two models.
+# Log evidences nearer than this do not decide between two models.
 UNDECIDED = 2.0
+# A reduced chi-square above this says that a model does not explain its data.
+MISFIT = 2.0
+# Up to here a geometry that lower bands have determined makes the next band coherent, if it is the
+# room's: bands that are then less likely by pressures contradict it.
+TELLING_HZ = 1000.0
 # How far from its answer a fit may end, in standard deviations of an absorption: before coherence
 # is renewed, and where each band is fitted once more under all others.
 _BEFORE_THE_NEXT_ROUND_SD, BEFORE_THE_LAST_PASS_SD = 1.0, 0.1
@@ -51,7 +56,7 @@ class CoherentOptions:
     # whether positions, speed of sound and latencies move within their standard deviation
     positions: Literal["fit", "fixed"] = "fit"
     delays: bool = True  # whether walls may delay what they reflect
-    # "auto" leaves it to the likelihood of each band
+    # "auto" leaves it to the evidence of each band
     model: Literal["auto", "coherent", "energy"] = "auto"
     # until when pressures add, after emission; from there on energies do
     end_s: float = FIT_END_S
@@ -115,14 +120,19 @@ class CoherentBandFit:
     """The last round's fit of a band with partly coherent windows."""
 
     fit: BandFit
-    # of all data, none counted less than once: compares models of the same data
+    # of all data, none counted less than once, variances times the reduced chi-square where that is
+    # above 1: compares models of the same data
     log_likelihood: float
-    # what this band and those before say of the geometry; None where nothing of it is fitted
+    log_evidence: float  # as `log_evidence`
+    # what this band and those before say of the geometry; None where nothing of it is fitted, or
+    # where energies explain the band as well
     found: Marginal | None
     parameters: Parameters
     # as for `CoherentBand.objective`, of the last round
     covariance: FloatArray | None
     noise: tuple[float, float, float]
+    # of the band's data with windows as energies; NaN where it was not compared
+    energy_log_evidence: float = np.nan
 
     def objective(self, band: CoherentBand) -> Objective:
         """Return what was fitted, made anew: kept of every fit, paths would fill the memory."""
@@ -164,7 +174,8 @@ def fit_in_rounds(
         near = _BEFORE_THE_NEXT_ROUND_SD if left and first < vector.size else settled_sd
         fit = score_band(objective, vector, max_rounds=max_rounds, settled_sd=near)
         vector = fit.vector
-        likelihood = float(objective.log_likelihood(fit.expected, fit.variance).sum())
+        likelihood = float(inflated_log_likelihood(objective, fit).sum())
+        evidence = log_evidence(objective, fit)
         del objective  # before the next one is made
         if first == vector.size:
             break
@@ -173,7 +184,7 @@ def fit_in_rounds(
     found = None
     if first < vector.size:
         found = marginal(fit, first, geometry_information(parameters))
-    return CoherentBandFit(fit, likelihood, found, parameters, used, noise)
+    return CoherentBandFit(fit, likelihood, evidence, found, parameters, used, noise)
 
 
 def forward_pass(
@@ -186,7 +197,9 @@ def forward_pass(
     """Fit the bands from low to high, each under what the lower ones determine of the geometry.
 
     With the error of the model that the likelihood prefers: larger ones are tried only while the
-    data scatter more than the model says.
+    data scatter more than the model says. Where the model is chosen, a band whose evidence is that
+    of energies leaves the geometry as it was; one up to 1 kHz that contradicts what lower bands
+    have determined of it ends the pass, and no band is fitted by pressures.
 
     Parameters
     ----------
@@ -231,9 +244,14 @@ def forward_pass(
             if less_likely and noise[0] > best.noise[0]:
                 break
             best = max(best, fit, key=lambda f: f.log_likelihood)
+        if options.model == "auto":
+            best = compared_with_energies(band, best)
+            energies, pressures = log_evidences(band, best)
+            is_telling = band.coherent.energies.centre_hz < 1.01 * TELLING_HZ
+            if known is not None and is_telling and pressures <= energies - UNDECIDED:
+                return [None] * len(bands)
         fits.append(best)
-        if options.model == "coherent" or _advantage(band, best) > 0.0:
-            known = best.found
+        known = known if best.found is None else best.found
         if progress is not None:
             progress((i + 1) / len(bands))
     return fits
@@ -249,10 +267,7 @@ def leave_one_out_pass(
     trusted = [
         (i, band, fit, fit.found)
         for i, (band, fit) in enumerate(zip(bands, fits, strict=True))
-        if band is not None
-        and fit is not None
-        and fit.found is not None
-        and (options.model == "coherent" or _advantage(band, fit) > 0.0)
+        if band is not None and fit is not None and fit.found is not None
     ]
     if not trusted:
         return again, None
@@ -262,7 +277,7 @@ def leave_one_out_pass(
         joint = cavity_prior(final, found, geometry_information(fit.parameters))
         n = fit.fit.vector.size - final.mean.size
         start = np.concatenate((fit.fit.vector[:n], final.mean))
-        again[i] = fit_in_rounds(
+        last = fit_in_rounds(
             band,
             start,
             fit.noise,
@@ -271,6 +286,7 @@ def leave_one_out_pass(
             rounds=1,
             max_rounds=options.max_rounds,
         )
+        again[i] = replace(last, energy_log_evidence=fit.energy_log_evidence)
     return again, final
 
 
@@ -316,20 +332,59 @@ def cavity_prior(final: Marginal, after: Marginal, before: FloatArray) -> Margin
     return Marginal(final.mean, final.information - (after.information - before))
 
 
-def _advantage(band: CoherentBand, fit: CoherentBandFit) -> float:
-    """Return by how much the partly coherent model explains the data better than energies."""
-    energies, coherent = log_likelihoods(band, fit)
-    return coherent - energies
+def compared_with_energies(band: CoherentBand, fit: CoherentBandFit) -> CoherentBandFit:
+    """Return a fit with the evidence of energies, and without geometry where that is no smaller.
 
-
-def log_likelihoods(band: CoherentBand, fit: CoherentBandFit) -> tuple[float, float]:
-    """Return the log-likelihoods of a band's data with windows as energies and as pressures.
-
-    Of the same windows, the geometry's prior counted against the latter.
+    Energies have the error of the model, of `NOISES`, that suits them best, as pressures have.
     """
-    n = band.energy_fit.vector.size
-    prior, rows = prior_residuals(fit.parameters, fit.fit.vector)
-    moved = prior[np.any(rows[:, n:] != 0.0, axis=1)]
-    alone = band.energy_fit
-    each = band.energies.log_likelihood(alone.expected, alone.variance)
-    return float(each.sum()), fit.log_likelihood - 0.5 * float(moved @ moved)
+    found = []
+    for model, ringing in dict.fromkeys(noise[:2] for noise in NOISES):
+        plain = replace(band.coherent.energies, model_error=model, ringing_error=ringing)
+        terms = (directed(plain, band.directivity), *band.energies.terms[1:])
+        objective = replace(band.energies, terms=terms)
+        own = score_band(objective, band.energy_fit.vector, settled_sd=BEFORE_THE_LAST_PASS_SD)
+        found.append(log_evidence(objective, own))
+    fit = replace(fit, energy_log_evidence=max(found))
+    energies, pressures = log_evidences(band, fit)
+    return fit if pressures > energies else replace(fit, found=None)
+
+
+def log_evidences(band: CoherentBand, fit: CoherentBandFit) -> tuple[float, float]:
+    """Return the log evidences of a band's data with windows as energies and as pressures.
+
+    That of a model whose reduced chi-square is above 2 is minus infinity where the other's is not.
+    """
+    chi2 = band.energy_fit.chi2_reduced, fit.fit.chi2_reduced
+    energies, pressures = fit.energy_log_evidence, fit.log_evidence
+    if max(chi2) > MISFIT >= min(chi2):
+        return (-np.inf, pressures) if chi2[0] > chi2[1] else (energies, -np.inf)
+    return energies, pressures
+
+
+def inflated_log_likelihood(objective: Objective, fit: BandFit) -> FloatArray:
+    """Return the log density of each datum, variances times the reduced chi-square if above 1.
+
+    Densities of energies have exponential tails, so that under the variances themselves a model
+    that fits most windows closely and some not at all would be the likelier one.
+    """
+    return objective.log_likelihood(fit.expected, max(fit.chi2_reduced, 1.0) * fit.variance)
+
+
+def log_evidence(objective: Objective, fit: BandFit) -> float:
+    """Return the log evidence of a band's data by Laplace's approximation [1]_.
+
+    The log-likelihood of `inflated_log_likelihood`, neighbours that share information counted once,
+    with the priors, and half the log of the ratio of the prior's information on the geometry to
+    that of prior and data on all unknowns. What models of the same data have in common is left out.
+
+    References
+    ----------
+    .. [1] D. J. C. MacKay, "Bayesian interpolation", Neural Comput. 4, 415-447 (1992).
+    """
+    data = float((inflated_log_likelihood(objective, fit) / objective.correlation_length()).sum())
+    prior, _ = prior_residuals(objective.parameters, fit.vector)
+    known = 0.0
+    if any(b.name == GEOMETRY for b in objective.parameters.blocks):
+        known = float(np.linalg.slogdet(geometry_information(objective.parameters))[1])
+    spent = float(np.linalg.slogdet(fit.information)[1]) - known
+    return data - 0.5 * float(prior @ prior) - 0.5 * spent

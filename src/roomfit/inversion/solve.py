@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from roomfit.air import Air, relative_speed_sd
 from roomfit.inversion.bands import fit_bands
 from roomfit.inversion.coherent import (
@@ -13,6 +15,8 @@ from roomfit.inversion.coherent import (
     coherent_estimates,
     decided,
     energy_estimates,
+    initialise,
+    with_sources_examined,
 )
 from roomfit.inversion.directivity import (
     DirectivityScore,
@@ -27,8 +31,14 @@ from roomfit.inversion.directivity import (
 )
 from roomfit.inversion.fits import BandFits
 from roomfit.inversion.measurements import Measurements
-from roomfit.inversion.paths import TracedPaths
-from roomfit.inversion.sequential import CoherentOptions
+from roomfit.inversion.paths import TracedPaths, traced_paths
+from roomfit.inversion.sequential import (
+    TELLING_HZ,
+    UNDECIDED,
+    CoherentOptions,
+    forward_pass,
+    log_evidences,
+)
 from roomfit.inversion.systematics import (
     inflated_by_adjacent_bands,
     relative_errors,
@@ -45,10 +55,10 @@ from roomfit.objective.observation import energy_terms, fitted_in_band
 from roomfit.objective.parameters import physical_values
 from roomfit.objective.problem import DataTerm, Objective
 from roomfit.objective.room_parameters import value_terms, without_responses
-from roomfit.scene import material_areas_m2
+from roomfit.scene import material_areas_m2, select_pairs
 from roomfit.settings import Settings
 from roomfit.solvers.least_squares import BandFit
-from roomfit.typing import FloatArray, Progress, part
+from roomfit.typing import BoolArray, FloatArray, Progress, part
 from roomfit.uncertainty.gaussian import BandEstimate, Refine, SharedCovariance
 
 
@@ -192,6 +202,76 @@ def coherent_task(
         scattering=(traced.scattering, traced.scattering_sd),
         fits_contradicted=is_fittable(measured, settings),
     )
+
+
+# The trial of pressures: how many responses at most, and how far apart its two bands are; rays a
+# source and images a pair at most, the latter .2 s of 70 m3.
+_TRIED_RESPONSES, _TRIED_OCTAVES = 8, 2.0
+_TRIED_PATHS = {
+    "n_rays": 10_000,
+    "n_rays_beside_images": 10_000,
+    "most_images": 20_000,
+    "most_coherent_images": 20_000,
+}
+
+
+def contradicts_pressures(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    start: FloatArray,
+    settings: Settings,
+) -> bool:
+    """Return whether a few responses contradict that pressures add, before all are traced.
+
+    Positions, speed of sound and delays that a band at 250 Hz determines are known to millimetres.
+    Where they are the room's, pressures explain the octave of 1 kHz better than energies; where
+    they have absorbed what the model of pressures lacks (loudspeakers, scattering, walls that are
+    not specified), energies are likelier there by `log_evidences`, and what was fitted to the lower
+    band is no geometry. Eight responses at most are compared, in the highest band up to 1 kHz and
+    the one nearest to two octaves below.
+
+    Parameters
+    ----------
+    start : float array, shape (n_bands,)
+        Uniform absorption to start from.
+    """
+    centres_hz = measured.bands.centres_hz
+    high = int(np.searchsorted(centres_hz, 1.01 * TELLING_HZ)) - 1
+    if high < 1:
+        return False
+    octaves = np.log2(centres_hz[high] / centres_hz[:high])
+    low = int(np.argmin(np.abs(octaves - _TRIED_OCTAVES)))
+    few = _few(measured, np.isin(np.arange(centres_hz.size), (low, high)))
+    most = {name: min(n, getattr(settings, name) or n) for name, n in _TRIED_PATHS.items()}
+    quick = replace(settings, quick=True, **most)
+    priors = tuple(replace(k, fit_scattering=False) for k in priors)
+    traced = replace(traced_paths(few, priors, quick, start, None, None), again=None)
+    if not traced.far_images:
+        return False
+    task = coherent_task(few, priors, traced, start, quick)
+    state = with_sources_examined(initialise(task, traced), traced)
+    first, last = state.bands[low], state.bands[high]
+    if first is None or last is None:
+        return False
+    fit = forward_pass(state.bands, task.settings, None)[high]
+    if fit is None:
+        return True
+    energies, pressures = log_evidences(last, fit)
+    return bool(pressures <= energies - UNDECIDED)
+
+
+def _few(measured: Measurements, chosen: BoolArray) -> Measurements:
+    """Return a few responses, as if nothing decayed in other bands than those chosen."""
+    fitted = [m for m in measured.responses if m.measurement.use == "fit"]
+    kept = fitted[:: -(-len(fitted) // _TRIED_RESPONSES)]
+    pairs = np.unique([m.pair for m in kept])
+    responses = []
+    for m in kept:
+        falling_s = np.where(chosen, m.noise.tail_time_constant_s, 0.0)
+        noise = replace(m.noise, tail_time_constant_s=falling_s)
+        responses.append(replace(m, pair=int(np.searchsorted(pairs, m.pair)), noise=noise))
+    scene = select_pairs(measured.scene, pairs)
+    return replace(measured, scene=scene, responses=tuple(responses), values=())
 
 
 def coherent_answers(
