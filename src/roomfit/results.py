@@ -13,6 +13,7 @@ from roomfit.findings import About, Code, Finding
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.objective.directivity import FittedDirectivity
 from roomfit.settings import Settings
+from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.solvers.certificate import Certificate
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.combinations import Combination
@@ -261,8 +262,23 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
         prior_specified=answer.prior_specified,
         chi2_reduced=answer.chi2_reduced,
         draws=answer.draws,
+        fitted_jnd=departures_jnd(
+            [{n: c.jnd for n, c in p.parameters.items()} for p in answer.pairs if p.use == "fit"],
+            answer.bands,
+        ),
         result_findings=answer.findings,
     )
+
+
+def departures_jnd(tables: Sequence[Mapping[str, Any]], bands: Bands) -> FloatArray:
+    """Return departures of pairs by parameter as one array, (n_pairs, n_names, n_bands).
+
+    Names in the order of `VALUE_NAMES`; NaN where unknown.
+    """
+    unknown = np.full(len(bands), np.nan)
+    rows = [[table.get(name, unknown) for name in VALUE_NAMES] for table in tables]
+    shape = len(tables), len(VALUE_NAMES), len(bands)
+    return np.array(rows, dtype=np.float64).reshape(shape)
 
 
 def result_doubts(

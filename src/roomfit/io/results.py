@@ -22,7 +22,7 @@ from roomfit.io.exports import read_material_table
 from roomfit.logit import logit
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.response.directivity import Pattern
-from roomfit.results import ComparedPair, Result, certificate_distance
+from roomfit.results import ComparedPair, Result, certificate_distance, departures_jnd
 from roomfit.signals.speech import sti_of_decay
 from roomfit.solvers.certificate import Certificate
 from roomfit.table import csv_of
@@ -88,6 +88,7 @@ def read_result(path: Path) -> AbsorptionPosterior:
             chi2_reduced=content.get("fit", {}).get("phi"),
             prior_specified=None if flags is None else np.array(flags, dtype=np.bool_),
             draws=_posterior_table(posterior, "draws") if "draws" in (posterior or {}) else None,
+            fitted_jnd=_read_departures(content, table.bands),
             result_findings=tuple(
                 finding_of(one, "findings") for one in content.get("findings", ())
             ),
@@ -111,7 +112,8 @@ def _read_directivities(content: dict[str, Any]) -> dict[str, Pattern]:
     try:
         by_source = content.get("directivity", {})
         return {
-            name: Pattern(np.array(one["b"]), one.get("aim")) for name, one in by_source.items()
+            name: Pattern(np.array(one["b"]), one.get("aim"), one.get("loudspeaker", ""))
+            for name, one in by_source.items()
         }
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(
@@ -119,6 +121,24 @@ def _read_directivities(content: dict[str, Any]) -> dict[str, Pattern]:
             where="directivity",
             found=f"{type(error).__name__}: {error}",
             needed="by source: b, three numbers for each band",
+        ) from error
+
+
+def _read_departures(content: dict[str, Any], bands: Bands) -> FloatArray | None:
+    """Return the departures of the fitted pairs, None where the file has no pairs."""
+    try:
+        tables = [
+            {name: c["jnd"] for name, c in pair["parameters"].items()}
+            for pair in content.get("pairs", ())
+            if pair["use"] == "fit"
+        ]
+        return departures_jnd(tables, bands) if tables else None
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            "the pairs of the result are no tables of numbers",
+            where="pairs",
+            found=f"{type(error).__name__}: {error}",
+            needed="parameters with jnd, one number or null for each band, of every pair",
         ) from error
 
 
@@ -233,7 +253,7 @@ def result_content(
     if answer.directivities:
         content["directivity"] = {
             name: {"b": d.b, "sd": d.sd}
-            | ({} if p.aim is None else {"aim": p.aim, "loudspeaker": d.source})
+            | ({} if p.aim is None else {"aim": p.aim, "loudspeaker": p.loudspeaker})
             for d in answer.directivities
             for name, p in d.patterns().items()
         }

@@ -50,6 +50,7 @@ from roomfit.prediction.decay import (
     changed_numbers,
     pair_numbers,
 )
+from roomfit.prediction.misfit import with_misfit
 from roomfit.prediction.tables import (
     ObservedPair,
     PredictedPair,
@@ -350,7 +351,7 @@ def _exact_numbers(
         findings += one.findings
         if progress is not None:
             progress((i + 1) / len(scene.pairs))
-    return tuple(numbers), tuple(findings)
+    return with_misfit(tuple(numbers), room.absorption.fitted_jnd), tuple(findings)
 
 
 def numbers_at(
@@ -433,8 +434,11 @@ def predict_change(
         numbers = [numbers_at(room, expected, drawn), room.before]
     if len(numbers) > 1:
         if compare_pairs or room.observed:  # what both states share
+            # a factor of 1, or a material in place of itself, exchanges nothing
+            others = np.any(drawn != room.draws, axis=(0, 2))
+            others |= np.any(expected != absorption.absorption, axis=1)
             numbers[0] = tuple(
-                with_common_noise(after, before, few, absorption.absorption, expected)
+                with_common_noise(after, before, few, absorption.absorption, expected, others)
                 for after, before, few in zip(numbers[0], room.before, room.few, strict=True)
             )
         doubts += prior_dominated(absorption, room.draws, changes, room.traced.areas_m2, rng)
