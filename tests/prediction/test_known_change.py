@@ -48,8 +48,9 @@ def numbers(values: float, noise_sd: float, draws: np.ndarray) -> PairNumbers:
     drawn = np.tile(draws[:, None, None], (1, n, 1))
     nothing = PredictedDecay(np.zeros(1), *(np.zeros((1, 1)),) * 3)
     return PairNumbers(
-        np.full((n, 1), values), drawn, np.full((n, 1), noise_sd), nothing, np.zeros((n, 1))
-    )
+        np.full((n, 1), values), drawn, np.full((n, 1), noise_sd), nothing,
+        np.zeros((n, 1)), np.ones((n, 1)),
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("alike", [0.0, 0.5, 1.0])
@@ -149,13 +150,16 @@ def test_what_is_carried_over_lies_between_the_model_and_all_of_what_was_measure
 
 
 def test_what_is_common_to_both_states_cancels_in_the_change(campaign):
-    """Walls unknown by a factor of two leave T20 open by as much, and its ratio nearly closed."""
+    """Walls unknown by a factor of two leave T20 open by as much, its ratio by a third of that.
+
+    Another carpet reflects anew even where it absorbs as the one before.
+    """
     known = posterior(0.0)
     covariance = np.zeros((2, 3, 3))
     covariance[:, 0, 0] = 0.4**2
     v = changed(campaign, replace(known, logit_covariance=covariance), "carpet=x1.02").mean["T20_s"]
     spread = np.log(v.change.before_upper95 / v.change.before_lower95)
-    assert np.all(np.log(v.change.change_upper95 / v.change.change_lower95) < 0.25 * spread)
+    assert np.all(np.log(v.change.change_upper95 / v.change.change_lower95) < 0.4 * spread)
     carried = np.log(v.change.carried_upper95 / v.change.carried_lower95)
     assert np.all(carried < 0.8 * spread)
 
