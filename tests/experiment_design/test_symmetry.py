@@ -47,9 +47,9 @@ def test_pairs_at_half_height_are_told_what_floor_and_ceiling_lose():
     evidence = finding.evidence
     np.testing.assert_allclose(evidence["normal"], (0.0, 0.0, 1.0), atol=1e-12)
     assert evidence["offset_m"] == pytest.approx(1.4)
-    assert evidence["move"] == ["M"] and evidence["by_m"] == pytest.approx(0.35)
+    assert evidence["move"] == ["M"] and evidence["by_m"] == pytest.approx(0.56)
     assert evidence["half_width_moved"] < 0.9 * evidence["half_width"]
-    assert "z = 1.40 m" in finding.sentence and "M 0.35 m off the plane" in finding.sentence
+    assert "z = 1.40 m" in finding.sentence and "M 0.56 m off the plane" in finding.sentence
     assert not found(scene((1.4, 1.4 + evidence["by_m"])))
 
 
@@ -94,7 +94,7 @@ def test_a_design_at_half_height_alone_says_so_and_one_at_all_heights_does_not()
 
 def test_the_check_of_a_campaign_says_it_beside_what_it_says_of_recordings(tmp_path):
     """Floor and ceiling of the small box are two materials; its points are moved to half height."""
-    path = write_campaign(tmp_path / "campaign")
+    path = write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 2000"))
     for raised in (False, True):
         checked = check_campaign_recordings(read_campaign(path))
         own = [f for f in checked.findings if f.code is Code.ON_SYMMETRY_PLANE]
