@@ -266,6 +266,7 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
             [{n: c.jnd for n, c in p.parameters.items()} for p in answer.pairs if p.use == "fit"],
             answer.bands,
         ),
+        areas_m2=answer.areas_m2,
         result_findings=answer.findings,
     )
 

@@ -20,11 +20,12 @@ from roomfit.materials.catalogue import _WORDS, broad_prior_findings, catalogue,
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, unknown_material
 from roomfit.objective.room_parameters import MODEL_ERROR_JND
 from roomfit.prediction.campaign import predict_arguments
-from roomfit.prediction.changes import Change, prior_dominated, read_change
+from roomfit.prediction.changes import Change, read_change
 from roomfit.prediction.decay import PairNumbers, PredictedDecay
 from roomfit.prediction.output import COLUMNS, change_figure, predicted_content, predicted_csv
 from roomfit.prediction.predict import predict
 from roomfit.prediction.tables import _change
+from roomfit.prediction.split import prior_dominated
 from roomfit.signals.decay import jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
@@ -204,9 +205,8 @@ def test_a_share_that_only_the_prior_knows_is_named_with_what_would_cure_it():
         covariance = np.stack([np.linalg.inv(information)] * 2)
         known = AbsorptionPosterior(materials, BANDS, a, a * 0.5, a * 2, covariance, mean, prior_sd)
         draws = draw_absorption(known, 400, np.random.default_rng(1))
-        change = [Change("curtain", "factor", (2.0,))]
-        areas = np.full(3, 10.0)
-        return prior_dominated(known, draws, change, areas, np.random.default_rng(2))
+        areas, rng = np.full(3, 10.0), np.random.default_rng(2)
+        return prior_dominated(known, draws, ["curtain"], areas, rng)
 
     (one,) = found(decay)
     assert one.code is Code.CHANGE_PRIOR_DOMINATED

@@ -89,6 +89,7 @@ def read_result(path: Path) -> AbsorptionPosterior:
             prior_specified=None if flags is None else np.array(flags, dtype=np.bool_),
             draws=_posterior_table(posterior, "draws") if "draws" in (posterior or {}) else None,
             fitted_jnd=_read_departures(content, table.bands),
+            areas_m2=_read_areas(content, table.names),
             result_findings=tuple(
                 finding_of(one, "findings") for one in content.get("findings", ())
             ),
@@ -122,6 +123,14 @@ def _read_directivities(content: dict[str, Any]) -> dict[str, Pattern]:
             found=f"{type(error).__name__}: {error}",
             needed="by source: b, three numbers for each band",
         ) from error
+
+
+def _read_areas(content: dict[str, Any], names: tuple[str, ...]) -> FloatArray | None:
+    """Return the areas of the materials in the room that was fitted, None where one lacks."""
+    found = [content.get("materials", {}).get(name, {}).get("area_m2") for name in names]
+    if not found or any(not isinstance(a, int | float) for a in found):
+        return None
+    return np.array(found, dtype=np.float64)
 
 
 def _read_departures(content: dict[str, Any], bands: Bands) -> FloatArray | None:

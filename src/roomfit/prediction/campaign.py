@@ -19,12 +19,14 @@ from roomfit.core import (
     common_bands,
     did_you_mean,
     located,
+    material_areas_m2,
     named_pairs,
     room_posterior,
 )
 from roomfit.io.campaign import Campaign
 from roomfit.io.inputs import CampaignInputs
 from roomfit.prediction.changes import Change
+from roomfit.prediction.split import for_another_room
 
 PairChoice = Literal["all", "campaign"]
 
@@ -110,6 +112,9 @@ def predict_arguments(
     room = inputs.room()
     with located(f"{campaign.path}, identify"):
         bands, doubts = common_bands(campaign.bands, absorption.bands)
+    areas = dict(zip(room.materials, material_areas_m2(room).tolist(), strict=True))
+    settings = campaign.settings
+    absorption, dominated = for_another_room(absorption, areas, settings.n_draws, settings.seed)
     with located(str(campaign.path)):
         known = room_posterior(
             absorption,
@@ -133,7 +138,7 @@ def predict_arguments(
             raise InputError("the campaign has measured no pair", hint="predict all pairs instead")
     return {
         "scene": scene,
-        "absorption": replace(known, findings=(*doubts, *known.findings)),
+        "absorption": replace(known, findings=(*doubts, *known.findings, *dominated)),
         "changes": tuple(changes),
         "measurements": measurements,
         "settings": campaign.settings,

@@ -50,6 +50,7 @@ class AbsorptionPosterior:
     # (n_pairs, n_names, n_bands), predicted minus measured of the pairs that were fitted, in just
     # noticeable differences, in the order of `VALUE_NAMES`; NaN where unknown. None: nothing known
     fitted_jnd: FloatArray | None = None
+    areas_m2: FloatArray | None = None  # (n_materials,), in the room that was fitted
     findings: tuple[Finding, ...] = ()  # what was doubtful in putting it together
     result_findings: tuple[Finding, ...] = ()  # all those of the fit that found the absorption
 
@@ -77,6 +78,8 @@ class AbsorptionPosterior:
         if self.draws is not None:
             drawn = float_array("draws", self.draws, (None, n, m), low=0.0, high=1.0)
             object.__setattr__(self, "draws", drawn)
+        if self.areas_m2 is not None:
+            object.__setattr__(self, "areas_m2", float_array("areas", self.areas_m2, (n,), low=0.0))
         if self.fitted_jnd is not None:
             departures = np.array(self.fitted_jnd, dtype=np.float64)
             known = np.nan_to_num(departures)  # what is infinite is refused
