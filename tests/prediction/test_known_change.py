@@ -24,8 +24,8 @@ from roomfit.prediction.changes import Change, read_change
 from roomfit.prediction.decay import PairNumbers, PredictedDecay
 from roomfit.prediction.output import COLUMNS, change_figure, predicted_content, predicted_csv
 from roomfit.prediction.predict import predict
-from roomfit.prediction.tables import _change
 from roomfit.prediction.split import prior_dominated
+from roomfit.prediction.tables import _change
 from roomfit.signals.decay import jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
