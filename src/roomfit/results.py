@@ -267,6 +267,7 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
             answer.bands,
         ),
         areas_m2=answer.areas_m2,
+        fitted_states=tuple(sorted({p.state for p in answer.pairs if p.use == "fit"})),
         result_findings=answer.findings,
     )
 

@@ -115,3 +115,11 @@ def test_departures_of_fitted_pairs_go_through_the_file(tmp_path):
     del content["pairs"]
     file.write_text(json.dumps(content))
     assert read_result(file).fitted_jnd is None
+
+
+def test_one_outlier_among_many_pairs_does_not_widen_all_by_itself():
+    rng = np.random.default_rng(6)
+    departures = NOISE_JND * rng.standard_normal((20, N, 1))
+    departures[3] = 500.0
+    noise, model = widened_jnd(departures)
+    assert np.all(noise < 2.5 * NOISE_JND) and np.all(model < 2.5 * MODEL_JND)

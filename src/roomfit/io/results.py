@@ -90,6 +90,7 @@ def read_result(path: Path) -> AbsorptionPosterior:
             draws=_posterior_table(posterior, "draws") if "draws" in (posterior or {}) else None,
             fitted_jnd=_read_departures(content, table.bands),
             areas_m2=_read_areas(content, table.names),
+            fitted_states=_read_states(content),
             result_findings=tuple(
                 finding_of(one, "findings") for one in content.get("findings", ())
             ),
@@ -123,6 +124,12 @@ def _read_directivities(content: dict[str, Any]) -> dict[str, Pattern]:
             found=f"{type(error).__name__}: {error}",
             needed="by source: b, three numbers for each band",
         ) from error
+
+
+def _read_states(content: dict[str, Any]) -> tuple[str, ...] | None:
+    """Return the states of the fitted pairs, None where the file has no pairs."""
+    found = {str(p.get("state", "")) for p in content.get("pairs", ()) if p.get("use") == "fit"}
+    return tuple(sorted(found)) or None
 
 
 def _read_areas(content: dict[str, Any], names: tuple[str, ...]) -> FloatArray | None:

@@ -26,7 +26,7 @@ from roomfit.core import (
 from roomfit.io.campaign import Campaign
 from roomfit.io.inputs import CampaignInputs
 from roomfit.prediction.changes import Change
-from roomfit.prediction.split import for_another_room
+from roomfit.prediction.split import for_another_room, for_another_state
 
 PairChoice = Literal["all", "campaign"]
 
@@ -123,6 +123,12 @@ def predict_arguments(
             inputs.directivities(bands),
             replaced=[c.material for c in changes if c.kind != "factor"],
         )
+    fitted = absorption.fitted_states
+    if fitted is not None and state not in fitted:
+        names = ["", *campaign.states]
+        at = [i for i, name in enumerate(names) if name in fitted]
+        by_state = np.array([material_areas_m2(room, i) for i in at]).reshape(len(at), -1)
+        known = for_another_state(known, by_state, settings.n_draws, settings.seed)
     for kind, points in (("source", campaign.sources), ("receiver", campaign.receivers)):
         if not points:
             raise InputError(

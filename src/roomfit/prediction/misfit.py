@@ -13,6 +13,9 @@ from roomfit.prediction.decay import PairNumbers
 # depart as expected stand beside those that were fitted. With one, six pairs widen intervals by a
 # tenth where theory is right.
 _PRIOR_PAIRS = 1.0
+# Departures from their median by more than so many median absolute ones (4 standard deviations of a
+# normal law) count as these: a single EDT of a few milliseconds is no scatter of all pairs.
+_CLIPPED_AT = 6.0
 
 
 def with_misfit(
@@ -52,8 +55,9 @@ def with_misfit(
         noise = _mean((np.array([n.noise_sd for n in numbers]) / unit) ** 2)
         model = _mean((granted / unit) ** 2)
     n = np.isfinite(fitted_jnd).sum(axis=0)
-    middle = _mean(fitted_jnd)
-    squares = np.nansum((fitted_jnd - middle) ** 2, axis=0)
+    departures = _clipped(fitted_jnd)
+    middle = _mean(departures)
+    squares = np.nansum((departures - middle) ** 2, axis=0)
     scatter = _scale(squares, noise, np.maximum(n - 1, 0))
     common = _scale(middle**2, scatter * noise / np.maximum(n, 1) + model, np.minimum(n, 1))
     # of the mean only what the model is to blame for: noise averages out
@@ -74,6 +78,15 @@ def with_misfit(
 def _widened(numbers: PairNumbers, scatter: FloatArray, common: FloatArray) -> PairNumbers:
     noise_sd = numbers.noise_sd * np.sqrt(scatter)
     return replace(numbers, noise_sd=noise_sd, model_scale=np.sqrt(common))
+
+
+def _clipped(departures: FloatArray) -> FloatArray:
+    """Return departures with outliers drawn to the others, NaN where unknown."""
+    known = np.ma.masked_invalid(departures)
+    median = np.ma.median(known, axis=0)
+    reach = _CLIPPED_AT * np.ma.median(np.abs(known - median), axis=0)
+    low, high = ((median + sign * reach).filled(0.0) for sign in (-1.0, 1.0))
+    return np.asarray(np.clip(departures, low, high))
 
 
 def _scale(squares: FloatArray, expected: FloatArray, n_free: FloatArray) -> FloatArray:

@@ -298,7 +298,10 @@ def prepare_prediction(
     changed = {c.material for one in alternatives for c in one}
     if changed:
         own = [f for f in dominated if changed & set(f.about.materials)]
-        draws = open_splits(absorption, draws, own, areas_m2, settings.seed)
+        first = int(pair_states(scene)[0])
+        states = [first, *(s for s in range(1 + len(scene.room.states)) if s != first)]
+        by_state = np.stack([material_areas_m2(scene.room, s) for s in states])
+        draws = open_splits(absorption, draws, own, by_state, settings.seed)
     least, is_known = _least_absorption(absorption, draws, alternatives, rng)
     observed, measured_findings = observed_pairs(scene, measurements, absorption.bands)
     longest_s, done = _longest_s(observed), part(progress, 0.02, 0.6)

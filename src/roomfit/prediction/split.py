@@ -29,6 +29,8 @@ from roomfit.core import (
 
 # The exponent -log(1 - a) of what absorbs 95 %: a wall takes no larger share of the sum.
 _MOST_EXPONENT = 3.0
+# Of the sum of a state's own walls, where walls that it has in common with others take all of it.
+_LEAST_LEFT = 0.05
 # Areas that differ by less are those of one room described twice.
 _SAME_AREA = 0.05
 
@@ -65,8 +67,9 @@ def open_splits(
     draws : float array, shape (n_draws, n_materials, n_bands)
     dominated : sequence of Finding
         From `prior_dominated`, of the materials that are changed.
-    areas_m2 : float array, shape (n_materials,)
-        In the room that was measured.
+    areas_m2 : float array, shape (n_states, n_materials)
+        In the room that was measured, by its states. What an earlier state has stays as it is
+        there, and the other walls of a state share what that leaves of its sum.
     seed : int
         Of the splits.
 
@@ -74,33 +77,39 @@ def open_splits(
     -------
     float array, shape (n_draws, n_materials, n_bands)
     """
-    rng = np.random.default_rng([seed, 5])
-    found, z = draws.copy(), rng.random((2, len(draws)))
+    found = draws.copy()
+    z = np.random.default_rng([seed, 5]).random((2, len(areas_m2), len(draws)))
     is_doubted = doubted_bands(posterior)
     for band, centre in enumerate(posterior.bands.centres_hz.tolist()):
-        varies = (np.diag(posterior.logit_covariance[band]) > 0.0) & (areas_m2 > 0.0)
         named = [any(f.about.concerns(m, centre) for f in dominated) for m in posterior.materials]
-        walls = np.flatnonzero(varies & (np.array(named) | is_doubted[band]))
-        others = np.flatnonzero(varies)
-        for draw in range(1, len(draws) if walls.size else 0, 2):
-            which = walls[int(z[0, draw] * walls.size)]
-            own = draws[draw, others, band]
-            found[draw, others, band] = _other_split(
-                own, areas_m2[others], others == which, z[1, draw]
-            )
+        open_ = np.array(named) | is_doubted[band]
+        left = np.diag(posterior.logit_covariance[band]) > 0.0
+        for state, areas in enumerate(areas_m2):
+            own, other = left & (areas > 0.0), ~left & (areas > 0.0)
+            walls = np.flatnonzero(own & open_)
+            left = left & ~own
+            for draw in range(1, len(draws) if walls.size else 0, 2):
+                total = _exponents(draws[draw, :, band], areas)
+                kept = _exponents(found[draw, :, band], areas)[other].sum()
+                which = walls[int(z[0, state, draw] * walls.size)] == np.flatnonzero(own)
+                sum_left = max(total.sum() - kept, _LEAST_LEFT * total[own].sum())
+                parts = _other_split(total[own], areas[own], which, z[1, state, draw], sum_left)
+                found[draw, own, band] = -np.expm1(-parts / areas[own])
     return found
 
 
+def _exponents(absorption: FloatArray, areas_m2: FloatArray) -> FloatArray:
+    """Return ``-S log(1 - a)`` of every wall."""
+    return -areas_m2 * np.log1p(-np.minimum(absorption, 1.0 - 1e-9))
+
+
 def _other_split(
-    absorption: FloatArray, areas_m2: FloatArray, wall: BoolArray, share: float
+    parts: FloatArray, areas_m2: FloatArray, wall: BoolArray, share: float, total: float
 ) -> FloatArray:
-    """Return absorption with the same sum of exponents, of which one wall has another share."""
-    parts = -areas_m2 * np.log1p(-np.minimum(absorption, 1.0 - 1e-9))
-    total, own = float(parts.sum()), float(parts[wall].sum())
+    """Return exponents of another sum, of which one wall has a share and others what is left."""
     taken = share * min(total, _MOST_EXPONENT * float(areas_m2[wall].sum()))
-    rest = max(total - own, 1e-12 * total)
-    parts = np.where(wall, taken, parts * (total - taken) / rest)
-    return np.asarray(-np.expm1(-parts / areas_m2))
+    rest = max(float(parts[~wall].sum()), 1e-12 * float(parts.sum()))
+    return np.where(wall, taken, parts * (total - taken) / rest)
 
 
 def for_another_room(
@@ -128,7 +137,25 @@ def for_another_room(
     dominated = prior_dominated(posterior, draws, changed, own, rng)
     if not dominated and not doubted_bands(posterior).any():
         return posterior, ()
-    return replace(posterior, draws=open_splits(posterior, draws, dominated, own, seed)), dominated
+    return replace(
+        posterior, draws=open_splits(posterior, draws, dominated, own[None], seed)
+    ), dominated
+
+
+def for_another_state(
+    posterior: AbsorptionPosterior, areas_m2: FloatArray, n_draws: int, seed: int
+) -> AbsorptionPosterior:
+    """Return a result as it is to predict a state that was not fitted from, see `open_splits`.
+
+    Parameters
+    ----------
+    areas_m2 : float array, shape (n_states, n_materials)
+        Of the states that were fitted.
+    """
+    if not doubted_bands(posterior).any():
+        return posterior
+    draws = draw_absorption(posterior, n_draws, np.random.default_rng(seed))
+    return replace(posterior, draws=open_splits(posterior, draws, (), areas_m2, seed))
 
 
 # A share that is known no better than this, and hardly better than before the measurement.

@@ -51,6 +51,7 @@ class AbsorptionPosterior:
     # noticeable differences, in the order of `VALUE_NAMES`; NaN where unknown. None: nothing known
     fitted_jnd: FloatArray | None = None
     areas_m2: FloatArray | None = None  # (n_materials,), in the room that was fitted
+    fitted_states: tuple[str, ...] | None = None  # of that room, "" as described; None: unknown
     findings: tuple[Finding, ...] = ()  # what was doubtful in putting it together
     result_findings: tuple[Finding, ...] = ()  # all those of the fit that found the absorption
 
