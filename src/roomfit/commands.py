@@ -81,6 +81,8 @@ def check_campaign_recordings(
         The disk refuses.
     """
     from roomfit.diagnostics.usable import check_recordings
+    from roomfit.experiment_design.symmetry import plane_findings
+    from roomfit.scene import named_pairs
 
     if out is not None:
         check_output_folder(out, overwrite=overwrite)
@@ -93,6 +95,11 @@ def check_campaign_recordings(
             own["directivities"],
             own["settings"].decay_range_db,
         )
+    fitted = {m.pair_name[:2] for m in own["measurements"] if m.use == "fit"}
+    alike = plane_findings(
+        named_pairs(own["scene"], fitted), own["materials"], own["bands"], own["settings"]
+    )
+    checked = replace(checked, findings=(*checked.findings, *alike))
     if out is not None:
         from roomfit.inversion.measurements import measured_scene
         from roomfit.report.figures import png

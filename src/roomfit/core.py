@@ -52,6 +52,7 @@ if TYPE_CHECKING:
         expected_fit as expected_fit,
     )
     from roomfit.inversion.measurements import observe as observe
+    from roomfit.inversion.symmetry import mirror_planes as mirror_planes
     from roomfit.inversion.traced_room import (
         TracedRoom as TracedRoom,
         check_scene as check_scene,
@@ -106,6 +107,7 @@ if TYPE_CHECKING:
         named_pairs as named_pairs,
         pair_names as pair_names,
         pair_states as pair_states,
+        select_pairs as select_pairs,
     )
     from roomfit.settings import Settings as Settings
     from roomfit.signals.decay import (
@@ -166,6 +168,7 @@ _HOME = {
         "identification": "identify",
         "inversion.expected": "ExpectedFit as_coherent expected_fit",
         "inversion.measurements": "observe",
+        "inversion.symmetry": "mirror_planes",
         "inversion.traced_room": "TracedRoom check_scene coherent_paths scene_decay_s trace_room",
         "logit": "Z95 expit logit",
         "materials.catalogue": "catalogue_prior suggested_entries",
@@ -181,7 +184,7 @@ _HOME = {
         "results": "Result result_doubts",
         "scene": "NEAREST_PAIR_M Point Room Scene check_points distances_m "
         "is_clear_of_walls material_areas_m2 named_pairs pair_names "
-        "pair_states",
+        "pair_states select_pairs",
         "settings": "Settings",
         "signals.decay": "DecayCurve FIT_RANGES_DB in_jnd jnd_of",
         "signals.iso3382": "MeasuredValues VALUE_NAMES ValueName",

@@ -115,6 +115,7 @@ class Code(StrEnum):
     PRODUCT_ASSUMED = "product-assumed", "info"
     FEW_IMAGE_SOURCES = "few-image-sources", "info"
     FEW_CANDIDATES = "few-candidates", "info"
+    ON_SYMMETRY_PLANE = "on-symmetry-plane", "warning"
 
     # Recordings and room parameters.
 

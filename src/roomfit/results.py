@@ -14,6 +14,7 @@ from roomfit.materials.priors import MaterialPrior, object_area_m2, object_volum
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.objective.directivity import FittedDirectivity
 from roomfit.settings import Settings
+from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.solvers.certificate import Certificate
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.combinations import Combination
@@ -279,6 +280,12 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
         prior_specified=answer.prior_specified,
         chi2_reduced=answer.chi2_reduced,
         draws=answer.draws,
+        fitted_jnd=departures_jnd(
+            [{n: c.jnd for n, c in p.parameters.items()} for p in answer.pairs if p.use == "fit"],
+            answer.bands,
+        ),
+        areas_m2=answer.areas_m2,
+        fitted_states=tuple(sorted({p.state for p in answer.pairs if p.use == "fit"})),
         result_findings=answer.findings,
     )
 
@@ -332,6 +339,17 @@ def _of_walls(values: Any, axes: tuple[int, ...], n: int) -> Any:
         return values if values is None else values[:n]
     at = tuple(slice(n) if axis in axes else slice(None) for axis in range(max(axes) + 1))
     return values[at]
+
+
+def departures_jnd(tables: Sequence[Mapping[str, Any]], bands: Bands) -> FloatArray:
+    """Return departures of pairs by parameter as one array, (n_pairs, n_names, n_bands).
+
+    Names in the order of `VALUE_NAMES`; NaN where unknown.
+    """
+    unknown = np.full(len(bands), np.nan)
+    rows = [[table.get(name, unknown) for name in VALUE_NAMES] for table in tables]
+    shape = len(tables), len(VALUE_NAMES), len(bands)
+    return np.array(rows, dtype=np.float64).reshape(shape)
 
 
 def result_doubts(

@@ -50,12 +50,12 @@ from roomfit.io.inputs import (
 )
 from roomfit.io.results import read_result, write_result
 from roomfit.io.rooms import read_room
-from roomfit.materials.priors import MaterialPrior, uniform_scattering
+from roomfit.materials.priors import MaterialPrior, uniform_scattering, unknown_material
 from roomfit.objective.directivity import DirectivityParameters, FittedDirectivity
 from roomfit.report.html_tables import source_tables
 from roomfit.report.text import directivity_text
 from roomfit.response.binned import bin_paths
-from roomfit.response.directivity import Pattern
+from roomfit.response.directivity import Pattern, UnknownDirectivity
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import (
@@ -418,6 +418,31 @@ def test_a_prediction_without_the_fit_takes_what_was_specified_before_it(tmp_pat
     known = in_the_room(asked, alone)
     assert "LS1" not in known.directivities
     assert [f.code for f in known.findings] == [Code.DIRECTIVITY_NOT_KNOWN]
+
+
+def test_a_further_source_of_a_fitted_loudspeaker_radiates_as_that_was_found_to() -> None:
+    """About its own aim, in the bands that are asked for; of another make nothing is known."""
+    bands, half = Bands("octave", np.array([500.0, 1000.0])), np.full((1, 2), 0.5)
+    b, z = np.array([[0.4, 0.1, 0.0], [0.6, 0.2, 0.1]]), np.array([0.0, 0.0, 1.0])
+    fitted = FittedDirectivity(
+        "small box", b, 0.1 * np.ones((2, 3)), {"LS1": np.array([1.0, 0, 0])}
+    )
+    found = AbsorptionPosterior(
+        ("walls",), bands, half, half, half, np.zeros((2, 1, 1)), directivities=fitted.patterns()
+    )
+    asked = {
+        "LS7": UnknownDirectivity(aim=z, loudspeaker="small box"),
+        "LS1": UnknownDirectivity(aim=-z, loudspeaker="small box"),
+        "LS8": UnknownDirectivity(aim=z, loudspeaker="large box"),
+    }
+    upper = Bands("octave", np.array([1000.0]))
+    known = room_posterior(found, (unknown_material("walls", 1),), upper, asked)
+    assert set(known.directivities) == {"LS7", "LS1"}
+    for name, aim in (("LS7", z), ("LS1", -z)):
+        np.testing.assert_array_equal(known.directivities[name].b, b[1:])
+        np.testing.assert_array_equal(known.directivities[name].aim, aim)
+    (doubt,) = known.findings
+    assert doubt.code == Code.DIRECTIVITY_NOT_KNOWN and doubt.evidence["sources"] == ["LS8"]
 
 
 def _kept_apart(text: str) -> str:

@@ -20,10 +20,11 @@ from roomfit.materials.catalogue import _WORDS, broad_prior_findings, catalogue,
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, unknown_material
 from roomfit.objective.room_parameters import MODEL_ERROR_JND
 from roomfit.prediction.campaign import predict_arguments
-from roomfit.prediction.changes import Change, prior_dominated, read_change
+from roomfit.prediction.changes import Change, read_change
 from roomfit.prediction.decay import PairNumbers, PredictedDecay
 from roomfit.prediction.output import COLUMNS, change_figure, predicted_content, predicted_csv
 from roomfit.prediction.predict import predict
+from roomfit.prediction.split import prior_dominated
 from roomfit.prediction.tables import _change
 from roomfit.signals.decay import jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES
@@ -48,8 +49,9 @@ def numbers(values: float, noise_sd: float, draws: np.ndarray) -> PairNumbers:
     drawn = np.tile(draws[:, None, None], (1, n, 1))
     nothing = PredictedDecay(np.zeros(1), *(np.zeros((1, 1)),) * 3)
     return PairNumbers(
-        np.full((n, 1), values), drawn, np.full((n, 1), noise_sd), nothing, np.zeros((n, 1))
-    )
+        np.full((n, 1), values), drawn, np.full((n, 1), noise_sd), nothing,
+        np.zeros((n, 1)), np.ones((n, 1)),
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("alike", [0.0, 0.5, 1.0])
@@ -149,13 +151,16 @@ def test_what_is_carried_over_lies_between_the_model_and_all_of_what_was_measure
 
 
 def test_what_is_common_to_both_states_cancels_in_the_change(campaign):
-    """Walls unknown by a factor of two leave T20 open by as much, and its ratio nearly closed."""
+    """Walls unknown by a factor of two leave T20 open by as much, its ratio by a third of that.
+
+    Another carpet reflects anew even where it absorbs as the one before.
+    """
     known = posterior(0.0)
     covariance = np.zeros((2, 3, 3))
     covariance[:, 0, 0] = 0.4**2
     v = changed(campaign, replace(known, logit_covariance=covariance), "carpet=x1.02").mean["T20_s"]
     spread = np.log(v.change.before_upper95 / v.change.before_lower95)
-    assert np.all(np.log(v.change.change_upper95 / v.change.change_lower95) < 0.25 * spread)
+    assert np.all(np.log(v.change.change_upper95 / v.change.change_lower95) < 0.4 * spread)
     carried = np.log(v.change.carried_upper95 / v.change.carried_lower95)
     assert np.all(carried < 0.8 * spread)
 
@@ -200,9 +205,8 @@ def test_a_share_that_only_the_prior_knows_is_named_with_what_would_cure_it():
         covariance = np.stack([np.linalg.inv(information)] * 2)
         known = AbsorptionPosterior(materials, BANDS, a, a * 0.5, a * 2, covariance, mean, prior_sd)
         draws = draw_absorption(known, 400, np.random.default_rng(1))
-        change = [Change("curtain", "factor", (2.0,))]
-        areas = np.full(3, 10.0)
-        return prior_dominated(known, draws, change, areas, np.random.default_rng(2))
+        areas, rng = np.full(3, 10.0), np.random.default_rng(2)
+        return prior_dominated(known, draws, ["curtain"], areas, rng)
 
     (one,) = found(decay)
     assert one.code is Code.CHANGE_PRIOR_DOMINATED

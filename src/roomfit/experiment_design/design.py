@@ -30,6 +30,7 @@ from roomfit.core import (
     part,
     result_doubts,
     scene_decay_s,
+    select_pairs,
     speed_of_sound_m_s,
     volume_m3,
 )
@@ -58,6 +59,7 @@ from roomfit.experiment_design.prior import (
     information_from_fit,
     information_from_priors,
 )
+from roomfit.experiment_design.symmetry import planes_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -221,6 +223,9 @@ def design(
     chosen = choose(known.unknowns, pairs, rules, n, criterion, rng=rng)
     rng = np.random.default_rng(settings.seed)
     of_fit = () if absorption is None else _doubts(absorption, scene)
+    used = np.concatenate((np.array(rules.fixed, dtype=np.int64), chosen))
+    # after a fit one more pair stands beside others, whose positions are not known here
+    alike = () if after_fit else planes_of(select_pairs(candidates, used), known, settings)
     return Design(
         scene=candidates,
         n_fixed=len(rules.fixed),
@@ -238,7 +243,7 @@ def design(
         source_distance_m=distance_m,
         receiver_distance_m=options.receiver_distance_m,
         wall_distance_m=options.wall_distance_m,
-        findings=(*scene.room.findings, *of_fit, *few, *doubts),
+        findings=(*scene.room.findings, *of_fit, *few, *doubts, *alike),
         seed=settings.seed,
         seconds=time.perf_counter() - began,
     )

@@ -32,6 +32,11 @@ _WHOLE_SHARE = 0.98
 _SYMMETRIC_WITHIN_SD = 3.0
 
 
+# Pairs this close to a plane of symmetry cost as much as on it: in a box 2.8 m high walls are known
+# a tenth better at 0.1 m off it and by a third at 0.2 m.
+_ON_PLANE_M = 0.1
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Symmetry:
     """An isometry ``x -> centre + matrix (x - centre)`` that carries the surface into itself."""
@@ -108,6 +113,26 @@ def deviation_m(symmetry: Symmetry, scene: Scene) -> FloatArray:
     exchanged = np.linalg.norm(carried - ends[::-1], axis=2).max(axis=0)
     # a point at the distance d from a plane is 2 d from its image
     return np.asarray(0.5 * np.minimum(kept, exchanged))
+
+
+def mirror_planes(scene: Scene) -> tuple[tuple[Symmetry, FloatArray], ...]:
+    """Return the planes that mirror room and every pair and exchange materials, with normals (3,).
+
+    Images in the walls that such a plane exchanges arrive together, at every order and for every
+    pair: data determine the product of what these walls return, hardly their ratio.
+    """
+    found = []
+    for symmetry in room_symmetries(scene.room) if len(scene.pairs) else ():
+        size, axis = np.linalg.eigh(0.5 * (symmetry.matrix + symmetry.matrix.T))
+        # of a plane, unlike a rotation or an inversion, one direction alone is reversed
+        is_plane = np.isclose(size[0], -1.0, atol=0.01) and np.allclose(size[1:], 1.0, atol=0.01)
+        moves = np.any(symmetry.exchange != np.arange(symmetry.exchange.size))
+        if is_plane and moves and np.all(deviation_m(symmetry, scene) <= _ON_PLANE_M):
+            normal = axis[:, 0]
+            found.append(
+                (symmetry, np.asarray(normal * np.sign(normal[np.argmax(np.abs(normal))])))
+            )
+    return tuple(found)
 
 
 def _centroid_m(room: Room) -> FloatArray:

@@ -42,6 +42,7 @@ from roomfit.results import (
     Result,
     absorption_posterior,
     certificate_distance,
+    departures_jnd,
 )
 from roomfit.signals.speech import sti_of_decay
 from roomfit.solvers.certificate import Certificate
@@ -124,6 +125,9 @@ def read_result(file: ResultFile) -> AbsorptionPosterior:
             chi2_reduced=content.get("fit", {}).get("phi"),
             prior_specified=None if flags is None else np.array(flags, dtype=np.bool_),
             draws=_posterior_table(posterior, "draws") if "draws" in (posterior or {}) else None,
+            fitted_jnd=_read_departures(content, table.bands),
+            areas_m2=_read_areas(content, table.names, len(objects)),
+            fitted_states=_read_states(content),
             result_findings=(
                 *table.findings,
                 *(finding_of(one, "findings") for one in content.get("findings", ())),
@@ -172,7 +176,8 @@ def _read_directivities(content: dict[str, Any]) -> dict[str, Pattern]:
     try:
         by_source = content.get("directivity", {})
         return {
-            name: Pattern(np.array(one["b"]), one.get("aim")) for name, one in by_source.items()
+            name: Pattern(np.array(one["b"]), one.get("aim"), one.get("loudspeaker", ""))
+            for name, one in by_source.items()
         }
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(
@@ -180,6 +185,40 @@ def _read_directivities(content: dict[str, Any]) -> dict[str, Pattern]:
             where="directivity",
             found=f"{type(error).__name__}: {error}",
             needed="by source: b, three numbers for each band",
+        ) from error
+
+
+def _read_states(content: dict[str, Any]) -> tuple[str, ...] | None:
+    """Return the states of the fitted pairs, None where the file has no pairs."""
+    found = {str(p.get("state", "")) for p in content.get("pairs", ()) if p.get("use") == "fit"}
+    return tuple(sorted(found)) or None
+
+
+def _read_areas(
+    content: dict[str, Any], names: tuple[str, ...], n_objects: int
+) -> FloatArray | None:
+    """Return the areas of walls in the room that was fitted, 0 of objects; None where one lacks."""
+    found = [content.get("materials", {}).get(name, {}).get("area_m2") for name in names]
+    if not found or any(not isinstance(a, int | float) for a in found):
+        return None
+    return np.array([*found, *(0.0,) * n_objects])
+
+
+def _read_departures(content: dict[str, Any], bands: Bands) -> FloatArray | None:
+    """Return the departures of the fitted pairs, None where the file has no pairs."""
+    try:
+        tables = [
+            {name: c["jnd"] for name, c in pair["parameters"].items()}
+            for pair in content.get("pairs", ())
+            if pair["use"] == "fit"
+        ]
+        return departures_jnd(tables, bands) if tables else None
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            "the pairs of the result are no tables of numbers",
+            where="pairs",
+            found=f"{type(error).__name__}: {error}",
+            needed="parameters with jnd, one number or null for each band, of every pair",
         ) from error
 
 
@@ -298,7 +337,7 @@ def result_content(
     if answer.directivities:
         content["directivity"] = {
             name: {"b": d.b, "sd": d.sd}
-            | ({} if p.aim is None else {"aim": p.aim, "loudspeaker": d.source})
+            | ({} if p.aim is None else {"aim": p.aim, "loudspeaker": p.loudspeaker})
             for d in answer.directivities
             for name, p in d.patterns().items()
         }

@@ -259,4 +259,7 @@ class FittedDirectivity:
     def patterns(self) -> dict[str, Pattern]:
         """Return the directivity of each source that has it."""
         aims = self.aims or {self.source: None}
-        return {name: Pattern(self.b, aim) for name, aim in aims.items()}
+        return {
+            name: Pattern(self.b, aim, "" if aim is None else self.source)
+            for name, aim in aims.items()
+        }

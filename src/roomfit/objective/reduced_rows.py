@@ -19,15 +19,13 @@ from roomfit.signals.speech import (
     sti_missing,
     transfer_of_bins,
 )
-from roomfit.typing import FloatArray, IntArray
+from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # Differences between absorptions are read from so many rows, in bins of a millisecond.
 ROWS_OF_A_DRAW, ROWS_OF_A_CASE = 5_000, 600
 BINS_TOGETHER = 10
 # What comes after this fall of the decay is extrapolated.
 _FOLLOWED_DB = 55.0
-# Of the absorption of one material from one laboratory to the next, about (ISO 12999-2).
-_SAME_MATERIAL_SD = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +99,9 @@ class ReducedRows:
         """Return the decay curves of energies (n_bands, n_bins)."""
         return echogram_decay_curve(self.bands, energies, self.edges_s, self.direct_s)
 
-    def scatter_correlation(self, before: FloatArray, after: FloatArray) -> FloatArray:
+    def scatter_correlation(
+        self, before: FloatArray, after: FloatArray, exchanged: BoolArray
+    ) -> FloatArray:
         """Return how alike reflections interfere before and after a change, (n_names, n_bands).
 
         1 where nothing changes, towards 0 where other walls return the energy.
@@ -110,26 +110,28 @@ class ReducedRows:
         ----------
         before, after : float arrays, shape (n_materials, n_bands)
             Absorption coefficients, 0 to 1.
+        exchanged : bool array, shape (n_materials,)
+            Which materials are others after the change, whatever their absorption.
 
         Notes
         -----
         Pressures of paths with the energies ``e_i`` before and ``f_i`` after, of random phases,
         bring energies with the covariance ``(sum_i sqrt(e_i f_i))^2``, less what single paths
         bring, over paths whose phase is common to both states: those that meet no wall that is
-        exchanged, since the phase that another material reflects with is not known. A wall counts
-        the less as exchanged the less its absorption changes against ``_SAME_MATERIAL_SD``.
+        exchanged, since the phase that another material reflects with is not known: a panel that is
+        turned returns other phases even where its two sides absorb alike.
         `roomfit.objective.room_parameters.value_covariances` carries variances through the
         derivatives of a value alike.
         """
         # a wall that absorbs all leaves the paths that never meet it
-        kept = np.exp(-0.5 * ((after - before) / _SAME_MATERIAL_SD) ** 2)
-        avoiding = 1.0 - kept * np.sqrt((1.0 - before) * (1.0 - after))
+        kept = np.sqrt((1.0 - before) * (1.0 - after))
+        avoiding = np.where(exchanged[:, None], 1.0, 1.0 - kept)
         states = np.stack([before, after, avoiding])
         energies = self.energies(states)
         found = np.ones((len(VALUE_NAMES), len(self.bands)))
         curves = [self.decay(e) for e in energies[:2]]
         for band, rows in enumerate(self.by_band):
-            if np.array_equal(before[:, band], after[:, band]):
+            if not exchanged.any() and np.array_equal(before[:, band], after[:, band]):
                 continue
             single = weigh_points(squared_image_rows(rows), states[:, :, band])
             variance = np.maximum(energies[:, band] ** 2 - single, 0.0)

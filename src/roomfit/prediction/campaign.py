@@ -19,12 +19,14 @@ from roomfit.core import (
     common_bands,
     did_you_mean,
     located,
+    material_areas_m2,
     named_pairs,
     room_posterior,
 )
 from roomfit.io.campaign import Campaign
 from roomfit.io.inputs import CampaignInputs
 from roomfit.prediction.changes import Change
+from roomfit.prediction.split import for_another_room, for_another_state
 
 PairChoice = Literal["all", "campaign"]
 
@@ -110,6 +112,9 @@ def predict_arguments(
     room = inputs.room()
     with located(f"{campaign.path}, identify"):
         bands, doubts = common_bands(campaign.bands, absorption.bands)
+    areas = dict(zip(room.materials, material_areas_m2(room).tolist(), strict=True))
+    settings = campaign.settings
+    absorption, dominated = for_another_room(absorption, areas, settings.n_draws, settings.seed)
     with located(str(campaign.path)):
         known = room_posterior(
             absorption,
@@ -118,6 +123,12 @@ def predict_arguments(
             inputs.directivities(bands),
             replaced=[c.material for c in changes if c.kind != "factor"],
         )
+    fitted = absorption.fitted_states
+    if fitted is not None and state not in fitted:
+        names = ["", *campaign.states]
+        at = [i for i, name in enumerate(names) if name in fitted]
+        by_state = np.array([material_areas_m2(room, i) for i in at]).reshape(len(at), -1)
+        known = for_another_state(known, by_state, settings.n_draws, settings.seed)
     for kind, points in (("source", campaign.sources), ("receiver", campaign.receivers)):
         if not points:
             raise InputError(
@@ -133,7 +144,7 @@ def predict_arguments(
             raise InputError("the campaign has measured no pair", hint="predict all pairs instead")
     return {
         "scene": scene,
-        "absorption": replace(known, findings=(*doubts, *known.findings)),
+        "absorption": replace(known, findings=(*doubts, *known.findings, *dominated)),
         "changes": tuple(changes),
         "measurements": measurements,
         "settings": campaign.settings,

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from roomfit.core import VALUE_NAMES, FloatArray, ReducedRows
+from roomfit.core import VALUE_NAMES, BoolArray, FloatArray, ReducedRows
 from roomfit.prediction.decay import PairNumbers
 
 
@@ -21,6 +21,7 @@ def with_common_noise(
     rows: ReducedRows,
     absorption: FloatArray,
     changed: FloatArray,
+    exchanged: BoolArray,
 ) -> PairNumbers:
     """Return the numbers of a pair after a change with what its noise has in common with before.
 
@@ -30,8 +31,10 @@ def with_common_noise(
         Of the pair.
     absorption, changed : float arrays, shape (n_materials, n_bands)
         Absorption coefficients before and after, 0 to 1.
+    exchanged : bool array, shape (n_materials,)
+        Which materials are others after the change, whatever their absorption.
     """
-    alike = rows.scatter_correlation(absorption, changed)
+    alike = rows.scatter_correlation(absorption, changed, exchanged)
     sti = after.sti
     if sti is not None and before.sti is not None:
         # early against late energy, too, over all octaves

@@ -17,15 +17,11 @@ from roomfit.core import (
     Finding,
     FloatArray,
     InputError,
-    IntArray,
-    area_shares,
     catalogue_prior,
     did_you_mean,
-    draw_prior,
     located,
     logit_normal,
     object_absorption,
-    suggested_entries,
 )
 
 _NEEDED = (
@@ -220,101 +216,3 @@ def _clipped(change: Change, wanted: FloatArray, bands: Bands) -> tuple[Finding,
             {"material": change.material, "bands_hz": bands.centres_hz[over].tolist()},
         ),
     )
-
-
-# A share that is known no better than this, and hardly better than before the measurement.
-_WIDE_RATIO = 3.0
-_LARGE_SHARE = 0.05
-_LEFT_OF_PRIOR = 0.5
-
-
-def prior_dominated(
-    posterior: AbsorptionPosterior,
-    draws: FloatArray,
-    changes: Sequence[Change],
-    areas_m2: FloatArray,
-    rng: np.random.Generator,
-) -> tuple[Finding, ...]:
-    """Return a finding for each changed material of whose weight in the room the data say little.
-
-    What a change does hangs on the share of the material in the absorption of the room before it.
-    Where the 95 % interval of that share reaches 5 %, spans more than a factor of 3, and its
-    standard deviation is above half of the prior's, the prior decides; where the posterior comes
-    without its prior, the first two count.
-
-    Parameters
-    ----------
-    draws : float array, shape (n_draws, n_materials, n_bands)
-        Of the posterior, before the change.
-    areas_m2 : float array, shape (n_materials,)
-    """
-    shares = _band_shares(areas_m2, draws)
-    low, high = np.quantile(shares, (0.025, 0.975), axis=0)
-    is_wide = (high > _WIDE_RATIO * low) & (high >= _LARGE_SHARE)
-    drawn, before = draw_prior(posterior, len(draws), rng), None
-    if drawn is not None:
-        prior = _band_shares(areas_m2, drawn)
-        before = np.quantile(prior, (0.025, 0.975), axis=0)
-        is_wide &= np.std(shares, axis=0) > _LEFT_OF_PRIOR * np.std(prior, axis=0)
-    found = _band_shares(areas_m2, posterior.absorption[None])[0]
-    findings = []
-    for name in (c.material for c in changes):
-        i = posterior.materials.index(name)
-        at = np.flatnonzero(is_wide[i])
-        if at.size:
-            of_prior = None if before is None else before[:, i]
-            own = found[i], low[i], high[i]
-            findings.append(_prior_dominated(name, posterior.bands, at, own, of_prior))
-    return tuple(findings)
-
-
-def _prior_dominated(
-    name: str,
-    bands: Bands,
-    at: IntArray,
-    shares: tuple[FloatArray, FloatArray, FloatArray],
-    before: FloatArray | None,
-) -> Finding:
-    """Return the finding of one material in the bands `at`.
-
-    Parameters
-    ----------
-    shares : float arrays, shape (n_bands,) each
-        The most likely share, and its 95 % bounds.
-    before : float array, shape (2, n_bands), or None
-        Bounds before anything was measured.
-    """
-    found, low, high = shares
-    b = int(at[np.argmax(high[at] - low[at])])
-    centres_hz = bands.centres_hz
-    known = ""
-    if before is not None:
-        known = f" ({_percents(before[0, b], before[1, b])} before anything was measured)"
-    entries = ", ".join(f'"{e}"' for e in suggested_entries(name)) or "a name of the catalogue"
-    return Finding(
-        Code.CHANGE_PRIOR_DOMINATED,
-        About(materials=[name], bands_hz=centres_hz[at].tolist()),
-        f"What a change of {name} does hangs on its prior at "
-        f"{', '.join(f'{f:g}' for f in centres_hz[at])} Hz: before the change its share in "
-        f"the absorption of the room is {_percents(low[b], high[b])} at "
-        f"{centres_hz[b]:g} Hz{known}. State what is known of it: "
-        f'[materials."{name}"] prior = '
-        f"{entries}, or a mean and a standard deviation, and identify again; or "
-        "measure more pairs, which `roomfit design` with --result names.",
-        {
-            "material": name,
-            "bands_hz": centres_hz[at].tolist(),
-            "share": found[at].tolist(),
-            "share_lower95": low[at].tolist(),
-            "share_upper95": high[at].tolist(),
-        },
-    )
-
-
-def _band_shares(areas_m2: FloatArray, draws: FloatArray) -> FloatArray:
-    parts = areas_m2[:, None] * draws
-    return np.stack([area_shares(parts[:, :, b]) for b in range(parts.shape[2])], axis=2)
-
-
-def _percents(low: float, high: float) -> str:
-    return f"{100 * low:.0f} to {100 * high:.0f} %"

@@ -46,6 +46,8 @@ class PairNumbers:
     # (n_names, n_bands), variance of the noise that no change of walls alters, of pressures beside
     # their energies and of the number of rays; after a change, covariance with the noise before
     common_noise: FloatArray
+    # (n_names, n_bands), on the error that the model is granted, see `roomfit.prediction.misfit`
+    model_scale: FloatArray
     # the speech transmission index as one name in one band, where the bands give it
     sti: PairNumbers | None = None
 
@@ -128,7 +130,7 @@ def pair_numbers(
     decay = PredictedDecay(times, decay_db, decay_db + low, decay_db + high)
     if sti_missing(room.bands):
         noise_sd, common = room.scatter(pair, absorption)
-        return PairNumbers(values, drawn, noise_sd[:-1], decay, common[:-1])
+        return PairNumbers(values, drawn, noise_sd[:-1], decay, common[:-1], np.ones(values.shape))
     at_listener = (room.bands, modulation_transfer(curve), values[-1], speech_db)
     index = room_sti(*at_listener)
     of_draws = rows.sti(energies, found, speech_db)
@@ -140,8 +142,10 @@ def pair_numbers(
         np.sqrt(np.sum(noise_sd[-1] ** 2, keepdims=True))[:, None],
         decay,
         common[-1:].sum(keepdims=True),
+        np.ones((1, 1)),
     )
-    return PairNumbers(values, drawn, noise_sd[:-1], decay, common[:-1], sti)
+    ones = np.ones(values.shape)
+    return PairNumbers(values, drawn, noise_sd[:-1], decay, common[:-1], ones, sti)
 
 
 def changed_numbers(
@@ -184,4 +188,4 @@ def changed_numbers(
         now = room_sti(rows.bands, transfer, there[:, -1], speech_db)
         index = extrapolated_sti(before, now, base[1])
         sti = replace(sti, values=index[:1, None], draws=index[1:, None, None])
-    return PairNumbers(values[0], values[1:], noise_sd, before.decay, before.common_noise, sti)
+    return replace(before, values=values[0], draws=values[1:], noise_sd=noise_sd, sti=sti)

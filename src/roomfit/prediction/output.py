@@ -241,7 +241,7 @@ def _lines(
         after = _with_bounds(form, v.predicted, v.lower95, v.upper95)
         is_measured = np.isfinite(v.measured).any()
         lines.append((label, "model after" if is_changed else "predicted", after))
-        if is_measured and is_changed:
+        if is_measured and c is not None:
             cells = [Cell(form.format(m) if np.isfinite(m) else "-") for m in v.measured]
             lines.append((label, "measured before", cells))
         elif is_measured:
@@ -417,7 +417,7 @@ def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
                 label="predicted before the change",
             )  # fmt: skip
         if decay.measured_db is not None:
-            label = "measured before the change" if predicted.changes else "measured"
+            label = "measured before the change" if predicted.compares_states else "measured"
             axes.plot(decay.time_s, decay.measured_db[j], color="black", lw=1.4, label=label)
         known = decay.predicted_db[j] > LOWEST_DB
         shown_s = max(shown_s, float(decay.time_s[known].max(initial=0.0)))

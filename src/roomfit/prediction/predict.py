@@ -35,15 +35,17 @@ from roomfit.core import (
     cached,
     check_scene,
     draw_absorption,
+    material_areas_m2,
     object_area_m2,
     one_blas_thread,
     pair_names,
+    pair_states,
     part,
     result_doubts,
     trace_room,
 )
 from roomfit.prediction.carried import with_common_noise
-from roomfit.prediction.changes import Change, change_text, changed_draws, prior_dominated
+from roomfit.prediction.changes import Change, change_text, changed_draws
 from roomfit.prediction.decay import (
     LatestBands,
     PairNumbers,
@@ -51,6 +53,8 @@ from roomfit.prediction.decay import (
     changed_numbers,
     pair_numbers,
 )
+from roomfit.prediction.misfit import with_misfit
+from roomfit.prediction.split import open_splits, prior_dominated
 from roomfit.prediction.tables import (
     ObservedPair,
     PredictedPair,
@@ -248,6 +252,9 @@ class PreparedRoom:
     base: FloatArray  # (n_pairs, n_names, n_bands), values of `few` at the absorption found
     base_sti: FloatArray  # (n_pairs,), likewise
     findings: tuple[Finding, ...]
+    dominated: tuple[
+        Finding, ...
+    ]  # of each material whose share in the absorption the prior decides
     seed: int
     speech_db: FloatArray | None  # as of `predict`
     latest: tuple[LatestBands, ...]  # of every pair, what `numbers_at` found last
@@ -288,6 +295,16 @@ def prepare_prediction(
     _check(scene, absorption, measurements)
     rng = np.random.default_rng(settings.seed)
     draws = draw_absorption(absorption, settings.n_draws, rng)
+    areas_m2 = material_areas_m2(scene.room, int(pair_states(scene)[0]))
+    of_shares = np.random.default_rng(settings.seed)
+    dominated = prior_dominated(absorption, draws, absorption.materials, areas_m2, of_shares)
+    changed = {c.material for one in alternatives for c in one}
+    if changed:
+        own = [f for f in dominated if changed & set(f.about.materials)]
+        first = int(pair_states(scene)[0])
+        states = [first, *(s for s in range(1 + len(scene.room.states)) if s != first)]
+        by_state = np.stack([material_areas_m2(scene.room, s) for s in states])
+        draws = open_splits(absorption, draws, own, by_state, settings.seed)
     least, is_known = _least_absorption(absorption, draws, alternatives, rng)
     observed, measured_findings = observed_pairs(scene, measurements, absorption.bands)
     longest_s, done = _longest_s(observed), part(progress, 0.02, 0.6)
@@ -300,7 +317,7 @@ def prepare_prediction(
     room = PreparedRoom(
         traced, absorption, draws, rng, observed, (), few,
         np.concatenate(base), np.concatenate(base_sti), (*measured_findings, *traced.findings),
-        settings.seed, speech_db, tuple({} for _ in few),
+        dominated, settings.seed, speech_db, tuple({} for _ in few),
     )  # fmt: skip
     if not is_known:
         return room
@@ -353,7 +370,7 @@ def _exact_numbers(
         findings += one.findings
         if progress is not None:
             progress((i + 1) / len(scene.pairs))
-    return tuple(numbers), tuple(findings)
+    return with_misfit(tuple(numbers), room.absorption.fitted_jnd), tuple(findings)
 
 
 def numbers_at(
@@ -434,23 +451,26 @@ def predict_change(
         numbers = [after, room.before] if room.before else [after]
     elif changes:
         numbers = [numbers_at(room, expected, drawn), room.before]
-    if len(numbers) > 1:
-        if compare_pairs or room.observed:  # what both states share
-            numbers[0] = tuple(
-                with_common_noise(after, before, few, absorption.absorption, expected)
-                for after, before, few in zip(numbers[0], room.before, room.few, strict=True)
-            )
-        doubts += prior_dominated(absorption, room.draws, changes, room.traced.areas_m2, rng)
+    if len(numbers) > 1 and (compare_pairs or room.observed):  # what both states share
+        # a factor of 1, or a material in place of itself, exchanges nothing
+        others = np.any(drawn != room.draws, axis=(0, 2))
+        others |= np.any(expected != absorption.absorption, axis=1)
+        numbers[0] = tuple(
+            with_common_noise(after, before, few, absorption.absorption, expected, others)
+            for after, before, few in zip(numbers[0], room.before, room.few, strict=True)
+        )
+    named = {c.material for c in changes}
+    doubts += tuple(f for f in room.dominated if named & set(f.about.materials))
     pairs, means, sti = _tables(room, numbers, compare_pairs=compare_pairs)
     lower, upper = absorption.lower95.copy(), absorption.upper95.copy()
     lower[changed], upper[changed] = np.quantile(drawn[:, changed], (0.025, 0.975), axis=0)
-    stated = _what_if(changes, room.observed, bands, means)
     names, n = scene.room.materials, len(scene.room.materials) - len(absorption.objects)
     values = np.stack([expected, lower, upper])
     areas = {
         name: object_area_m2(values[:, i], absorption.objects[name])
         for i, name in enumerate(names[n:], start=n)
     }
+    stated = _what_if(changes, room.observed if room.before else (), bands, means)
     return Predicted(
         bands,
         names[:n],

@@ -228,6 +228,7 @@ def _mean_table(
             np.sqrt(_weighted(weights**2, np.array([n.noise_sd for n in of_state]) ** 2)),
             of_state[0].decay,
             common_noise=_weighted(weights**2, np.array([n.common_noise for n in of_state])),
+            model_scale=of_state[0].model_scale,
         )
         for of_state in numbers
     ]
@@ -264,7 +265,8 @@ def _table(
     table = {}
     for row, name in enumerate(names):
         # the model is wrong in the same way everywhere
-        rest_sd = np.hypot(after.noise_sd[row], model_sd(name, after.values[row]))
+        error_sd = after.model_scale[row] * model_sd(name, after.values[row])
+        rest_sd = np.hypot(after.noise_sd[row], error_sd)
         low, high = _interval(name, after.draws[:, row], rest_sd)
         table[name] = PredictedValue(
             after.values[row],
@@ -315,7 +317,8 @@ def _change(
     old, new, drawn_old, drawn_new = (
         before.values[row], after.values[row], before.draws[:, row], after.draws[:, row]
     )  # fmt: skip
-    sds = before.noise_sd[row], after.noise_sd[row], model_sd(name, before.values[row]), measured_sd
+    error_sd = before.model_scale[row] * model_sd(name, before.values[row])
+    sds = before.noise_sd[row], after.noise_sd[row], error_sd, measured_sd
     in_ratios = name in FIT_RANGES_DB
     scales = (old, new, old, measured) if in_ratios else (1.0,) * 4
     with np.errstate(divide="ignore", invalid="ignore"):  # unknown values

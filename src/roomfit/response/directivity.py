@@ -537,6 +537,7 @@ class Pattern:
     # and without angles.
     b: FloatArray
     aim: FloatArray | None = None  # (3,), unit vector; None: of first order, its axis that of b
+    loudspeaker: str = ""  # whose pattern it is, where sources of one make share b
 
     def __post_init__(self) -> None:
         shape = (3,) if np.ndim(self.b) == 1 else (None, 3)

@@ -140,6 +140,7 @@ def room_posterior(
         prior_specified=specified,
         chi2_reduced=None if misfit is None else misfit[at],
         draws=None if draws is None else np.stack([matched(drawn, fixed) for drawn in draws]),
+        fitted_jnd=None if absorption.fitted_jnd is None else absorption.fitted_jnd[:, :, at],
         findings=findings,
         result_findings=absorption.result_findings,
         objects=object_volumes_m3(priors),
@@ -216,12 +217,16 @@ def _sources_as_found(
 ) -> tuple[Mapping[str, Directivity], tuple[Finding, ...]]:
     """Return known directivities, and unknown ones as the fit of the absorption found them.
 
+    A source that belongs to a loudspeaker radiates as any other of that loudspeaker was found to,
+    about its own aim, wherever it stands and whatever its name.
+
     Parameters
     ----------
     at : sequence of int
         Indices of the bands among those of the absorption.
     """
     found = absorption.directivities or {}
+    makes = {p.loudspeaker: p for p in found.values() if isinstance(p, Pattern) and p.loudspeaker}
     known: dict[str, Directivity] = {}
     unfitted = []
     for name, directivity in directivities.items():
@@ -229,8 +234,11 @@ def _sources_as_found(
             known[name] = directivity
             continue
         fitted = found.get(name)
+        aim = fitted.aim if isinstance(fitted, Pattern) else None
+        if directivity.loudspeaker is not None:
+            fitted, aim = makes.get(directivity.loudspeaker), directivity.aim
         if isinstance(fitted, Pattern) and fitted.b.ndim == 2:
-            known[name] = Pattern(fitted.b[at], fitted.aim)
+            known[name] = Pattern(fitted.b[at], aim, fitted.loudspeaker)
         elif fitted is not None:
             known[name] = fitted
         elif directivity.mean is not None:

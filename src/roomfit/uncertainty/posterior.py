@@ -47,6 +47,11 @@ class AbsorptionPosterior:
     # (n_draws, n_materials, n_bands), equally likely, drawn with the model itself; None: by
     # `draw_absorption` from the covariance
     draws: FloatArray | None = None
+    # (n_pairs, n_names, n_bands), predicted minus measured of the pairs that were fitted, in just
+    # noticeable differences, in the order of `VALUE_NAMES`; NaN where unknown. None: nothing known
+    fitted_jnd: FloatArray | None = None
+    areas_m2: FloatArray | None = None  # (n_materials,), in the room that was fitted
+    fitted_states: tuple[str, ...] | None = None  # of that room, "" as described; None: unknown
     findings: tuple[Finding, ...] = ()  # what was doubtful in putting it together
     result_findings: tuple[Finding, ...] = ()  # all those of the fit that found the absorption
     # of what among the materials is an object, the volume of the room: its absorption is
@@ -77,6 +82,13 @@ class AbsorptionPosterior:
         if self.draws is not None:
             drawn = float_array("draws", self.draws, (None, n, m), low=0.0, high=1.0)
             object.__setattr__(self, "draws", drawn)
+        if self.areas_m2 is not None:
+            object.__setattr__(self, "areas_m2", float_array("areas", self.areas_m2, (n,), low=0.0))
+        if self.fitted_jnd is not None:
+            departures = np.array(self.fitted_jnd, dtype=np.float64)
+            known = np.nan_to_num(departures)  # what is infinite is refused
+            float_array("departures of fitted pairs", known, (None, None, m), low=-1e6, high=1e6)
+            object.__setattr__(self, "fitted_jnd", read_only(departures))
         covariance = float_array("logit covariance", self.logit_covariance, (m, n, n))
         largest = np.abs(covariance).max(initial=0.0)
         # numbers that went through text or an inversion are symmetric but for rounding
