@@ -1,4 +1,4 @@
-"""Windows of several beams: the law of their covariance against simulated pressures, and their rows."""
+"""Windows of several beams: their covariance against simulated pressures, and their rows."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from scipy.optimize import approx_fprime
 
 from coherent_cases import MATERIALS, small_scene
 from roomfit.bands import Bands
+from roomfit.materials.priors import uniform_scattering
 from roomfit.objective.beams import (
-    BeamTerm,
     Beams,
+    BeamTerm,
     beam_levels,
     beam_term,
     beam_windows,
@@ -22,7 +23,6 @@ from roomfit.objective.beams import (
 from roomfit.objective.energy import EnergyTerm, Observation, fine_edges_s
 from roomfit.objective.parameters import Block, Parameters, start_vector
 from roomfit.objective.problem import Objective, total
-from roomfit.materials.priors import uniform_scattering
 from roomfit.response.binned import bin_paths, in_band
 from roomfit.response.energy import window_of_rows
 from roomfit.signals.filters import (
@@ -78,7 +78,7 @@ def parameters(term: EnergyTerm) -> Parameters:
         "absorption", MATERIALS, "logit", WALLS, three > 0, -three, 1.5 * three, 0 * three, three
     )
     gain = Block("gain", ("level",), "log", 2.0 * one, one > 0, 0 * one, np.inf * one, 0 * one, one)
-    levels = beam_levels(np.full(7, 0.05), np.full(7, 0.1))
+    levels = beam_levels(np.full(7, 0.05), 0.1, 0.2)
     return with_levels(Parameters((absorption, gain)), levels)
 
 
@@ -94,7 +94,7 @@ def case(seed: int = 1) -> tuple[EnergyTerm, Beams, BeamTerm, Parameters]:
 
 @pytest.mark.slow
 def test_energies_of_beams_scatter_together_as_the_law_states():
-    """1,500 rooms of the same reflections with phases at random, as pressures, filtered and squared.
+    """1,500 rooms of the same reflections with random phases, as pressures, filtered and squared.
 
     A variance is known to 4 %, a covariance to as much of the standard deviations' product; the law
     takes interference as local in time and energies as spread: .12 rms over all pairs of beams.
@@ -123,7 +123,9 @@ def test_energies_of_beams_scatter_together_as_the_law_states():
         drawn.append(np.add.reduceat(pressure**2, edges, axis=1)[:, :-1] * scale)
     scattered = np.array(drawn)
     power = np.einsum("dkk->dk", beams.cross[beams.direction[0]]).real
-    bins = np.array([np.bincount(window_of_rows(rows), energy * p, rows.n_windows) for p in power.T])
+    bins = np.array(
+        [np.bincount(window_of_rows(rows), energy * p, rows.n_windows) for p in power.T]
+    )
     mean = (observed.spreading @ bins[:, : observed.spreading.shape[1]].T).T
     # a mean of 1,500 is known to 2 % of itself where a window's energy scatters by as much as it is
     np.testing.assert_allclose(scattered.mean(axis=0), mean, rtol=0.06)
@@ -179,7 +181,7 @@ def test_the_derivative_of_beams_is_that_of_their_differences():
     """Absorption, gain and levels, by forward differences."""
     _, _, term, unknown = case()
     objective = Objective(unknown, (term,))
-    vector = start_vector(unknown) + 0.03 * np.arange(18)
+    vector = start_vector(unknown) + 0.03 * np.arange(19)
     numeric = approx_fprime(vector, objective.expected, 1e-7)
     np.testing.assert_allclose(
         objective.jacobian(vector), numeric, atol=2e-6 * np.abs(numeric).max()
@@ -189,7 +191,7 @@ def test_the_derivative_of_beams_is_that_of_their_differences():
 def test_a_beam_that_is_louder_by_a_tenth_is_predicted_so_and_late_sound_by_its_own_level():
     """Undone by the inverse root: single windows of one beam change, those of others do not."""
     _, _, term, _ = case()
-    level = np.zeros(14)
+    level = np.zeros(15)
     values = {"absorption": WALLS, "gain": np.array([2.0]), "beam level": level}
     plain = term.windows.predict(values)[1]
     roots = [np.linalg.inv(r) for r in term.roots]

@@ -46,7 +46,7 @@ def plane_wave(u: np.ndarray, capsules_m: np.ndarray, n: int = 4096) -> np.ndarr
 
 @pytest.mark.parametrize("convention", ["ambix", "fuma"])
 def test_beams_of_ambisonics_are_cardioids_about_the_axes_of_the_room(convention):
-    """Encoded by the definition of each format, the microphone turned by 30 and tilted by 20 deg."""
+    """Encoded by the definition of each format, the microphone turned and tilted."""
     yaw, tilt = np.radians([30.0, 20.0])
     front = np.array([np.cos(tilt) * np.cos(yaw), np.cos(tilt) * np.sin(yaw), np.sin(tilt)])
     left = np.array([-np.sin(yaw), np.cos(yaw), 0.0])

@@ -1,15 +1,15 @@
-"""Window energies of several beams of one receiver: rows whose errors a window's beams share.
+"""Window energies of several beams of one receiver, whose errors are correlated in each window.
 
-The beams of a window come from the same reflections, and what interferes in one interferes in others.
-Their energies are therefore decorrelated, window by window, by the root of their covariance at a
-reference absorption; what is left is weighted squares. The reference is the answer of a fit before.
+The beams of a window receive the same reflections, and what interferes in one interferes in others.
+Their energies are therefore decorrelated, window by window, by the inverse root of their covariance
+at a reference absorption; weighted squares remain. The reference is the answer of an earlier fit.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
@@ -50,11 +50,11 @@ def spread_covariance(
     cross: ComplexArray,
     bandwidth_hz: float,
 ) -> dict[str, FloatArray]:
-    """Return the covariance of the beams' energies in each window by their phases and arrival times.
+    """Return the covariance of the beams' energies in a window by phases and by arrival times.
 
-    With S the cross-spectra of the beams, summed over paths, and Q the same of the squares of single
-    paths, energies of beams k and l have the covariance ``integral (|S_kl|**2 - Q_kl) dt / B``: a lone
-    path interferes with nothing, and all beams receive it alike.
+    With S the cross-spectra of the beams, summed over paths, and Q the same of the squares of
+    single paths, energies of beams k and l have the covariance ``integral (|S_kl|**2 - Q_kl) dt /
+    B``: a lone path interferes with nothing, and all beams receive it alike.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def spread_covariance(
 def beam_windows(
     windows: EnergyTerm, beams: Beams, measured: Sequence[tuple[FloatArray, FloatArray]]
 ) -> EnergyTerm:
-    """Return the windows of every beam in place of each observation's own, beams of a pair together.
+    """Return the windows of every beam in place of each observation's own, pair by pair.
 
     Parameters
     ----------
@@ -122,12 +122,22 @@ def beam_windows(
     return replace(windows, rows=tuple(rows), observations=tuple(observations))
 
 
-def beam_levels(sd: FloatArray, late_sd: FloatArray) -> Block:
-    """Return the unknown log levels of the beams, (n_beams,) each: of all sound, and of late sound."""
+def beam_levels(sd: FloatArray, late_sd: float, common_sd: float) -> Block:
+    """Return the unknown log levels of the beams, 2 n_beams + 1, with their priors.
+
+    Parameters
+    ----------
+    sd : float array, shape (n_beams,)
+        Of each beam's level, as `roomfit.signals.microphone_arrays.level_errors` has it.
+    late_sd : float
+        Of each beam's level of late sound, beside that.
+    common_sd : float
+        Of the level of late sound that all beams have in common.
+    """
     n = sd.size
-    labels = [f"beam {i}" for i in range(n)] + [f"beam {i}, late" for i in range(n)]
-    zero, one = np.zeros(2 * n), np.ones(2 * n, dtype=np.bool_)
-    spread = np.concatenate([sd, late_sd])
+    labels = [f"beam {i}" for i in range(n)] + [f"beam {i}, late" for i in range(n)] + ["late"]
+    zero, one = np.zeros(2 * n + 1), np.ones(2 * n + 1, dtype=np.bool_)
+    spread = np.concatenate([sd, np.full(n, late_sd), [common_sd]])
     return Block(LEVELS, tuple(labels), "identity", zero, one, zero, spread, zero - 9.0, zero + 9.0)
 
 
@@ -157,10 +167,10 @@ class BeamTerm(DataTerm):
         """Return what the model expects of the decorrelated energies."""
         expected, signal, derivatives = self.windows.predict(values)
         factor = self._factor(values)
-        by_level = np.zeros((signal.size, 2 * self.n_beams))
+        by_level = np.zeros((signal.size, 2 * self.n_beams + 1))
         beam, rows = self._beam(), np.arange(signal.size)
         by_level[rows, beam] = factor * signal
-        by_level[rows, self.n_beams + beam] = factor * signal * self.late
+        by_level[rows, self.n_beams + beam] = by_level[:, -1] = factor * signal * self.late
         by = {name: factor[:, None] * slope for name, slope in derivatives.items()} | {
             LEVELS: by_level
         }
@@ -200,17 +210,13 @@ class BeamTerm(DataTerm):
 
     def _factor(self, values: Values) -> FloatArray:
         level, beam = values[LEVELS], self._beam()
-        return np.exp(level[beam] + self.late * level[self.n_beams + beam])
+        return np.exp(level[beam] + self.late * (level[self.n_beams + beam] + level[-1]))
 
 
-def beam_term(
-    omni: EnergyTerm,
-    beams: Beams,
-    windows: EnergyTerm,
-    values: Values,
-    model: Literal["coherent", "common"] = "coherent",
-) -> BeamTerm:
+def beam_term(omni: EnergyTerm, beams: Beams, windows: EnergyTerm, values: Values) -> BeamTerm:
     """Return the windows of beams, decorrelated by their covariance at reference values.
+
+    Errors of the model and by ringing are shared by the beams of a window as they share its sound.
 
     Parameters
     ----------
@@ -220,8 +226,6 @@ def beam_term(
         From `beam_windows` of these.
     values : Values
         Absorption and gains at the reference.
-    model : {"coherent", "common"}
-        How errors of the model are shared by the beams of a window: as they share its sound, or whole.
     """
     gains = np.append(values["gain"], 1.0)
     left = np.log(np.maximum(1.0 - values["absorption"], 1e-30))
@@ -234,7 +238,6 @@ def beam_term(
             rows, observed, energy, beams.direction[o], beams.cross, omni.bandwidth_hz
         )
         shared = covariance.pop("coherence")
-        shared = shared if model == "coherent" else np.ones_like(shared)
         of_beam = []
         for k in range(n_beams):
             own = windows.observations[o * n_beams + k]

@@ -1,8 +1,8 @@
-"""Beams of first order from a microphone array or from ambisonics: an omnidirectional and six cardioids.
+"""An omnidirectional beam and six cardioids from a microphone array or from ambisonics.
 
-The channels of an array are combined, frequency by frequency, so that the beams come as near to their
-patterns as the capsules permit. What pattern each of them then has is known: `cross_patterns`.
-Directions are those from which sound comes.
+The channels of an array are combined, frequency by frequency, so that the beams come as near to
+their patterns as the capsules permit. Which pattern each of them then has is known:
+`cross_patterns`. Directions are those from which sound comes.
 
 References
 ----------
@@ -93,7 +93,7 @@ def array_weights(
     speed_of_sound_m_s: float,
     capsule_error: float = CAPSULE_ERROR,
 ) -> ComplexArray:
-    """Return the factors on the capsules' spectra that make the beams, (n_frequencies, 7, n_capsules).
+    """Return the factors on capsules' spectra that make beams, (n_frequencies, 7, n_capsules).
 
     They minimise the mean square error of the pattern over all directions of plane waves, and over
     independent errors of the capsules, ``mean |w p - b|**2 + e**2 |w|**2`` with p the pressures,
@@ -170,8 +170,8 @@ def cross_patterns(
     """Return the band means of the products of all beams' patterns, (n_bands, n_directions, 7, 7).
 
     ``integral |H|**2 B_k conj(B_l) df / integral |H|**2 df``. The diagonal is the factor on the
-    energy of a plane wave; a sum over waves weighed by their energies, the cross-spectrum of the beams
-    where phases are random.
+    energy of a plane wave; a sum over waves weighed by their energies, the cross-spectrum of the
+    beams where phases are random.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def capsule_responses(
     speed_of_sound_m_s: float,
     distances_m: FloatArray | None = None,
 ) -> tuple[ComplexArray, FloatArray]:
-    """Return each capsule's response beside the first one's, and how far direct sounds contradict it.
+    """Return each capsule's response beside the first one's, and what direct sounds leave of it.
 
     Least squares over direct sounds from known directions, frequency by frequency.
 
