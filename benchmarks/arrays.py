@@ -186,14 +186,15 @@ def directions() -> np.ndarray:
 def cross_of(centre_hz: float, speed_of_sound_m_s: float, capsule_error: float) -> np.ndarray:
     """Return the products of the array's patterns in one octave for all `directions`."""
     one = Bands("octave", np.array([centre_hz]))
-    return cross_patterns(one, directions(), CAPSULES_M, speed_of_sound_m_s, capsule_error)[0]
+    found = cross_patterns(one, directions(), CAPSULES_M, speed_of_sound_m_s, capsule_error)
+    return np.asarray(found[0])
 
 
 def nearest_direction(u: np.ndarray) -> np.ndarray:
     """Return which of `directions` is nearest to each of some, shape (n,)."""
     polar = np.rint(np.arccos(np.clip(u[:, 2], -1.0, 1.0)) / np.pi * (_POLAR - 1)).astype(int)
     azimuth = np.rint(np.arctan2(u[:, 1], u[:, 0]) / (2.0 * np.pi) * _AZIMUTH).astype(int)
-    return polar * _AZIMUTH + azimuth % _AZIMUTH
+    return np.asarray(polar * _AZIMUTH + azimuth % _AZIMUTH)
 
 
 def omni_estimate(
@@ -369,8 +370,8 @@ def estimates(heard: Heard, kinds: dict[str, Kind]) -> dict[str, list[BandEstima
             out[name].append(answer)
     areas_m2 = material_areas_m2(measured.scene.room)
     return {
-        name: list(inflated_by_adjacent_bands(found, areas_m2, heard.priors))
-        for name, found in out.items()
+        name: [a for a in inflated_by_adjacent_bands(own, areas_m2, heard.priors) if a is not None]
+        for name, own in out.items()
     }
 
 

@@ -82,7 +82,8 @@ def spread_covariance(
             own = energy * cross[direction, k, m]
             squared = energy**2 * power[direction, k] * power[direction, m] * image
             re, im, sq = (
-                np.bincount(window, x, last)[:last] for x in (own.real, own.imag, squared)
+                np.bincount(window, x, last)[:last].astype(np.float64)
+                for x in (own.real, own.imag, squared)
             )
             s_re, q = with_squares(observed.fine_spreading, re, sq)
             s_im = observed.fine_spreading @ im
@@ -210,13 +211,16 @@ class BeamTerm(DataTerm):
 
     def _factor(self, values: Values) -> FloatArray:
         level, beam = values[LEVELS], self._beam()
-        return np.exp(level[beam] + self.late * (level[self.n_beams + beam] + level[-1]))
+        late = level[self.n_beams + beam] + level[-1]
+        return np.asarray(np.exp(level[beam] + self.late * late))
 
 
 def beam_term(omni: EnergyTerm, beams: Beams, windows: EnergyTerm, values: Values) -> BeamTerm:
     """Return the windows of beams, decorrelated by their covariance at reference values.
 
     Errors of the model and by ringing are shared by the beams of a window as they share its sound.
+    Monte-Carlo errors of rays are left to what windows share: a jackknife over batches of rays, for
+    which each beam has its own rows (`roomfit.inversion.systematics.batch_spread`).
 
     Parameters
     ----------
