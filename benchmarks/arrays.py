@@ -25,6 +25,23 @@ import numpy as np
 import soundfile
 
 import roomfit
+from _beams import (
+    Beams,
+    BeamTerm,
+    beam_levels,
+    beam_term,
+    beam_windows,
+    with_levels,
+)
+from _microphone_arrays import (
+    CAPSULE_ERROR,
+    array_beams,
+    array_weights,
+    beam_patterns,
+    capsule_responses,
+    cross_patterns,
+    level_errors,
+)
 from known_changes import ABSORBING, SAME, r3vival
 from roomfit.air import Air, speed_of_sound_m_s
 from roomfit.bands import Bands
@@ -40,14 +57,6 @@ from roomfit.inversion.systematics import (
     with_shared_errors,
 )
 from roomfit.materials.priors import MaterialPrior, complete_priors, unknown_material
-from roomfit.objective.beams import (
-    Beams,
-    BeamTerm,
-    beam_levels,
-    beam_term,
-    beam_windows,
-    with_levels,
-)
 from roomfit.objective.directivity import FittedDirectivity
 from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.observation import energy_terms, fitted_in_band
@@ -57,15 +66,6 @@ from roomfit.response.directivity import directed_rows, directivity_factors
 from roomfit.response.energy import window_of_rows
 from roomfit.scene import Point, material_areas_m2, scene_of, shoebox_room
 from roomfit.signals.filters import frequency_response, window_energies
-from roomfit.signals.microphone_arrays import (
-    CAPSULE_ERROR,
-    array_beams,
-    array_weights,
-    beam_patterns,
-    capsule_responses,
-    cross_patterns,
-    level_errors,
-)
 from roomfit.solvers.least_squares import BandFit, fit_band, score_band
 from roomfit.synthetic.boxes import (
     NOISE_DB,

@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roomfit.bands import Bands
-from roomfit.errors import InputError
-from roomfit.signals.filters import window_energies
-from roomfit.signals.microphone_arrays import (
+from _microphone_arrays import (
     BEAM_AXES,
     ambisonic_beams,
     array_beams,
@@ -18,6 +15,9 @@ from roomfit.signals.microphone_arrays import (
     cross_patterns,
     level_errors,
 )
+from roomfit.bands import Bands
+from roomfit.errors import InputError
+from roomfit.signals.filters import window_energies
 from roomfit.signals.response import ImpulseResponse
 
 RATE_HZ, C = 32_000.0, 343.0

@@ -129,7 +129,7 @@ def beam_levels(sd: FloatArray, late_sd: float, common_sd: float) -> Block:
     Parameters
     ----------
     sd : float array, shape (n_beams,)
-        Of each beam's level, as `roomfit.signals.microphone_arrays.level_errors` has it.
+        Of each beam's level, as `_microphone_arrays.level_errors` has it.
     late_sd : float
         Of each beam's level of late sound, beside that.
     common_sd : float

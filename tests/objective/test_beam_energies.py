@@ -8,10 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
 
-from coherent_cases import MATERIALS, small_scene
-from roomfit.bands import Bands
-from roomfit.materials.priors import uniform_scattering
-from roomfit.objective.beams import (
+from _beams import (
     Beams,
     BeamTerm,
     beam_levels,
@@ -20,6 +17,10 @@ from roomfit.objective.beams import (
     spread_covariance,
     with_levels,
 )
+from _microphone_arrays import beam_patterns, cross_patterns
+from coherent_cases import MATERIALS, small_scene
+from roomfit.bands import Bands
+from roomfit.materials.priors import uniform_scattering
 from roomfit.objective.energy import EnergyTerm, Observation, fine_edges_s
 from roomfit.objective.parameters import Block, Parameters, start_vector
 from roomfit.objective.problem import Objective, total
@@ -32,7 +33,6 @@ from roomfit.signals.filters import (
     spreading_slopes_per_s,
     statistical_bandwidth_hz,
 )
-from roomfit.signals.microphone_arrays import beam_patterns, cross_patterns
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths
 
