@@ -347,12 +347,10 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
     combinations, sentences, shares = _determined(evidence, 0)
     inseparable: tuple[Finding, ...] = ()
     if not any(f.code.voids_identifiability for f in doubts):
-        materials, centres_hz = wall_materials(scene.room), bands.centres_hz
-        own = identifiable[: len(materials)]
-        inseparable = inseparable_findings(materials, centres_hz, own, combinations)
+        own = wall_materials(scene.room), bands.centres_hz, identifiable[: shares.shape[1]]
+        inseparable = inseparable_findings(*own, combinations)
     shared = any(k.product is not None or k.tied_to is not None for k in priors)
-    models = tuple(b.model for b in found)
-    mean, law = plain_logit_law(priors)
+    models, (mean, law) = tuple(b.model for b in found), plain_logit_law(priors)
     whole = Result(
         bands=bands,
         materials=scene.room.materials,

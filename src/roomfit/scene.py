@@ -49,10 +49,7 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class RoomObject:
-    """What stands in a room and absorbs as an equivalent area in its volume, as people or chairs.
-
-    The area is no property of the room: see `roomfit.materials.priors.object_prior`.
-    """
+    """What absorbs as an area in the volume: see `roomfit.materials.priors.object_prior`."""
 
     name: str
     #: States of the room in which it is there, "" for the room as it is described; None: in all
@@ -183,8 +180,7 @@ def with_objects(room: Room, objects: Mapping[str, Sequence[str] | None]) -> Roo
 
     Parameters
     ----------
-    room : Room
-        With all of its states: what `with_states` adds stands before objects.
+    room : Room, with all of its states
     objects : mapping from name to sequence of str or None
         States in which each is there, "" for the room as it is described; None: in all.
 
@@ -557,10 +553,7 @@ def pair_states(scene: Scene) -> IntArray:
 
 
 def object_pairs(scene: Scene) -> BoolArray | None:
-    """Return which materials are objects that stand in the state of each pair.
-
-    Of shape (n_pairs, n_materials), False for materials of surfaces; None without objects.
-    """
+    """Return which materials are objects in each pair's state, (n_pairs, n_materials), or None."""
     room = scene.room
     if not room.objects:
         return None

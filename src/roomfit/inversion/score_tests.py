@@ -268,8 +268,9 @@ def freed_absorptions(
         known, gains, freed = prior.known, dict[int, float](), dict[int, float]()
         if known is None:
             continue
+        least = 1e-3 if prior.object_volume_m3 is None else 1e-6  # of a step past an object
         for w in fitted:
-            own = float(np.clip(known[w.band], 1e-3, 1.0 - 1e-3))
+            own = float(np.clip(known[w.band], least, 1.0 - 1e-3))
             more, information = scored(w, own * (1.0 - own) * w.by_wall[:, [i]])
             if information[0, 0] <= 0.0:
                 continue

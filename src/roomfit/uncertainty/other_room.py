@@ -115,15 +115,13 @@ def room_posterior(
             found[j][np.ix_(own, own)] = values[band][np.ix_(theirs, theirs)]
         return found
 
-    n = len(names)
-    mean, sd = absorption.prior_logit_mean, absorption.prior_logit_sd
+    n, mean, sd = len(names), absorption.prior_logit_mean, absorption.prior_logit_sd
     has_prior = mean is not None and sd is not None
     before, draws = absorption.prior_logit_covariance, absorption.draws
     misfit, specified = absorption.chi2_reduced, absorption.prior_specified
     if specified is not None:
-        flags = np.ones(n, dtype=np.bool_)
-        flags[own] = specified[theirs]
-        specified = flags
+        stated = [specified[theirs[own.index(i)]] if i in own else True for i in range(n)]
+        specified = np.array(stated, dtype=np.bool_)
     sources, findings = _sources_as_found(absorption, directivities or {}, at)
     return AbsorptionPosterior(
         names,
