@@ -325,9 +325,8 @@ def _plant_in(node: ast.AST, text: str, span: Span, between: Between, found: lis
     elif isinstance(node, ast.BoolOp):
         old, new = ("and", "or") if isinstance(node.op, ast.And) else ("or", "and")
         between("comparison", node.values[0], node.values[1], old, new)
-    elif isinstance(node, ast.Constant) and type(node.value) in (int, float, bool):
-        value = node.value
-        new = repr(not value if value is True or value is False else value + 1)
+    elif isinstance(node, ast.Constant) and isinstance(value := node.value, bool | int | float):
+        new = repr(not value if isinstance(value, bool) else value + 1)
         if isinstance(value, float):
             new = repr(1.5 * value if value else 1.0)
         found.append(Place("constant", *span(node), new))
@@ -370,7 +369,7 @@ def random_mutants(
             path,
             text[place.start : place.end],
             place.new,
-            near_tests(path)[:most_tests],
+            near_tests(path, _function_at(text, place.start))[:most_tests],
             place.start,
         )
         for path, place, text in chosen
@@ -401,6 +400,7 @@ def _public() -> dict[str, str]:
         for node in dicts
         for key, value in zip(node.keys, node.values, strict=True)
         if isinstance(key, ast.Constant) and isinstance(value, ast.Constant)
+        if isinstance(key.value, str) and isinstance(value.value, str)
     }
 
 
@@ -409,9 +409,10 @@ _OF_TEXT = frozenset(f"test_{n}.py" for n in ("shape", "words", "docs", "mutants
 
 
 @cache
-def near_tests(path: str) -> tuple[str, ...]:
+def near_tests(path: str, function: str = "") -> tuple[str, ...]:
     """Return the test files that reach a module by the fewest imports, nearest first.
 
+    Where a function is named, files whose text has its name come before all others.
     Those that import it come before those that import what imports it, and so on; among them those
     named after it, those in the folder of its package, then those that import least.
     """
@@ -444,7 +445,17 @@ def near_tests(path: str) -> tuple[str, ...]:
             for t in tests
             if folder in t.relative_to(REPOSITORY / "tests").parts
         ]
+    if function:
+        found.sort(key=lambda t: function not in (REPOSITORY / "tests" / t).read_text("utf-8"))
     return tuple(dict.fromkeys(found))
+
+
+def _function_at(text: str, start: int) -> str:
+    """Return the name of the function or class at the top level in which a place lies, or ""."""
+    line = text[:start].count("\n") + 1
+    kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+    own = (n for n in ast.parse(text).body if isinstance(n, kinds))
+    return next((n.name for n in own if n.lineno <= line <= (n.end_lineno or 0)), "")
 
 
 def share(noticed: int, number: int) -> str:

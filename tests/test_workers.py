@@ -337,3 +337,43 @@ def _trackers(process: object) -> set[int]:
         for p in found
         if any(w in " ".join(p.cmdline()) for w in ("resource_tracker", "forkserver"))
     }
+
+
+@pytest.mark.slow
+def test_what_dask_itself_says_of_a_dead_scheduler_is_not_printed(tmp_path: Path) -> None:
+    """One sentence of ours, and no traceback of a library."""
+    program = (
+        "import sys, pathlib\n"
+        "from functools import partial\n"
+        "from cluster_tasks import number_into\n"
+        "from roomfit import workers\n"
+        "from roomfit.errors import RoomfitError\n"
+        "workers._CONNECTING_S = 120\n"
+        "folder = pathlib.Path(sys.argv[2])\n"
+        "tasks = [partial(number_into, folder, n, 0.3) for n in range(100)]\n"
+        "try:\n"
+        "    with workers.cluster_pool(scheduler=sys.argv[1]) as pool:\n"
+        "        for _, future in workers.completed(pool, tasks):\n"
+        "            workers.result_of(future)\n"
+        "except RoomfitError as error:\n"
+        "    print(error, file=sys.stderr)\n"
+    )
+    (tmp_path / "out").mkdir()
+    made = Cluster(tmp_path, n_workers=1)
+    try:
+        client = subprocess.Popen(
+            [sys.executable, "-c", program, made.address, str(tmp_path / "out")],
+            env=made._environment,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        deadline = time.monotonic() + 240.0
+        while len(content(tmp_path / "out")) < 3:
+            assert time.monotonic() < deadline and client.poll() is None
+            time.sleep(0.1)
+        made.scheduler.kill()
+        _, said = client.communicate(timeout=240)
+    finally:
+        made.close()
+    assert "the connection to the scheduler is lost" in said
+    assert "Traceback" not in said and "distributed" not in said, said

@@ -176,9 +176,9 @@ def test_a_worker_with_nearly_all_of_its_memory_goes_on_and_does_not_pause(
     """At 87 % of the limit, where dask by itself gives it no further task, for ever."""
     system = pytest.importorskip("distributed.system")
     monkeypatch.setattr(system, "MEMORY_LIMIT", 500_000_000)
-    monkeypatch.setattr(workers, "_CONNECTING_S", 120)
+    monkeypatch.setattr(workers, "_CONNECTING_S", 45)
     with cluster_pool() as pool:
         first = pool.submit(keep_memory, 435e6)
         assert 430e6 < first.result(timeout=120) < 470e6
         tasks = [pool.submit(number_into, tmp_path, n) for n in range(3)]
-        assert len({task.result(timeout=60) for task in tasks}) == 1
+        assert len({task.result(timeout=30) for task in tasks}) == 1

@@ -218,8 +218,7 @@ def compare_to_folder(
         check_output_folder(out, overwrite=overwrite)
     compared = comparison.compare_results(read_result(first), read_result(second))
     if out is not None:
-        names = ["/".join(path_of(file).parts[-2:]) for file in (first, second)]
-        labels = (names[0], names[1])
+        labels = tuple("/".join(path_of(file).parts[-2:]) for file in (first, second))
         records = comparison.comparison_records(compared)
         with whole_output_folder(out, overwrite=overwrite) as folder:
             write_text_atomically(folder / "compared.csv", csv_of(records))

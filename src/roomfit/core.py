@@ -36,6 +36,7 @@ if TYPE_CHECKING:
         what_remains as what_remains,
     )
     from roomfit.errors import (
+        FolderInUseError as FolderInUseError,
         InsufficientDataError as InsufficientDataError,
         InputError as InputError,
         RoomfitError as RoomfitError,
@@ -149,6 +150,7 @@ if TYPE_CHECKING:
         draw_absorption as draw_absorption,
         draw_prior as draw_prior,
     )
+    from roomfit.workers import end_with_parent as end_with_parent
 
 
 # Where each name stands.
@@ -161,7 +163,8 @@ _HOME = {
         "bands": "Bands bands_between",
         "cache": "Cache cached write_json_atomically write_text_atomically",
         "diagnostics.remaining": "Remaining VOID_ANY_MEAN what_remains",
-        "errors": "InsufficientDataError InputError RoomfitError StoreError located",
+        "errors": "FolderInUseError InsufficientDataError InputError RoomfitError StoreError "
+        "located",
         "eyring": "eyring_absorption",
         "findings": "About Code Finding",
         "geometry.mesh": "volume_m3",
@@ -197,6 +200,7 @@ _HOME = {
         "uncertainty.combinations": "area_shares",
         "uncertainty.other_room": "common_bands room_posterior",
         "uncertainty.posterior": "AbsorptionPosterior draw_absorption draw_prior",
+        "workers": "end_with_parent",
     }.items()
     for name in names.split()
 }

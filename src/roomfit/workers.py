@@ -54,7 +54,7 @@ _MOST_DEATHS = 2
 _DEATH = "KilledWorker"
 # A room takes 310 to 370 MB, and dask ends a worker at 95 % of its limit.
 LEAST_MEMORY_BYTES = 400_000_000
-# After so long without an end of a task, whoever waits is told for whom.
+# After so long without an end of a task, a message names who is waited for.
 _SILENCE_S = 60.0
 _PR_SET_PDEATHSIG = 1
 _ONE_THREAD = {

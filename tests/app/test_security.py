@@ -257,3 +257,29 @@ def test_open_to_a_network_it_still_answers_to_no_foreign_name() -> None:
     wrong = ("evil.example:8321", "192.168.1.7:80", "192.168.1.7.evil.example:8321", "desk", "")
     assert not any(is_own_host(door, h) for h in wrong)
     assert not is_own_host(new_door("127.0.0.1", 8321, 1), "192.168.1.7:8321")
+
+
+def test_a_header_of_200_kilobytes_is_refused_and_the_page_goes_on(server: Running) -> None:
+    """In one field, in many, and one that never ends; none reaches the application."""
+    host = f"Host: 127.0.0.1:{server.port}\r\n"
+    heads = (
+        f"GET / HTTP/1.1\r\n{host}X: {'a' * 200_000}\r\n\r\n",
+        f"GET / HTTP/1.1\r\n{host}"
+        + "".join(f"X{n}: {'a' * 90}\r\n" for n in range(2000))
+        + "\r\n",
+        f"GET /{'a' * 200_000} HTTP/1.1\r\n{host}\r\n",
+        f"GET / HTTP/1.1\r\n{host}X: {'a' * 200_000}",
+    )
+    for head in heads:
+        with socket.create_connection(("127.0.0.1", server.port), timeout=10) as line:
+            answer = b""
+            try:
+                line.sendall(head.encode())
+                while part := line.recv(4096):
+                    answer += part
+            except ConnectionError:
+                pass
+        assert answer.startswith(b"HTTP/1.1 400") or not answer, answer[:200]
+    with socket.create_connection(("127.0.0.1", server.port), timeout=10) as line:
+        line.sendall(f"GET / HTTP/1.1\r\n{host}\r\n".encode())
+        assert line.recv(4096).startswith(b"HTTP/1.1 403")

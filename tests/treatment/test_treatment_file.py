@@ -186,3 +186,21 @@ def test_the_command_writes_what_it_says(tmp_path, capsys, monkeypatch):
     lines = (out / "treatment.csv").read_text().splitlines()
     assert lines[0].startswith("arrangement,surface,product,area_m2")
     assert (out / "treatment.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_the_absorption_of_a_product_is_given_at_frequencies_in_any_order(tmp_path):
+    """Linear over the logarithm of the frequency: 0.7 at 500 Hz, between 0.5 and 0.9."""
+    both = [
+        arguments(tmp_path, TEXT.replace("[250, 1000], values = [0.5, 0.9]", text))[0]["products"]
+        for text in ("[250, 1000], values = [0.5, 0.9]", "[1000, 250], values = [0.9, 0.5]")
+    ]
+    for products in both:
+        np.testing.assert_allclose(products[0].absorption, [0.7, 0.9])
+
+
+def test_lists_of_unequal_length_are_refused_with_both_lengths(tmp_path):
+    text = TEXT.replace("values = [0.5, 0.9]", "values = [0.5, 0.9, 0.7]")
+    with pytest.raises(InputError, match="not as many values as centres") as refused:
+        arguments(tmp_path, text)
+    assert "panel" in str(refused.value.where) and refused.value.where.endswith("absorption")
+    assert refused.value.found == "3 values and 2 centres"

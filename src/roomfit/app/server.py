@@ -27,6 +27,7 @@ from roomfit.io.door import limit
 
 _SHOWN_AS_PAGE = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
 _FIRST_PORT, _PORTS = 8321, 20
+_HEADER_BYTES = 32 * 1024
 
 
 def application(bench: Bench, door: Door) -> Guard:
@@ -138,6 +139,8 @@ def serve(
     config = uvicorn.Config(
         application(Bench(folder.resolve()), door),
         log_level="warning",
+        http="h11",  # the other parser takes a header of any length
+        h11_max_incomplete_event_size=_HEADER_BYTES,
         access_log=False,
         server_header=False,
         date_header=False,

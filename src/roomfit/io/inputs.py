@@ -177,7 +177,7 @@ def _material_prior(campaign: Campaign, table: MaterialTable, name: str) -> Mate
             known, _ = catalogue_prior(table.absorption, bands)
     elif isinstance(table.absorption, Spectrum):
         own = table.absorption
-        known = _at_bands(own.centres_hz, own.values, bands, f"{where}.absorption")
+        known = at_bands(own.centres_hz, own.values, bands, f"{where}.absorption")
     else:
         known = table.absorption
     with nullcontext() if product is None else located(f"products.{table.product}"):
@@ -188,7 +188,7 @@ def _material_prior(campaign: Campaign, table: MaterialTable, name: str) -> Mate
             prior=prior if prior is None or isinstance(prior, str) else _mean_and_sd(prior, bands),
             bounds=stated.bounds,
             scattering=(
-                _at_bands(scattering.centres_hz, scattering.values, bands, f"{where}.scattering")
+                at_bands(scattering.centres_hz, scattering.values, bands, f"{where}.scattering")
                 if isinstance(scattering, Spectrum)
                 else scattering
             ),
@@ -204,21 +204,30 @@ def _mean_and_sd(prior: Prior | AreaPrior, bands: Bands) -> tuple[ArrayLike, Arr
     if prior.centres_hz is None:
         return prior.mean, prior.sd
     mean, sd = (
-        _at_bands(prior.centres_hz, own, bands, f"prior.{key}") if isinstance(own, list) else own
+        at_bands(prior.centres_hz, own, bands, f"prior.{key}") if isinstance(own, list) else own
         for key, own in (("mean", prior.mean), ("sd", prior.sd))
     )
     return mean, sd
 
 
-def _at_bands(
+def at_bands(
     centres_hz: Sequence[float], values: Sequence[float], bands: Bands, where: str
 ) -> FloatArray:
-    """Return values at the bands, interpolated over the logarithm of the frequency."""
+    """Return values at the bands, interpolated over the logarithm of the frequency.
+
+    `centres_hz`: in any order. Beyond the lowest and the highest, the nearest value.
+
+    Raises
+    ------
+    InputError
+        Not as many values as centres.
+    """
     if len(centres_hz) != len(values):
         raise InputError(
             "not as many values as centres",
             where=where,
             found=f"{len(values)} values and {len(centres_hz)} centres",
+            needed="one value for each centre",
         )
     order = np.argsort(centres_hz)
     at = np.log(np.array(centres_hz)[order])

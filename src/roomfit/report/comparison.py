@@ -5,6 +5,7 @@ Before and after a renovation, two methods, or two measurements of one room.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -247,7 +248,7 @@ def comparison_records(compared: Comparison) -> Table:
     return Table("", columns, rows, form=".5f")
 
 
-def comparison_figure(compared: Comparison, labels: tuple[str, str]) -> Figure:
+def comparison_figure(compared: Comparison, labels: Sequence[str]) -> Figure:
     """Return both results over frequency with 95 % intervals, one panel a material.
 
     Bands that changed are shaded, and paler those that perhaps did.
@@ -299,7 +300,7 @@ def comparison_tables(compared: Comparison) -> tuple[Table, ...]:
     return band_tables(caption, "material", compared.centres_hz, rows)
 
 
-def comparison_page(compared: Comparison, labels: tuple[str, str]) -> str:
+def comparison_page(compared: Comparison, labels: Sequence[str]) -> str:
     """Return the table of differences as a page, under the policy of the report."""
     lead = " ".join((f"First: {labels[0]}; second: {labels[1]}.", *comparison_sentences(compared)))
     return tables_page("Absorption compared", lead, comparison_tables(compared))

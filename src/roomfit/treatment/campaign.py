@@ -24,6 +24,7 @@ from roomfit.core import (
 )
 from roomfit.io.campaign import read_toml
 from roomfit.io.complaints import explained
+from roomfit.io.inputs import at_bands
 from roomfit.io.schema import HungTable, Spectrum, TargetTable, TreatmentTable
 from roomfit.prediction.changes import Change
 from roomfit.treatment.polygons import forbidden_area_m2
@@ -171,8 +172,7 @@ def _product(name: str, table: HungTable, known: AbsorptionPosterior) -> Product
 
 def _in_bands(values: float | Sequence[float] | Spectrum, bands: Bands) -> FloatArray:
     if isinstance(values, Spectrum):
-        at, known = np.log2(bands.centres_hz), np.log2(values.centres_hz)
-        return np.asarray(np.interp(at, known, values.values))
+        return at_bands(values.centres_hz, values.values, bands, "absorption")
     found = np.atleast_1d(np.array(values, dtype=np.float64))
     if found.size not in (1, len(bands)):
         raise InputError(
