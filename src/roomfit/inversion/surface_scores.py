@@ -127,8 +127,8 @@ def _score(
     """
     bands = tuple(band for band, _, _ in own)
     apart_octaves = np.abs(np.subtract.outer(octaves[list(bands)], octaves[list(bands)]))
-    places_m = surface.cells_m()
-    apart_m = np.linalg.norm(places_m[:, None] - places_m, axis=-1)
+    positions_m = surface.cells_m()
+    apart_m = np.linalg.norm(positions_m[:, None] - positions_m, axis=-1)
     alike = np.kron(PER_OCTAVE**apart_octaves, np.exp(-apart_m / ALIKE_M))
     root = RETURN_SD * np.linalg.cholesky(alike + 1e-9 * np.eye(len(alike)))
     information = block_diag(*(i for _, _, i in own))
@@ -136,8 +136,8 @@ def _score(
     precision = np.eye(score.size) + root.T @ information @ root
     step = np.linalg.solve(precision, score)
     evidence = 0.5 * float(score @ step) - 0.5 * float(np.linalg.slogdet(precision)[1])
-    returned = (root @ step).reshape(len(bands), -1)
-    return SurfaceScore(surface.name, surface.material, bands, places_m, returned, evidence)
+    returned = np.asarray((root @ step).reshape(len(bands), -1), dtype=np.float64)
+    return SurfaceScore(surface.name, surface.material, bands, positions_m, returned, evidence)
 
 
 def _strikes(
@@ -217,7 +217,7 @@ def _count(out: IntArray, rows: IntArray, surface: PlaneSurface, k: int, at_m: F
     """Add one strike of each row at its place."""
     share = (at_m @ surface.axes.T - surface.lower_m) / (surface.upper_m - surface.lower_m)
     cell = np.clip(np.floor(share * _CELLS), 0, np.array(_CELLS) - 1).astype(np.int64)
-    np.add.at(out, (rows, k, cell[:, 0] * _CELLS[1] + cell[:, 1]), 1)
+    np.add.at(out[:, k], (rows, cell[:, 0] * _CELLS[1] + cell[:, 1]), 1)
 
 
 def _slopes(term: CoherentTerm, values: Values, hits: IntArray) -> FloatArray:
