@@ -13,6 +13,8 @@ from roomfit.bands import Bands
 from roomfit.diagnostics import uniformity
 from roomfit.findings import Code
 from roomfit.geometry.mesh import surface_area_m2
+from roomfit.inversion.fits import CoherentTests
+from roomfit.inversion.score_tests import FreedAbsorption
 from roomfit.inversion.surface_scores import (
     N_CELLS,
     PlaneSurface,
@@ -148,7 +150,7 @@ def test_the_finding_names_places_and_voids_their_material_alone():
     scores = [drawn(rng, s, np.array([half, half]) * (s.name == "floor")) for s in surfaces]
     bands = Bands("octave", np.array([500.0, 1000.0]))
     seen = evidence(
-        fits=SimpleNamespace(surfaces=tuple(scores), directivities=()),
+        fits=SimpleNamespace(surfaces=tuple(scores), directivities=(), tests=CoherentTests()),
         measured=SimpleNamespace(bands=bands),
         materials=MATERIALS,
         absorption=np.full((3, 2), 0.4),
@@ -158,7 +160,12 @@ def test_the_finding_names_places_and_voids_their_material_alone():
     assert finding.about.materials == ("floor",)
     assert finding.about.bands_hz == (500.0, 1000.0)
     assert all(z == pytest.approx(0.0) for _, _, z in finding.about.points_m)
-    seen.fits.directivities = ("fitted",)
+    largest = max(s.evidence for s in scores)
+    for gain, is_named in ((largest + 2.0, True), (largest + 6.0, False)):
+        freed = FreedAbsorption(1, {0: 0.5 * gain, 1: 0.5 * gain}, {0: 0.2, 1: 0.2})
+        seen.fits.tests = CoherentTests(freed_absorptions=(freed,))
+        assert bool(list(uniformity.check(seen))) is is_named
+    seen.fits.tests, seen.fits.directivities = CoherentTests(), ("fitted",)
     assert not list(uniformity.check(seen))
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from roomfit.diagnostics.evidence import UNDECIDED, Evidence, Law
+from roomfit.diagnostics.linearity import clearest_fault
 from roomfit.findings import About, Code, Finding
 from roomfit.inversion.fits import SurfaceScore
 
@@ -34,7 +35,7 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     """
     scores = () if evidence.fits.directivities else evidence.fits.surfaces
     best = most_uneven(scores)
-    if best is None:
+    if best is None or _otherwise(evidence) - best.evidence > UNDECIDED:
         return
     others = [s for s in scores if s is not best and best.evidence - s.evidence < UNDECIDED]
     each = " Or: ".join(_in_words(s, evidence) for s in (best, *others))
@@ -66,6 +67,19 @@ def most_uneven(scores: Sequence[SurfaceScore]) -> SurfaceScore | None:
     found = np.array([s.evidence for s in scores])
     mean = float(np.logaddexp.reduce(found) - np.log(found.size))
     return scores[int(np.argmax(found))] if mean > -np.log(_LEVEL) else None
+
+
+def _otherwise(evidence: Evidence) -> float:
+    """Return the largest gain in log-likelihood of a bent chain or a freed absorption.
+
+    Less one for each of their unknowns; both leave some places too loud.
+    """
+    tests = evidence.fits.tests
+    gains = [sum(f.gains.values()) - len(f.gains) for f in tests.freed_absorptions]
+    if tests.chain is not None:
+        clearest = clearest_fault(tests.chain, is_directed=False)
+        gains += [] if clearest is None else [tests.chain.alone[clearest].gain - 1.0]
+    return max(gains, default=-np.inf)
 
 
 def _extremes(score: SurfaceScore) -> tuple[int, int, int]:
