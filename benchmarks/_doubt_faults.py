@@ -194,7 +194,7 @@ SCALE = ("coordinates-scaled",)
 FILES = ("exchanged",)
 WRONG_FILE = ("measurement-outlier", "recording-unusable", "repeated-responses-differ")
 CLOCK = ("recordings-late", "time-zero-mismatch")
-SURFACE = ("reflection-disagrees", "wall-of-two-materials", "surface-not-described")
+SURFACE = ("absorption-not-uniform", "reflection-disagrees")
 GATE = ("noise-gated",)
 FIXED = ("fixed-absorption-contradicted",)
 _CAUSES_OF_HOSTILE: dict[str, tuple[str, ...]] = {
@@ -216,7 +216,8 @@ _CAUSES_OF_HOSTILE: dict[str, tuple[str, ...]] = {
     "files swapped": FILES,
     "ends exchanged": (*FILES, *PLACES),
     "one +6 dB": ("levels-apart",),
-    "another room's file": WRONG_FILE,
+    # the sentence of a time zero that mismatches asks for it
+    "another room's file": (*WRONG_FILE, "time-zero-mismatch"),
     "sampling rate": SCALE,
     "5 ms late": CLOCK,
     "reversed": (*CLOCK, *WRONG_FILE),

@@ -104,6 +104,7 @@ class Code(StrEnum):
     SOURCE_NOT_OMNIDIRECTIONAL = "source-not-omnidirectional", "serious", _VOIDS
     SOURCE_PATTERN_FITTED = "source-pattern-fitted", "warning"
     SCATTERING_UNDERESTIMATED = "scattering-underestimated", "serious", _VOIDS
+    ABSORPTION_NOT_UNIFORM = "absorption-not-uniform", "serious", _VOIDS_ITS_OWN
     LEVELS_NOT_LINEAR = "levels-not-linear", "serious", _VOIDS
     DECAY_BENT = "decay-bent", "serious", _VOIDS
     NOISE_GATED = "noise-gated", "serious", _VOIDS

@@ -53,6 +53,7 @@ from roomfit.inversion.solve import (
     contradicts_pressures,
     estimate_energies,
 )
+from roomfit.inversion.surface_scores import surface_scores
 from roomfit.inversion.symmetry import mirror_symmetries
 from roomfit.inversion.trace_plan import is_coherent
 from roomfit.materials.priors import (
@@ -246,11 +247,12 @@ def _fits(
         return estimate_energies(measured, priors, traced, start, settings, refine, progress)
     state = initialise(coherent_task(measured, priors, traced, start, settings), traced)
     coherent = fit_coherent(state, traced, part(progress, 0.0, 0.75))
+    surfaces = () if settings.quick else surface_scores(coherent)
     _LOG.info("finding confidence intervals")
     fits = coherent_answers(coherent, settings, refine, part(progress, 0.75, 1.0))
     del state, coherent  # with all bands, the most that is in memory
     trim_memory()
-    return fits
+    return replace(fits, surfaces=surfaces)
 
 
 def _with_positions_examined(

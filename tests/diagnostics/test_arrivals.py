@@ -264,6 +264,27 @@ def test_two_exchanged_positions_are_named():
     assert found.evidence == {"receivers": ["M1", "M4"]}
 
 
+def test_a_source_and_a_receiver_that_are_exchanged_are_named():
+    """Between them the sound travels as far as it should."""
+    one, other = SCENE.sources[0], SCENE.receivers[2]
+    scene = replace(
+        SCENE,
+        sources=(replace(one, position_m=other.position_m), *SCENE.sources[1:]),
+        receivers=tuple(
+            replace(p, position_m=one.position_m) if p is other else p for p in SCENE.receivers
+        ),
+    )
+    (found,) = causes(scene, recordings())
+    assert found.code is Code.EXCHANGED
+    assert found.evidence == {"sources": [one.name], "receivers": [other.name]}
+
+
+def test_one_file_that_arrives_elsewhere_is_no_displaced_microphone():
+    """A microphone that is 2 m off is so for both sources, or for one of them by rare chance."""
+    files = changed(recordings(), late(2.0 / 343.0), lambda m: m.name == "LS1_M3.wav")
+    assert not causes(SCENE, files)
+
+
 @pytest.mark.parametrize("delay_s", [0.0, 0.003])
 def test_a_microphone_off_by_a_decimetre_is_named_with_a_distance(delay_s):
     """Positions of the others are off by 5 mm, as measured with care."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +30,7 @@ from roomfit.measurement import Measurement
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.scene import Point, Scene
 from roomfit.signals.response import find_onset, onset_tolerance_m
-from roomfit.typing import BoolArray, FloatArray
+from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # Coordinates in one unit that are read in another are off by one of these factors.
 _FACTORS = {
@@ -53,6 +53,7 @@ _MOST_SHIFT_M, _SCALES, _STEPS = 3.0, 0.5, 6
 # A delay is early or late, and as likely to be of tenths of milliseconds as of tenths of seconds.
 _LOG_DELAYS = float(np.log(1e4))
 _LEAD_S = 0.1  # no position is 34 m off: the recorder was started so long before the sound
+_TOLERANCE_SD = 3.0  # standard deviations of an onset in its tolerance
 _MORE_THAN_OTHERS = 10.0  # chi-square by which a displaced point explains more than any other
 
 LAWS = {
@@ -485,28 +486,48 @@ def _exchanged(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
             )
             evidence = {"files": [a.where, b.where]}
             return (ArrivalVerdict(Finding(Code.EXCHANGED, _about((a, b)), text, evidence)),)
-    exchanges = []
-    for kind, points in (("receivers", found.receiver), ("sources", found.source)):
-        doubtful = {points[i].name: points[i] for i in off}
-        if len(doubtful) > _MOST_EXCHANGED:
-            continue  # not two of them: something that all have in common
-        for one, other in combinations(doubtful.values(), 2):
-            to = {one.name: other, other.name: one}
-            moved = [to.get(p.name, p) for p in points]
-            ends = (found.source, moved) if kind == "receivers" else (moved, found.receiver)
-            if mends(_distances_m(*ends)):
-                exchanges.append((kind, one.name, other.name))
+    exchanges = [(who, e) for who, e, at_m in _two_exchanged(found, off) if mends(at_m)]
     if len(exchanges) != 1:
         return ()
-    ((kind, first, second),) = exchanges
+    ((who, exchange),) = exchanges
     text = (
-        f"The {kind} {first} and {second} are exchanged: all direct sounds arrive when they should "
+        f"The {who} are exchanged: all direct sounds arrive when they should "
         "if each has the position of the other."
     )
-    moved = found.receiver if kind == "receivers" else found.source
-    both = [m for m, p in zip(found.measurements, moved, strict=True) if p.name in (first, second)]
-    evidence = {kind: [first, second]}
-    return (ArrivalVerdict(Finding(Code.EXCHANGED, _about(both), text, evidence)),)
+    sources, receivers = exchange.get("sources", []), exchange.get("receivers", [])
+    both = [m for m in found.measurements if m.source in sources or m.receiver in receivers]
+    return (ArrivalVerdict(Finding(Code.EXCHANGED, _about(both), text, exchange)),)
+
+
+def _two_exchanged(
+    found: _Arrivals, off: IntArray
+) -> Iterator[tuple[str, dict[str, list[str]], FloatArray]]:
+    """Yield two points of doubtful files, in words and by kind, with distances if exchanged, (n,).
+
+    None of a kind of which so many are doubtful that it is something that all have in common.
+    """
+    doubtful = {
+        kind: list({points[i].name: points[i] for i in off}.values())
+        for kind, points in (("receivers", found.receiver), ("sources", found.source))
+    }
+    few = {kind: p if len(p) <= _MOST_EXCHANGED else [] for kind, p in doubtful.items()}
+    for kind, points in few.items():
+        for one, other in combinations(points, 2):
+            to = {one.name: other, other.name: one}
+            moved = found.receiver if kind == "receivers" else found.source
+            moved = [to.get(p.name, p) for p in moved]
+            ends = (found.source, moved) if kind == "receivers" else (moved, found.receiver)
+            who = f"{kind} {one.name} and {other.name}"
+            yield who, {kind: [one.name, other.name]}, _distances_m(*ends)
+    for one, other in product(few["sources"], few["receivers"]):
+        sources = [other if p.name == one.name else p for p in found.source]
+        receivers = [one if p.name == other.name else p for p in found.receiver]
+        who = f"source {one.name} and the receiver {other.name}"
+        yield (
+            who,
+            {"sources": [one.name], "receivers": [other.name]},
+            _distances_m(sources, receivers),
+        )
 
 
 def _displaced(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
@@ -540,7 +561,17 @@ def _displaced(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
     sure = chdtrc(n_free, gain) * len(gains) < _LEVEL and gain - second > _MORE_THAN_OTHERS
     if not sure or chdtrc(n_left, rest) < _LEVEL:
         return ()
-    return _displacement(found, best, np.asarray(~columns[best].any(axis=1)), delays)
+    own = np.any(columns[best] != 0.0, axis=1)
+    one_file = [
+        whole - _left(np.hstack([base, white[:, [i]]]), data)[0] for i in np.flatnonzero(own)
+    ]
+    # what a displacement leaves unchanged of the other paths is less likely the farther it is
+    ratio = float(np.abs(found.late_m[own]).max() / found.tolerance_m.max())
+    unchanged = min(int(own.sum()) - 1, 2)
+    unlikely = unchanged * np.log(_TOLERANCE_SD * ratio) - 0.5 * (gain - max(one_file))
+    if unlikely > UNDECIDED:
+        return ()  # one file by itself, which is reported as such
+    return _displacement(found, best, ~own, delays)
 
 
 def _derivatives(found: _Arrivals) -> dict[Point, FloatArray]:

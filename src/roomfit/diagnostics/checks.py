@@ -38,6 +38,7 @@ from roomfit.diagnostics import (
     schroeder,
     source_patterns,
     trace,
+    uniformity,
     unreached,
     wall_positions,
 )
@@ -97,6 +98,7 @@ AFTER_THE_FIT: tuple[FittedCheck, ...] = (
     linearity.check,
     fixed_absorption.check,
     displacement.check,
+    uniformity.check,
     noise_tail.check,
     noise_gate.check,
     misfit.check_bands,

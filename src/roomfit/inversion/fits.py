@@ -11,6 +11,7 @@ from roomfit.inversion.score_tests import ChainScores, FreedAbsorption
 from roomfit.measurement import Measurement
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.objective.directivity import DirectivityParameters, FittedDirectivity
+from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import BandEstimate
 
 
@@ -52,6 +53,20 @@ class Displacement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SurfaceScore:
+    """What bands ask of places of one plane surface that return more or less than its material."""
+
+    name: str
+    material: int
+    bands: tuple[int, ...]
+    cells_m: FloatArray  # (n_cells, 3), the middle of each
+    returned: (
+        FloatArray  # (n_bands, n_cells), ln(1 - a) in excess of the material's, posterior mean
+    )
+    evidence: float  # logarithm of the Bayes factor of all bands against a uniform surface
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class BandFits:
     """The answer of every band, and what was measured of the description on the way.
 
@@ -65,3 +80,4 @@ class BandFits:
     contradicted: tuple[SourceGain, ...] = ()  # of the sources taken for omnidirectional
     tests: CoherentTests = field(default_factory=CoherentTests)
     displacement: Displacement | None = None  # beyond what is specified
+    surfaces: tuple[SurfaceScore, ...] = ()  # that pressures tell of

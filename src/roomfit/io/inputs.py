@@ -154,7 +154,7 @@ def _areas_of_one(
     if isinstance(own, str):
         known = object_catalogue_area(own, bands, by_floor=by_floor)[0]
     elif isinstance(own, AreaSpectrum):
-        known = _at_bands(own.centres_hz, own.values, bands, "absorption_area_m2")
+        known = at_bands(own.centres_hz, own.values, bands, "absorption_area_m2")
     elif own is not None:
         known = np.asarray(own, dtype=np.float64)
     if isinstance(prior, str):

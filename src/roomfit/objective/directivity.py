@@ -120,8 +120,7 @@ class DirectedTerm(DataTerm):
 
     def expected(self, values: Values) -> FloatArray:
         """Return what the model expects in every window, shape (n_windows,)."""
-        b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
-        return self._radiated(b).expected(values)
+        return self.radiated(values).expected(values)
 
     def variance_parts(self, values: Values) -> dict[str, FloatArray]:
         """Return what the variance of every window is the sum of, by name, (n_windows,) each."""
@@ -135,8 +134,11 @@ class DirectedTerm(DataTerm):
 
     def as_energies(self, values: Values) -> EnergyTerm:
         """Return the windows as energies, with the weights that values give their paths."""
-        b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
-        return self._radiated(b).as_energies(values)
+        return self.radiated(values).as_energies(values)
+
+    def radiated(self, values: Values) -> Windows:
+        """Return the windows with the weights that values give their paths."""
+        return self._radiated(vectors_of(self.directivity.unknown, values[DIRECTIVITY]))
 
     def _radiated(self, b: FloatArray) -> Windows:
         """Return the windows with the weights of b."""

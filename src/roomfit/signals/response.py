@@ -292,8 +292,8 @@ def compare_onset(
             About(files=[where]),
             f"{where}: the direct sound arrives {1000.0 * abs(onset_s - travel_s):.2f} ms {order} "
             f"than the geometry says, which is {abs(apart_m):.2f} m of path. Check the positions, "
-            "latency_s and time_zero; sound that is blocked or that a loudspeaker sends elsewhere "
-            "arrives late, too.",
+            "latency_s, time_zero and whether it is the file of this pair; sound that is blocked "
+            "or that a loudspeaker sends elsewhere arrives late, too.",
             {"onset_s": onset_s, "travel_s": travel_s, "difference_m": apart_m},
             graded="serious" if abs(apart_m) > _SERIOUS_M else "warning",
         ),
