@@ -46,6 +46,14 @@ if TYPE_CHECKING:
     from roomfit.findings import About as About, Code as Code, Finding as Finding
     from roomfit.geometry.mesh import volume_m3 as volume_m3
     from roomfit.identification import identify as identify
+    from roomfit.inversion.diffuse import (
+        ERROR_ANEW as ERROR_ANEW,
+        ERROR_SD as ERROR_SD,
+        LEAST_RELATIVE_SD as LEAST_RELATIVE_SD,
+        DiffuseField as DiffuseField,
+        field_posterior as field_posterior,
+        mean_decay as mean_decay,
+    )
     from roomfit.inversion.expected import (
         ExpectedFit as ExpectedFit,
         as_coherent as as_coherent,
@@ -162,6 +170,8 @@ _HOME = {
         "findings": "About Code Finding",
         "geometry.mesh": "volume_m3",
         "identification": "identify",
+        "inversion.diffuse": "DiffuseField ERROR_ANEW ERROR_SD LEAST_RELATIVE_SD "
+        "field_posterior mean_decay",
         "inversion.expected": "ExpectedFit as_coherent expected_fit",
         "inversion.measurements": "observe",
         "inversion.traced_room": "TracedRoom check_scene coherent_paths scene_decay_s trace_room",

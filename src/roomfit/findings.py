@@ -189,6 +189,9 @@ class Code(StrEnum):
 
     RESULT_DOUBTED = "result-doubted", "serious"
     MATERIALS_CHANGED = "materials-changed", "info"
+    FROM_DECAY_TIMES = "from-decay-times", "info"
+    FROM_TABLES_ALONE = "from-tables-alone", "warning"
+    FIELD_NOT_DIFFUSE = "field-not-diffuse", "warning"
     CHANGE_PRIOR_DOMINATED = "change-prior-dominated", "warning"
     ABSORPTION_CLIPPED = "absorption-clipped", "warning"
     BAND_NOT_PREDICTED = "band-not-predicted", "warning"

@@ -45,11 +45,12 @@ class Parser(argparse.ArgumentParser):
             text = f"{text.removesuffix('.')} (default: {default})."
         self.add_argument(name, default=default, help=text, **settings)
 
-    def add_fit(self) -> None:
-        """Add ``--absorption``, the fit that must be given."""
-        self.add_option(
-            "--absorption", "result.json or absorption.csv of a fit.", type=Path, required=True
-        )
+    def add_fit(self, *, required: bool = True) -> None:
+        """Add ``--absorption``, the fit; not required where decay times or priors do as well."""
+        text = "result.json or absorption.csv of a fit."
+        if not required:
+            text += " Left out: by the campaign's decay times, or by its priors alone."
+        self.add_option("--absorption", text, type=Path, required=required)
 
     def add_state(self) -> None:
         """Add ``--state``."""

@@ -173,9 +173,10 @@ def predict_text(predicted: Predicted) -> str:
     if predicted.changes:
         parts.append("Changed: " + "; ".join(predicted.changes))
     parts += map(text_of, _mean_tables(predicted, _MEAN))
-    if predicted.sti is None:
+    if predicted.pairs and predicted.sti is None:
         parts.append(f"STI is not predicted: {sti_missing(predicted.bands)}.")
-    parts += [text_of(pairs_table(predicted)), findings_text(predicted.findings)]
+    parts += [text_of(pairs_table(predicted))] if predicted.pairs else []
+    parts.append(findings_text(predicted.findings))
     return "\n\n".join(p for p in parts if p).replace("result.json)", "predicted.json)")
 
 

@@ -441,7 +441,7 @@ def predict_change(
     pairs, means, sti = _tables(room, numbers, compare_pairs=compare_pairs)
     lower, upper = absorption.lower95.copy(), absorption.upper95.copy()
     lower[changed], upper[changed] = np.quantile(drawn[:, changed], (0.025, 0.975), axis=0)
-    stated = _what_if(changes, room.observed, bands, means)
+    stated = change_findings(changes, bool(room.observed), bands, means)
     return Predicted(
         bands,
         scene.room.materials,
@@ -519,20 +519,21 @@ def _longest_s(observed: Sequence[ObservedPair]) -> float:
 _SUMMARY: tuple[tuple[ValueName, ...], ...] = (("T30_s", "T20_s", "EDT_s"), ("C80_dB",), ("G_dB",))
 
 
-def _what_if(
+def change_findings(
     changes: Sequence[Change],
-    observed: Sequence[ObservedPair],
+    is_measured: bool,
     bands: Bands,
     means: Mapping[ValueName, PredictedValue],
 ) -> tuple[Finding, ...]:
+    """Return what was changed, and in which bands the direction of its effect is determined."""
     if not changes:
         return ()
     sentence = f"Predicted with {', '.join(change_text(c) for c in changes)}."
-    if observed:
+    if is_measured:
         sentence += " Measured values beside it are those of the room as it was measured."
     directions: dict[str, dict[str, list[float]]] = {}
     for names in _SUMMARY:
-        known = [n for n in names if np.isfinite(means[n].predicted).any()]
+        known = [n for n in names if n in means and np.isfinite(means[n].predicted).any()]
         change = means[known[0]].change if known else None
         if change is not None:
             directions[known[0]] = _directions(bands, change, known[0])

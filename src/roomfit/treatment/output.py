@@ -13,12 +13,16 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from roomfit.cache import write_json_atomically, write_text_atomically
+from roomfit.cache import (
+    write_bytes_atomically,
+    write_json_atomically,
+    write_text_atomically,
+)
 from roomfit.geometry.mesh import corners_m
 from roomfit.io.encoding import finding_content, number_or_null, provenance
 from roomfit.prediction.output import one_number, parameter_rows, parameters_content
 from roomfit.prediction.tables import named_values
-from roomfit.report.figures import OKABE_ITO, figure_legend, literal, new_figure
+from roomfit.report.figures import OKABE_ITO, figure_legend, literal, new_figure, png
 from roomfit.report.room_figure import COLOURS, drawn_faces, outline_m, projection
 from roomfit.report.text import findings_text
 from roomfit.scene import triangle_material
@@ -31,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def write_treatment(folder: Path, treatment: Treatment, inputs: Iterable[Path]) -> None:
-    """Write ``treatment.json`` and ``treatment.csv`` into a folder.
+    """Write ``treatment.json``, ``treatment.csv`` and a picture into a folder.
 
     Raises
     ------
@@ -39,6 +43,7 @@ def write_treatment(folder: Path, treatment: Treatment, inputs: Iterable[Path]) 
         The disk refuses.
     """
     write_text_atomically(folder / "treatment.csv", treatment_csv(treatment))
+    write_bytes_atomically(folder / "treatment.png", png(treatment_figure(treatment)))
     write_json_atomically(folder / "treatment.json", treatment_content(treatment, inputs))
 
 
