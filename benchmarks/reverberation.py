@@ -201,12 +201,14 @@ def treated_room(
 
 
 def met(n_rooms: int, seed: int = 1, probability: float = 0.9) -> dict[str, FloatArray]:
-    """Return what `treated_room` does for rooms of each kind, shape (up to n_rooms, 3)."""
+    """Return what `treated_room` does for rooms of each kind that have an answer, (n_rooms, 3)."""
     found = {}
     for number, kind in enumerate(KINDS):
-        rng = np.random.default_rng((seed, number, 7))
-        rows = [treated_room(kind, rng, probability) for _ in range(n_rooms)]
-        found[kind] = np.array([r for r in rows if r is not None], dtype=np.float64).reshape(-1, 3)
+        rng, rows = np.random.default_rng((seed, number, 7)), []
+        while len(rows) < n_rooms:
+            row = treated_room(kind, rng, probability)
+            rows += [] if row is None else [row]
+        found[kind] = np.array(rows, dtype=np.float64)
     return found
 
 

@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from roomfit.geometry.mesh import volume_m3 as volume_m3
     from roomfit.identification import identify as identify
     from roomfit.inversion.diffuse import (
-        ERROR_ANEW as ERROR_ANEW,
         ERROR_SD as ERROR_SD,
         LEAST_RELATIVE_SD as LEAST_RELATIVE_SD,
         DiffuseField as DiffuseField,
@@ -170,8 +169,7 @@ _HOME = {
         "findings": "About Code Finding",
         "geometry.mesh": "volume_m3",
         "identification": "identify",
-        "inversion.diffuse": "DiffuseField ERROR_ANEW ERROR_SD LEAST_RELATIVE_SD "
-        "field_posterior mean_decay",
+        "inversion.diffuse": "DiffuseField ERROR_SD LEAST_RELATIVE_SD field_posterior mean_decay",
         "inversion.expected": "ExpectedFit as_coherent expected_fit",
         "inversion.measurements": "observe",
         "inversion.traced_room": "TracedRoom check_scene coherent_paths scene_decay_s trace_room",

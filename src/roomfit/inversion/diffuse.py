@@ -28,8 +28,11 @@ FORMULAS: tuple[Formula, ...] = get_args(Formula)
 # Of a decay time: a just noticeable difference, which no formula of a diffuse field undercuts.
 LEAST_RELATIVE_SD = 0.05
 # Of the time of rays in a box beside Eyring's, in units of Fitzroy's distance from it: mean,
-# standard deviation, and that of what a change of walls adds (docs/decisions/0052).
-ERROR_MEAN, ERROR_SD, ERROR_ANEW = 0.5, 0.6, 0.3
+# standard deviation (docs/decisions/0052).
+ERROR_MEAN, ERROR_SD = 0.5, 0.6
+# In the same units the standard deviation of what a change of walls adds, and how it rises with
+# the share of the surface across one axis: rooms that are flat keep a field of their own.
+_ANEW, _ANEW_FLAT, _FLAT_FROM = 0.3, 2.0, 0.5
 _ROUNDS = 50
 _DONE = 1e-9
 _MEASURES = tuple(f for f in FORMULAS if f != "Sabine")
@@ -296,6 +299,17 @@ class DiffuseField:
         walls_m2, _ = absorption_area_m2(self.formula, by_band, self.areas_m2)
         whole_m2 = walls_m2 + 4.0 * self.volume_m3 * self.attenuation_per_m
         return np.asarray(24.0 * np.log(10.0) * self.volume_m3 / self.speed_of_sound_m_s / whole_m2)
+
+    @property
+    def flatness(self) -> float:
+        """Share of the surface across one axis, the largest: a third of a cube, nearly all, flat."""
+        across = self.areas_m2.sum(axis=1)
+        return float(across.max() / across.sum())
+
+    @property
+    def error_of_change(self) -> float:
+        """Standard deviation of what a change adds, in units of the error of the formula."""
+        return _ANEW + _ANEW_FLAT * max(self.flatness - _FLAT_FROM, 0.0)
 
     def formula_error(self, absorption: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and unit of the error of the formula, in logarithms of times.

@@ -15,7 +15,6 @@ import numpy as np
 from scipy.special import ndtri
 
 from roomfit.core import (
-    ERROR_ANEW,
     ERROR_SD,
     LEAST_RELATIVE_SD,
     VALUE_NAMES,
@@ -100,8 +99,8 @@ def prepare_field(
     The logarithm of a measured time is that of the formula's at a draw of the absorption, plus an
     error that stays when walls change, plus the scatter of the mean over positions. Both are drawn
     under the condition that they add up to the departure of the measured time. A change adds an
-    error with a standard deviation of `ERROR_ANEW` times the distance between formulas
-    (`DiffuseField.formula_error`), the larger of both states, in full where the formula's time
+    error with a standard deviation of `DiffuseField.error_of_change` times the distance between
+    formulas (`DiffuseField.formula_error`), the larger of both states, in full where the formula's time
     changes by 10 % or more. The scatter is that between the positions, and at least that of ISO
     3382-2:2008, annex A, for T30 of as many.
     """
@@ -161,14 +160,13 @@ def _source(field: DiffuseField) -> Finding:
 
 def _shape(field: DiffuseField) -> tuple[Finding, ...]:
     """Return a finding where most of the surface lies across one axis: no formula then holds."""
-    across = field.areas_m2.sum(axis=1)
-    share = float(across.max() / across.sum())
+    share = field.flatness
     if share <= _FLAT:
         return ()
     sentence = (
         f"{100 * share:.0f} % of the surface lies across one axis, as in a flat or a narrow room: "
-        "its field is not diffuse, and no formula holds. In simulated rooms of this kind T30 after "
-        "a treatment was off by more than its interval allows; measure with positions and identify."
+        "its field is not diffuse, and no formula holds: of simulated rooms of this kind fewer met "
+        "their target than was said. Measure with positions and identify."
     )
     return (Finding(Code.FIELD_NOT_DIFFUSE, About(), sentence, {"share": round(share, 3)}),)
 
@@ -189,7 +187,8 @@ def _drawn_s(room: PreparedField, draws: FloatArray) -> FloatArray:
     before, after = (np.log(room.field.times_s(d)) for d in (room.draws, draws))
     units = [room.field.formula_error(d)[1] for d in (room.draws, draws)]
     size = np.minimum(abs(after - before) / _WHOLE_CHANGE, 1.0)
-    return np.asarray(np.exp(after + error + ERROR_ANEW * np.max(units, axis=0) * size * anew))
+    added = room.field.error_of_change * np.max(units, axis=0) * size * anew
+    return np.asarray(np.exp(after + error + added))
 
 
 def field_values(
