@@ -302,7 +302,7 @@ class DiffuseField:
 
     @property
     def flatness(self) -> float:
-        """Share of the surface across one axis, the largest: a third of a cube, nearly all, flat."""
+        """Largest share of the surface across one axis: a third for a cube, more for flat rooms."""
         across = self.areas_m2.sum(axis=1)
         return float(across.max() / across.sum())
 

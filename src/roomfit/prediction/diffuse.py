@@ -100,9 +100,9 @@ def prepare_field(
     error that stays when walls change, plus the scatter of the mean over positions. Both are drawn
     under the condition that they add up to the departure of the measured time. A change adds an
     error with a standard deviation of `DiffuseField.error_of_change` times the distance between
-    formulas (`DiffuseField.formula_error`), the larger of both states, in full where the formula's time
-    changes by 10 % or more. The scatter is that between the positions, and at least that of ISO
-    3382-2:2008, annex A, for T30 of as many.
+    formulas (`DiffuseField.formula_error`), the larger of both states, in full where the formula's
+    time changes by 10 % or more. The scatter is that between the positions, and at least that of
+    ISO 3382-2:2008, annex A, for T30 of as many.
     """
     settings = Settings() if settings is None else settings
     n_draws, rng = max(settings.n_draws, _LEAST_DRAWS), np.random.default_rng(settings.seed)

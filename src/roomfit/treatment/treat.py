@@ -93,6 +93,7 @@ class Treatment:
     findings: tuple[Finding, ...]
     # pairs to be measured for the absorption on which a target hangs, in words, by `roomfit.design`
     to_measure: tuple[str, ...] = ()
+    before: str = "predicted before"  # what stands before in the means, in words
 
     def __str__(self) -> str:
         """Return arrangements, what they do, and how likely it is enough."""
@@ -157,6 +158,11 @@ def treat(
             found=f"{probability:g}",
             needed="0.5 to 0.99",
         )
+    is_measured = (
+        bool(np.isfinite(room.measured_s).any())
+        if isinstance(room, PreparedField)
+        else bool(room.observed)
+    )
     room = as_measured(room)
     question = question_of(room, surfaces, products, targets)
     n_rows = len(question.target)
@@ -190,6 +196,7 @@ def treat(
             *(room.findings if isinstance(room, PreparedField) else ()),
             *_findings(question, arrangements, first, margin, is_met),
         ),
+        before="measured before" if is_measured else "predicted before",
     )  # fmt: skip
 
 
