@@ -201,7 +201,7 @@ class ExportedFiles:
 
 
 def export_result(
-    result_file: Path,
+    result_file: Path | Result,
     wanted: str,
     out: Path,
     *,
@@ -213,8 +213,9 @@ def export_result(
 
     Parameters
     ----------
-    result_file : Path
+    result_file : Path or Result
         A ``result.json`` or an ``absorption.csv``; for "pdf" with its ``report.html`` beside it.
+        Or a result in memory, but for "excel", "gltf" and "pdf".
     wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv", "excel", "gltf", "pdf"}
     out : Path
         The file to write; for "raven", which has a file for each material, the folder.
@@ -248,15 +249,28 @@ def export_result(
     >>> print(written.findings[0].sentence)
     The result has no scattering; 0.1 was written for every material.
     """
-    from roomfit.io.exports import export_materials, read_material_table
+    from roomfit.io.exports import export_materials, material_table_of, read_material_table
+    from roomfit.results import Result
 
     out = Path(out)
     if wanted in ("excel", "gltf", "pdf"):
+        if isinstance(result_file, Result):
+            raise InputError(
+                "this format is made from the files of a result",
+                found=f"a result in memory, for {wanted!r}",
+                needed="result.json, and for a PDF report.html beside it",
+                hint="roomfit.write_result(folder, result, []) first",
+            )
         _check_place(out, overwrite)
         write_bytes_atomically(out, _whole_export(Path(result_file), wanted, campaign_file))
         return ExportedFiles((out,), ())
     usual = Settings().default_scattering if scattering is None else scattering
-    texts, findings = export_materials(read_material_table(result_file), wanted, usual)
+    table = (
+        material_table_of(result_file)
+        if isinstance(result_file, Result)
+        else read_material_table(result_file)
+    )
+    texts, findings = export_materials(table, wanted, usual)
     return ExportedFiles(_write_texts(out, texts, overwrite), findings)
 
 

@@ -325,6 +325,11 @@ class Finding:
             )
         object.__setattr__(self, "evidence", MappingProxyType(dict(self.evidence)))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what pickles a finding: evidence is a view that cannot be kept as it is."""
+        own = (self.code, self.about, self.sentence, dict(self.evidence), self.graded, self.error)
+        return Finding, own
+
     @property
     def severity(self) -> Severity:
         """The severity of the code, or the one it was graded with."""

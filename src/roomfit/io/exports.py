@@ -24,7 +24,7 @@ from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding
 from roomfit.io.door import complete, csv_rows, json_content, read_text
 from roomfit.io.encoding import one_line
-from roomfit.results import absorption_records
+from roomfit.results import Result, absorption_records
 from roomfit.table import Table, csv_of, without_apostrophe, workbook_of
 from roomfit.typing import BoolArray, FloatArray
 
@@ -223,6 +223,14 @@ class MaterialTable:
                 object.__setattr__(self, name, values)
         flags = bool_array("identifiable", self.identifiable, shape)
         object.__setattr__(self, "identifiable", flags)
+
+
+def material_table_of(result: Result) -> MaterialTable:
+    """Return the materials of a result in memory."""
+    return MaterialTable(
+        result.materials, result.bands, result.absorption, result.lower95, result.upper95,
+        result.identifiable, result.scattering,
+    )  # fmt: skip
 
 
 def read_material_table(path: Path) -> MaterialTable:
