@@ -71,6 +71,12 @@ def command(monkeypatch, folder, name, *options):
     return out
 
 
+def prepared(folder):
+    campaign = read_campaign(folder / "campaign.toml", to_fit=False, decay_times=True)
+    field, room = diffuse_field(campaign)
+    return prepare_field(field, Scene(room, (), (), np.zeros((0, 2), np.int64), Air()))
+
+
 def by_hand_m2(volume_m3: float, before_s: float, after_s: float, gain: float) -> float:
     """Return the area of a panel by Sabine: 0.161 V (1/T' - 1/T) over what it absorbs more."""
     return 0.161 * volume_m3 * (1.0 / after_s - 1.0 / before_s) / gain
@@ -223,15 +229,11 @@ def test_a_campaign_that_has_measured_pairs_asks_for_its_result_first(folder, mo
 
 
 def test_other_targets_than_reverberation_need_positions(folder):
-    field, room = diffuse_field(
-        read_campaign(folder / "campaign.toml", to_fit=False, decay_times=True)
-    )
-    scene = Scene(room, (), (), np.zeros((0, 2), np.int64), Air())
-    prepared = prepare_field(field, scene)
-    assert [f.code for f in prepared.findings] == [Code.FROM_DECAY_TIMES]
+    room = prepared(folder)
+    assert [f.code for f in room.findings] == [Code.FROM_DECAY_TIMES]
     panel = Product("panel", np.full(2, 0.9), np.full(2, 0.02))
     with pytest.raises(InputError, match="do not determine"):
-        treat(prepared, (Surface("ceiling"),), (panel,), (Target("C50_dB", low=2.0),))
+        treat(room, (Surface("ceiling"),), (panel,), (Target("C50_dB", low=2.0),))
 
 
 def test_an_error_that_formulas_share_stays_and_no_change_adds_none():
@@ -243,8 +245,39 @@ def test_an_error_that_formulas_share_stays_and_no_change_adds_none():
         "Eyring", bands, (unknown_material("room", 1),), areas, 90.0, 344.0, np.zeros(1),
         np.array([[0.9], [0.92], [0.88], [0.9]]),
     )  # fmt: skip
-    prepared = prepare_field(field, Scene(room, (), (), np.zeros((0, 2), np.int64), Air()))
-    drawn = field.times_s(prepared.draws) * np.exp(prepared.errors[0])
+    own = prepare_field(field, Scene(room, (), (), np.zeros((0, 2), np.int64), Air()))
+    drawn = field.times_s(own.draws) * np.exp(own.errors[0])
     relative = np.std(np.log(drawn / 0.9))
-    assert relative == pytest.approx(prepared.scatter[0], rel=0.15)
+    assert relative == pytest.approx(own.scatter[0], rel=0.15)
     assert relative < 0.02
+
+
+def test_the_page_begins_with_the_sentence_that_is_printed_and_shows_a_covered_ceiling(
+    folder, monkeypatch, capsys
+):
+    """The ceiling is turned away from the viewer: its two triangles are drawn in front."""
+    out = command(monkeypatch, folder, "treat")
+    sentence = capsys.readouterr().out.splitlines()[0]
+    assert " m² panel on ceiling: T30 at mid frequencies falls from 1.10 s (measured" in sentence
+    page = (out / "treatment.html").read_text()
+    assert f'<p class="lead">{sentence}</p>' in page
+    assert page.index("<svg") < page.index('<ul class="figures">') < page.index("<table")
+    known = prepared(folder)
+    panel = Product("panel", np.full(2, 0.9), np.full(2, 0.02), piece_m2=0.05)
+    found = treat(known, (Surface("ceiling"),), (panel,), (Target("T30_s", high=0.8),), number=1)
+    drawn = found.plot().axes[0].collections
+    seen = [len(c.get_paths()) for c in drawn if c.get_zorder() == 2.5]
+    assert seen == [2]
+
+
+def test_a_prediction_of_a_change_begins_with_what_was_measured_and_what_is_then(
+    folder, monkeypatch, capsys
+):
+    out = command(monkeypatch, folder, "predict", "--set", "ceiling=0.6")
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.startswith("With ceiling=0.6: T30 at mid frequencies falls from 1.10 s (measured")
+    content = json.loads((out / "predicted.json").read_text())
+    time = content["mean"]["T30_s"]
+    said = f"to {np.mean(time['carried']):.2f} s ({np.mean(time['carried_lower95']):.2f} to "
+    assert said in first
+    assert (out / "change.png").read_bytes()[:4] == b"\x89PNG"
