@@ -1,13 +1,14 @@
 """The commands: each reads files, does one thing, and writes files whole or not at all.
 
-`identify_to_folder` is the main one. Others examine a room or a campaign, predict, design a
-measurement, export materials, or run a demonstration on a room whose absorption is known.
+`identify_to_folder` is the main one. Others examine a room or a campaign, design a measurement,
+export materials, or run a demonstration on a room whose absorption is known; those that predict are
+in `roomfit.predictions`.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -43,16 +44,10 @@ if TYPE_CHECKING:
     from roomfit.diagnostics.usable import CheckedRecordings
     from roomfit.experiment_design.design import Design
     from roomfit.findings import Finding
-    from roomfit.inversion.diffuse import DiffuseAbsorption
     from roomfit.io.rooms.model import RoomSpec
-    from roomfit.measurement import Measurement
-    from roomfit.prediction.campaign import WantedPairs
-    from roomfit.prediction.changes import Change
-    from roomfit.prediction.predict import Predicted
     from roomfit.report.comparison import Comparison
     from roomfit.results import Result
     from roomfit.scene import Scene
-    from roomfit.treatment.treat import Treatment
 
 _LOG = logging.getLogger("roomfit")
 
@@ -165,31 +160,6 @@ def draft_to_folder(
     return text
 
 
-def reverberation_to_folder(
-    campaign_file: Path, out: Path | None = None, *, overwrite: bool = False
-) -> DiffuseAbsorption:
-    """Find mean absorption from decay times; write reverberation.csv and .html into a folder.
-
-    Raises
-    ------
-    InputError
-        As of `reverberation_arguments` and `diffuse_absorption`; or the folder is not empty.
-    """
-    from roomfit.inversion.diffuse import diffuse_absorption
-    from roomfit.io.reverberation import reverberation_arguments
-    from roomfit.report.html import diffuse_page
-    from roomfit.report.text import diffuse_records
-
-    if out is not None:
-        check_output_folder(out, overwrite=overwrite)
-    found = diffuse_absorption(**reverberation_arguments(campaign_file))
-    if out is not None:
-        with whole_output_folder(out, overwrite=overwrite) as folder:
-            write_text_atomically(folder / "reverberation.csv", csv_of(diffuse_records(found)))
-            write_text_atomically(folder / "reverberation.html", diffuse_page(found))
-    return found
-
-
 @reading_noted()
 def compare_to_folder(
     first: ResultFile, second: ResultFile, out: Path | None = None, *, overwrite: bool = False
@@ -238,7 +208,7 @@ class ExportedFiles:
 
 
 def export_result(
-    result_file: ResultFile,
+    result_file: ResultFile | Result,
     wanted: str,
     out: Path,
     *,
@@ -250,8 +220,9 @@ def export_result(
 
     Parameters
     ----------
-    result_file : Path
+    result_file : Path or Result
         A ``result.json`` or an ``absorption.csv``; for "pdf" with its ``report.html`` beside it.
+        Or a result in memory, but for "excel", "gltf" and "pdf".
     wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv", "excel", "gltf", "pdf"}
     out : Path
         The file to write; for "raven", which has a file for each material, the folder.
@@ -285,16 +256,28 @@ def export_result(
     >>> print(written.findings[0].sentence)
     The result has no scattering; 0.1 was written for every material.
     """
-    from roomfit.io.exports import export_materials, read_material_table
+    from roomfit.io.exports import export_materials, material_table_of, read_material_table
+    from roomfit.results import Result
 
     out = Path(out)
     if wanted in ("excel", "gltf", "pdf"):
+        if isinstance(result_file, Result):
+            raise InputError(
+                "this format is made from the files of a result",
+                found=f"a result in memory, for {wanted!r}",
+                needed="result.json, and for a PDF report.html beside it",
+                hint="roomfit.write_result(folder, result, []) first",
+            )
         _check_place(out, overwrite)
         content, findings = _whole_export(result_file, wanted, campaign_file)
         write_bytes_atomically(out, content)
         return ExportedFiles((out,), findings)
     usual = Settings().default_scattering if scattering is None else scattering
-    table = read_material_table(result_file)
+    table = (
+        material_table_of(result_file)
+        if isinstance(result_file, Result)
+        else read_material_table(result_file)
+    )
     texts, findings = export_materials(table, wanted, usual)
     return ExportedFiles(_write_texts(out, texts, overwrite), (*findings, *table.findings))
 
@@ -412,242 +395,6 @@ def design_to_folder(
         write_bytes_atomically(folder / "design_map.png", png(design_map(answer)))
         write_bytes_atomically(folder / "design_gain.png", png(design_gain(answer)))
     return answer
-
-
-_MOST_PICTURES = 24
-
-
-@sole_writer
-@reading_noted()
-def predict_to_folder(
-    campaign_file: Path,
-    absorption_file: ResultFile,
-    out: Path,
-    changes: Sequence[Change] = (),
-    *,
-    wanted: WantedPairs | None = None,
-    overwrite: bool = False,
-    use_cache: bool = True,
-    progress: Progress | None = None,
-) -> Predicted:
-    """Predict a campaign; write predicted.json, .csv, .html and pictures into a folder.
-
-    Pictures of the first 24 pairs; the files contain all. A run that was interrupted continues from
-    its last finished step, unless `use_cache` is false.
-
-    Raises
-    ------
-    InputError
-        The campaign, the room, the absorption or the output folder is invalid.
-    StoreError
-        The disk refuses.
-    """
-    from roomfit.io.results import read_result
-    from roomfit.prediction.campaign import predict_arguments
-    from roomfit.prediction.output import change_figure, predicted_decay_figure, write_predicted
-    from roomfit.prediction.predict import predict
-    from roomfit.report.figures import in_file_name, png
-
-    check_output_folder(out, overwrite=overwrite)
-    campaign = read_campaign(campaign_file, to_fit=False)
-    arguments = predict_arguments(campaign, read_result(absorption_file), changes, *(wanted or ()))
-    cache = user_cache() if use_cache else None
-    with located(str(campaign_file)):
-        predicted = predict(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
-    with whole_output_folder(out, overwrite=overwrite) as folder:
-        write_predicted(folder, predicted, files_read())
-        if predicted.compares_states:
-            write_bytes_atomically(folder / "change.png", png(change_figure(predicted)))
-        shown = predicted.pairs[:_MOST_PICTURES]
-        for number, pair in enumerate(shown, start=1):
-            name = f"predicted_{number:02d}_{in_file_name(pair.source, pair.receiver)}.png"
-            write_bytes_atomically(folder / name, png(predicted_decay_figure(predicted, pair)))
-            if progress is not None:
-                progress(0.95 + 0.05 * number / len(shown))
-    return predicted
-
-
-@sole_writer
-@reading_noted()
-def treat_to_folder(
-    campaign_file: Path,
-    absorption_file: ResultFile,
-    treatment_file: Path,
-    out: Path,
-    *,
-    wanted: WantedPairs | None = None,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> Treatment:
-    """Choose what to hang where; write treatment.json, treatment.csv and a picture into a folder.
-
-    Raises
-    ------
-    InputError
-        The campaign, the room, the absorption, the treatment or the output folder is invalid.
-    StoreError
-        The disk refuses.
-    """
-    from roomfit.io.results import read_result
-    from roomfit.prediction.campaign import predict_arguments
-    from roomfit.prediction.predict import prepare_prediction
-    from roomfit.report.figures import png
-    from roomfit.treatment.campaign import hardest_changes, read_treatment, treat_arguments
-    from roomfit.treatment.output import treatment_figure, write_treatment
-    from roomfit.treatment.treat import treat
-
-    check_output_folder(out, overwrite=overwrite)
-    campaign = read_campaign(campaign_file, to_fit=False)
-    table = read_treatment(treatment_file)
-    given = predict_arguments(campaign, read_result(absorption_file), (), *(wanted or ()))
-    scene, known = given["scene"], given["absorption"]
-    asked, doubts = treat_arguments(treatment_file, table, known, scene)
-    with located(str(treatment_file)):
-        room = prepare_prediction(
-            scene,
-            known,
-            hardest_changes(asked, known.bands),
-            given["measurements"],
-            speech_db=given["speech_db"],
-            settings=given["settings"],
-            cache=user_cache(),
-            progress=part(progress, 0.0, 0.8),
-        )
-        answer = treat(room, **asked, progress=part(progress, 0.8, 0.9))
-    to_measure = _what_to_measure(campaign, absorption_file, answer, part(progress, 0.9, 1.0))
-    answer = replace(answer, findings=(*doubts, *answer.findings), to_measure=to_measure)
-    with whole_output_folder(out, overwrite=overwrite) as folder:
-        write_treatment(folder, answer, files_read())
-        write_bytes_atomically(folder / "treatment.png", png(treatment_figure(answer)))
-    return answer
-
-
-# Of two pairs among few candidates, in seconds; `roomfit design` takes more.
-_TO_MEASURE: dict[str, Any] = {"number": 2, "n_candidates": 60, "n_random": 1, "n_draws": 1}
-
-
-def _what_to_measure(
-    campaign: Campaign, absorption_file: ResultFile, answer: Treatment, progress: Progress | None
-) -> tuple[str, ...]:
-    """Return pairs that tell most of the absorption, where a target hangs on that of a wall.
-
-    By the experiment design after a fit; none where its rules leave no place for a receiver.
-    """
-    from roomfit.experiment_design.campaign import design_arguments
-    from roomfit.experiment_design.design import design
-    from roomfit.experiment_design.output import chosen_positions
-    from roomfit.io.results import read_result
-
-    first = answer.arrangements[0]
-    names = answer.room.scene.room.materials
-    if first.is_sure or not first.decisive or first.decisive[0][0] not in names:
-        return ()
-    try:
-        given = design_arguments(campaign, read_result(absorption_file), _TO_MEASURE)
-        found = design(**given, progress=progress)
-    except InputError as error:
-        _LOG.info("no measurement is proposed: %s", error.what)
-        return ()
-    lines = []
-    for source, source_m, receiver, receiver_m in chosen_positions(found):
-        here, there = (", ".join(f"{x:.2f}" for x in at_m) for at_m in (source_m, receiver_m))
-        lines.append(f"{source} at ({here}) m to {receiver} at ({there}) m")
-    before, after = found.widths[[0, -1], found.materials.index(first.decisive[0][0])].mean(axis=1)
-    lines.append(
-        f"with these the 95 % interval of the absorption of {first.decisive[0][0]}, {before:.2f} "
-        f"wide in the mean over the bands, is expected to be {after:.2f} wide"
-    )
-    return tuple(lines)
-
-
-def listen_to_folder(
-    campaign_file: Path,
-    absorption_file: ResultFile,
-    out: Path,
-    changes: Sequence[Change] = (),
-    *,
-    state: str = "",
-    dry: Path | None = None,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Write measured responses before and after a change, as WAV files of floats, and listen.json.
-
-    Nothing is normalised. With `dry`, a recording of one channel, its convolutions stand beside
-    them, all scaled by one factor so that the loudest has a peak of half.
-
-    Returns
-    -------
-    dict
-        What listen.json contains.
-
-    Raises
-    ------
-    InputError
-        See `roomfit.prediction.listen.listen`; or the recording has another sampling rate.
-    StoreError
-        The disk refuses.
-    """
-    from roomfit.io.results import read_result
-    from roomfit.measurement import Measurement
-    from roomfit.prediction.campaign import predict_arguments
-    from roomfit.prediction.listen import listen, with_dry_recording
-    from roomfit.prediction.output import listen_content
-
-    check_output_folder(out, overwrite=overwrite)
-    campaign = read_campaign(campaign_file, to_fit=False)
-    found = read_result(absorption_file)
-    arguments = predict_arguments(campaign, found, changes, "campaign", state)
-    measured = [m for m in arguments["measurements"] if isinstance(m, Measurement)]
-    known, settings = arguments["absorption"], arguments["settings"]
-    recorded = None if dry is None else _dry_pressure(dry, measured)
-    with located(str(campaign_file)):
-        made, findings = listen(
-            arguments["scene"], known, changes, measured, settings=settings, progress=progress
-        )
-    sounds = [{"before": c.measurement.response.pressure, "after": c.samples} for c in made]
-    content = listen_content(known.bands, changes, made, findings, files_read())
-    content["dry_factor"] = None
-    if recorded is not None:
-        sounds, content["dry_factor"] = with_dry_recording(sounds, recorded)
-    with whole_output_folder(out, overwrite=overwrite) as folder:
-        for i, (c, sound) in enumerate(zip(made, sounds, strict=True), start=1):
-            files = _write_sounds(folder, i, c.measurement, sound)
-            content["responses"][i - 1]["files"] = files
-        write_json_atomically(folder / "listen.json", content)
-    return content
-
-
-def _write_sounds(
-    folder: Path, number: int, measurement: Measurement, sounds: Mapping[str, FloatArray]
-) -> dict[str, str]:
-    """Write the sounds of a pair as WAV files; return their names by kind."""
-    import soundfile
-
-    from roomfit.report.figures import in_file_name
-
-    stem = f"{number:02d}_{in_file_name(measurement.source, measurement.receiver)}"
-    names = {kind: f"{stem}_{kind}.wav" for kind in sounds}
-    rate_hz = round(measurement.response.sampling_rate_hz)
-    for kind, x in sounds.items():
-        soundfile.write(folder / names[kind], x, rate_hz, subtype="FLOAT")
-    return names
-
-
-def _dry_pressure(file: Path, measured: Sequence[Measurement]) -> FloatArray:
-    """Return the samples of a dry recording, which has the sampling rate of the responses."""
-    from roomfit.io.responses import read_response
-    from roomfit.io.responses.recordings import ResponseSpec
-
-    dry = read_response(ResponseSpec(file))[0]
-    if measured and dry.sampling_rate_hz != measured[0].response.sampling_rate_hz:
-        raise InputError(
-            "the dry recording has another sampling rate than the responses",
-            where=str(file),
-            found=f"{dry.sampling_rate_hz:g} Hz",
-            needed=f"{measured[0].response.sampling_rate_hz:g} Hz",
-        )
-    return dry.pressure
 
 
 def estimate_coverage_to_folder(

@@ -47,6 +47,13 @@ if TYPE_CHECKING:
     from roomfit.findings import About as About, Code as Code, Finding as Finding
     from roomfit.geometry.mesh import volume_m3 as volume_m3
     from roomfit.identification import identify as identify
+    from roomfit.inversion.diffuse import (
+        ERROR_SD as ERROR_SD,
+        LEAST_RELATIVE_SD as LEAST_RELATIVE_SD,
+        DiffuseField as DiffuseField,
+        field_posterior as field_posterior,
+        mean_decay as mean_decay,
+    )
     from roomfit.inversion.expected import (
         ExpectedFit as ExpectedFit,
         as_coherent as as_coherent,
@@ -169,6 +176,7 @@ _HOME = {
         "findings": "About Code Finding",
         "geometry.mesh": "volume_m3",
         "identification": "identify",
+        "inversion.diffuse": "DiffuseField ERROR_SD LEAST_RELATIVE_SD field_posterior mean_decay",
         "inversion.expected": "ExpectedFit as_coherent expected_fit",
         "inversion.measurements": "observe",
         "inversion.symmetry": "mirror_planes",

@@ -193,6 +193,9 @@ class Code(StrEnum):
     RESULT_WITHOUT_DIGEST = "result-without-digest", "info"
     RESULT_DOUBTED = "result-doubted", "serious"
     MATERIALS_CHANGED = "materials-changed", "info"
+    FROM_DECAY_TIMES = "from-decay-times", "info"
+    FROM_TABLES_ALONE = "from-tables-alone", "warning"
+    FIELD_NOT_DIFFUSE = "field-not-diffuse", "warning"
     CHANGE_PRIOR_DOMINATED = "change-prior-dominated", "warning"
     ABSORPTION_CLIPPED = "absorption-clipped", "warning"
     BAND_NOT_PREDICTED = "band-not-predicted", "warning"
@@ -325,6 +328,11 @@ class Finding:
                 hint="leave it out, or give the code both severities in roomfit.findings",
             )
         object.__setattr__(self, "evidence", MappingProxyType(dict(self.evidence)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Return what pickles a finding: evidence is a view that cannot be kept as it is."""
+        own = (self.code, self.about, self.sentence, dict(self.evidence), self.graded, self.error)
+        return Finding, own
 
     @property
     def severity(self) -> Severity:

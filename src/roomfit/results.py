@@ -165,6 +165,26 @@ class Result:
 
         return answer_text(self)
 
+    def __repr__(self) -> str:
+        """Return at most ten lines: size, how much is identifiable, the mean of the room."""
+        middle = int(np.argmin(np.abs(np.log2(self.bands.centres_hz / 1000.0))))
+        mean, low, high = self.mean_absorption[:, middle]
+        names = [*self.materials[:3], "..."] if len(self.materials) > 4 else self.materials
+        codes = list(dict.fromkeys(f.code.value for f in self.findings if f.severity == "serious"))
+        at = f"{self.bands.centres_hz[middle]:g} Hz"
+        return "\n".join(
+            (
+                f"Result of {len(self.materials)} materials ({', '.join(names)})",
+                f"  bands         {', '.join(f'{f:g}' for f in self.bands.centres_hz[:10])} Hz",
+                f"  identifiable  {int(self.identifiable.sum())} of {self.identifiable.size}",
+                f"  mean          {mean:.3f} ({low:.3f} to {high:.3f}) at {at}",
+                f"  chi-square    {np.nanmax(self.chi2_reduced):.2f} at most, reduced",
+                f"  pairs         {len(self.pairs)}",
+                f"  findings      {len(self.findings)}; serious: {', '.join(codes[:4]) or 'none'}",
+                "  print(result) shows all of it",
+            )
+        )
+
     def _repr_html_(self) -> str:
         """Return a table of absorption with intervals in HTML, for notebooks."""
         from roomfit.report.html import result_fragment

@@ -71,6 +71,7 @@ def covered(_: Any, out: Path, *__: Any, **___: Any) -> Any:
 
 
 COMMANDS = "roomfit.commands."
+PREDICTIONS = "roomfit.predictions."
 STUBS: dict[str, dict[str, Any]] = {
     "identify": {
         COMMANDS + "read_campaign": lambda *_: SimpleNamespace(project=None, path=Path("c.toml")),
@@ -129,20 +130,24 @@ STUBS: dict[str, dict[str, Any]] = {
 
 def run(command: str, out: Path) -> None:
     """Run a command into a folder, whose files then hold the word of the hour."""
-    from roomfit import commands
+    from roomfit import commands, predictions
     from roomfit.impedance.campaign import impedance_to_folder
     from roomfit.suh2001.output import run_paper
 
     campaign = out.parent / "none.toml"
     calls: dict[str, Callable[[], object]] = {
         "identify": lambda: commands.identify_to_folder(campaign, out, overwrite=True),
-        "predict": lambda: commands.predict_to_folder(campaign, campaign, out, overwrite=True),
+        "predict": lambda: predictions.predict_to_folder(campaign, campaign, out, overwrite=True),
         "design": lambda: commands.design_to_folder(campaign, out, overwrite=True),
         "coverage": lambda: commands.estimate_coverage_to_folder(campaign, out),
         "paper": lambda: run_paper(out, overwrite=True),
         "impedance": lambda: impedance_to_folder(campaign, out, overwrite=True),
     }
-    usual = {COMMANDS + "read_campaign": nothing, "roomfit.report.figures.png": word_as_bytes}
+    usual = {
+        COMMANDS + "read_campaign": nothing,
+        PREDICTIONS + "read_campaign": nothing,
+        "roomfit.report.figures.png": word_as_bytes,
+    }
     with ExitStack() as stack:
         for name, stub in {**usual, **STUBS[command]}.items():
             stack.enter_context(patch(name, stub))

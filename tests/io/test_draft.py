@@ -293,3 +293,17 @@ def test_positions_in_another_unit_than_said_are_refused_with_the_unit(folder, m
     said = capsys.readouterr().err
     assert "0 of 3 positions within the room, all of them in cm" in said
     assert "name,x [cm]" in said and not (folder / "campaign.toml").exists()
+
+
+def test_a_draft_names_its_project_after_the_folder(tmp_path):
+    """Also where the folder's name has letters that TOML would take for its own."""
+    folder = tmp_path / 'Saal "West" 2'
+    folder.mkdir()
+    (folder / "t30.csv").write_text("place,500\nseat,1.1\n")
+    text = draft_campaign(
+        RoomSpec(shoebox=(6.0, 5.0, 3.0)), {}, folder=folder, decay_times=folder / "t30.csv"
+    )
+    (folder / "campaign.toml").write_text(text)
+    campaign = read_campaign(folder / "campaign.toml", to_fit=False, decay_times=True)
+    assert campaign.project.title == 'Saal "West" 2'
+    assert campaign.project.client is None and '# client = ""' in text

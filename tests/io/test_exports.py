@@ -5,8 +5,10 @@ from __future__ import annotations
 import configparser
 import csv
 import json
+import pickle
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +17,13 @@ import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
-from report_cases import answer_of, scene_of
+from report_cases import answer_of, finding, scene_of
 from roomfit.bands import bands_between
 from roomfit.commands import export_result
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.io.exports import FORMATS, RAVEN_BANDS, read_material_table, resample, short_names
+from roomfit.io.results import absorption_csv
 from small_campaign import run_command
 
 OCTAVES = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
@@ -427,3 +430,21 @@ def test_the_command_writes_and_keeps_what_is_there(tmp_path, monkeypatch, capsy
     assert run_command(monkeypatch, "export", missing, "--format", "csv", "--out", "x") == 2
     assert "does not exist" in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["result.json", "walls.geo"]
+
+
+def test_a_result_in_memory_is_exported_as_its_file_is_and_survives_a_pickle(tmp_path):
+    """The same text either way; a finding's evidence, which is a view, comes through."""
+    doubt = finding("warning", "Look at the floor.")
+    answer = replace(answer_of(scene_of()), findings=(doubt,), scattering=None)
+    again = pickle.loads(pickle.dumps(answer))
+    assert again.findings[0].sentence == doubt.sentence
+    assert again.findings[0].evidence == doubt.evidence
+    np.testing.assert_array_equal(again.absorption, answer.absorption)
+    (tmp_path / "absorption.csv").write_text(absorption_csv(answer))
+    export_result(tmp_path / "absorption.csv", "isimpa", tmp_path / "file.txt")
+    export_result(again, "isimpa", tmp_path / "memory.txt")
+    assert (tmp_path / "memory.txt").read_text() == (tmp_path / "file.txt").read_text()
+    with pytest.raises(InputError, match="made from the files of a result"):
+        export_result(again, "pdf", tmp_path / "report.pdf")
+    assert len(repr(answer).splitlines()) <= 10
+    assert f"{int(answer.identifiable.sum())} of {answer.identifiable.size}" in repr(answer)

@@ -19,10 +19,12 @@ from roomfit.diagnostics.decay import DECAY_SCATTER
 from roomfit.errors import InputError
 from roomfit.findings import About, Code, Finding
 from roomfit.inversion.compare import _decay
+from roomfit.report.decay_times import Series, decay_time_figure
 from roomfit.report.disagreement import disagreement_table
 from roomfit.report.figures import absorption_figure, decay_figure, identifiability_figure
 from roomfit.report.html import findings_count, headline, key_figures, report_html
 from roomfit.report.room_figure import material_colour, room_figure
+from roomfit.report.usable import remaining_usable
 from roomfit.report.wording import DASH
 from roomfit.results import Compared
 from roomfit.signals.decay import decay_curve, in_jnd
@@ -141,6 +143,37 @@ def test_a_logo_is_embedded_and_allowed_by_the_policy_of_that_page_alone(answer,
     for bad in ("http://a/b.png", "data:image/svg+xml;base64,AAAA", 'data:image/png;base64,A"B'):
         with pytest.raises(InputError, match="logo is no data URL"):
             report_html(answer, scene, title="Hall", project={"logo": bad})
+
+
+def test_the_first_screen_draws_measured_and_predicted_times_before_absorption(answer, scene):
+    """The means of the pairs, read from the figure itself."""
+    pairs = [replace(p, use="fit") for p in with_errors(answer, 0.1, keys=("T30_s",)).pairs]
+    found = replace(answer, pairs=tuple(pairs))
+    text = report_html(found, scene, title="Hall")
+    assert text.index('id="decay-times') < text.index("<main>") < text.index('id="absorption')
+    measured = np.array(answer.pairs[0].parameters["T30_s"].measured)
+    both = (Series("measured", measured), Series("predicted", 1.1 * measured))
+    axes = decay_time_figure(answer.bands.centres_hz, both).axes[0]
+    first, second = (line.get_ydata() for line in axes.lines)
+    np.testing.assert_allclose(second, 1.1 * first)
+    band = axes.collections[0].get_paths()[0].vertices[:, 1]
+    known = measured[np.isfinite(measured)]
+    assert band.max() == pytest.approx(1.05 * known.max())
+    assert axes.get_ylabel() == "T30 (s)" and axes.get_xlabel() == "frequency (Hz)"
+    without = replace(answer, pairs=())
+    assert 'id="decay-times' not in report_html(without, scene, title="Hall")
+
+
+def test_what_is_usable_comes_first_where_walls_are_doubted_and_no_number_is_a_dash(answer, scene):
+    doubt = Finding(Code.EXCHANGED, About(), "Two files are exchanged.")
+    nothing = np.zeros_like(answer.identifiable)
+    void = replace(answer, findings=(doubt,), identifiable=nothing)
+    text = report_html(void, scene, title="Hall")
+    usable, doubted = remaining_usable(void)[0], headline(void)
+    first = text.index(f'<p class="lead" lang="en">{usable[:9]}')
+    assert first < text.index(doubted[:40])
+    assert "±" not in "".join(value for value, _ in key_figures(void))
+    assert f"±{DASH}" not in text
 
 
 # The language.

@@ -529,7 +529,7 @@ def test_a_browser_draws_all_figures_and_logs_no_error(tmp_path):
     picture, drawn, logged = look_at(file, tmp_path)
     assert logged == []
     assert "<title>A drawn room</title>" in drawn
-    assert drawn.count('<svg role="img"') == 6
+    assert drawn.count('<svg role="img"') == 8
     grey = imread(picture)[..., :3].mean(axis=2)
     # words, lines and pale walls: a blank page has no dark and no middling pixels
     assert (grey < 0.3).mean() > 0.005

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from roomfit import commands
+from roomfit import commands, predictions
 from roomfit.app import project
 from roomfit.app.what_if import what_if, what_if_prepare
 from roomfit.errors import InputError, RoomfitError
@@ -320,7 +320,7 @@ def treat(progress: Progress, folder: str) -> str:
         raise InputError("there is no answer yet", hint="identify first")
     out = root / project.TREATMENT
     project.inside(root, out)
-    answer = commands.treat_to_folder(
+    answer = predictions.treat_to_folder(
         project.campaign_file(root),
         result,
         root / project.TREATMENT_QUESTION,
@@ -379,7 +379,7 @@ def listen(progress: Progress, folder: str, changes: list[str], dry: str = "") -
         raise InputError("there is nothing to compare yet", hint="identify, then change a wall")
     out = root / project.LISTENED
     project.inside(root, out)
-    commands.listen_to_folder(
+    predictions.listen_to_folder(
         project.campaign_file(root),
         result,
         out,

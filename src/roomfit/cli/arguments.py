@@ -48,11 +48,12 @@ class Parser(argparse.ArgumentParser):
             text = f"{text.removesuffix('.')} (default: {default})."
         self.add_argument(name, default=default, help=text, **settings)
 
-    def add_fit(self) -> None:
-        """Add ``--absorption``, the fit that must be given."""
-        self.add_option(
-            "--absorption", "result.json or absorption.csv of a fit.", type=Path, required=True
-        )
+    def add_fit(self, *, required: bool = True) -> None:
+        """Add ``--absorption``, the fit; not required where decay times or priors do as well."""
+        text = "result.json or absorption.csv of a fit."
+        if not required:
+            text += " Left out: by the campaign's decay times, or by its priors alone."
+        self.add_option("--absorption", text, type=Path, required=required)
         self.add_edited()
 
     def add_edited(self) -> None:
@@ -83,11 +84,11 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("--overwrite", action="store_true", help=text)
 
 
-def result_file(options: argparse.Namespace, path: Path) -> ResultFile:
-    """Return a result to read, as ``--edited`` has it."""
+def result_file(options: argparse.Namespace, path: Path | None) -> ResultFile | None:
+    """Return a result to read, if one is given, as ``--edited`` has it."""
     from roomfit.io.encoding import EditedFile  # needs numpy, which --help must not wait for
 
-    return EditedFile(path) if options.edited else path
+    return EditedFile(path) if path is not None and options.edited else path
 
 
 Commands: TypeAlias = "argparse._SubParsersAction[Parser]"

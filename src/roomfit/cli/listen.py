@@ -34,9 +34,9 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.commands import listen_to_folder
     from roomfit.prediction.changes import read_change
     from roomfit.prediction.output import listen_text
+    from roomfit.predictions import listen_to_folder
 
     with shown_progress("listening") as progress:
         content = listen_to_folder(

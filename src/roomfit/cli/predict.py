@@ -14,7 +14,7 @@ def add(commands: Commands) -> None:
     about = "Predict reverberation and clarity with their intervals, as the room is or changed."
     parser = add_command(commands, "predict", about, run)
     parser.add_argument("campaign", type=Path, help="Campaign file (TOML) of the room to predict.")
-    parser.add_fit()
+    parser.add_fit(required=False)
     parser.add_out()
     parser.add_option(
         "--set",
@@ -33,9 +33,9 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.commands import predict_to_folder
     from roomfit.prediction.campaign import WantedPairs, pair_choice
     from roomfit.prediction.changes import read_change
+    from roomfit.predictions import predict_to_folder
 
     changes = [read_change(text) for text in options.changes or []]
     wanted = WantedPairs(pair_choice(options.pairs), options.state or "")

@@ -15,7 +15,7 @@ def add(commands: Commands) -> None:
     parser = add_command(commands, "treat", about, run)
     parser.add_argument("campaign", type=Path, help="Campaign file (TOML) of the room.")
     parser.add_argument("treatment", type=Path, help="Surfaces, products and targets (TOML).")
-    parser.add_fit()
+    parser.add_fit(required=False)
     parser.add_out()
     parser.add_pairs()
     parser.add_state()
@@ -23,8 +23,8 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.commands import treat_to_folder
     from roomfit.prediction.campaign import WantedPairs, pair_choice
+    from roomfit.predictions import treat_to_folder
 
     wanted = WantedPairs(pair_choice(options.pairs), options.state or "")
     with shown_progress("choosing what to hang") as progress:

@@ -2,11 +2,12 @@
 
 Where no position is known, a room is its volume and its areas, and a decay time is one number a
 band: it determines one mean absorption, by the formula of a diffuse field that is believed.
+`field_posterior` gives it to predictions: the mean known, its split over materials by their priors.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -14,15 +15,27 @@ import numpy as np
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.logit import Z95, expit, logit
-from roomfit.materials.priors import MaterialPrior, prior_logit_law
+from roomfit.materials.priors import MaterialPrior, are_specified, prior_logit_law
 from roomfit.typing import FloatArray
+from roomfit.uncertainty.posterior import (
+    AbsorptionPosterior,
+    antithetic_normals,
+    plain_logit_covariance,
+)
 
 Formula = Literal["Sabine", "Eyring", "Arau-Puchades", "Fitzroy"]
 FORMULAS: tuple[Formula, ...] = get_args(Formula)
 # Of a decay time: a just noticeable difference, which no formula of a diffuse field undercuts.
 LEAST_RELATIVE_SD = 0.05
+# Of the time of rays in a box beside Eyring's, in units of Fitzroy's distance from it: mean,
+# standard deviation (docs/decisions/0052).
+ERROR_MEAN, ERROR_SD = 0.5, 0.6
+# In the same units the standard deviation of what a change of walls adds, and how it rises with
+# the share of the surface across one axis: rooms that are flat keep a field of their own.
+_ANEW, _ANEW_FLAT, _FLAT_FROM = 0.3, 2.0, 0.5
 _ROUNDS = 50
 _DONE = 1e-9
+_MEASURES = tuple(f for f in FORMULAS if f != "Sabine")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,25 +48,27 @@ class DiffuseAbsorption:
     decay_sd_s: FloatArray  # (n_bands,), of that mean
     mean: FloatArray  # (n_formulas, 3, n_bands), of the room: value, lower, upper bound of 95 %
     absorption: FloatArray  # (n_formulas, n_materials, 3, n_bands), the same of each material
+    # (n_formulas, n_bands, n_materials, n_materials), of their logits between their bounds
+    covariance: FloatArray
 
 
 def absorption_area_m2(
     formula: Formula, absorption: FloatArray, areas_m2: FloatArray
-) -> tuple[float, FloatArray]:
+) -> tuple[FloatArray, FloatArray]:
     """Return the equivalent absorption area of the walls, and its derivative by each absorption.
 
     Parameters
     ----------
     formula : {"Sabine", "Eyring", "Arau-Puchades", "Fitzroy"}
-    absorption : float array, shape (n_materials,)
+    absorption : float array, shape (..., n_materials)
         0 < absorption < 1.
     areas_m2 : float array, shape (3, n_materials)
         Of each material across x, y and z; they sum up to its area.
 
     Returns
     -------
-    area_m2 : float
-    derivative : float array, shape (n_materials,)
+    area_m2 : float array, shape (...)
+    derivative : float array, shape (..., n_materials)
 
     Notes
     -----
@@ -74,35 +89,38 @@ def absorption_area_m2(
     Walls that are all alike have one absorption by all formulas but Sabine's:
 
     >>> alike = np.array([0.2]), np.array([[20.0], [24.0], [60.0]])
-    >>> [round(absorption_area_m2(f, *alike)[0], 6) for f in FORMULAS]
+    >>> [round(float(absorption_area_m2(f, *alike)[0]), 6) for f in FORMULAS]
     [20.8, 23.206929, 23.206929, 23.206929]
     """
-    across = areas_m2.sum(axis=1)
-    total, own = float(across.sum()), areas_m2.sum(axis=0)
+    own, across = areas_m2.sum(axis=0), areas_m2.sum(axis=1)
+    total = float(across.sum())
     if formula == "Sabine":
-        return float(own @ absorption), own
+        return np.asarray(absorption @ own), np.broadcast_to(own, absorption.shape)
     if formula == "Eyring":
-        mean = float(own @ absorption) / total
-        return -total * float(np.log1p(-mean)), own / (1.0 - mean)
+        kept = 1.0 - (absorption @ own) / total
+        return -total * np.log(kept), own / kept[..., None]
     used = across > 0.0
-    means = (areas_m2[used] @ absorption) / across[used]
-    losses, shares = -np.log1p(-means), across[used] / total
+    kept = 1.0 - (absorption @ areas_m2[used].T) / across[used]
+    losses, shares = -np.log(kept), across[used] / total
     if formula == "Fitzroy":
-        area = total / float(np.sum(shares / losses))
-        by_axis = (area / total) ** 2 / (losses**2 * (1.0 - means))
-        return area, by_axis @ areas_m2[used]
-    area = total * float(np.exp(np.sum(shares * np.log(losses))))
-    by_axis = area / total / (losses * (1.0 - means))
-    return area, by_axis @ areas_m2[used]
+        area = total / np.sum(shares / losses, axis=-1)
+        by_axis = (area[..., None] / total / losses) ** 2
+    else:
+        area = total * np.exp(np.sum(shares * np.log(losses), axis=-1))
+        by_axis = area[..., None] / total / losses
+    return np.asarray(area), (by_axis / kept) @ areas_m2[used]
 
 
-def _disagreement(formula: Formula, absorption: FloatArray, areas_m2: FloatArray) -> float:
+def _disagreement(formula: Formula, absorption: FloatArray, areas_m2: FloatArray) -> FloatArray:
     """Return by how much another formula's area is off this one's at most, relatively.
 
     Sabine's, which holds for small absorption only, is off others but is no measure for them.
+    Shapes as of `absorption_area_m2`.
     """
     areas = {f: absorption_area_m2(f, absorption, areas_m2)[0] for f in FORMULAS}
-    return max(abs(float(np.log(areas[f] / areas[formula]))) for f in FORMULAS if f != "Sabine")
+    return np.asarray(
+        np.max([abs(np.log(areas[f] / areas[formula])) for f in _MEASURES], axis=0, initial=0.0)
+    )
 
 
 def diffuse_absorption(
@@ -141,10 +159,8 @@ def diffuse_absorption(
     InputError
         A decay is longer than air alone permits, or so short that no wall explains it.
     """
-    n_known = np.sum(np.isfinite(decay_s), axis=0)
-    middle_s = np.nanmean(decay_s, axis=0)
-    spread = np.nanstd(decay_s, axis=0) * np.sqrt(n_known / np.maximum(n_known - 1, 1))
-    relative = np.hypot(LEAST_RELATIVE_SD, spread / np.sqrt(n_known) / middle_s)
+    middle_s, spread = mean_decay(decay_s)
+    relative = np.hypot(LEAST_RELATIVE_SD, spread)
     whole_m2 = 24.0 * np.log(10.0) * volume_m3 / (speed_of_sound_m_s * middle_s)
     walls_m2 = whole_m2 - 4.0 * volume_m3 * attenuation_per_m
     for centre, area in zip(bands.centres_hz, walls_m2, strict=True):
@@ -157,49 +173,98 @@ def diffuse_absorption(
             )
     mean = np.empty((len(FORMULAS), 3, len(bands)))
     each = np.empty((len(FORMULAS), len(priors), 3, len(bands)))
+    covariances = np.empty((len(FORMULAS), len(bands), len(priors), len(priors)))
     for i, formula in enumerate(FORMULAS):
         for band in range(len(bands)):
-            sd = float(relative[band] * whole_m2[band] / walls_m2[band])
-            value = float(np.log(walls_m2[band]))
-            first = _updated(formula, (value, sd), priors, areas_m2, band)
-            own = np.clip(first[1][:, 0], 1e-9, 1.0 - 1e-9)
-            datum = value, float(np.hypot(sd, _disagreement(formula, own, areas_m2)))
-            mean[i, :, band], each[i, :, :, band] = _updated(formula, datum, priors, areas_m2, band)
-    return DiffuseAbsorption(
-        bands, tuple(k.name for k in priors), middle_s, relative * middle_s, mean, each
-    )
+            law = _law(priors, band)
+            datum = float(np.log(walls_m2[band])), relative[band] * whole_m2[band] / walls_m2[band]
+            first, _ = _most_likely(formula, datum, law, law.centre, areas_m2)
+            apart = float(_disagreement(formula, law.absorption(first), areas_m2))
+            datum = datum[0], float(np.hypot(datum[1], apart))
+            x, posterior = _most_likely(formula, datum, law, law.centre, areas_m2)
+            mean[i, :, band], each[i, :, :, band] = _with_bounds(law, x, posterior, areas_m2)
+            covariances[i, band] = posterior
+    names = tuple(k.name for k in priors)
+    return DiffuseAbsorption(bands, names, middle_s, relative * middle_s, mean, each, covariances)
 
 
-def _updated(
-    formula: Formula,
-    datum: tuple[float, float],
-    priors: tuple[MaterialPrior, ...],
-    areas_m2: FloatArray,
-    band: int,
-) -> tuple[FloatArray, FloatArray]:
-    """Return mean and materials with bounds: the Gaussian posterior at the most likely logits."""
+def mean_decay(decay_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the mean over positions, and the relative standard deviation of that mean.
+
+    Parameters
+    ----------
+    decay_s : float array, shape (n_positions, n_bands)
+        NaN where unknown; some in every band.
+    """
+    n_known = np.sum(np.isfinite(decay_s), axis=0)
+    middle_s = np.nanmean(decay_s, axis=0)
+    spread = np.nanstd(decay_s, axis=0) * np.sqrt(n_known / np.maximum(n_known - 1, 1))
+    return middle_s, spread / np.sqrt(n_known) / middle_s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Law:
+    """The prior of one band: Gaussian in the logit of ``(a - low) / span``."""
+
+    centre: FloatArray  # (n_materials,)
+    covariance: FloatArray  # (n_materials, n_materials), zeros where absorption is fixed
+    low: FloatArray  # (n_materials,)
+    span: FloatArray  # (n_materials,)
+
+    def absorption(self, x: FloatArray) -> FloatArray:
+        """Return the absorption at some logits, shape (..., n_materials), within 0 to 1."""
+        return np.asarray(np.clip(self.low + self.span * expit(x), 1e-9, 1.0 - 1e-9))
+
+
+def _law(priors: tuple[MaterialPrior, ...], band: int) -> _Law:
     means, covariances = prior_logit_law(priors)
     centre, covariance = means[:, band].copy(), covariances[band].copy()
-    low, span = (np.array([getattr(k, n) for k in priors]) for n in ("lower", "upper"))
-    span = span - low
+    low, high = (np.array([getattr(k, n) for k in priors]) for n in ("lower", "upper"))
+    span = high - low
     for j, k in enumerate(priors):
         if k.known is not None:
             low[j], span[j], centre[j] = 0.0, 1.0, float(logit(k.known[band : band + 1], 1e-9)[0])
             covariance[j], covariance[:, j] = 0.0, 0.0
+    return _Law(centre, covariance, low, span)
+
+
+def _most_likely(
+    formula: Formula,
+    datum: tuple[FloatArray | float, float],
+    law: _Law,
+    centre: FloatArray,
+    areas_m2: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the most likely logits, shape (..., n_materials), and the last covariance of them.
+
+    Parameters
+    ----------
+    datum : (value, standard deviation)
+        Of the logarithm of the area of the walls; the value of shape (...).
+    centre : float array, shape (..., n_materials)
+        That the prior has its maximum at.
+    """
     x, (value, sd) = centre.copy(), datum
     for _ in range(_ROUNDS):
-        share = expit(x)
-        area, by_absorption = absorption_area_m2(formula, low + span * share, areas_m2)
-        slope = by_absorption * span * share * (1.0 - share) / area
-        shared = covariance @ slope
-        gain = shared / (float(slope @ shared) + sd**2)
-        new = centre + gain * (value - np.log(area) + float(slope @ (x - centre)))
-        step = np.clip(new - x, -2.0, 2.0)
+        absorption, share = law.absorption(x), expit(x)
+        area, by_absorption = absorption_area_m2(formula, absorption, areas_m2)
+        slope = by_absorption * law.span * share * (1.0 - share) / area[..., None]
+        shared = slope @ law.covariance
+        gain = shared / (np.sum(slope * shared, axis=-1, keepdims=True) + sd**2)
+        off = value - np.log(area) + np.sum(slope * (x - centre), axis=-1)
+        step = np.clip(centre + gain * off[..., None] - x, -2.0, 2.0)
         x = x + step
         if float(np.max(np.abs(step))) < _DONE:
             break
-    posterior = covariance - np.outer(gain, shared)
+    return x, law.covariance - gain[..., :, None] * shared[..., None, :]
+
+
+def _with_bounds(
+    law: _Law, x: FloatArray, posterior: FloatArray, areas_m2: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return mean and materials with bounds, Gaussian in their logits."""
     sds = np.sqrt(np.maximum(np.diag(posterior), 0.0))
+    low, span = law.low, law.span
     materials = np.stack([low + span * expit(x + z * sds) for z in (0.0, -Z95, Z95)], axis=1)
     weights = areas_m2.sum(axis=0) / areas_m2.sum()
     middle = float(weights @ materials[:, 0])
@@ -209,3 +274,122 @@ def _updated(
     return np.array(
         [float(expit(np.array([at + z * spread]))[0]) for z in (0, -Z95, Z95)]
     ), materials
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DiffuseField:
+    """A room as a diffuse field: its size, its walls, and what was measured of its decay."""
+
+    formula: Formula
+    bands: Bands
+    priors: tuple[MaterialPrior, ...]
+    areas_m2: FloatArray  # (3, n_materials), see `absorption_area_m2`
+    volume_m3: float
+    speed_of_sound_m_s: float
+    attenuation_per_m: FloatArray  # (n_bands,), energy attenuation of the air
+    # (n_positions, n_bands), measured reverberation times in s, NaN where unknown; None: none
+    decay_s: FloatArray | None = None
+
+    def times_s(self, absorption: FloatArray) -> FloatArray:
+        """Return reverberation times of the walls and the air, shape (..., n_bands).
+
+        `absorption` has the shape (..., n_materials, n_bands).
+        """
+        by_band = np.moveaxis(np.clip(absorption, 1e-9, 1.0 - 1e-9), -2, -1)
+        walls_m2, _ = absorption_area_m2(self.formula, by_band, self.areas_m2)
+        whole_m2 = walls_m2 + 4.0 * self.volume_m3 * self.attenuation_per_m
+        return np.asarray(24.0 * np.log(10.0) * self.volume_m3 / self.speed_of_sound_m_s / whole_m2)
+
+    @property
+    def flatness(self) -> float:
+        """Largest share of the surface across one axis: a third for a cube, more for flat rooms."""
+        across = self.areas_m2.sum(axis=1)
+        return float(across.max() / across.sum())
+
+    @property
+    def error_of_change(self) -> float:
+        """Standard deviation of what a change adds, in units of the error of the formula."""
+        return _ANEW + _ANEW_FLAT * max(self.flatness - _FLAT_FROM, 0.0)
+
+    def formula_error(self, absorption: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and unit of the error of the formula, in logarithms of times.
+
+        Shapes (..., n_bands). The unit is by how much Fitzroy's time is longer than Eyring's: all
+        formulas agree where walls are alike, and the field is diffuse.
+        """
+        eyring, fitzroy, own = (
+            np.log(replace(self, formula=f).times_s(absorption))
+            for f in ("Eyring", "Fitzroy", self.formula)
+        )
+        unit = np.maximum(fitzroy - eyring, 0.0)
+        return eyring + ERROR_MEAN * unit - own, unit
+
+
+def field_posterior(
+    field: DiffuseField, n_draws: int, rng: np.random.Generator
+) -> AbsorptionPosterior:
+    """Return absorption by the decay times of a room, or by its priors where there are none.
+
+    The mean is known as well as `diffuse_absorption` says, the split over materials as well as
+    their priors have it. Each draw disturbs datum and prior by their own noise and finds the most
+    likely logits again (as `roomfit.uncertainty.posterior.rto_draws`), the priors' noise alike in
+    all bands: a wall that absorbs more than its table does so at all frequencies.
+
+    Parameters
+    ----------
+    field : DiffuseField
+    n_draws : int
+        2 or more.
+
+    Raises
+    ------
+    InputError
+        As of `diffuse_absorption`.
+    """
+    priors, bands, areas_m2 = field.priors, field.bands, field.areas_m2
+    laws = [_law(priors, band) for band in range(len(bands))]
+    z = antithetic_normals(n_draws, len(priors), rng)
+    noise = antithetic_normals(n_draws, len(bands), rng)
+    index = FORMULAS.index(field.formula)
+    values = np.empty((3, len(priors), len(bands)))
+    covariance = np.stack([law.covariance for law in laws])
+    draws = np.empty((n_draws, len(priors), len(bands)))
+    found = None
+    if field.decay_s is not None:
+        found = diffuse_absorption(
+            field.decay_s, bands, priors, areas_m2, field.volume_m3,
+            speed_of_sound_m_s=field.speed_of_sound_m_s, attenuation_per_m=field.attenuation_per_m,
+        )  # fmt: skip
+        values, covariance = found.absorption[index].transpose(1, 0, 2), found.covariance[index]
+    if found is not None:
+        # formulas disagree at the absorption that was found; each draw's value is that of this one
+        mean_error, unit = field.formula_error(values[0])
+        between = mean_decay(np.asarray(field.decay_s))[1]
+        sd_log = np.sqrt(LEAST_RELATIVE_SD**2 + (ERROR_SD * unit) ** 2 + between**2)
+        drawn_s = found.decay_s * np.exp(-mean_error - sd_log * noise)
+    for band, law in enumerate(laws):
+        size, direction = np.linalg.eigh(law.covariance)
+        x = law.centre + z @ (direction * np.sqrt(np.maximum(size, 0.0)) @ direction.T)
+        if found is None:
+            values[:, :, band] = _with_bounds(law, law.centre, law.covariance, areas_m2)[1].T
+        else:
+            whole_m2 = (
+                24.0 * np.log(10.0) * field.volume_m3 / field.speed_of_sound_m_s / drawn_s[:, band]
+            )
+            walls_m2 = np.maximum(
+                whole_m2 - 4.0 * field.volume_m3 * field.attenuation_per_m[band], 1e-3
+            )
+            sd = sd_log[band] * np.median(whole_m2 / walls_m2)
+            x, _ = _most_likely(field.formula, (np.log(walls_m2), sd), law, x, areas_m2)
+        draws[:, :, band] = law.absorption(x)
+    fixed = np.array([k.known is not None for k in priors])
+    draws[:, fixed] = values[0, fixed]
+    mean, before = prior_logit_law(priors)
+    low, high = (np.array([getattr(k, n) for k in priors]) for n in ("lower", "upper"))
+    a, lower, upper = values
+    return AbsorptionPosterior(
+        tuple(k.name for k in priors), bands, a, np.fmin(lower, a), np.fmax(upper, a),
+        plain_logit_covariance(covariance, a, low, high),
+        mean, np.sqrt(np.diagonal(before, axis1=1, axis2=2)).T, before,
+        prior_specified=are_specified(priors), draws=draws,
+    )  # fmt: skip

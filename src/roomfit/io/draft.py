@@ -20,6 +20,7 @@ from roomfit.errors import InputError, located
 from roomfit.geometry.mesh import Mesh, area_vector_m2
 from roomfit.io.campaign import FILL_IN
 from roomfit.io.door import csv_rows, read_bytes, read_text
+from roomfit.io.encoding import one_line
 from roomfit.io.file_names import files_of_shape, in_short, shape_of
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.io.rooms import read_mesh, read_model
@@ -307,6 +308,8 @@ def draft_campaign(
         "[identify]",
         "from_hz = 125",
         "to_hz = 4000",
+        "",
+        *_project_lines(folder),
     ]
     return "\n".join(lines) + "\n"
 
@@ -317,14 +320,32 @@ def _draft_of_decay_times(
     lines = [
         "# A first campaign, made by `roomfit init`. Blanks are marked FILL IN. Then:",
         "#   roomfit reverberation campaign.toml",
+        "#   roomfit predict campaign.toml --set MATERIAL=0.6 --out predicted",
         "",
         "[room]",
         *_room_lines(room, folder, because),
         "",
         "[reverberation]",
         f"file = {_quoted(_beside(folder, decay_times))}",
+        "",
+        *_project_lines(folder),
     ]
     return "\n".join(lines) + "\n"
+
+
+_LONGEST_TITLE = 120
+
+
+def _project_lines(folder: Path) -> list[str]:
+    """Return the table of the report's headings: the folder's name, the others left to fill in."""
+    return [
+        "# what stands above the report",
+        "[project]",
+        f"title = {_quoted(one_line(folder.resolve().name)[:_LONGEST_TITLE].strip() or 'Room')}",
+        '# client = ""',
+        '# author = ""',
+        '# date = ""',
+    ]
 
 
 def _room_lines(

@@ -33,7 +33,7 @@ from roomfit.io.encoding import (
     path_of,
     written_content,
 )
-from roomfit.results import absorption_records
+from roomfit.results import Result, absorption_records
 from roomfit.table import Table, csv_of, without_apostrophe, workbook_of
 from roomfit.typing import BoolArray, FloatArray
 
@@ -235,11 +235,19 @@ class MaterialTable:
         object.__setattr__(self, "identifiable", flags)
 
 
+def material_table_of(result: Result) -> MaterialTable:
+    """Return the materials of a result in memory."""
+    return MaterialTable(
+        result.materials, result.bands, result.absorption, result.lower95, result.upper95,
+        result.identifiable, result.scattering,
+    )  # fmt: skip
+
+
 # Of result.json, by table: what may stand there.
 RESULT_KEYS = {
     "": "format format_version bands_hz materials combinations pairs findings fit plan settings "
-    "trace provenance usable remains states sd_without directivity geometry posterior "
-    "files_sha256 content_sha256",
+    "trace provenance usable remains states sd_without directivity geometry posterior objects "
+    "reverberation files_sha256 content_sha256",
     "materials": "absorption lower95 upper95 identifiable area_m2 scattering share share_lower95 "
     "share_upper95 prior interval",
     "posterior": "materials logit_mean logit_covariance prior_logit_mean prior_logit_sd "

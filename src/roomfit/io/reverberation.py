@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import TypedDict
+from typing import Any
 
 import numpy as np
 
@@ -13,66 +14,119 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import OCTAVES_HZ, Bands
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import area_vectors_m2, is_double_sided, triangle_areas_m2, volume_m3
-from roomfit.io.campaign import read_campaign, refuse_objects
+from roomfit.inversion.diffuse import (
+    FORMULAS,
+    DiffuseAbsorption,
+    DiffuseField,
+    field_posterior,
+)
+from roomfit.io.campaign import Campaign, refuse_objects
 from roomfit.io.door import csv_rows, read_text
+from roomfit.io.encoding import provenance
 from roomfit.io.inputs import campaign_room, material_priors
-from roomfit.materials.priors import MaterialPrior, unknown_material
+from roomfit.logit import logit
+from roomfit.materials.priors import unknown_material
 from roomfit.scene import Room, triangle_material
 from roomfit.typing import FloatArray
 
-
-class DiffuseArguments(TypedDict):
-    """What `roomfit.inversion.diffuse.diffuse_absorption` takes."""
-
-    decay_s: FloatArray
-    bands: Bands
-    priors: tuple[MaterialPrior, ...]
-    areas_m2: FloatArray
-    volume_m3: float
-    speed_of_sound_m_s: float
-    attenuation_per_m: FloatArray
+_DRAWS = 500  # in a file, of which predictions take as many
 
 
-def reverberation_arguments(path: Path) -> DiffuseArguments:
-    """Return a campaign with decay times as arguments of `diffuse_absorption`.
+def diffuse_field(campaign: Campaign) -> tuple[DiffuseField, Room | None]:
+    """Return a campaign as a diffuse field, with its decay times if it has any, and its room.
 
     Raises
     ------
     InputError
-        The campaign or its table cannot be read; or neither a room nor volume and surface are
-        given.
+        The table of decay times cannot be read, or neither a room nor volume and surface are given.
     """
-    campaign = read_campaign(path, to_fit=False, decay_times=True)
+    refuse_objects(campaign, "decay times alone")
     own = campaign.reverberation
-    if own is None:
-        raise InputError(
-            "a campaign without decay times", where=str(path), needed="a table [reverberation]"
-        )
-    refuse_objects(campaign, "roomfit reverberation")
-    decay_s, bands = read_decay_times(path.parent / own.file)
-    volume = own.volume_m3
-    if campaign.has_room:
-        room = campaign_room(campaign)
+    decay_s, bands, volume = None, campaign.bands, None
+    if own is not None:
+        decay_s, bands = read_decay_times(campaign.path.parent / own.file)
+        volume = own.volume_m3
+    room = campaign_room(campaign) if campaign.has_room else None
+    if room is not None:
         priors = material_priors(replace(campaign, bands=bands), room.materials)
         areas_m2, volume = areas_by_axis_m2(room), volume or volume_m3(room.mesh)
     else:
-        if volume is None or own.surface_m2 is None:
+        if volume is None or own is None or own.surface_m2 is None:
             raise InputError(
                 "decay times of a room of unknown size",
-                where=f"{path}, reverberation",
+                where=f"{campaign.path}, reverberation",
                 needed="volume_m3 and surface_m2, or a table [room]",
             )
         priors = (unknown_material("room", len(bands)),)
         areas_m2 = np.full((3, 1), own.surface_m2 / 3.0)
+    formula = "Eyring" if own is None else own.formula
+    return DiffuseField(
+        formula, bands, priors, areas_m2, volume, speed_of_sound_m_s(campaign.air),
+        attenuation_per_m(campaign.air, bands), decay_s,
+    ), room  # fmt: skip
+
+
+def diffuse_result_content(
+    field: DiffuseField, found: DiffuseAbsorption, seed: int, inputs: Iterable[Path]
+) -> dict[str, Any]:
+    """Return decay times and the absorption that they give as the content of a result.json.
+
+    By the field's formula. It has what every result has of materials, mean and posterior, and
+    ``reverberation`` in place of pairs; no material by itself is identifiable, for priors alone
+    tell walls apart.
+    """
+    known = field_posterior(field, _DRAWS, np.random.default_rng(seed))
+    mean, prior_sd = known.prior_logit_mean, known.prior_logit_sd
+    areas_m2, own = field.areas_m2.sum(axis=0), found.mean[FORMULAS.index(field.formula)]
+    weights = dict(zip(known.materials, (areas_m2 / areas_m2.sum()).round(6), strict=True))
+    bands = zip(field.bands.centres_hz, *own, strict=True)
     return {
-        "decay_s": decay_s,
-        "bands": bands,
-        "priors": priors,
-        "areas_m2": areas_m2,
-        "volume_m3": volume,
-        "speed_of_sound_m_s": speed_of_sound_m_s(campaign.air),
-        "attenuation_per_m": attenuation_per_m(campaign.air, bands),
-    }
+        "format": "roomfit-result",
+        "format_version": 1,
+        "bands_hz": field.bands.centres_hz,
+        "materials": {
+            name: {
+                "absorption": known.absorption[i],
+                "lower95": known.lower95[i],
+                "upper95": known.upper95[i],
+                "identifiable": [False] * len(field.bands),
+                "area_m2": round(float(areas_m2[i]), 4),
+            }
+            for i, name in enumerate(known.materials)
+        },
+        "combinations": [
+            {
+                "band_hz": centre, "kind": "mean", "weights": weights, "absorption": value,
+                "lower95": low, "upper95": high, "determined": True, "differences": [],
+            }
+            for centre, value, low, high in bands
+        ],
+        "pairs": [],
+        "reverberation": {
+            "formula": field.formula,
+            "volume_m3": field.volume_m3,
+            "decay_s": found.decay_s,
+            "decay_sd_s": found.decay_sd_s,
+        },
+        "findings": [],
+        "fit": {
+            "method": "decay times alone",
+            "model": field.formula,
+            "seed": seed,
+            "intervals": "Gaussian in the logit, the disagreement of formulas included",
+        },
+        "posterior": {
+            "materials": known.materials,
+            "logit_mean": logit(known.absorption).T,
+            "logit_covariance": known.logit_covariance,
+            "prior_logit_mean": None if mean is None else mean.T,
+            "prior_logit_sd": None if prior_sd is None else prior_sd.T,
+            "prior_logit_covariance": known.prior_logit_covariance,
+            "prior_specified": known.prior_specified,
+            "draws": None if known.draws is None else known.draws.round(5),
+        },
+        "provenance": provenance(inputs) | {"speed_of_sound_m_s": field.speed_of_sound_m_s},
+    }  # fmt: skip
 
 
 def areas_by_axis_m2(room: Room) -> FloatArray:

@@ -496,10 +496,12 @@ class ProjectTable(Table):
 
 
 class ReverberationTable(Table):
-    """``[reverberation]``: decay times and no positions, for ``roomfit reverberation``."""
+    """``[reverberation]``: decay times and no positions."""
 
     file: str
     """CSV table: a line of centres in Hz, then a line of decay times in s for each position."""
+    formula: Literal["Sabine", "Eyring", "Arau-Puchades", "Fitzroy"] = "Eyring"
+    """By which `roomfit predict` and `treat` go; `reverberation` shows all four."""
     volume_m3: Annotated[float, _limited(1.0, 1e7, "m3; of rooms")] | None = None
     """Where there is no [room]."""
     surface_m2: Annotated[float, _limited(1.0, 1e6, "m2; of rooms")] | None = None

@@ -17,8 +17,10 @@ from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.errors import InputError
 from roomfit.findings import Finding
 from roomfit.io.encoding import finding_content, finding_of, numbers_or_null, provenance
+from roomfit.prediction.answer import DecayAnswer, decay_answer
 from roomfit.prediction.changes import Change, change_text
 from roomfit.prediction.tables import PredictedPair, PredictedValue, ValueChange, named_values
+from roomfit.report.decay_times import mid_mean, mid_words
 from roomfit.report.figures import (
     LOWEST_DB,
     OKABE_ITO,
@@ -28,7 +30,7 @@ from roomfit.report.figures import (
     literal,
     new_figure,
 )
-from roomfit.report.html import tables_page
+from roomfit.report.html import answer_page
 from roomfit.report.text import findings_text
 from roomfit.report.wording import band_tables, decay_time_key, html_findings, parameter
 from roomfit.signals.decay import FIT_RANGES_DB
@@ -178,13 +180,12 @@ _OF_A_PAIR: tuple[tuple[ValueName, ...], ...] = (
 
 def predict_text(predicted: Predicted) -> str:
     """Return the mean over the pairs, every pair, and all findings."""
-    parts = []
-    if predicted.changes:
-        parts.append("Changed: " + "; ".join(predicted.changes))
+    parts = [" ".join(_lead(predicted))]
     parts += map(text_of, _mean_tables(predicted, _MEAN))
-    if predicted.sti is None:
+    if predicted.pairs and predicted.sti is None:
         parts.append(f"STI is not predicted: {sti_missing(predicted.bands)}.")
-    parts += [text_of(pairs_table(predicted)), findings_text(predicted.findings)]
+    parts += [text_of(pairs_table(predicted))] if predicted.pairs else []
+    parts.append(findings_text(predicted.findings))
     return "\n\n".join(p for p in parts if p).replace("result.json)", "predicted.json)")
 
 
@@ -225,7 +226,7 @@ def _heads(predicted: Predicted) -> tuple[str, ...]:
     return ("Hz", *(f"{f:g}" for f in predicted.bands.centres_hz))
 
 
-def _lines(
+def parameter_lines(
     table: Mapping[str, PredictedValue], *, is_changed: bool
 ) -> list[tuple[str, str, list[Cell]]]:
     """Return name, what is said of it, and cells of every line of a table.
@@ -272,7 +273,7 @@ def parameter_rows(
     """Return rows as text has them: the name of a parameter stands above its other lines."""
     return [
         ({"predicted": label, "model after": f"{label} after"}.get(what, f"  {what}"), *cells)
-        for label, what, cells in _lines(table, is_changed=is_changed)
+        for label, what, cells in parameter_lines(table, is_changed=is_changed)
     ]
 
 
@@ -281,7 +282,7 @@ _IN_A_PAGE = ("predicted", "measured", "measured before", "model before", "model
 
 
 def predicted_page(predicted: Predicted) -> str:
-    """Return the mean and every pair as a page of tables, under the policy of the report.
+    """Return the answer as a page, under the policy of the report; means and pairs are folded.
 
     Of a change each parameter has what was measured before, the model before and after, what was
     measured carried over by the change, and the change, with their intervals.
@@ -294,22 +295,63 @@ def predicted_page(predicted: Predicted) -> str:
     ]
     shown = []
     for title, values in titled:
-        lines = _lines(named_values(values, None), is_changed=is_changed)
+        lines = parameter_lines(named_values(values, None), is_changed=is_changed)
         shown.append(band_tables(title, "parameter", centres_hz, _page_rows(lines)))
     sti = [("mean over the pairs", predicted.sti)]
     sti += [(f"{p.source} to {p.receiver}", p.sti) for p in predicted.pairs]
     rows = []
     for title, value in sti:
         if value is not None:
-            lines = _lines({"STI": value}, is_changed=is_changed)
+            lines = parameter_lines({"STI": value}, is_changed=is_changed)
             rows += _page_rows([(title, what, cells) for _, what, cells in lines])
     if rows:
         shown.insert(1, (Table(_STI, ("pair", "125 Hz to 8 kHz"), rows),))
-    lead = [f"Changed: {'; '.join(predicted.changes)}."] if predicted.changes else []
-    lead += [] if rows else [f"STI is not predicted: {sti_missing(predicted.bands)}."]
-    lead += [f.sentence for f in predicted.findings if f.severity != "info"]
+    missing = "" if rows else f"STI is not predicted: {sti_missing(predicted.bands)}."
     title = "Before and after" if predicted.compares_states else "Predicted"
-    return tables_page(title, " ".join(lead), [t for tables in shown for t in tables])
+    answer = _answer(predicted)
+    n_means = 2 if rows and len(shown) > 1 else 1
+    folded = [("Means", missing, [t for tables in shown[:n_means] for t in tables])]
+    if len(shown) > n_means:
+        words = f"{len(predicted.pairs)} of source and receiver"
+        folded.append(("Pair by pair", words, [t for tables in shown[n_means:] for t in tables]))
+    return answer_page(
+        title,
+        " ".join(_lead(predicted)),
+        None if answer is None else answer.figure(),
+        _key_figures(predicted, answer),
+        predicted.findings,
+        folded,
+    )
+
+
+def _answer(predicted: Predicted) -> DecayAnswer | None:
+    means = named_values(predicted.mean, None)
+    return decay_answer(predicted.bands, means, is_changed=bool(predicted.changes))
+
+
+def _lead(predicted: Predicted) -> list[str]:
+    """Return what was changed, and what the decay time does then."""
+    answer = _answer(predicted)
+    lead = [f"With {'; '.join(predicted.changes)}:"] if predicted.changes else []
+    return lead + ([] if answer is None else [answer.sentence])
+
+
+def _key_figures(predicted: Predicted, answer: DecayAnswer | None) -> list[tuple[str, str]]:
+    """Return at most four numbers and what they are."""
+    shown = [] if answer is None else answer.figures
+    named = named_values(predicted.mean, predicted.sti)
+    centres = predicted.bands.centres_hz
+    for key, label, form in _SHOWN:
+        v = named.get(key)
+        if len(shown) >= 4 or key not in ("C50_dB", "STI", "G_dB") or v is None:
+            continue
+        rows = (v.predicted, v.lower95, v.upper95)
+        value, low, high = ((r[0] if key == "STI" else mid_mean(centres, r)) for r in rows)
+        if np.isfinite(value):
+            where = "" if key == "STI" else f" at {mid_words(centres)}"
+            words = f"{label}{where}, predicted; {form.format(low)} to {form.format(high)} at 95 %"
+            shown.append((form.format(value), words))
+    return shown
 
 
 def _page_rows(lines: Sequence[tuple[str, str, list[Cell]]]) -> list[tuple[Cell, ...]]:

@@ -470,7 +470,7 @@ def predict_change(
         name: object_area_m2(values[:, i], absorption.objects[name])
         for i, name in enumerate(names[n:], start=n)
     }
-    stated = _what_if(changes, room.observed if room.before else (), bands, means)
+    stated = change_findings(changes, bool(room.before and room.observed), bands, means)
     return Predicted(
         bands,
         names[:n],
@@ -549,20 +549,21 @@ def _longest_s(observed: Sequence[ObservedPair]) -> float:
 _SUMMARY: tuple[tuple[ValueName, ...], ...] = (("T30_s", "T20_s", "EDT_s"), ("C80_dB",), ("G_dB",))
 
 
-def _what_if(
+def change_findings(
     changes: Sequence[Change],
-    observed: Sequence[ObservedPair],
+    is_measured: bool,
     bands: Bands,
     means: Mapping[ValueName, PredictedValue],
 ) -> tuple[Finding, ...]:
+    """Return what was changed, and in which bands the direction of its effect is determined."""
     if not changes:
         return ()
     sentence = f"Predicted with {', '.join(change_text(c) for c in changes)}."
-    if observed:
+    if is_measured:
         sentence += " Measured values beside it are those of the room as it was measured."
     directions: dict[str, dict[str, list[float]]] = {}
     for names in _SUMMARY:
-        known = [n for n in names if np.isfinite(means[n].predicted).any()]
+        known = [n for n in names if n in means and np.isfinite(means[n].predicted).any()]
         change = means[known[0]].change if known else None
         if change is not None:
             directions[known[0]] = _directions(bands, change, known[0])

@@ -24,6 +24,7 @@ from roomfit.errors import InputError
 from roomfit.findings import Code, Finding, Severity
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.diffuse import FORMULAS, DiffuseAbsorption
+from roomfit.report.decay_times import Series, decay_time_figure
 from roomfit.report.disagreement import disagreement_table
 from roomfit.report.figures import (
     absorption_figure,
@@ -297,7 +298,11 @@ def key_figures(answer: Result, say: Callable[[str], str] = str) -> tuple[tuple[
     at = hertz(float(answer.bands.centres_hz[middle]))
     figures = [
         (f"{found} / {int((~fixed).sum())}", say("coefficients determined")),
-        (f"±{_half_width(answer)}", say("half of them are known to within this, at 95 %")),
+        *(
+            [(f"±{_half_width(answer)}", say("half of them are known to within this, at 95 %"))]
+            if found
+            else []
+        ),
         (f"{mean} ({low}{DASH}{high})", say("mean absorption of the room at {at}").format(at=at)),
     ]
     kept = [pair for pair in answer.pairs if pair.use == "validate"]
@@ -407,7 +412,8 @@ def report_html(
         raise InputError("the logo is no data URL of PNG or JPEG", found=repr(logo[:40]))
     say = _translator(language)
     drawn = answer_figures(answer) if figures is None else figures
-    text: str = _template("report.html.j2").render(
+    return render_sealed(
+        "report.html.j2",
         t=say,
         language="de" if language == "de" else "en",
         title=title,
@@ -417,6 +423,7 @@ def report_html(
         logo=logo,
         headline=headline(answer, say),
         usable=remaining_usable(answer),
+        decay_times=_decay_times(answer, say),
         figures=key_figures(answer, say),
         findings_count=findings_count(answer, say),
         serious=any(f.severity == "serious" for f in answer.findings),
@@ -445,12 +452,62 @@ def report_html(
         provenance=_provenance(answer, scene, campaign),
         inputs=tuple((inputs_sha256 or {}).items()),
     )
-    return _sealed(text)
 
 
 def tables_page(title: str, lead: str, shown: Iterable[Table]) -> str:
     """Return a page of a few tables, in the style and under the policy of the report."""
-    text: str = _template("list.html.j2").render(title=title, lead=lead, shown=tuple(shown))
+    return render_sealed("list.html.j2", title=title, lead=lead, shown=tuple(shown))
+
+
+def answer_page(
+    title: str,
+    lead: str,
+    picture: Figure | None,
+    figures: Iterable[tuple[str, str]],
+    findings: tuple[Finding, ...],
+    tables: Iterable[tuple[str, str, Iterable[Table]]],
+    *,
+    more: Markup | str = "",
+) -> str:
+    """Return a page under the policy of the report.
+
+    Parameters
+    ----------
+    title, lead : str
+        The lead is the answer in a sentence.
+    picture : Figure, optional
+        From `decay_time_figure`.
+    figures : iterable of (number, words)
+    findings : tuple of Finding
+    tables : iterable of (heading, words, tables)
+        Each folded.
+    more : Markup, optional
+        Below the figures, as another picture.
+    """
+    drawn: Markup | str = ""
+    if picture is not None:
+        caption = (
+            "Means over the positions; bars are 95 % intervals. A listener does not notice "
+            "what stays within the pale band."
+        )
+        drawn = drawing(picture, "decay-times", "Decay times over frequency", caption)
+    return render_sealed(
+        "answer.html.j2",
+        title=title,
+        lead=lead,
+        picture=drawn,
+        figures=tuple(figures),
+        more=more,
+        findings=finding_groups(findings),
+        n_findings=len(findings),
+        serious=any(f.severity == "serious" for f in findings),
+        folded=[(heading, words, tuple(shown)) for heading, words, shown in tables],
+    )
+
+
+def render_sealed(template: str, **content: Any) -> str:
+    """Return a page of one of the templates, under its own policy."""
+    text: str = _template(template).render(**content)
     return _sealed(text)
 
 
@@ -526,7 +583,7 @@ def _without_brackets(cell: Cell) -> Cell:
     return Cell(f"{cell.text.strip('()')}{doubt}", cell.small[:1], cell.style)
 
 
-def _drawing(
+def drawing(
     figure: Figure, name: str, title: str, caption: str, narrow: Figure | None = None
 ) -> Markup:
     """Return a figure element; words become part of its SVG escaped.
@@ -559,11 +616,48 @@ def _room(scene: Scene) -> Markup:
         f"{count(len(scene.sources), 'source')} and {count(len(scene.receivers), 'receiver')}: "
         "in space, in plan and from two sides; the tables below hold the numbers."
     )
-    return _drawing(room_figure(scene), "room", title, caption, room_figure(scene, narrow=True))
+    return drawing(room_figure(scene), "room", title, caption, room_figure(scene, narrow=True))
+
+
+def _decay_times(answer: Result, say: Callable[[str], str]) -> Markup | str:
+    """Return measured and predicted decay times over frequency, means over the pairs."""
+    kept = [pair for pair in answer.pairs if pair.use == "validate"]
+    pairs = kept or list(answer.pairs)
+    known = parameter_keys(pairs)
+    key = "T30_s" if "T30_s" in known else decay_time_key(known)
+    if key is None:
+        return ""
+    both = np.array(
+        [
+            (p.parameters[key].measured, p.parameters[key].predicted)
+            for p in pairs
+            if key in p.parameters
+        ]
+    )
+    # only where both are known, so that means are over the same pairs
+    both = np.where(np.isfinite(both).all(axis=1, keepdims=True), both, np.nan)
+    n_known = np.isfinite(both).sum(axis=0)
+    if not n_known.any():
+        return ""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        measured, predicted = np.where(n_known > 0, np.nansum(both, axis=0) / n_known, np.nan)
+    series = (Series(say("measured"), measured), Series(say("predicted"), predicted))
+    centres, symbol = answer.bands.centres_hz, parameter(key).symbol
+    which = "measurements that were not fitted" if kept else "the fitted measurements"
+    return drawing(
+        decay_time_figure(centres, series, symbol),
+        "decay-times",
+        f"{symbol} over frequency, measured and predicted",
+        say(
+            "{symbol} over frequency, mean of {pairs}. A listener does not notice what stays "
+            "within the pale band, one just noticeable difference about what was measured."
+        ).format(symbol=symbol, pairs=say(which)),
+        decay_time_figure(centres, series, symbol, narrow=True),
+    )
 
 
 def _absorption(answer: Result, drawn: Mapping[str, Figure], say: Callable[[str], str]) -> Markup:
-    return _drawing(
+    return drawing(
         drawn.get("absorption") or absorption_figure(answer, say=say),
         "absorption",
         f"Absorption coefficient over frequency with 95 % intervals, "
@@ -580,7 +674,7 @@ def _absorption(answer: Result, drawn: Mapping[str, Figure], say: Callable[[str]
 
 def _certainty(drawn: Mapping[str, Figure]) -> tuple[Markup, ...]:
     drawings = [
-        _drawing(
+        drawing(
             drawn["identifiable"],
             "identifiable",
             "Matrix of materials by bands: width of the 95 % interval; the tables hold every "
@@ -592,7 +686,7 @@ def _certainty(drawn: Mapping[str, Figure]) -> tuple[Markup, ...]:
     ]
     if "profiles" in drawn:
         drawings.append(
-            _drawing(
+            drawing(
                 drawn["profiles"],
                 "profiles",
                 "Profiles of the likelihood of single coefficients; their ends are in the table.",
@@ -605,7 +699,7 @@ def _certainty(drawn: Mapping[str, Figure]) -> tuple[Markup, ...]:
     for name in (n for n in drawn if n.startswith("corner_")):
         centre = hertz(float(name.split("_")[1]))
         drawings.append(
-            _drawing(
+            drawing(
                 drawn[name],
                 "corner",
                 f"Samples of the absorption coefficients at {centre}, each material against each "
@@ -627,7 +721,7 @@ def _decays(figure: Figure, n_pairs: int) -> Markup:
     )
     if n_pairs > 1:
         caption += " Shown first: the pair whose parameters are furthest off."
-    return _drawing(
+    return drawing(
         figure,
         "decay",
         f"Measured and predicted energy decay curves of {count(n_pairs, 'pair')}, one panel a "

@@ -9,21 +9,34 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import to_hex, to_rgb, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from roomfit.cache import write_json_atomically, write_text_atomically
+from roomfit.cache import (
+    write_bytes_atomically,
+    write_json_atomically,
+    write_text_atomically,
+)
 from roomfit.geometry.mesh import corners_m
 from roomfit.io.encoding import finding_content, number_or_null, provenance
-from roomfit.prediction.output import one_number, parameter_rows, parameters_content
+from roomfit.prediction.answer import DecayAnswer, decay_answer
+from roomfit.prediction.output import (
+    one_number,
+    parameter_lines,
+    parameter_rows,
+    parameters_content,
+)
 from roomfit.prediction.tables import named_values
-from roomfit.report.figures import OKABE_ITO, figure_legend, literal, new_figure
+from roomfit.report.decay_times import Limit
+from roomfit.report.figures import OKABE_ITO, figure_legend, literal, new_figure, png
+from roomfit.report.html import answer_page, drawing
 from roomfit.report.room_figure import COLOURS, drawn_faces, outline_m, projection
 from roomfit.report.text import findings_text
+from roomfit.report.wording import band_tables
 from roomfit.scene import triangle_material
 from roomfit.signals.decay import FIT_RANGES_DB
-from roomfit.table import Column, Table, csv_of, text_of
+from roomfit.table import Cell, Column, Table, csv_of, text_of
 from roomfit.treatment.question import USUAL_HZ, TargetName
 
 if TYPE_CHECKING:
@@ -31,7 +44,7 @@ if TYPE_CHECKING:
 
 
 def write_treatment(folder: Path, treatment: Treatment, inputs: Iterable[Path]) -> None:
-    """Write ``treatment.json`` and ``treatment.csv`` into a folder.
+    """Write ``treatment.json``, ``.csv``, ``.html`` and a picture into a folder.
 
     Raises
     ------
@@ -39,6 +52,8 @@ def write_treatment(folder: Path, treatment: Treatment, inputs: Iterable[Path]) 
         The disk refuses.
     """
     write_text_atomically(folder / "treatment.csv", treatment_csv(treatment))
+    write_text_atomically(folder / "treatment.html", treatment_page(treatment))
+    write_bytes_atomically(folder / "treatment.png", png(treatment_figure(treatment)))
     write_json_atomically(folder / "treatment.json", treatment_content(treatment, inputs))
 
 
@@ -97,10 +112,97 @@ def treatment_content(treatment: Treatment, inputs: Iterable[Path]) -> dict[str,
     }
 
 
+def treatment_page(treatment: Treatment) -> str:
+    """Return the first arrangement as a page: a sentence, T30 before and after, where it hangs.
+
+    The other arrangements and all tables are folded; under the policy of the report.
+    """
+    answer, first = _answer(treatment, treatment.arrangements[0]), treatment.arrangements[0]
+    folded = [
+        (f"Arrangement {number}", _words(a), _arrangement_tables(treatment, a))
+        for number, a in enumerate(treatment.arrangements, start=1)
+    ]
+    odds = f"{100 * first.joint:.0f} %"
+    wanted = "all targets" if len(first.probability) > 1 else "the target"
+    words = f"probability that a measurement meets {wanted}"
+    area_m2 = sum(h.area_m2 for h in first.hung)
+    figures = [(f"{area_m2:.4g} m²", f"hung, cost {first.cost:g}"), (odds, words)]
+    drawn = _picture(new_figure(6.4, 4.4), treatment, first)
+    return answer_page(
+        "What to hang where",
+        treatment_sentence(treatment),
+        None if answer is None else answer.figure(_limits(treatment, answer.symbol)),
+        [*figures, *([] if answer is None else answer.figures[:2])],
+        treatment.findings,
+        folded,
+        more=drawing(drawn, "hung", "The room and what hangs where", _WHERE),
+    )
+
+
+_WHERE = (
+    "The room from above one corner. Covered surfaces are coloured, the paler the less of them is "
+    "covered; those that face away from the viewer are seen through."
+)
+
+
+def treatment_sentence(treatment: Treatment) -> str:
+    """Return what is hung where, what the decay time does then, and how likely it is enough."""
+    first = treatment.arrangements[0]
+    answer = _answer(treatment, first)
+    found = f"{_words(first)}." if answer is None else f"{_words(first)}: {answer.sentence}"
+    all_ = "All targets are" if len(treatment.targets) > 1 else "The target is"
+    met = f"{all_} met with a probability of {100 * first.joint:.0f} %."
+    return (
+        f"{found} {met}"
+        if treatment.is_met
+        else f"{found} This does not meet the targets; nothing that was allowed does."
+    )
+
+
+def _words(a: Arrangement) -> str:
+    """Return what is hung where in a line."""
+    return ", ".join(f"{h.area_m2:.4g} m² {h.product} on {h.surface}" for h in a.hung) or "Nothing"
+
+
+def _answer(treatment: Treatment, a: Arrangement) -> DecayAnswer | None:
+    means = named_values(a.mean, None)
+    return decay_answer(
+        treatment.bands, means, is_changed=True, before=treatment.before, after="treated"
+    )
+
+
+def _limits(treatment: Treatment, symbol: str) -> list[Limit]:
+    return [
+        Limit(t.bands_hz or USUAL_HZ, t.low, t.high)
+        for t in treatment.targets
+        if t.parameter == f"{symbol}_s"
+    ]
+
+
+def _arrangement_tables(treatment: Treatment, a: Arrangement) -> list[Table]:
+    """Return what hangs where, the targets with their odds, and every parameter."""
+    hung = [(h.surface, h.product, f"{h.area_m2:.2f}", f"{100 * h.share:.0f}") for h in a.hung] or [
+        ("nothing", "", "", "")
+    ]
+    odds = [
+        (str(t), f"{100 * before:.0f}", f"{100 * after:.0f}")
+        for t, before, after in zip(treatment.targets, a.before, a.probability, strict=True)
+    ]
+    rows = [
+        (Cell(label, (what,)), *cells)
+        for label, what, cells in parameter_lines(named_values(a.mean, None), is_changed=True)
+    ]
+    return [
+        Table("What hangs where", ("surface", "product", "m²", "% of it"), hung),
+        Table("Met with a probability of, %", ("target", "as it is", "treated"), odds),
+        *band_tables("Means over all pairs", "parameter", treatment.bands.centres_hz, rows),
+    ]
+
+
 def treatment_text(treatment: Treatment) -> str:
-    """Return arrangements, what they do, and how likely it is enough."""
-    parts = ["Targets, as means over all pairs"]
-    parts[0] += "".join(f"\n  {i}. {t}" for i, t in enumerate(treatment.targets, start=1))
+    """Return the answer in a sentence, arrangements, what they do, and how likely it is enough."""
+    parts = [treatment_sentence(treatment), "Targets, as means over all pairs"]
+    parts[1] += "".join(f"\n  {i}. {t}" for i, t in enumerate(treatment.targets, start=1))
     for number, a in enumerate(treatment.arrangements, start=1):
         parts.append(_arrangement_text(treatment, a, number))
     parts.append(findings_text(treatment.findings))
@@ -193,6 +295,11 @@ def _draw_limits(axes: Axes, treatment: Treatment, name: TargetName) -> None:
         axes.set_ylim(0.0, 1.5 * highest)
 
 
+def _picture(figure: Figure, treatment: Treatment, a: Arrangement) -> Figure:
+    _draw_room(figure.add_subplot(), treatment, a)
+    return figure
+
+
 def _draw_room(axes: Axes, treatment: Treatment, a: Arrangement) -> None:
     """Draw the room from above one corner, treated surfaces in colour; walls in front left out."""
     room, onto = treatment.room.scene.room, projection()[:2]
@@ -219,6 +326,17 @@ def _draw_room(axes: Axes, treatment: Treatment, a: Arrangement) -> None:
             facecolors=colours, edgecolors=colours, linewidths=0.5, closed=True, clip_on=False,
         )
     )  # fmt: skip
+    # covered walls whose inside is turned away stand before the others, and are seen through
+    is_hidden = ~np.isin(np.arange(len(room.mesh.triangles)), faces)
+    for name in colour:
+        front = is_hidden & (triangle_material(room) == room.materials.index(name))
+        axes.add_collection(
+            PolyCollection(
+                list(corners_m(room.mesh)[front] @ onto.T),
+                facecolors=[to_rgba(colour[name], 0.35)], edgecolors=[to_rgba(colour[name], 0.9)],
+                linewidths=0.5, closed=True, clip_on=False, zorder=2.5,
+            )
+        )  # fmt: skip
     edges = outline_m(room, 1500)
     axes.add_collection(
         LineCollection(list(edges @ onto.T), colors="#444444", linewidths=0.8, clip_on=False)

@@ -23,7 +23,11 @@ from roomfit.core import (
     speech_bands,
     sti_missing,
 )
+from roomfit.prediction.diffuse import NAME, PreparedField
 from roomfit.prediction.predict import PreparedRoom
+
+# A room of known paths, or a diffuse field where no position is known.
+ChangingRoom = PreparedRoom | PreparedField
 
 # The speech transmission index is one number of all octaves from 125 Hz to 8 kHz.
 TargetName = Literal[ValueName, "STI"]
@@ -128,7 +132,7 @@ USUAL_HZ = (500.0, 1000.0, 2000.0)
 class Question:
     """A prepared room, and the columns and rows of what is asked of it."""
 
-    room: PreparedRoom
+    room: ChangingRoom
     products: tuple[Product, ...]
     targets: tuple[Target, ...]
     # of each column, a product on a surface
@@ -146,7 +150,7 @@ class Question:
 
 
 def question_of(
-    room: PreparedRoom,
+    room: ChangingRoom,
     surfaces: Sequence[Surface],
     products: Sequence[Product],
     targets: Sequence[Target],
@@ -156,11 +160,17 @@ def question_of(
     Raises
     ------
     InputError
-        A surface, product or band that there is not, more free area than the surface has, or
-        nothing that fits anywhere.
+        A surface, product or band that there is not, more free area than the surface has, nothing
+        that fits anywhere, or a target of what decay times do not determine.
     """
-    bands = room.absorption.bands
-    areas = material_areas_m2(room.scene.room, int(pair_states(room.scene)[0]))
+    bands, areas = room.absorption.bands, _areas_m2(room.scene)
+    others = [t for t in targets if t.parameter != NAME]
+    if isinstance(room, PreparedField) and others:
+        raise InputError(
+            "a target is of a parameter that decay times alone do not determine",
+            where=str(others[0]),
+            needed="T30_s, or sources and receivers with their positions and a result of identify",
+        )
     columns, free = columns_of(room.scene, surfaces, products)
     piece = np.array([products[p].piece_m2 for _, p, _ in columns])
     cost = piece * [products[p].cost_per_m2 for _, p, _ in columns]
@@ -190,7 +200,7 @@ def columns_of(
         that fits anywhere.
     """
     materials = scene.room.materials
-    areas = material_areas_m2(scene.room, int(pair_states(scene)[0]))
+    areas = _areas_m2(scene)
     names = [p.name for p in products]
     columns: list[tuple[int, int, float]] = []
     free: dict[int, float] = {}
@@ -219,6 +229,11 @@ def columns_of(
             needed="a product no deeper than the surface allows, and a piece that fits in",
         )
     return columns, free
+
+
+def _areas_m2(scene: Scene) -> FloatArray:
+    """Return the area of each material in the state of the pairs; as described without pairs."""
+    return material_areas_m2(scene.room, int(np.max(pair_states(scene), initial=0)))
 
 
 def _index(kind: str, name: str, known: Sequence[str]) -> int:
@@ -267,7 +282,7 @@ def row_weights(target: Target, bands: Bands) -> FloatArray:
     return rows.mean(axis=0)[None] if target.mean_of_bands else rows
 
 
-def _product_draws(room: PreparedRoom, products: Sequence[Product]) -> FloatArray:
+def _product_draws(room: ChangingRoom, products: Sequence[Product]) -> FloatArray:
     """Return draws of what products absorb, (n_draws, n_products, n_bands): equal in every call."""
     rng, drawn = np.random.default_rng(room.seed + 1), []
     for p in products:

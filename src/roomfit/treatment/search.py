@@ -11,8 +11,8 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 
 from roomfit.core import BoolArray, FloatArray
 from roomfit.prediction.decay import extrapolated_sti, moved
-from roomfit.prediction.predict import PreparedRoom
-from roomfit.treatment.question import Question, is_time, limits_of, rows_of, treated
+from roomfit.prediction.diffuse import PreparedField, field_times_s, in_rows
+from roomfit.treatment.question import ChangingRoom, Question, is_time, limits_of, rows_of, treated
 
 _ROUNDS, _EXCHANGES = 5, 60
 _TRIED_AT_ONCE = 48
@@ -23,7 +23,7 @@ MET = 0.005
 
 
 def mean_values(
-    room: PreparedRoom, absorptions: FloatArray, wanted: BoolArray | None = None
+    room: ChangingRoom, absorptions: FloatArray, wanted: BoolArray | None = None
 ) -> FloatArray:
     """Return the means over all pairs under many absorptions, (n_points, n_names + 1, n_bands).
 
@@ -35,6 +35,9 @@ def mean_values(
     wanted : bool array, shape (n_bands,), optional
         All other bands are left NaN.
     """
+    if isinstance(room, PreparedField):
+        values = in_rows(field_times_s(room, absorptions))
+        return np.concatenate([values, np.full_like(values[:, :1], np.nan)], axis=1)
     at = np.flatnonzero(np.ones(absorptions.shape[2], dtype=np.bool_) if wanted is None else wanted)
 
     def own(i: int) -> FloatArray:

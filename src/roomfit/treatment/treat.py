@@ -23,9 +23,11 @@ from roomfit.core import (
     result_doubts,
 )
 from roomfit.prediction.decay import moved
-from roomfit.prediction.predict import PreparedRoom, numbers_at
+from roomfit.prediction.diffuse import PreparedField, field_values, in_rows
+from roomfit.prediction.predict import numbers_at
 from roomfit.prediction.tables import PredictedValue, named_values, predicted_means
 from roomfit.treatment.question import (
+    ChangingRoom,
     Product,
     Question,
     Surface,
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+_MARGIN_ROUNDS = 6  # a margin hangs on the arrangement, and that on the margin
 # Means by parameter, and the speech transmission index.
 _Means = tuple[dict[ValueName, PredictedValue], PredictedValue | None]
 
@@ -86,10 +89,11 @@ class Treatment:
     targets: tuple[Target, ...]
     arrangements: tuple[Arrangement, ...]
     is_met: bool  # by the likeliest prediction
-    room: PreparedRoom
+    room: ChangingRoom
     findings: tuple[Finding, ...]
     # pairs to be measured for the absorption on which a target hangs, in words, by `roomfit.design`
     to_measure: tuple[str, ...] = ()
+    before: str = "predicted before"  # what stands before in the means, in words
 
     def __str__(self) -> str:
         """Return arrangements, what they do, and how likely it is enough."""
@@ -106,7 +110,7 @@ class Treatment:
 
 @one_blas_thread
 def treat(
-    room: PreparedRoom,
+    room: ChangingRoom,
     surfaces: Sequence[Surface],
     products: Sequence[Product],
     targets: Sequence[Target],
@@ -124,8 +128,9 @@ def treat(
 
     Parameters
     ----------
-    room : PreparedRoom
-        From `roomfit.prediction.predict.prepare_prediction`, of any pairs.
+    room : PreparedRoom or PreparedField
+        From `roomfit.prediction.predict.prepare_prediction`, of any pairs; or, of T30 alone, from
+        `roomfit.prediction.diffuse.prepare_field`.
     surfaces, products, targets : sequences of Surface, Product and Target
     number : int
         How many arrangements.
@@ -153,14 +158,21 @@ def treat(
             found=f"{probability:g}",
             needed="0.5 to 0.99",
         )
+    is_measured = (
+        bool(np.isfinite(room.measured_s).any())
+        if isinstance(room, PreparedField)
+        else bool(room.observed)
+    )
     room = as_measured(room)
     question = question_of(room, surfaces, products, targets)
     n_rows = len(question.target)
     margin = np.zeros(n_rows)
     first = best_arrangement(question, margin, (), most_cost)
     if probability > 0.5:
-        for _ in range(2):
-            margin = float(ndtri(probability)) * _row_sd(question, first[0])
+        for _ in range(_MARGIN_ROUNDS):
+            before, margin = margin, _margin(question, *first, probability)
+            if np.allclose(margin, before, rtol=0.02):
+                break
             first = best_arrangement(question, margin, (), most_cost)
     found, excluded = [first], []
     is_met = not excess(question, first[1], margin).any()
@@ -181,17 +193,21 @@ def treat(
         room.absorption.bands, question.targets, arrangements, is_met, room,
         (
             *result_doubts(room.absorption, room.scene.room.findings),
+            *(room.findings if isinstance(room, PreparedField) else ()),
             *_findings(question, arrangements, first, margin, is_met),
         ),
+        before="measured before" if is_measured else "predicted before",
     )  # fmt: skip
 
 
-def as_measured(room: PreparedRoom) -> PreparedRoom:
+def as_measured(room: ChangingRoom) -> ChangingRoom:
     """Return a room whose measured pairs have what was measured before any change.
 
     What a treatment does to them is then carried over from there, and what the model says wrongly
-    of the room as it is cancels.
+    of the room as it is cancels. A diffuse field keeps what was measured by itself.
     """
+    if isinstance(room, PreparedField):
+        return room
     before = []
     for name, own in zip(pair_names(room.scene), room.before, strict=True):
         rows = [o.values for o in room.observed if (o.source, o.receiver) == name[:2]]
@@ -214,15 +230,10 @@ def _outcome(
     question: Question, pieces: FloatArray
 ) -> tuple[_Means, FloatArray, FloatArray, float]:
     """Return means, the odds of each target, draws of the rows, and the odds of all targets."""
-    room = question.room
-    after = numbers_at(room, treated(question, pieces), treated_draws(question, pieces))
-    means = predicted_means(room.scene, [after, room.before], ())
-    drawn = np.asarray(np.ma.masked_invalid([n.draws for n in after]).mean(axis=0).filled(np.nan))
-    index = np.full((len(drawn), 1, 1), np.nan)
-    if means[1] is not None:
-        index = np.mean([n.sti.draws for n in after if n.sti is not None], axis=0)
-    index = np.broadcast_to(index, (len(drawn), 1, drawn.shape[2]))
-    rows = rows_of(question, np.concatenate([drawn, index], axis=1))
+    means, drawn = _means_and_draws(
+        question.room, treated(question, pieces), treated_draws(question, pieces)
+    )
+    rows = rows_of(question, drawn)
     sd = _rest_sd(question, means)
     low, high = limits_of(question)
     odds = np.nan_to_num(ndtr((high - rows) / sd) - ndtr((low - rows) / sd))
@@ -230,6 +241,24 @@ def _outcome(
     of = np.array(question.target)
     each = np.array([np.mean(np.prod(odds[:, of == t], axis=1)) for t in range(n)])
     return means, each, rows, float(np.mean(np.prod(odds, axis=1)))
+
+
+def _means_and_draws(
+    room: ChangingRoom, absorption: FloatArray, draws: FloatArray
+) -> tuple[_Means, FloatArray]:
+    """Return the means over all pairs, and draws of them, (n_draws, n_names + 1, n_bands)."""
+    if isinstance(room, PreparedField):
+        values, drawn_s = field_values(room, absorption, draws)
+        drawn = in_rows(drawn_s)
+        return (values, None), np.concatenate([drawn, np.full_like(drawn[:, :1], np.nan)], axis=1)
+    after = numbers_at(room, absorption, draws)
+    means = predicted_means(room.scene, [after, room.before], ())
+    drawn = np.asarray(np.ma.masked_invalid([n.draws for n in after]).mean(axis=0).filled(np.nan))
+    index = np.full((len(drawn), 1, 1), np.nan)
+    if means[1] is not None:
+        index = np.mean([n.sti.draws for n in after if n.sti is not None], axis=0)
+    index = np.broadcast_to(index, (len(drawn), 1, drawn.shape[2]))
+    return means, np.concatenate([drawn, index], axis=1)
 
 
 def _rest_sd(question: Question, means: _Means) -> FloatArray:
@@ -243,10 +272,25 @@ def _rest_sd(question: Question, means: _Means) -> FloatArray:
     return np.asarray(np.maximum(found, 1e-9))
 
 
-def _row_sd(question: Question, pieces: FloatArray) -> FloatArray:
+def _margin(
+    question: Question, pieces: FloatArray, numbers: FloatArray, probability: float
+) -> FloatArray:
+    """Return by how much each row must keep its limits to meet them with some probability.
+
+    The quantile of what may be measured, beside the likeliest number: draws are not symmetric
+    about it.
+    """
     means, _, rows, _ = _outcome(question, pieces)
-    spread = np.nan_to_num(np.std(rows, axis=0))
-    return np.asarray(np.hypot(_rest_sd(question, means), spread))
+    steps = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
+    wide = rows[:, None] + (steps / np.std(steps))[:, None] * _rest_sd(question, means)
+    ends = np.quantile(wide.reshape(-1, rows.shape[1]), (1.0 - probability, probability), axis=0)
+    low, high = limits_of(question)
+    below, above = np.nan_to_num((numbers - ends[0], ends[1] - numbers))
+    return np.asarray(
+        np.maximum(
+            np.where(np.isfinite(low), below, -np.inf), np.where(np.isfinite(high), above, -np.inf)
+        )
+    )
 
 
 def _arrangement(

@@ -1,0 +1,408 @@
+"""The commands that ask what would be: predict, choose a treatment, listen; and decay times alone.
+
+Each reads files, does one thing, and writes files whole or not at all. A campaign without positions
+is taken for a diffuse field, with its decay times (``[reverberation]``) or its priors alone.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from roomfit.cache import (
+    check_output_folder,
+    sole_writer,
+    user_cache,
+    whole_output_folder,
+    write_bytes_atomically,
+    write_json_atomically,
+    write_text_atomically,
+)
+from roomfit.errors import InputError, located
+from roomfit.io.campaign import Campaign, read_campaign
+from roomfit.io.door import files_read, reading_noted
+from roomfit.table import csv_of
+from roomfit.typing import FloatArray, Progress, part
+
+if TYPE_CHECKING:
+    from roomfit.findings import Finding
+    from roomfit.inversion.diffuse import DiffuseAbsorption
+    from roomfit.io.encoding import ResultFile
+    from roomfit.io.schema import TreatmentTable
+    from roomfit.measurement import Measurement
+    from roomfit.prediction.campaign import WantedPairs
+    from roomfit.prediction.changes import Change
+    from roomfit.prediction.diffuse import PreparedField
+    from roomfit.prediction.predict import Predicted
+    from roomfit.treatment.treat import Treatment
+
+_LOG = logging.getLogger("roomfit")
+
+
+@reading_noted()
+def reverberation_to_folder(
+    campaign_file: Path, out: Path | None = None, *, overwrite: bool = False
+) -> DiffuseAbsorption:
+    """Find mean absorption from decay times; write result.json, a table and a page into a folder.
+
+    Raises
+    ------
+    InputError
+        As of `diffuse_field` and `diffuse_absorption`; or the folder is not empty.
+    """
+    from roomfit.inversion.diffuse import diffuse_absorption
+    from roomfit.io.reverberation import diffuse_field, diffuse_result_content
+    from roomfit.report.html import diffuse_page
+    from roomfit.report.text import diffuse_records
+
+    if out is not None:
+        check_output_folder(out, overwrite=overwrite)
+    campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
+    field, _ = diffuse_field(campaign)
+    if field.decay_s is None:
+        raise InputError(
+            "a campaign without decay times",
+            where=str(campaign_file),
+            needed="a table [reverberation]",
+        )
+    found = diffuse_absorption(
+        field.decay_s, field.bands, field.priors, field.areas_m2, field.volume_m3,
+        speed_of_sound_m_s=field.speed_of_sound_m_s, attenuation_per_m=field.attenuation_per_m,
+    )  # fmt: skip
+    if out is not None:
+        with whole_output_folder(out, overwrite=overwrite) as folder:
+            content = diffuse_result_content(field, found, campaign.settings.seed, files_read())
+            write_json_atomically(folder / "result.json", content)
+            write_text_atomically(folder / "reverberation.csv", csv_of(diffuse_records(found)))
+            write_text_atomically(folder / "reverberation.html", diffuse_page(found))
+    return found
+
+
+_MOST_PICTURES = 24
+
+
+@sole_writer
+@reading_noted()
+def predict_to_folder(
+    campaign_file: Path,
+    absorption_file: ResultFile | None,
+    out: Path,
+    changes: Sequence[Change] = (),
+    *,
+    wanted: WantedPairs | None = None,
+    overwrite: bool = False,
+    use_cache: bool = True,
+    progress: Progress | None = None,
+) -> Predicted:
+    """Predict a campaign; write predicted.json, .csv, .html and pictures into a folder.
+
+    Pictures of the first 24 pairs; the files contain all. A run that was interrupted continues from
+    its last finished step, unless `use_cache` is false.
+
+    Parameters
+    ----------
+    absorption_file : Path, EditedFile, or None
+        Of a fit. Without positions, and without such a file, the room is taken for a diffuse field:
+        by its decay times, or by its priors where the campaign has none.
+
+    Raises
+    ------
+    InputError
+        The campaign, the room, the absorption or the output folder is invalid.
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.io.results import read_result
+    from roomfit.prediction.campaign import predict_arguments
+    from roomfit.prediction.diffuse import predict_field
+    from roomfit.prediction.output import change_figure, predicted_decay_figure, write_predicted
+    from roomfit.prediction.predict import predict
+    from roomfit.report.figures import in_file_name, png
+
+    check_output_folder(out, overwrite=overwrite)
+    campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
+    field = _prepared_field(campaign, absorption_file, wanted)
+    if field is not None:
+        with located(str(campaign_file)):
+            predicted = predict_field(field, changes)
+    elif absorption_file is not None:
+        found = read_result(absorption_file)
+        arguments = predict_arguments(campaign, found, changes, *(wanted or ()))
+        cache = user_cache() if use_cache else None
+        with located(str(campaign_file)):
+            predicted = predict(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        write_predicted(folder, predicted, files_read())
+        if predicted.compares_states:
+            write_bytes_atomically(folder / "change.png", png(change_figure(predicted)))
+        shown = predicted.pairs[:_MOST_PICTURES]
+        for number, pair in enumerate(shown, start=1):
+            name = f"predicted_{number:02d}_{in_file_name(pair.source, pair.receiver)}.png"
+            write_bytes_atomically(folder / name, png(predicted_decay_figure(predicted, pair)))
+            if progress is not None:
+                progress(0.95 + 0.05 * number / len(shown))
+    return predicted
+
+
+def _prepared_field(
+    campaign: Campaign, absorption_file: ResultFile | None, wanted: WantedPairs | None
+) -> PreparedField | None:
+    """Return a campaign as a diffuse field; None where positions and an absorption are given.
+
+    Raises
+    ------
+    InputError
+        Responses were measured and no absorption is given; a state or a choice of pairs is asked
+        for; or the campaign has no positions, and nothing that is known without.
+    """
+    from roomfit.core import room_posterior
+    from roomfit.io.results import read_result
+    from roomfit.io.reverberation import diffuse_field
+    from roomfit.prediction.campaign import WantedPairs
+    from roomfit.prediction.diffuse import prepare_field
+    from roomfit.scene import Room, Scene, shoebox_room
+
+    has_points = bool(campaign.sources and campaign.receivers)
+    if absorption_file is not None and has_points:
+        return None
+    is_measured = bool(campaign.measurements or campaign.tables)
+    if absorption_file is None and campaign.reverberation is None and is_measured:
+        raise InputError(
+            "the absorption of the room is not given",
+            where=str(campaign.path),
+            needed="a result of what the campaign has measured",
+            hint="roomfit identify first, then --absorption result.json",
+        )
+    if wanted is not None and wanted != WantedPairs():
+        raise InputError(
+            "without positions there are neither pairs nor states",
+            where=str(campaign.path),
+            found="--pairs or --state",
+            needed="sources and receivers with positions, and --absorption",
+        )
+    field, room = diffuse_field(campaign)
+    with located(str(campaign.path)):
+        known = None
+        if absorption_file is not None:
+            known = room_posterior(read_result(absorption_file), field.priors, field.bands)
+        # of volume and surface alone no wall is known: one material, and no picture
+        walls: Room = room or shoebox_room((1.0, 1.0, 1.0), "room")
+        scene = Scene(walls, (), (), np.zeros((0, 2), np.int64), campaign.air)
+        return prepare_field(field, scene, known, campaign.settings)
+
+
+@sole_writer
+@reading_noted()
+def treat_to_folder(
+    campaign_file: Path,
+    absorption_file: ResultFile | None,
+    treatment_file: Path,
+    out: Path,
+    *,
+    wanted: WantedPairs | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Treatment:
+    """Choose what to hang where; write treatment.json, treatment.csv and a picture into a folder.
+
+    Raises
+    ------
+    InputError
+        The campaign, the room, the absorption, the treatment or the output folder is invalid.
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.treatment.campaign import read_treatment, treat_arguments
+    from roomfit.treatment.output import write_treatment
+    from roomfit.treatment.treat import treat
+
+    check_output_folder(out, overwrite=overwrite)
+    campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
+    table = read_treatment(treatment_file)
+    field = _prepared_field(campaign, absorption_file, wanted)
+    to_measure: tuple[str, ...] = ()
+    if field is not None:
+        if not campaign.has_room:
+            raise InputError(
+                "a treatment of a room without walls",
+                where=str(campaign_file),
+                found="volume and surface alone",
+                needed="a table [room], so that there are surfaces to hang something on",
+            )
+        asked, doubts = treat_arguments(treatment_file, table, field.absorption, field.scene)
+        with located(str(treatment_file)):
+            answer = treat(field, **asked, progress=progress)
+    elif absorption_file is not None:
+        answer, doubts = _treat_traced(
+            campaign, absorption_file, treatment_file, table, wanted, part(progress, 0.0, 0.9)
+        )
+        to_measure = _what_to_measure(campaign, absorption_file, answer, part(progress, 0.9, 1.0))
+    answer = replace(answer, findings=(*doubts, *answer.findings), to_measure=to_measure)
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        write_treatment(folder, answer, files_read())
+    return answer
+
+
+def _treat_traced(
+    campaign: Campaign,
+    absorption_file: ResultFile,
+    treatment_file: Path,
+    table: TreatmentTable,
+    wanted: WantedPairs | None,
+    progress: Progress | None,
+) -> tuple[Treatment, tuple[Finding, ...]]:
+    """Return a treatment by the paths of the room, and what is in doubt about its standards."""
+    from roomfit.io.results import read_result
+    from roomfit.prediction.campaign import predict_arguments
+    from roomfit.prediction.predict import prepare_prediction
+    from roomfit.treatment.campaign import hardest_changes, treat_arguments
+    from roomfit.treatment.treat import treat
+
+    given = predict_arguments(campaign, read_result(absorption_file), (), *(wanted or ()))
+    scene, known = given["scene"], given["absorption"]
+    asked, doubts = treat_arguments(treatment_file, table, known, scene)
+    with located(str(treatment_file)):
+        room = prepare_prediction(
+            scene,
+            known,
+            hardest_changes(asked, known.bands),
+            given["measurements"],
+            speech_db=given["speech_db"],
+            settings=given["settings"],
+            cache=user_cache(),
+            progress=part(progress, 0.0, 0.9),
+        )
+        return treat(room, **asked, progress=part(progress, 0.9, 1.0)), doubts
+
+
+# Of two pairs among few candidates, in seconds; `roomfit design` takes more.
+_TO_MEASURE: dict[str, Any] = {"number": 2, "n_candidates": 60, "n_random": 1, "n_draws": 1}
+
+
+def _what_to_measure(
+    campaign: Campaign, absorption_file: ResultFile, answer: Treatment, progress: Progress | None
+) -> tuple[str, ...]:
+    """Return pairs that tell most of the absorption, where a target hangs on that of a wall.
+
+    By the experiment design after a fit; none where its rules leave no place for a receiver.
+    """
+    from roomfit.experiment_design.campaign import design_arguments
+    from roomfit.experiment_design.design import design
+    from roomfit.experiment_design.output import chosen_positions
+    from roomfit.io.results import read_result
+
+    first = answer.arrangements[0]
+    names = answer.room.scene.room.materials
+    if first.is_sure or not first.decisive or first.decisive[0][0] not in names:
+        return ()
+    try:
+        given = design_arguments(campaign, read_result(absorption_file), _TO_MEASURE)
+        found = design(**given, progress=progress)
+    except InputError as error:
+        _LOG.info("no measurement is proposed: %s", error.what)
+        return ()
+    lines = []
+    for source, source_m, receiver, receiver_m in chosen_positions(found):
+        here, there = (", ".join(f"{x:.2f}" for x in at_m) for at_m in (source_m, receiver_m))
+        lines.append(f"{source} at ({here}) m to {receiver} at ({there}) m")
+    before, after = found.widths[[0, -1], found.materials.index(first.decisive[0][0])].mean(axis=1)
+    lines.append(
+        f"with these the 95 % interval of the absorption of {first.decisive[0][0]}, {before:.2f} "
+        f"wide in the mean over the bands, is expected to be {after:.2f} wide"
+    )
+    return tuple(lines)
+
+
+def listen_to_folder(
+    campaign_file: Path,
+    absorption_file: ResultFile,
+    out: Path,
+    changes: Sequence[Change] = (),
+    *,
+    state: str = "",
+    dry: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Write measured responses before and after a change, as WAV files of floats, and listen.json.
+
+    Nothing is normalised. With `dry`, a recording of one channel, its convolutions stand beside
+    them, all scaled by one factor so that the loudest has a peak of half.
+
+    Returns
+    -------
+    dict
+        What listen.json contains.
+
+    Raises
+    ------
+    InputError
+        See `roomfit.prediction.listen.listen`; or the recording has another sampling rate.
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.io.results import read_result
+    from roomfit.measurement import Measurement
+    from roomfit.prediction.campaign import predict_arguments
+    from roomfit.prediction.listen import listen, with_dry_recording
+    from roomfit.prediction.output import listen_content
+
+    check_output_folder(out, overwrite=overwrite)
+    campaign = read_campaign(campaign_file, to_fit=False)
+    found = read_result(absorption_file)
+    arguments = predict_arguments(campaign, found, changes, "campaign", state)
+    measured = [m for m in arguments["measurements"] if isinstance(m, Measurement)]
+    known, settings = arguments["absorption"], arguments["settings"]
+    recorded = None if dry is None else _dry_pressure(dry, measured)
+    with located(str(campaign_file)):
+        made, findings = listen(
+            arguments["scene"], known, changes, measured, settings=settings, progress=progress
+        )
+    sounds = [{"before": c.measurement.response.pressure, "after": c.samples} for c in made]
+    content = listen_content(known.bands, changes, made, findings, files_read())
+    content["dry_factor"] = None
+    if recorded is not None:
+        sounds, content["dry_factor"] = with_dry_recording(sounds, recorded)
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        for i, (c, sound) in enumerate(zip(made, sounds, strict=True), start=1):
+            files = _write_sounds(folder, i, c.measurement, sound)
+            content["responses"][i - 1]["files"] = files
+        write_json_atomically(folder / "listen.json", content)
+    return content
+
+
+def _write_sounds(
+    folder: Path, number: int, measurement: Measurement, sounds: Mapping[str, FloatArray]
+) -> dict[str, str]:
+    """Write the sounds of a pair as WAV files; return their names by kind."""
+    import soundfile
+
+    from roomfit.report.figures import in_file_name
+
+    stem = f"{number:02d}_{in_file_name(measurement.source, measurement.receiver)}"
+    names = {kind: f"{stem}_{kind}.wav" for kind in sounds}
+    rate_hz = round(measurement.response.sampling_rate_hz)
+    for kind, x in sounds.items():
+        soundfile.write(folder / names[kind], x, rate_hz, subtype="FLOAT")
+    return names
+
+
+def _dry_pressure(file: Path, measured: Sequence[Measurement]) -> FloatArray:
+    """Return the samples of a dry recording, which has the sampling rate of the responses."""
+    from roomfit.io.responses import read_response
+    from roomfit.io.responses.recordings import ResponseSpec
+
+    dry = read_response(ResponseSpec(file))[0]
+    if measured and dry.sampling_rate_hz != measured[0].response.sampling_rate_hz:
+        raise InputError(
+            "the dry recording has another sampling rate than the responses",
+            where=str(file),
+            found=f"{dry.sampling_rate_hz:g} Hz",
+            needed=f"{measured[0].response.sampling_rate_hz:g} Hz",
+        )
+    return dry.pressure
