@@ -84,11 +84,11 @@ class Parser(argparse.ArgumentParser):
         self.add_argument("--overwrite", action="store_true", help=text)
 
 
-def result_file(options: argparse.Namespace, path: Path | None) -> ResultFile | None:
-    """Return a result to read, if one is given, as ``--edited`` has it."""
+def result_file(options: argparse.Namespace, path: Path) -> ResultFile:
+    """Return a result to read, as ``--edited`` has it."""
     from roomfit.io.encoding import EditedFile  # needs numpy, which --help must not wait for
 
-    return EditedFile(path) if path is not None and options.edited else path
+    return EditedFile(path) if options.edited else path
 
 
 Commands: TypeAlias = "argparse._SubParsersAction[Parser]"

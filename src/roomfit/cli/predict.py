@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> None:
     with shown_progress("predicting") as progress:
         predicted = predict_to_folder(
             options.campaign,
-            result_file(options, options.absorption),
+            options.absorption and result_file(options, options.absorption),
             options.out,
             changes,
             wanted=wanted,

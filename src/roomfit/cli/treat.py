@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> None:
     with shown_progress("choosing what to hang") as progress:
         answer = treat_to_folder(
             options.campaign,
-            result_file(options, options.absorption),
+            options.absorption and result_file(options, options.absorption),
             options.treatment,
             options.out,
             wanted=wanted,
