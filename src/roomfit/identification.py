@@ -48,9 +48,9 @@ from roomfit.inversion.methods import (
 )
 from roomfit.inversion.paths import TracedPaths, redirected, traced_paths, traced_with, trim_memory
 from roomfit.inversion.solve import (
+    chosen_model,
     coherent_answers,
     coherent_task,
-    contradicts_pressures,
     estimate_energies,
 )
 from roomfit.inversion.surface_scores import surface_scores
@@ -165,12 +165,15 @@ def identify(
     priors = complete_priors(scene.room.materials, materials, bands)
     _check_objects(scene, priors)
     check_certifiable(given.measured, settings, priors)
+    start = eyring_start(given.measured)
     with counted_evaluations() as made:
-        ends = (0.02, 0.49, 0.98) if scene.groups else (0.02, 0.98, 0.98)
-        first, again = (part(progress, *x) for x in itertools.pairwise(ends))
-        fitted = _traced_and_fitted(given.measured, priors, settings, cache, first)
+        ends = (0.02, 0.22, 0.49, 0.98) if scene.groups else (0.02, 0.45, 0.98, 0.98)
+        early, late, again = (part(progress, *x) for x in itertools.pairwise(ends))
+        used = replace(settings, model=chosen_model(given.measured, priors, start, settings))
+        traced = traced_paths(given.measured, priors, used, start, cache, early)
+        fits = _fits(given.measured, priors, traced, used, late)
         observed, traced, fits = _with_positions_examined(
-            given, measurements, priors, fitted, settings, cache, again
+            given, measurements, priors, (traced, fits), settings, cache, again
         )
     if observed is not given:  # fitted at other positions than specified
         before = examine(BEFORE_THE_FIT, observed)
@@ -206,27 +209,6 @@ def _check_objects(scene: Scene, priors: tuple[MaterialPrior, ...]) -> None:
                 needed=f"roomfit.materials.priors.object_prior for {volume:g} m3 among the "
                 "materials, and roomfit.scene.with_objects of the room",
             )
-
-
-def _traced_and_fitted(
-    measured: Measurements,
-    priors: tuple[MaterialPrior, ...],
-    settings: Settings,
-    cache: Cache | None,
-    progress: Progress | None,
-) -> tuple[TracedPaths, BandFits]:
-    """Return the paths of the room and the fits of all bands.
-
-    By energies alone where a few responses contradict pressures: rooms are traced for either.
-    """
-    start = eyring_start(measured)
-    is_open = settings.model == "auto" and is_coherent(measured.responses, settings)
-    if is_open and contradicts_pressures(measured, priors, start, settings):
-        _LOG.info("a few responses contradict that pressures add")
-        settings = replace(settings, model="energy")
-    early, late = part(progress, 0.0, 0.45), part(progress, 0.45, 1.0)
-    traced = traced_paths(measured, priors, settings, start, cache, early)
-    return traced, _fits(measured, priors, traced, settings, late)
 
 
 def _fits(
@@ -282,7 +264,11 @@ def _with_positions_examined(
         range_db, patterns = settings.decay_range_db, measured.directivities
         observed = recorded(scene, measurements, measured.bands, patterns, range_db)
         measured = observed.measured
-        traced, fits = _traced_and_fitted(measured, priors, settings, cache, progress)
+        start = eyring_start(measured)
+        early, late = part(progress, 0.0, 0.45), part(progress, 0.45, 1.0)
+        used = replace(settings, model=chosen_model(measured, priors, start, settings))
+        traced = traced_paths(measured, priors, used, start, cache, early)
+        fits = _fits(measured, priors, traced, used, late)
         outline = _outline(measured, priors, traced, fits, offsets, moved_m)
     if outline is not None:
         fits = with_offsets(fits, outline, located(outline))

@@ -460,8 +460,7 @@ def fit_coherent(
     traced : TracedPaths
         Of all pairs: image sources, the further the better, and rays for what they leave.
     """
-    if not state.task.settings.quick:
-        state = with_sources_examined(state, traced)
+    state = state if state.task.settings.quick else with_sources_examined(state, traced)
     task, settings = state.task, state.task.settings
     fits = forward_pass(state.bands, settings, part(progress, 0.0, 0.8), state.first)
     if settings.quick:

@@ -46,6 +46,7 @@ from roomfit.inversion.systematics import (
     shared_errors,
     with_shared_errors,
 )
+from roomfit.inversion.trace_plan import is_coherent
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.directivity import (
     BandDirectivities,
@@ -57,7 +58,7 @@ from roomfit.objective.parameters import physical_values
 from roomfit.objective.problem import DataTerm, Objective
 from roomfit.objective.room_parameters import value_terms, without_responses
 from roomfit.scene import material_areas_m2, select_pairs
-from roomfit.settings import Settings
+from roomfit.settings import Model, Settings
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 from roomfit.uncertainty.gaussian import BandEstimate, Refine, SharedCovariance
@@ -216,21 +217,21 @@ _TRIED_PATHS = {
 }
 
 
-def contradicts_pressures(
+def chosen_model(
     measured: Measurements,
     priors: tuple[MaterialPrior, ...],
     start: FloatArray,
     settings: Settings,
-) -> bool:
-    """Return whether a few responses contradict that pressures add, before all are traced.
+) -> Model:
+    """Return the model of the settings, "energy" where few responses contradict pressures.
 
-    Positions, speed of sound and delays that a band at 250 Hz determines are known to millimetres.
-    Where they are the room's, pressures explain the octave of 1 kHz better than energies; where
-    they have absorbed what the model of pressures lacks (loudspeakers, scattering, walls that are
-    not specified), energies are likelier there by `log_evidences`, and what was fitted to the lower
-    band is no geometry. Nor is there anything to gain where energies are likelier in both bands.
-    Eight responses at most are compared, in the highest band up to 1 kHz and
-    the one nearest to two octaves below.
+    Before the room is traced for either. Positions, speed of sound and delays that a band at 250 Hz
+    determines are known to millimetres. Where they are the room's, pressures explain the octave of
+    1 kHz better than energies; where they have absorbed what the model of pressures lacks
+    (loudspeakers, scattering, walls that are not specified), energies are likelier there by
+    `log_evidences`, and what was fitted to the lower band is no geometry. Nor is there anything to
+    gain where energies are likelier in both bands. Eight responses at most are compared, in the
+    highest band up to 1 kHz and the one nearest to two octaves below.
 
     Parameters
     ----------
@@ -239,8 +240,8 @@ def contradicts_pressures(
     """
     centres_hz = measured.bands.centres_hz
     high = int(np.searchsorted(centres_hz, 1.01 * TELLING_HZ)) - 1
-    if high < 1:
-        return False
+    if settings.model != "auto" or high < 1 or not is_coherent(measured.responses, settings):
+        return settings.model
     octaves = np.log2(centres_hz[high] / centres_hz[:high])
     low = int(np.argmin(np.abs(octaves - _TRIED_OCTAVES)))
     few = _few(measured, np.isin(np.arange(centres_hz.size), (low, high)))
@@ -251,19 +252,20 @@ def contradicts_pressures(
     priors = tuple(replace(k, fit_scattering=False) for k in priors)
     traced = replace(traced_paths(few, priors, quick, start, None, None), again=None)
     if not traced.far_images:
-        return False
+        return settings.model
     task = coherent_task(few, priors, traced, start, quick)
     state = with_sources_examined(initialise(task, traced), traced)
     fits = forward_pass(state.bands, task.settings, None)
     gains = []
     for own, fit in ((state.bands[b], fits[b]) for b in (low, high)):
         if own is None:
-            return False
+            return settings.model
         if fit is None:
-            return True
+            return "energy"
         energies, pressures = log_evidences(own, fit)
         gains.append(pressures - energies)
-    return bool(gains[1] <= -UNDECIDED or max(gains) <= 0.0)
+    is_contradicted = gains[1] <= -UNDECIDED or max(gains) <= 0.0
+    return "energy" if is_contradicted else settings.model
 
 
 def _few(measured: Measurements, chosen: BoolArray) -> Measurements:
