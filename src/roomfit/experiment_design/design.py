@@ -221,11 +221,10 @@ def design(
     rng = np.random.default_rng(settings.seed)
     _LOG.info("choosing")
     chosen = choose(known.unknowns, pairs, rules, n, criterion, rng=rng)
-    rng = np.random.default_rng(settings.seed)
     of_fit = () if absorption is None else _doubts(absorption, scene)
-    used = np.concatenate((np.array(rules.fixed, dtype=np.int64), chosen))
     # after a fit one more pair stands beside others, whose positions are not known here
-    alike = () if after_fit else planes_of(select_pairs(candidates, used), known, settings)
+    used = select_pairs(candidates, np.array([*rules.fixed, *chosen], dtype=np.int64))
+    alike = () if after_fit else planes_of(used, known, settings)
     return Design(
         scene=candidates,
         n_fixed=len(rules.fixed),
@@ -234,7 +233,9 @@ def design(
         materials=scene.room.materials,
         to_find=known.unknowns.number >= 0,
         widths=_widths(known.unknowns, pairs, [*rules.fixed], chosen),
-        random_means=_random_means(known.unknowns, pairs, rules, n, options.n_random, rng),
+        random_means=_random_means(
+            known.unknowns, pairs, rules, n, options.n_random, settings.seed
+        ),
         criterion=criterion,
         model="coherent" if coherent else "energy",
         absorption=known.typical,
@@ -316,9 +317,10 @@ def _random_means(
     rules: Rules,
     n: int,
     n_random: int,
-    rng: np.random.Generator,
+    seed: int,
 ) -> FloatArray:
     """Return the mean widths of random designs, (n_random, n + 1), NaN where one ends early."""
+    rng = np.random.default_rng(seed)
     out: FloatArray = np.full((n_random, n + 1), np.nan)
     for row in out:
         drawn = random_design(rules, n, rng)
