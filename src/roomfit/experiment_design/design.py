@@ -207,24 +207,24 @@ def design(
         scene, options, distance_m, settings.seed, count_measured=not after_fit
     )
     n = options.number or (_NUMBER_AFTER_FIT if after_fit else _NUMBER)
-    possible_design(rules, n)  # else all would be computed before it is refused
+    possible_design(rules, n)  # before all is computed
     _LOG.info("evaluating %d candidates", len(candidates.pairs) - len(rules.fixed))
     n_pairs = n + len({(int(s), int(r)) for s, r in scene.pairs})
-    done = part(progress, 0.0, 0.95)
+    done, patterns = part(progress, 0.0, 0.95), directivities or {}
     matrices, coherent, doubts = information_of_candidates(
-        candidates, known, n_pairs, options, settings, directivities or {}, done
+        candidates, known, n_pairs, options, settings, patterns, done
     )
-    if absorption is not None and absorption.chi2_reduced is not None:
-        matrices = matrices / np.maximum(absorption.chi2_reduced, 1.0)[:, None, None]
+    misfit = None if absorption is None else absorption.chi2_reduced
+    matrices = matrices if misfit is None else matrices / np.maximum(misfit, 1.0)[:, None, None]
     pairs = PairInformation(matrices, _gains(options.level, candidates))
     criterion = options.criterion or ("worst" if after_fit else "determinant")
-    rng = np.random.default_rng(settings.seed)
     _LOG.info("choosing")
+    rng = np.random.default_rng(settings.seed)
     chosen = choose(known.unknowns, pairs, rules, n, criterion, rng=rng)
     of_fit = () if absorption is None else _doubts(absorption, scene)
-    # after a fit one more pair stands beside others, whose positions are not known here
     used = select_pairs(candidates, np.array([*rules.fixed, *chosen], dtype=np.int64))
-    alike = () if after_fit else planes_of(used, known, settings)
+    # after a fit one more pair stands beside others, whose positions are not known here
+    doubts = doubts if after_fit else (*doubts, *planes_of(used, known, settings))
     return Design(
         scene=candidates,
         n_fixed=len(rules.fixed),
@@ -244,7 +244,7 @@ def design(
         source_distance_m=distance_m,
         receiver_distance_m=options.receiver_distance_m,
         wall_distance_m=options.wall_distance_m,
-        findings=(*scene.room.findings, *of_fit, *few, *doubts, *alike),
+        findings=(*scene.room.findings, *of_fit, *few, *doubts),
         seed=settings.seed,
         seconds=time.perf_counter() - began,
     )

@@ -92,9 +92,8 @@ def room_posterior(
     fixed = np.full(shape, 0.5)
     # what is only known after a change has no variance, and an interval of 0 to 1
     lowest, highest = np.zeros(shape), np.ones(shape)
-    for i, k in enumerate(priors):
-        if k.known is not None:
-            fixed[i] = lowest[i] = highest[i] = k.known
+    for i in (i for i, k in enumerate(priors) if k.known is not None):
+        fixed[i] = lowest[i] = highest[i] = priors[i].known
 
     def matched(values: FloatArray | None, otherwise: FloatArray) -> FloatArray:
         found = otherwise.copy()
@@ -108,8 +107,7 @@ def room_posterior(
             found[j][np.ix_(own, own)] = values[band][np.ix_(theirs, theirs)]
         return found
 
-    n = len(names)
-    mean, sd = absorption.prior_logit_mean, absorption.prior_logit_sd
+    n, mean, sd = len(names), absorption.prior_logit_mean, absorption.prior_logit_sd
     has_prior = mean is not None and sd is not None
     before, draws = absorption.prior_logit_covariance, absorption.draws
     misfit, specified = absorption.chi2_reduced, absorption.prior_specified
