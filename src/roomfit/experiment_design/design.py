@@ -210,10 +210,8 @@ def design(
     possible_design(rules, n)  # before all is computed
     _LOG.info("evaluating %d candidates", len(candidates.pairs) - len(rules.fixed))
     n_pairs = n + len({(int(s), int(r)) for s, r in scene.pairs})
-    done, patterns = part(progress, 0.0, 0.95), directivities or {}
-    matrices, coherent, doubts = information_of_candidates(
-        candidates, known, n_pairs, options, settings, patterns, done
-    )
+    work = options, settings, directivities or {}, part(progress, 0.0, 0.95)
+    matrices, coherent, doubts = information_of_candidates(candidates, known, n_pairs, *work)
     misfit = None if absorption is None else absorption.chi2_reduced
     matrices = matrices if misfit is None else matrices / np.maximum(misfit, 1.0)[:, None, None]
     pairs = PairInformation(matrices, _gains(options.level, candidates))
@@ -222,9 +220,9 @@ def design(
     rng = np.random.default_rng(settings.seed)
     chosen = choose(known.unknowns, pairs, rules, n, criterion, rng=rng)
     of_fit = () if absorption is None else _doubts(absorption, scene)
-    used = select_pairs(candidates, np.array([*rules.fixed, *chosen], dtype=np.int64))
     # after a fit one more pair stands beside others, whose positions are not known here
-    doubts = doubts if after_fit else (*doubts, *planes_of(used, known, settings))
+    used = () if after_fit else (*rules.fixed, *chosen)
+    doubts = (*doubts, *_on_planes(candidates, used, known, settings))
     return Design(
         scene=candidates,
         n_fixed=len(rules.fixed),
@@ -248,6 +246,13 @@ def design(
         seed=settings.seed,
         seconds=time.perf_counter() - began,
     )
+
+
+def _on_planes(
+    candidates: Scene, used: Sequence[int], known: PriorInformation, settings: Settings
+) -> tuple[Finding, ...]:
+    """Return the planes of symmetry on which all pairs stand that are used."""
+    return planes_of(select_pairs(candidates, np.array(used, dtype=np.int64)), known, settings)
 
 
 def _doubts(absorption: AbsorptionPosterior, scene: Scene) -> tuple[Finding, ...]:
