@@ -207,25 +207,22 @@ def design(
         scene, options, distance_m, settings.seed, count_measured=not after_fit
     )
     n = options.number or (_NUMBER_AFTER_FIT if after_fit else _NUMBER)
-    possible_design(rules, n)  # else all would be computed before it is refused
+    possible_design(rules, n)  # before all is computed
     _LOG.info("evaluating %d candidates", len(candidates.pairs) - len(rules.fixed))
     n_pairs = n + len({(int(s), int(r)) for s, r in scene.pairs})
-    done = part(progress, 0.0, 0.95)
-    matrices, coherent, doubts = information_of_candidates(
-        candidates, known, n_pairs, options, settings, directivities or {}, done
-    )
-    if absorption is not None and absorption.chi2_reduced is not None:
-        matrices = matrices / np.maximum(absorption.chi2_reduced, 1.0)[:, None, None]
+    work = options, settings, directivities or {}, part(progress, 0.0, 0.95)
+    matrices, coherent, doubts = information_of_candidates(candidates, known, n_pairs, *work)
+    misfit = None if absorption is None else absorption.chi2_reduced
+    matrices = matrices if misfit is None else matrices / np.maximum(misfit, 1.0)[:, None, None]
     pairs = PairInformation(matrices, _gains(options.level, candidates))
     criterion = options.criterion or ("worst" if after_fit else "determinant")
-    rng = np.random.default_rng(settings.seed)
     _LOG.info("choosing")
-    chosen = choose(known.unknowns, pairs, rules, n, criterion, rng=rng)
     rng = np.random.default_rng(settings.seed)
+    chosen = choose(known.unknowns, pairs, rules, n, criterion, rng=rng)
     of_fit = () if absorption is None else _doubts(absorption, scene)
-    used = np.concatenate((np.array(rules.fixed, dtype=np.int64), chosen))
     # after a fit one more pair stands beside others, whose positions are not known here
-    alike = () if after_fit else planes_of(select_pairs(candidates, used), known, settings)
+    used = () if after_fit else (*rules.fixed, *chosen)
+    doubts = (*doubts, *_on_planes(candidates, used, known, settings))
     return Design(
         scene=candidates,
         n_fixed=len(rules.fixed),
@@ -234,7 +231,9 @@ def design(
         materials=scene.room.materials,
         to_find=known.unknowns.number >= 0,
         widths=_widths(known.unknowns, pairs, [*rules.fixed], chosen),
-        random_means=_random_means(known.unknowns, pairs, rules, n, options.n_random, rng),
+        random_means=_random_means(
+            known.unknowns, pairs, rules, n, options.n_random, settings.seed
+        ),
         criterion=criterion,
         model="coherent" if coherent else "energy",
         absorption=known.typical,
@@ -243,10 +242,17 @@ def design(
         source_distance_m=distance_m,
         receiver_distance_m=options.receiver_distance_m,
         wall_distance_m=options.wall_distance_m,
-        findings=(*scene.room.findings, *of_fit, *few, *doubts, *alike),
+        findings=(*scene.room.findings, *of_fit, *few, *doubts),
         seed=settings.seed,
         seconds=time.perf_counter() - began,
     )
+
+
+def _on_planes(
+    candidates: Scene, used: Sequence[int], known: PriorInformation, settings: Settings
+) -> tuple[Finding, ...]:
+    """Return the planes of symmetry on which all pairs stand that are used."""
+    return planes_of(select_pairs(candidates, np.array(used, dtype=np.int64)), known, settings)
 
 
 def _doubts(absorption: AbsorptionPosterior, scene: Scene) -> tuple[Finding, ...]:
@@ -316,9 +322,10 @@ def _random_means(
     rules: Rules,
     n: int,
     n_random: int,
-    rng: np.random.Generator,
+    seed: int,
 ) -> FloatArray:
     """Return the mean widths of random designs, (n_random, n + 1), NaN where one ends early."""
+    rng = np.random.default_rng(seed)
     out: FloatArray = np.full((n_random, n + 1), np.nan)
     for row in out:
         drawn = random_design(rules, n, rng)

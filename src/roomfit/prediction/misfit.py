@@ -82,11 +82,11 @@ def _widened(numbers: PairNumbers, scatter: FloatArray, common: FloatArray) -> P
 
 def _clipped(departures: FloatArray) -> FloatArray:
     """Return departures with outliers drawn to the others, NaN where unknown."""
-    known = np.ma.masked_invalid(departures)
-    median = np.ma.median(known, axis=0)
-    reach = _CLIPPED_AT * np.ma.median(np.abs(known - median), axis=0)
-    low, high = ((median + sign * reach).filled(0.0) for sign in (-1.0, 1.0))
-    return np.asarray(np.clip(departures, low, high))
+    nothing = ~np.isfinite(departures).any(axis=0)
+    known = np.where(nothing, 0.0, departures)
+    median = np.nanmedian(known, axis=0)
+    reach = _CLIPPED_AT * np.nanmedian(np.abs(known - median), axis=0)
+    return np.clip(departures, median - reach, median + reach)
 
 
 def _scale(squares: FloatArray, expected: FloatArray, n_free: FloatArray) -> FloatArray:

@@ -252,9 +252,7 @@ class PreparedRoom:
     base: FloatArray  # (n_pairs, n_names, n_bands), values of `few` at the absorption found
     base_sti: FloatArray  # (n_pairs,), likewise
     findings: tuple[Finding, ...]
-    dominated: tuple[
-        Finding, ...
-    ]  # of each material whose share in the absorption the prior decides
+    dominated: tuple[Finding, ...]  # by material, that the prior decides its share
     seed: int
     speech_db: FloatArray | None  # as of `predict`
     latest: tuple[LatestBands, ...]  # of every pair, what `numbers_at` found last
@@ -295,16 +293,7 @@ def prepare_prediction(
     _check(scene, absorption, measurements)
     rng = np.random.default_rng(settings.seed)
     draws = draw_absorption(absorption, settings.n_draws, rng)
-    areas_m2 = material_areas_m2(scene.room, int(pair_states(scene)[0]))
-    of_shares = np.random.default_rng(settings.seed)
-    dominated = prior_dominated(absorption, draws, absorption.materials, areas_m2, of_shares)
-    changed = {c.material for one in alternatives for c in one}
-    if changed:
-        own = [f for f in dominated if changed & set(f.about.materials)]
-        first = int(pair_states(scene)[0])
-        states = [first, *(s for s in range(1 + len(scene.room.states)) if s != first)]
-        by_state = np.stack([material_areas_m2(scene.room, s) for s in states])
-        draws = open_splits(absorption, draws, own, by_state, settings.seed)
+    draws, dominated = _open_draws(scene, absorption, draws, alternatives, settings.seed)
     least, is_known = _least_absorption(absorption, draws, alternatives, rng)
     observed, measured_findings = observed_pairs(scene, measurements, absorption.bands)
     longest_s, done = _longest_s(observed), part(progress, 0.02, 0.6)
@@ -328,6 +317,26 @@ def prepare_prediction(
         observed=with_sti(scene, bands, observed, before, speech_db),
         findings=(*room.findings, *cache_findings),
     )
+
+
+def _open_draws(
+    scene: Scene,
+    absorption: AbsorptionPosterior,
+    draws: FloatArray,
+    alternatives: Sequence[Sequence[Change]],
+    seed: int,
+) -> tuple[FloatArray, tuple[Finding, ...]]:
+    """Return draws that hold what changes may do, and materials whose share the prior decides."""
+    first = int(pair_states(scene)[0])
+    states = [first, *(s for s in range(1 + len(scene.room.states)) if s != first)]
+    areas_m2 = np.stack([material_areas_m2(scene.room, s) for s in states])
+    rng, names = np.random.default_rng(seed), absorption.materials
+    dominated = prior_dominated(absorption, draws, names, areas_m2[0], rng)
+    changed = {c.material for one in alternatives for c in one}
+    if not changed:
+        return draws, dominated
+    own = [f for f in dominated if changed & set(f.about.materials)]
+    return open_splits(absorption, draws, own, areas_m2, seed), dominated
 
 
 def _least_absorption(

@@ -99,9 +99,8 @@ def room_posterior(
     fixed = np.full(shape, 0.5)
     # what is only known after a change has no variance, and an interval of 0 to 1
     lowest, highest = np.zeros(shape), np.ones(shape)
-    for i, k in enumerate(priors):
-        if k.known is not None:
-            fixed[i] = lowest[i] = highest[i] = k.known
+    for i in (i for i, k in enumerate(priors) if k.known is not None):
+        fixed[i] = lowest[i] = highest[i] = priors[i].known
 
     def matched(values: FloatArray | None, otherwise: FloatArray) -> FloatArray:
         found = otherwise.copy()
