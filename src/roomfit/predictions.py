@@ -208,7 +208,7 @@ def treat_to_folder(
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Treatment:
-    """Choose what to hang where; write treatment.json, treatment.csv and a picture into a folder.
+    """Choose what to hang where; write treatment.json, .csv, .html and a picture into a folder.
 
     Raises
     ------
@@ -217,8 +217,9 @@ def treat_to_folder(
     StoreError
         The disk refuses.
     """
+    from roomfit.report.figures import png
     from roomfit.treatment.campaign import read_treatment, treat_arguments
-    from roomfit.treatment.output import write_treatment
+    from roomfit.treatment.output import treatment_figure, write_treatment
     from roomfit.treatment.treat import treat
 
     check_output_folder(out, overwrite=overwrite)
@@ -245,6 +246,7 @@ def treat_to_folder(
     answer = replace(answer, findings=(*doubts, *answer.findings), to_measure=to_measure)
     with whole_output_folder(out, overwrite=overwrite) as folder:
         write_treatment(folder, answer, files_read())
+        write_bytes_atomically(folder / "treatment.png", png(treatment_figure(answer)))
     return answer
 
 

@@ -28,4 +28,4 @@ def run(options: argparse.Namespace) -> None:
     found = reverberation_to_folder(options.campaign, options.out, overwrite=options.overwrite)
     say(diffuse_text(found))
     if options.out is not None:
-        say(f"\nreverberation.html and reverberation.csv are in {options.out}")
+        say(f"\nreverberation.html, reverberation.csv and result.json are in {options.out}")

@@ -38,4 +38,4 @@ def run(options: argparse.Namespace) -> None:
             progress=progress,
         )
     say(str(answer))
-    say(f"\ntreatment.json, treatment.csv and a picture are in {options.out}")
+    say(f"\ntreatment.html, .json, .csv and a picture are in {options.out}")

@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from roomfit.cache import (
-    write_bytes_atomically,
     write_json_atomically,
     write_text_atomically,
 )
@@ -29,7 +28,7 @@ from roomfit.prediction.output import (
 )
 from roomfit.prediction.tables import named_values
 from roomfit.report.decay_times import Limit
-from roomfit.report.figures import OKABE_ITO, figure_legend, literal, new_figure, png
+from roomfit.report.figures import OKABE_ITO, figure_legend, literal, new_figure
 from roomfit.report.html import answer_page, drawing
 from roomfit.report.room_figure import COLOURS, drawn_faces, outline_m, projection
 from roomfit.report.text import findings_text
@@ -44,7 +43,7 @@ if TYPE_CHECKING:
 
 
 def write_treatment(folder: Path, treatment: Treatment, inputs: Iterable[Path]) -> None:
-    """Write ``treatment.json``, ``.csv``, ``.html`` and a picture into a folder.
+    """Write ``treatment.json``, ``.csv`` and ``.html`` into a folder.
 
     Raises
     ------
@@ -53,7 +52,6 @@ def write_treatment(folder: Path, treatment: Treatment, inputs: Iterable[Path]) 
     """
     write_text_atomically(folder / "treatment.csv", treatment_csv(treatment))
     write_text_atomically(folder / "treatment.html", treatment_page(treatment))
-    write_bytes_atomically(folder / "treatment.png", png(treatment_figure(treatment)))
     write_json_atomically(folder / "treatment.json", treatment_content(treatment, inputs))
 
 
