@@ -290,10 +290,21 @@ def draft_campaign(
     InputError
         The room cannot be read; or its unit is in doubt, with the units that are plausible.
     """
+    first = "# A first campaign, made by `roomfit init`. Blanks are marked FILL IN. Then:"
     if decay_times is not None:
-        return _draft_of_decay_times(decay_times, room, folder, because)
+        lines = [
+            first,
+            "#   roomfit reverberation campaign.toml",
+            "",
+            "[room]",
+            *_room_lines(room, folder, because),
+            "",
+            "[reverberation]",
+            f"file = {_quoted(_beside(folder, decay_times))}",
+        ]
+        return "\n".join(lines) + "\n"
     lines = [
-        "# A first campaign, made by `roomfit init`. Blanks are marked FILL IN. Then:",
+        first,
         "#   roomfit check campaign.toml",
         "#   roomfit identify campaign.toml --out result",
         "",
@@ -307,22 +318,6 @@ def draft_campaign(
         "[identify]",
         "from_hz = 125",
         "to_hz = 4000",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _draft_of_decay_times(
-    decay_times: Path, room: RoomSpec | None, folder: Path, because: str
-) -> str:
-    lines = [
-        "# A first campaign, made by `roomfit init`. Blanks are marked FILL IN. Then:",
-        "#   roomfit reverberation campaign.toml",
-        "",
-        "[room]",
-        *_room_lines(room, folder, because),
-        "",
-        "[reverberation]",
-        f"file = {_quoted(_beside(folder, decay_times))}",
     ]
     return "\n".join(lines) + "\n"
 
