@@ -158,6 +158,11 @@ class CatalogueEntry:
         return expit(self.logit_mean)
 
     @property
+    def absorption_by_hz(self) -> dict[float, float]:
+        """Middle absorption by the centre of its octave in Hz."""
+        return dict(zip(OCTAVES_HZ, self.absorption.tolist(), strict=True))
+
+    @property
     def sd(self) -> FloatArray:
         """Standard deviation of absorption, shape (8,), to first order from that of its logit."""
         a = self.absorption
