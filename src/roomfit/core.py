@@ -117,6 +117,7 @@ if TYPE_CHECKING:
         pair_states as pair_states,
         select_pairs as select_pairs,
         wall_materials as wall_materials,
+        scene_of as scene_of,
     )
     from roomfit.settings import Settings as Settings
     from roomfit.signals.decay import (
@@ -196,7 +197,7 @@ _HOME = {
         "results": "Result result_doubts",
         "scene": "NEAREST_PAIR_M Point Room Scene check_points distances_m "
         "is_clear_of_walls material_areas_m2 named_pairs pair_names "
-        "pair_states select_pairs wall_materials",
+        "pair_states scene_of select_pairs wall_materials",
         "settings": "Settings",
         "signals.decay": "DecayCurve FIT_RANGES_DB in_jnd jnd_of",
         "signals.iso3382": "MeasuredValues VALUE_NAMES ValueName",

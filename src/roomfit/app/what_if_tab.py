@@ -29,7 +29,7 @@ from roomfit.app.jobs import Bench
 from roomfit.errors import InputError
 from roomfit.io.encoding import written_content
 from roomfit.io.responses import RESPONSE_SUFFIXES
-from roomfit.materials.catalogue import OCTAVES_HZ, catalogue
+from roomfit.materials.catalogue import catalogue
 from roomfit.report.wording import count, short_hertz
 
 _LABELS = {
@@ -77,10 +77,8 @@ class Changes:
         if own is None:
             return found
         entry = next(e for e in catalogue().entries if e.name == own)
-        octaves = dict(zip(OCTAVES_HZ, entry.absorption, strict=True))
-        return [
-            round(float(octaves.get(f, a)), 3) for f, a in zip(self.bands_hz, found, strict=True)
-        ]
+        octaves = entry.absorption_by_hz
+        return [round(octaves.get(f, a), 3) for f, a in zip(self.bands_hz, found, strict=True)]
 
     def move(self, material: str, band: int, value: float) -> bool:
         """Give a material another absorption in one band; return whether it is another."""

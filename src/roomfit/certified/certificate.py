@@ -20,6 +20,7 @@ from roomfit.certified.question import (
     to_absorption,
 )
 from roomfit.certified.search import (
+    ALMOST_BLACK,
     Searched,
     SearchSettings,
     Tools,
@@ -39,7 +40,6 @@ from roomfit.typing import FloatArray, IntArray, Progress
 
 # Descents within a cluster: from its boxes of lowest bounds.
 _DESCENTS = 24
-_ALMOST_BLACK = math.log(1e-6)
 # In g: far above the rounding of faces that were computed twice, far below any width.
 _TOUCHING = 1e-9
 
@@ -110,7 +110,7 @@ def _cluster(
 ) -> Cluster:
     boxes = found.boxes[own]
     hull = np.stack((boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)))
-    low = np.maximum(hull[0], np.minimum(_ALMOST_BLACK, hull[1] - 1e-3))
+    low = np.maximum(hull[0], np.minimum(ALMOST_BLACK, hull[1] - 1e-3))
     order = np.argsort(found.bounds[own])[:_DESCENTS]
     starts = [0.5 * (np.maximum(boxes[i, 0], low) + boxes[i, 1]) for i in order]
     if np.all((found.minimiser >= hull[0]) & (found.minimiser <= hull[1])):
@@ -133,7 +133,7 @@ def _blackened(
 ) -> tuple[FloatArray, float]:
     """Return a point with what a descent left all but black made black, where that is lower."""
     place, value = end
-    black = np.where((place <= _ALMOST_BLACK + 1e-6) & np.isneginf(hull[0]), -math.inf, place)
+    black = np.where((place <= ALMOST_BLACK + 1e-6) & np.isneginf(hull[0]), -math.inf, place)
     there = total_misfit(tools.data, black, tools.most)
     return (black, there) if there <= value else end
 

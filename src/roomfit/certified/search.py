@@ -167,7 +167,7 @@ _STARTS = 12
 _NARROW, _MORE_BOXES = 1e-4, 2000
 _EVEN = (0.05, 0.2, 0.5, 0.8)
 # Where a descent may reach instead of minus infinity: an absorption of 1 - 1e-6.
-_ALMOST_BLACK = math.log(1e-6)
+ALMOST_BLACK = math.log(1e-6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,7 +284,7 @@ def first_guess(global_problem: GlobalProblem, tools: Tools) -> Incumbent:
 
     Even absorptions first, then points drawn at random.
     """
-    low, high = np.maximum(global_problem.least, _ALMOST_BLACK), global_problem.most
+    low, high = np.maximum(global_problem.least, ALMOST_BLACK), global_problem.most
     rng = np.random.default_rng(0)
     even = [np.clip(np.full(low.size, math.log(1.0 - a)), low, high) for a in _EVEN]
     share = rng.random((_STARTS - len(even), low.size))

@@ -11,9 +11,6 @@ import shutil
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -434,7 +431,11 @@ def estimate_coverage(
     plan = coverage_plan(campaign, settings)
     there = {n: read_replicate(out, n, plan.digest) for n in range(settings.replicates)}
     missing = [n for n in settings.numbers if there[n] is None]
-    with _scratch(out.absolute()) as scratch:
+    # on the same disk, beside the output folder, which may be put into its place anew meanwhile
+    at = out.resolve()
+    with shared_folder(at, alone=True):
+        pass  # what killed runs have left behind is gone
+    with hidden_folder(nearest_existing(at.parent), f".{at.name}.making-") as scratch:
         _simulate(plan, settings, missing, out, scratch, progress)
     return collected(plan, out, settings)
 
@@ -460,25 +461,18 @@ def _simulate(
     )
     with workers as pool:
         try:
-            _in_bundles(pool, tasks, progress)
+            taken_s: list[float] = []
+            bundles = bundled(tasks, lambda: float(np.median(taken_s)) if taken_s else None)
+            # enough for every worker; and the first to end tell how long the others take
+            for _, future in completed(pool, bundles, window=64):
+                seconds: list[float] = result_of(future)
+                taken_s += seconds
+                if progress is not None:
+                    progress(len(taken_s) / len(tasks))
         except BaseException:
             # workers look for the folder as they go on; without it they stop within seconds
             shutil.rmtree(scratch, ignore_errors=True)
             raise
-
-
-def _in_bundles(
-    pool: Executor, tasks: Sequence[Callable[[], float]], progress: Progress | None
-) -> None:
-    """Have all tasks done, several short ones as one."""
-    taken_s: list[float] = []
-    bundles = bundled(tasks, lambda: float(np.median(taken_s)) if taken_s else None)
-    # enough for every worker; and the first to end tell how long the others take
-    for _, future in completed(pool, bundles, window=64):
-        seconds: list[float] = result_of(future)
-        taken_s += seconds
-        if progress is not None:
-            progress(len(taken_s) / len(tasks))
 
 
 def _task(plan: CoveragePlan, seed: int, number: int, out: Path, scratch: Path) -> float:
@@ -541,16 +535,3 @@ def _coverage_sample(plan: CoveragePlan, answered: list[Replicate]) -> CoverageS
         prior=_prior_middle(plan) if plan.answer is None else plan.answer.absorption,
         **arrays,
     )
-
-
-@contextmanager
-def _scratch(out: Path) -> Iterator[Path]:
-    """Give a folder for synthetic responses on the same disk, and remove it in any case.
-
-    It lies beside the output folder, which may be put into its place anew meanwhile.
-    """
-    out = Path(out).resolve()
-    with shared_folder(out, alone=True):
-        pass  # what killed runs have left behind is gone
-    with hidden_folder(nearest_existing(out.parent), f".{out.name}.making-") as folder:
-        yield folder

@@ -198,12 +198,6 @@ def synthesis_of(plan: CoveragePlan, synthetic: SyntheticRoom) -> str:
     return CONVEX if convex else TRACED
 
 
-def _b(plan: CoveragePlan, synthetic: SyntheticRoom, source: str) -> FloatArray | None:
-    """Return the first-order vector of a source; None where it is omnidirectional."""
-    directivity = plan.directivities.get(source)
-    return directivity.b if isinstance(directivity, Pattern) else synthetic.b.get(source)
-
-
 def _duration_s(plan: CoveragePlan, synthetic: SyntheticRoom, synthesis: str) -> float:
     """Eyring's time of the slowest fitted band, down to its noise."""
     areas = material_areas_m2(plan.room)
@@ -245,7 +239,8 @@ def _box(
     for source in synthetic.sources:
         start_m, own = source.position_m, [r for s, r in pairs if s == source.name]
         if not np.any(scattering):
-            b = _b(plan, synthetic, source.name)
+            known = plan.directivities.get(source.name)
+            b = known.b if isinstance(known, Pattern) else synthetic.b.get(source.name)
             for r in own:
                 found[source.name, r] = pressure_response(
                     box, start_m, at[r], duration_s, rate_hz, flat, b
@@ -320,7 +315,10 @@ def synthetic_table(
     for source, receiver, spreads in plan.tabulated:
         response = padded(ImpulseResponse(pressures[source, receiver], rate_hz), _PAD_S)
         distance_m = float(np.linalg.norm(receiver_m[receiver] - source_m[source]))
-        found = _values(response, bands, distance_m / synthetic.speed_of_sound_m_s)
+        direct_s = distance_m / synthetic.speed_of_sound_m_s
+        parameters = room_parameters(decay_curve(bands, response, direct_s))
+        found: dict[ValueName, FloatArray] = {n: parameters.of(n) for n in PARAMETER_NAMES}
+        found["G_dB"] = _strength_db(bands, response)
         for name, spread in spreads.items():
             error = np.where(np.isfinite(spread), spread, 0.0) * rng.standard_normal(len(bands))
             add(source, receiver, _WRITTEN[name], _possible(name, found[name] + error))
@@ -328,15 +326,6 @@ def synthetic_table(
                 add(source, receiver, f"{_WRITTEN[name]}_sd", spread)
     columns = ("source", "receiver", "parameter", *(f"{f:g}" for f in bands.centres_hz))
     return csv_of(Table("", columns, rows, form=".6g"))
-
-
-def _values(
-    response: ImpulseResponse, bands: Bands, direct_s: float
-) -> dict[ValueName, FloatArray]:
-    """Return all parameters of a response in absolute pressures."""
-    parameters = room_parameters(decay_curve(bands, response, direct_s))
-    others: dict[ValueName, FloatArray] = {name: parameters.of(name) for name in PARAMETER_NAMES}
-    return {"G_dB": _strength_db(bands, response), **others}
 
 
 def _strength_db(bands: Bands, response: ImpulseResponse) -> FloatArray:

@@ -23,7 +23,6 @@ from roomfit.core import (
     InsufficientDataError,
     IntArray,
     MaterialPrior,
-    MeasuredValues,
     Point,
     Room,
     UnknownDirectivity,
@@ -204,7 +203,11 @@ def _as_measured(
         return np.full((n, n_bands), snr_db), (), np.inf
     inputs = CampaignInputs(read)
     measurements = collect_measurements(inputs.scene(room), inputs.measurements(), read.bands, {})
-    tabulated = tuple(_tabulated(v, campaign.bands) for v in measurements.values)
+    centres_hz = campaign.bands.centres_hz
+    tabulated: tuple[Tabulated, ...] = tuple(
+        (v.source, v.receiver, {name: v.spread_at(name, centres_hz) for name in v.values})
+        for v in measurements.values
+    )
     if not read.measurements:
         return np.full((n, n_bands), snr_db or USUAL_SNR_DB), tabulated, np.inf
     ratios = np.array([m.noise.peak_to_noise_db for m in measurements.responses])
@@ -213,11 +216,6 @@ def _as_measured(
         for m in measurements.responses
     ]
     return np.clip(ratios, _LEAST_SNR_DB, _MOST_SNR_DB), tabulated, max(lengths)
-
-
-def _tabulated(values: MeasuredValues, bands: Bands) -> Tabulated:
-    spread = {name: values.spread_at(name, bands.centres_hz) for name in values.values}
-    return values.source, values.receiver, spread
 
 
 def _digest(campaign: Campaign, settings: CoverageSettings) -> str:

@@ -18,7 +18,6 @@ from roomfit.air import relative_speed_sd, speed_of_sound_m_s
 from roomfit.cache import check_output_folder, sole_writer
 from roomfit.errors import InputError, located
 from roomfit.findings import Finding
-from roomfit.geometry.mesh import refuse
 from roomfit.impedance.data import Observed, damped_noise, damped_spectrum
 from roomfit.impedance.fit import WallModel
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
@@ -39,7 +38,7 @@ from roomfit.io.inputs import read_file
 from roomfit.io.rooms import read_room
 from roomfit.io.schema import MaterialTable
 from roomfit.measurement import LATENCY_SD_S
-from roomfit.scene import Room, Scene, distances_m, position_findings
+from roomfit.scene import Room, Scene, distances_m, scene_of
 from roomfit.signals.response import check_travel, compare_onset, find_onset
 from roomfit.typing import ComplexArray, FloatArray, Progress, part
 
@@ -171,7 +170,6 @@ def _scene(
             )
     sources = tuple(s for s in campaign.sources if s.name in {p[0] for p in pairs})
     receivers = tuple(r for r in campaign.receivers if r.name in {p[1] for p in pairs})
-    refuse(position_findings(room, sources, receivers))
     for source in sources:
         directivity = campaign.directivities.get(source.name, "omni")
         if directivity != "omni":
@@ -185,10 +183,7 @@ def _scene(
         sources, receivers = (
             tuple(replace(p, position_sd_m=0.0) for p in points) for points in (sources, receivers)
         )
-    source_at = {s.name: i for i, s in enumerate(sources)}
-    receiver_at = {r.name: i for i, r in enumerate(receivers)}
-    indices = np.array([(source_at[s], receiver_at[r]) for s, r in pairs])
-    return Scene(room, sources, receivers, indices, campaign.air)
+    return scene_of(room, sources, receivers, pairs, campaign.air)
 
 
 def _damped_responses(

@@ -31,7 +31,7 @@ from roomfit.impedance.result import (
 )
 from roomfit.impedance.wave_model import Nuisances, gradients, has_free_spectra
 from roomfit.scene import Scene
-from roomfit.typing import BoolArray, ComplexArray, FloatArray
+from roomfit.typing import ComplexArray, FloatArray
 
 # Frequencies from which a curve couples them, so that phases can be done without.
 _COUPLED = 4
@@ -128,21 +128,16 @@ def estimated_noise(fit: ImpedanceFit) -> FloatArray:
     # each row has the variance of one, of real and imaginary part or of the level
     square = np.reshape(fit.residual**2, (-1, n_pairs, n_f)).mean(axis=0) * problem.sd**2
     free = max(1.0 - fit.effective / len(fit.residual), 1e-2)
-    near = _neighbours(problem.observed.frequency_hz, n_pairs)
+    frequency_hz = problem.observed.frequency_hz
+    apart = np.abs(np.log(frequency_hz[:, None] / frequency_hz))
+    enough = np.sort(apart, axis=1)[:, min(math.ceil(_LEAST / n_pairs), n_f) - 1]
+    near = apart <= np.maximum(enough, _NEAR)[:, None]
     usual = _COMPLEX_MEDIAN if problem.observed.has_phase else _REAL_MEDIAN
     middle = np.array([np.median(square[:, own]) for own in near]) / (usual * free)
     smooth = (near @ middle) / near.sum(axis=1)
     allowed = np.mean(problem.sd**2, axis=0)
     noise = np.sqrt(np.maximum(smooth - 0.5 * allowed, _FLOOR * allowed))
     return np.tile(noise, (n_pairs, 1))
-
-
-def _neighbours(frequency_hz: FloatArray, n_pairs: int) -> BoolArray:
-    """Return which frequencies are taken together with each, (n_frequencies, n_frequencies)."""
-    apart = np.abs(np.log(frequency_hz[:, None] / frequency_hz))
-    least = min(math.ceil(_LEAST / n_pairs), len(frequency_hz))
-    enough = np.sort(apart, axis=1)[:, least - 1]
-    return np.asarray(apart <= np.maximum(enough, _NEAR)[:, None])
 
 
 def judged_result(
@@ -241,30 +236,19 @@ def _material_impedances(fit: ImpedanceFit) -> tuple[MaterialImpedance, ...]:
         covariance = covariance + 0.5 * (off**2)[:, None, None] * np.eye(2)
         parameters: tuple[Estimate, ...] = ()
         if isinstance(curve, LawCurve):
-            own = own + _law_model_covariance(parts, off, frequency_hz)
-            parameters = _law_parameters(curve, fit.x[block], own)
+            # errors of R0 are alike over an octave
+            octaves = max(float(np.log2(frequency_hz[-1] / frequency_hz[0])), 1.0)
+            inverse = np.linalg.pinv(parts.reshape(2 * off.size, -1))
+            alike = inverse * np.repeat(off, 2) * np.sqrt(0.5 * max(off.size / octaves, 1.0))
+            own = own + alike @ alike.T
+            x, reach = fit.x[block], Z95 * np.sqrt(np.maximum(np.diag(own), 0.0))
+            numbers = np.array([curve.values(at) for at in (x, x - reach, x + reach)]).T.tolist()
+            parameters = tuple(
+                Estimate(p.name, p.unit, *ends)
+                for p, ends in zip(curve.parameters, numbers, strict=True)
+            )
         found.append(material_impedance(name, curve.kind, fit.r0[i], covariance, parameters))
     return tuple(found)
-
-
-def _law_model_covariance(
-    parts: FloatArray, off: FloatArray, frequency_hz: FloatArray
-) -> FloatArray:
-    """Return the covariance of a law's numbers from errors of R0 that are alike over an octave."""
-    n_f = len(frequency_hz)
-    octaves = max(float(np.log2(frequency_hz[-1] / frequency_hz[0])), 1.0)
-    inverse = np.linalg.pinv(parts.reshape(2 * n_f, -1))
-    scaled = inverse * np.repeat(off, 2) * np.sqrt(0.5 * max(n_f / octaves, 1.0))
-    return np.asarray(scaled @ scaled.T)
-
-
-def _law_parameters(curve: LawCurve, x: FloatArray, covariance: FloatArray) -> tuple[Estimate, ...]:
-    reach = Z95 * np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    value, lower, upper = (curve.values(at) for at in (x, x - reach, x + reach))
-    return tuple(
-        Estimate(p.name, p.unit, float(value[i]), float(lower[i]), float(upper[i]))
-        for i, p in enumerate(curve.parameters)
-    )
 
 
 def _found_nuisances(fit: ImpedanceFit) -> tuple[Estimate, ...]:

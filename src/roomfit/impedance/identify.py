@@ -184,7 +184,10 @@ def identify_impedance(
     fit = polish(problem, starts[0].x, progress=part(progress, 0.3, 0.6))
     rivals = _rivals(problem, starts, fit)
     if observed.noise is None:
-        fit = _with_estimated_noise(fit)
+        problem = fit.problem
+        shown = replace(problem.observed, noise=estimated_noise(fit))
+        sd = _deviation(problem.model, shown, problem.model_error)
+        fit = polish(replace(problem, observed=shown, sd=sd), fit.x, fit.roughness_sd)
     fit = with_laws(fit, models, rng)
     if progress is not None:
         progress(0.9)
@@ -247,11 +250,3 @@ def _rivals(
         if as_good and distance(other.r0, fit.r0) > 5.0 * SAME_WITHIN:
             found.append(other)
     return tuple(found)
-
-
-def _with_estimated_noise(fit: ImpedanceFit) -> ImpedanceFit:
-    """Return the fit with the noise that its own residual shows."""
-    problem = fit.problem
-    observed = replace(problem.observed, noise=estimated_noise(fit))
-    sd = _deviation(problem.model, observed, problem.model_error)
-    return polish(replace(problem, observed=observed, sd=sd), fit.x, fit.roughness_sd)

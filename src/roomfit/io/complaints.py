@@ -12,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
-from roomfit._checks import nearest
+from roomfit._checks import did_you_mean
 from roomfit.errors import InputError
 from roomfit.io.schema import BECAUSE
 
@@ -48,13 +48,12 @@ def explained(path: Path, error: ValidationError, table: type[BaseModel]) -> Inp
     if first["type"] == "extra_forbidden":
         key = str(first["loc"][-1])
         known = _known_keys(table, first["loc"][:-1])
-        guess = nearest(key, known)
         return InputError(
             "unknown key in the campaign file",
             where=where,
             found=repr(key),
             needed=f"one of {', '.join(known)}" if known else None,
-            hint=f"did you mean {guess!r}?" if guess else None,
+            hint=did_you_mean(key, known),
         )
     if first["type"] == "missing":
         return InputError(

@@ -291,10 +291,24 @@ def draft_campaign(
     InputError
         The room cannot be read; or its unit is in doubt, with the units that are plausible.
     """
+    first = "# A first campaign, made by `roomfit init`. Blanks are marked FILL IN. Then:"
     if decay_times is not None:
-        return _draft_of_decay_times(decay_times, room, folder, because)
+        lines = [
+            first,
+            "#   roomfit reverberation campaign.toml",
+            "#   roomfit predict campaign.toml --set MATERIAL=0.6 --out predicted",
+            "",
+            "[room]",
+            *_room_lines(room, folder, because),
+            "",
+            "[reverberation]",
+            f"file = {_quoted(_beside(folder, decay_times))}",
+            "",
+            *_project_lines(folder),
+        ]
+        return "\n".join(lines) + "\n"
     lines = [
-        "# A first campaign, made by `roomfit init`. Blanks are marked FILL IN. Then:",
+        first,
         "#   roomfit check campaign.toml",
         "#   roomfit identify campaign.toml --out result",
         "",
@@ -308,25 +322,6 @@ def draft_campaign(
         "[identify]",
         "from_hz = 125",
         "to_hz = 4000",
-        "",
-        *_project_lines(folder),
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def _draft_of_decay_times(
-    decay_times: Path, room: RoomSpec | None, folder: Path, because: str
-) -> str:
-    lines = [
-        "# A first campaign, made by `roomfit init`. Blanks are marked FILL IN. Then:",
-        "#   roomfit reverberation campaign.toml",
-        "#   roomfit predict campaign.toml --set MATERIAL=0.6 --out predicted",
-        "",
-        "[room]",
-        *_room_lines(room, folder, because),
-        "",
-        "[reverberation]",
-        f"file = {_quoted(_beside(folder, decay_times))}",
         "",
         *_project_lines(folder),
     ]

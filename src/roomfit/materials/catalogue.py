@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit._checks import nearest, read_only
+from roomfit._checks import did_you_mean, nearest, read_only
 from roomfit.bands import Bands
 from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding
@@ -117,13 +117,9 @@ def typical_logit(readings: FloatArray, common: float) -> tuple[FloatArray, Floa
         middle[end] = printed.mean() if printed.size else rule
         variance[end] = variance[inner] + (0.0 if printed.size else widening**2)
     middle = table_logit(expit(middle))
-    return middle, np.maximum(np.sqrt(variance), _between_laboratories(middle))
-
-
-def _between_laboratories(middle: FloatArray) -> FloatArray:
     a = expit(middle)
-    sd = np.minimum(_REPRODUCIBILITY_M * a + _REPRODUCIBILITY_N, 0.5 * a)
-    return np.asarray(sd / (a * (1.0 - a)))
+    between_laboratories = np.minimum(_REPRODUCIBILITY_M * a + _REPRODUCIBILITY_N, 0.5 * a)
+    return middle, np.maximum(np.sqrt(variance), between_laboratories / (a * (1.0 - a)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,6 +156,11 @@ class CatalogueEntry:
     def absorption(self) -> FloatArray:
         """Middle absorption in octaves 63 to 8000 Hz, shape (8,), 0.005 to 0.98."""
         return expit(self.logit_mean)
+
+    @property
+    def absorption_by_hz(self) -> dict[float, float]:
+        """Middle absorption by the centre of its octave in Hz."""
+        return dict(zip(OCTAVES_HZ, self.absorption.tolist(), strict=True))
 
     @property
     def sd(self) -> FloatArray:
@@ -248,9 +249,9 @@ def find_material(name: str) -> CatalogueEntry:
 def _similar(wanted: str) -> str | None:
     """Names to offer instead: the nearest one, or those that share a word like one of `wanted`."""
     names = catalogue().names
-    guess = nearest(wanted, names)
+    guess = did_you_mean(wanted, names)
     if guess:
-        return f"did you mean {guess!r}?"
+        return guess
     words = {word for name in names for word in name.split("-")}
     known = [w for w in (nearest(part, words) for part in wanted.split("-")) if w]
     offered = [name for name in names if any(w in name.split("-") for w in known)]

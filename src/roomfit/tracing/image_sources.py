@@ -436,12 +436,9 @@ def trace_images(
     max_length_m = duration_s * speed_of_sound_m_s(scene.air)
     sources = [int(s) for s in np.unique(scene.pairs[:, 0])]
     few = _check_cost(scene, order, max_length_m, budget, with_image_transforms)
-    of_source: Callable[[int], list[ImageSet]]
-    if scene.room.shoebox_m is not None:
-        of_source = partial(_lattices, scene, order, max_length_m, with_image_transforms)
-    else:
-        limits = limits_of(order, max_length_m, budget)
-        of_source = partial(_trees, scene, mirrors_of(scene.room), limits, with_image_transforms)
+    mirrors = mirrors_of(scene.room) if scene.room.shoebox_m is None else None
+    limits = limits_of(order, max_length_m, budget)
+    of_source = partial(_images_of_source, scene, mirrors, limits, with_image_transforms)
     sets: list[ImageSet | None] = [None] * len(scene.pairs)
     # kernels release the interpreter, so that sources share the processors as threads, which a few
     # thousand images of a box are not worth
@@ -456,44 +453,27 @@ def trace_images(
     return _as_paths([s for s in sets if s is not None], scene, coefficients)
 
 
-def _lattices(
-    scene: Scene, order: int, max_length_m: float, with_image_transforms: bool, source: int
-) -> list[ImageSet]:
-    """Return a source's images in a box for each of its pairs, in the order of the pairs."""
-    room, start = scene.room, scene.sources[source].position_m
-    return [
-        _in_single_precision(
-            shoebox_images(
-                room,
-                start,
-                scene.receivers[r].position_m,
-                order,
-                max_length_m,
-                with_image_transforms=with_image_transforms,
-            )
-        )
-        for s, r in scene.pairs
-        if s == source
-    ]
-
-
-def _trees(
+def _images_of_source(
     scene: Scene,
-    mirrors: tuple[Walls, Blockers],
+    mirrors: tuple[Walls, Blockers] | None,
     limits: Limits,
     with_image_transforms: bool,
     source: int,
 ) -> list[ImageSet]:
-    """Return a source's images in any other room for each of its pairs, in their order."""
+    """Return a source's images for each of its pairs, in their order; a box has no `mirrors`."""
+    room, start = scene.room, scene.sources[source].position_m
     receivers = [scene.receivers[r].position_m for s, r in scene.pairs if s == source]
-    return polyhedron_images(
-        scene.room,
-        scene.sources[source].position_m,
-        np.array(receivers),
-        limits,
-        with_image_transforms=with_image_transforms,
-        mirrors=mirrors,
-    )
+    if mirrors is not None:
+        return polyhedron_images(
+            room,
+            start,
+            np.array(receivers),
+            limits,
+            with_image_transforms=with_image_transforms,
+            mirrors=mirrors,
+        )
+    boxed = partial(shoebox_images, room, start, with_image_transforms=with_image_transforms)
+    return [_in_single_precision(boxed(at, limits.order, limits.length_m)) for at in receivers]
 
 
 def _check_cost(

@@ -312,7 +312,11 @@ def trace_rays(
         scene, settings, receiver_radii_m=radii, scattering=float(coefficients.max(initial=0.0))
     )
     _check_memory(scene, settings, expected, memory_limit_bytes)
-    reach = None if exact is None else _reach_of_images(scene, settings)
+    reach: tuple[int, float] | None = None  # up to which images replace specular paths
+    if exact is not None:
+        images_s = settings.duration_s if settings.image_until_s is None else settings.image_until_s
+        reach_s = min(images_s, settings.duration_s)
+        reach = settings.image_order, reach_s * speed_of_sound_m_s(scene.air)
     pieces, statistics = _recorded(
         scene, settings, radii, coefficients, reach, memory_limit_bytes, progress
     )
@@ -324,13 +328,6 @@ def trace_rays(
         pieces.insert(0, Piece(**{name: getattr(exact, name) for name in Piece._fields}))
         of_images, exact = exact.image_transform, None
     return Trace(_as_paths(scene, settings, pieces, coefficients, of_images), statistics)
-
-
-def _reach_of_images(scene: Scene, settings: TraceSettings) -> tuple[int, float]:
-    """Return the order and the length in m up to which images replace specular paths."""
-    images_s = settings.duration_s if settings.image_until_s is None else settings.image_until_s
-    reach_s = min(images_s, settings.duration_s)
-    return settings.image_order, reach_s * speed_of_sound_m_s(scene.air)
 
 
 def _recorded(

@@ -61,13 +61,13 @@ class AbsorptionPosterior:
     def __post_init__(self) -> None:
         object.__setattr__(self, "materials", unique_names("material", self.materials))
         n, m = len(self.materials), len(self.bands)
-        for name in ("absorption", "lower95", "upper95"):
-            values = float_array(name, getattr(self, name), (n, m), low=0.0, high=1.0)
-            object.__setattr__(self, name, values)
-        for name, low in (("prior_logit_mean", -50.0), ("prior_logit_sd", 0.0)):
+        for name, low, high in (
+            *(("absorption", 0.0, 1.0), ("lower95", 0.0, 1.0), ("upper95", 0.0, 1.0)),
+            *(("prior_logit_mean", -50.0, 50.0), ("prior_logit_sd", 0.0, 50.0)),
+        ):
             value = getattr(self, name)
             if value is not None:
-                object.__setattr__(self, name, float_array(name, value, (n, m), low=low, high=50.0))
+                object.__setattr__(self, name, float_array(name, value, (n, m), low=low, high=high))
         if self.prior_logit_covariance is not None:
             values = float_array("prior covariance", self.prior_logit_covariance, (m, n, n))
             object.__setattr__(self, "prior_logit_covariance", values)
@@ -358,7 +358,10 @@ def draw_absorption(
     for band, covariance in enumerate(posterior.logit_covariance):
         a = posterior.absorption[:, band]
         if law is None:
-            draws[:, :, band] = _gaussian_draws(a, covariance, n, rng)
+            size, direction = np.linalg.eigh(covariance)
+            step = antithetic_normals(n, size.size, rng) * np.sqrt(np.maximum(size, 0.0))
+            share = expit(logit(a) + step @ direction.T)
+            draws[:, :, band] = np.where(np.diag(covariance) == 0.0, a, share)
         else:
             prior = law[0][band], law[1][band]
             draws[:, :, band] = band_draws(
@@ -449,15 +452,6 @@ def prior_draws(
         drawn = expit(prior_logit_mean[own] + noise @ root.T)
         draws[:, ~fixed] = drawn[:, twin]
     return draws
-
-
-def _gaussian_draws(
-    absorption: FloatArray, covariance: FloatArray, n_draws: int, rng: np.random.Generator
-) -> FloatArray:
-    size, direction = np.linalg.eigh(covariance)
-    step = antithetic_normals(n_draws, size.size, rng) * np.sqrt(np.maximum(size, 0.0))
-    share = expit(logit(absorption) + step @ direction.T)
-    return np.asarray(np.where(np.diag(covariance) == 0.0, absorption, share))
 
 
 def _own(

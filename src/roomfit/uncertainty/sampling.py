@@ -572,8 +572,8 @@ def sample(
     # the walkers begin all over the surrogate
     root = np.linalg.cholesky(near.covariance)
     spread = near.centre + 0.5 * rng.standard_normal((walkers, near.centre.size)) @ root.T
-    places, _ = near.walk(spread, 400, rng)
-    start = emcee.State(places, random_state=legacy.get_state())
+    positions, _ = near.walk(spread, 400, rng)
+    start = emcee.State(positions, random_state=legacy.get_state())
     steps = max(most_evaluations // walkers - 1, _LOOK_EVERY)
     found: Sampled | None = None
     for number, _ in enumerate(sampler.sample(start, iterations=steps), start=1):
