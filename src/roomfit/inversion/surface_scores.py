@@ -98,15 +98,15 @@ def surface_scores(fit: CoherentFit) -> tuple[SurfaceScore, ...]:
     surfaces = plane_surfaces(task.scene.room)
     n = len(surfaces)
     found: list[list[tuple[int, FloatArray, FloatArray]]] = [[] for _ in surfaces]
-    each = zip(fit.state.bands, fit.fits, fit.windows, fit.log_likelihoods, strict=True)
-    for own, band_fit, windows, likelihoods in each:
+    each = zip(fit.state.bands, fit.fits, fit.windows, fit.log_evidences, strict=True)
+    for own, band_fit, windows, evidences in each:
         if own is None or band_fit is None or windows is None or not surfaces:
             continue
         term = band_fit.objective(own).terms[0]
         values, _ = physical_values(windows.parameters, windows.fit.vector)
         if isinstance(term, DirectedTerm):
             term = term.radiated(values)
-        if not (isinstance(term, CoherentTerm) and likelihoods[1] > likelihoods[0]):
+        if not (isinstance(term, CoherentTerm) and not evidences[1] < evidences[0]):
             continue
         strikes = _strikes(term.images, task.scene, [m.pair for m in windows.files], surfaces)
         slopes = _slopes(term, values, strikes.reshape(len(strikes), -1))

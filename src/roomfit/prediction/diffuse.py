@@ -36,8 +36,9 @@ from roomfit.core import (
     model_sd,
     result_doubts,
 )
-from roomfit.prediction.changes import Change, change_text, changed_draws, prior_dominated
+from roomfit.prediction.changes import Change, change_text, changed_draws
 from roomfit.prediction.predict import Predicted, change_findings
+from roomfit.prediction.split import prior_dominated
 from roomfit.prediction.tables import PredictedValue, ValueChange
 
 NAME: ValueName = "T30_s"
@@ -268,7 +269,8 @@ def predict_field(room: PreparedField, changes: Sequence[Change] = ()) -> Predic
     means, _ = field_values(room, expected, drawn, is_changed=bool(changes))
     if changes:
         areas_m2 = room.field.areas_m2.sum(axis=0)
-        doubts += prior_dominated(known, room.draws, changes, areas_m2, rng)
+        names = [c.material for c in changes]
+        doubts += prior_dominated(known, room.draws, names, areas_m2, rng)
     lower, upper = known.lower95.copy(), known.upper95.copy()
     at = [known.materials.index(c.material) for c in changes]
     lower[at], upper[at] = np.quantile(drawn[:, at], (0.025, 0.975), axis=0)
