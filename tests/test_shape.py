@@ -131,7 +131,7 @@ NOT_PUBLIC = {
     "batch": 6,
     "certified": 17,
     "coverage": 31,
-    "impedance": 36,
+    "impedance": 33,
     "report": 27,
     "suh2001": 34,
     "synthetic": 7,

@@ -452,7 +452,8 @@ def predict_change(
     absorption, scene = room.absorption, room.scene
     began, bands, rng = time.perf_counter(), absorption.bands, deepcopy(room.rng)
     expected, drawn, doubts = changed_draws(absorption, room.draws, changes, rng)
-    changed = [scene.room.materials.index(c.material) for c in changes]
+    names, n = scene.room.materials, len(scene.room.materials) - len(absorption.objects)
+    changed = [names.index(c.material) for c in changes]
     numbers: list[tuple[PairNumbers, ...]] = [room.before]
     if changes and exact:
         after, cache_findings = _exact_numbers(room, expected, drawn, cache, progress)
@@ -464,6 +465,7 @@ def predict_change(
         # a factor of 1, or a material in place of itself, exchanges nothing
         others = np.any(drawn != room.draws, axis=(0, 2))
         others |= np.any(expected != absorption.absorption, axis=1)
+        others[n:] = False  # objects take energy from paths, and send none another way
         numbers[0] = tuple(
             with_common_noise(after, before, few, absorption.absorption, expected, others)
             for after, before, few in zip(numbers[0], room.before, room.few, strict=True)
@@ -473,12 +475,6 @@ def predict_change(
     pairs, means, sti = _tables(room, numbers, compare_pairs=compare_pairs)
     lower, upper = absorption.lower95.copy(), absorption.upper95.copy()
     lower[changed], upper[changed] = np.quantile(drawn[:, changed], (0.025, 0.975), axis=0)
-    names, n = scene.room.materials, len(scene.room.materials) - len(absorption.objects)
-    values = np.stack([expected, lower, upper])
-    areas = {
-        name: object_area_m2(values[:, i], absorption.objects[name])
-        for i, name in enumerate(names[n:], start=n)
-    }
     stated = change_findings(changes, bool(room.before and room.observed), bands, means)
     return Predicted(
         bands,
@@ -501,8 +497,16 @@ def predict_change(
         room.seed,
         time.perf_counter() - began,
         sti,
-        areas,
+        _object_areas(absorption, np.stack([expected, lower, upper])[:, n:]),
     )
+
+
+def _object_areas(known: AbsorptionPosterior, values: FloatArray) -> dict[str, FloatArray]:
+    """Return the areas in m2 of objects, from their absorption (..., n_objects, n_bands)."""
+    return {
+        name: object_area_m2(values[..., i, :], volume_m3)
+        for i, (name, volume_m3) in enumerate(known.objects.items())
+    }
 
 
 def _tables(
