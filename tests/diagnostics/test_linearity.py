@@ -391,29 +391,53 @@ def test_a_pulse_between_two_samples_that_rings_before_itself_is_no_noise_that_f
         assert not list(noise_tail.check(of_files([own])))
 
 
-@pytest.mark.parametrize("reverberation_s", [0.8, 1.2])
-def test_a_window_is_found_where_the_end_of_the_file_still_holds_reverberation(reverberation_s):
-    """Noise 50 dB below the click under exp(-t / .5 s): a rate of 4 in a second, within 4 sds."""
+def reverberant_files(
+    reverberation_s: float, duration_s: float, *, window_s: float = np.inf, before: float = 1.0
+) -> list[SimpleNamespace]:
+    """Return four files with noise 50 dB below the click; what precedes it may be louder."""
     files = []
     for seed in range(4):
         rng = np.random.default_rng([seed, 4])
-        t = np.arange(16_000) / RATE_HZ
+        t = np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
         decay = rng.standard_normal(t.size) * np.exp(-6.91 * t / reverberation_s) * (t > 0.01)
         pressure = 3e-3 * rng.standard_normal(t.size) + 0.1 * decay
+        pressure[:160] *= before
         pressure[160] = 1.0
-        ring = 13.8 / reverberation_s + 4.0
         files.append(
             SimpleNamespace(
-                response=ImpulseResponse(pressure * np.exp(-t / 0.5), RATE_HZ),
+                response=ImpulseResponse(pressure * np.exp(-t / window_s), RATE_HZ),
                 direct_s=0.01,
-                noise=SimpleNamespace(tail_time_constant_s=np.full(2, 1.0 / ring)),
+                noise=SimpleNamespace(
+                    tail_time_constant_s=np.full(2, 1.0 / (13.8 / reverberation_s + 2.0 / window_s))
+                ),
                 measurement=SimpleNamespace(use="fit", where="a file"),
             )
         )
-    (finding,) = noise_tail.check(of_files(files))
+    return files
+
+
+@pytest.mark.parametrize(("reverberation_s", "duration_s"), [(0.8, 1.0), (1.2, 1.5)])
+def test_a_window_is_found_where_the_end_of_the_file_still_holds_reverberation(
+    reverberation_s, duration_s
+):
+    """Under exp(-t / .5 s): a rate of 4 in a second, within 4 standard deviations."""
+    (finding,) = noise_tail.check(
+        of_files(reverberant_files(reverberation_s, duration_s, window_s=0.5))
+    )
     rate, sd = (finding.evidence[k] for k in ("rate_per_s", "rate_sd_per_s"))
     assert rate == pytest.approx(4.0, abs=4.0 * sd)
     assert sd < 0.5
+
+
+@pytest.mark.parametrize("before", [2.0, 6.0])
+@pytest.mark.parametrize("reverberation_s", [0.5, 0.8, 1.2])
+def test_sound_before_the_direct_one_that_is_louder_than_the_noise_is_no_window(
+    reverberation_s, before
+):
+    """As deconvolution leaves it there: the noise at the end of the files is steady by itself."""
+    assert not list(
+        noise_tail.check(of_files(reverberant_files(reverberation_s, 1.0, before=before)))
+    )
 
 
 @pytest.mark.parametrize("rate_hz", [8000.0, 44_100.0])

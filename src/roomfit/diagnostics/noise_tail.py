@@ -34,6 +34,9 @@ _SMOOTHED_BINS = 17
 # a rate that is a smaller share of the room's own does less to absorption than intervals allow for.
 _EARLY_S, _LEAST_EXCESS, _LEAST_RATE = 0.02, 4.0, 0.05
 _MOST_BY_WINDOW = 0.8  # of the decay rate as measured
+# The last of a decay over steady noise: its rate on that of the room, its energy on the noise's.
+_UNDECIDED = 2.0  # gain in log-likelihood by which the noise that falls has to be the likelier one
+_LATE_RATES, _OVER_NOISE = np.linspace(0.4, 1.0, 7), np.geomspace(0.01, 100.0, 41)
 
 LAWS = {
     Code.DECAY_BENT: Law(
@@ -64,6 +67,8 @@ class _Line(NamedTuple):
     n_free: int
     excess: float  # logarithm, of early sound over the line
     is_straight: bool
+    # gain in log-likelihood over noise that is steady after the sound and has another level before
+    over_steady: float
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
@@ -85,7 +90,7 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     if line is None or not line.is_straight or line.excess < np.log(_LEAST_EXCESS):
         return
     least = max(float(stdtrit(line.n_free, 1.0 - _LEVEL)) * line.sd, _LEAST_RATE * ring_per_s)
-    if line.rate_per_s <= least:
+    if line.rate_per_s <= least or line.over_steady < _UNDECIDED:
         return
     files = [m for m in measured if _levels(m, _TAIL_SHARES[-1]) is not None]
     rate = line.rate_per_s
@@ -122,10 +127,10 @@ def noise_line(measured: Sequence[MeasuredPair], ring_per_s: float) -> _Line | N
         levels = [x for m in measured if (x := _levels(m, share)) is not None]
         if not levels:
             continue
-        line = _fitted(levels, ring_per_s)
+        line = _fitted(levels, ring_per_s, ring_per_s)
         # over the line of the noise, reverberation falls by what it falls faster
         slower_per_s = float(np.clip(line.rate_per_s, 0.0, _MOST_BY_WINDOW * ring_per_s))
-        line = _fitted(levels, ring_per_s - slower_per_s)
+        line = _fitted(levels, ring_per_s - slower_per_s, ring_per_s)
         if best is None or line.dispersion < best.dispersion:
             best = line
         if line.dispersion * line.n_free <= float(chdtri(line.n_free, _STRAIGHT_CHANCE)):
@@ -133,37 +138,83 @@ def noise_line(measured: Sequence[MeasuredPair], ring_per_s: float) -> _Line | N
     return best
 
 
-def _fitted(files: Sequence[_Levels], ring_per_s: float) -> _Line:
-    """Return the weighted least-squares line: a height a file, one rate, one share of ringing."""
-    columns = []
-    for f in files:
-        since_s = f.time_s - f.time_s[-_TAIL_BLOCKS]
-        ringing = np.where(since_s >= 0.0, np.exp(-ring_per_s * np.maximum(since_s, 0.0)), 0.0)
-        weight = 1.0 / f.variance
-        rows = np.stack((-f.time_s, ringing, f.level))
-        rows -= np.average(rows, axis=1, weights=weight)[:, None]
-        columns.append(np.concatenate((rows, weight[None])))
-    falls, ringing, level, weight = np.concatenate(columns, axis=1)
-    both = np.stack((falls, ringing), axis=1)
-    covariance = np.linalg.inv(both.T @ (weight[:, None] * both))
-    rate, share = covariance @ both.T @ (weight * level)
-    if share < 0.0:  # no reverberation takes noise away
-        rate, share = float(np.sum(weight * falls * level) / np.sum(weight * falls**2)), 0.0
-    n_free = level.size - len(files) - 2
-    chi2 = float(np.sum(weight * (level - rate * falls - share * ringing) ** 2))
+def _fitted(files: Sequence[_Levels], ring_per_s: float, steady_per_s: float) -> _Line:
+    """Return the weighted least-squares line, beside noise of another level after the sound.
+
+    Parameters
+    ----------
+    ring_per_s, steady_per_s : float
+        At which reverberation falls over the line, and over steady noise.
+    """
+    rate, sd, chi2, n_free = _least_squares(files, [-f.time_s for f in files], ring_per_s)
+    dispersion = max(chi2 / n_free, 1.0)
     excess = [
         f.early - np.average(f.level + rate * (f.time_s - f.early_s), weights=1.0 / f.variance)
         for f in files
     ]
     limit = max(float(chdtri(n_free, _STRAIGHT_CHANCE)), _LARGEST_DISPERSION * n_free)
     return _Line(
-        float(rate),
-        float(np.sqrt(covariance[0, 0] * max(chi2 / n_free, 1.0))),
+        rate,
+        sd * float(np.sqrt(dispersion)),
         chi2 / n_free,
         n_free,
         float(np.median(excess)),
         chi2 <= limit,
+        0.5 * (_steady_chi2(files, steady_per_s) - chi2) / dispersion,
     )
+
+
+def _steady_chi2(files: Sequence[_Levels], ring_per_s: float) -> float:
+    """Return chi-square of noise of one level after the sound, and another before it, in each file.
+
+    Reverberation stands above the noise as much in all files, at the best of a grid, and falls as
+    the room does or slower, as the last of a decay does.
+    """
+    after = np.concatenate([f.time_s[-_TAIL_BLOCKS:] - f.time_s[-_TAIL_BLOCKS] for f in files])
+    level, variance = (
+        np.concatenate([getattr(f, name)[-_TAIL_BLOCKS:] for f in files])
+        for name in ("level", "variance")
+    )
+    rate_per_s, over = (x.ravel() for x in np.meshgrid(ring_per_s * _LATE_RATES, _OVER_NOISE))
+    rest = level - np.log1p(over[:, None] * np.exp(-rate_per_s[:, None] * after))
+    rest, weight = rest.reshape(len(over), len(files), -1), 1.0 / variance.reshape(len(files), -1)
+    mean = np.sum(weight * rest, axis=2, keepdims=True) / weight.sum(axis=1)[:, None]
+    best = float(np.min(np.sum(weight * (rest - mean) ** 2, axis=(1, 2))))
+    for f in files:
+        before, weights = f.level[:-_TAIL_BLOCKS], 1.0 / f.variance[:-_TAIL_BLOCKS]
+        best += float(np.sum(weights * (before - np.average(before, weights=weights)) ** 2))
+    return best
+
+
+def _least_squares(
+    files: Sequence[_Levels], change: Sequence[FloatArray], ring_per_s: float
+) -> tuple[float, float, float, int]:
+    """Return the size of a change that all files share, its deviation, chi-square, and freedom.
+
+    Beside a height of each file and one share of reverberation, which is not negative.
+
+    Parameters
+    ----------
+    change : sequence of float arrays
+        Of the levels of each file, by its blocks.
+    """
+    columns = []
+    for f, own in zip(files, change, strict=True):
+        since_s = f.time_s - f.time_s[-_TAIL_BLOCKS]
+        ringing = np.where(since_s >= 0.0, np.exp(-ring_per_s * np.maximum(since_s, 0.0)), 0.0)
+        weight = 1.0 / f.variance
+        rows = np.stack((own, ringing, f.level))
+        rows -= np.average(rows, axis=1, weights=weight)[:, None]
+        columns.append(np.concatenate((rows, weight[None])))
+    changes, ringing, level, weight = np.concatenate(columns, axis=1)
+    both = np.stack((changes, ringing), axis=1)
+    covariance = np.linalg.inv(both.T @ (weight[:, None] * both))
+    size, share = covariance @ both.T @ (weight * level)
+    if share < 0.0:  # no reverberation takes noise away
+        size, share = float(np.sum(weight * changes * level) / np.sum(weight * changes**2)), 0.0
+    n_free = level.size - len(files) - 2
+    chi2 = float(np.sum(weight * (level - size * changes - share * ringing) ** 2))
+    return float(size), float(np.sqrt(covariance[0, 0])), chi2, n_free
 
 
 def band_passed(x: FloatArray, from_hz: float, to_hz: float, rate_hz: float) -> FloatArray:
