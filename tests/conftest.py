@@ -19,10 +19,12 @@ settings.load_profile("roomfit")
 # No test writes into the folder of whoever runs it, nor does any process that a test starts; those
 # of the cache name a folder of their own.
 os.environ["ROOMFIT_CACHE"] = "off"
-# A shell without job control starts background jobs with interrupts ignored, which the processes
-# that tests start would inherit: tests that interrupt a command would wait in vain.
+# A shell without job control, and nohup, start what they start with signals ignored, which the
+# processes that tests start would inherit: tests that interrupt a command would wait in vain.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 # The files that take longest, so that none begins when another worker has nothing left to do. The
 # second needs hardly a kernel: while the first compiles them, it compiles none of them as well.
