@@ -315,3 +315,13 @@ def test_single_precision_is_finer_than_the_grid() -> None:
         found, expected = getattr(single, name), getattr(double, name)
         np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max(), rtol=0.0)
         assert np.any(found != expected)
+
+
+def test_where_no_arrival_time_is_known_a_grid_begins_with_windows_however_late_they_are():
+    """Positions off by metres in a high band, of a pair whose windows begin a second late."""
+    term = small_term(4000.0)
+    late = tuple(replace(o, edges_s=o.edges_s + 1.0) for o in term.early)
+    covariance = 1e4 * whole_covariance(small_geometry())
+    found = with_coherence(replace(term, early=late), covariance)
+    assert not np.any(found.images.coherence > 0.0)
+    assert found.grid.first_s > 1.0 - 0.1 and found.grid.n > 0

@@ -317,7 +317,8 @@ def with_coherence(
     edges_s = np.array([o.edges_s[[0, -1]] for o in term.early])
     if last_s > 0.8 * edges_s.max():
         return known
-    grid = band_grid(term.grid.bands, float(edges_s.min()), last_s)
+    first_s = float(edges_s.min())  # where no arrival time is known, the windows begin after all
+    grid = band_grid(term.grid.bands, first_s, max(first_s, last_s))
     return replace(known, grid=replace(grid, is_double=term.grid.is_double))
 
 
