@@ -132,7 +132,7 @@ def test_all_that_a_prediction_of_a_pair_depends_on_is_in_its_key(
         room: Any = SimpleNamespace(
             scene=replace(here, pairs=np.array([[0, 0]] * n)),
             traced=SimpleNamespace(key=traced),
-            absorption=SimpleNamespace(bands=bands),
+            absorption=SimpleNamespace(bands=bands, fitted_jnd=None),
             few=[None] * n,
             speech_db=speech_db,
         )

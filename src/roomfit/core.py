@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         Remaining as Remaining,
         what_remains as what_remains,
     )
+    from roomfit.diagnostics.verdict import voids_walls as voids_walls
     from roomfit.errors import (
         FolderInUseError as FolderInUseError,
         InsufficientDataError as InsufficientDataError,
@@ -172,6 +173,7 @@ _HOME = {
         "bands": "Bands bands_between",
         "cache": "Cache cached write_json_atomically write_text_atomically",
         "diagnostics.remaining": "Remaining VOID_ANY_MEAN what_remains",
+        "diagnostics.verdict": "voids_walls",
         "errors": "FolderInUseError InsufficientDataError InputError RoomfitError StoreError "
         "located",
         "eyring": "eyring_absorption",

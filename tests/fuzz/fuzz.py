@@ -245,6 +245,7 @@ def readers(folder: Path) -> dict[str, Callable[[Path], object]]:
 
 def serve(folder: Path) -> None:
     """Read the files that come on standard input and say on standard output how it went."""
+    import logging
     import resource
     import traceback
 
@@ -254,6 +255,8 @@ def serve(folder: Path) -> None:
     terminal = (folder / "terminal").open("wb+", buffering=0)
     os.dup2(terminal.fileno(), 1)
     os.dup2(terminal.fileno(), 2)
+    # what is logged of a file that is read, as that it bears no digest, is meant
+    logging.getLogger("roomfit").addHandler(logging.NullHandler())
     known = readers(folder)
 
     def read(name: str, content: bytes) -> dict[str, object]:

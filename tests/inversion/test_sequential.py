@@ -17,6 +17,7 @@ from roomfit.inversion.sequential import (
     CoherentBand,
     CoherentOptions,
     compared_with_energies,
+    contradicts_geometry,
     fit_in_rounds,
     forward_pass,
     inflated_log_likelihood,
@@ -258,26 +259,31 @@ def passed(monkeypatch, centres_hz, gains, model="auto"):
         for f in centres_hz
     ]
     fits = forward_pass(bands, CoherentOptions(model=model), None)
-    return fits, [None if j is None else float(j.information[0, 0]) for j in told]
+    informed = [None if j is None else float(j.information[0, 0]) for j in told]
+    return fits, informed, contradicts_geometry(bands, fits)
 
 
 def test_a_band_that_does_not_fit_hands_no_geometry_on(monkeypatch):
     """The third band is told what the first found; the fourth, above 1 kHz, may well not fit."""
-    fits, told = passed(monkeypatch, [250.0, 500.0, 1000.0, 2000.0], [20.0, -1.0, 30.0, -40.0])
+    of_gains = [250.0, 500.0, 1000.0, 2000.0], [20.0, -1.0, 30.0, -40.0]
+    fits, told, contradicted = passed(monkeypatch, *of_gains)
+    assert not contradicted
     assert told == [None, 250.0, 250.0, 1000.0]
     assert [f.found is not None for f in fits] == [True, False, True, False]
 
 
-def test_bands_that_contradict_the_geometry_of_lower_ones_leave_all_to_energies(monkeypatch):
-    fits, told = passed(monkeypatch, [125.0, 250.0, 500.0, 1000.0], [20.0, 30.0, -2.5, 99.0])
-    assert fits == [None] * 4
-    assert told == [None, 125.0, 250.0]
+def test_bands_may_contradict_the_geometry_of_lower_ones(monkeypatch):
+    octaves = [125.0, 250.0, 500.0, 1000.0]
+    _, told, contradicted = passed(monkeypatch, octaves, [20.0, 30.0, -2.5, 99.0])
+    assert contradicted
+    assert told == [None, 125.0, 250.0, 250.0]
     # where no lower band has determined anything, nothing is contradicted
-    fits, told = passed(monkeypatch, [125.0, 250.0, 500.0, 1000.0], [-20.0, 30.0, 40.0, 99.0])
+    _, told, contradicted = passed(monkeypatch, octaves, [-20.0, 30.0, 40.0, 99.0])
+    assert not contradicted
     assert told == [None, None, 250.0, 500.0]
-    # whoever asks for pressures gets them
-    fits, _ = passed(monkeypatch, [125.0, 250.0], [20.0, -30.0], model="coherent")
-    assert None not in fits
+    # less than 2 units decide nothing, and no band above 1 kHz does
+    assert not passed(monkeypatch, octaves, [20.0, 30.0, -1.5, 99.0])[2]
+    assert not passed(monkeypatch, [1000.0, 2000.0], [20.0, -99.0])[2]
 
 
 def test_energies_and_pressures_without_coherence_have_the_same_evidence():

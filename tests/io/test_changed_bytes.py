@@ -18,13 +18,14 @@ from roomfit.cache import (
     save_record,
     write_json_atomically,
 )
-from roomfit.commands import export_result, predict_to_folder
+from roomfit.commands import export_result
 from roomfit.coverage.estimate import Replicate, read_replicate, write_replicate
 from roomfit.errors import InputError, RoomfitError
 from roomfit.findings import Code
 from roomfit.io.encoding import EditedFile, written_content
 from roomfit.io.exports import RESULT_KEYS, read_material_table
 from roomfit.io.results import read_result, result_content, write_result
+from roomfit.predictions import predict_to_folder
 from small_campaign import run_command, write_campaign
 
 SEED, PLACES = 20_261, 500

@@ -75,6 +75,9 @@ LISTS = {
     "materials.NAME.absorption.values": [0.1, 0.2],
     "materials.NAME.prior.centres_hz": [500.0, 1000.0],
     "products.NAME.prior.centres_hz": [500.0, 1000.0],
+    "objects.NAME.absorption_area_m2.centres_hz": [500.0, 1000.0],
+    "objects.NAME.absorption_area_m2.values": [1.0, 2.0],
+    "objects.NAME.prior.centres_hz": [500.0, 1000.0],
     "sources.NAME.directivity.aim": [1.0, 0.0, 0.0],
     "sources.NAME.directivity.up": [0.0, 0.0, 1.0],
     "identify.bands": [500.0, 1000.0],
@@ -117,6 +120,13 @@ def written(folder: Path, place: str, number: float) -> Path:
         at_frequencies = {"mean": [0.3, 0.3], "sd": [0.1, 0.1]}
         content["materials"]["carpet"]["prior"].update(at_frequencies)
         content["products"]["panel"]["prior"].update(at_frequencies)
+    if place.startswith("objects"):
+        content["objects"] = {"people": {"prior": {"mean": 1.0, "sd": 0.5}}}
+    if place.startswith("objects.NAME.absorption_area_m2"):
+        by_frequency = {"centres_hz": [500.0, 1000.0], "values": [1.0, 2.0]}
+        content["objects"] = {"people": {"absorption_area_m2": by_frequency}}
+    if place == "objects.NAME.prior.centres_hz":
+        content["objects"]["people"]["prior"] = {"mean": [1.0, 1.0], "sd": [0.5, 0.5]}
     if place.startswith("reverberation"):
         content["reverberation"] = {"file": "a.csv"}
     if place.endswith("scattering"):

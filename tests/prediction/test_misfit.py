@@ -10,6 +10,7 @@ import pytest
 
 from report_cases import answer_of, scene_of
 from roomfit.errors import InputError
+from roomfit.io.encoding import EditedFile
 from roomfit.io.results import read_result, write_result
 from roomfit.objective.room_parameters import model_sd
 from roomfit.prediction.decay import PairNumbers, PredictedDecay
@@ -111,10 +112,10 @@ def test_departures_of_fitted_pairs_go_through_the_file(tmp_path):
     content["pairs"][0]["parameters"]["EDT_s"]["jnd"] = [1.0]
     file.write_text(json.dumps(content))
     with pytest.raises(InputError, match="pairs of the result are no tables of numbers"):
-        read_result(file)
+        read_result(EditedFile(file))
     del content["pairs"]
     file.write_text(json.dumps(content))
-    assert read_result(file).fitted_jnd is None
+    assert read_result(EditedFile(file)).fitted_jnd is None
 
 
 def test_one_outlier_among_many_pairs_does_not_widen_all_by_itself():

@@ -464,7 +464,7 @@ def test_the_command_predicts_from_the_files_of_a_fit(tmp_path, monkeypatch, cap
     arguments = ("predict", campaign, "--absorption", fit / "result.json", "--out", out)
     assert run_command(monkeypatch, *arguments, "--set", "carpet=0.5+-0.1") == 0
     shown = capsys.readouterr().out
-    assert "Changed: carpet=0.5+-0.1" in shown
+    assert shown.startswith("With carpet=0.5+-0.1: T30 at mid frequencies")
     content = json.loads((out / "predicted.json").read_text())
     assert content["materials"]["carpet"]["absorption"] == [0.5, 0.5]
     assert [(p["source"], p["receiver"]) for p in content["pairs"]] == [

@@ -48,6 +48,7 @@ from roomfit.inversion.sequential import (
     CoherentBandFit,
     CoherentOptions,
     agree,
+    contradicts_geometry,
     forward_pass,
     increases_likelihood,
     leave_one_out_pass,
@@ -464,7 +465,7 @@ def fit_coherent(
     task, settings = state.task, state.task.settings
     fits = forward_pass(state.bands, settings, part(progress, 0.0, 0.8), state.first)
     if settings.quick:
-        fits, _ = leave_one_out_pass(state.bands, fits, settings)
+        fits, _ = leave_one_out_pass(state.bands, _uncontradicted(state, fits), settings)
         evidences, windows = _log_evidences(state, fits), _fitted_windows(state, fits)
         tests = CoherentTests(_outliers(state))
         return CoherentFit(state, tuple(fits), evidences, None, windows, tests)
@@ -488,14 +489,14 @@ def fit_coherent(
         state = release(state) if is_directed else state
         state = rebuild(state) if is_directed else with_outliers(state)
         fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0), first)
-    position_sd_scale = estimate_position_sd_scale(state.task.scene, state.bands, fits)
+    position_sd_scale = contradicted_position_sd_scale(state, fits)
     if position_sd_scale > 1.0:
         place, origin = inflate_position_sds(state.task.scene, state.origin, position_sd_scale)
         moved, first, fits = replace(state.task, scene=place), _vectors(fits), []
         state = release(replace(state, task=moved, origin=origin))
         state = rebuild(state)
         fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0), first)
-    delays, positions = freed_parameters(state, fits)
+    delays, positions = freed_parameters(state, fits := _uncontradicted(state, fits))
     fits, final = leave_one_out_pass(state.bands, fits, settings)
     is_settled = final is None or agree(fits, final)
     while final is not None and not is_settled:
@@ -523,6 +524,29 @@ def fit_coherent(
     return CoherentFit(
         state, tuple(fits), evidences, estimate, windows, tests, (*task.contradicted, *late)
     )
+
+
+def contradicted_position_sd_scale(
+    state: SequentialState, fits: Sequence[CoherentBandFit | None]
+) -> float:
+    """Return by how much position standard deviations are too small, of bands that contradict them.
+
+    A band that its positions keep from being explained by pressures has moved none of them: what
+    all bands together say of positions is then asked of a pass by pressures.
+    """
+    settings = state.task.settings
+    if settings.model == "auto" and contradicts_geometry(state.bands, fits):
+        by_pressures = replace(settings, model="coherent")
+        fits = forward_pass(state.bands, by_pressures, None, _vectors(fits))
+    return estimate_position_sd_scale(state.task.scene, state.bands, fits)
+
+
+def _uncontradicted(
+    state: SequentialState, fits: list[CoherentBandFit | None]
+) -> list[CoherentBandFit | None]:
+    """Return the fits, none where the model is chosen and bands contradict pressures."""
+    is_open = state.task.settings.model == "auto"
+    return [None] * len(fits) if is_open and contradicts_geometry(state.bands, fits) else fits
 
 
 def _outliers(state: SequentialState) -> dict[Measurement, float]:

@@ -198,8 +198,7 @@ def forward_pass(
 
     With the error of the model that the likelihood prefers: larger ones are tried only while the
     data scatter more than the model says. Where the model is chosen, a band whose evidence is that
-    of energies leaves the geometry as it was; one up to 1 kHz that contradicts what lower bands
-    have determined of it ends the pass, and no band is fitted by pressures.
+    of energies leaves the geometry as it was.
 
     Parameters
     ----------
@@ -246,15 +245,30 @@ def forward_pass(
             best = max(best, fit, key=lambda f: f.log_likelihood)
         if options.model == "auto":
             best = compared_with_energies(band, best)
-            energies, pressures = log_evidences(band, best)
-            is_telling = band.coherent.energies.centre_hz < 1.01 * TELLING_HZ
-            if known is not None and is_telling and pressures <= energies - UNDECIDED:
-                return [None] * len(bands)
         fits.append(best)
         known = known if best.found is None else best.found
         if progress is not None:
             progress((i + 1) / len(bands))
     return fits
+
+
+def contradicts_geometry(
+    bands: Sequence[CoherentBand | None], fits: Sequence[CoherentBandFit | None]
+) -> bool:
+    """Return whether a band up to 1 kHz contradicts what lower ones have determined of geometry.
+
+    Energies are then likelier than pressures there, by 2 units or more.
+    """
+    is_known = False
+    for band, fit in zip(bands, fits, strict=True):
+        if band is None or fit is None:
+            continue
+        energies, pressures = log_evidences(band, fit)
+        is_telling = band.coherent.energies.centre_hz < 1.01 * TELLING_HZ
+        if is_known and is_telling and pressures <= energies - UNDECIDED:
+            return True
+        is_known = is_known or fit.found is not None
+    return False
 
 
 def leave_one_out_pass(

@@ -14,6 +14,7 @@ from roomfit.inversion.coherent import (
     CoherentFit,
     CoherentTask,
     coherent_estimates,
+    contradicted_position_sd_scale,
     decided,
     energy_estimates,
     initialise,
@@ -230,7 +231,8 @@ def chosen_model(
     1 kHz better than energies; where they have absorbed what the model of pressures lacks
     (loudspeakers, scattering, walls that are not specified), energies are likelier there by
     `log_evidences`, and what was fitted to the lower band is no geometry. Nor is there anything to
-    gain where energies are likelier in both bands. Eight responses at most are compared, in the
+    gain where energies are likelier in both bands. Where positions contradict what is stated of
+    them, all responses decide. Eight responses at most are compared, in the
     highest band up to 1 kHz and the one nearest to two octaves below.
 
     Parameters
@@ -264,8 +266,11 @@ def chosen_model(
             return "energy"
         energies, pressures = log_evidences(own, fit)
         gains.append(pressures - energies)
-    is_contradicted = gains[1] <= -UNDECIDED or max(gains) <= 0.0
-    return "energy" if is_contradicted else settings.model
+    if max(gains) > 0.0 and gains[1] <= -UNDECIDED:
+        # positions that are known less well than stated explain it: a fit inflates that
+        is_too_sure = contradicted_position_sd_scale(state, fits) > 1.0
+        return settings.model if is_too_sure else "energy"
+    return settings.model if max(gains) > 0.0 else "energy"
 
 
 def _few(measured: Measurements, chosen: BoolArray) -> Measurements:

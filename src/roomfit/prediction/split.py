@@ -25,6 +25,7 @@ from roomfit.core import (
     draw_absorption,
     draw_prior,
     suggested_entries,
+    voids_walls,
 )
 
 # The exponent -log(1 - a) of what absorbs 95 %: a wall takes no larger share of the sum.
@@ -36,13 +37,8 @@ _SAME_AREA = 0.05
 
 
 def doubted_bands(posterior: AbsorptionPosterior) -> BoolArray:
-    """Return in which bands findings of the result leave no wall identifiable, (n_bands,).
-
-    Those that void every wall, and serious ones that void what they are about.
-    """
-    found = posterior.result_findings
-    void = [f for f in found if f.code.voids_identifiability]
-    void += [f for f in found if f.code.voids_its_own and f.severity == "serious"]
+    """Return in which bands findings of the result take identifiability from a wall, (n_bands,)."""
+    void = [f for f in posterior.result_findings if voids_walls(f)]
     centres = posterior.bands.centres_hz.tolist()
     return np.array([any(f.about.in_band(c) for f in void) for c in centres], dtype=np.bool_)
 
