@@ -1,4 +1,4 @@
-"""Boxes of known walls heard by an array of seven capsules: its beams against its centre alone.
+"""Boxes of known walls measured by an array of seven capsules: its beams against its centre alone.
 
     python benchmarks/arrays.py [--first SEED] [--rooms N] [--bands HZ ...] [--middle]
     python benchmarks/arrays.py --measured DATA [--step DEGREES]
@@ -101,7 +101,7 @@ LATE_ERROR, COMMON_LATE_ERROR = 0.1, 0.2
 ROUNDS = 3
 
 
-class Heard(NamedTuple):
+class ArrayCase(NamedTuple):
     """A room as it was measured by an array, and what is true of it, if that is known."""
 
     measured: Measurements  # by the centre
@@ -111,7 +111,7 @@ class Heard(NamedTuple):
     capsule_error: float = CAPSULE_ERROR  # left by the calibration
 
 
-def heard_box(seed: int, bands: Bands, *, middle: bool = False) -> Heard:
+def array_box(seed: int, bands: Bands, *, middle: bool = False) -> ArrayCase:
     """Simulate a box with the array at each of its receivers."""
     rng = np.random.default_rng(seed)
     plan = random_plan(rng)
@@ -149,21 +149,21 @@ def heard_box(seed: int, bands: Bands, *, middle: bool = False) -> Heard:
     bare = [replace(unknown_material(m, len(bands)), scattering=zero) for m in plan.materials]
     order = [plan.materials.index(m) for m in scene.room.materials]
     priors = complete_priors(scene.room.materials, bare, bands)
-    return Heard(measured, signals, priors, plan.absorption[np.ix_(order, own)])
+    return ArrayCase(measured, signals, priors, plan.absorption[np.ix_(order, own)])
 
 
 def beams_of_windows(
-    heard: Heard, band: int, windows: EnergyTerm
+    case: ArrayCase, band: int, windows: EnergyTerm
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return the energies of one band's windows in every beam of each pair, and their noise."""
-    bands, out = heard.measured.bands, []
+    bands, out = case.measured.bands, []
     one = Bands(bands.kind, bands.centres_hz[band : band + 1])
     # noise of the capsules is independent
-    (weights,) = array_weights(CAPSULES_M, one.exact_centres_hz, 343.0, heard.capsule_error)
+    (weights,) = array_weights(CAPSULES_M, one.exact_centres_hz, 343.0, case.capsule_error)
     louder = np.sum(np.abs(weights) ** 2, axis=1)[:, None]
-    pairs = fitted_in_band(heard.measured.responses, band)
+    pairs = fitted_in_band(case.measured.responses, band)
     for pair, observed in zip(pairs, windows.observations, strict=True):
-        responses = [replace(pair.response, pressure=p) for p in heard.beams[pair.pair]]
+        responses = [replace(pair.response, pressure=p) for p in case.beams[pair.pair]]
         energy = [window_energies(one, r, observed.edges_s)[0] for r in responses]
         out.append((np.array(energy), louder * observed.noise))
     return out
@@ -198,14 +198,14 @@ def nearest_direction(u: np.ndarray) -> np.ndarray:
 
 
 def omni_estimate(
-    heard: Heard, traced: TracedPaths, band: int, own: tuple[EnergyTerm, Parameters]
+    case: ArrayCase, traced: TracedPaths, band: int, own: tuple[EnergyTerm, Parameters]
 ) -> tuple[BandEstimate, BandFit]:
     """Return what the centre alone says of a band."""
     term, parameters = own
     objective = Objective(parameters, (term,))
     fit, _ = from_random_starts(objective, fit_band(objective), np.random.default_rng(1), 3)
-    noisy = shared_error_covariance(heard.measured, traced)(band, objective, fit)
-    areas_m2 = material_areas_m2(heard.measured.scene.room)
+    noisy = shared_error_covariance(case.measured, traced)(band, objective, fit)
+    areas_m2 = material_areas_m2(case.measured.scene.room)
     return band_estimate(parameters, noisy, areas_m2, "energy"), fit
 
 
@@ -219,7 +219,7 @@ class Kind:
 
 
 def beam_estimate(
-    heard: Heard,
+    case: ArrayCase,
     traced: TracedPaths,
     band: int,
     own: tuple[EnergyTerm, Parameters],
@@ -228,15 +228,15 @@ def beam_estimate(
     errors: Sequence[Sequence[np.ndarray]],
 ) -> BandEstimate:
     """Return what the beams say of a band, from the answer of the centre on."""
-    (omni, parameters), scene = own, heard.measured.scene
+    (omni, parameters), scene = own, case.measured.scene
     c = speed_of_sound_m_s(scene.air)
-    bands = heard.measured.bands
+    bands = case.measured.bands
     one = Bands(bands.kind, bands.centres_hz[band : band + 1])
-    cross = cross_of(float(bands.centres_hz[band]), c, heard.capsule_error)
+    cross = cross_of(float(bands.centres_hz[band]), c, case.capsule_error)
     came_from = nearest_direction(-traced.paths.arrival.astype(np.float64))
     beams = Beams(cross, tuple(came_from[rows.path] for rows in omni.rows))
-    windows = beam_windows(omni, beams, beams_of_windows(heard, band, omni))
-    sd = level_errors(one, CAPSULES_M, c, heard.capsule_error)[0]
+    windows = beam_windows(omni, beams, beams_of_windows(case, band, omni))
+    sd = level_errors(one, CAPSULES_M, c, case.capsule_error)[0]
     sd = sd if kind.level_sd is None else np.full_like(sd, kind.level_sd)
     levels = beam_levels(sd, kind.late_sd, kind.common_sd)
     with_beams = with_levels(parameters, levels)
@@ -248,12 +248,12 @@ def beam_estimate(
         found = score_band(objective, vector)
         vector = found.vector
         values = physical_values(with_beams, vector)[0]
-    noisy = with_errors_of_beams(heard, traced, band, objective, found, errors)
+    noisy = with_errors_of_beams(case, traced, band, objective, found, errors)
     return band_estimate(with_beams, noisy, material_areas_m2(scene.room), "energy")
 
 
 def with_errors_of_beams(
-    heard: Heard,
+    case: ArrayCase,
     traced: TracedPaths,
     band: int,
     objective: Objective,
@@ -261,7 +261,7 @@ def with_errors_of_beams(
     errors: Sequence[Sequence[np.ndarray]],
 ) -> BandFit:
     """Return the fit of beams with the errors that windows share, as for a single microphone."""
-    measured = heard.measured
+    measured = case.measured
     (term,) = objective.terms
     assert isinstance(term, BeamTerm)
     values = physical_values(objective.parameters, fit.vector)[0]
@@ -342,48 +342,48 @@ def lost_coherence(traced: TracedPaths, term: BeamTerm, absorption: np.ndarray) 
     return np.asarray(change[np.minimum(slot, last), beam])
 
 
-def estimates(heard: Heard, kinds: dict[str, Kind]) -> dict[str, list[BandEstimate]]:
+def estimates(case: ArrayCase, kinds: dict[str, Kind]) -> dict[str, list[BandEstimate]]:
     """Return the answers by the centre alone and by the beams, all bands."""
-    settings, measured = roomfit.Settings(model="energy"), heard.measured
+    settings, measured = roomfit.Settings(model="energy"), case.measured
     start = eyring_start(measured)
-    traced = traced_paths(measured, heard.priors, settings, start, None, None)
+    traced = traced_paths(measured, case.priors, settings, start, None, None)
     out: dict[str, list[BandEstimate]] = {"centre": [], **{name: [] for name in kinds}}
     found: tuple[FittedDirectivity, ...] = ()
     if measured.directivities:
         fits = estimate_energies(
-            measured, heard.priors, traced, start, settings, lambda own, _: own.estimate, None
+            measured, case.priors, traced, start, settings, lambda own, _: own.estimate, None
         )
         found, out["centre"] = fits.directivities, list(fits.answers)
         traced = redirected(measured, traced, found)
     made = energy_terms(
-        measured.scene, measured.bands, heard.priors, measured.responses, traced.binned, start
+        measured.scene, measured.bands, case.priors, measured.responses, traced.binned, start
     )
     for band, own in enumerate(made):
         if own is None:
             raise SystemExit("a band without data")
-        alone, fit = omni_estimate(heard, traced, band, own)
+        alone, fit = omni_estimate(case, traced, band, own)
         if not found:
             out["centre"].append(alone)
-        errors = directivity_errors(heard, traced, found, band, own[0])
+        errors = directivity_errors(case, traced, found, band, own[0])
         for name, kind in kinds.items():
-            answer = beam_estimate(heard, traced, band, own, fit, kind, errors)
+            answer = beam_estimate(case, traced, band, own, fit, kind, errors)
             out[name].append(answer)
     areas_m2 = material_areas_m2(measured.scene.room)
     return {
-        name: [a for a in inflated_by_adjacent_bands(own, areas_m2, heard.priors) if a is not None]
+        name: [a for a in inflated_by_adjacent_bands(own, areas_m2, case.priors) if a is not None]
         for name, own in out.items()
     }
 
 
 def directivity_errors(
-    heard: Heard,
+    case: ArrayCase,
     traced: TracedPaths,
     found: Sequence[FittedDirectivity],
     band: int,
     omni: EnergyTerm,
 ) -> list[list[np.ndarray]]:
     """Return by which share the energy of every row of each pair changes, one sd of b at a time."""
-    source, measured = heard.measured.scene.pairs[:, 0].tolist(), heard.measured
+    source, measured = case.measured.scene.pairs[:, 0].tolist(), case.measured
     out = []
     for own in found:
         for j in range(3):
@@ -405,7 +405,7 @@ KINDS = {
 }
 
 
-def heard_r3vival(data: Path, state: str, step: int, bands: Bands) -> Heard:
+def array_r3vival(data: Path, state: str, step: int, bands: Bands) -> ArrayCase:
     """Return one state of R3VIVAL, capsules calibrated on the direct sounds of its sources."""
     scene, recorded, directivities = r3vival(data, state, step, ("150", "200"))
     samples = {m.source: channels(data, state, m.source) for m in recorded}
@@ -434,7 +434,7 @@ def heard_r3vival(data: Path, state: str, step: int, bands: Bands) -> Heard:
         beams = array_beams(own, rate_hz, CAPSULES_M, SPEED_M_S, MEASURED_ERROR, responses)
         signals[pair] = beams
     priors = complete_priors(scene.room.materials, (), bands)
-    return Heard(measured, signals, priors, None, MEASURED_ERROR)
+    return ArrayCase(measured, signals, priors, None, MEASURED_ERROR)
 
 
 def channels(data: Path, state: str, source: str) -> np.ndarray:
@@ -449,12 +449,12 @@ def measured_states(data: Path, step: int, bands: Bands) -> None:
     """Print what each state says of R3VIVAL's walls, and how states agree on unchanged ones."""
     found = {}
     for state in ABSORBING:
-        heard = heard_r3vival(data, state, step, bands)
-        found[state] = estimates(heard, KINDS)
+        case = array_r3vival(data, state, step, bands)
+        found[state] = estimates(case, KINDS)
         for name, answers in found[state].items():
             print(f"{state} {name}")
             for f, a in zip(bands.centres_hz, answers, strict=True):
-                walls = zip(heard.measured.scene.room.materials, a.absorption, strict=True)
+                walls = zip(case.measured.scene.room.materials, a.absorption, strict=True)
                 shown = "  ".join(
                     f"{w} {x:.2f} ({low:.2f}-{high:.2f}){'' if sure else '?'}"
                     for (w, x), low, high, sure in zip(
@@ -466,7 +466,7 @@ def measured_states(data: Path, step: int, bands: Bands) -> None:
         every = [a for state in found.values() for a in state[name]]
         half = np.array([a.upper95 - a.lower95 for a in every]) / 2.0
         sure = sum(int(a.identifiable.sum()) for a in every)
-        z = unchanged(heard.measured.scene.room.materials, {s: f[name] for s, f in found.items()})
+        z = unchanged(case.measured.scene.room.materials, {s: f[name] for s, f in found.items()})
         rms = np.sqrt(np.mean(z**2))
         print(
             f"{name:>8}  half {np.median(half):.3f}  identifiable {sure} of {half.size}"
@@ -511,10 +511,10 @@ def boxes(seeds: Sequence[int], bands: Bands, *, middle: bool) -> None:
     found: dict[str, list[tuple[list[BandEstimate], np.ndarray]]] = {}
     print(HEADER)
     for seed in seeds:
-        heard = heard_box(seed, bands, middle=middle)
-        assert heard.truth is not None
-        for name, answer in estimates(heard, KINDS).items():
-            found.setdefault(name, []).append((answer, heard.truth))
+        case = array_box(seed, bands, middle=middle)
+        assert case.truth is not None
+        for name, answer in estimates(case, KINDS).items():
+            found.setdefault(name, []).append((answer, case.truth))
             print(line(f"{seed} {name}", found[name][-1:]), flush=True)
     for name, answers in found.items():
         print(line(f"all {name}", answers))
