@@ -16,22 +16,32 @@ from roomfit.inversion.systematics import (
     DECAY_SDS,
     air_error,
     decay_error,
-    decay_error_sd,
+    decay_error_sds,
+    decay_rate,
     lost_coherence,
     shared_errors,
+    with_decay_errors,
     with_shared_errors,
 )
+from roomfit.logit import Z95, expit, logit
+from roomfit.materials.priors import unknown_material
 from roomfit.objective.coherent import CoherentTerm, fully_coherent
 from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.parameters import start_vector
 from roomfit.signals.filters import frequency_response, window_energies
 from roomfit.signals.response import ImpulseResponse
-from roomfit.solvers.least_squares import BandFit, score_band
+from roomfit.solvers.least_squares import BandFit, DecayRate, score_band
 from roomfit.synthetic.boxes import SyntheticBox, pressure_response
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.gaussian import add_covariance, answer_steps
+from roomfit.uncertainty.gaussian import (
+    BandEstimate,
+    add_covariance,
+    answer_steps,
+    prior_only_band,
+)
 
 CENTRE_HZ = 1000.0
+_PRIORS = (unknown_material("wall", 1), unknown_material("floor", 1))
 
 
 def energies() -> EnergyTerm:
@@ -167,8 +177,8 @@ def test_the_error_of_a_decay_is_its_rate_times_the_time() -> None:
     np.testing.assert_allclose(found, -rate_per_s * _middles_s(term), rtol=0.02)
 
 
-def _decay_sd(change: float) -> tuple[float, float]:
-    """Return the size of the term for data whose rate is so much larger, and what data know."""
+def _rate(change: float) -> DecayRate:
+    """Return what data say whose rate is so much larger than that of the walls."""
     term = energies()
     signal = np.concatenate([o.energy for o in term.observations])
     slope = decay_error(term, signal)
@@ -176,10 +186,23 @@ def _decay_sd(change: float) -> tuple[float, float]:
     problem = objective_of(_with_data(term, np.exp(change * slope)))
     jacobian = problem.jacobian(fit.vector)
     error = (fit.expected * decay_error(term, fit.expected))[:, None]
-    (step,) = answer_steps(problem, fit, jacobian, error).T
-    weighed = error[:, 0] / (problem.correlation_length() * fit.variance)
-    known = weighed @ error[:, 0] - (weighed @ jacobian) @ step
-    return decay_error_sd(problem, fit, jacobian, error), float(known)
+    return decay_rate(problem, fit, jacobian, error)
+
+
+def test_the_information_on_the_rate_is_that_of_a_further_unknown() -> None:
+    """Against the Schur complement of the rate in the information of all unknowns."""
+    term = energies()
+    problem, fit = objective_of(term), _converged(term)
+    jacobian = problem.jacobian(fit.vector)
+    error = fit.expected * decay_error(term, fit.expected)
+    weight = 1.0 / (problem.correlation_length() * fit.variance)
+    across = jacobian.T @ (weight * error)
+    whole = np.block([[fit.information, across[:, None]], [across, np.sum(weight * error**2)]])
+    variance = np.linalg.inv(whole)[-1, -1]
+    found = decay_rate(problem, fit, jacobian, error[:, None])
+    np.testing.assert_allclose(found.information, 1.0 / variance / max(fit.chi2_reduced, 1.0))
+    # as unknowns move when the rate is held that much higher
+    np.testing.assert_allclose(found.step, np.linalg.solve(fit.information, across))
 
 
 def test_data_that_agree_with_the_rate_leave_the_mean_of_both_priors() -> None:
@@ -187,30 +210,89 @@ def test_data_that_agree_with_the_rate_leave_the_mean_of_both_priors() -> None:
 
     The priors of the walls leave a residual of 1 % of it.
     """
-    found, known = _decay_sd(0.0)
-    variance = 1.0 / (known + DECAY_SDS**-2)
+    rate = _rate(0.0)
+    variance = 1.0 / (rate.information + DECAY_SDS**-2)
     weight = DECAY_PROBABILITIES * np.sqrt(variance) / DECAY_SDS
+    (found,) = decay_error_sds([rate])
     np.testing.assert_allclose(found**2, weight @ variance / weight.sum(), rtol=0.02)
     assert found < np.sqrt(DECAY_PROBABILITIES @ DECAY_SDS**2)
 
 
 def test_data_that_contradict_the_rate_of_the_walls_enlarge_the_term() -> None:
     """The farther off, the larger, and never beyond what they say and the wide prior together."""
-    sizes = [_decay_sd(change)[0] for change in (0.0, 1.5, 3.0)]
+    sizes = [float(decay_error_sds([_rate(change)])[0]) for change in (0.0, 1.5, 3.0)]
     assert sizes[0] < sizes[1] < sizes[2] < 3.0
 
 
-def test_the_decay_term_widens_the_answer_along_its_shift_alone() -> None:
-    """The covariance grows by the outer product of the shift, and its cost is named."""
+def test_all_bands_say_whether_a_room_decays_as_its_model_does() -> None:
+    """One band in six off by 2.5 standard deviations is chance; six off by 2.5 are none."""
+    usual, off = (DecayRate(400.0, z * 20.0, np.zeros(1)) for z in (0.3, 2.5))
+    alone = decay_error_sds([off])[0]
+    beside_others = decay_error_sds([off, *[usual] * 5])
+    everywhere = decay_error_sds([off] * 6)
+    assert beside_others[0] < 0.25 * alone < 0.3 * everywhere[0]
+    # which is what its data say, nearly without a prior: 2.5 +- 1 standard deviations of 0.05
+    np.testing.assert_allclose(everywhere, 0.05 * np.hypot(2.5, 1.0), rtol=0.06)
+
+
+def _answer(a: FloatArray, rate: DecayRate) -> BandEstimate:
+    wide = prior_only_band(_PRIORS, 0, np.ones(2))
+    return replace(
+        wide,
+        absorption=a,
+        lower95=a - 0.01,
+        upper95=a + 0.01,
+        identifiable=np.array([True, True]),
+        logit_mean=logit(a),
+        logit_covariance=np.diag([1e-3, 1e-3]),
+        mean=(0.11, 0.10, 0.12),
+        costs={"": np.full(2, 0.1), "noise": np.full(2, 0.05)},
+        decay=rate,
+    )
+
+
+def test_the_decay_term_widens_answers_along_their_shift_alone() -> None:
+    """In absorption: the mean by what the rate moves it, walls by their own share, named as such.
+
+    A wall of 0.02 that a change moves by 0.035 is not 0 to 0.4, as its logit's first order says.
+    """
+    a, areas = np.array([0.02, 0.2]), np.array([1.0, 3.0])
+    rate = DecayRate(1e-9, 0.0, np.array([0.07, 0.06]) / 0.2)  # nothing known: mixture of priors
+    size = float(np.sqrt(DECAY_PROBABILITIES @ DECAY_SDS**2))
+    before = _answer(a, rate)
+    (after,) = with_decay_errors([before], areas, _PRIORS)
+    more = Z95 * size * (areas @ rate.step) / areas.sum()
+    np.testing.assert_allclose(after.mean[2] - 0.11, np.hypot(0.01, more))
+    one_sd = expit(logit(a) + np.sqrt(np.diag(after.logit_covariance - before.logit_covariance)))
+    np.testing.assert_allclose(one_sd, a + size * rate.step, rtol=1e-6)
+    assert 0.1 < after.upper95[0] < 0.16 and after.lower95[0] > 0.0
+    assert not after.identifiable[0]  # its logit is known no better than half its prior's
+    assert after.identifiable[1]
+    np.testing.assert_array_equal(after.costs["decay"], before.costs[""])
+    assert np.all(after.costs["noise"] < after.costs[""])
+    np.testing.assert_array_equal(after.absorption, a)
+
+
+def test_what_is_fixed_stays_beside_a_rate_that_is_not() -> None:
+    """And an answer without windows stays as it is."""
+    rate = DecayRate(1e-9, 0.0, np.array([0.2, 0.3]))
+    fixed = _answer(np.array([0.1, 0.2]), rate)
+    fixed = replace(fixed, lower95=fixed.absorption, upper95=fixed.absorption)
+    without = replace(fixed, decay=None)
+    found = with_decay_errors([fixed, without], np.ones(2), _PRIORS)
+    np.testing.assert_array_equal(found[0].upper95, fixed.upper95)
+    assert np.all(found[0].identifiable)
+    assert found[1] is without
+
+
+def test_a_fit_keeps_the_rate_of_decay_apart_from_its_other_errors() -> None:
+    """Its information is that of rays, air and scattering; the rate waits for the other bands."""
     term = energies()
     problem, fit = objective_of(term), _converged(term)
     shared = shared_errors(problem, fit, (0, 0), np.zeros((fit.measured.size, 2)))
     wider = with_shared_errors(problem, fit, shared)
-    more = np.linalg.inv(wider.information) - np.linalg.inv(fit.information)
+    without = {name: errors for name, errors in shared.items() if name != "decay"}
     jacobian = problem.jacobian(fit.vector)
-    step = answer_steps(problem, fit, jacobian, shared["decay"])[:, 0]
-    size = decay_error_sd(problem, fit, jacobian, shared["decay"])
-    expected = np.outer(step, step) * size**2 / max(fit.chi2_reduced, 1.0)
-    np.testing.assert_allclose(more, expected, rtol=1e-4, atol=1e-6 * np.abs(expected).max())
-    assert np.all(wider.costs["decay"] <= wider.costs[""])
-    np.testing.assert_array_equal(wider.vector, fit.vector)
+    steps = answer_steps(problem, fit, jacobian, np.concatenate(list(without.values()), axis=1))
+    np.testing.assert_allclose(wider.information, add_covariance(fit, steps).information)
+    assert wider.decay is not None and wider.decay.step.shape == fit.vector.shape

@@ -45,6 +45,7 @@ from roomfit.inversion.systematics import (
     inflated_by_adjacent_bands,
     relative_errors,
     shared_errors,
+    with_decay_errors,
     with_shared_errors,
 )
 from roomfit.inversion.trace_plan import is_coherent
@@ -141,7 +142,7 @@ def estimate_energies(
             watch=None if tested is None else score_sources(measured, traced, tested, scores),
             shared_covariance=shared_error_covariance(measured, traced),
         )
-        estimates = tuple(refine(band, None) for band in fitted)
+        estimates = with_decay_errors([refine(band, None) for band in fitted], areas_m2, priors)
         found = band_directivities(measured.scene, unknown, directivities, estimates)
         against = contradicted_sources(tested, scores)
         return BandFits(
@@ -307,8 +308,10 @@ def coherent_answers(
         for band, (e, own) in enumerate(zip(chosen, task.others, strict=True))
     ]
     rest = fit_bands(alone, task.priors, areas_m2, settings, part(progress, 0.8, 1.0))
-    estimates = tuple(
-        refine(r, None) if e is None else e for e, r in zip(chosen, rest, strict=True)
+    estimates = with_decay_errors(
+        [refine(r, None) if e is None else e for e, r in zip(chosen, rest, strict=True)],
+        areas_m2,
+        task.priors,
     )
     directivities = tuple(None if b is None else b.directivity for b in fit.state.bands)
     found = band_directivities(task.scene, task.directivity_parameters, directivities, estimates)

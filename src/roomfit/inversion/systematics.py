@@ -29,7 +29,7 @@ from roomfit.objective.problem import Objective, Prediction
 from roomfit.objective.windows import in_windows
 from roomfit.response.directivity import directed_rows
 from roomfit.response.energy import weigh
-from roomfit.solvers.least_squares import BandFit
+from roomfit.solvers.least_squares import BandFit, DecayRate
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, IntArray
 from roomfit.uncertainty.gaussian import (
@@ -38,6 +38,7 @@ from roomfit.uncertainty.gaussian import (
     add_covariance,
     answer_steps,
     costs_of_terms,
+    is_identifiable,
 )
 
 _LEAST = 1e-9  # distance of an absorption from 0 and 1 in its logit
@@ -45,8 +46,8 @@ _LEAST = 1e-9  # distance of an absorption from 0 and 1 in its logit
 # next, these shares of the mean over a band belong to the band above and the one below: the
 # integral of that weight over the squared magnitude of the octave filter.
 ABOVE, BELOW = 0.144, 0.078
-# Prior of the rate of decay of a room over that of its model: with each probability a normal law
-# about 1 of that standard deviation. docs/decisions/0048-what-stands-in-the-room.md.
+# Prior of the rates of decay of a room over those of its model: with each probability a normal law
+# about 1 of that standard deviation in every band. docs/decisions/0048-what-stands-in-the-room.md.
 DECAY_PROBABILITIES, DECAY_SDS = np.array([0.75, 0.25]), np.array([0.01, 0.2])
 # Long enough for many independent values of eight responses, short enough to follow a decay.
 _SLOT_S = 0.04
@@ -94,11 +95,16 @@ def _likeness(priors: tuple[MaterialPrior, ...], band: int, n: int) -> FloatArra
     """Return the prior correlation of n materials in a band, 1 between those that are tied."""
     if not priors:
         return np.eye(n)
-    names = [k.name for k in priors]
-    leader = [names.index(k.tied_to or k.name) for k in priors]
-    covariance = prior_logit_law(priors)[1][band][np.ix_(leader, leader)]
+    covariance = _prior_covariance(priors, band)
     sd = np.sqrt(np.diag(covariance))
     return np.asarray(covariance / np.outer(sd, sd))
+
+
+def _prior_covariance(priors: tuple[MaterialPrior, ...], band: int) -> FloatArray:
+    """Return that of the logits of all materials, tied ones alike, (n_materials, n_materials)."""
+    names = [k.name for k in priors]
+    leader = [names.index(k.tied_to or k.name) for k in priors]
+    return np.asarray(prior_logit_law(priors)[1][band][np.ix_(leader, leader)])
 
 
 def with_both_intervals(best: BandEstimate, other: BandEstimate) -> BandEstimate:
@@ -132,10 +138,16 @@ def _half_each(one: FloatArray | None, other: FloatArray | None) -> FloatArray |
     return np.where(from_other, other[: len(one)], one)
 
 
-def widened(answer: BandEstimate, covariance: FloatArray, areas_m2: FloatArray) -> BandEstimate:
+def widened(
+    answer: BandEstimate,
+    covariance: FloatArray,
+    areas_m2: FloatArray,
+    mean_sd: float | None = None,
+) -> BandEstimate:
     """Return the answer with an error of its logits added, of a covariance (n_materials,) square.
 
-    What is fixed stays.
+    What is fixed stays. `mean_sd` is the standard deviation of that error of the mean absorption,
+    by default to first order in the logits.
     """
     fixed = answer.upper95 <= answer.lower95
     covariance = np.where(fixed[:, None] | fixed, 0.0, covariance)
@@ -148,8 +160,10 @@ def widened(answer: BandEstimate, covariance: FloatArray, areas_m2: FloatArray) 
     upper95 = np.where(fixed, answer.upper95, np.maximum(expit(upper), answer.upper95))
     narrow = (upper95 - lower95 <= WIDEST_IDENTIFIABLE) | fixed
     mean, low, high = answer.mean
-    slope = areas_m2 / areas_m2.sum() * a * (1.0 - a)
-    more = Z95 * float(np.sqrt(slope @ covariance @ slope))
+    if mean_sd is None:
+        slope = areas_m2 / areas_m2.sum() * a * (1.0 - a)
+        mean_sd = float(np.sqrt(slope @ covariance @ slope))
+    more = Z95 * mean_sd
     size, directions = np.linalg.eigh(covariance)
     root = directions * np.sqrt(np.maximum(size, 0.0))
 
@@ -186,7 +200,7 @@ def shared_errors(
 
     Over the batches of rays, by one standard deviation of what `relative` holds, by reflections
     that interfere and are taken for energies that add; and, under "decay", by a rate of decay that
-    is larger by a factor of 2, which `with_shared_errors` brings to its size.
+    is larger by a factor of 2: `with_decay_errors` gives it its size when all bands are fitted.
 
     Parameters
     ----------
@@ -223,8 +237,9 @@ def with_shared_errors(
     """Return a fit whose information allows for the errors that its windows share.
 
     The covariance of the answer's shifts (`roomfit.uncertainty.gaussian.answer_steps`) by these
-    `shared_errors` is added [1]_. `costs` of the fit says how well the unknowns were known without
-    one term or the other. `there` is the fit's prediction, where it is known.
+    `shared_errors` is added [1]_, of the rate of decay kept apart. `costs` of the fit says how well
+    the unknowns were known without one term or the other. `there` is the fit's prediction, where it
+    is known.
 
     References
     ----------
@@ -232,11 +247,11 @@ def with_shared_errors(
            section 3: the delete-one variance of an estimate, here linearised.
     """
     jacobian = (objective.predict(fit.vector) if there is None else there).jacobian
-    if (decay := shared.get("decay")) is not None:
-        shared = {**shared, "decay": decay_error_sd(objective, fit, jacobian, decay) * decay}
+    rate = decay_rate(objective, fit, jacobian, shared["decay"])
+    shared = {name: errors for name, errors in shared.items() if name != "decay"}
     costs = costs_of_terms(objective, fit, jacobian, shared)
     steps = answer_steps(objective, fit, jacobian, np.concatenate(list(shared.values()), axis=1))
-    return replace(add_covariance(fit, steps), costs=costs)
+    return replace(add_covariance(fit, steps), costs=costs, decay=rate)
 
 
 def relative_errors(
@@ -307,16 +322,10 @@ def decay_error(energies: EnergyTerm, signal: FloatArray) -> FloatArray:
     return np.asarray(-max(rate_per_s, 0.0) * _middle_s(energies))
 
 
-def decay_error_sd(
+def decay_rate(
     objective: Objective, fit: BandFit, jacobian: FloatArray, error: FloatArray
-) -> float:
-    """Return how far, relatively, the rate of decay may be from that of the fitted walls.
-
-    The root mean square about 0, after the data, of an unknown relative change of the rate that is
-    fitted beside all else to first order: its prior is a mixture, of rooms that decay as their
-    model does and of such that do not, so that data that contradict the walls' rate widen their
-    intervals, and data that determine it hardly do. The answer is not moved: what data prefer there
-    is made by anything that early and late windows disagree about.
+) -> DecayRate:
+    """Return what data say of a relative change of the rate of decay, to first order.
 
     Parameters
     ----------
@@ -326,13 +335,72 @@ def decay_error_sd(
     n, misfit = len(error), max(fit.chi2_reduced, 1.0)
     weighed = error[:, 0] / (objective.correlation_length()[:n] * fit.variance[:n])
     (step,) = answer_steps(objective, fit, jacobian, error).T
-    known = float(weighed @ error[:, 0] - (weighed @ jacobian[:n]) @ step) / misfit
-    pull = float(weighed @ (fit.measured - fit.expected)[:n]) / misfit
+    known = float(weighed @ error[:, 0] - (weighed @ jacobian[:n]) @ step)
+    pull = float(weighed @ (fit.measured - fit.expected)[:n])
+    return DecayRate(max(known, 0.0) / misfit, pull / misfit, step)
+
+
+def decay_error_sds(rates: Sequence[DecayRate]) -> FloatArray:
+    """Return how far, relatively, each band's rate of decay may be from that of its walls.
+
+    Shape (n_bands,): the root mean square about 0 of the changes after the data. Their prior is a
+    mixture: of rooms that decay as their model does in every band, and of such that do not. All
+    bands together say which, so that one band that prefers another rate by chance does not; data
+    that contradict the walls' rate widen their intervals, and data that determine it hardly do.
+    The answer is not moved: what data prefer is made by anything that early and late windows
+    disagree about.
+    """
+    information, score = (np.array([r[i] for r in rates])[:, None] for i in (0, 1))
     # of each law: its variance and mean after the data, and how well it predicted them
-    variance = 1.0 / (max(known, 0.0) + DECAY_SDS**-2)
-    log_evidence = 0.5 * (variance * pull**2 + np.log(variance / DECAY_SDS**2))
+    variance = 1.0 / (information + DECAY_SDS**-2)
+    log_evidence = 0.5 * np.sum(variance * score**2 + np.log(variance / DECAY_SDS**2), axis=0)
     weight = DECAY_PROBABILITIES * np.exp(log_evidence - log_evidence.max())
-    return float(np.sqrt(weight @ (variance + (variance * pull) ** 2) / weight.sum()))
+    square = variance + (variance * score) ** 2
+    return np.sqrt(np.asarray(square @ weight / weight.sum(), dtype=np.float64))
+
+
+def with_decay_errors(
+    answers: Sequence[BandEstimate], areas_m2: FloatArray, priors: tuple[MaterialPrior, ...]
+) -> tuple[BandEstimate, ...]:
+    """Return intervals that allow for a rate of decay that is not that of the walls.
+
+    Walls move along the shift of their answer by such a change, all together: in absorption, of
+    which the rate determines a sum. Its first order in a logit would exaggerate what hardly
+    absorbs.
+
+    Parameters
+    ----------
+    answers : sequence of BandEstimate, one a band
+    areas_m2 : float array, shape (n_materials,)
+    priors : tuple of MaterialPrior
+    """
+    rates = [a.decay for a in answers if a.decay is not None]
+    sds = iter(decay_error_sds(rates) if rates else ())
+    return tuple(
+        a
+        if a.decay is None
+        else _moved_along(a, next(sds) * a.decay.step, areas_m2, _prior_covariance(priors, band))
+        for band, a in enumerate(answers)
+    )
+
+
+def _moved_along(
+    answer: BandEstimate, step: FloatArray, areas_m2: FloatArray, prior: FloatArray
+) -> BandEstimate:
+    """Return an answer with one error of all absorptions added, of that standard deviation."""
+    a = np.clip(answer.absorption, _LEAST, 1.0 - _LEAST)
+    nearer_half = np.where(a < 0.5, a + np.abs(step), a - np.abs(step))
+    logit_step = np.sign(step) * np.abs(logit(nearer_half, _LEAST) - logit(a, _LEAST))
+    logit_step = np.where(answer.upper95 > answer.lower95, logit_step, 0.0)
+    mean_sd = float(np.abs(areas_m2 @ step) / areas_m2.sum())
+    wider = widened(answer, np.outer(logit_step, logit_step), areas_m2, mean_sd)
+    sd = np.sqrt(np.diag(wider.logit_covariance))
+    prior_sd = np.sqrt(np.diag(prior))
+    sure = is_identifiable(wider.chi2_reduced, wider.lower95, wider.upper95, sd, prior_sd)
+    costs = {name: np.hypot(own, logit_step) for name, own in answer.costs.items()}
+    if answer.costs:
+        costs["decay"] = answer.costs[""]
+    return replace(wider, costs=costs, identifiable=wider.identifiable & (sure | (sd == 0.0)))
 
 
 def scattering_error(

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.special import digamma, polygamma
@@ -125,6 +125,14 @@ _FIRST_DAMPING, _MOST_DAMPING, _LONGEST_STEP = 0.01, 1e8, 3.0
 _LEAST_GAIN = 1e-3
 
 
+class DecayRate(NamedTuple):
+    """What a band's data say of a relative change of its rate of decay, all else fitted along."""
+
+    information: float  # its inverse variance by the data alone, misfit included
+    score: float  # derivative of the log-likelihood by it, misfit included
+    step: FloatArray  # (n,), how far a change by 1 moves each unknown
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class BandFit:
     """Best free vector of one band, how it was found, and what is needed for its uncertainty."""
@@ -146,6 +154,7 @@ class BandFit:
     previous: FloatArray | None = None  # (n_free,), the answer before the last step
     # (n_free,), standard deviation of the answer if a term of its uncertainty were left out
     costs: Mapping[str, FloatArray] = field(default_factory=dict)
+    decay: DecayRate | None = None  # where windows were fitted; its step (n_free,)
 
     @property
     def converged(self) -> bool:

@@ -38,7 +38,7 @@ from roomfit.objective.parameters import (
 from roomfit.objective.problem import Objective
 from roomfit.solvers.certificate import Certificate
 from roomfit.solvers.ending import Ending
-from roomfit.solvers.least_squares import BandFit
+from roomfit.solvers.least_squares import BandFit, DecayRate
 from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
 from roomfit.uncertainty.profile import Profile
 from roomfit.uncertainty.sampling import Sampled
@@ -371,6 +371,7 @@ class BandEstimate:
     moved: tuple[str, ...] = ()  # of a fit that did not converge: what the last round moved most
     # (n_materials,), sd in the logit by which term were left out, see `sd_without_term`
     costs: Mapping[str, FloatArray] = field(default_factory=dict)
+    decay: DecayRate | None = None  # its step in absorption, (n_materials,)
 
     # by parameter, (2, n_files): decay of each file's windows in s, measured and as fitted, where
     # pressures were fitted
@@ -412,6 +413,10 @@ def band_estimate(
     own[np.ix_(fitted, fitted)] = found.covariance[chosen, chosen]
     leader = leaders(block)
     covariance = own[np.ix_(leader, leader)]
+    decay = fit.decay
+    if decay is not None:
+        slope = physical_values(parameters, fit.vector)[1]["absorption"]
+        decay = decay._replace(step=slope * _of_materials(block, decay.step[chosen]))
     return BandEstimate(
         found.absorption,
         found.lower95,
@@ -429,6 +434,7 @@ def band_estimate(
         kinds=_kinds(found.lower95, found.upper95, block.fitted[leader]),
         moved=() if fit.converged else _moved(parameters, fit),
         costs={name: _of_materials(block, sd[chosen]) for name, sd in fit.costs.items()},
+        decay=decay,
     )
 
 
