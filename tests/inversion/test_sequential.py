@@ -216,12 +216,15 @@ def test_a_model_that_misses_few_windows_by_far_is_not_the_likelier_one():
     ("chi2", "evidences", "said"),
     [
         ((0.9, 1.5), (10.0, 14.0), (10.0, 14.0)),
-        ((0.9, 2.1), (10.0, 14.0), (10.0, -np.inf)),
-        ((2.1, 0.9), (14.0, 10.0), (-np.inf, 10.0)),
-        ((2.1, 3.0), (10.0, 14.0), (10.0, 14.0)),
+        ((0.9, 1.5), (10.0, 11.0), (10.0, 11.0)),
+        ((0.9, 2.1), (10.0, 11.0), (10.0, -np.inf)),
+        ((2.1, 0.9), (11.0, 10.0), (-np.inf, 10.0)),
+        ((2.1, 3.0), (10.0, 11.0), (10.0, 11.0)),
+        ((0.9, 2.1), (10.0, 14.0), (10.0, 14.0)),
+        ((2.1, 0.9), (14.0, 10.0), (14.0, 10.0)),
     ],
 )
-def test_a_model_that_does_not_fit_is_not_taken_where_the_other_fits(chi2, evidences, said):
+def test_between_models_of_like_evidence_one_that_does_not_fit_is_not_taken(chi2, evidences, said):
     band = SimpleNamespace(energy_fit=SimpleNamespace(chi2_reduced=chi2[0]))
     fit = SimpleNamespace(
         fit=SimpleNamespace(chi2_reduced=chi2[1]),

@@ -366,11 +366,12 @@ def compared_with_energies(band: CoherentBand, fit: CoherentBandFit) -> Coherent
 def log_evidences(band: CoherentBand, fit: CoherentBandFit) -> tuple[float, float]:
     """Return the log evidences of a band's data with windows as energies and as pressures.
 
-    That of a model whose reduced chi-square is above 2 is minus infinity where the other's is not.
+    Where they are within `UNDECIDED`, that of a model whose reduced chi-square is above 2 is minus
+    infinity if the other's is not. Where they decide, they have allowed for the misfit.
     """
     chi2 = band.energy_fit.chi2_reduced, fit.fit.chi2_reduced
     energies, pressures = fit.energy_log_evidence, fit.log_evidence
-    if max(chi2) > MISFIT >= min(chi2):
+    if abs(energies - pressures) < UNDECIDED and max(chi2) > MISFIT >= min(chi2):
         return (-np.inf, pressures) if chi2[0] > chi2[1] else (energies, -np.inf)
     return energies, pressures
 
