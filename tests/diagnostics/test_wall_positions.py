@@ -57,6 +57,7 @@ def test_a_room_described_correctly_raises_no_doubt(seed):
         ((6.5, 5.0, 3.0), "east", -0.5),
         ((6.0, 4.4, 3.0), "north", 0.6),
         ((6.0, 5.0, 3.4), "ceiling", -0.4),
+        ((8.5, 5.0, 3.0), "east", -2.5),
     ],
 )
 def test_a_wall_described_wrongly_is_named_with_its_distance(specified_m, surface, metres):
@@ -68,8 +69,12 @@ def test_a_wall_described_wrongly_is_named_with_its_distance(specified_m, surfac
 
 
 def test_few_responses_are_not_examined():
+    """Two sources and two receivers tell the same wall; three pairs of them are too few."""
     scene, responses = specified_and_observed(3, (6.5, 5.0, 3.0))
-    assert outline_findings(scene, responses[:2] + responses[5:7]) == ()
+    four = responses[:2] + responses[5:7]
+    (finding,) = outline_findings(scene, four)
+    assert finding.evidence["surface"] == "east"
+    assert outline_findings(scene, four[:3]) == ()
 
 
 def test_one_source_alone_is_not_examined():

@@ -17,7 +17,7 @@ from roomfit.signals.response import ImpulseResponse, echo_prominence, times_s
 from roomfit.tracing.image_sources import trace_images
 from roomfit.typing import BoolArray, FloatArray
 
-_REACH_M, _STEP_M = 1.5, 0.02
+_REACH_M, _STEP_M = 3.0, 0.02
 # A wall this near to its specified position counts as standing there.
 _TOLERANCE_M = 0.12
 _LEAST_WALL_SHARE = 0.03  # of the whole area
@@ -28,9 +28,10 @@ _MASK_S = 0.25e-3
 # Two computations of the same image's arrival differ by rounding alone.
 _SAME_S = 1e-8
 # An echo elsewhere counts where it stands out of its surroundings by a factor of e**1.5, by a
-# factor of 2 more than the echo of the specified position or any other, and in most responses.
-_LEAST_SCORE, _LEAST_LEAD, _LEAST_SHARE = 1.5, 0.7, 0.7
-_LEAST_RESPONSES = 5
+# factor of 2 in eight responses (more in fewer, as a mean's deviation) more than the echo of the
+# specified position or any other, and in most responses.
+_LEAST_SCORE, _LEAST_LEAD, _LEAD_RESPONSES, _LEAST_SHARE = 1.5, 0.7, 8, 0.7
+_LEAST_RESPONSES = 4
 _EXPLAINED_ORDER = 2
 # Hundreds of seats have echoes at every time, and to trace them takes minutes.
 _MAX_TRIANGLES = 2000
@@ -82,7 +83,7 @@ def outline_findings(
 ) -> tuple[Finding, ...]:
     """Return a finding for each wall whose echoes come from elsewhere, with surface and metres.
 
-    For every large wall, displaced outward or inward by up to 1.5 m, the arrival time of its
+    For every large wall, displaced outward or inward by up to 3 m, the arrival time of its
     reflection is computed, and the prominence of the responses at these times is averaged over all
     that its specified position reflects to: at the true position the echoes align. The clearest
     wall is decided first and its echoes are masked, so that they are attributed to no other wall.
@@ -92,7 +93,7 @@ def outline_findings(
     ----------
     scene : Scene
     responses : sequence of (pair, ImpulseResponse)
-        Index of the pair in the scene; time zero is the emission. Not examined: fewer than five
+        Index of the pair in the scene; time zero is the emission. Not examined: fewer than four
         responses; those of a single source, whose own stand or table echoes in all of them alike;
         and a room of more than 2000 triangles.
 
@@ -232,7 +233,8 @@ def _mismatch(
     peak = peak[np.isfinite(peak)]
     share = float(np.mean(peak > 1.0))
     lead = best - max(float(here.max()), float(rest.max()))
-    if best < _LEAST_SCORE or lead < _LEAST_LEAD or share < _LEAST_SHARE:
+    least_lead = _LEAST_LEAD * max(1.0, np.sqrt(_LEAD_RESPONSES / peak.size))
+    if best < _LEAST_SCORE or lead < least_lead or share < _LEAST_SHARE:
         return []
     way = "farther out than" if moved_m > 0.0 else "inside of where"
     return [
