@@ -84,7 +84,7 @@ def decay_time_figure(
 ) -> Figure:
     """Return decay times over frequency with their intervals.
 
-    The band is one just noticeable difference about the first of the series; black lines are
+    Pale boxes are one just noticeable difference about the first of the series; black lines are
     limits.
 
     Parameters
@@ -100,8 +100,9 @@ def decay_time_figure(
     axes, at = figure.add_subplot(), np.arange(len(centres_hz), dtype=np.float64)
     first = series[0].values_s
     step = jnd_of("T30_s", first)
-    axes.fill_between(
-        at, first - step, first + step, color=OKABE_ITO[4], alpha=0.3, lw=0.0,
+    # a box a band, wide enough for the marks of all series, which stand side by side
+    axes.bar(
+        at, 2.0 * step, 0.5, first - step, color=OKABE_ITO[4], alpha=0.3, lw=0.0,
         label="just noticeable difference",
     )  # fmt: skip
     highest = [float(np.nanmax(first, initial=0.0))]

@@ -488,7 +488,7 @@ def answer_page(
     if picture is not None:
         caption = (
             "Means over the positions; bars are 95 % intervals. A listener does not notice "
-            "what stays within the pale band."
+            "what stays within the pale box of a band."
         )
         drawn = drawing(picture, "decay-times", "Decay times over frequency", caption)
     return render_sealed(
@@ -650,7 +650,7 @@ def _decay_times(answer: Result, say: Callable[[str], str]) -> Markup | str:
         f"{symbol} over frequency, measured and predicted",
         say(
             "{symbol} over frequency, mean of {pairs}. A listener does not notice what stays "
-            "within the pale band, one just noticeable difference about what was measured."
+            "within the pale box of a band, one just noticeable difference about what was measured."
         ).format(symbol=symbol, pairs=say(which)),
         decay_time_figure(centres, series, symbol, narrow=True),
     )

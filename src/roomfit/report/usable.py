@@ -138,8 +138,8 @@ def _other_means(result: Result, found: Remaining) -> str:
     if not parts:
         return ""
     return (
-        "With less trust, for the interval is wide or the fitted decay is not the measured one, "
-        f"mean absorption beside that of the measured decay: {'; '.join(parts[:_MOST_BANDS])}."
+        "With less trust, because the interval is wide or the fitted decay is not the measured "
+        f"one, mean absorption beside that of the measured decay: {'; '.join(parts[:_MOST_BANDS])}."
     )
 
 
