@@ -156,9 +156,15 @@ def test_the_first_screen_draws_measured_and_predicted_times_before_absorption(a
     axes = decay_time_figure(answer.bands.centres_hz, both).axes[0]
     first, second = (line.get_ydata() for line in axes.lines)
     np.testing.assert_allclose(second, 1.1 * first)
-    band = axes.collections[0].get_paths()[0].vertices[:, 1]
-    known = measured[np.isfinite(measured)]
-    assert band.max() == pytest.approx(1.05 * known.max())
+    for box, value in zip(axes.patches, measured, strict=True):
+        if np.isfinite(value):
+            low = box.get_y()
+            assert (low, low + box.get_height()) == pytest.approx((0.95 * value, 1.05 * value))
+    # the marks of both stand over the box of their band
+    boxes_x = np.array([(b.get_x(), b.get_x() + b.get_width()) for b in axes.patches])
+    for line in axes.lines:
+        at = line.get_xdata()
+        assert np.all((at > boxes_x[:, 0]) & (at < boxes_x[:, 1]))
     assert axes.get_ylabel() == "T30 (s)" and axes.get_xlabel() == "frequency (Hz)"
     without = replace(answer, pairs=())
     assert 'id="decay-times' not in report_html(without, scene, title="Hall")
