@@ -11,8 +11,8 @@ from roomfit.diagnostics.linearity import clearest_fault
 from roomfit.findings import About, Code, Finding
 from roomfit.inversion.fits import SurfaceScore
 
-# By chance alone. What the model lacks is uneven as well: at 1e-3 two of 105 right rooms were named,
-# of rays that lose energy and of an undescribed loudspeaker (e^10, e^18).
+# By chance alone. What the model lacks is uneven as well: at 1e-3 two of 105 right rooms were
+# named, of rays that lose energy and of an undescribed loudspeaker (e^10, e^18).
 _LEVEL = 1e-8
 
 LAWS = {
