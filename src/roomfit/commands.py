@@ -223,7 +223,8 @@ def export_result(
     result_file : Path or Result
         A ``result.json`` or an ``absorption.csv``; for "pdf" with its ``report.html`` beside it.
         Or a result in memory, but for "excel", "gltf" and "pdf".
-    wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv", "excel", "gltf", "pdf"}
+    wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv", "budget", "excel", \
+"gltf", "pdf"}
     out : Path
         The file to write; for "raven", which has a file for each material, the folder.
     scattering : float, optional
@@ -260,6 +261,11 @@ def export_result(
     from roomfit.results import Result
 
     out = Path(out)
+    if wanted == "budget":
+        from roomfit.io.budget import budget_records, uncertainty_budget
+
+        found = uncertainty_budget(result_file)
+        return ExportedFiles(_write_texts(out, {"": csv_of(budget_records(found))}, overwrite), ())
     if wanted in ("excel", "gltf", "pdf"):
         if isinstance(result_file, Result):
             raise InputError(

@@ -152,6 +152,7 @@ class Result:
     # by band, (n_materials,), standard deviation of each logit absorption by which term of the
     # uncertainty were left out, "" for none (`roomfit.uncertainty.gaussian.sd_without_term`)
     costs: tuple[Mapping[str, FloatArray], ...] = ()
+    mean_costs: tuple[Mapping[str, float], ...] = ()  # likewise, of the mean, not in the logit
     # (n_materials, n_bands), what is identifiable by the rule alone, before findings; None: unknown
     identifiable_by_rule: BoolArray | None = None
     # (n_bands,), uniform absorption that Eyring's formula gives of the measured decay; NaN or None

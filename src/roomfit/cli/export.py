@@ -16,7 +16,8 @@ def add(commands: Commands) -> None:
     parser.add_argument("result", type=Path, help="result.json or absorption.csv of a fit.")
     parser.add_option(
         "--format",
-        "catt, odeon, isimpa, raven, pyroomacoustics, csv, excel, gltf, or pdf (the report).",
+        "catt, odeon, isimpa, raven, pyroomacoustics, csv, excel, gltf, budget (of the "
+        "uncertainty, CSV), or pdf (the report).",
         required=True,
     )
     parser.add_out("File to write; for raven a folder.")

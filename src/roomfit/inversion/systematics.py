@@ -219,12 +219,14 @@ def with_shared_errors(
     fit: BandFit,
     shared: Mapping[str, FloatArray],
     there: Prediction | None = None,
+    areas_m2: FloatArray | None = None,
 ) -> BandFit:
     """Return a fit whose information allows for the errors that its windows share.
 
     The covariance of the answer's shifts (`roomfit.uncertainty.gaussian.answer_steps`) by these
     `shared_errors` is added [1]_. `costs` of the fit says how well the unknowns were known without
-    one term or the other. `there` is the fit's prediction, where it is known.
+    one term or the other, and `mean_costs`, with `areas_m2` of all materials, the mean of the room.
+    `there` is the fit's prediction, where it is known.
 
     References
     ----------
@@ -234,9 +236,11 @@ def with_shared_errors(
     jacobian = (objective.predict(fit.vector) if there is None else there).jacobian
     if (decay := shared.get("decay")) is not None:
         shared = {**shared, "decay": decay_error_sd(objective, fit, jacobian, decay) * decay}
-    costs = costs_of_terms(objective, fit, jacobian, shared)
+    costs = costs_of_terms(objective, fit, jacobian, shared, areas_m2)
+    mean = {} if areas_m2 is None else {name: float(sd[-1]) for name, sd in costs.items()}
+    costs = {name: sd[: fit.vector.size] for name, sd in costs.items()}
     steps = answer_steps(objective, fit, jacobian, np.concatenate(list(shared.values()), axis=1))
-    return replace(add_covariance(fit, steps), costs=costs)
+    return replace(add_covariance(fit, steps), costs=costs, mean_costs=mean)
 
 
 def relative_errors(

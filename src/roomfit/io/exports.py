@@ -246,8 +246,8 @@ def material_table_of(result: Result) -> MaterialTable:
 # Of result.json, by table: what may stand there.
 RESULT_KEYS = {
     "": "format format_version bands_hz materials combinations pairs findings fit plan settings "
-    "trace provenance usable remains states sd_without directivity geometry posterior objects "
-    "reverberation files_sha256 content_sha256",
+    "trace provenance usable remains states sd_without mean_sd_without directivity geometry "
+    "posterior objects reverberation files_sha256 content_sha256",
     "materials": "absorption lower95 upper95 identifiable area_m2 scattering share share_lower95 "
     "share_upper95 prior interval",
     "posterior": "materials logit_mean logit_covariance prior_logit_mean prior_logit_sd "
@@ -527,8 +527,9 @@ def export_materials(
     InputError
         There is no such format, or the scattering is out of range.
     """
-    if wanted not in FORMATS:  # the other three are no text
-        check_known("no such format for an export", wanted, (*FORMATS, "excel", "gltf", "pdf"))
+    if wanted not in FORMATS:  # the other four are no materials as text
+        others = ("budget", "excel", "gltf", "pdf")
+        check_known("no such format for an export", wanted, (*FORMATS, *others))
     check_range("scattering coefficient", scattering, 0.0, 1.0)
     specified = table.scattering
     scatter = np.full(table.absorption.shape, scattering) if specified is None else specified

@@ -146,6 +146,7 @@ class BandFit:
     previous: FloatArray | None = None  # (n_free,), the answer before the last step
     # (n_free,), standard deviation of the answer if a term of its uncertainty were left out
     costs: Mapping[str, FloatArray] = field(default_factory=dict)
+    mean_costs: Mapping[str, float] = field(default_factory=dict)  # of the room's mean absorption
 
     @property
     def converged(self) -> bool:
