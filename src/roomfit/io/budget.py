@@ -119,8 +119,9 @@ def uncertainty_budget(
     """
     if isinstance(result, Result):
         return budgets(result_content(result, ()), bands_hz)
+    content, _ = read_result_content(result)
     with located(str(path_of(result))), complete("result", "a result.json as roomfit writes it"):
-        return budgets(read_result_content(result)[0], bands_hz)
+        return budgets(content, bands_hz)
 
 
 def budgets(content: Mapping[str, Any], bands_hz: Sequence[float] = ()) -> tuple[Budget, ...]:
