@@ -22,6 +22,7 @@ from roomfit.bands import bands_between
 from roomfit.commands import export_result
 from roomfit.errors import InputError
 from roomfit.findings import Code
+from roomfit.io.encoding import input_digests
 from roomfit.io.exports import (
     FORMATS,
     RAVEN_BANDS,
@@ -396,6 +397,38 @@ def test_gltf_needs_the_campaign_of_the_result(tmp_path):
     other.write_text(CAMPAIGN.replace("Wand grün", "a").replace("carpet, grey", "b"))
     with pytest.raises(InputError, match="no material in common"):
         export_result(result, "gltf", out, campaign_file=other)
+
+
+@pytest.mark.parametrize("place", ["", "..", "../campaign"])
+def test_gltf_finds_the_campaign_that_lies_beside_its_result(tmp_path, place):
+    """By its digest and those of all that it names; one that was changed is not taken."""
+    folder = tmp_path / "rooms" / "result"
+    near = (folder / place).resolve()
+    folder.mkdir(parents=True)
+    near.mkdir(exist_ok=True)
+    campaign, walls = near / "campaign.toml", near / "walls.csv"
+    campaign.write_text(CAMPAIGN, encoding="utf-8")
+    walls.write_text("1")
+    result, out = write_result(folder, 0.2), tmp_path / "room.gltf"
+    content = json.loads(result.read_text(encoding="utf-8"))
+    content["provenance"] = {"inputs_sha256": input_digests((campaign, walls))}
+    result.write_text(json.dumps(content), encoding="utf-8")
+    export_result(result, "glTF", out)
+    assert "not fitted" in out.read_text(encoding="utf-8")
+    walls.write_text("2")
+    with pytest.raises(InputError, match=r"no campaign\.toml beside it"):
+        export_result(result, "gltf", out, overwrite=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "short"),
+    [("I-Simpa", "isimpa"), ("CATT-Acoustic", "catt"), ("ODEON", "odeon"), ("CSV", "csv")],
+)
+def test_a_format_may_be_called_as_its_program_calls_itself(tmp_path, name, short):
+    result = write_result(tmp_path)
+    for wanted in (name, short):
+        export_result(result, wanted, tmp_path / wanted)
+    assert (tmp_path / name).read_bytes() == (tmp_path / short).read_bytes()
 
 
 def test_a_result_is_an_xarray_data_set():

@@ -24,7 +24,11 @@ def add(commands: Commands) -> None:
     parser.add_option(
         "--scattering", "For all materials, where the result does not specify it.", type=number
     )
-    parser.add_option("--campaign", "For gltf: the campaign, which has the room.", type=Path)
+    parser.add_option(
+        "--campaign",
+        "For gltf: the campaign, which has the room; where it lies beside the result, it is found.",
+        type=Path,
+    )
     parser.add_edited()
     parser.add_overwrite("Replace what exists.")
 
