@@ -102,6 +102,19 @@ def test_a_room_that_fails_stops_no_other_and_the_table_says_why(
     assert "3 rooms: 1 done, 2 refused." in capsys.readouterr().out
 
 
+def test_a_first_answer_is_never_taken_for_a_full_one(rooms: list[Path], tmp_path: Path) -> None:
+    """Of the same room in the same folder: both are made, and the table shows the one asked for."""
+    out = tmp_path / "out"
+    for options, is_quick in ((("--quick",), True), ((), False)):
+        main(["batch", str(rooms[0]), "--out", str(out), *options])
+        (row,) = table(out)
+        assert row["status"] == "done"
+        content = json.loads((out / row["result"]).with_name("result.json").read_text())
+        codes = [f["code"] for f in content["findings"]]
+        assert ("first-answer" in codes) == is_quick
+    assert len(list((out / "rooms").iterdir())) == 2
+
+
 @pytest.mark.slow
 def test_what_is_done_is_not_done_again_unless_something_changed(
     rooms: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

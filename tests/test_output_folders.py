@@ -326,11 +326,11 @@ def test_no_replicate_is_lost_while_another_run_puts_its_tables_into_the_folder(
             whole_output_folder(out, overwrite=True) as folder,
         ):
             assert locked
-            (folder / "calibration.csv").write_text("table")
+            (folder / "coverage.csv").write_text("table")
     _, said = other.communicate()
     assert other.returncode == 0, said
     assert len(list((out / "replicates").iterdir())) == 40
-    assert (out / "calibration.csv").read_text() == "table"
+    assert (out / "coverage.csv").read_text() == "table"
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 

@@ -104,10 +104,11 @@ def campaign_paths(patterns: Sequence[str | Path]) -> tuple[Path, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def room_tasks(campaigns: Sequence[Path]) -> tuple[RoomTask, ...]:
+def room_tasks(campaigns: Sequence[Path], *, quick: bool = False) -> tuple[RoomTask, ...]:
     """Return the tasks of a batch, in the order of the campaigns.
 
-    Names are what differs between the paths. A campaign that cannot be read has its refusal in
+    First answers have addresses of their own: none is taken for a full one. Names are what differs
+    between the paths. A campaign that cannot be read has its refusal in
     place of an address.
     """
     paths = [Path(c).absolute() for c in campaigns]
@@ -119,7 +120,8 @@ def room_tasks(campaigns: Sequence[Path]) -> tuple[RoomTask, ...]:
         name = inner.relative_to(above).as_posix()
         try:
             files = input_files(read_campaign(path))
-            address = digest(code_digest(), "batch", input_digests(files))
+            kind = "batch, first answers" if quick else "batch"
+            address = digest(code_digest(), kind, input_digests(files))
         except RoomfitError as error:
             tasks.append(RoomTask(name, path, "", str(error)))
         else:
@@ -151,6 +153,7 @@ def identify_rooms(
     *,
     pool: Executor | None = None,
     shard: tuple[int, int] = (1, 1),
+    quick: bool = False,
     progress: Progress | None = None,
 ) -> tuple[RoomRow, ...]:
     """Identify the rooms of many campaigns and write ``rooms.csv`` and ``rooms.html``.
@@ -169,6 +172,8 @@ def identify_rooms(
         See `roomfit.workers`; by default one room after the other in this process.
     shard : tuple of int
         i and n: only every n-th room from the i-th is identified; the table shows all.
+    quick : bool
+        First answers, see `Settings.quick`; the next run without it gives the full ones.
     progress : callable, optional
 
     Returns
@@ -183,12 +188,14 @@ def identify_rooms(
     StoreError
         The disk refuses, or the connection to a cluster is lost.
     """
-    out, tasks = Path(out).absolute(), room_tasks(campaigns)
+    out, tasks = Path(out).absolute(), room_tasks(campaigns, quick=quick)
     own = shard_of(tasks, shard)
     for name in (ROOMS, FAILURES):
         make_folder(out / name)
     missing = [t for t in own if t.address and not (out / ROOMS / t.address).exists()]
-    jobs = [partial(identify_room, t.campaign, out / ROOMS / t.address) for t in missing]
+    jobs = [
+        partial(identify_room, t.campaign, out / ROOMS / t.address, quick=quick) for t in missing
+    ]
     elsewhere: dict[str, str] = {}
     try:
         for n_done, (number, status, message) in enumerate(_ends(jobs, pool), start=1):
@@ -210,13 +217,13 @@ def identify_rooms(
     return rows
 
 
-def identify_room(campaign: Path, folder: Path) -> str:
+def identify_room(campaign: Path, folder: Path, *, quick: bool = False) -> str:
     """Identify one room into a folder; return why there is no answer, or "".
 
     Where the folder has come into being meanwhile, by whomever, it stays as it is.
     """
     try:
-        identify_to_folder(campaign, folder)
+        identify_to_folder(campaign, folder, quick=quick)
     except (StoreError, FolderInUseError):
         raise
     except RoomfitError as error:

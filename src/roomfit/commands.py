@@ -7,6 +7,7 @@ in `roomfit.predictions`.
 
 from __future__ import annotations
 
+import glob
 import logging
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
@@ -223,14 +224,16 @@ def export_result(
     result_file : Path or Result
         A ``result.json`` or an ``absorption.csv``; for "pdf" with its ``report.html`` beside it.
         Or a result in memory, but for "excel", "gltf" and "pdf".
-    wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv", "excel", "gltf", "pdf"}
+    wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv", "budget", "excel", \
+"gltf", "pdf"}
     out : Path
         The file to write; for "raven", which has a file for each material, the folder.
     scattering : float, optional
         Coefficient of every material where the result contains none, 0 to 1; by default that of
         `Settings`.
     campaign_file : Path, optional
-        For "gltf", which needs the room: the campaign of the result.
+        For "gltf", which needs the room: the campaign of the result. Left out, the one that lies
+        beside it or a folder above and is, by its SHA-256, the one that was identified.
     overwrite : bool
         Replace an existing file.
 
@@ -260,6 +263,13 @@ def export_result(
     from roomfit.results import Result
 
     out = Path(out)
+    # as the programs write themselves: CATT-Acoustic, I-Simpa, glTF
+    wanted = wanted.lower().replace("-", "").removesuffix("acoustic")
+    if wanted == "budget":
+        from roomfit.io.budget import budget_records, uncertainty_budget
+
+        found = uncertainty_budget(result_file)
+        return ExportedFiles(_write_texts(out, {"": csv_of(budget_records(found))}, overwrite), ())
     if wanted in ("excel", "gltf", "pdf"):
         if isinstance(result_file, Result):
             raise InputError(
@@ -309,17 +319,40 @@ def _whole_export(
         own = path.suffix.lower() in (".html", ".htm")
         page = path if own else path.with_name("report.html")
         return report_pdf(read_text(page, "report")), ()
-    if campaign_file is None:
-        raise InputError(
-            "glTF holds the room, which a result does not",
-            needed="the campaign that the result was identified from",
-            hint="add --campaign campaign.toml",
-        )
     from roomfit.io.gltf import gltf_text
 
+    campaign_file = _own_campaign(result_file) if campaign_file is None else campaign_file
     room = campaign_room(read_campaign(campaign_file, to_fit=False))
     table = read_material_table(result_file)
     return gltf_text(room, table).encode(), table.findings
+
+
+def _own_campaign(result_file: ResultFile) -> Path:
+    """Return the campaign that a result was identified from, if it lies near and is unchanged.
+
+    In the folder of the result, the one above, or another folder there; with its digest, and all
+    other files that were read with theirs.
+    """
+    from roomfit.io.exports import read_result_content
+
+    path = path_of(result_file)
+    known = {} if path.suffix.lower() == ".csv" else read_result_content(result_file)[0]
+    digests: dict[str, str] = known.get("provenance", {}).get("inputs_sha256", {})
+    name, folder = next(iter(digests), ""), path.absolute().parent
+    beside = folder.parent.glob(f"*/{glob.escape(name)}") if name else ()
+    for file in (folder / name, folder.parent / name, *sorted(beside)):
+        inputs = tuple(file.parent / own for own in digests)
+        if inputs and all(p.is_file() for p in inputs) and input_digests(inputs) == digests:
+            return file
+    raise InputError(
+        "glTF holds the room, which a result does not",
+        where=str(path),
+        found=f"no {name} beside it, or in a folder beside that, with all its files as they were"
+        if name
+        else "no digest of its campaign",
+        needed="the campaign that the result was identified from",
+        hint="add --campaign campaign.toml",
+    )
 
 
 def _check_place(out: Path, overwrite: bool) -> None:
@@ -404,7 +437,7 @@ def estimate_coverage_to_folder(
     *,
     progress: Progress | None = None,
 ) -> CoverageResult:
-    """Estimate coverage and write calibration.json, calibration.csv and calibration.png.
+    """Estimate coverage and write coverage.json, coverage.csv and coverage.png.
 
     They are of all replicates in the folder, whichever run has made them.
 
@@ -423,9 +456,9 @@ def estimate_coverage_to_folder(
         # without locks other runs may add replicates at this moment: files one by one
         place = whole_output_folder(out, overwrite=True) if locked else nullcontext(out)
         with place as folder:
-            write_text_atomically(folder / "calibration.csv", csv_of(coverage_records(result)))
-            write_bytes_atomically(folder / "calibration.png", picture)
-            write_json_atomically(folder / "calibration.json", coverage_json(result))
+            write_text_atomically(folder / "coverage.csv", csv_of(coverage_records(result)))
+            write_bytes_atomically(folder / "coverage.png", picture)
+            write_json_atomically(folder / "coverage.json", coverage_json(result))
     return result
 
 

@@ -333,10 +333,9 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
     scene, bands, settings = measured.scene, measured.bands, evidence.settings
     identifiable = judge(found, doubts, priors, bands)
     combinations, sentences, shares = _determined(evidence, 0)
-    inseparable: tuple[Finding, ...] = ()
-    if not any(f.code.voids_identifiability for f in doubts):
-        own = wall_materials(scene.room), bands.centres_hz, identifiable[: shares.shape[1]]
-        inseparable = inseparable_findings(*own, combinations)
+    own = wall_materials(scene.room), bands.centres_hz, identifiable[: shares.shape[1]]
+    void = any(f.code.voids_identifiability for f in doubts)
+    inseparable = () if void else inseparable_findings(*own, combinations)
     shared = any(k.product is not None or k.tied_to is not None for k in priors)
     models, (mean, law) = tuple(b.model for b in found), plain_logit_law(priors)
     whole = Result(
@@ -381,6 +380,7 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
         directivities=evidence.fits.directivities,
         certificates=tuple(b.certificate for b in found),
         costs=tuple(b.costs for b in found),
+        mean_costs=tuple(b.mean_costs for b in found),
         identifiable_by_rule=np.stack([b.identifiable for b in found], axis=1),
         eyring_absorption=eyring_start(measured),
         settings=settings,

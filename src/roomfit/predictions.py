@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from roomfit.prediction.changes import Change
     from roomfit.prediction.diffuse import PreparedField
     from roomfit.prediction.predict import Predicted
+    from roomfit.scene import Scene
     from roomfit.treatment.treat import Treatment
 
 _LOG = logging.getLogger("roomfit")
@@ -101,8 +102,9 @@ def predict_to_folder(
 ) -> Predicted:
     """Predict a campaign; write predicted.json, .csv, .html and pictures into a folder.
 
-    Pictures of the first 24 pairs; the files contain all. A run that was interrupted continues from
-    its last finished step, unless `use_cache` is false.
+    Pictures of the first 24 pairs; the files contain all. Of a grid maps in place of them, a
+    picture a source, and grid.csv. A run that was interrupted continues from its last finished
+    step, unless `use_cache` is false.
 
     Parameters
     ----------
@@ -118,8 +120,9 @@ def predict_to_folder(
         The disk refuses.
     """
     from roomfit.io.results import read_result
-    from roomfit.prediction.campaign import predict_arguments
+    from roomfit.prediction.campaign import WantedPairs, predict_arguments
     from roomfit.prediction.diffuse import predict_field
+    from roomfit.prediction.grid import grid_scene
     from roomfit.prediction.output import change_figure, predicted_decay_figure, write_predicted
     from roomfit.prediction.predict import predict
     from roomfit.report.figures import in_file_name, png
@@ -132,7 +135,11 @@ def predict_to_folder(
             predicted = predict_field(field, changes)
     elif absorption_file is not None:
         found = read_result(absorption_file)
-        arguments = predict_arguments(campaign, found, changes, *(wanted or ()))
+        pairs, state, grid_m = wanted or WantedPairs()
+        arguments = predict_arguments(campaign, found, changes, pairs, state)
+        if grid_m is not None:
+            own = grid_scene(arguments["scene"], *grid_m)
+            arguments = {**arguments, "scene": own, "measurements": ()}
         cache = user_cache() if use_cache else None
         with located(str(campaign_file)):
             predicted = predict(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
@@ -140,13 +147,34 @@ def predict_to_folder(
         write_predicted(folder, predicted, files_read())
         if predicted.compares_states:
             write_bytes_atomically(folder / "change.png", png(change_figure(predicted)))
-        shown = predicted.pairs[:_MOST_PICTURES]
+        is_grid = wanted is not None and wanted.grid_m is not None
+        if is_grid:
+            write_grid(folder, predicted, arguments["scene"])
+        shown = () if is_grid else predicted.pairs[:_MOST_PICTURES]
         for number, pair in enumerate(shown, start=1):
             name = f"predicted_{number:02d}_{in_file_name(pair.source, pair.receiver)}.png"
             write_bytes_atomically(folder / name, png(predicted_decay_figure(predicted, pair)))
             if progress is not None:
                 progress(0.95 + 0.05 * number / len(shown))
     return predicted
+
+
+def write_grid(folder: Path, predicted: Predicted, scene: Scene) -> None:
+    """Write grid.csv, and grid_NUMBER_SOURCE.png of each source, into a folder.
+
+    Raises
+    ------
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.prediction.grid import grid_figure, grid_records
+    from roomfit.report.figures import in_file_name, png
+
+    write_text_atomically(folder / "grid.csv", csv_of(grid_records(predicted, scene)))
+    sources = dict.fromkeys(pair.source for pair in predicted.pairs)
+    for number, source in enumerate(sources, start=1):
+        picture = png(grid_figure(predicted, scene, source))
+        write_bytes_atomically(folder / f"grid_{number:02d}_{in_file_name(source)}.png", picture)
 
 
 def _prepared_field(
@@ -182,7 +210,7 @@ def _prepared_field(
         raise InputError(
             "without positions there are neither pairs nor states",
             where=str(campaign.path),
-            found="--pairs or --state",
+            found="--pairs, --state or --grid",
             needed="sources and receivers with positions, and --absorption",
         )
     field, room = diffuse_field(campaign)
@@ -260,12 +288,13 @@ def _treat_traced(
 ) -> tuple[Treatment, tuple[Finding, ...]]:
     """Return a treatment by the paths of the room, and what is in doubt about its standards."""
     from roomfit.io.results import read_result
-    from roomfit.prediction.campaign import predict_arguments
+    from roomfit.prediction.campaign import WantedPairs, predict_arguments
     from roomfit.prediction.predict import prepare_prediction
     from roomfit.treatment.campaign import hardest_changes, treat_arguments
     from roomfit.treatment.treat import treat
 
-    given = predict_arguments(campaign, read_result(absorption_file), (), *(wanted or ()))
+    pairs, state = (wanted or WantedPairs())[:2]
+    given = predict_arguments(campaign, read_result(absorption_file), (), pairs, state)
     scene, known = given["scene"], given["absorption"]
     asked, doubts = treat_arguments(treatment_file, table, known, scene)
     with located(str(treatment_file)):

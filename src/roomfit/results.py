@@ -152,6 +152,7 @@ class Result:
     # by band, (n_materials,), standard deviation of each logit absorption by which term of the
     # uncertainty were left out, "" for none (`roomfit.uncertainty.gaussian.sd_without_term`)
     costs: tuple[Mapping[str, FloatArray], ...] = ()
+    mean_costs: tuple[Mapping[str, float], ...] = ()  # likewise, of the mean, not in the logit
     # (n_materials, n_bands), what is identifiable by the rule alone, before findings; None: unknown
     identifiable_by_rule: BoolArray | None = None
     # (n_bands,), uniform absorption that Eyring's formula gives of the measured decay; NaN or None
@@ -215,10 +216,13 @@ class Result:
         return data_frame(self.records(), "absorption.csv")
 
     def to_xarray(self) -> Any:
-        """Return absorption, bounds and identifiability as an xarray data set.
+        """Return absorption with its intervals, and its prior, as an xarray data set.
 
-        Variables have the dimensions ``material`` and ``band_hz``; ``area_m2`` has ``material``,
-        ``chi2_reduced`` has ``band_hz``.
+        ``absorption``, ``lower95``, ``upper95``, ``identifiable``, the ``interval`` (how it was
+        made) and ``prior``, ``prior_lower95``, ``prior_upper95`` have the dimensions ``material``
+        and ``band_hz``; ``area_m2`` has ``material``; ``mean_absorption`` with its bounds and
+        ``chi2_reduced`` have ``band_hz``. What the result does not know is left out.
+        `roomfit.io.exports.posterior_tree` has draws of posterior and prior.
 
         Raises
         ------
@@ -228,9 +232,17 @@ class Result:
         from roomfit.table import optional_package
 
         both, names = ("material", "band_hz"), ("absorption", "lower95", "upper95", "identifiable")
+        own: dict[str, Any] = {name: (both, getattr(self, name)) for name in names}
+        if all(self.interval_kinds) and self.interval_kinds:
+            own["interval"] = both, np.array(self.interval_kinds).T
+        for start, stack in (("prior", self.prior), ("mean_absorption", self.mean_absorption)):
+            for name, values in zip(
+                ("", "_lower95", "_upper95"), () if stack is None else stack, strict=False
+            ):
+                own[f"{start}{name}"] = both[-values.ndim :], values
         return optional_package("xarray", "data sets", "to_xarray").Dataset(
-            {
-                **{name: (both, getattr(self, name)) for name in names},
+            own
+            | {
                 "area_m2": ("material", self.areas_m2),
                 "chi2_reduced": ("band_hz", self.chi2_reduced),
             },

@@ -438,10 +438,10 @@ def test_slices_stop_and_go_and_give_the_same_replicates(tmp_path):
     assert (result.done, result.syntheses) == (2, {BOX: 2})
     assert second.stat().st_mtime_ns == written
     assert {p.name for p in (tmp_path / "a").iterdir()} == {
-        *("replicates", "calibration.csv", "calibration.json", "calibration.png"),
+        *("replicates", "coverage.csv", "coverage.json", "coverage.png"),
         ".roomfit-files",
     }
-    reported = json.loads((tmp_path / "a" / "calibration.json").read_text())
+    reported = json.loads((tmp_path / "a" / "coverage.json").read_text())
     del reported["content_sha256"]
     assert reported == json.loads(json_text(coverage_json(result)))
     # south and its twin north are one number, floor is known: three materials, two bands, twice
@@ -579,7 +579,7 @@ def test_a_room_of_slanted_walls_is_simulated_by_the_command(tmp_path, monkeypat
     first = capsys.readouterr().out
     assert f"1 of 1 replicates; simulated by {CONVEX} (1)" in first
     written = replicate_path(out, 0).stat().st_mtime_ns
-    reported = json.loads((out / "calibration.json").read_text())
+    reported = json.loads((out / "coverage.json").read_text())
     assert reported["made_by"] == {CONVEX: 1}
     assert reported["all"]["hold"]["of"] == len(slanted_cells().materials)
     assert run_command(monkeypatch, *asked) == 0

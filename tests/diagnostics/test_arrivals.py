@@ -325,6 +325,16 @@ def test_another_gain_is_named_with_its_decibels(names):
     assert voids(measured_findings([replace(m, level="per-file") for m in files])) == []
 
 
+def test_files_that_were_normalised_one_by_one_are_named():
+    """Each to the same peak; of one source, whose files share a gain, and of no other."""
+    files = changed(recordings(), lambda x: 0.9 * x / np.abs(x).max(), lambda m: m.source == "LS2")
+    (found,) = voids(measured_findings(files))
+    assert found.code is Code.LEVELS_APART
+    assert "the same peak, 0.9" in found.sentence and "one by one" in found.sentence
+    assert {pair[0] for pair in found.about.pairs} == {"LS2"}
+    assert voids(measured_findings([replace(m, level="per-file") for m in files])) == []
+
+
 def test_opposite_polarity_is_named_and_voids_nothing():
     files = changed(recordings(), lambda x: -x, lambda m: m.receiver == "M2")
     (found,) = measured_findings(files)

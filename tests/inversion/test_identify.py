@@ -351,7 +351,7 @@ def test_result_and_table_keep_the_contract(tmp_path, few_rays):
     assert set(result) == {
         *("format", "format_version", "bands_hz", "materials", "combinations", "pairs"),
         *("findings", "fit", "geometry", "posterior", "settings", "trace", "provenance", "plan"),
-        *("sd_without", "files_sha256", "content_sha256"),
+        *("sd_without", "mean_sd_without", "files_sha256", "content_sha256"),
     }
     assert result["trace"].pop("duration_s") > 0.1
     # rays as stated, the radius as it follows a small room

@@ -247,6 +247,7 @@ def _answer(a: FloatArray, rate: DecayRate) -> BandEstimate:
         logit_covariance=np.diag([1e-3, 1e-3]),
         mean=(0.11, 0.10, 0.12),
         costs={"": np.full(2, 0.1), "noise": np.full(2, 0.05)},
+        mean_costs={"": 0.005, "noise": 0.003},
         decay=rate,
     )
 
@@ -269,6 +270,8 @@ def test_the_decay_term_widens_answers_along_their_shift_alone() -> None:
     assert not after.identifiable[0]  # its logit is known no better than half its prior's
     assert after.identifiable[1]
     np.testing.assert_array_equal(after.costs["decay"], before.costs[""])
+    assert after.mean_costs["decay"] == 0.005
+    np.testing.assert_allclose(after.mean_costs[""], np.hypot(0.005, more / Z95))
     assert np.all(after.costs["noise"] < after.costs[""])
     np.testing.assert_array_equal(after.absorption, a)
 

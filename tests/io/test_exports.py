@@ -22,7 +22,16 @@ from roomfit.bands import bands_between
 from roomfit.commands import export_result
 from roomfit.errors import InputError
 from roomfit.findings import Code
-from roomfit.io.exports import FORMATS, RAVEN_BANDS, read_material_table, resample, short_names
+from roomfit.io.encoding import input_digests
+from roomfit.io.exports import (
+    FORMATS,
+    RAVEN_BANDS,
+    _absorption_draws,
+    posterior_tree,
+    read_material_table,
+    resample,
+    short_names,
+)
 from roomfit.io.results import absorption_csv
 from small_campaign import run_command
 
@@ -390,13 +399,107 @@ def test_gltf_needs_the_campaign_of_the_result(tmp_path):
         export_result(result, "gltf", out, campaign_file=other)
 
 
+@pytest.mark.parametrize("place", ["", "..", "../campaign"])
+def test_gltf_finds_the_campaign_that_lies_beside_its_result(tmp_path, place):
+    """By its digest and those of all that it names; one that was changed is not taken."""
+    folder = tmp_path / "rooms" / "result"
+    near = (folder / place).resolve()
+    folder.mkdir(parents=True)
+    near.mkdir(exist_ok=True)
+    campaign, walls = near / "campaign.toml", near / "walls.csv"
+    campaign.write_text(CAMPAIGN, encoding="utf-8")
+    walls.write_text("1")
+    result, out = write_result(folder, 0.2), tmp_path / "room.gltf"
+    content = json.loads(result.read_text(encoding="utf-8"))
+    content["provenance"] = {"inputs_sha256": input_digests((campaign, walls))}
+    result.write_text(json.dumps(content), encoding="utf-8")
+    export_result(result, "glTF", out)
+    assert "not fitted" in out.read_text(encoding="utf-8")
+    walls.write_text("2")
+    with pytest.raises(InputError, match=r"no campaign\.toml beside it"):
+        export_result(result, "gltf", out, overwrite=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "short"),
+    [("I-Simpa", "isimpa"), ("CATT-Acoustic", "catt"), ("ODEON", "odeon"), ("CSV", "csv")],
+)
+def test_a_format_may_be_called_as_its_program_calls_itself(tmp_path, name, short):
+    result = write_result(tmp_path)
+    for wanted in (name, short):
+        export_result(result, wanted, tmp_path / wanted)
+    assert (tmp_path / name).read_bytes() == (tmp_path / short).read_bytes()
+
+
 def test_a_result_is_an_xarray_data_set():
+    """With the intervals of materials, priors and the mean of the room."""
     pytest.importorskip("xarray")
-    answer = answer_of(scene_of())
-    data = answer.to_xarray()
-    assert data["absorption"].sel(material="floor", band_hz=500.0) == answer.absorption[1, 2]
+    plain = answer_of(scene_of())
+    prior = np.sort(np.random.default_rng(2).uniform(size=(3, *plain.absorption.shape)), axis=0)
+    kinds = (("gaussian", "profile", "given"),) * 6
+    data = replace(plain, prior=prior, interval_kinds=kinds).to_xarray()
+    place = {"material": "floor", "band_hz": 500.0}
+    for name, values in (
+        ("absorption", plain.absorption),
+        ("upper95", plain.upper95),
+        ("prior_lower95", prior[1]),
+    ):
+        assert data[name].sel(place) == values[1, 2], name
+    assert data["interval"].sel(place) == "profile"
+    means = [float(data[f"mean_absorption{x}"][2]) for x in ("", "_lower95", "_upper95")]
+    assert means == plain.mean_absorption[:, 2].tolist()
     assert dict(data.sizes) == {"material": 3, "band_hz": 6}
-    assert data["area_m2"].values.tolist() == answer.areas_m2.tolist()
+    assert data["area_m2"].values.tolist() == plain.areas_m2.tolist()
+    assert not {"interval", "prior"} & set(plain.to_xarray())
+
+
+def known_law():
+    """Return an answer of which the law is known: two materials together, one given."""
+    plain = answer_of(scene_of())
+    one = np.array([[0.09, -0.05, 0.0], [-0.05, 0.09, 0.0], [0.0, 0.0, 0.0]])
+    prior = np.stack([np.full((3, 6), -1.0), np.full((3, 6), 0.5)])
+    return replace(plain, logit_covariance=np.tile(one, (6, 1, 1)), logit_prior=prior)
+
+
+def test_draws_of_prior_and_posterior_have_their_laws():
+    """A prior of median expit(-1), narrowed by data; what is given is the same in every draw.
+
+    2000 draws: a mean has a standard deviation of .5 / 45, four of which are tolerated.
+    """
+    answer = known_law()
+    found = _absorption_draws(answer, 2000, np.random.default_rng(4))
+    for draws in found.values():
+        assert draws.shape == (2000, 3, 6)
+        assert np.ptp(draws[:, 2], axis=0).max() == 0.0
+        np.testing.assert_array_equal(draws[0, 2], answer.absorption[2])
+    logits = np.log(found["prior"] / (1.0 - found["prior"]))[:, :2]
+    np.testing.assert_allclose(logits.mean(axis=0), -1.0, atol=0.045)
+    np.testing.assert_allclose(logits.std(axis=0), 0.5, rtol=0.07)
+    walls, floor = np.moveaxis(found["posterior"], 1, 0)[:2, :, 0]
+    assert np.corrcoef(walls, floor)[0, 1] < -0.3
+    assert set(_absorption_draws(answer_of(scene_of()), 4, np.random.default_rng(1))) == {
+        "posterior"
+    }
+
+
+def test_posterior_and_prior_are_a_tree_as_arviz_takes_it():
+    xarray = pytest.importorskip("xarray")
+    answer = known_law()
+    tree = posterior_tree(answer, 50, np.random.default_rng(4))
+    assert isinstance(tree, xarray.DataTree)
+    assert set(tree.children) == {"posterior", "prior", "constant_data"}
+    for group in ("posterior", "prior"):
+        own = tree[group]["absorption"]
+        assert own.dims == ("chain", "draw", "material", "band_hz")
+        assert own.shape == (1, 50, 3, 6)
+    given = tree["posterior"]["absorption"].sel(material="ceiling", band_hz=500.0)
+    assert set(given.values.ravel().tolist()) == {answer.absorption[2, 2]}
+
+
+def test_without_xarray_a_tree_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(InputError, match="pip install xarray"):
+        posterior_tree(known_law(), 4, np.random.default_rng(1))
 
 
 def test_without_xarray_the_message_says_what_to_install(monkeypatch):

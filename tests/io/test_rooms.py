@@ -232,6 +232,28 @@ def test_a_sheet_is_double_sided_by_words_or_by_a_column(tmp_path, sheet):
     assert volume_m3(mesh) == pytest.approx(21.0)
 
 
+def test_headings_of_corners_may_be_c1_c2(tmp_path):
+    tables = l_tables(tmp_path)
+    sheet = tables.planes[0].read_text().replace("Corner ", "C")
+    assert "C1,C2,C3,C4" in sheet
+    short = PolygonSpec(tables.corners, (write(tmp_path, "short.csv", sheet),))
+    room, _ = read_room(RoomSpec(polygons=short))
+    assert dict(zip(room.materials, material_areas_m2(room), strict=True)) == pytest.approx(AREAS)
+
+
+@pytest.mark.parametrize("materials", [{}, {"oak_": "oak"}, {"oak": "parquet"}])
+def test_names_that_the_campaign_maps_are_not_called_alike(tmp_path, materials):
+    """Whichever of the two: whoever maps one has seen both."""
+    tables = l_tables(tmp_path)
+    first = FACES[0][0]
+    sheet = tables.planes[0].read_text().replace(f"10,{first},", "10,oak,", 1)
+    sheet = sheet.replace(f"11,{FACES[1][0]},", "11,oak_,", 1)
+    alike = PolygonSpec(tables.corners, (write(tmp_path, "alike.csv", sheet),))
+    _, findings = read_mesh(RoomSpec(polygons=alike, materials=materials))
+    said = [f for f in findings if f.code is Code.MATERIAL_NAMES_SIMILAR]
+    assert len(said) == (not materials)
+
+
 def test_tables_can_be_patched_by_later_ones(tmp_path):
     """The floor is replaced by two halves, a corner moves, a wrong area and a curtain are given."""
     tables = l_tables(tmp_path)

@@ -17,6 +17,7 @@ from roomfit.report.comparison import (
     comparison_figure,
     comparison_page,
     comparison_sentences,
+    comparison_text,
 )
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
@@ -54,6 +55,15 @@ def test_exchanging_the_two_turns_every_difference_round():
     np.testing.assert_allclose(there.difference[1], -back.difference[2])
     np.testing.assert_allclose(there.p_value, back.p_value)
     assert there.verdicts == back.verdicts
+
+
+def test_headings_stand_above_their_columns():
+    """Of text: the last letters of both, whatever the width."""
+    lines = comparison_text(compare_results(found(0.5), found(0.9))).splitlines()
+    head, row = lines[0], lines[1]
+    assert head.index("first") + len("first") == row.index(")") + 1
+    assert head.index("second") + len("second") == row.index(")", row.index(")") + 1) + 1
+    assert head.index("difference") + len("difference") == row.rindex(")") + 1
 
 
 @pytest.mark.parametrize("true", [0.03, 0.2, 0.6])

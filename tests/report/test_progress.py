@@ -69,6 +69,22 @@ def test_elsewhere_every_stage_is_a_line(capsys):
     assert LOG.level == logging.NOTSET
 
 
+def test_a_log_says_the_share_of_a_long_stage(monkeypatch, capsys):
+    """At most every 10 s, and not where a stage was just written."""
+    clock = iter(range(0, 10_000, 4))
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
+    now = [0.0]
+    with shown_progress("identifying impedances") as report:
+        for step in range(1, 9):
+            now[0] = float(next(clock))
+            report(step / 10)
+    written = capsys.readouterr().err.splitlines()
+    assert written == [
+        " 40 %  0:12  identifying impedances, about 20 s left",
+        " 70 %  0:24  identifying impedances, about 10 s left",
+    ]
+
+
 @pytest.mark.parametrize(
     ("option", "shown", "hidden"),
     [

@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from report_cases import scene_of
+from roomfit.bands import bands_between
 from roomfit.geometry.mesh import shoebox_mesh
 from roomfit.scene import room_from_mesh
+from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.treatment import question as question_module
 from roomfit.treatment import treat as treat_module
 from roomfit.treatment.question import Product, Surface, Target, question_of
@@ -73,3 +76,27 @@ def test_the_odds_of_a_target_count_both_of_its_limits(monkeypatch):
     )
     assert joint == pytest.approx(within.prod(axis=1).mean())
     assert odds[1] < 0.7  # a target that is not met for certain
+
+
+@pytest.mark.parametrize(
+    ("t30", "words"),
+    [
+        ([[0.8, 0.7], [0.9, 0.8]], "measured before"),
+        ([[0.8, np.nan], [0.9, 0.8]], "before, measured where it was"),
+        ([[0.8, 0.7]], "before, measured where it was"),  # the other pair was not measured
+        ([[np.nan] * 2] * 2, "predicted before"),  # T20 alone was
+    ],
+)
+def test_only_what_was_measured_is_called_so(t30, words):
+    scene = scene_of(receivers=("R1", "R2"))
+    bands = bands_between("octave", 500, 1000)
+    observed = []
+    for receiver, row in zip(("R1", "R2"), t30, strict=False):
+        values = np.full((len(VALUE_NAMES), 2), np.nan)
+        values[VALUE_NAMES.index("T20_s")] = 0.8
+        values[VALUE_NAMES.index("T30_s")] = row
+        observed.append(SimpleNamespace(source="S1", receiver=receiver, values=values))
+    room: Any = SimpleNamespace(
+        scene=scene, observed=observed, absorption=SimpleNamespace(bands=bands)
+    )
+    assert treat_module._before_in_words(room) == words

@@ -11,6 +11,8 @@ import pytest
 
 from coherent_cases import objective_of, small_term
 from roomfit.bands import bands_between
+from roomfit.inversion.systematics import with_shared_errors
+from roomfit.logit import Z95
 from roomfit.objective.parameters import prior_residuals, start_vector
 from roomfit.report.text import costs_text
 from roomfit.results import Result
@@ -18,6 +20,7 @@ from roomfit.solvers.least_squares import score_band
 from roomfit.uncertainty.gaussian import (
     add_covariance,
     answer_steps,
+    band_estimate,
     costs_of_terms,
     sd_without_term,
 )
@@ -124,3 +127,35 @@ def test_the_text_names_what_costs_most_first_and_leaves_out_what_costs_nothing(
     assert line == "  1000 Hz  interference 45 %, model 10 %; without the prior 51.0 times as large"
     nothing = SimpleNamespace(bands=answer.bands, costs=())
     assert costs_text(cast(Result, nothing)) == ""
+
+
+def test_a_mean_has_the_standard_deviation_of_its_direction():
+    """Of one more quantity, with every term and without each: by whole covariances."""
+    along = np.array([0.5, -0.2, 0.0])
+    given = (PARTS, SHARED, NEIGHBOURS, {"gain": np.array([2])}, 1.3)
+    found = sd_without_term(JACOBIAN, PRIOR, *given, along)
+    alone = sd_without_term(JACOBIAN, PRIOR, *given)
+    both = PARTS["noise"] + PARTS["model"]
+    for name, variance, shared in (
+        ("", both, np.hstack((SHARED["air"], SHARED["model"]))),
+        ("model", PARTS["noise"], SHARED["air"]),
+    ):
+        weight = np.diag(1.0 / (1.5 * variance))
+        inverse = np.linalg.inv(JACOBIAN.T @ weight @ JACOBIAN + PRIOR)
+        steps = inverse @ JACOBIAN.T @ weight @ shared
+        covariance = 1.3 * inverse + steps @ steps.T
+        np.testing.assert_allclose(found[name][-1] ** 2, along @ covariance @ along, rtol=1e-9)
+        np.testing.assert_array_equal(found[name][:-1], alone[name])
+
+
+def test_the_mean_of_the_room_has_the_costs_of_its_own_interval():
+    """Before absorption that changes within the band is allowed for, by areas."""
+    objective = objective_of(small_term(500.0).energies)
+    fit = score_band(objective, start_vector(objective.parameters))
+    areas_m2 = np.arange(1.0, 1.0 + len(objective.parameters.blocks[0].labels))
+    errors = {"air": 0.1 * fit.expected[:, None]}
+    wider = with_shared_errors(objective, fit, errors, areas_m2=areas_m2)
+    mean, _, high = band_estimate(objective.parameters, wider, areas_m2, "energy").mean
+    np.testing.assert_allclose(wider.mean_costs[""], (high - mean) / Z95, rtol=1e-6)
+    assert wider.mean_costs["interference"] < wider.mean_costs[""]
+    assert wider.costs[""].shape == fit.vector.shape

@@ -24,6 +24,11 @@ def add(commands: Commands) -> None:
         help="Campaign files (TOML), or patterns as 'rooms/*/campaign.toml'.",
     )
     parser.add_out("Folder for the table and a folder of each room; made if needed.")
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="First answers, as identify --quick; beside full ones, which another run gives.",
+    )
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--workers",
@@ -61,14 +66,16 @@ def run(options: argparse.Namespace) -> None:
     paths, out = campaign_paths(options.campaigns), Path(options.out)
     with shown_progress("identifying rooms") as progress:
         if options.workers is None and options.scheduler is None:
-            rows = identify_rooms(paths, out, shard=options.shard, progress=progress)
+            rows = identify_rooms(
+                paths, out, shard=options.shard, quick=options.quick, progress=progress
+            )
         else:
             with cluster_pool(
                 scheduler=options.scheduler,
                 n_workers=options.workers or 1,
                 warm=compile_kernels,
             ) as pool:
-                rows = identify_rooms(paths, out, pool=pool, progress=progress)
+                rows = identify_rooms(paths, out, pool=pool, quick=options.quick, progress=progress)
     say(rooms_text(rows))
     say(f"\nrooms.html, rooms.csv and a folder of each room are in {out}")
     if any(row.status in ("refused", "failed") for row in rows):

@@ -74,4 +74,4 @@ def run(options: argparse.Namespace) -> None:
             options.campaign, options.out, settings, progress=progress
         )
     say(str(result))
-    say(f"\ncalibration.json, calibration.csv and calibration.png are in {options.out}")
+    say(f"\ncoverage.json, coverage.csv and coverage.png are in {options.out}")

@@ -16,14 +16,19 @@ def add(commands: Commands) -> None:
     parser.add_argument("result", type=Path, help="result.json or absorption.csv of a fit.")
     parser.add_option(
         "--format",
-        "catt, odeon, isimpa, raven, pyroomacoustics, csv, excel, gltf, or pdf (the report).",
+        "catt, odeon, isimpa, raven, pyroomacoustics, csv, excel, gltf, budget (of the "
+        "uncertainty, CSV), or pdf (the report).",
         required=True,
     )
     parser.add_out("File to write; for raven a folder.")
     parser.add_option(
         "--scattering", "For all materials, where the result does not specify it.", type=number
     )
-    parser.add_option("--campaign", "For gltf: the campaign, which has the room.", type=Path)
+    parser.add_option(
+        "--campaign",
+        "For gltf: the campaign, which has the room; where it lies beside the result, it is found.",
+        type=Path,
+    )
     parser.add_edited()
     parser.add_overwrite("Replace what exists.")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from roomfit.cli.arguments import Commands, add_command, result_file
+from roomfit.cli.arguments import Commands, add_command, number, result_file
 from roomfit.cli.terminal import say
 from roomfit.report.progress import shown_progress
 
@@ -26,10 +26,21 @@ def add(commands: Commands) -> None:
     )
     parser.add_pairs()
     parser.add_state()
+    parser.add_option(
+        "--grid",
+        "Maps over the room in place of its receivers: HEIGHT,SPACING in m, as 1.2,0.5.",
+        metavar="H,S",
+        type=_grid,
+    )
     parser.add_overwrite()
     parser.add_argument(
         "--no-cache", action="store_true", help="Neither use nor keep intermediate results."
     )
+
+
+def _grid(text: str) -> tuple[float, float]:
+    height, _, spacing = text.partition(",")
+    return number(height), number(spacing)
 
 
 def run(options: argparse.Namespace) -> None:
@@ -38,7 +49,7 @@ def run(options: argparse.Namespace) -> None:
     from roomfit.predictions import predict_to_folder
 
     changes = [read_change(text) for text in options.changes or []]
-    wanted = WantedPairs(pair_choice(options.pairs), options.state or "")
+    wanted = WantedPairs(pair_choice(options.pairs), options.state or "", options.grid)
     with shown_progress("predicting") as progress:
         predicted = predict_to_folder(
             options.campaign,
@@ -51,4 +62,5 @@ def run(options: argparse.Namespace) -> None:
             progress=progress,
         )
     say(str(predicted))
-    say(f"\npredicted.json, predicted.csv, predicted.html and pictures are in {options.out}")
+    files = "predicted.json, predicted.csv, predicted.html" + ", grid.csv" * bool(options.grid)
+    say(f"\n{files} and pictures are in {options.out}")

@@ -336,14 +336,14 @@ class CoverageResult:
         return coverage_figure(self.found)
 
     def to_dataframe(self) -> Any:
-        """Return a pandas data frame of one row a band, then all of them, as calibration.csv.
+        """Return a pandas data frame of one row a band, then all of them, as coverage.csv.
 
         Without pandas, on which roomfit does not depend, an `InputError` says what to install.
         """
         from roomfit.coverage.output import coverage_records
         from roomfit.table import data_frame
 
-        return data_frame(coverage_records(self), "calibration.csv")
+        return data_frame(coverage_records(self), "coverage.csv")
 
 
 def estimate_coverage(

@@ -1,4 +1,4 @@
-"""An estimate of coverage as calibration.json, calibration.csv, text, and a figure."""
+"""An estimate of coverage as coverage.json, coverage.csv, text, and a figure."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def _refusals(refused: Sequence[str]) -> str:
 
 
 def coverage_records(result: CoverageResult) -> Table:
-    """Return the content of calibration.csv: one row a band, then all of them."""
+    """Return the content of coverage.csv: one row a band, then all of them."""
     columns = (
         *(Column("band_hz", "g"), "values", "hold", "hold_low", "hold_high"),
         *("identifiable", "identifiable_wrong", "wrong_low", "wrong_high"),
@@ -190,7 +190,7 @@ def _fraction(proportion: Proportion) -> str:
 
 
 def coverage_json(result: CoverageResult) -> dict[str, Any]:
-    """Return the content of calibration.json."""
+    """Return the content of coverage.json."""
     *bands, together = coverage_rows(result.found)
     return {
         "format": "roomfit-calibration",

@@ -19,7 +19,8 @@ _LATE_S = 0.05
 LAWS = {
     Code.LEVELS_APART: Law(
         "recordings of one source and state share their gain",
-        "the largest step between reverberant levels, which direct sounds make as well",
+        "the largest step between reverberant levels, which direct sounds make as well; or peaks "
+        "that are equal to 16 bits",
     )
 }
 
@@ -27,9 +28,10 @@ LAWS = {
 def check(evidence: Recorded) -> Iterator[Finding]:
     """Yield a finding where recordings that share a gain fall into two levels apart.
 
-    Compared are the energy of the direct sound, with the distance allowed for, and the level of
-    the reverberant field 50 ms later, which hardly depends on position: only a gain moves both by
-    the same number of decibels.
+    Or have the same peak each, as files that were normalised one by one. Else compared are the
+    energy of the direct sound, with the distance allowed for, and the level of the reverberant
+    field 50 ms later, which hardly depends on position: only a gain moves both by the same number
+    of decibels.
     """
     groups: dict[tuple[str, str], list[MeasuredPair]] = {}
     for m in evidence.measured.responses:
@@ -38,6 +40,10 @@ def check(evidence: Recorded) -> Iterator[Finding]:
             key = "" if own.level == "absolute" else own.source
             groups.setdefault((key, own.state), []).append(m)
     for group in groups.values():
+        peaks = [_peak(m) for m in group]
+        if len(group) > 2 and _is_levelled(peaks, [m.direct_s for m in group]):
+            yield _levelled(group, peaks[0])
+            continue
         late_db, direct_db = _late_levels_db(group), _direct_levels_db(group)
         if len(group) < 2 or not np.all(np.isfinite(late_db) & np.isfinite(direct_db)):
             continue
@@ -65,6 +71,34 @@ def check(evidence: Recorded) -> Iterator[Finding]:
         about = About(files=[m.where for m in files], pairs=[pair_of(m) for m in files])
         numbers = {"step_db": step_db, "files": [m.where for m in files]}
         yield Finding(Code.LEVELS_APART, about, text, numbers)
+
+
+def _peak(m: MeasuredPair) -> float:
+    """Return the largest size of a sample; NaN where several have it, as where it is cut off."""
+    sizes = np.abs(m.measurement.response.pressure)
+    peak = float(sizes.max())
+    return peak if np.count_nonzero(sizes > 0.9999 * peak) == 1 else np.nan
+
+
+def _is_levelled(peaks: Sequence[float], direct_s: Sequence[float]) -> bool:
+    """Whether all files have one peak, although direct sounds travel distances 1 dB apart."""
+    known = np.array(peaks)
+    # to 16 bits; False with NaN
+    alike = bool(np.ptp(known) <= 1e-4 * known.max())
+    return alike and max(direct_s) > 1.12 * min(direct_s)
+
+
+def _levelled(group: Sequence[MeasuredPair], peak: float) -> Finding:
+    files = [m.measurement for m in group]
+    text = (
+        f"All {len(files)} files of {files[0].source} have the same peak, {peak:.3g}, at unlike "
+        "distances: they were levelled one by one, and their levels say nothing: set level = "
+        '"per-file", or export them without normalisation.'
+    )
+    about = About(files=[m.where for m in files], pairs=[pair_of(m) for m in files])
+    return Finding(
+        Code.LEVELS_APART, about, text, {"peak": peak, "files": [m.where for m in files]}
+    )
 
 
 def _late_levels_db(group: Sequence[MeasuredPair]) -> FloatArray:

@@ -668,7 +668,7 @@ def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
             yield None
             continue
         objective = found.objective(band)
-        noisy = with_shared_errors(objective, found.fit, windows.shared, windows.there)
+        noisy = with_shared_errors(objective, found.fit, windows.shared, windows.there, areas_m2)
         own = band_estimate(objective.parameters, noisy, areas_m2, "coherent")
         own = replace(own, window_decays_s=_window_decays_s(windows.energies, found.fit))
         beaten = task.settings.model != "coherent" and evidences[0] - evidences[1] >= UNDECIDED
@@ -753,7 +753,7 @@ def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
         own_fit = fit_band(objective, max_rounds=task.settings.max_rounds)
         relative = _relative_errors(state, objective, own_fit, windows)
         shared = shared_errors(objective, own_fit, _sources(task, number), relative)
-        noisy = with_shared_errors(objective, own_fit, shared)
+        noisy = with_shared_errors(objective, own_fit, shared, areas_m2=areas_m2)
         answer = band_estimate(objective.parameters, noisy, areas_m2, "energy")
         yield FittedBand(answer, objective, own_fit)
 

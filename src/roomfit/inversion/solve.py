@@ -72,6 +72,7 @@ def shared_error_covariance(measured: Measurements, traced: TracedPaths) -> Shar
     Room parameters without responses stay as they are.
     """
     scene, bands = measured.scene, measured.bands
+    areas_m2 = material_areas_m2(scene.room)
 
     def add_shared_errors(band: int, objective: Objective, fit: BandFit) -> BandFit:
         windows = objective.as_energies(fit.vector)
@@ -89,7 +90,7 @@ def shared_error_covariance(measured: Measurements, traced: TracedPaths) -> Shar
             (traced.scattering, traced.scattering_sd),
         )
         shared = shared_errors(objective, fit, sources, relative)
-        return with_shared_errors(objective, fit, shared)
+        return with_shared_errors(objective, fit, shared, areas_m2=areas_m2)
 
     return add_shared_errors
 

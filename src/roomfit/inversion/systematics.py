@@ -233,13 +233,14 @@ def with_shared_errors(
     fit: BandFit,
     shared: Mapping[str, FloatArray],
     there: Prediction | None = None,
+    areas_m2: FloatArray | None = None,
 ) -> BandFit:
     """Return a fit whose information allows for the errors that its windows share.
 
     The covariance of the answer's shifts (`roomfit.uncertainty.gaussian.answer_steps`) by these
     `shared_errors` is added [1]_, of the rate of decay kept apart. `costs` of the fit says how well
-    the unknowns were known without one term or the other. `there` is the fit's prediction, where it
-    is known.
+    the unknowns were known without one term or the other, and `mean_costs`, with `areas_m2` of all
+    materials, the mean of the room. `there` is the fit's prediction, where it is known.
 
     References
     ----------
@@ -249,9 +250,11 @@ def with_shared_errors(
     jacobian = (objective.predict(fit.vector) if there is None else there).jacobian
     rate = decay_rate(objective, fit, jacobian, shared["decay"])
     shared = {name: errors for name, errors in shared.items() if name != "decay"}
-    costs = costs_of_terms(objective, fit, jacobian, shared)
+    costs = costs_of_terms(objective, fit, jacobian, shared, areas_m2)
+    mean = {} if areas_m2 is None else {name: float(sd[-1]) for name, sd in costs.items()}
+    costs = {name: sd[: fit.vector.size] for name, sd in costs.items()}
     steps = answer_steps(objective, fit, jacobian, np.concatenate(list(shared.values()), axis=1))
-    return replace(add_covariance(fit, steps), costs=costs, decay=rate)
+    return replace(add_covariance(fit, steps), costs=costs, mean_costs=mean, decay=rate)
 
 
 def relative_errors(
@@ -398,9 +401,13 @@ def _moved_along(
     prior_sd = np.sqrt(np.diag(prior))
     sure = is_identifiable(wider.chi2_reduced, wider.lower95, wider.upper95, sd, prior_sd)
     costs = {name: np.hypot(own, logit_step) for name, own in answer.costs.items()}
+    of_mean = {name: float(np.hypot(own, mean_sd)) for name, own in answer.mean_costs.items()}
     if answer.costs:
         costs["decay"] = answer.costs[""]
-    return replace(wider, costs=costs, identifiable=wider.identifiable & (sure | (sd == 0.0)))
+    if answer.mean_costs:
+        of_mean["decay"] = answer.mean_costs[""]
+    sure = wider.identifiable & (sure | (sd == 0.0))
+    return replace(wider, costs=costs, mean_costs=of_mean, identifiable=sure)
 
 
 def scattering_error(

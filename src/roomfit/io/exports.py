@@ -33,9 +33,11 @@ from roomfit.io.encoding import (
     path_of,
     written_content,
 )
-from roomfit.results import Result, absorption_records
-from roomfit.table import Table, csv_of, without_apostrophe, workbook_of
+from roomfit.logit import expit
+from roomfit.results import Result, absorption_posterior, absorption_records
+from roomfit.table import Table, csv_of, optional_package, without_apostrophe, workbook_of
 from roomfit.typing import BoolArray, FloatArray
+from roomfit.uncertainty.posterior import draw_absorption, prior_law
 
 CATT_BANDS = Bands("octave", np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3, 16e3]))
 ISIMPA_BANDS = Bands("octave", np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3]))
@@ -246,8 +248,8 @@ def material_table_of(result: Result) -> MaterialTable:
 # Of result.json, by table: what may stand there.
 RESULT_KEYS = {
     "": "format format_version bands_hz materials combinations pairs findings fit plan settings "
-    "trace provenance usable remains states sd_without directivity geometry posterior objects "
-    "reverberation files_sha256 content_sha256",
+    "trace provenance usable remains states sd_without mean_sd_without directivity geometry "
+    "posterior objects reverberation files_sha256 content_sha256",
     "materials": "absorption lower95 upper95 identifiable area_m2 scattering share share_lower95 "
     "share_upper95 prior interval",
     "posterior": "materials logit_mean logit_covariance prior_logit_mean prior_logit_sd "
@@ -508,6 +510,62 @@ def _further_tables(content: dict[str, Any]) -> dict[str, Table]:
     }
 
 
+def posterior_tree(result: Result, n_draws: int, rng: np.random.Generator) -> Any:
+    """Return draws of posterior and prior as an ``xarray.DataTree`` in the layout of ArviZ.
+
+    Groups ``posterior`` and ``prior``, each with ``absorption`` along ``chain``, ``draw``,
+    ``material`` and ``band_hz``, and ``constant_data`` with the areas. ArviZ 1 takes it as it is
+    (``arviz.plot_forest(tree)``), earlier versions by ``InferenceData.from_datatree``; neither is
+    needed to make it.
+
+    Parameters
+    ----------
+    n_draws : int
+        2 or more; draws that the result brings along may be fewer.
+    rng : numpy.random.Generator
+
+    Raises
+    ------
+    InputError
+        xarray is not installed.
+
+    Notes
+    -----
+    Draws are those behind predictions, see `roomfit.uncertainty.posterior.draw_absorption`: they
+    are independent of each other, so that the one chain says nothing of convergence, and of
+    different bands independent as well.
+    """
+    xarray = optional_package("xarray", "trees of draws", "posterior_tree")
+    groups = _absorption_draws(result, n_draws, rng)
+    dims = ("chain", "draw", "material", "band_hz")
+    coords = {"material": list(result.materials), "band_hz": result.bands.centres_hz}
+    constant = xarray.Dataset({"area_m2": ("material", result.areas_m2)}, {**coords})
+    sets = {
+        name: xarray.Dataset(
+            {"absorption": (dims, draws[None])}, {**coords, "chain": [0], "draw": range(len(draws))}
+        )
+        for name, draws in groups.items()
+    }
+    return xarray.DataTree.from_dict({**sets, "constant_data": constant})
+
+
+def _absorption_draws(
+    result: Result, n_draws: int, rng: np.random.Generator
+) -> dict[str, FloatArray]:
+    """Return draws of posterior and prior, (n_draws, n_materials, n_bands); as far as known."""
+    found = absorption_posterior(result)
+    n = len(result.materials)  # objects stand behind them
+    groups = {"posterior": draw_absorption(found, n_draws, rng)[:, :n]}
+    law = prior_law(found)
+    if law is not None:
+        given = np.diagonal(found.logit_covariance, axis1=1, axis2=2) == 0.0
+        draws = np.stack(
+            [rng.multivariate_normal(m, c, n_draws) for m, c in zip(*law, strict=True)], axis=-1
+        )
+        groups["prior"] = np.where(given.T, found.absorption, expit(draws))[:, :n]
+    return groups
+
+
 ExportFormat = Literal["catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv"]
 FORMATS: tuple[ExportFormat, ...] = get_args(ExportFormat)
 _BANDS = {"catt": CATT_BANDS, "isimpa": ISIMPA_BANDS, "odeon": ODEON_BANDS, "raven": RAVEN_BANDS}
@@ -527,8 +585,9 @@ def export_materials(
     InputError
         There is no such format, or the scattering is out of range.
     """
-    if wanted not in FORMATS:  # the other three are no text
-        check_known("no such format for an export", wanted, (*FORMATS, "excel", "gltf", "pdf"))
+    if wanted not in FORMATS:  # the other four are no materials as text
+        others = ("budget", "excel", "gltf", "pdf")
+        check_known("no such format for an export", wanted, (*FORMATS, *others))
     check_range("scattering coefficient", scattering, 0.0, 1.0)
     specified = table.scattering
     scatter = np.full(table.absorption.shape, scattering) if specified is None else specified

@@ -22,6 +22,7 @@ from roomfit.io.encoding import (
     ResultFile,
     finding_content,
     finding_of,
+    number_or_null,
     numbers_or_null,
     path_of,
     provenance,
@@ -329,11 +330,7 @@ def result_content(
             name: dict(zip(("mean_absorption", "lower95", "upper95"), mean, strict=True))
             for name, mean in answer.state_means.items()
         }
-    if any(answer.costs):
-        content["sd_without"] = [
-            {name or "nothing": numbers_or_null(np.round(sd, 4)) for name, sd in band.items()}
-            for band in answer.costs
-        ]
+    content |= _sd_without(answer)
     if answer.directivities:
         content["directivity"] = {
             name: {"b": d.b, "sd": d.sd}
@@ -345,6 +342,22 @@ def result_content(
         content["geometry"] = _geometry(answer.geometry)
     if answer.logit_covariance is not None:
         content["posterior"] = _posterior(answer)
+    return content
+
+
+def _sd_without(answer: Result) -> dict[str, Any]:
+    """Return how well materials and the mean of the room were known without each term."""
+    content: dict[str, Any] = {}
+    if any(answer.costs):
+        content["sd_without"] = [
+            {name or "nothing": numbers_or_null(np.round(sd, 4)) for name, sd in band.items()}
+            for band in answer.costs
+        ]
+    if any(answer.mean_costs):
+        content["mean_sd_without"] = [
+            {name or "nothing": number_or_null(round(sd, 6)) for name, sd in band.items()}
+            for band in answer.mean_costs
+        ]
     return content
 
 

@@ -36,6 +36,8 @@ class WantedPairs(NamedTuple):
 
     pairs: PairChoice = "all"
     state: str = ""
+    # height and spacing in m, see `roomfit.prediction.grid.grid_scene`: in place of the receivers
+    grid_m: tuple[float, float] | None = None
 
 
 class PredictArguments(TypedDict):

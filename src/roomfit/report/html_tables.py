@@ -9,22 +9,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from roomfit.air import attenuation_per_m
+from roomfit.diagnostics.decay import DECAY_SCATTER
 from roomfit.geometry.mesh import volume_m3
+from roomfit.io.budget import SOURCES, Budget, contribution, share, uncertainty_budget
+from roomfit.logit import Z95
 from roomfit.objective.directivity import FittedDirectivity
 from roomfit.report.room_figure import material_colour
 from roomfit.report.text import pair_sti
 from roomfit.report.wording import (
+    BANDS_AT_MOST,
     DASH,
     PARAMETERS,
     area,
     band_tables,
     coefficient,
     count,
+    decay_time_key,
     hertz,
     number,
     parameter,
@@ -191,6 +197,94 @@ def prior_tables(answer: Result) -> tuple[Table, ...]:
     ]
     caption = "Prior, specified or assumed, 95 % interval"
     return band_tables(caption, "material", answer.bands.centres_hz, rows)
+
+
+def budget_tables(answer: Result) -> tuple[Table, ...]:
+    """Return the uncertainty budget at 500 and 1000 Hz, a row a source, none without its terms.
+
+    In each cell a standard uncertainty in absorption, and its share of the combined variance.
+    """
+    tables: list[Table] = []
+    found = uncertainty_budget(answer) if any(answer.costs) else ()
+    for centre_hz, of_band in groupby(found, key=lambda one: one.band_hz):
+        own = list(of_band)
+        for first in range(0, len(own), BANDS_AT_MOST):
+            block = own[first : first + BANDS_AT_MOST]
+            more = f", {block[0].quantity} to {block[-1].quantity}" if len(block) < len(own) else ""
+            caption = f"Uncertainty budget of the absorption at {hertz(centre_hz)}{more}"
+            heads = ("source", *(one.quantity for one in block))
+            tables.append(Table(caption, heads, _budget_rows(block)))
+    return tuple(tables)
+
+
+def _budget_rows(block: Sequence[Budget]) -> list[Sequence[Value]]:
+    def cell(one: Budget, name: str) -> Cell:
+        variance = one.variances.get(name, 0.0)
+        small = f"{number(share(variance, one), 0)} %"
+        return Cell(number(contribution(variance), 4), (small,))
+
+    names = list(dict.fromkeys(name for one in block for name in one.variances))
+    rows: list[Sequence[Value]] = [
+        ("absorption coefficient", *(number(one.value, 3) for one in block))
+    ]
+    for name in sorted(names, key=lambda n: [*SOURCES, n].index(n)):
+        words = (SOURCES[name],) if name in SOURCES else ()
+        rows.append((Cell(name, words), *(cell(one, name) for one in block)))
+    sums: dict[str, list[Value]] = {
+        "combined standard uncertainty": [number(one.standard, 4) for one in block],
+        "coverage factor": [f"{Z95:.2f}"] * len(block),
+        "expanded uncertainty": [
+            Cell(number(Z95 * one.standard, 3), (f"{one.lower95:.3f}{DASH}{one.upper95:.3f}",))
+            for one in block
+        ],
+        "without the prior": [
+            _known_or(Cell(number(one.without_prior, 4)), "nothing would be known") for one in block
+        ],
+    }
+    rows += [(Cell(name, style="total"), *cells) for name, cells in sums.items()]
+    return rows
+
+
+def condition_tables(answer: Result) -> tuple[Table, ...]:
+    """Return how well the fitted pairs know the mean decay time, by theory and by their scatter.
+
+    The conditions of a measurement as ISO 3382-2 states them, of the state that was fitted first.
+
+    References
+    ----------
+    .. [1] ISO 3382-2:2008, clause 7 and annex A, equations A.1 and A.2 with n = 10.
+    """
+    fitted = [p for p in answer.pairs if p.use == "fit" and p.state == answer.pairs[0].state]
+    key = decay_time_key(name for p in fitted for name in p.parameters)
+    if key is None:
+        return ()
+    rows_s = np.array([p.parameters[key].measured for p in fitted if key in p.parameters])
+    cells: list[list[Value]] = [[], [], []]
+    for width_hz, measured_s in zip(
+        answer.bands.upper_hz - answer.bands.lower_hz, rows_s.T, strict=True
+    ):
+        times_s = measured_s[np.isfinite(measured_s)]
+        n, mean_s = times_s.size, float(times_s.mean()) if times_s.size else np.nan
+        theory = DECAY_SCATTER[key] / np.sqrt(n * width_hz * mean_s) if n else np.nan
+        observed = times_s.std(ddof=1) / mean_s / np.sqrt(n) if n > 1 else np.nan
+        cells[0].append(_known_or(Cell(number(mean_s, 2), (count(n, "pair"),)), "not measured"))
+        cells[1].append(_known_or(Cell(number(100.0 * theory, 1)), "not measured"))
+        cells[2].append(
+            _known_or(Cell(number(100.0 * observed, 1)), "one pair" if n else "not measured")
+        )
+    symbol = parameter(key).symbol
+    rows = [
+        (f"mean {symbol} in s", *cells[0]),
+        (Cell("its standard deviation in %", ("ISO 3382-2, clause 7, n = 10",)), *cells[1]),
+        (Cell("the same in %", ("from the scatter of the pairs",)), *cells[2]),
+    ]
+    caption = f"Conditions of the measurement: how well the mean {symbol} is known"
+    return band_tables(caption, "", answer.bands.centres_hz, rows)
+
+
+def _known_or(cell: Cell, reason: str) -> Cell:
+    """Return a cell, with the reason below it where nothing is known."""
+    return Cell(DASH, (reason,), "missing") if cell.text == DASH else cell
 
 
 _STATUS = {"certified": "proven", "stopped": "stopped early", "unresolved": "not resolved"}

@@ -72,6 +72,7 @@ class _Stages(logging.Handler):
         self.description, self.lines, self.stage = description, lines, ""
         self.began = time.monotonic()
         self.reports: list[tuple[float, float]] = []
+        self.wrote_s = 0.0
 
     def seconds(self) -> float:
         return time.monotonic() - self.began
@@ -84,13 +85,21 @@ class _Stages(logging.Handler):
             self.stage = text
         if self.lines or record.levelno != logging.INFO:
             cleared = "" if self.lines else f"\r{'':{_width()}}\r"
-            with suppress(OSError, ValueError):
-                sys.stderr.write(f"{cleared}{_clock(self.seconds())}  {text}\n")
-                sys.stderr.flush()
+            self.write(f"{cleared}{_clock(self.seconds())}  {text}")
+
+    def write(self, line: str) -> None:
+        """Write a line; one that nobody reads stops no job."""
+        self.wrote_s = self.seconds()
+        with suppress(OSError, ValueError):
+            sys.stderr.write(f"{line}\n")
+            sys.stderr.flush()
 
     def report(self, fraction: float) -> None:
+        """Keep how much is done; in a log write it where no stage was written for a while."""
         if not self.reports or fraction > self.share():
             self.reports.append((self.seconds(), min(max(fraction, 0.0), 1.0)))
+            if self.lines and self.seconds() - self.wrote_s >= _LEAST_S:
+                self.write(self.text())
 
     def share(self) -> float:
         return self.reports[-1][1] if self.reports else 0.0
@@ -118,8 +127,8 @@ def shown_progress(description: str) -> Iterator[Progress]:
 
     On a terminal, one line on standard error that is drawn again and again; in a notebook a bar
     (ipywidgets, the extra ``notebook``) or, without it, such a line; elsewhere a line of text for
-    each stage. The level of the logger ``roomfit`` says how much: INFO where it is not set, DEBUG
-    for details, and above INFO nothing.
+    each stage, and of the share that is done where a stage is long. The level of the logger
+    ``roomfit`` says how much: INFO where it is not set, DEBUG for details, above INFO nothing.
 
     Examples
     --------

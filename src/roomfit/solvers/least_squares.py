@@ -155,6 +155,7 @@ class BandFit:
     # (n_free,), standard deviation of the answer if a term of its uncertainty were left out
     costs: Mapping[str, FloatArray] = field(default_factory=dict)
     decay: DecayRate | None = None  # where windows were fitted; its step (n_free,)
+    mean_costs: Mapping[str, float] = field(default_factory=dict)  # of the room's mean absorption
 
     @property
     def converged(self) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from roomfit.core import (
+    VALUE_NAMES,
     About,
     Bands,
     Code,
@@ -158,11 +159,7 @@ def treat(
             found=f"{probability:g}",
             needed="0.5 to 0.99",
         )
-    is_measured = (
-        bool(np.isfinite(room.measured_s).any())
-        if isinstance(room, PreparedField)
-        else bool(room.observed)
-    )
+    before_in_words = _before_in_words(room)
     room = as_measured(room)
     question = question_of(room, surfaces, products, targets)
     n_rows = len(question.target)
@@ -196,8 +193,22 @@ def treat(
             *(room.findings if isinstance(room, PreparedField) else ()),
             *_findings(question, arrangements, first, margin, is_met),
         ),
-        before="measured before" if is_measured else "predicted before",
+        before=before_in_words,
     )  # fmt: skip
+
+
+def _before_in_words(room: ChangingRoom) -> str:
+    """Return what the mean of T30 before is: measured in every band and pair, in some, in none."""
+    if isinstance(room, PreparedField):
+        known = np.isfinite(room.measured_s)
+    else:
+        at = VALUE_NAMES.index("T30_s")
+        found = {(o.source, o.receiver): np.isfinite(o.values[at]) for o in room.observed}
+        nothing = np.zeros(len(room.absorption.bands), dtype=np.bool_)
+        known = np.array([found.get(n[:2], nothing) for n in pair_names(room.scene)])
+    if not known.any():
+        return "predicted before"
+    return "measured before" if known.all() else "before, measured where it was"
 
 
 def as_measured(room: ChangingRoom) -> ChangingRoom:

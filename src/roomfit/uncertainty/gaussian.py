@@ -145,16 +145,27 @@ def weighted_mean_interval(
     -------
     mean, lower95, upper95 : float
     """
-    values, slopes = physical_values(parameters, vector)
+    values, _ = physical_values(parameters, vector)
     mean = float(weights @ values["absorption"])
-    block = absorption_of(parameters)
-    n = int(np.count_nonzero(block.fitted))
-    first = position_of(parameters, "absorption")
-    whole = np.bincount(leaders(block), weights * slopes["absorption"], len(block.labels))
-    gradient = whole[block.fitted]
-    part = covariance[first : first + n, first : first + n]
-    sd = float(np.sqrt(gradient @ part @ gradient))
+    gradient = weighted_mean_gradient(parameters, vector, weights)
+    sd = float(np.sqrt(gradient @ covariance @ gradient))
     return mean, max(mean - Z95 * sd, 0.0), min(mean + Z95 * sd, 1.0)
+
+
+def weighted_mean_gradient(
+    parameters: Parameters, vector: FloatArray, weights: FloatArray
+) -> FloatArray:
+    """Return the derivative of a weighted mean of the absorptions by the free numbers, (n_free,).
+
+    0 by gains, geometry and directivity. `weights` as in `weighted_mean_interval`.
+    """
+    _, slopes = physical_values(parameters, vector)
+    block = absorption_of(parameters)
+    whole = np.bincount(leaders(block), weights * slopes["absorption"], len(block.labels))
+    gradient: FloatArray = np.zeros(vector.size)
+    first = position_of(parameters, "absorption")
+    gradient[first : first + int(np.count_nonzero(block.fitted))] = whole[block.fitted]
+    return gradient
 
 
 def _is_uninformed(block: Block, information: FloatArray) -> BoolArray:
@@ -216,9 +227,15 @@ def add_covariance(fit: BandFit, steps: FloatArray) -> BandFit:
 
 
 def costs_of_terms(
-    objective: Objective, fit: BandFit, jacobian: FloatArray, shared: Mapping[str, FloatArray]
+    objective: Objective,
+    fit: BandFit,
+    jacobian: FloatArray,
+    shared: Mapping[str, FloatArray],
+    areas_m2: FloatArray | None = None,
 ) -> dict[str, FloatArray]:
     """Return `sd_without_term` of a fit, gains and other blocks of unknowns among what is known.
+
+    With areas, the last entry is the standard deviation of the mean absorption of the room.
 
     Parameters
     ----------
@@ -226,6 +243,7 @@ def costs_of_terms(
         At the answer.
     shared : mapping to float arrays, shape (n, n_errors)
         Errors that the first n data share, in their unit.
+    areas_m2 : float array, shape (n_materials,), optional
     """
     parameters = objective.parameters
     _, rows = prior_residuals(parameters, fit.vector)
@@ -243,6 +261,9 @@ def costs_of_terms(
         objective.correlation_length(),
         known,
         max(fit.chi2_reduced, 1.0),
+        None
+        if areas_m2 is None
+        else weighted_mean_gradient(parameters, fit.vector, areas_m2 / areas_m2.sum()),
     )
 
 
@@ -254,6 +275,7 @@ def sd_without_term(
     neighbours: FloatArray,
     known: Mapping[str, IntArray],
     misfit: float = 1.0,
+    along: FloatArray | None = None,
 ) -> dict[str, FloatArray]:
     """Return how well unknowns are known with all terms of the uncertainty, and without each.
 
@@ -277,15 +299,18 @@ def sd_without_term(
         Unknowns beside those asked for, each of which may be taken for known.
     misfit : float
         Factor on the covariance, 1 or more.
+    along : float array, shape (n_free,), optional
+        Derivative of one more quantity by the unknowns.
 
     Returns
     -------
-    dict to float arrays, shape (n_free,)
+    dict to float arrays, shape (n_free,), with `along` one more entry
         "": with all terms; then by what is left out, "neighbours", "misfit" and "prior" among them
         (that of the unknowns asked for).
         0 of what is taken for known; infinite where without the prior nothing is determined.
     """
     others = np.concatenate([*known.values(), []])
+    wanted = np.vstack((np.eye(len(prior)), *(() if along is None else (along[None],))))
 
     def sds(without: str) -> FloatArray:
         kept = [part for name, part in parts.items() if name != without]
@@ -294,26 +319,23 @@ def sd_without_term(
         )
         weight /= 1.0 if without == "neighbours" else neighbours
         free = np.setdiff1d(np.arange(len(prior)), known.get(without, []))
-        rows = jacobian[:, free]
+        rows, own = jacobian[:, free], wanted[:, free]  # zeros of what is taken for known
         information = rows.T @ (weight[:, None] * rows)
         stated = np.isin(free, others) if without == "prior" else np.ones(free.size, np.bool_)
         information += prior[np.ix_(free, free)] * np.outer(stated, stated)
-        out = np.zeros(len(prior))
         if not free.size:
-            return out
+            return np.zeros(len(wanted))
         size, directions = np.linalg.eigh(information)
-        out[free] = np.inf
         if size[0] <= 1e-12 * size[-1]:
-            return out
+            return np.where(np.any(own != 0.0, axis=1), np.inf, 0.0)
         inverse = (directions / size) @ directions.T
-        variance = np.diag(inverse) * (1.0 if without == "misfit" else misfit)
+        variance = np.sum((own @ inverse) * own, axis=1) * (1.0 if without == "misfit" else misfit)
         for name, errors in shared.items():
             if name != without:
                 n = len(errors)  # which may be many columns: no copy of them
                 steps = inverse @ ((rows[:n].T * weight[:n]) @ errors)
-                variance = variance + np.sum(steps**2, axis=1)
-        out[free] = np.sqrt(variance)
-        return out
+                variance = variance + np.sum((own @ steps) ** 2, axis=1)
+        return np.asarray(np.sqrt(variance))
 
     names = ("", *parts, *shared, *known, "neighbours", "misfit", "prior")
     return {name: sds(name) for name in dict.fromkeys(names)}
@@ -372,6 +394,8 @@ class BandEstimate:
     # (n_materials,), sd in the logit by which term were left out, see `sd_without_term`
     costs: Mapping[str, FloatArray] = field(default_factory=dict)
     decay: DecayRate | None = None  # its step in absorption, (n_materials,)
+    # as `costs`, of the area-weighted mean absorption, not in the logit
+    mean_costs: Mapping[str, float] = field(default_factory=dict)
 
     # by parameter, (2, n_files): decay of each file's windows in s, measured and as fitted, where
     # pressures were fitted
@@ -435,6 +459,7 @@ def band_estimate(
         moved=() if fit.converged else _moved(parameters, fit),
         costs={name: _of_materials(block, sd[chosen]) for name, sd in fit.costs.items()},
         decay=decay,
+        mean_costs=fit.mean_costs,
     )
 
 

@@ -117,7 +117,8 @@ def read_model(spec: RoomSpec) -> tuple[RoomModel, str]:
         The file is of no known format, or cannot be read.
     """
     if spec.polygons is not None:
-        return read_polygons(spec.polygons, spec.unit), str(spec.polygons.corners[0])
+        own = read_polygons(spec.polygons, spec.unit, spec.materials or ())
+        return own, str(spec.polygons.corners[0])
     path = Path(spec.file or "")
     suffix = path.suffix.lower()
     if suffix not in READERS:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,9 +62,10 @@ def read_corners(path: Path) -> dict[str, tuple[float, float, float]]:
 def read_planes(path: Path) -> dict[str, Plane]:
     """Return the planes of one table by their number.
 
-    The columns are found by the heading with the words number and corner; "material", "area" and
-    "name" or "description" are used where they exist. The corners of a plane end at the first
-    cell that is no number, so that notes behind them do no harm. Numbers may be written as 616.0.
+    The columns are found by the heading with the words number and corner (or c1, c2); "material",
+    "area" and "name" or "description" are used where they exist. The corners of a plane end at the
+    first cell that is no number, so that notes behind them do no harm. Numbers may be written as
+    616.0.
     A column "sides" may have 1 or 2. Refused are a table without planes, a plane that stands
     twice, and one with fewer than three corners.
     """
@@ -107,7 +108,7 @@ def _rows(path: Path, needed: tuple[str, ...]) -> Iterator[tuple[str, list[str],
         cells = [cell.strip() for cell in row]
         words = [" ".join(cell.lower().split()) for cell in cells]
         if any(w in _NUMBER_WORDS for w in words) and all(
-            any(w.startswith(n) if len(n) > 1 else w == n for w in words) for n in needed
+            any(_is_corner(w) if n == "corner" else w == n for w in words) for n in needed
         ):
             heading = words
         elif heading is not None and any(cells):
@@ -121,6 +122,11 @@ def _rows(path: Path, needed: tuple[str, ...]) -> Iterator[tuple[str, list[str],
         )
 
 
+def _is_corner(word: str) -> bool:
+    """Whether a heading is that of corners: corner 1, corners, c1."""
+    return word.startswith("corner") or re.fullmatch(r"c ?[0-9]+", word) is not None
+
+
 def _number_column(heading: list[str]) -> int:
     return next(i for i, word in enumerate(heading) if word in _NUMBER_WORDS)
 
@@ -128,7 +134,7 @@ def _number_column(heading: list[str]) -> int:
 def _corners_of(row: list[str], heading: list[str]) -> tuple[str, ...]:
     """Return the run of numbers from the first corner column up to the next other column."""
     number_column = _number_column(heading)
-    first = next(i for i, w in enumerate(heading) if w.startswith("corner") and i != number_column)
+    first = next(i for i, w in enumerate(heading) if _is_corner(w) and i != number_column)
     corners: list[str] = []
     for column in range(first, len(row)):
         word = heading[column] if column < len(heading) else ""
@@ -176,10 +182,13 @@ _SHOWN = 5
 Corners = dict[str, tuple[float, float, float]]
 
 
-def read_polygons(tables: PolygonSpec, unit: str | None = None) -> RoomModel:
+def read_polygons(
+    tables: PolygonSpec, unit: str | None = None, renamed: Collection[str] = ()
+) -> RoomModel:
     """Read a room from tables; areas that they state are compared with those of the corners.
 
-    The name of a surface is its plane's number, its group the plane's description.
+    The name of a surface is its plane's number, its group the plane's description. No finding says
+    of materials that are `renamed` that they are spelt alike.
 
     Raises
     ------
@@ -201,7 +210,7 @@ def read_polygons(tables: PolygonSpec, unit: str | None = None) -> RoomModel:
         float(np.linalg.norm(area_vector_m2((vertices * scale)[list(face.corners)])))
         for face in faces
     ]
-    findings = (*moved, *replaced, *_area_findings(planes, areas), *_alike(planes))
+    findings = (*moved, *replaced, *_area_findings(planes, areas), *_alike(planes, renamed))
     return RoomModel(vertices, tuple(faces), findings, "m", "z")
 
 
@@ -295,11 +304,11 @@ def _area_findings(planes: Mapping[str, Plane], areas: list[float]) -> list[Find
     return [Finding(Code.STATED_AREA_MISMATCH, About(), text, {"planes": wrong})]
 
 
-def _alike(planes: Mapping[str, Plane]) -> list[Finding]:
+def _alike(planes: Mapping[str, Plane], renamed: Collection[str]) -> list[Finding]:
     """Return findings of names of materials that differ in blanks, _, case or a plural s only."""
     families: dict[str, set[str]] = {}
     for plane in planes.values():
-        if plane.material:
+        if plane.material and plane.material not in renamed:
             plain = "".join(c for c in plane.material.lower() if c not in " _-").rstrip("s")
             families.setdefault(plain, set()).add(plane.material)
     alike = [sorted(names) for names in families.values() if len(names) > 1]

@@ -1,0 +1,164 @@
+"""Maps: predictions over a horizontal plane, and how wide their intervals are there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from roomfit.core import (
+    FloatArray,
+    InputError,
+    Point,
+    Scene,
+    distances_m,
+    is_clear_of_walls,
+    pair_states,
+    select_pairs,
+)
+from roomfit.prediction.predict import Predicted
+from roomfit.prediction.tables import PredictedPair, named_values
+from roomfit.report.decay_times import mid_mean, mid_words
+from roomfit.report.figures import literal, new_figure
+from roomfit.report.wording import parameter
+from roomfit.table import Column, Table
+
+_MAPPED = ("T30_s", "EDT_s", "C80_dB", "D50_percent", "STI", "G_dB")
+
+
+def grid_scene(scene: Scene, height_m: float, spacing_m: float) -> Scene:
+    """Return a scene whose receivers are a grid over the room, each with every source.
+
+    The grid is centred in the room's box. Left out are points outside of the room or within 10 cm
+    of a wall, and of each source those nearer than 50 cm, where direct sound is all there is.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of which room, sources, air and the state of the first pair are kept.
+    height_m : float
+        Above the lowest point of the room.
+    spacing_m : float
+        Above 0.
+
+    Returns
+    -------
+    Scene
+        Receivers have the names ``G1``, ``G2``, ...: x by x, y rising.
+
+    Raises
+    ------
+    InputError
+        A length is no positive number, no point is in the room, or there are more than 2000 pairs.
+
+    Examples
+    --------
+    >>> import roomfit
+    >>> room = roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster")
+    >>> hall = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+    >>> [receiver.position_m.tolist() for receiver in grid_scene(hall, 1.2, 3.0).receivers]
+    [[1.5, 2.5, 1.2], [4.5, 2.5, 1.2]]
+    """
+    if not (0.0 < height_m < np.inf and 0.0 < spacing_m < np.inf):
+        raise InputError(
+            "a grid needs a height and a spacing",
+            found=f"{height_m:g} m and {spacing_m:g} m",
+            needed="both above 0, as 1.2,0.5",
+        )
+    vertices = scene.room.mesh.vertices_m
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    counts = np.maximum((high - low)[:2] / spacing_m + 1e-9, 1.0).astype(np.int64)
+    most = 2000
+    if float(np.prod(counts.astype(float))) * len(scene.sources) > most:
+        raise InputError(
+            "a grid of more pairs than can be predicted",
+            found=f"{counts[0]} x {counts[1]} points, {len(scene.sources)} sources",
+            needed=f"at most {most} pairs",
+            hint="a wider spacing",
+        )
+    axes = [
+        0.5 * (low[k] + high[k]) + spacing_m * (np.arange(n) - 0.5 * (n - 1))
+        for k, n in enumerate(counts)
+    ]
+    x, y = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
+    points = np.stack((x, y, np.full(x.size, low[2] + height_m)), axis=1)
+    points = points[is_clear_of_walls(scene.room, points, 0.1)]
+    if not len(points):
+        raise InputError(
+            "no point of the grid is in the room",
+            found=f"height {height_m:g} m, spacing {spacing_m:g} m",
+            needed="a height below the ceiling",
+        )
+    receivers = tuple(Point(f"G{i}", at.round(4)) for i, at in enumerate(points, start=1))
+    pairs = np.array([(s, r) for s in range(len(scene.sources)) for r in range(len(receivers))])
+    state = int(pair_states(scene)[0]) if len(scene.pairs) else 0
+    states = np.full(len(pairs), state)
+    whole = replace(scene, receivers=receivers, pairs=pairs, pair_state=states, groups=())
+    return select_pairs(whole, distances_m(whole) >= 0.5)
+
+
+def grid_records(predicted: Predicted, scene: Scene) -> Table:
+    """Return the content of grid.csv: a row for each source, point, parameter and band.
+
+    The speech transmission index, which has no band, has an empty one.
+    """
+    positions = {p.name: p.position_m for p in scene.receivers}
+    rows = []
+    for pair in predicted.pairs:
+        for name, v in named_values(pair.parameters, pair.sti).items():
+            bands = [None] if name == "STI" else predicted.bands.centres_hz.tolist()
+            for band_hz, *numbers in zip(bands, v.predicted, v.lower95, v.upper95, strict=True):
+                if name in _MAPPED:
+                    width = numbers[2] - numbers[1]
+                    at_m = positions[pair.receiver]
+                    rows.append((pair.source, *at_m, name, band_hz, *numbers, width))
+    columns = (
+        *("source", Column("x_m", ".3f"), Column("y_m", ".3f"), Column("z_m", ".3f")),
+        *("parameter", Column("band_hz"), "predicted", "lower95", "upper95", "width95"),
+    )
+    return Table("", columns, rows, form=".4f")
+
+
+def grid_figure(predicted: Predicted, scene: Scene, source: str) -> Figure:
+    """Return maps of one source: each parameter, and beside it the width of its 95 % interval.
+
+    Means of 500 and 1000 Hz, or of the bands nearest to them.
+    """
+    pairs = [p for p in predicted.pairs if p.source == source]
+    known = [n for n in _MAPPED if any(np.isfinite(v).any() for v in _of(predicted, pairs, n))]
+    positions = {p.name: p.position_m for p in scene.receivers}
+    at_m = np.array([positions[p.receiver] for p in pairs])
+    here_m = next(p.position_m for p in scene.sources if p.name == source)
+    x_m, y_m = np.unique(at_m[:, 0]), np.unique(at_m[:, 1])
+    figure = new_figure(9.0, 2.8 * len(known) + 0.6)
+    panels = figure.subplots(len(known), 2, squeeze=False)
+    for row, name in zip(panels, known, strict=True):
+        value, width = _of(predicted, pairs, name)
+        how, where = parameter(name), f", {mid_words(predicted.bands.centres_hz)}"
+        words = f"{how.symbol} {how.unit}".strip() + (where if name != "STI" else "")
+        titles = (words, "width of the 95 % interval")
+        for axes, numbers, title in zip(row, (value, width), titles, strict=True):
+            table = np.full((y_m.size, x_m.size), np.nan)
+            table[np.searchsorted(y_m, at_m[:, 1]), np.searchsorted(x_m, at_m[:, 0])] = numbers
+            drawn = axes.pcolormesh(x_m, y_m, table, shading="nearest", cmap="viridis")
+            axes.plot(*here_m[:2], "k*", ms=9)
+            axes.set_title(title, fontsize=9)
+            axes.set_aspect("equal")
+            figure.colorbar(drawn, ax=axes)
+    figure.suptitle(f"From {literal(source, 30)}, {at_m[0, 2]:.2f} m high; x and y in m")
+    return figure
+
+
+def _of(
+    predicted: Predicted, pairs: list[PredictedPair], name: str
+) -> tuple[FloatArray, FloatArray]:
+    """Return a parameter of every pair at mid frequencies, and the width of its interval."""
+    centres_hz = np.array([1000.0]) if name == "STI" else predicted.bands.centres_hz
+    rows = []
+    for pair in pairs:
+        v = named_values(pair.parameters, pair.sti).get(name)
+        both = () if v is None else (v.predicted, v.upper95 - v.lower95)
+        rows.append([mid_mean(centres_hz, x) for x in both] or [np.nan, np.nan])
+    value, width = np.array(rows).T
+    return value, width
