@@ -149,11 +149,11 @@ def test_a_mean_has_the_standard_deviation_of_its_direction():
 
 
 def test_the_mean_of_the_room_has_the_costs_of_its_own_interval():
-    """Before absorption that changes within the band is allowed for, by areas."""
+    """Before absorption that changes within the band, and the rate of decay, are allowed for."""
     objective = objective_of(small_term(500.0).energies)
     fit = score_band(objective, start_vector(objective.parameters))
     areas_m2 = np.arange(1.0, 1.0 + len(objective.parameters.blocks[0].labels))
-    errors = {"air": 0.1 * fit.expected[:, None]}
+    errors = {"air": 0.1 * fit.expected[:, None], "decay": 0.2 * fit.expected[:, None]}
     wider = with_shared_errors(objective, fit, errors, areas_m2=areas_m2)
     mean, _, high = band_estimate(objective.parameters, wider, areas_m2, "energy").mean
     np.testing.assert_allclose(wider.mean_costs[""], (high - mean) / Z95, rtol=1e-6)
