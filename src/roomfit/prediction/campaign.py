@@ -126,7 +126,8 @@ def predict_arguments(
     fitted = absorption.fitted_states
     if fitted is not None and state not in fitted:
         names = ["", *campaign.states]
-        at = [i for i, name in enumerate(names) if name in fitted]
+        # of states of another campaign the areas are not known: those of the room as described
+        at = [i for i, name in enumerate(names) if name in fitted] or [0]
         by_state = np.array([material_areas_m2(room, i) for i in at]).reshape(len(at), -1)
         known = for_another_state(known, by_state, settings.n_draws, settings.seed)
     for kind, points in (("source", campaign.sources), ("receiver", campaign.receivers)):
