@@ -254,6 +254,7 @@ def _with_positions_examined(
     if settings.quick or settings.method not in LEAST_SQUARES_METHODS:
         return given, traced, fits  # the paper's searches take positions as specified
     _LOG.info("examining positions and lengths")
+    trim_memory()
     offsets = offsets_of(measured.scene)
     is_stated = np.array([o.is_stated for o in offsets], dtype=np.bool_)
     moved_m = np.zeros(len(offsets))

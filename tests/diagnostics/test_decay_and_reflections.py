@@ -12,7 +12,7 @@ from posterior_cases import Linear, linear_case
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.diagnostics import convergence
-from roomfit.diagnostics.decay import certain_misses, decay_misses
+from roomfit.diagnostics.decay import _resampled, certain_misses, decay_misses
 from roomfit.diagnostics.reflections import isolated_reflections, reflection_findings, wall_returns
 from roomfit.diagnostics.verdict import voided
 from roomfit.findings import Code
@@ -20,6 +20,7 @@ from roomfit.inversion.measurements import collect_measurements
 from roomfit.inversion.paths import traced_paths
 from roomfit.materials.priors import complete_priors
 from roomfit.objective.windows import WINDOW_DECAYS, windows_decay_s
+from roomfit.response.binned import rows_at
 from roomfit.response.directivity import Pattern
 from roomfit.results import Compared, ComparedPair
 from roomfit.settings import Settings
@@ -206,6 +207,24 @@ def test_a_miss_within_the_answers_own_uncertainty_is_none(measured_box) -> None
     assert [m.band for m in kept] == [0, 1]
     assert all(v > 0.0 for m in kept for v, _ in m.jnd.values())
     assert certain_misses(measured, traced, misses, fit, vague, Settings()) == ()
+
+
+def test_rays_are_drawn_anew_where_decays_are_averaged_and_nowhere_else(measured_box) -> None:
+    """One band of two, each batch twice but images: all else is the same memory."""
+    measured, _, traced = measured_box
+    counts = np.append(np.full(traced.paths.n_batches, 2), 1)
+    weighed = {float(f): traced.binned.rows for f in HIGH.centres_hz}
+    binned = replace(traced.binned, by_band=weighed)
+    for found in (
+        _resampled(measured, traced.binned, counts, [1]).rows,
+        rows_at(_resampled(measured, binned, counts, [1]), 4000.0),
+    ):
+        for new, old in zip(found, traced.binned.rows, strict=True):
+            expected = old.weight_per_m2 * np.where(old.batch < 0, 1, 2)
+            np.testing.assert_array_equal(new.weight_per_m2, expected)
+            assert np.shares_memory(new.hits, old.hits)
+    assert list(_resampled(measured, binned, counts, [1]).by_band) == [4000.0]
+    assert _resampled(measured, binned, counts, [1]).rows is traced.binned.rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -44,6 +44,7 @@ from roomfit.objective.parameters import (
     start_vector,
 )
 from roomfit.objective.problem import Objective
+from roomfit.response.binned import once
 from roomfit.scene import (
     NEAREST_PAIR_M,
     NEAREST_WALL_M,
@@ -57,8 +58,8 @@ from roomfit.scene import (
 from roomfit.signals.filters import SpreadingKernel, spreading_kernel
 from roomfit.solvers.least_squares import BandFit, score_band
 from roomfit.tracing.image_sources import trace_images
-from roomfit.tracing.paths import hits
-from roomfit.typing import FloatArray
+from roomfit.tracing.paths import Paths
+from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.gaussian import BandEstimate
 
 # Below it a window is longer than what a displacement does to a reflection.
@@ -253,8 +254,7 @@ def displacement_model(
     until_s = min(reach_m / c, traced.settings.duration_s)
     if traced.settings.image_until_s is not None:
         until_s = min(until_s, traced.settings.image_until_s)
-    moves = (paths.batch < 0) & (paths.length_m <= c * until_s)
-    moves[moves] = hits(paths)[moves].sum(axis=1) <= order
+    moves = _early_images(paths, c * until_s, order)
     air = attenuation_per_m(scene.air, bands)
     unknown, found = directivities
     start = np.array([float(np.mean(a.absorption)) for a in answers])
@@ -271,14 +271,14 @@ def displacement_model(
     )
     bases = None
     if unknown is not None:
-        rows = tuple(chosen_rows(r, ~moves) for r in traced.binned.rows)
-        bases = row_bases(unknown, scene, paths, replace(traced.binned, rows=rows))
+        bases = row_bases(unknown, scene, paths, traced.binned, ~moves)
     out = []
     for band, own in enumerate(made):
         if own is None or bands.centres_hz[band] < _LEAST_HZ or answers[band].model == "prior":
             continue
         files = fitted_in_band(responses, band)
-        rows = tuple(chosen_rows(r, ~moves) for r in own[0].rows)
+        ends = scene.pairs[[m.pair for m in files]]
+        rows = once(ends, (chosen_rows(r, ~moves) for r in own[0].rows))
         term, parameters = replace(own[0], rows=rows), own[1]
         directivity, b = None, np.zeros((0, 3))
         if unknown is not None and bases is not None:
@@ -293,10 +293,19 @@ def displacement_model(
         values, _ = physical_values(parameters, vector)
         kept = fixed_paths(term, directivity, values["absorption"], b)
         out.append(DisplacementBand(band, kept, parameters, vector, float(air[band]), files))
+        del own, rows, term, directivity  # as large as the paths, before the next band has its own
     if not out:
         return None
     kernel, out = spreading_kernel(bands), out[::-1]
     return DisplacementModel(measured, traced, offsets, moved_m, until_s, order, kernel, tuple(out))
+
+
+def _early_images(paths: Paths, longest_m: float, order: int) -> BoolArray:
+    """Return which paths are of image sources so near and of so few reflections, (n_paths,)."""
+    found = (paths.batch < 0) & (paths.length_m <= longest_m)
+    met = paths.hits_specular[found] + paths.hits_diffuse[found]
+    found[found] = met.sum(axis=1) <= order
+    return found
 
 
 def _with_gains_of_their_own(responses: Sequence[MeasuredPair]) -> tuple[MeasuredPair, ...]:
