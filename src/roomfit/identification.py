@@ -177,6 +177,7 @@ def identify(
         )
     if observed is not given:  # fitted at other positions than specified
         before = examine(BEFORE_THE_FIT, observed)
+    trim_memory()
     if fits.directivities:
         traced = redirected(observed.measured, traced, fits.directivities)
     if settings.smoothness_per_octave is not None:

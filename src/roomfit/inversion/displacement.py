@@ -19,7 +19,7 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.geometry.mesh import mean_free_path_m, shoebox_mesh
 from roomfit.inversion.fits import BandFits, Displacement
 from roomfit.inversion.measurements import Measurements
-from roomfit.inversion.paths import TracedPaths
+from roomfit.inversion.paths import TracedPaths, trim_memory
 from roomfit.inversion.scattering import band_factors
 from roomfit.inversion.systematics import widened
 from roomfit.logit import logit
@@ -294,6 +294,7 @@ def displacement_model(
         kept = fixed_paths(term, directivity, values["absorption"], b)
         out.append(DisplacementBand(band, kept, parameters, vector, float(air[band]), files))
         del own, rows, term, directivity  # as large as the paths, before the next band has its own
+        trim_memory()
     if not out:
         return None
     kernel, out = spreading_kernel(bands), out[::-1]
