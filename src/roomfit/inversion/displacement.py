@@ -251,9 +251,8 @@ def displacement_model(
     c = speed_of_sound_m_s(scene.air)
     reach_m = float(distances_m(scene).max()) + _MEAN_FREE_PATHS * mean_free_path_m(scene.room.mesh)
     order = min(_ORDER, traced.settings.image_order)
-    until_s = min(reach_m / c, traced.settings.duration_s)
-    if traced.settings.image_until_s is not None:
-        until_s = min(until_s, traced.settings.image_until_s)
+    limits_s = traced.settings.duration_s, traced.settings.image_until_s
+    until_s = min(reach_m / c, *(s for s in limits_s if s is not None))
     moves = _early_images(paths, c * until_s, order)
     air = attenuation_per_m(scene.air, bands)
     unknown, found = directivities
@@ -276,10 +275,10 @@ def displacement_model(
     for band, own in enumerate(made):
         if own is None or bands.centres_hz[band] < _LEAST_HZ or answers[band].model == "prior":
             continue
-        files = fitted_in_band(responses, band)
+        (term, parameters), files = own, fitted_in_band(responses, band)
         ends = scene.pairs[[m.pair for m in files]]
-        rows = once(ends, (chosen_rows(r, ~moves) for r in own[0].rows))
-        term, parameters = replace(own[0], rows=rows), own[1]
+        rows = once(ends, (chosen_rows(r, ~moves) for r in term.rows))
+        term = replace(term, rows=rows)
         directivity, b = None, np.zeros((0, 3))
         if unknown is not None and bases is not None:
             directivity = directed_band(unknown, scene, bases, term, files)
