@@ -13,15 +13,21 @@ from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.diagnostics import convergence
 from roomfit.diagnostics.decay import _resampled, certain_misses, decay_misses
-from roomfit.diagnostics.reflections import isolated_reflections, reflection_findings, wall_returns
+from roomfit.diagnostics.reflections import (
+    _weights,
+    isolated_reflections,
+    reflection_findings,
+    wall_returns,
+)
 from roomfit.diagnostics.verdict import voided
 from roomfit.findings import Code
 from roomfit.inversion.measurements import collect_measurements
-from roomfit.inversion.paths import traced_paths
+from roomfit.inversion.paths import redirected, traced_paths
 from roomfit.materials.priors import complete_priors
+from roomfit.objective.directivity import FittedDirectivity
 from roomfit.objective.windows import WINDOW_DECAYS, windows_decay_s
 from roomfit.response.binned import rows_at
-from roomfit.response.directivity import Pattern
+from roomfit.response.directivity import Pattern, directivity_factors
 from roomfit.results import Compared, ComparedPair
 from roomfit.settings import Settings
 from roomfit.solvers.ending import Ending
@@ -164,6 +170,25 @@ def test_isolated_reflections_give_back_what_the_walls_do(measured_box) -> None:
     for r in found:
         assert r.predicted == pytest.approx(1.0 - TRUE[WALLS.index(r.wall)])
         assert r.wall == r.material
+
+
+def test_reflections_have_the_weights_that_fitted_directivities_give_their_paths(measured_box):
+    """Bit by bit those of the factors of the paths; and what returns is judged by them."""
+    measured, _, traced = measured_box
+    b = np.array([[0.5, 0.2, -0.3], [0.1, 0.9, 0.4]])
+    pattern = FittedDirectivity("S1", b, np.zeros((2, 3)))
+    found = redirected(measured, traced, [pattern])
+    paths, sources = traced.paths, measured.scene.pairs[:, 0].tolist()
+    known = [pattern.patterns().get(s.name) for s in measured.scene.sources]
+    early = (paths.batch < 0) & (paths.length_m < 0.9 * traced.settings.duration_s * 343.0)
+    for band, f in enumerate(HIGH.centres_hz):
+        expected = paths.weight_per_m2 * directivity_factors(paths, known, sources, band)
+        for pair, rows in enumerate(rows_at(found.binned, f)):
+            own = np.flatnonzero(early & (paths.pair == pair))[::-1]
+            np.testing.assert_array_equal(_weights(paths, own, rows), expected[own])
+    right = np.tile(TRUE[:, None], 2)
+    plain, turned = (isolated_reflections(measured, t, right) for t in (traced, found))
+    assert {r.returned for r in turned} - {r.returned for r in plain}
 
 
 @pytest.mark.parametrize("known", [False, True])

@@ -70,7 +70,7 @@ def redirected(
 ) -> TracedPaths:
     """Return the same paths with the weights that fitted directivities give them.
 
-    Without factors, which only fits of pressures need.
+    Without factors, which only fits of pressures need: they are in the weights of the rows.
 
     Parameters
     ----------
