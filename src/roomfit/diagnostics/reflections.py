@@ -163,7 +163,6 @@ def _isolated(
     windows = np.stack((arrival_s - half_s, arrival_s + half_s), axis=1)
     inside = windows[:, 1] < min(traced.settings.duration_s, float(m.noise.usable_end_s[band]))
     attenuation = float(attenuation_per_m(scene.air, measured.bands)[band])
-
     # energies without absorption and scattering of the wall itself, (n,), and of all else
     heard = rows_at(traced.binned, float(measured.bands.centres_hz[band]))[m.pair]
     weight = _weights(paths, own, heard)

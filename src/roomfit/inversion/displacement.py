@@ -277,8 +277,7 @@ def displacement_model(
             continue
         (term, parameters), files = own, fitted_in_band(responses, band)
         ends = scene.pairs[[m.pair for m in files]]
-        rows = once(ends, (chosen_rows(r, ~moves) for r in term.rows))
-        term = replace(term, rows=rows)
+        term = replace(term, rows=once(ends, (chosen_rows(r, ~moves) for r in term.rows)))
         directivity, b = None, np.zeros((0, 3))
         if unknown is not None and bases is not None:
             directivity = directed_band(unknown, scene, bases, term, files)
@@ -292,7 +291,7 @@ def displacement_model(
         values, _ = physical_values(parameters, vector)
         kept = fixed_paths(term, directivity, values["absorption"], b)
         out.append(DisplacementBand(band, kept, parameters, vector, float(air[band]), files))
-        del own, rows, term, directivity  # as large as the paths, before the next band has its own
+        del own, term, directivity  # as large as the paths, before the next band has its own
         trim_memory()
     if not out:
         return None

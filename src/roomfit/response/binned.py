@@ -131,11 +131,8 @@ def once(ends: IntArray, each: Iterable[EnergyRows]) -> tuple[EnergyRows, ...]:
         Source and receiver of each.
     """
     found: dict[tuple[int, ...], EnergyRows] = {}
-    rows = []
-    for own_ends, own in zip(ends.tolist(), each, strict=True):
-        like = found.setdefault(tuple(own_ends), own)
-        rows.append(own if like is own else sharing(own, like))
-    return tuple(rows)
+    both = zip(ends.tolist(), each, strict=True)
+    return tuple(sharing(own, found.setdefault(tuple(at), own)) for at, own in both)
 
 
 def in_band(binned: BinnedPaths, centre_hz: float) -> BinnedPaths:
