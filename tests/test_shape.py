@@ -93,8 +93,8 @@ def test_no_function_outside_of_kernels_takes_more_than_eight_arguments() -> Non
 
 # Functions that are longer, in lines beside the docstring: neither grows, nor do they.
 LONG = {
-    "diagnostics.reflections._isolated": 81,
-    "inversion.displacement.displacement_model": 67,
+    "diagnostics.reflections._isolated": 79,
+    "inversion.displacement.displacement_model": 66,
     "inversion.coherent.fit_coherent": 66,
     "inversion.trace_plan.plan_trace": 63,
     "inversion.paths.traced_paths": 63,

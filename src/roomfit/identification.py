@@ -177,6 +177,7 @@ def identify(
         )
     if observed is not given:  # fitted at other positions than specified
         before = examine(BEFORE_THE_FIT, observed)
+    trim_memory()
     if fits.directivities:
         traced = redirected(observed.measured, traced, fits.directivities)
     if settings.smoothness_per_octave is not None:
@@ -254,6 +255,7 @@ def _with_positions_examined(
     if settings.quick or settings.method not in LEAST_SQUARES_METHODS:
         return given, traced, fits  # the paper's searches take positions as specified
     _LOG.info("examining positions and lengths")
+    trim_memory()
     offsets = offsets_of(measured.scene)
     is_stated = np.array([o.is_stated for o in offsets], dtype=np.bool_)
     moved_m = np.zeros(len(offsets))

@@ -135,8 +135,8 @@ def predict_to_folder(
             predicted = predict_field(field, changes)
     elif absorption_file is not None:
         found = read_result(absorption_file)
-        pairs, state, grid_m = wanted or WantedPairs()
-        arguments = predict_arguments(campaign, found, changes, pairs, state)
+        pairs, state, grid_m, doubted = wanted or WantedPairs()
+        arguments = predict_arguments(campaign, found, changes, pairs, state, doubted)
         if grid_m is not None:
             own = grid_scene(arguments["scene"], *grid_m)
             arguments = {**arguments, "scene": own, "measurements": ()}
@@ -206,7 +206,7 @@ def _prepared_field(
             needed="a result of what the campaign has measured",
             hint="roomfit identify first, then --absorption result.json",
         )
-    if wanted is not None and wanted != WantedPairs():
+    if wanted is not None and wanted[:3] != WantedPairs()[:3]:
         raise InputError(
             "without positions there are neither pairs nor states",
             where=str(campaign.path),

@@ -12,15 +12,22 @@ from posterior_cases import Linear, linear_case
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.diagnostics import convergence
-from roomfit.diagnostics.decay import certain_misses, decay_misses
-from roomfit.diagnostics.reflections import isolated_reflections, reflection_findings, wall_returns
+from roomfit.diagnostics.decay import _resampled, certain_misses, decay_misses
+from roomfit.diagnostics.reflections import (
+    _weights,
+    isolated_reflections,
+    reflection_findings,
+    wall_returns,
+)
 from roomfit.diagnostics.verdict import voided
 from roomfit.findings import Code
 from roomfit.inversion.measurements import collect_measurements
-from roomfit.inversion.paths import traced_paths
+from roomfit.inversion.paths import redirected, traced_paths
 from roomfit.materials.priors import complete_priors
+from roomfit.objective.directivity import FittedDirectivity
 from roomfit.objective.windows import WINDOW_DECAYS, windows_decay_s
-from roomfit.response.directivity import Pattern
+from roomfit.response.binned import rows_at
+from roomfit.response.directivity import Pattern, directivity_factors
 from roomfit.results import Compared, ComparedPair
 from roomfit.settings import Settings
 from roomfit.solvers.ending import Ending
@@ -165,6 +172,25 @@ def test_isolated_reflections_give_back_what_the_walls_do(measured_box) -> None:
         assert r.wall == r.material
 
 
+def test_reflections_have_the_weights_that_fitted_directivities_give_their_paths(measured_box):
+    """Bit by bit those of the factors of the paths; and what returns is judged by them."""
+    measured, _, traced = measured_box
+    b = np.array([[0.5, 0.2, -0.3], [0.1, 0.9, 0.4]])
+    pattern = FittedDirectivity("S1", b, np.zeros((2, 3)))
+    found = redirected(measured, traced, [pattern])
+    paths, sources = traced.paths, measured.scene.pairs[:, 0].tolist()
+    known = [pattern.patterns().get(s.name) for s in measured.scene.sources]
+    early = (paths.batch < 0) & (paths.length_m < 0.9 * traced.settings.duration_s * 343.0)
+    for band, f in enumerate(HIGH.centres_hz):
+        expected = paths.weight_per_m2 * directivity_factors(paths, known, sources, band)
+        for pair, rows in enumerate(rows_at(found.binned, f)):
+            own = np.flatnonzero(early & (paths.pair == pair))[::-1]
+            np.testing.assert_array_equal(_weights(paths, own, rows), expected[own])
+    right = np.tile(TRUE[:, None], 2)
+    plain, turned = (isolated_reflections(measured, t, right) for t in (traced, found))
+    assert {r.returned for r in turned} - {r.returned for r in plain}
+
+
 @pytest.mark.parametrize("known", [False, True])
 def test_a_floor_that_the_fit_has_far_too_hard_is_named_and_no_other(measured_box, known) -> None:
     """.8 fitted as .24 (.20 to .28): serious where the source's directivity is specified."""
@@ -206,6 +232,24 @@ def test_a_miss_within_the_answers_own_uncertainty_is_none(measured_box) -> None
     assert [m.band for m in kept] == [0, 1]
     assert all(v > 0.0 for m in kept for v, _ in m.jnd.values())
     assert certain_misses(measured, traced, misses, fit, vague, Settings()) == ()
+
+
+def test_rays_are_drawn_anew_where_decays_are_averaged_and_nowhere_else(measured_box) -> None:
+    """One band of two, each batch twice but images: all else is the same memory."""
+    measured, _, traced = measured_box
+    counts = np.append(np.full(traced.paths.n_batches, 2), 1)
+    weighed = {float(f): traced.binned.rows for f in HIGH.centres_hz}
+    binned = replace(traced.binned, by_band=weighed)
+    for found in (
+        _resampled(measured, traced.binned, counts, [1]).rows,
+        rows_at(_resampled(measured, binned, counts, [1]), 4000.0),
+    ):
+        for new, old in zip(found, traced.binned.rows, strict=True):
+            expected = old.weight_per_m2 * np.where(old.batch < 0, 1, 2)
+            np.testing.assert_array_equal(new.weight_per_m2, expected)
+            assert np.shares_memory(new.hits, old.hits)
+    assert list(_resampled(measured, binned, counts, [1]).by_band) == [4000.0]
+    assert _resampled(measured, binned, counts, [1]).rows is traced.binned.rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -39,6 +39,7 @@ from roomfit.experiment_design.information import (
     material_widths,
     without_geometry,
 )
+from roomfit.experiment_design.output import design_content
 from roomfit.experiment_design.prior import Unknowns, information_from_priors
 from roomfit.findings import Code
 from roomfit.inversion import expected
@@ -384,6 +385,31 @@ def test_a_design_shows_itself(small, monkeypatch):
     assert rows[0]["receiver"] == first
     means = [row["mean_width95"] for row in rows]
     np.testing.assert_allclose(means, found.widths[1:].mean(axis=(1, 2)))
+
+
+def test_objects_are_designed_for_in_square_metres_and_walls_alone_are_averaged(tmp_path):
+    """The prior's width of an area is that of its share of energy on half a metre, by hand."""
+    path = write_campaign(tmp_path, ENERGY, DEAD)
+    people = "[objects.people]\nprior = {mean = 3, sd = 1}\n"
+    path.write_text(path.read_text() + people + DESIGN)
+    campaign = roomfit.read_campaign(path, to_fit=False)
+    found = designed(campaign, n_candidates=4, number=1, n_random=2)
+    own = found.materials.index("people")
+    # near its middle of 3 m2 an area is lognormal: 2 * 1.96 standard deviations of 1 m2, and 0.3
+    # for the tails, which are not those of a normal law
+    assert np.all(np.abs(found.widths[0, own] / 3.92 - 1.0) < 0.3)
+    np.testing.assert_allclose(found.absorption[own], 3.0, rtol=0.1)
+    assert found.compared.tolist() == [n != "people" for n in found.materials]
+    walls = found.widths[:, found.compared].mean(axis=(1, 2))
+    np.testing.assert_allclose(found.random_means[:, 0], walls[0], rtol=1e-12)
+    content = design_content(found, [path])
+    assert content["before"]["width95_m2"]["people"] is not None
+    assert "people" not in content["before"]["width95"] and content["widest"]["width95"][0] < 1.0
+    np.testing.assert_allclose(content["before"]["mean_width95"], walls[0])
+    np.testing.assert_array_equal(
+        content["assumed"]["absorption_area_m2"]["people"], found.absorption[own]
+    )
+    assert "people, m2" in str(found)
 
 
 def test_a_campaign_without_measurements_can_be_designed(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from html import unescape
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 import roomfit
 from roomfit.bands import bands_between
+from roomfit.findings import About, Code, Finding
 from roomfit.logit import logit
 from roomfit.prediction.changes import Change
 from roomfit.prediction.output import change_figure, predict_text, predicted_page
@@ -99,3 +101,42 @@ def test_without_a_change_the_page_says_predicted_and_measured():
     page = predicted_page(foreseen([]))
     assert "before" not in re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL)
     assert "<small>measured</small>" in page
+
+
+def with_change(compared, name: str, low: float, high: float, code: Code | None):
+    """Return a prediction of which a finding doubts 500 Hz, where a change has another interval."""
+    value = compared.mean[name]
+    low95, high95 = value.change.change_lower95.copy(), value.change.change_upper95.copy()
+    low95[2], high95[2] = low, high
+    change = replace(value.change, change_lower95=low95, change_upper95=high95)
+    mean = {**compared.mean, name: replace(value, change=change)}
+    doubts = () if code is None else (Finding(code, About(bands_hz=[500]), "Doubt."),)
+    return replace(compared, mean=mean, findings=doubts, pairs=())
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high", "code", "said"),
+    [
+        ("T30_s", 0.7, 4.2, Code.CHANGE_PRIOR_DOMINATED, "prior alone"),
+        ("T30_s", 0.7, 1.5, Code.RESULT_DOUBTED, "result doubted"),
+        ("T30_s", 0.7, 1.3, Code.CHANGE_PRIOR_DOMINATED, ""),  # within a factor of 2
+        ("T30_s", 1.1, 4.2, Code.CHANGE_PRIOR_DOMINATED, ""),  # the sign is known
+        ("T30_s", 0.7, 4.2, None, ""),  # nothing is open: interference of a pair
+        ("C80_dB", -1.6, 1.6, Code.CHANGE_PRIOR_DOMINATED, "prior alone"),  # a factor of 10**.32
+        ("C80_dB", -1.4, 1.4, Code.CHANGE_PRIOR_DOMINATED, ""),
+        ("D50_percent", -40.0, 40.0, Code.CHANGE_PRIOR_DOMINATED, ""),
+    ],
+)
+def test_a_change_without_sign_or_size_that_nothing_but_a_prior_knows_is_not_determined(
+    compared, name, low, high, code, said
+):
+    found = with_change(compared, name, low, high, code)
+    text, page = predict_text(found), predicted_page(found)
+    cells = re.sub(r"\s+", " ", text.split("Mean over", 1)[1])
+    assert ("not determined" in cells) == ("not determined" in page) == bool(said)
+    is_decay = name == "T30_s" and bool(said)
+    lead = f"what the change does to it is not determined ({said})."
+    assert (lead in text) == is_decay
+    assert (f"after the change: {said}" in page) == is_decay
+    if said:
+        assert said in cells

@@ -9,10 +9,14 @@ import pytest
 
 from report_cases import answer_of, scene_of
 from roomfit.bands import bands_between
+from roomfit.errors import InsufficientDataError
 from roomfit.findings import About, Code, Finding
+from roomfit.io.campaign import read_campaign
 from roomfit.io.results import read_result, write_result
 from roomfit.logit import logit
 from roomfit.materials.priors import DEFAULT_LOGIT_SD
+from roomfit.prediction.campaign import predict_arguments
+from roomfit.prediction.changes import read_change
 from roomfit.prediction.split import doubted_bands, for_another_room, open_splits
 from roomfit.results import absorption_posterior
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
@@ -123,3 +127,77 @@ def test_areas_of_the_fitted_room_go_through_the_file(tmp_path):
     found, own = read_result(tmp_path / "result.json"), absorption_posterior(answer)
     np.testing.assert_allclose(found.areas_m2, own.areas_m2, atol=1e-4)
     assert found.fitted_states == own.fitted_states == ("",)
+
+
+TURNED = """
+[room]
+shoebox = [8, 5, 5]
+[room.materials]
+walls = "walls"
+floor = "floor"
+ceiling = "curtain"
+[[states]]
+name = "turned"
+materials = {ceiling = "floor", floor = "curtain", west = "curtain"}
+[sources.S]
+position = [1.5, 1.2, 1.5]
+[receivers.R]
+position = [4.0, 3.5, 1.2]
+[identify]
+from_hz = 500
+to_hz = 1000
+"""
+
+
+@pytest.mark.parametrize("fitted", [("",), ("elsewhere",)])
+def test_a_state_that_was_not_fitted_is_predicted_with_the_splits_of_a_doubted_result_open(
+    tmp_path, fitted
+):
+    """Sums of exponents stay those of the room as described, of 130, 40 and 40 m2, by hand."""
+    file = tmp_path / "campaign.toml"
+    file.write_text(TURNED)
+    campaign, areas = read_campaign(file, to_fit=False), np.array([130.0, 40.0, 40.0])
+    own = {"fitted_states": fitted, "result_findings": (DISPLACED,)}
+    known = replace(one_decay(**own), areas_m2=areas)
+    arguments = predict_arguments(campaign, known, state="turned", doubted=True)
+    found, scene = arguments["absorption"], arguments["scene"]
+    assert scene.pair_state.tolist() == [1] and found.draws.shape[1:] == (3, 2)
+    for other in ({"result_findings": ()}, {"fitted_states": ("turned",)}):
+        sure = predict_arguments(campaign, replace(known, **other), state="turned")["absorption"]
+        assert sure.draws is None and len(sure.bands) == 2
+    draws = draw_absorption(sure, len(found.draws), np.random.default_rng(campaign.settings.seed))
+    np.testing.assert_array_equal(found.draws[::2], draws[::2])
+    in_order = areas[[NAMES.index(name) for name in found.materials]]
+
+    def exponents(drawn):
+        return -np.einsum("m,dmb->db", in_order, np.log1p(-drawn))
+
+    np.testing.assert_allclose(exponents(found.draws), exponents(draws), rtol=1e-9)
+    assert np.quantile(found.draws, 0.99) > np.quantile(draws, 0.99)
+
+
+def test_other_walls_are_not_predicted_where_the_result_is_seriously_doubted(tmp_path):
+    """And nothing else is left out: the room as it was fitted, and bands without the doubt."""
+    file = tmp_path / "campaign.toml"
+    file.write_text(TURNED)
+    campaign, change = read_campaign(file, to_fit=False), read_change("curtain=0.3+-0.1,0.4+-0.2")
+    wrong = Finding(Code.DECAY_NOT_REPRODUCED, About(bands_hz=[500]), "")
+    mild = Finding(Code.MODEL_DOES_NOT_FIT, About(bands_hz=[1000]), "")
+    about = About(materials=["floor"], bands_hz=[1000])
+    of_one = Finding(Code.REFLECTION_DISAGREES, about, "", graded="serious")
+    known = one_decay(fitted_states=("",), result_findings=(wrong, mild, of_one))
+    known = replace(known, areas_m2=np.array([130.0, 40.0, 40.0]))
+    as_fitted = predict_arguments(campaign, known)["absorption"]
+    assert as_fitted.bands.centres_hz.tolist() == [500.0, 1000.0]
+    for changes, state in (([change], ""), ([], "turned")):
+        found = predict_arguments(campaign, known, changes, state=state)
+        assert found["absorption"].bands.centres_hz.tolist() == [1000.0]
+        (said,) = [f for f in found["absorption"].findings if f.code is Code.RESULT_DOUBTED]
+        assert said.about.bands_hz == (500.0,) and "decay-not-reproduced" in said.sentence
+        assert [(c.values, c.sds) for c in found["changes"]] == [((0.4,), (0.2,))] * len(changes)
+        whole = predict_arguments(campaign, known, changes, state=state, doubted=True)
+        assert len(whole["absorption"].bands) == 2 and whole["changes"] == tuple(changes)
+    everywhere = replace(known, result_findings=(DISPLACED,))
+    with pytest.raises(InsufficientDataError, match="seriously doubted") as refused:
+        predict_arguments(campaign, everywhere, [change])
+    assert "displacement-detected" in str(refused.value) and "--doubted" in str(refused.value)

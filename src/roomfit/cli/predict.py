@@ -32,6 +32,11 @@ def add(commands: Commands) -> None:
         metavar="H,S",
         type=_grid,
     )
+    parser.add_argument(
+        "--doubted",
+        action="store_true",
+        help="Predict changes and other states also where the result is seriously doubted.",
+    )
     parser.add_overwrite()
     parser.add_argument(
         "--no-cache", action="store_true", help="Neither use nor keep intermediate results."
@@ -49,7 +54,9 @@ def run(options: argparse.Namespace) -> None:
     from roomfit.predictions import predict_to_folder
 
     changes = [read_change(text) for text in options.changes or []]
-    wanted = WantedPairs(pair_choice(options.pairs), options.state or "", options.grid)
+    wanted = WantedPairs(
+        pair_choice(options.pairs), options.state or "", options.grid, options.doubted
+    )
     with shown_progress("predicting") as progress:
         predicted = predict_to_folder(
             options.campaign,

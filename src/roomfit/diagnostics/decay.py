@@ -18,7 +18,7 @@ from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.scattering import Retracer
 from roomfit.logit import expit, logit
 from roomfit.materials.priors import MaterialPrior, Scattering
-from roomfit.response.binned import BinnedPaths, regrouped
+from roomfit.response.binned import BinnedPaths
 from roomfit.response.energy import EnergyRows
 from roomfit.results import ComparedPair
 from roomfit.scene import distances_m, material_areas_m2, pair_names
@@ -183,19 +183,47 @@ def fitted_decay_times_s(
     bands = Bands(all_bands.kind, all_bands.centres_hz[own])
     attenuation = attenuation_per_m(scene.air, bands)
     direct_s = distances_m(scene) / speed_of_sound_m_s(scene.air)
-    tabulated = {v.pair_name for v in measurements.values}
-    pairs = {m.pair for m in measurements.responses if m.measurement.use == "fit"} | {
-        i for i, name in enumerate(pair_names(scene)) if name in tabulated
-    }
     found = [
         room_parameters(
             predicted_curve(bands, binned, i, absorption[:, own], attenuation, float(direct_s[i]))
         )
-        for i in sorted(pairs)[:: -(-len(pairs) // _MOST_DRAWN_PAIRS)]
+        for i in _drawn_pairs(measurements)
     ]
     return {
         name: np.mean([f.of(name) for f in found], axis=0) for name in ("T20_s", "T30_s", "EDT_s")
     }
+
+
+def _drawn_pairs(measurements: Measurements) -> list[int]:
+    """Return the pairs whose decay times are averaged: eight of those fitted, or all of fewer."""
+    tabulated = {v.pair_name for v in measurements.values}
+    pairs = {m.pair for m in measurements.responses if m.measurement.use == "fit"} | {
+        i for i, name in enumerate(pair_names(measurements.scene)) if name in tabulated
+    }
+    return sorted(pairs)[:: -(-len(pairs) // _MOST_DRAWN_PAIRS)]
+
+
+def _resampled(
+    measurements: Measurements, binned: BinnedPaths, counts: IntArray, chosen: Sequence[int]
+) -> BinnedPaths:
+    """Return bins with each batch of rays so many times, of the pairs and bands that are averaged.
+
+    The others stay as they are: all together would be as large as the paths.
+    """
+    pairs = _drawn_pairs(measurements)
+
+    def those(rows: tuple[EnergyRows, ...]) -> tuple[EnergyRows, ...]:
+        own = list(rows)
+        for i in pairs:
+            weight = rows[i].weight_per_m2 * counts[rows[i].batch]
+            own[i] = replace(rows[i], weight_per_m2=weight)
+        return tuple(own)
+
+    if not binned.by_band:
+        return BinnedPaths(binned.edges_s, those(binned.rows))
+    centres_hz = [float(measurements.bands.centres_hz[band]) for band in chosen]
+    by_band = {f: those(binned.by_band[f]) for f in centres_hz}
+    return BinnedPaths(binned.edges_s, binned.rows, by_band)
 
 
 def certain_misses(
@@ -233,11 +261,7 @@ def certain_misses(
             trial[:, band] = np.where(np.diag(covariance) > 0.0, expit(moved), trial[:, band])
         n = max(traced.paths.n_batches, 1)
         counts = np.append(rng.multinomial(n, np.full(n, 1.0 / n)), 1)  # batch -1: images
-
-        def resampled(rows: EnergyRows, counts: IntArray = counts) -> EnergyRows:
-            return replace(rows, weight_per_m2=rows.weight_per_m2 * counts[rows.batch])
-
-        binned = regrouped(traced.binned, traced.binned.edges_s, resampled)
+        binned = _resampled(measurements, traced.binned, counts, chosen)
         for name, times_s in fitted_decay_times_s(measurements, binned, trial, chosen).items():
             drawn[name].append(times_s)
     kept = []

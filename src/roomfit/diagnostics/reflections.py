@@ -22,7 +22,7 @@ from roomfit.logit import Z95
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.observation import has_data_in_band, timing_sd_s
 from roomfit.response.binned import rows_at
-from roomfit.response.energy import first_rows, weigh
+from roomfit.response.energy import EnergyRows, first_rows, weigh
 from roomfit.scene import Room
 from roomfit.signals.filters import (
     SpreadingKernel,
@@ -163,11 +163,9 @@ def _isolated(
     windows = np.stack((arrival_s - half_s, arrival_s + half_s), axis=1)
     inside = windows[:, 1] < min(traced.settings.duration_s, float(m.noise.usable_end_s[band]))
     attenuation = float(attenuation_per_m(scene.air, measured.bands)[band])
-
     # energies without absorption and scattering of the wall itself, (n,), and of all else
-    weight = paths.weight_per_m2[own]
-    if traced.factors is not None:
-        weight = weight * traced.factors[band, own]
+    heard = rows_at(traced.binned, float(measured.bands.centres_hz[band]))[m.pair]
+    weight = _weights(paths, own, heard)
     kept = np.where(struck.sum(axis=1) > 0, 1.0 - traced.scattering[material, band], 1.0)
     share = np.array(
         [energy_share(kernel, band, [t], w)[0, 0] for t, w in zip(arrival_s, windows, strict=True)]
@@ -184,7 +182,7 @@ def _isolated(
     bins_s = traced.binned.edges_s
     centres_s = 0.5 * (bins_s[1:] + bins_s[:-1])
     n = int(np.searchsorted(centres_s, edges[-1] + spreading_reach_s(kernel, band)))
-    rows = first_rows(rows_at(traced.binned, float(measured.bands.centres_hz[band]))[m.pair], n)
+    rows = first_rows(heard, n)
     alpha, air = absorption[:, band : band + 1], np.array([attenuation])
     energy = weigh(rows, alpha, air, derivative=False).energy[0]
     spreading = spreading_matrix(kernel, band, centres_s[: energy.size], edges)
@@ -224,6 +222,16 @@ def _isolated(
         )
         for i in np.flatnonzero(clear)
     ]
+
+
+def _weights(paths: Paths, own: IntArray, rows: EnergyRows) -> FloatArray:
+    """Return the weights of image paths in a band, as its rows have them, with all its factors."""
+    weight = paths.weight_per_m2[own].copy()
+    if rows.path is not None:
+        image = np.flatnonzero(rows.batch < 0)
+        of_row = np.intersect1d(rows.path[image], own, assume_unique=True, return_indices=True)
+        weight[of_row[2]] = rows.weight_per_m2[image[of_row[1]]]
+    return weight
 
 
 def _wall(room: Room, towards: FloatArray, material: int) -> str:

@@ -26,6 +26,7 @@ from roomfit.core import (
     Settings,
     bands_between,
     complete_priors,
+    object_area_m2,
     one_blas_thread,
     part,
     result_doubts,
@@ -33,6 +34,7 @@ from roomfit.core import (
     select_pairs,
     speed_of_sound_m_s,
     volume_m3,
+    wall_materials,
 )
 from roomfit.experiment_design.candidates import (
     DesignOptions,
@@ -80,14 +82,14 @@ class Design:
     to_find: BoolArray  # (n_materials,), False where the absorption is known
     # (n_chosen + 1, n_materials, n_bands), expected width of the 95 % interval of every absorption
     # before, and after each of the chosen pairs; 0 where it is known. The mean over draws of the
-    # absorption.
+    # absorption. Of an object, which stands behind the walls, of its absorption area in m2.
     widths: FloatArray
-    # (n_random, n_chosen + 1), mean width of random designs under the same rules; NaN where one
-    # ended early
+    # (n_random, n_chosen + 1), mean width of random designs under the same rules, over what is
+    # compared; NaN where one ended early
     random_means: FloatArray
     criterion: Criterion
     model: Literal["energy", "coherent"]  # what the fit is expected to compare
-    absorption: FloatArray  # (n_materials, n_bands), the middle of the prior
+    absorption: FloatArray  # (n_materials, n_bands), the middle of the prior; of an object in m2
     n_draws: int
     after_fit: bool  # whether the widths before are those of a finished fit
     source_distance_m: float  # this and the next two: the rules that were obeyed
@@ -96,6 +98,14 @@ class Design:
     findings: tuple[Finding, ...]
     seed: int
     seconds: float
+
+    @property
+    def compared(self) -> BoolArray:
+        """Which materials mean widths are of: unknown walls, or objects where no wall is unknown.
+
+        Shape (n_materials,).
+        """
+        return _compared(self.scene, self.to_find)
 
     def __str__(self) -> str:
         """Return the chosen pairs, the expected intervals of every material, and all findings."""
@@ -212,8 +222,8 @@ def design(
     n_pairs = n + len({(int(s), int(r)) for s, r in scene.pairs})
     work = options, settings, directivities or {}, part(progress, 0.0, 0.95)
     matrices, coherent, doubts = information_of_candidates(candidates, known, n_pairs, *work)
-    misfit = None if absorption is None else absorption.chi2_reduced
-    matrices = matrices if misfit is None else matrices / np.maximum(misfit, 1.0)[:, None, None]
+    if absorption is not None and absorption.chi2_reduced is not None:
+        matrices = matrices / np.maximum(absorption.chi2_reduced, 1.0)[:, None, None]
     pairs = PairInformation(matrices, _gains(options.level, candidates))
     criterion = options.criterion or ("worst" if after_fit else "determinant")
     _LOG.info("choosing")
@@ -223,6 +233,8 @@ def design(
     # after a fit one more pair stands beside others, whose positions are not known here
     used = () if after_fit else (*rules.fixed, *chosen)
     doubts = (*doubts, *_on_planes(candidates, used, known, settings))
+    widths = _widths(known.unknowns, pairs, [*rules.fixed], chosen)
+    widths, typical = _with_objects_in_m2(scene, widths, known.typical)
     return Design(
         scene=candidates,
         n_fixed=len(rules.fixed),
@@ -230,13 +242,11 @@ def design(
         bands=known.bands,
         materials=scene.room.materials,
         to_find=known.unknowns.number >= 0,
-        widths=_widths(known.unknowns, pairs, [*rules.fixed], chosen),
-        random_means=_random_means(
-            known.unknowns, pairs, rules, n, options.n_random, settings.seed
-        ),
+        widths=widths,
+        random_means=_random_means(scene, known.unknowns, pairs, rules, n, options, settings.seed),
         criterion=criterion,
         model="coherent" if coherent else "energy",
-        absorption=known.typical,
+        absorption=typical,
         n_draws=len(known.draws),
         after_fit=after_fit,
         source_distance_m=distance_m,
@@ -301,6 +311,33 @@ def _gains(level: Level, scene: Scene) -> IntArray:
     return np.arange(n) if level == "per-file" else np.full(n, -1)
 
 
+def _compared(scene: Scene, to_find: BoolArray) -> BoolArray:
+    """Return of which materials widths are averaged: of walls in absorption, objects are in m2."""
+    walls = to_find & (np.arange(to_find.size) < len(wall_materials(scene.room)))
+    return walls if walls.any() else to_find
+
+
+def _with_objects_in_m2(
+    scene: Scene, shares: FloatArray, typical: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return widths and typical absorption, those of objects as absorption areas in m2.
+
+    A fit knows an object by the share of energy that it takes from sound on a short way.
+
+    Parameters
+    ----------
+    shares : float array, shape (n_steps, n_materials, n_bands)
+    typical : float array, shape (n_materials, n_bands)
+    """
+    first, volume = len(wall_materials(scene.room)), volume_m3(scene.room.mesh)
+    widths, middle = shares.copy(), typical.copy()
+    half = 0.5 * np.minimum(shares[:, first:], 2.0 * (1.0 - typical[first:]) - 1e-9)
+    ends = (object_area_m2(typical[first:] + side * half, volume) for side in (1.0, -1.0))
+    widths[:, first:] = next(ends) - next(ends)
+    middle[first:] = object_area_m2(typical[first:], volume)
+    return widths, middle
+
+
 def _widths(
     unknowns: Unknowns, pairs: PairInformation, fixed: list[int], chosen: tuple[int, ...]
 ) -> FloatArray:
@@ -317,18 +354,20 @@ def _widths(
 
 
 def _random_means(
+    scene: Scene,
     unknowns: Unknowns,
     pairs: PairInformation,
     rules: Rules,
     n: int,
-    n_random: int,
+    options: DesignOptions,
     seed: int,
 ) -> FloatArray:
     """Return the mean widths of random designs, (n_random, n + 1), NaN where one ends early."""
     rng = np.random.default_rng(seed)
-    out: FloatArray = np.full((n_random, n + 1), np.nan)
+    out: FloatArray = np.full((options.n_random, n + 1), np.nan)
+    compared = _compared(scene, unknowns.number >= 0)
     for row in out:
         drawn = random_design(rules, n, rng)
         widths = _widths(unknowns, pairs, [*rules.fixed], drawn)
-        row[: len(drawn) + 1] = widths[:, unknowns.number >= 0].mean(axis=(1, 2))
+        row[: len(drawn) + 1] = widths[:, compared].mean(axis=(1, 2))
     return out

@@ -19,6 +19,7 @@ from roomfit.report.figures import OKABE_ITO, figure_legend, new_figure
 from roomfit.report.room_figure import outline_m
 from roomfit.report.text import findings_text
 from roomfit.report.wording import html_findings
+from roomfit.scene import wall_materials
 from roomfit.table import Column, Table, csv_of, html_of, text_of
 from roomfit.typing import FloatArray
 
@@ -27,13 +28,13 @@ if TYPE_CHECKING:
 
 
 def mean_widths(design: Design) -> FloatArray:
-    """Return the mean width over all bands and materials to be found, shape (n_chosen + 1,)."""
-    return np.asarray(design.widths[:, design.to_find].mean(axis=(1, 2)))
+    """Return the mean width over all bands and all that is compared, shape (n_chosen + 1,)."""
+    return np.asarray(design.widths[:, design.compared].mean(axis=(1, 2)))
 
 
 def widest(design: Design) -> tuple[int, int]:
     """Return material and band of the widest interval before any of the chosen pairs."""
-    widths = design.widths[0]
+    widths = np.where(design.compared[:, None], design.widths[0], 0.0)
     material, band = np.unravel_index(int(np.argmax(widths)), widths.shape)
     return int(material), int(band)
 
@@ -64,13 +65,13 @@ def design_content(design: Design, inputs: Iterable[Path]) -> dict[str, Any]:
                 "receiver": receiver,
                 "receiver_m": receiver_m,
                 "mean_width95": float(means[i + 1]),
-                "width95": _by_material(design, design.widths[i + 1]),
+                **_by_material(design, design.widths[i + 1], "width95", "width95_m2"),
             }
             for i, (source, source_m, receiver, receiver_m) in enumerate(chosen_positions(design))
         ],
         "before": {
             "mean_width95": float(means[0]),
-            "width95": _by_material(design, design.widths[0]),
+            **_by_material(design, design.widths[0], "width95", "width95_m2"),
             "after_fit": design.after_fit,
             "measured_pairs": design.n_fixed,
         },
@@ -81,7 +82,7 @@ def design_content(design: Design, inputs: Iterable[Path]) -> dict[str, Any]:
             "model": design.model,
             "criterion": design.criterion,
             "draws": design.n_draws,
-            "absorption": _by_material(design, design.absorption),
+            **_by_material(design, design.absorption, "absorption", "absorption_area_m2"),
             "source_distance_m": design.source_distance_m,
             "receiver_distance_m": design.receiver_distance_m,
             "wall_distance_m": design.wall_distance_m,
@@ -116,8 +117,13 @@ def chosen_positions(design: Design) -> list[tuple[str, FloatArray, str, FloatAr
     return found
 
 
-def _by_material(design: Design, table: FloatArray) -> dict[str, FloatArray]:
-    return dict(zip(design.materials, table, strict=True))
+def _by_material(
+    design: Design, table: FloatArray, of_walls: str, of_objects: str
+) -> dict[str, Any]:
+    """Return the rows of walls under one key, and those of objects, if any, under another."""
+    n = len(wall_materials(design.scene.room))
+    each = list(zip(design.materials, table, strict=True))
+    return {of_walls: dict(each[:n])} | ({of_objects: dict(each[n:])} if each[n:] else {})
 
 
 def _widest(design: Design) -> dict[str, Any]:
@@ -297,9 +303,10 @@ def _comparison(design: Design) -> str:
 
 
 def _widths_table(design: Design) -> Table:
-    rows = []
+    rows, n = [], len(wall_materials(design.scene.room))
     for i, name in enumerate(design.materials):
         own = design.widths[-1, i]
-        rows.append((name, *(own.tolist() if design.to_find[i] else ["known"] * own.size)))
+        label = name if i < n else f"{name}, m2"
+        rows.append((label, *(own.tolist() if design.to_find[i] else ["known"] * own.size)))
     heads = ("Hz", *(f"{f:g}" for f in design.bands.centres_hz))
     return Table("expected width of the 95 % interval", heads, rows, form=".3f")

@@ -19,7 +19,7 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.geometry.mesh import mean_free_path_m, shoebox_mesh
 from roomfit.inversion.fits import BandFits, Displacement
 from roomfit.inversion.measurements import Measurements
-from roomfit.inversion.paths import TracedPaths
+from roomfit.inversion.paths import TracedPaths, trim_memory
 from roomfit.inversion.scattering import band_factors
 from roomfit.inversion.systematics import widened
 from roomfit.logit import logit
@@ -44,6 +44,7 @@ from roomfit.objective.parameters import (
     start_vector,
 )
 from roomfit.objective.problem import Objective
+from roomfit.response.binned import once
 from roomfit.scene import (
     NEAREST_PAIR_M,
     NEAREST_WALL_M,
@@ -57,8 +58,8 @@ from roomfit.scene import (
 from roomfit.signals.filters import SpreadingKernel, spreading_kernel
 from roomfit.solvers.least_squares import BandFit, score_band
 from roomfit.tracing.image_sources import trace_images
-from roomfit.tracing.paths import hits
-from roomfit.typing import FloatArray
+from roomfit.tracing.paths import Paths
+from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.gaussian import BandEstimate
 
 # Below it a window is longer than what a displacement does to a reflection.
@@ -250,11 +251,9 @@ def displacement_model(
     c = speed_of_sound_m_s(scene.air)
     reach_m = float(distances_m(scene).max()) + _MEAN_FREE_PATHS * mean_free_path_m(scene.room.mesh)
     order = min(_ORDER, traced.settings.image_order)
-    until_s = min(reach_m / c, traced.settings.duration_s)
-    if traced.settings.image_until_s is not None:
-        until_s = min(until_s, traced.settings.image_until_s)
-    moves = (paths.batch < 0) & (paths.length_m <= c * until_s)
-    moves[moves] = hits(paths)[moves].sum(axis=1) <= order
+    limits_s = traced.settings.duration_s, traced.settings.image_until_s
+    until_s = min(reach_m / c, *(s for s in limits_s if s is not None))
+    moves = _early_images(paths, c * until_s, order)
     air = attenuation_per_m(scene.air, bands)
     unknown, found = directivities
     start = np.array([float(np.mean(a.absorption)) for a in answers])
@@ -271,15 +270,14 @@ def displacement_model(
     )
     bases = None
     if unknown is not None:
-        rows = tuple(chosen_rows(r, ~moves) for r in traced.binned.rows)
-        bases = row_bases(unknown, scene, paths, replace(traced.binned, rows=rows))
+        bases = row_bases(unknown, scene, paths, traced.binned, ~moves)
     out = []
     for band, own in enumerate(made):
         if own is None or bands.centres_hz[band] < _LEAST_HZ or answers[band].model == "prior":
             continue
-        files = fitted_in_band(responses, band)
-        rows = tuple(chosen_rows(r, ~moves) for r in own[0].rows)
-        term, parameters = replace(own[0], rows=rows), own[1]
+        (term, parameters), files = own, fitted_in_band(responses, band)
+        ends = scene.pairs[[m.pair for m in files]]
+        term = replace(term, rows=once(ends, (chosen_rows(r, ~moves) for r in term.rows)))
         directivity, b = None, np.zeros((0, 3))
         if unknown is not None and bases is not None:
             directivity = directed_band(unknown, scene, bases, term, files)
@@ -293,10 +291,20 @@ def displacement_model(
         values, _ = physical_values(parameters, vector)
         kept = fixed_paths(term, directivity, values["absorption"], b)
         out.append(DisplacementBand(band, kept, parameters, vector, float(air[band]), files))
+        del own, term, directivity  # as large as the paths, before the next band has its own
+        trim_memory()
     if not out:
         return None
     kernel, out = spreading_kernel(bands), out[::-1]
     return DisplacementModel(measured, traced, offsets, moved_m, until_s, order, kernel, tuple(out))
+
+
+def _early_images(paths: Paths, longest_m: float, order: int) -> BoolArray:
+    """Return which paths are of image sources so near and of so few reflections, (n_paths,)."""
+    found = (paths.batch < 0) & (paths.length_m <= longest_m)
+    met = paths.hits_specular[found] + paths.hits_diffuse[found]
+    found[found] = met.sum(axis=1) <= order
+    return found
 
 
 def _with_gains_of_their_own(responses: Sequence[MeasuredPair]) -> tuple[MeasuredPair, ...]:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from roomfit.cache import Cache
 from roomfit.findings import Finding
@@ -25,7 +23,7 @@ from roomfit.inversion.scattering import (
 from roomfit.inversion.trace_plan import TracePlan, cached_trace, is_coherent, plan_trace
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.directivity import FittedDirectivity
-from roomfit.response.binned import BinnedPaths, bin_paths
+from roomfit.response.binned import BinnedPaths, bin_paths, reweighed
 from roomfit.response.directivity import directivity_factors
 from roomfit.scene import Scene, wall_materials
 from roomfit.settings import Settings
@@ -72,19 +70,25 @@ def redirected(
 ) -> TracedPaths:
     """Return the same paths with the weights that fitted directivities give them.
 
+    Without factors, which only fits of pressures need: they are in the weights of the rows.
+
     Parameters
     ----------
     found : sequence of FittedDirectivity
     """
     scene, bands, paths = measurements.scene, measurements.bands, traced.paths
-    factors = np.ones((len(bands), len(paths))) if traced.factors is None else traced.factors.copy()
     source_of_pair = scene.pairs[:, 0].tolist()
     known = {name: p for d in found for name, p in d.patterns().items()}
     sources = [known.get(s.name) for s in scene.sources]
-    for band in range(len(bands)):
-        factors[band] *= directivity_factors(paths, sources, source_of_pair, band)
-    binned = bin_paths(scene, bands, paths, traced.settings.duration_s, factors)
-    return replace(traced, factors=factors, binned=binned)
+
+    def factors() -> Iterator[FloatArray]:
+        """Give those of one band after the other: of all bands they are larger than the paths."""
+        for band in range(len(bands)):
+            own = directivity_factors(paths, sources, source_of_pair, band)
+            yield own if traced.factors is None else traced.factors[band] * own
+
+    binned = reweighed(scene, bands, traced.binned, factors())
+    return replace(traced, factors=None, binned=binned)
 
 
 def traced_with(traced: TracedPaths) -> dict[str, float]:

@@ -23,7 +23,7 @@ from roomfit.response.binned import BinnedPaths
 from roomfit.response.directivity import Pattern, RowBasis, pattern_basis
 from roomfit.scene import Scene
 from roomfit.tracing.paths import Paths
-from roomfit.typing import FloatArray, IntArray
+from roomfit.typing import BoolArray, FloatArray, IntArray
 
 DIRECTIVITY = "directivity"
 
@@ -211,16 +211,32 @@ def with_cavity_prior(
 
 
 def row_bases(
-    directivity_parameters: DirectivityParameters, scene: Scene, paths: Paths, binned: BinnedPaths
+    directivity_parameters: DirectivityParameters,
+    scene: Scene,
+    paths: Paths,
+    binned: BinnedPaths,
+    kept: BoolArray | None = None,
 ) -> tuple[RowBasis, ...]:
-    """Return `pattern_basis` of the rows of every pair, once for all bands; empty where known."""
+    """Return `pattern_basis` of the rows of every pair, once for all bands; empty where known.
+
+    And once for all states of the room, whose paths are those of one trace.
+
+    Parameters
+    ----------
+    kept : bool array, shape (n_paths,), optional
+        Of which paths; left out, of all.
+    """
     aims = directivity_parameters.aims or (None,) * len(scene.sources)
-    return tuple(
-        pattern_basis(paths.departure[rows.path], aims[source])
-        if directivity_parameters.of_source[source] >= 0
-        else np.zeros((0, 3))
-        for rows, source in zip(binned.rows, scene.pairs[:, 0].tolist(), strict=True)
-    )
+    found: dict[tuple[int, int], RowBasis] = {}
+    bases = []
+    for rows, (source, receiver) in zip(binned.rows, scene.pairs.tolist(), strict=True):
+        basis: RowBasis = np.zeros((0, 3))
+        if directivity_parameters.of_source[source] >= 0 and rows.path is not None:
+            path = rows.path if kept is None else rows.path[kept[rows.path]]
+            basis = pattern_basis(paths.departure[path], aims[source])
+        like = found.setdefault((source, receiver), basis)
+        bases.append(like if np.array_equal(basis, like) else basis)
+    return tuple(bases)
 
 
 def directed_band(

@@ -19,7 +19,7 @@ from roomfit.objective.windows import (
     with_squares,
 )
 from roomfit.response.directivity import EnergyParts, RowBasis, RowPattern, weigh_parts
-from roomfit.response.energy import EnergyRows, rows_in_air
+from roomfit.response.energy import EnergyRows, rows_in_air, shared_zeros
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 _RINGING_S = 2e-3
@@ -357,12 +357,14 @@ def chosen_rows(rows: EnergyRows, kept: BoolArray) -> EnergyRows:
         Of the trace.
     """
     own = kept[cast(IntArray, rows.path)]
+    offsets = np.concatenate(([0], np.cumsum(own)))[rows.offsets]
     return replace(
         rows,
-        offsets=np.concatenate(([0], np.cumsum(own)))[rows.offsets],
+        offsets=offsets,
         weight_per_m2=rows.weight_per_m2[own],
         hits=rows.hits[own],
-        length_m=rows.length_m[own],
+        # of rows with the air's loss in their weights all are 0, and there once
+        length_m=rows.length_m[own] if rows.length_m.any() else shared_zeros(int(offsets[-1])),
         batch=rows.batch[own],
         path=cast(IntArray, rows.path)[own],
     )

@@ -9,10 +9,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from roomfit.bands import Bands
-from roomfit.prediction.tables import PredictedValue
-from roomfit.report.decay_times import Limit, Series, decay_time_figure, mid_words, with_interval
+from roomfit.prediction.tables import PredictedValue, is_undetermined
+from roomfit.report.decay_times import (
+    MID_HZ,
+    Limit,
+    Series,
+    decay_time_figure,
+    mid_words,
+    with_interval,
+)
 from roomfit.report.wording import decay_time_key, number, parameter
 from roomfit.signals.decay import jnd_of
+from roomfit.typing import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,6 +32,8 @@ class DecayAnswer:
     before: Series | None  # as it is: measured, or by the model; None where neither is known
     after: Series  # predicted; of a change what was measured before, carried over
     is_changed: bool
+    # why a change is not determined, as "prior alone"; "" where it is
+    open_because: str = ""
 
     @property
     def sentence(self) -> str:
@@ -39,6 +49,11 @@ class DecayAnswer:
             return f"{what} is predicted as {after}; {label} {number(value, 2)} s."
         if np.isfinite([low, high]).all():
             label += f", {number(low, 2)} to {number(high, 2)}"
+        if self.open_because:
+            return (
+                f"{what} is {number(value, 2)} s ({label}); what the change does to it is not "
+                f"determined ({self.open_because})."
+            )
         moved = self.after.mid_s(centres)[0] - value
         way = "stays at" if abs(moved) < 0.005 else "falls from" if moved < 0.0 else "rises from"
         if way == "stays at":
@@ -54,10 +69,10 @@ class DecayAnswer:
         if self.before is None:
             return [_figure(f"{where}, predicted", *after)]
         before = self.before.mid_s(centres)
-        shown = [
-            _figure(f"{where}, {self.before.label}", *before),
-            _figure(f"{where}, {self.after.label}", *after),
-        ]
+        shown = [_figure(f"{where}, {self.before.label}", *before)]
+        if self.open_because:
+            return [*shown, ("not determined", f"{where}, {self.after.label}: {self.open_because}")]
+        shown.append(_figure(f"{where}, {self.after.label}", *after))
         steps = (after[0] - before[0]) / float(jnd_of("T30_s", np.array(before[0])))
         change = f"{number(100.0 * (after[0] / before[0] - 1.0), 0, signed=True)} %"
         words = f"{number(abs(steps), 1)} just noticeable differences"
@@ -86,6 +101,7 @@ def decay_answer(
     is_changed: bool,
     before: str = "",
     after: str = "after the change",
+    open_for: Sequence[str] = (),
 ) -> DecayAnswer | None:
     """Return the answer of a table of means; None where it has no decay time.
 
@@ -96,6 +112,8 @@ def decay_answer(
     is_changed : bool
     before, after : str
         What the room is before and after the change, in a word; left out: whether it was measured.
+    open_for : sequence of str, optional
+        By band, as of `roomfit.prediction.output.parameter_lines`.
     """
     known = [name for name, v in means.items() if np.isfinite(v.predicted).any()]
     # T30 is what a client asks for
@@ -132,4 +150,12 @@ def decay_answer(
         np.where(is_alone, np.nan, c.before_lower95),
         np.where(is_alone, np.nan, c.before_upper95),
     )
-    return DecayAnswer(bands, symbol, earlier, Series(after, values, low, high), is_changed)
+    why = _open_because(bands.centres_hz, is_undetermined(name, c), open_for)
+    return DecayAnswer(bands, symbol, earlier, Series(after, values, low, high), is_changed, why)
+
+
+def _open_because(centres_hz: FloatArray, unknown: BoolArray, open_for: Sequence[str]) -> str:
+    """Return why a change is not determined in a band that the mid frequencies are made of."""
+    mid = np.isin(centres_hz, MID_HZ)
+    each = zip(open_for, unknown & (mid if mid.any() else True), strict=False)
+    return next((why for why, is_open in each if why and is_open), "")

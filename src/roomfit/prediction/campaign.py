@@ -9,9 +9,15 @@ from typing import Literal, NamedTuple, TypedDict
 import numpy as np
 
 from roomfit.core import (
+    About,
     AbsorptionPosterior,
+    Bands,
+    BoolArray,
+    Code,
+    Finding,
     FloatArray,
     InputError,
+    InsufficientDataError,
     MeasuredValues,
     Measurement,
     Scene,
@@ -22,6 +28,7 @@ from roomfit.core import (
     material_areas_m2,
     named_pairs,
     room_posterior,
+    voids_walls,
 )
 from roomfit.io.campaign import Campaign
 from roomfit.io.inputs import CampaignInputs
@@ -38,6 +45,7 @@ class WantedPairs(NamedTuple):
     state: str = ""
     # height and spacing in m, see `roomfit.prediction.grid.grid_scene`: in place of the receivers
     grid_m: tuple[float, float] | None = None
+    doubted: bool = False
 
 
 class PredictArguments(TypedDict):
@@ -57,6 +65,7 @@ def predict_arguments(
     changes: Sequence[Change] = (),
     pairs: PairChoice = "all",
     state: str = "",
+    doubted: bool = False,
 ) -> PredictArguments:
     """Return a campaign and the absorption of a result as arguments of `roomfit.predict`.
 
@@ -71,9 +80,14 @@ def predict_arguments(
         Every source with every receiver, or those that were measured.
     state : str
         Of the room, among the campaign's; "": as it is described.
+    doubted : bool
+        Whether to predict changes, and states that were not fitted, also in bands in which serious
+        findings of the result concern its walls.
 
     Raises
     ------
+    InsufficientDataError
+        All that is asked for rests on walls that are doubted so, and `doubted` is false.
     InputError
         Materials without absorption, no common band, no source, receiver or pair, an unknown
         choice of pairs, or files that cannot be read.
@@ -114,6 +128,10 @@ def predict_arguments(
     room = inputs.room()
     with located(f"{campaign.path}, identify"):
         bands, doubts = common_bands(campaign.bands, absorption.bands)
+    if not doubted:
+        with located(str(campaign.path)):
+            bands, changes, refused = _undoubted(absorption, bands, changes, state)
+        doubts = (*doubts, *refused)
     areas = dict(zip(room.materials, material_areas_m2(room).tolist(), strict=True))
     settings = campaign.settings
     absorption, dominated = for_another_room(absorption, areas, settings.n_draws, settings.seed)
@@ -128,7 +146,8 @@ def predict_arguments(
     fitted = absorption.fitted_states
     if fitted is not None and state not in fitted:
         names = ["", *campaign.states]
-        at = [i for i, name in enumerate(names) if name in fitted]
+        # of states of another campaign the areas are not known: those of the room as described
+        at = [i for i, name in enumerate(names) if name in fitted] or [0]
         by_state = np.array([material_areas_m2(room, i) for i in at]).reshape(len(at), -1)
         known = for_another_state(known, by_state, settings.n_draws, settings.seed)
     for kind, points in (("source", campaign.sources), ("receiver", campaign.receivers)):
@@ -152,6 +171,55 @@ def predict_arguments(
         "settings": campaign.settings,
         "speech_db": inputs.speech_db(),
     }
+
+
+def _undoubted(
+    absorption: AbsorptionPosterior, bands: Bands, changes: Sequence[Change], state: str
+) -> tuple[Bands, Sequence[Change], tuple[Finding, ...]]:
+    """Return the bands in which other walls can be predicted, changes there, and what is left out.
+
+    All of them where the room is as it was fitted. Elsewhere not those in which a serious finding
+    says that all absorptions are wrong: intervals hold every split of the sum that was measured,
+    but the sum itself may be wrong. Of a finding about some materials the split is.
+    """
+    fitted = absorption.fitted_states
+    if not changes and (fitted is None or state in fitted):
+        return bands, changes, ()
+    void = [
+        f
+        for f in absorption.result_findings
+        if f.severity == "serious" and voids_walls(f) and not f.about.materials
+    ]
+    centres_hz = bands.centres_hz.tolist()
+    kept = np.array([not any(f.about.in_band(c) for f in void) for c in centres_hz])
+    if kept.all():
+        return bands, changes, ()
+    codes = ", ".join(dict.fromkeys(f.code.value for f in void))
+    if not kept.any():
+        raise InsufficientDataError(
+            "other walls are not predicted from a result whose walls are seriously doubted",
+            found=f"{codes}, in every band",
+            needed="in some band, absorptions that no serious finding calls wrong",
+            hint="put right what the findings name, and identify again; or add --doubted (in "
+            "Python doubted=True), whose intervals hold less than they say",
+        )
+    own = tuple(
+        replace(c, values=_at(c.values, kept), sds=_at(c.sds, kept)) if len(c.values) > 1 else c
+        for c in changes
+    )
+    left_out = bands.centres_hz[~kept].tolist()
+    text = (
+        f"With other walls nothing is predicted at {', '.join(f'{f:g}' for f in left_out)} Hz: the "
+        f"result is seriously doubted there ({codes}). With --doubted it is, by intervals that "
+        "hold less than they say."
+    )
+    finding = Finding(Code.RESULT_DOUBTED, About(bands_hz=left_out), text)
+    return Bands(bands.kind, bands.centres_hz[kept]), own, (finding,)
+
+
+def _at(values: tuple[float, ...], kept: BoolArray) -> tuple[float, ...]:
+    """Return the values of some bands; as they are where there is not one a band."""
+    return tuple(np.array(values)[kept].tolist()) if len(values) == kept.size else values
 
 
 def _at_state(scene: Scene, campaign: Campaign, state: str) -> Scene:

@@ -15,11 +15,17 @@ from matplotlib.figure import Figure
 from roomfit.bands import Bands
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.io.encoding import finding_content, finding_of, numbers_or_null, provenance
 from roomfit.prediction.answer import DecayAnswer, decay_answer
 from roomfit.prediction.changes import Change, change_text
-from roomfit.prediction.tables import PredictedPair, PredictedValue, ValueChange, named_values
+from roomfit.prediction.tables import (
+    PredictedPair,
+    PredictedValue,
+    ValueChange,
+    is_undetermined,
+    named_values,
+)
 from roomfit.report.decay_times import mid_mean, mid_words
 from roomfit.report.figures import (
     LOWEST_DB,
@@ -199,7 +205,9 @@ def predicted_html(predicted: Predicted) -> str:
 def _mean_tables(predicted: Predicted, caption: str) -> list[Table]:
     """Return the mean of every parameter, and that of the speech transmission index if known."""
     is_changed = bool(predicted.changes)
-    rows = parameter_rows(named_values(predicted.mean, None), is_changed=is_changed)
+    rows = parameter_rows(
+        named_values(predicted.mean, None), is_changed=is_changed, open_for=_open_for(predicted)
+    )
     tables = [Table(caption, _heads(predicted), rows)]
     if predicted.sti is not None:
         sti = parameter_rows({"STI": predicted.sti}, is_changed=is_changed)
@@ -214,7 +222,11 @@ def pairs_table(predicted: Predicted) -> Table:
         rows.append([f"{pair.source} to {pair.receiver}, {_USES[pair.use]}"])
         chosen = [next((n for n in names if n in pair.parameters), None) for names in _OF_A_PAIR]
         shown = {name: value for name, value in pair.parameters.items() if name in chosen}
-        own = parameter_rows(named_values(shown, pair.sti), is_changed=bool(predicted.changes))
+        own = parameter_rows(
+            named_values(shown, pair.sti),
+            is_changed=bool(predicted.changes),
+            open_for=_open_for(predicted),
+        )
         # the speech transmission index has no band
         rows += [[*row, *[""] * (len(predicted.bands) + 1 - len(row))] for row in own]
     left = len(predicted.pairs) - _PAIRS_SHOWN
@@ -226,13 +238,34 @@ def _heads(predicted: Predicted) -> tuple[str, ...]:
     return ("Hz", *(f"{f:g}" for f in predicted.bands.centres_hz))
 
 
+_OPEN = ((Code.CHANGE_PRIOR_DOMINATED, "prior alone"), (Code.RESULT_DOUBTED, "result doubted"))
+
+
+def _open_for(predicted: Predicted) -> tuple[str, ...]:
+    """Return by band why the absorption may be split otherwise among walls; "" where it may not."""
+    centres_hz, found = predicted.bands.centres_hz.tolist(), predicted.findings
+    return tuple(
+        next((why for code, why in _OPEN if _is_said(found, code, f)), "") for f in centres_hz
+    )
+
+
+def _is_said(findings: Sequence[Finding], code: Code, band_hz: float) -> bool:
+    return any(f.code is code and f.about.in_band(band_hz) for f in findings)
+
+
 def parameter_lines(
-    table: Mapping[str, PredictedValue], *, is_changed: bool
+    table: Mapping[str, PredictedValue], *, is_changed: bool, open_for: Sequence[str] = ()
 ) -> list[tuple[str, str, list[Cell]]]:
     """Return name, what is said of it, and cells of every line of a table.
 
     What was measured is set against the model of the room as it was measured, never against a
     changed one.
+
+    Parameters
+    ----------
+    open_for : sequence of str, optional
+        By band, why the absorption may be split otherwise among walls: there a change of which
+        `is_undetermined` holds is said to be not determined, its reason beside it.
     """
     lines = []
     for name, label, form in _SHOWN:
@@ -250,30 +283,36 @@ def parameter_lines(
         if is_changed and c is not None:
             lines += [
                 (label, what, cells)
-                for what, cells in _change_cells(name, c, form)
+                for what, cells in _change_cells(name, c, form, open_for)
                 if is_measured or what != "carried over"
             ]
     return lines
 
 
-def _change_cells(name: str, c: ValueChange, form: str) -> Iterator[tuple[str, list[Cell]]]:
+def _change_cells(
+    name: str, c: ValueChange, form: str, open_for: Sequence[str]
+) -> Iterator[tuple[str, list[Cell]]]:
     yield "model before", _with_bounds(form, c.before, c.before_lower95, c.before_upper95)
     yield "carried over", _with_bounds(form, c.carried, c.carried_lower95, c.carried_upper95)
     rows = (c.change, c.change_lower95, c.change_upper95)
-    if name in FIT_RANGES_DB:
-        yield "change %", _with_bounds("{:+.0f}", *(100 * (r - 1) for r in rows))
-    else:
+    label, cells = "change %", _with_bounds("{:+.0f}", *(100 * (r - 1) for r in rows))
+    if name not in FIT_RANGES_DB:
         unit = {n: label for n, label, _ in _SHOWN}[name].partition(" ")[2].replace("%", "points")
-        yield f"change {unit}".rstrip(), _with_bounds(form.replace(":", ":+"), *rows)
+        label, cells = f"change {unit}".rstrip(), _with_bounds(form.replace(":", ":+"), *rows)
+    unknown = is_undetermined(name, c)
+    for band, why in enumerate(open_for[: unknown.size]):
+        if why and unknown[band]:
+            cells[band] = Cell("not determined", (why,))
+    yield label, cells
 
 
 def parameter_rows(
-    table: Mapping[str, PredictedValue], *, is_changed: bool
+    table: Mapping[str, PredictedValue], *, is_changed: bool, open_for: Sequence[str] = ()
 ) -> list[tuple[Value, ...]]:
     """Return rows as text has them: the name of a parameter stands above its other lines."""
     return [
         ({"predicted": label, "model after": f"{label} after"}.get(what, f"  {what}"), *cells)
-        for label, what, cells in parameter_lines(table, is_changed=is_changed)
+        for label, what, cells in parameter_lines(table, is_changed=is_changed, open_for=open_for)
     ]
 
 
@@ -293,9 +332,10 @@ def predicted_page(predicted: Predicted) -> str:
         (_MEAN, predicted.mean),
         *((f"{p.source} to {p.receiver}, {_USES[p.use]}", p.parameters) for p in predicted.pairs),
     ]
-    shown = []
+    shown, open_for = [], _open_for(predicted)
     for title, values in titled:
-        lines = parameter_lines(named_values(values, None), is_changed=is_changed)
+        named = named_values(values, None)
+        lines = parameter_lines(named, is_changed=is_changed, open_for=open_for)
         shown.append(band_tables(title, "parameter", centres_hz, _page_rows(lines)))
     sti = [("mean over the pairs", predicted.sti)]
     sti += [(f"{p.source} to {p.receiver}", p.sti) for p in predicted.pairs]
@@ -326,7 +366,8 @@ def predicted_page(predicted: Predicted) -> str:
 
 def _answer(predicted: Predicted) -> DecayAnswer | None:
     means = named_values(predicted.mean, None)
-    return decay_answer(predicted.bands, means, is_changed=bool(predicted.changes))
+    is_changed, open_for = bool(predicted.changes), _open_for(predicted)
+    return decay_answer(predicted.bands, means, is_changed=is_changed, open_for=open_for)
 
 
 def _lead(predicted: Predicted) -> list[str]:

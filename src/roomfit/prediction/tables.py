@@ -13,6 +13,7 @@ from roomfit.core import (
     FIT_RANGES_DB,
     VALUE_NAMES,
     Bands,
+    BoolArray,
     DecayCurve,
     Finding,
     FloatArray,
@@ -52,6 +53,21 @@ class ValueChange:
     carried: FloatArray
     carried_lower95: FloatArray
     carried_upper95: FloatArray
+
+
+# Of an energy: what is known of a level no better than by a factor of 2.
+_FACTOR, _FACTOR_DB = 2.0, 3.0103
+
+
+def is_undetermined(name: str, change: ValueChange) -> BoolArray:
+    """Return in which bands not even the sign of a change, or its size by a factor of 2, is known.
+
+    Of decay times, and of levels in dB; of others there is no factor, and nothing is said.
+    """
+    low, high = change.change_lower95, change.change_upper95
+    if name in FIT_RANGES_DB:
+        return np.asarray((low < 1.0) & (high > 1.0) & (high > _FACTOR * low))
+    return np.asarray((low < 0.0) & (high > 0.0) & (high > low + _FACTOR_DB) & name.endswith("_dB"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -10,7 +10,14 @@ import numpy as np
 
 from roomfit.air import speed_of_sound_m_s
 from roomfit.bands import Bands
-from roomfit.response.energy import EnergyRows, energy_rows, regrouped_rows, reweighed_rows, weigh
+from roomfit.response.energy import (
+    EnergyRows,
+    energy_rows,
+    regrouped_rows,
+    reweighed_rows,
+    sharing,
+    weigh,
+)
 from roomfit.scene import Scene
 from roomfit.tracing.paths import Paths, paths_of_pairs
 from roomfit.typing import FloatArray, IntArray
@@ -88,17 +95,44 @@ def bin_paths(
     last = int(np.ceil(duration_s / BIN_S))
     edges = BIN_S * np.arange(first, last + 1, dtype=np.float64)
     c = speed_of_sound_m_s(scene.air)
-    rows = tuple(
+    each = (
         energy_rows(paths, pair, edges, c, own) for pair, own in enumerate(paths_of_pairs(paths))
     )
+    return reweighed(scene, bands, BinnedPaths(edges, once(scene.pairs, each)), factors)
+
+
+def reweighed(
+    scene: Scene, bands: Bands, binned: BinnedPaths, factors: Iterable[FloatArray] | None
+) -> BinnedPaths:
+    """Return the same bins with a factor on the weight of every path of the trace in every band.
+
+    All but the weights is the same in every band, and there once.
+
+    Parameters
+    ----------
+    factors : iterable of float arrays, shape (n_paths,)
+        One a band, taken when it is needed; None: 1 everywhere.
+    """
     if factors is None:
-        return BinnedPaths(edges, rows)
-    # all but the weights is the same in every band, and there once
+        return BinnedPaths(binned.edges_s, binned.rows)
     by_band = {
-        float(f): tuple(reweighed_rows(r, factors[band]) for r in rows)
-        for band, f in enumerate(bands.centres_hz)
+        float(f): once(scene.pairs, (reweighed_rows(r, own) for r in binned.rows))
+        for f, own in zip(bands.centres_hz, factors, strict=True)
     }
-    return BinnedPaths(edges, rows, by_band)
+    return BinnedPaths(binned.edges_s, binned.rows, by_band)
+
+
+def once(ends: IntArray, each: Iterable[EnergyRows]) -> tuple[EnergyRows, ...]:
+    """Return rows, with what is alike in all states of the room there once.
+
+    Parameters
+    ----------
+    ends : int array, shape (n, 2)
+        Source and receiver of each.
+    """
+    found: dict[tuple[int, ...], EnergyRows] = {}
+    both = zip(ends.tolist(), each, strict=True)
+    return tuple(sharing(own, found.setdefault(tuple(at), own)) for at, own in both)
 
 
 def in_band(binned: BinnedPaths, centre_hz: float) -> BinnedPaths:

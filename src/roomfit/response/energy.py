@@ -170,6 +170,19 @@ def merge_equal_rows(rows: EnergyRows) -> EnergyRows:
     )
 
 
+def sharing(rows: EnergyRows, like: EnergyRows) -> EnergyRows:
+    """Return the same rows with the arrays of other rows in place of those that are equal to them.
+
+    A pair that was measured in several states of the room has the paths of one trace in each: only
+    their hits differ, which are counted by the materials of the state. Of longer arrays the
+    beginning is compared, since what is read of a state may end earlier.
+    """
+    names = ("weight_per_m2", "length_m", "batch")
+    theirs = {name: getattr(like, name)[: len(rows)] for name in names}
+    same = {name: a for name, a in theirs.items() if np.array_equal(getattr(rows, name), a)}
+    return replace(rows, **cast(Any, same))
+
+
 def rows_in_air(rows: EnergyRows, attenuation_per_m: float) -> EnergyRows:
     """Return rows of one band with the air's ``exp(-m length)`` included in the weights.
 

@@ -13,7 +13,7 @@ import numpy as np
 from roomfit.errors import InputError
 from roomfit.materials.priors import Scattering, coefficients_in_order
 from roomfit.scene import Room, Scene, materials_of_surfaces, pair_states, select_pairs
-from roomfit.tracing.paths import Paths, select
+from roomfit.tracing.paths import Paths, paths_of_pairs
 from roomfit.typing import IntArray
 
 
@@ -92,27 +92,31 @@ def in_every_state(paths: Paths, single: Scene, scene: Scene, scattering: Scatte
     _, of_part = parts_of(scene.room)
     n_materials = len(scene.room.materials)
     number = {tuple(pair): i for i, pair in enumerate(single.pairs.tolist())}
-    order = np.argsort(paths.pair, kind="stable")
-    ends = np.searchsorted(paths.pair[order], np.arange(len(number) + 1))
-    own, pair, specular, diffuse = [], [], [], []
-    for i, (ends_of_pair, state) in enumerate(
-        zip(scene.pairs.tolist(), pair_states(scene), strict=True)
-    ):
-        traced = number[tuple(ends_of_pair)]
-        rows = order[ends[traced] : ends[traced + 1]]
+    of_pair = paths_of_pairs(paths)
+    rows = [of_pair[number[tuple(ends)]] for ends in scene.pairs.tolist()]
+    last = np.cumsum([own.size for own in rows])
+    # each array is there once: all states together may be all that memory holds
+    specular, diffuse = (np.empty((last[-1], n_materials), dtype=np.uint16) for _ in range(2))
+    for own, end, state in zip(rows, last, pair_states(scene), strict=True):
         by_material = np.zeros((len(of_part[state]), n_materials), dtype=np.uint16)
         by_material[np.arange(len(of_part[state])), of_part[state]] = 1
-        own.append(rows)
-        pair.append(np.full(rows.size, i, dtype=np.int32))
-        specular.append(paths.hits_specular[rows] @ by_material)
-        diffuse.append(paths.hits_diffuse[rows] @ by_material)
-    chosen = select(paths, np.concatenate(own))
+        here = slice(end - own.size, end)
+        np.matmul(paths.hits_specular[own], by_material, out=specular[here])
+        np.matmul(paths.hits_diffuse[own], by_material, out=diffuse[here])
+    pair = np.repeat(np.arange(len(rows), dtype=np.int32), [own.size for own in rows])
+    chosen, transform = np.concatenate(rows), paths.image_transform
     return replace(
-        chosen,
+        paths,
         n_pairs=len(scene.pairs),
         materials=scene.room.materials,
-        pair=np.concatenate(pair),
-        hits_specular=np.concatenate(specular),
-        hits_diffuse=np.concatenate(diffuse),
+        pair=pair,
+        hits_specular=specular,
+        hits_diffuse=diffuse,
+        length_m=paths.length_m[chosen],
+        weight_per_m2=paths.weight_per_m2[chosen],
+        departure=paths.departure[chosen],
+        arrival=paths.arrival[chosen],
+        batch=paths.batch[chosen],
+        image_transform=None if transform is None else transform[chosen],
         sampling_scattering=np.atleast_2d(coefficients_in_order(scattering, scene.room.materials)),
     )
