@@ -116,6 +116,11 @@ def read_model(spec: RoomSpec) -> tuple[RoomModel, str]:
     InputError
         The file is of no known format, or cannot be read.
     """
+    with located(hint="correct the file there, or export it again"):
+        return _polygons(spec)
+
+
+def _polygons(spec: RoomSpec) -> tuple[RoomModel, str]:
     if spec.polygons is not None:
         return read_polygons(spec.polygons, spec.unit), str(spec.polygons.corners[0])
     path = Path(spec.file or "")
