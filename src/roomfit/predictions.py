@@ -117,7 +117,7 @@ def predict_to_folder(
     StoreError
         The disk refuses.
     """
-    from roomfit.io.results import read_result
+    from roomfit.io.results import check_disk_room, read_result
     from roomfit.prediction.campaign import predict_arguments
     from roomfit.prediction.diffuse import predict_field
     from roomfit.prediction.output import change_figure, predicted_decay_figure, write_predicted
@@ -128,11 +128,13 @@ def predict_to_folder(
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
     field = _prepared_field(campaign, absorption_file, wanted)
     if field is not None:
+        check_disk_room(out, 0)
         with located(str(campaign_file)):
             predicted = predict_field(field, changes)
     elif absorption_file is not None:
         found = read_result(absorption_file)
         arguments = predict_arguments(campaign, found, changes, *(wanted or ()))
+        check_disk_room(out, len(arguments["scene"].pairs))
         cache = user_cache() if use_cache else None
         with located(str(campaign_file)):
             predicted = predict(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
