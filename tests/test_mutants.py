@@ -41,6 +41,7 @@ AREAS = {
     "doors",
     "impedance",
     "kept apart",
+    "random places",
     "limits of absorption",
     "treatment",
     "workers",
