@@ -10,7 +10,9 @@ Before that the same tests run once without any bug, and must pass.
 ``--random N --seed S`` plants N bugs at random places of the syntax tree instead: signs,
 comparisons, constants, indices, dropped statements, exchanged arguments; ``--packages`` names the
 packages of src. The tests are those that import the module, and what they notice is tried without
-the bug. The share noticed is printed by package, with its interval of 95 % (Clopper and Pearson).
+the bug. Bugs that mutants.toml lists as equivalent, each with its reason, change no answer: they
+are named and not counted. The share noticed is printed by package, with its interval of 95 %
+(Clopper and Pearson).
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ SOURCE = REPOSITORY / "src"
 # Imported once and shared by all runs; nothing of roomfit, which differs from run to run.
 _PRELOADED = ["numpy", "scipy.signal", "scipy.optimize", "scipy.stats", "numba", "hypothesis"]
 LIMIT_S = 240.0
-Verdict = Literal["noticed", "SURVIVED", "undecided"]
+Verdict = Literal["noticed", "SURVIVED", "undecided", "equivalent"]
 
 
 class Mutant(NamedTuple):
@@ -68,7 +70,10 @@ class Outcome(NamedTuple):
         return self.verdict == "noticed"
 
 
-def planted(path: Path = REPOSITORY / "benchmarks" / "mutants.toml") -> tuple[Mutant, ...]:
+_LIST = REPOSITORY / "benchmarks" / "mutants.toml"
+
+
+def planted(path: Path = _LIST) -> tuple[Mutant, ...]:
     """Return all bugs of a file, group after group."""
     groups = tomllib.loads(path.read_text(encoding="utf-8"))["group"]
     return tuple(
@@ -86,6 +91,17 @@ def planted(path: Path = REPOSITORY / "benchmarks" / "mutants.toml") -> tuple[Mu
 
 
 MUTANTS = planted()
+
+
+def equivalent(path: Path = _LIST) -> dict[Mutant, str]:
+    """Return changes of the source that change no answer, and why."""
+    return {
+        Mutant(e["why"], "equivalent", e["path"], e["old"], e["new"], ()): e["why"]
+        for e in tomllib.loads(path.read_text(encoding="utf-8"))["equivalent"]
+    }
+
+
+EQUIVALENT = equivalent()
 
 
 def mutated(mutant: Mutant) -> str:
@@ -219,12 +235,22 @@ def random_outcomes(mutants: Iterable[Mutant], limit_s: float = LIMIT_S) -> Iter
             return _tested(SOURCE, [test], Path(name) / "log.txt", "", 2 * limit_s).status != 0
 
     for mutant in mutants:
+        why = why_equivalent(mutant)
+        if why:
+            yield Outcome(mutant, "equivalent", why, 0.0)
+            continue
         with tempfile.TemporaryDirectory() as name:
             outcome = tried(mutant, mutant.tests, Path(name), limit_s)
         test = outcome.how.removeprefix("FAILED ").removeprefix("ERROR ").removeprefix("tests/")
         if outcome.noticed and (not test or fails_anyway(test)):
             outcome = outcome._replace(verdict="undecided", how=f"fails without it, too: {test}")
         yield outcome
+
+
+def why_equivalent(mutant: Mutant) -> str:
+    """Return why a bug changes no answer, or "": by the text that it leaves, wherever it stands."""
+    own = [e for e in EQUIVALENT if e.path == mutant.path]
+    return next((EQUIVALENT[e] for e in own if mutated(e) == mutated(mutant)), "")
 
 
 _SIGNS = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.Pow: "*"}
@@ -502,11 +528,13 @@ def main() -> None:
         )
     for area in (*dict.fromkeys(m.area for m in chosen), None):
         own = [o for o in done if o.mutant and area in (None, o.mutant.area)]
-        decided = [o for o in own if o.verdict != "undecided"]
+        decided = [o for o in own if o.verdict in ("noticed", "SURVIVED")]
+        alike = sum(o.verdict == "equivalent" for o in own)
         noticed = sum(o.noticed for o in decided)
         print(
             f"{area or 'all'}: {noticed} of {len(decided)} noticed, "
-            f"{share(noticed, len(decided))}; {len(own) - len(decided)} undecided"
+            f"{share(noticed, len(decided))}; {len(own) - len(decided) - alike} undecided, "
+            f"{alike} equivalent"
         )
 
 

@@ -9,16 +9,20 @@ import pytest
 from scipy.stats import binomtest
 
 from mutants import (
+    EQUIVALENT,
     MUTANTS,
     REPOSITORY,
     SOURCE,
+    Mutant,
     mutated,
     near_tests,
     outcomes,
     places,
     random_mutants,
+    random_outcomes,
     share,
     tried,
+    why_equivalent,
 )
 
 # Each with tests of a few seconds, of four areas.
@@ -59,6 +63,27 @@ def test_the_text_of_a_bug_stands_once_in_the_source_and_leaves_it_readable(muta
     """Otherwise the source has changed, and the bug is to be planted anew."""
     assert mutant.old != mutant.new
     ast.parse(mutated(mutant))
+
+
+@pytest.mark.parametrize("mutant", EQUIVALENT, ids=lambda m: m.path)
+def test_what_is_called_equivalent_stands_once_in_the_source_and_can_be_planted(mutant):
+    """At a place of a random bug, which then is named with its reason and not tried."""
+    text = (SOURCE / "roomfit" / mutant.path).read_text(encoding="utf-8")
+    made = mutated(mutant)
+    same = [p for p in places(text) if text[: p.start] + p.new + text[p.end :] == made]
+    assert same, "no random bug leaves this text"
+    first = same[0]
+    random = Mutant(
+        "x", "y", mutant.path, text[first.start : first.end], first.new, (), first.start
+    )
+    assert why_equivalent(random) == EQUIVALENT[mutant] and len(EQUIVALENT[mutant].split()) > 4
+    (outcome,) = random_outcomes([random])
+    assert (outcome.verdict, outcome.how) == ("equivalent", EQUIVALENT[mutant])
+    elsewhere = next(p for p in places(text) if p not in same)
+    other = random._replace(
+        old=text[elsewhere.start : elsewhere.end], new=elsewhere.new, start=elsewhere.start
+    )
+    assert why_equivalent(other) == ""
 
 
 def test_the_tests_named_beside_a_bug_exist():

@@ -10,6 +10,7 @@ from roomfit.bands import bands_between
 from roomfit.inversion.measurements import collect_measurements
 from roomfit.materials.priors import uniform_scattering, unknown_material
 from roomfit.objective.observation import energy_terms
+from roomfit.objective.windows import WINDOW_DECAYS, windows_decay_s
 from roomfit.response.binned import bin_paths
 from roomfit.scene import scene_of, shoebox_room
 from roomfit.signals.filters import statistical_bandwidth_hz
@@ -49,3 +50,17 @@ def test_a_window_lasts_a_tenth_of_the_time_since_the_direct_sound_or_what_the_b
             wanted_s = np.maximum(least_s, 0.1 * since_s)
             np.testing.assert_allclose(np.diff(edges_s)[1:], wanted_s, rtol=1e-7)
             assert wanted_s.max() > 1.5 * least_s
+
+
+def test_a_decay_time_of_windows_is_that_of_a_line_and_none_where_nothing_falls():
+    """Windows of many widths of an exponential decay; energy that comes all at the end."""
+    edges_s = np.cumsum(np.concatenate([[0.1], np.linspace(0.002, 0.02, 150)]))
+    left = 5.0 * 10.0 ** (-6.0 * (edges_s - 0.1) / 0.7)
+    energy = -np.diff(left)
+    energy[-1] += left[-1]  # nothing is left after the last window
+    for name in WINDOW_DECAYS:
+        assert windows_decay_s(edges_s, energy, name) == pytest.approx(0.7, rel=1e-6)
+    late = np.zeros(energy.size)
+    late[-1] = 1.0
+    assert np.isnan(windows_decay_s(edges_s, late, "EDT_s"))
+    assert np.isnan(windows_decay_s(edges_s, 0.0 * energy, "EDT_s"))
