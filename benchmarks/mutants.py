@@ -153,6 +153,9 @@ def run_tests(copy: str, tests: Sequence[str], log: str, marked: str) -> None:
     os._exit(int(status))
 
 
+_ENDED = "ended by signal"
+
+
 class _Run(NamedTuple):
     """How pytest ended: None where it was stopped by time."""
 
@@ -179,7 +182,11 @@ def _tested(copy: Path, tests: Sequence[str], log: Path, marked: str, limit_s: f
     text = log.read_text(encoding="utf-8") if log.exists() else ""
     failed = [line for line in text.splitlines() if line.startswith(("FAILED", "ERROR"))]
     first = failed[0].split(" - ")[0] if failed else ""
-    # 0: all passed; 1: a test failed; 2: a test file could not be read; 5: none is marked so
+    # 0: all passed; 1: a test failed; 2: a test file could not be read; 5: none is marked so; a
+    # signal ends what reaches beyond an array in compiled code, and that is noticed
+    ended_by_signal = process.exitcode is not None and process.exitcode < 0
+    if not late and ended_by_signal:
+        return _Run(1, f"{_ENDED} {-(process.exitcode or 0)}", text)
     if not late and process.exitcode not in (0, 1, 2, 5):
         raise SystemExit(f"pytest ended with {process.exitcode}:\n{text[-2000:]}")
     return _Run(None if late else process.exitcode, first, text)
@@ -242,7 +249,8 @@ def random_outcomes(mutants: Iterable[Mutant], limit_s: float = LIMIT_S) -> Iter
         with tempfile.TemporaryDirectory() as name:
             outcome = tried(mutant, mutant.tests, Path(name), limit_s)
         test = outcome.how.removeprefix("FAILED ").removeprefix("ERROR ").removeprefix("tests/")
-        if outcome.noticed and (not test or fails_anyway(test)):
+        by_signal = test.startswith(_ENDED)
+        if outcome.noticed and not by_signal and (not test or fails_anyway(test)):
             outcome = outcome._replace(verdict="undecided", how=f"fails without it, too: {test}")
         yield outcome
 

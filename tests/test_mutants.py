@@ -147,6 +147,18 @@ def test_a_bug_whose_tests_are_stopped_by_time_is_undecided(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_bug_that_ends_the_process_by_a_signal_is_noticed_and_stops_no_other():
+    """As one that reaches beyond an array in compiled code."""
+    own = "import numpy as np\n"
+    crash = Mutant(
+        *("crash", "air", "air.py", own, f"{own}import os; os.kill(os.getpid(), 11)\n"),
+        ("test_air.py",),
+    )
+    (outcome,) = random_outcomes([crash])
+    assert (outcome.verdict, outcome.how) == ("noticed", "ended by signal 11")
+
+
+@pytest.mark.slow
 def test_some_bugs_are_noticed_by_the_tests_beside_them():
     chosen = [m for m in MUTANTS if m.name in QUICK]
     assert len(chosen) == len(QUICK)
