@@ -22,6 +22,7 @@ import ast
 import contextlib
 import os
 import random
+import re
 import shutil
 import signal
 import sys
@@ -446,7 +447,7 @@ _OF_TEXT = frozenset(f"test_{n}.py" for n in ("shape", "words", "docs", "mutants
 def near_tests(path: str, function: str = "") -> tuple[str, ...]:
     """Return the test files that reach a module by the fewest imports, nearest first.
 
-    Where a function is named, files whose text has its name come before all others.
+    Where a function is named, files whose text has it as a word come before all others.
     Those that import it come before those that import what imports it, and so on; among them those
     named after it, those in the folder of its package, then those that import least.
     """
@@ -480,7 +481,8 @@ def near_tests(path: str, function: str = "") -> tuple[str, ...]:
             if folder in t.relative_to(REPOSITORY / "tests").parts
         ]
     if function:
-        found.sort(key=lambda t: function not in (REPOSITORY / "tests" / t).read_text("utf-8"))
+        named = re.compile(rf"\b{function}\b")
+        found.sort(key=lambda t: not named.search((REPOSITORY / "tests" / t).read_text("utf-8")))
     return tuple(dict.fromkeys(found))
 
 

@@ -130,6 +130,8 @@ def test_the_tests_near_a_module_are_those_that_import_it():
     assert near_tests("uncertainty/smoothing.py")[0] == "uncertainty/test_smoothing.py"
     assert all((REPOSITORY / "tests" / name).exists() for name in near_tests("logit.py"))
     assert all(name.startswith("io/") for name in near_tests("io/child.py"))
+    # of a function that no test names, though some say "_measured"
+    assert near_tests("tracing/reflectors.py", "_measure")[0] == "tracing/test_reflectors.py"
 
 
 def test_a_share_has_the_interval_of_clopper_and_pearson():
