@@ -10,7 +10,9 @@ Before that the same tests run once without any bug, and must pass.
 ``--random N --seed S`` plants N bugs at random places of the syntax tree instead: signs,
 comparisons, constants, indices, dropped statements, exchanged arguments; ``--packages`` names the
 packages of src. The tests are those that import the module, and what they notice is tried without
-the bug. The share noticed is printed by package, with its interval of 95 % (Clopper and Pearson).
+the bug. Bugs that mutants.toml lists as equivalent, each with its reason, change no answer: they
+are named and not counted. The share noticed is printed by package, with its interval of 95 %
+(Clopper and Pearson).
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ import ast
 import contextlib
 import os
 import random
+import re
 import shutil
 import signal
 import sys
@@ -39,7 +42,7 @@ SOURCE = REPOSITORY / "src"
 # Imported once and shared by all runs; nothing of roomfit, which differs from run to run.
 _PRELOADED = ["numpy", "scipy.signal", "scipy.optimize", "scipy.stats", "numba", "hypothesis"]
 LIMIT_S = 240.0
-Verdict = Literal["noticed", "SURVIVED", "undecided"]
+Verdict = Literal["noticed", "SURVIVED", "undecided", "equivalent"]
 
 
 class Mutant(NamedTuple):
@@ -68,7 +71,10 @@ class Outcome(NamedTuple):
         return self.verdict == "noticed"
 
 
-def planted(path: Path = REPOSITORY / "benchmarks" / "mutants.toml") -> tuple[Mutant, ...]:
+_LIST = REPOSITORY / "benchmarks" / "mutants.toml"
+
+
+def planted(path: Path = _LIST) -> tuple[Mutant, ...]:
     """Return all bugs of a file, group after group."""
     groups = tomllib.loads(path.read_text(encoding="utf-8"))["group"]
     return tuple(
@@ -86,6 +92,17 @@ def planted(path: Path = REPOSITORY / "benchmarks" / "mutants.toml") -> tuple[Mu
 
 
 MUTANTS = planted()
+
+
+def equivalent(path: Path = _LIST) -> dict[Mutant, str]:
+    """Return changes of the source that change no answer, and why."""
+    return {
+        Mutant(e["why"], "equivalent", e["path"], e["old"], e["new"], ()): e["why"]
+        for e in tomllib.loads(path.read_text(encoding="utf-8"))["equivalent"]
+    }
+
+
+EQUIVALENT = equivalent()
 
 
 def mutated(mutant: Mutant) -> str:
@@ -137,6 +154,9 @@ def run_tests(copy: str, tests: Sequence[str], log: str, marked: str) -> None:
     os._exit(int(status))
 
 
+_ENDED = "ended by signal"
+
+
 class _Run(NamedTuple):
     """How pytest ended: None where it was stopped by time."""
 
@@ -163,7 +183,11 @@ def _tested(copy: Path, tests: Sequence[str], log: Path, marked: str, limit_s: f
     text = log.read_text(encoding="utf-8") if log.exists() else ""
     failed = [line for line in text.splitlines() if line.startswith(("FAILED", "ERROR"))]
     first = failed[0].split(" - ")[0] if failed else ""
-    # 0: all passed; 1: a test failed; 2: a test file could not be read; 5: none is marked so
+    # 0: all passed; 1: a test failed; 2: a test file could not be read; 5: none is marked so; a
+    # signal ends what reaches beyond an array in compiled code, and that is noticed
+    ended_by_signal = process.exitcode is not None and process.exitcode < 0
+    if not late and ended_by_signal:
+        return _Run(1, f"{_ENDED} {-(process.exitcode or 0)}", text)
     if not late and process.exitcode not in (0, 1, 2, 5):
         raise SystemExit(f"pytest ended with {process.exitcode}:\n{text[-2000:]}")
     return _Run(None if late else process.exitcode, first, text)
@@ -219,12 +243,23 @@ def random_outcomes(mutants: Iterable[Mutant], limit_s: float = LIMIT_S) -> Iter
             return _tested(SOURCE, [test], Path(name) / "log.txt", "", 2 * limit_s).status != 0
 
     for mutant in mutants:
+        why = why_equivalent(mutant)
+        if why:
+            yield Outcome(mutant, "equivalent", why, 0.0)
+            continue
         with tempfile.TemporaryDirectory() as name:
             outcome = tried(mutant, mutant.tests, Path(name), limit_s)
         test = outcome.how.removeprefix("FAILED ").removeprefix("ERROR ").removeprefix("tests/")
-        if outcome.noticed and (not test or fails_anyway(test)):
+        by_signal = test.startswith(_ENDED)
+        if outcome.noticed and not by_signal and (not test or fails_anyway(test)):
             outcome = outcome._replace(verdict="undecided", how=f"fails without it, too: {test}")
         yield outcome
+
+
+def why_equivalent(mutant: Mutant) -> str:
+    """Return why a bug changes no answer, or "": by the text that it leaves, wherever it stands."""
+    own = [e for e in EQUIVALENT if e.path == mutant.path]
+    return next((EQUIVALENT[e] for e in own if mutated(e) == mutated(mutant)), "")
 
 
 _SIGNS = {ast.Add: "-", ast.Sub: "+", ast.Mult: "/", ast.Div: "*", ast.Pow: "*"}
@@ -412,7 +447,7 @@ _OF_TEXT = frozenset(f"test_{n}.py" for n in ("shape", "words", "docs", "mutants
 def near_tests(path: str, function: str = "") -> tuple[str, ...]:
     """Return the test files that reach a module by the fewest imports, nearest first.
 
-    Where a function is named, files whose text has its name come before all others.
+    Where a function is named, files whose text has it as a word come before all others.
     Those that import it come before those that import what imports it, and so on; among them those
     named after it, those in the folder of its package, then those that import least.
     """
@@ -446,7 +481,8 @@ def near_tests(path: str, function: str = "") -> tuple[str, ...]:
             if folder in t.relative_to(REPOSITORY / "tests").parts
         ]
     if function:
-        found.sort(key=lambda t: function not in (REPOSITORY / "tests" / t).read_text("utf-8"))
+        named = re.compile(rf"\b{function}\b")
+        found.sort(key=lambda t: not named.search((REPOSITORY / "tests" / t).read_text("utf-8")))
     return tuple(dict.fromkeys(found))
 
 
@@ -502,11 +538,13 @@ def main() -> None:
         )
     for area in (*dict.fromkeys(m.area for m in chosen), None):
         own = [o for o in done if o.mutant and area in (None, o.mutant.area)]
-        decided = [o for o in own if o.verdict != "undecided"]
+        decided = [o for o in own if o.verdict in ("noticed", "SURVIVED")]
+        alike = sum(o.verdict == "equivalent" for o in own)
         noticed = sum(o.noticed for o in decided)
         print(
             f"{area or 'all'}: {noticed} of {len(decided)} noticed, "
-            f"{share(noticed, len(decided))}; {len(own) - len(decided)} undecided"
+            f"{share(noticed, len(decided))}; {len(own) - len(decided) - alike} undecided, "
+            f"{alike} equivalent"
         )
 
 

@@ -9,16 +9,20 @@ import pytest
 from scipy.stats import binomtest
 
 from mutants import (
+    EQUIVALENT,
     MUTANTS,
     REPOSITORY,
     SOURCE,
+    Mutant,
     mutated,
     near_tests,
     outcomes,
     places,
     random_mutants,
+    random_outcomes,
     share,
     tried,
+    why_equivalent,
 )
 
 # Each with tests of a few seconds, of four areas.
@@ -41,6 +45,7 @@ AREAS = {
     "doors",
     "impedance",
     "kept apart",
+    "random places",
     "limits of absorption",
     "treatment",
     "workers",
@@ -58,6 +63,27 @@ def test_the_text_of_a_bug_stands_once_in_the_source_and_leaves_it_readable(muta
     """Otherwise the source has changed, and the bug is to be planted anew."""
     assert mutant.old != mutant.new
     ast.parse(mutated(mutant))
+
+
+@pytest.mark.parametrize("mutant", EQUIVALENT, ids=lambda m: m.path)
+def test_what_is_called_equivalent_stands_once_in_the_source_and_can_be_planted(mutant):
+    """At a place of a random bug, which then is named with its reason and not tried."""
+    text = (SOURCE / "roomfit" / mutant.path).read_text(encoding="utf-8")
+    made = mutated(mutant)
+    same = [p for p in places(text) if text[: p.start] + p.new + text[p.end :] == made]
+    assert same, "no random bug leaves this text"
+    first = same[0]
+    random = Mutant(
+        "x", "y", mutant.path, text[first.start : first.end], first.new, (), first.start
+    )
+    assert why_equivalent(random) == EQUIVALENT[mutant] and len(EQUIVALENT[mutant].split()) > 4
+    (outcome,) = random_outcomes([random])
+    assert (outcome.verdict, outcome.how) == ("equivalent", EQUIVALENT[mutant])
+    elsewhere = next(p for p in places(text) if p not in same)
+    other = random._replace(
+        old=text[elsewhere.start : elsewhere.end], new=elsewhere.new, start=elsewhere.start
+    )
+    assert why_equivalent(other) == ""
 
 
 def test_the_tests_named_beside_a_bug_exist():
@@ -104,6 +130,8 @@ def test_the_tests_near_a_module_are_those_that_import_it():
     assert near_tests("uncertainty/smoothing.py")[0] == "uncertainty/test_smoothing.py"
     assert all((REPOSITORY / "tests" / name).exists() for name in near_tests("logit.py"))
     assert all(name.startswith("io/") for name in near_tests("io/child.py"))
+    # of a function that no test names, though some say "_measured"
+    assert near_tests("tracing/reflectors.py", "_measure")[0] == "tracing/test_reflectors.py"
 
 
 def test_a_share_has_the_interval_of_clopper_and_pearson():
@@ -118,6 +146,18 @@ def test_a_bug_whose_tests_are_stopped_by_time_is_undecided(tmp_path):
     """And one that a test marked slow alone would notice is not called a survivor before it."""
     mutant = next(m for m in MUTANTS if m.name == "replicates-alike")
     assert tried(mutant, mutant.tests, tmp_path / "a", 0.5).verdict == "undecided"
+
+
+@pytest.mark.slow
+def test_a_bug_that_ends_the_process_by_a_signal_is_noticed_and_stops_no_other():
+    """As one that reaches beyond an array in compiled code."""
+    own = "import numpy as np\n"
+    crash = Mutant(
+        *("crash", "air", "air.py", own, f"{own}import os; os.kill(os.getpid(), 11)\n"),
+        ("test_air.py",),
+    )
+    (outcome,) = random_outcomes([crash])
+    assert (outcome.verdict, outcome.how) == ("noticed", "ended by signal 11")
 
 
 @pytest.mark.slow

@@ -91,7 +91,12 @@ def int_array(
     """
     source = np.asarray(values)
     if source.size and not np.issubdtype(source.dtype, np.integer):
-        raise InputError(f"{name} must be whole numbers", found=f"values of type {source.dtype}")
+        raise InputError(
+            f"{name} must be whole numbers",
+            found=f"values of type {source.dtype}",
+            needed="an array of integers",
+            hint="round them, and convert them with .astype(int)",
+        )
     check_shape(name, source, shape)
     info = np.iinfo(dtype)
     low = int(info.min) if low is None else low
@@ -142,7 +147,13 @@ def unique_names(kind: str, names: Iterable[str]) -> tuple[str, ...]:
     names = tuple(names)
     for i, name in enumerate(names):
         if not name:
-            raise InputError(f"{kind} without a name", where=f"number {i + 1}")
+            raise InputError(
+                f"{kind} without a name",
+                where=f"number {i + 1}",
+                found=repr(name),
+                needed="one letter or more",
+                hint="name it after what is seen there",
+            )
         check_name(kind, name)
         if name in names[:i]:
             raise InputError(

@@ -33,6 +33,7 @@ from roomfit.io.campaign import input_files, read_campaign
 from roomfit.io.door import complete
 from roomfit.io.encoding import input_digests, written_content
 from roomfit.io.exports import read_result_content
+from roomfit.io.results import check_disk_room
 from roomfit.report.figures import in_file_name
 from roomfit.report.html import tables_page
 from roomfit.table import Cell, Column, Table, Value, csv_of, text_of, written
@@ -190,9 +191,11 @@ def identify_rooms(
     """
     out, tasks = Path(out).absolute(), room_tasks(campaigns, quick=quick)
     own = shard_of(tasks, shard)
+    missing = [t for t in own if t.address and not (out / ROOMS / t.address).exists()]
+    # of one pair at least; the room itself knows of how many
+    check_disk_room(out, len(missing), len(missing))
     for name in (ROOMS, FAILURES):
         make_folder(out / name)
-    missing = [t for t in own if t.address and not (out / ROOMS / t.address).exists()]
     jobs = [
         partial(identify_room, t.campaign, out / ROOMS / t.address, quick=quick) for t in missing
     ]

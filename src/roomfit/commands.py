@@ -505,12 +505,14 @@ def identify_to_folder(
     from roomfit.identification import identify
     from roomfit.inversion.measurements import measured_scene
     from roomfit.io.project import project_details
+    from roomfit.io.results import check_disk_room
 
     check_output_folder(out, overwrite=overwrite)  # now rather than after minutes of work
     campaign = read_campaign(campaign_file)
     project = project_details(campaign.project, campaign.path.parent)
     arguments = identify_arguments(campaign, between_hz)
     arguments["settings"] = replace(arguments["settings"], quick=quick)
+    check_disk_room(out, len(arguments["measurements"]))
     cache = user_cache() if keep else None
     with located(str(campaign_file)):
         answer = identify(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))

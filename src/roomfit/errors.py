@@ -67,19 +67,20 @@ class StoreError(RoomfitError):
 
 
 @contextmanager
-def located(place: str) -> Iterator[None]:
+def located(place: str = "", *, hint: str | None = None) -> Iterator[None]:
     """Put a place before the `where` of an error raised within the block.
 
-    For checks that know a key but not the file in which it stands.
+    For checks that know a key but not the file in which it stands. `hint` is what to try where the
+    error itself does not say it.
     """
     try:
         yield
     except RoomfitError as error:
         raise type(error)(
             error.what,
-            where=f"{place}, {error.where}" if error.where else place,
+            where=", ".join(part for part in (place, error.where) if part) or None,
             found=error.found,
             needed=error.needed,
-            hint=error.hint,
+            hint=error.hint or hint,
             points_m=error.points_m,
         ) from error

@@ -119,7 +119,7 @@ def predict_to_folder(
     StoreError
         The disk refuses.
     """
-    from roomfit.io.results import read_result
+    from roomfit.io.results import check_disk_room, read_result
     from roomfit.prediction.campaign import WantedPairs, predict_arguments
     from roomfit.prediction.diffuse import predict_field
     from roomfit.prediction.grid import grid_scene
@@ -131,6 +131,7 @@ def predict_to_folder(
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
     field = _prepared_field(campaign, absorption_file, wanted)
     if field is not None:
+        check_disk_room(out, 0)
         with located(str(campaign_file)):
             predicted = predict_field(field, changes)
     elif absorption_file is not None:
@@ -140,6 +141,7 @@ def predict_to_folder(
         if grid_m is not None:
             own = grid_scene(arguments["scene"], *grid_m)
             arguments = {**arguments, "scene": own, "measurements": ()}
+        check_disk_room(out, len(arguments["scene"].pairs))
         cache = user_cache() if use_cache else None
         with located(str(campaign_file)):
             predicted = predict(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))

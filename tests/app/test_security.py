@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import io
 import re
@@ -283,3 +284,34 @@ def test_a_header_of_200_kilobytes_is_refused_and_the_page_goes_on(server: Runni
     with socket.create_connection(("127.0.0.1", server.port), timeout=10) as line:
         line.sendall(f"GET / HTTP/1.1\r\n{host}\r\n".encode())
         assert line.recv(4096).startswith(b"HTTP/1.1 403")
+
+
+def test_connections_that_ask_nothing_keep_nobody_waiting_and_are_closed(tmp_path: Path) -> None:
+    """200 that send no head, half of one, or half of a second one; letters buy no time."""
+    with running(tmp_path, limits="request_s=2") as server:
+        half = f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n".encode()
+        began = (b"", half, half + b"\r\n" + half, half + b"X: a")
+        lines = [socket.create_connection(("127.0.0.1", server.port)) for _ in range(200)]
+        try:
+            for number, line in enumerate(lines):
+                line.sendall(began[number % 4])
+            asked = time.monotonic()
+            assert server.get("/").status == 200
+            assert time.monotonic() - asked < 2.0, "it waited until others were closed"
+            for _ in range(6):
+                time.sleep(0.5)
+                for line in (*lines[2::4], *lines[3::4]):
+                    with contextlib.suppress(OSError):
+                        line.sendall(b"a")
+            for number, line in enumerate(lines):
+                line.settimeout(10)
+                answer = b""
+                with contextlib.suppress(ConnectionError):
+                    while part := line.recv(65536):
+                        answer += part
+                # the second kind asks once as a whole, without the key
+                assert answer.startswith(b"HTTP/1.1 403") if number % 4 == 2 else not answer
+            assert server.get("/").status == 200
+        finally:
+            for line in lines:
+                line.close()

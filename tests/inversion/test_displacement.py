@@ -275,3 +275,31 @@ def test_a_displacement_without_a_top_is_stated_without_a_deviation():
     found = named_by(lambda m, _=False: 200.0 * float(m[0] > 0.42))
     assert "about 0.5 m" in found.sentence
     assert "+-" not in found.sentence
+
+
+def normal_law(covariance, mean):
+    inverse = np.linalg.inv(covariance)
+    return lambda at, _roughly=False: -0.5 * float((at - mean) @ inverse @ (at - mean))
+
+
+@pytest.mark.parametrize("sd_m", [0.005, 0.3, 4.0])
+def test_the_deviation_along_a_way_is_that_of_a_normal_law_and_ten_metres_at_most(sd_m):
+    """Second differences of a parabola are exact, wherever they are taken."""
+    law, at = normal_law(np.diag([sd_m**2, 1.0]), np.array([0.2, 0.0])), np.array([0.5, 0.1])
+    found = whole_displacement._sd_along(law, at, np.array([1.0, 0.0]))
+    assert found == pytest.approx(sd_m, rel=1e-6)
+    for flat in (lambda _: 3.0, lambda at: float("inf") if at[0] > 0.5 else 0.0):
+        nothing = whole_displacement._sd_along(flat, at, np.array([1.0, 0.0]))
+        assert nothing == pytest.approx(10.0, rel=1e-12)
+
+
+def test_the_covariance_of_offsets_is_that_of_a_normal_law_and_never_above_the_prior():
+    """The others are fixed: the inverse of their part of the inverse. A prior of 10 m is none."""
+    covariance = np.array([[0.04, 0.012, 0.0], [0.012, 0.01, 0.002], [0.0, 0.002, 0.09]])
+    law, at = normal_law(covariance, np.zeros(3)), np.array([0.03, -0.02, 0.01])
+    exact = np.linalg.inv(np.linalg.inv(covariance)[np.ix_([0, 2], [0, 2])])
+    found = whole_displacement._covariance(law, at, [0, 2], np.full(2, 10.0))
+    np.testing.assert_allclose(found, exact, rtol=1e-6)
+    prior_sd_m = np.array([0.5, 0.1])
+    flat = whole_displacement._covariance(lambda _at: 1.0, at, [0, 2], prior_sd_m)
+    np.testing.assert_allclose(flat, np.diag(prior_sd_m**2), atol=1e-15)

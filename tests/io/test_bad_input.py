@@ -98,7 +98,7 @@ def one_message(text: str) -> str:
         (
             CARPET,
             f"{CARPET}\nabsorption = [0.1, -0.2]",
-            r"carpet.absorption\[2\](?s:.*)-0.2(?s:.*)greater than or equal to 0",
+            r"carpet.absorption\[2\](?s:.*)-0.2(?s:.*)0 or more",
         ),
         (
             CARPET,

@@ -328,16 +328,19 @@ def test_a_known_wall_of_a_product_is_between_its_bounds(tmp_path):
     ("line", "words"),
     [
         ('[[states]]\nname = ""\nmaterials = {north = "x"}', r"states\[1\].name(?s:.*)at least 1 "),
-        ('[[states]]\nname = "a"\nmaterials = {}', r"states\[1\].materials(?s:.*)at least 1 item$"),
+        (
+            '[[states]]\nname = "a"\nmaterials = {}',
+            r"states\[1\].materials(?s:.*)at least 1 item\n",
+        ),
         (
             '[[states]]\nname = "a"\nmaterials = {north = "x"}\n' * 2,
             "two states have the same name",
         ),
         ('[states.a]\nmaterials = {north = "x"}', r"states\n(?s:.*)a valid list"),
-        ("[groups.g]\nmembers = []\nsd = 0.1", r"groups.g.members(?s:.*)at least 1 item$"),
+        ("[groups.g]\nmembers = []\nsd = 0.1", r"groups.g.members(?s:.*)at least 1 item\n"),
         (
             '[groups.g]\nmembers = ["*"]\nsd = "x"',
-            r"groups.g.sd(?s:.*)number, or a valid list$",
+            r"groups.g.sd(?s:.*)number, or a valid list\n",
         ),
         ('[groups.""]\nmembers = ["*"]\nsd = 0.1', r"group without a name(?s:.*)toml, \[groups\]"),
         ('[products.""]\nsd = 0.1', r"product without a name(?s:.*)campaign.toml, \[products\]"),

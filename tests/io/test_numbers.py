@@ -202,7 +202,7 @@ def test_every_number_has_limits_with_a_reason_and_they_are_documented() -> None
         (
             "sources.NAME.position_sd",
             10,
-            r"LS1.position_sd(?s:.*)equal to 1\n(?s:.*)measured again",
+            r"LS1.position_sd(?s:.*)1 or less\n(?s:.*)measured again",
         ),
         ("materials.NAME.prior.sd", 1e-300, r"carpet.prior.sd(?s:.*)try     absorption lies"),
         ("air.temperature_sd_c", 1e9, r"air.temperature_sd_c(?s:.*)-20 and 50"),

@@ -171,6 +171,36 @@ def test_a_single_reading_has_the_common_spread():
     np.testing.assert_allclose(one.logit_sd[7], np.hypot(spread, HIGH_WIDENING), rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("at_125", "at_250", "step"),
+    [(-1.0, -1.4, 0.3), (-1.4, -1.0, -0.3), (-2.0, -0.5, -0.7), (-0.5, -2.0, 0.7)],
+)
+def test_where_no_table_prints_63_hz_three_quarters_of_the_step_are_made_again(
+    at_125, at_250, step
+):
+    """At most 0.7 either way, in logits; a printed value stands as it is, and so does 8 kHz."""
+    logits = np.array([np.nan, at_125, at_250, -1.0, -1.1, -1.2, -1.3, np.nan])
+    middle, _ = typical_logit(1.0 / (1.0 + np.exp(-logits[None])), 0.5)
+    np.testing.assert_allclose(middle[1:7], logits[1:7], atol=1e-9)
+    assert middle[0] == pytest.approx(at_125 + step, abs=1e-9)
+    assert middle[7] == pytest.approx(-1.3, abs=1e-9)
+    logits[[0, 7]] = -1.7, -0.9
+    middle, _ = typical_logit(1.0 / (1.0 + np.exp(-logits[None])), 0.5)
+    np.testing.assert_allclose(middle[[0, 7]], [-1.7, -0.9], atol=1e-9)
+
+
+@pytest.mark.parametrize("common", [0.5, 0.9])
+@pytest.mark.parametrize("n", [1, 2, 5])
+def test_the_common_spread_weighs_as_four_readings_more(n, common):
+    """Readings evenly about logit 0: their squares and 4 c^2, over n - 1 and 4."""
+    logits = np.linspace(-0.8, 0.8, n) if n > 1 else np.zeros(1)
+    table = np.full((n, 8), np.nan)
+    table[:, 1:7] = 1.0 / (1.0 + np.exp(-logits[:, None]))
+    _, sd = typical_logit(table, common)
+    wanted = (4.0 * common**2 + np.sum(logits**2)) / (4.0 + n - 1.0)
+    np.testing.assert_allclose(sd[1:7], np.sqrt(wanted), rtol=1e-12)
+
+
 @given(
     st.lists(st.lists(st.floats(0.0, 1.2), min_size=6, max_size=6), min_size=1, max_size=6).filter(
         bool

@@ -7,11 +7,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from coherent_cases import estimate_of, objective_of, small_geometry, small_term, with_data
+from coherent_cases import (
+    estimate_of,
+    objective_of,
+    small_geometry,
+    small_paths,
+    small_term,
+    with_data,
+)
+from roomfit.bands import Bands
 from roomfit.inversion.sequential import cavity_prior
 from roomfit.inversion.systematics import inflated_by_adjacent_bands
 from roomfit.materials.priors import unknown_material
-from roomfit.objective.coherent import with_coherence
+from roomfit.objective.coherent import cut_at, with_coherence
 from roomfit.objective.parameters import (
     GEOMETRY,
     Block,
@@ -22,6 +30,8 @@ from roomfit.objective.parameters import (
     whole_covariance,
 )
 from roomfit.objective.problem import Prediction
+from roomfit.response.binned import BinnedPaths, bin_paths
+from roomfit.response.energy import first_rows
 from roomfit.solvers.least_squares import marginal, score_band
 from roomfit.typing import BoolArray, FloatArray
 
@@ -212,3 +222,26 @@ def test_tied_walls_jump_together_and_those_of_a_product_nearly() -> None:
     assert more[2, 3] == pytest.approx(more[2, 2] * 1.5**2 / (1.5**2 + 0.3**2))
     assert more[0, 2] == 0.0
     assert alike.mean[2] - alike.mean[0] > 1.15 * (apart.mean[2] - apart.mean[0])
+
+
+@pytest.mark.parametrize(
+    ("end_s", "n"),
+    [
+        (0.002, 2),
+        (0.001 + 0.001, 2),
+        (0.1 * 0.02, 2),
+        (0.0025, 2),
+        (0.0005, 1),
+        (0.004, 4),
+        (9.0, 4),
+    ],
+)
+def test_bins_are_cut_at_the_last_edge_that_is_not_after_the_time(end_s, n):
+    """An edge in another rounding is the same edge; one bin is always kept."""
+    scene, paths = small_paths()
+    bands = Bands("octave", np.array([1000.0]))
+    binned = bin_paths(scene, bands, paths, 0.3)
+    edges_s = 1e-3 * np.arange(5)
+    four = BinnedPaths(edges_s, tuple(first_rows(rows, 4) for rows in binned.rows))
+    assert cut_at(four, end_s).edges_s.tolist() == edges_s[: n + 1].tolist()
+    assert all(rows.n_windows == n for rows in cut_at(four, end_s).rows)

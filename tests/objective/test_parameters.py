@@ -119,3 +119,24 @@ def test_the_gamma_density_is_scipy_s_and_bears_an_empty_window():
     np.testing.assert_allclose(gamma_log_likelihood(measured, mean, variance), expected)
     empty = gamma_log_likelihood(np.array([1.0, 0.0]), np.array([1.0, 0.0]), np.array([0.1, 0.0]))
     assert np.all(np.isfinite(empty))
+
+
+@pytest.mark.parametrize(
+    "prior_sd",
+    [np.ones(2), np.ones((3, 1)), np.array([1.0, 0.0, 1.0]), np.array([1.0, np.nan, 1.0])],
+)
+def test_a_prior_needs_one_standard_deviation_above_zero_an_entry(prior_sd):
+    """Wrong in shape alone, and in value alone; an infinite one, which says nothing, is taken."""
+    with pytest.raises(InputError, match="needs a standard deviation above zero"):
+        block("log", prior_sd=prior_sd)
+    assert block("log", prior_sd=np.full(3, np.inf)).prior_sd.tolist() == 3 * [np.inf]
+
+
+@pytest.mark.parametrize(
+    ("fitted", "leader"),
+    [([True, True, True], [0, 0, 2]), ([True, False, False], [0, 0, 1])],
+)
+def test_an_entry_that_follows_is_neither_fitted_nor_followed(fitted, leader):
+    with pytest.raises(InputError, match="that follows another must not lead"):
+        block("log", fitted=np.array(fitted), leader=np.array(leader))
+    block("log", fitted=np.array([True, False, False]), leader=np.array([0, 0, 0]))

@@ -52,6 +52,45 @@ def test_values_of_many_echograms_are_those_of_each(decay_s, direct):
         assert np.all(np.abs(own - exact) < worst * np.array(unit)), (own, exact)
 
 
+@pytest.mark.parametrize("n_bins", [3, 5, 60, 601])
+@pytest.mark.parametrize("begins_s", [0.0, 0.25])
+def test_the_values_of_an_exponential_decay_are_those_of_its_closed_form(n_bins, begins_s):
+    """However early the record ends: what is left goes on as over its last third.
+
+    The energy left is exp(-t / 0.1 s), and its level a straight line, in every bin. The centre of
+    gravity is that of trapezoids, whose error is (step / 0.1 s)^2 / 12.
+    """
+    constant_s, step_s = 0.1, 0.004
+    edges_s = begins_s + step_s * np.arange(n_bins + 1)
+    left = 3.0 * np.exp(-(edges_s - begins_s) / constant_s)
+    energies = np.stack([-np.diff(left), -2.0 * np.diff(left)])
+    found = values_of_bins(energies, np.ones(1), edges_s, begins_s)
+    of = {name: found[:, row] for row, name in enumerate(VALUE_NAMES)}
+    decay_s = constant_s * np.log(1e6)
+    for name in ("EDT_s", "T20_s", "T30_s"):
+        np.testing.assert_allclose(of[name], decay_s, rtol=1e-6)
+    if edges_s[-1] - begins_s > 0.08:
+        for name, early_s in (("C50_dB", 0.05), ("C80_dB", 0.08)):
+            clarity_db = 10.0 * np.log10(np.expm1(early_s / constant_s))
+            # the level within a bin is taken for a line in energy
+            np.testing.assert_allclose(of[name], clarity_db, atol=0.01)
+        share = 100.0 * -np.expm1(-0.05 / constant_s)
+        np.testing.assert_allclose(of["D50_percent"], share, atol=0.1)
+    np.testing.assert_allclose(of["TS_ms"], 100.0, rtol=2.0 * (step_s / constant_s) ** 2 / 12.0)
+    # of a source that gives 1 W: 1 / (4 pi 100) at 10 m
+    wanted_db = 10.0 * np.log10(np.array([3.0, 6.0]) * 400.0 * np.pi)
+    np.testing.assert_allclose(of["G_dB"], wanted_db, atol=1e-9)
+
+
+def test_what_has_passed_before_the_onset_has_a_decay_time_of_sixty_records():
+    """No level is left to fall: nothing that is read from it may pass for a decay of a room."""
+    edges_s = 0.3 + 1e-3 * np.arange(201)
+    energy = np.where(np.arange(200) < 5, 1.0, 0.0)
+    energy[5:] = 1e-7
+    found = values_of_bins(energy[None], np.ones(1), edges_s, 0.42)
+    np.testing.assert_allclose(found[0, :2], 60.0 * 0.2, rtol=1e-12)
+
+
 def test_the_filter_carries_energy_to_its_neighbours_before_the_values_are_taken():
     """Shares of 0.2, 0.5 and 0.3 are those of the echogram that has them in its bins already."""
     edges_s = 1e-3 * np.arange(0, 801)

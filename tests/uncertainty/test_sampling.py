@@ -20,6 +20,7 @@ from roomfit.uncertainty.sampling import (
     autocorrelation_steps,
     check_sampler,
     log_posterior,
+    prior_information,
     sample,
     split_r_hat,
     surrogate,
@@ -114,6 +115,25 @@ def test_the_surrogate_has_the_posteriors_slope_and_curvature_at_the_fit():
     true = np.array([law(fit.vector + s) for s in steps]) - law(fit.vector)
     np.testing.assert_allclose(ours[:n] - ours[n:], true[:n] - true[n:], atol=2e-3 * h)
     np.testing.assert_allclose(ours[:n] + ours[n:], true[:n] + true[n:], rtol=0.02)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_where_arrival_times_are_integrated_out_the_surrogate_has_the_marginal_covariance(seed):
+    """Of a linear problem: the part of the inverse of the whole information, not of that alone.
+
+    A millionth is added to the information, so that a direction without any can be inverted.
+    """
+    problem = linear_case(seed)
+    fit = fitted(problem)
+    law = log_posterior(problem, fit)
+    near, n = surrogate(law, fit), law.n_kept
+    assert 0 < n < fit.vector.size
+    data = problem.matrix.T @ problem.matrix / problem.sd**2
+    prior = prior_information(problem.parameters, fit.vector)
+    marginal = np.linalg.inv(data / law.flattening + prior)[:n, :n]
+    np.testing.assert_allclose(near.covariance, marginal, rtol=1e-4, atol=1e-8)
+    alone = np.linalg.inv((data / law.flattening + prior)[:n, :n])
+    assert np.abs(marginal / alone - 1.0).max() > 0.1
 
 
 def test_a_walk_gains_what_it_says_and_stays_under_its_law():

@@ -111,6 +111,25 @@ def test_what_is_open_is_said_as_what_it_is(row, words):
     assert band_sentence(NAMES, (), found) == words
 
 
+@pytest.mark.parametrize(
+    ("directions", "against", "words"),
+    [
+        (2, True, "how it is shared among them is not in the data"),
+        (1, True, "of floor, ceiling and walls only 2 means are in the data"),
+        (2, False, "of floor, ceiling and walls only one mean is in the data"),
+    ],
+)
+def test_a_mean_of_three_with_two_directions_open_leaves_how_it_is_shared(
+    directions, against, words
+):
+    """Three shares of one sum are two numbers; with one of them open two means are known."""
+    whole = Combination(np.full(3, 1.0 / 3.0), 0.2, 0.18, 0.22, 0.01)
+    left_open = [Undetermined((0, 1, 2), directions, against)]
+    assert band_sentence(NAMES, (whole, whole), left_open) == (
+        f"floor, ceiling and walls together 0.20 +- 0.02; {words}"
+    )
+
+
 def test_held_and_tied_materials_open_nothing_by_themselves():
     """A tie is no exchange: two rows of one unknown are one direction of one material."""
     covariance = np.zeros((3, 3))

@@ -12,11 +12,13 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 
+import h11
 import uvicorn
 from fastapi import FastAPI, Request
 from nicegui import ui
 from starlette.requests import ClientDisconnect
 from starlette.responses import FileResponse, PlainTextResponse, Response
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from roomfit.app import project
 from roomfit.app.jobs import Bench
@@ -101,6 +103,39 @@ def _give(folder: Path, path: str, save: bool) -> Response:
     )
 
 
+class _Punctual(H11Protocol):
+    """Ends a connection whose next request does not come as a whole, or not at all, in time.
+
+    uvicorn waits for ever for the first head of a connection and for the rest of a later one. Its
+    other parser takes a header of any length.
+    """
+
+    _late: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        super().connection_made(transport)
+        self._late = self.loop.call_later(limit("request_s"), transport.abort)
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        if self.conn.their_state is h11.IDLE:
+            # once a head: a letter now and then buys no time
+            self._late = self._late or self.loop.call_later(
+                limit("request_s"), self.transport.abort
+            )
+        else:
+            self._on_time()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._on_time()
+        super().connection_lost(exc)
+
+    def _on_time(self) -> None:
+        if self._late is not None:
+            self._late.cancel()
+            self._late = None
+
+
 def serve(
     folder: Path,
     *,
@@ -139,7 +174,7 @@ def serve(
     config = uvicorn.Config(
         application(Bench(folder.resolve()), door),
         log_level="warning",
-        http="h11",  # the other parser takes a header of any length
+        http=_Punctual,
         h11_max_incomplete_event_size=_HEADER_BYTES,
         access_log=False,
         server_header=False,

@@ -109,7 +109,12 @@ def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tup
     findings = _findings(spots, most_warped_m)
     if not triangles:
         refuse(findings)
-        raise InputError("the room has no faces", needed="at least four faces with an area")
+        raise InputError(
+            "the room has no faces",
+            found=f"none with an area, of {len(faces)}",
+            needed="at least four faces with an area",
+            hint="export the room again, with its surfaces as polygons or triangles",
+        )
     mesh = Mesh(vertices[used], renumbered.reshape(-1, 3), np.array(owner), tuple(surfaces))
     return mesh, findings
 

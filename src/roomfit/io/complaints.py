@@ -43,6 +43,7 @@ def explained(path: Path, error: ValidationError, table: type[BaseModel]) -> Inp
             where=f"{path}, {_key_path(place[:-1])}",
             found=repr(first.get("input")),
             needed=f"{place[-1] + 1} values or more",
+            hint=_meaning(table, place),
         )
     where = f"{path}, {_key_path(place)}"
     if first["type"] == "extra_forbidden":
@@ -59,21 +60,28 @@ def explained(path: Path, error: ValidationError, table: type[BaseModel]) -> Inp
         return InputError(
             "the campaign file lacks a key",
             where=f"{path}, {_key_path(place[:-1])}",
+            found="no such key",
             needed=repr(str(place[-1])),
+            hint=_meaning(table, place),
         )
     # where several kinds are taken, a number of the right kind but out of its range says most
     same = [c for c in complaints if _place(c) == place]
     ranged = [c for c in same if c["type"].endswith("than_equal")]
-    needed = (re.sub(_OF_PYDANTIC, "", c["msg"]) for c in ranged or same)
+    needed = (_in_our_words(c["msg"]) for c in ranged or same)
     return InputError(
         "a value in the campaign file is not what it must be",
         where=where,
         found=repr(first.get("input")),
-        needed=", or ".join(dict.fromkeys(needed))
-        .replace("a valid dictionary", "a table")
-        .replace("valid tuple", "valid list"),
-        hint=_reason(table, place) if ranged else None,
+        needed=", or ".join(dict.fromkeys(needed)),
+        hint=(_reason(table, place) if ranged else None) or _meaning(table, place),
     )
+
+
+def _in_our_words(message: str) -> str:
+    text = re.sub(_OF_PYDANTIC, "", message)
+    text = re.sub(r"greater than or equal to (\S+)", r"\1 or more", text)
+    text = re.sub(r"less than or equal to (\S+)", r"\1 or less", text)
+    return text.replace("a valid dictionary", "a table").replace("valid tuple", "valid list")
 
 
 _OF_PYDANTIC = (
@@ -82,15 +90,28 @@ _OF_PYDANTIC = (
 )
 
 
-def _reason(table: type[BaseModel], place: tuple[int | str, ...]) -> str | None:
-    """Return why a number of the file ends where it does."""
+def _key(table: type[BaseModel], place: tuple[int | str, ...]) -> FieldInfo | None:
+    """Return the innermost key of the file's model on the way to a place."""
     model, found = table, None
     for part in place:
         field = model.model_fields.get(str(part))
         if field is not None:
-            found = next(_reasons(field), None)
+            found = field
             model = next(iter(_models_within(field.annotation)), model)
     return found
+
+
+def _reason(table: type[BaseModel], place: tuple[int | str, ...]) -> str | None:
+    """Return why a number of the file ends where it does."""
+    key = _key(table, place)
+    return next(_reasons(key), None) if key else None
+
+
+def _meaning(table: type[BaseModel], place: tuple[int | str, ...]) -> str:
+    """Return what a key means, in the first sentence that the schema says of it."""
+    key = _key(table, place)
+    words = " ".join((key.description or "").split()) if key else ""
+    return f"{words.partition('. ')[0].rstrip('.')} (roomfit schema prints all keys)".lstrip()
 
 
 def _reasons(part: Any) -> Iterator[str]:
@@ -114,7 +135,15 @@ def _place(complaint: ErrorDetails) -> tuple[int | str, ...]:
 
 
 _MEMBER_NAMES = {
-    *("Spectrum", "Prior", "Directivity", "MeasuredDirectivity", "SharedDirectivity"),
+    *(
+        "AreaSpectrum",
+        "AreaPrior",
+        "Spectrum",
+        "Prior",
+        "Directivity",
+        "MeasuredDirectivity",
+        "SharedDirectivity",
+    ),
     *("float", "str", "int", "constrained-float", "constrained-str"),
 }
 

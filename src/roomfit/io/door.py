@@ -57,6 +57,7 @@ LIMITS: Mapping[str, tuple[float, str]] = {
         20,
         "seconds of processor time for reading one file of SOFA, MAT 7.3, COLLADA or IFC",
     ),
+    "request_s": (20, "seconds in which the head of a request to the workbench must be there"),
 }
 _VARIABLE = "ROOMFIT_LIMITS"
 _ALWAYS_UNPACKED_BYTES = 2**26
@@ -429,7 +430,13 @@ def csv_rows(text: str, where: str, delimiter: str = ",") -> Iterator[tuple[int,
         for cells in reader:
             yield reader.line_num, cells
     except csv.Error as error:
-        raise InputError("the table cannot be read", where=where, found=str(error)) from error
+        raise InputError(
+            "the table cannot be read",
+            where=where,
+            found=str(error),
+            needed="cells of text without quotation marks left open",
+            hint="save the table again as text with commas or semicolons",
+        ) from error
 
 
 def npz_arrays(content: bytes, where: str) -> dict[str, np.ndarray[Any, Any]]:

@@ -153,13 +153,18 @@ def read_positions(path: Path) -> dict[str, tuple[float, float, float]]:
                 where=f"{path}, line {number}",
                 found=repr(delimiter.join(cells)),
                 needed="a name that stands once, and x, y, z",
+                hint="correct the line, or remove it",
             )
         else:
             words = re.split(r"[^a-z]+", " ".join(cells[1:4]).lower())
             factor = next((METRES_PER_UNIT[_UNITS[w]] for w in words if w in _UNITS), 1.0)
     if not found:
         raise InputError(
-            "the table of positions is empty", where=str(path), needed="lines name, x, y, z"
+            "the table of positions is empty",
+            where=str(path),
+            found="no line of a name and three numbers",
+            needed="lines name, x, y, z",
+            hint="write one line for each source or receiver, as S1,1.2,3.4,1.5",
         )
     return found
 

@@ -315,7 +315,7 @@ def read_material_table(file: ResultFile) -> MaterialTable:
         return material_table(file, *read_result_content(file))
     text = read_text(path, "result")
     findings = digest_findings(file, "table", text_digest(text), _digest_beside(path))
-    with located(str(path)):
+    with located(str(path), hint="export the table again, or give the result.json beside it"):
         return replace(_from_csv(text), findings=findings)
 
 
@@ -379,26 +379,39 @@ def _from_csv(text: str) -> MaterialTable:
             needed=f"{len(header)} cells",
         )
     rows = [dict(zip(header, cells, strict=False)) for cells in lines]
-    try:
-        for row in rows:
-            row["material"] = without_apostrophe(row["material"])
-        names = tuple(dict.fromkeys(row["material"] for row in rows))
-        centres = sorted({float(row["band_hz"]) for row in rows})
-        place = {(row["material"], float(row["band_hz"])): row for row in rows}
-        if len(place) != len(rows) or len(rows) != len(names) * len(centres):
-            raise InputError(
-                "the table of absorption is not complete",
-                found=f"{len(rows)} rows, {len(names)} materials, {len(centres)} bands",
-                needed="each material in each band once",
-            )
-        absorption, lower, upper = (
-            np.array([[float(place[m, f][column]) for f in centres] for m in names])
-            for column in ("absorption", "lower95", "upper95")
+    place: dict[tuple[str, float], tuple[list[float], bool]] = {}
+    for number, row in enumerate(rows, start=1):
+        centre, *values = (_number_in(row, column, number) for column in _NUMBERS)
+        is_sure = row["identifiable"].lower() == "true"
+        place[without_apostrophe(row["material"]), centre] = (values, is_sure)
+    names = tuple(dict.fromkeys(name for name, _ in place))
+    centres = sorted({centre for _, centre in place})
+    if len(place) != len(rows) or len(rows) != len(names) * len(centres):
+        raise InputError(
+            "the table of absorption is not complete",
+            found=f"{len(rows)} rows, {len(names)} materials, {len(centres)} bands",
+            needed="each material in each band once",
         )
-        sure = [[place[m, f]["identifiable"].lower() == "true" for f in centres] for m in names]
-    except ValueError as error:
-        raise InputError("the table of absorption has a cell that is no number") from error
-    return MaterialTable(names, _bands(centres), absorption, lower, upper, np.array(sure))
+    absorption, lower, upper = np.array(
+        [[place[m, f][0] for f in centres] for m in names]
+    ).transpose(2, 0, 1)
+    sure = np.array([[place[m, f][1] for f in centres] for m in names])
+    return MaterialTable(names, _bands(centres), absorption, lower, upper, sure)
+
+
+_NUMBERS = ("band_hz", "absorption", "lower95", "upper95")
+
+
+def _number_in(row: dict[str, str], column: str, number: int) -> float:
+    try:
+        return float(row[column])
+    except ValueError:
+        raise InputError(
+            "a cell of the table of absorption is no number",
+            where=f"column {column} of row {number} below the heading",
+            found=repr(row[column][:40]),
+            needed="a number with a decimal point",
+        ) from None
 
 
 def _bands(centres: list[float]) -> Bands:

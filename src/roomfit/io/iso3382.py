@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from roomfit._checks import nearest
-from roomfit.errors import InputError
+from roomfit.errors import InputError, located
 from roomfit.findings import Finding
 from roomfit.io.door import csv_rows, read_text
 from roomfit.signals.iso3382 import (
@@ -80,7 +80,8 @@ def read_parameters(
     ('S', array([0.9, 0.8]))
     """
     path = Path(path)
-    centres_hz, rows = _rows_by_pair(path)
+    with located(hint="correct the table there"):
+        centres_hz, rows = _rows_by_pair(path)
     chosen = [pair for pair in rows if source in (None, pair[0]) and receiver in (None, pair[1])]
     if not chosen:
         raise InputError(
@@ -112,6 +113,7 @@ def _rows_by_pair(path: Path) -> tuple[FloatArray, dict[tuple[str, str], list[_R
         raise InputError(
             "a table of room parameters without values",
             where=str(path),
+            found=f"{len(lines)} line{'' if len(lines) == 1 else 's'}",
             needed="a line source,receiver,parameter,125,250,... and lines of values",
         )
     centres_hz = _centres_hz(lines[0][1], f"{path}, line {lines[0][0]}")
@@ -143,7 +145,12 @@ def _centres_hz(cells: list[str], where: str) -> FloatArray:
             )
         centres.append(centre)
     if not centres:
-        raise InputError("a table of room parameters without bands", where=where)
+        raise InputError(
+            "a table of room parameters without bands",
+            where=where,
+            found=",".join(cells)[:80],
+            needed="centre frequencies from the fourth column on",
+        )
     return np.array(centres)
 
 
@@ -160,7 +167,10 @@ def _row(cells: list[str], centres_hz: FloatArray, where: str) -> tuple[tuple[st
     source, receiver, parameter = (c.strip() for c in (*cells, "", "", "")[:3])
     if not (source and receiver):
         raise InputError(
-            "a line without source or receiver", where=where, found=",".join(cells)[:80]
+            "a line without source or receiver",
+            where=where,
+            found=",".join(cells)[:80],
+            needed="source,receiver,parameter first, as the campaign names them",
         )
     name, is_spread = _name(parameter, where)
     values: FloatArray = np.full(centres_hz.size, np.nan)

@@ -7,16 +7,18 @@ contract: they keep their names where a term in the code is another.
 from __future__ import annotations
 
 import logging
+import shutil
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from roomfit.bands import Bands
-from roomfit.cache import write_json_atomically, write_text_atomically
+from roomfit.cache import nearest_existing, write_json_atomically, write_text_atomically
 from roomfit.diagnostics.remaining import what_remains
-from roomfit.errors import InputError, located
+from roomfit.errors import InputError, StoreError, located
 from roomfit.io.door import complete
 from roomfit.io.encoding import (
     ResultFile,
@@ -53,6 +55,35 @@ from roomfit.uncertainty.combinations import Combination, Difference
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
 
 _LOG = logging.getLogger("roomfit")
+
+
+# Of report, tables and pictures of the demo, and of a pair's decay: 2.0 MB with eight pairs.
+_RESULT_BYTES, _PAIR_BYTES = 1.5e6, 2e5
+
+
+def check_disk_room(path: Path, n_pairs: int, n_results: int = 1) -> None:
+    """Refuse a disk on which results of so many pairs find no room, before the work.
+
+    About so much: by what the demo writes. An earlier result stays until the new one is whole, so
+    that its place does not count. A disk that does not say how much is free is not refused.
+
+    Raises
+    ------
+    StoreError
+        Too little is free.
+    """
+    needed_mb = (n_results * _RESULT_BYTES + n_pairs * _PAIR_BYTES) / 1e6
+    nearest = nearest_existing(Path(path))
+    with suppress(OSError):
+        disk = shutil.disk_usage(nearest)
+        if disk.total > 0 and disk.free < 1e6 * needed_mb:
+            raise StoreError(
+                "the disk has no room for the result",
+                where=str(path),
+                found=f"{disk.free / 1e6:.1f} MB free",
+                needed=f"about {needed_mb:.1f} MB",
+                hint="make room, or choose a folder on another disk",
+            )
 
 
 def read_result(file: ResultFile) -> AbsorptionPosterior:

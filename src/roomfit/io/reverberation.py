@@ -160,14 +160,25 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands]:
         raise InputError(
             "a table of decay times without values",
             where=str(path),
+            found=f"{len(rows)} line{'' if len(rows) == 1 else 's'}",
             needed="a line of centres in Hz, and a line for each position",
+            hint="begin with a line name,125,250,500",
         )
-    numbers = [[_number(c, f"{path}, line {n}") for c in cells[1:]] for n, cells in rows]
+    numbers = [
+        [_number(c, f"{path}, line {n}, column {i}") for i, c in enumerate(cells[1:], start=2)]
+        for n, cells in rows
+    ]
     centres = [c for c in numbers[0] if np.isfinite(c)]
     table = np.full((len(rows) - 1, len(centres)), np.nan)
     for i, values in enumerate(numbers[1:]):
         if len(values) > len(centres) and np.any(np.isfinite(values[len(centres) :])):
-            raise InputError("more decay times than bands", where=f"{path}, line {rows[i + 1][0]}")
+            raise InputError(
+                "more decay times than bands",
+                where=f"{path}, line {rows[i + 1][0]}",
+                found=f"{len(values)}",
+                needed=f"{len(centres)}, one for each centre of the first line",
+                hint="between semicolons decimal commas are no cells of their own",
+            )
         kept = values[: len(centres)]
         table[i, : len(kept)] = kept
     known = np.isfinite(table).any(axis=0)
@@ -193,4 +204,10 @@ def _number(cell: str, where: str) -> float:
     try:
         return float(number.removesuffix("k").replace(",", ".")) * (1000.0 if kilo else 1.0)
     except ValueError:
-        raise InputError("not a number", where=where, found=repr(cell[:40])) from None
+        raise InputError(
+            "not a number",
+            where=where,
+            found=repr(cell[:40]),
+            needed="a time in s, or a centre as 500, 500 Hz or 1 kHz in the first line",
+            hint="leave the cell empty where nothing is known",
+        ) from None

@@ -448,6 +448,8 @@ def _number(text: str, line: int) -> float:
             "a number of the REW file is not one",
             where=f"line {line}",
             found=repr(text.strip()[:40]),
+            needed="a finite number",
+            hint="export the response again from REW, as text",
         )
     return value
 

@@ -116,6 +116,11 @@ def read_model(spec: RoomSpec) -> tuple[RoomModel, str]:
     InputError
         The file is of no known format, or cannot be read.
     """
+    with located(hint="correct the file there, or export it again"):
+        return _polygons(spec)
+
+
+def _polygons(spec: RoomSpec) -> tuple[RoomModel, str]:
     if spec.polygons is not None:
         own = read_polygons(spec.polygons, spec.unit, spec.materials or ())
         return own, str(spec.polygons.corners[0])

@@ -102,14 +102,24 @@ def _obey_directives(file: GeoFile) -> None:
         file.shared.mirrors.add(file.mirror[0])
     if shift:
         if "object" not in file.directives:
-            raise InputError("TRANSLATE without OBJECT", where=file.directives["translate"].where)
+            raise InputError(
+                "TRANSLATE without OBJECT",
+                where=file.directives["translate"].where,
+                found="no line OBJECT in the file",
+                needed="a line OBJECT: TRANSLATE moves objects alone",
+            )
         file.shift = (shift[0], shift[1], shift[2])
 
 
 def _integer(value: float, file: GeoFile, word: str) -> int:
     if value != int(value) or value < 0:
         where = file.directives[word].where
-        raise InputError("a whole number was expected", where=where, found=f"{value:g}")
+        raise InputError(
+            "a whole number was expected",
+            where=where,
+            found=f"{value:g}",
+            needed=f"a whole number of 0 or more after {word.upper()}",
+        )
     return int(value)
 
 
@@ -152,7 +162,12 @@ def _add_loop(file: GeoFile, line: Line) -> None:
     number, start, stop, step = (value_of(arguments[k], file, line.where) for k in (0, 2, 3, 4))
     steps = (stop - start) / step if step else -1.0
     if number != int(number) or number < 0 or not 0.0 <= steps + 1e-9 <= _MOST_STEPS:
-        raise InputError("a loop that does not end, or has no step", where=line.where)
+        raise InputError(
+            "a loop that does not end, or has no step",
+            where=line.where,
+            found=f"corners from {number:g}, {start:g} to {stop:g} by {step:g}",
+            needed=f"a whole number first, and at most {_MOST_STEPS} steps from start to stop",
+        )
     for k in range(int(steps + 1e-9) + 1):
         running = (arguments[1].lower(), start + k * step)
         expressions = (arguments[5], arguments[6], arguments[7])

@@ -23,6 +23,7 @@ from pathlib import Path
 
 from roomfit.errors import InputError
 from roomfit.io.door import check_limit, read_text
+from roomfit.io.file_names import in_short
 from roomfit.io.rooms.model import finite, whole
 
 _TOKEN = re.compile(
@@ -78,6 +79,7 @@ def value_of(
                 f"{_name(call.func)}() needs {count} corner number{'s' if count > 1 else ''}",
                 where=where,
                 found=text,
+                needed=f"whole numbers, {count} of them, between the brackets",
             )
         return [own_corner(file, whole(str(number), where), where) for number in numbers]
 
@@ -110,7 +112,10 @@ def value_of(
         raise _not_understood(text, where) from None
     except (ZeroDivisionError, ValueError, OverflowError) as error:
         raise InputError(
-            "an expression has no value", where=where, found=f"{text!r}: {error}"
+            "an expression has no value",
+            where=where,
+            found=f"{text!r}: {error}",
+            needed="a finite number",
         ) from None
 
 
@@ -138,7 +143,13 @@ def _name(node: ast.expr) -> str:
 
 
 def _too_long(where: str) -> InputError:
-    return InputError("an expression is too long, or has too many brackets", where=where)
+    return InputError(
+        "an expression is too long, or has too many brackets",
+        where=where,
+        found="more than can be worked out",
+        needed="a shorter one",
+        hint="give parts of it names, as constants of their own",
+    )
 
 
 def _not_understood(text: str, where: str) -> InputError:
@@ -376,7 +387,13 @@ def constant(file: GeoFile, name: str, where: str) -> float:
     """Return the value of a constant, of this file or global, by its name in lower case."""
     shared = file.shared
     if name not in file.local and name not in shared.constants:
-        raise InputError("a constant is not defined", where=where, found=name)
+        known = sorted({*file.local, *shared.constants})
+        raise InputError(
+            "a constant is not defined",
+            where=where,
+            found=name,
+            needed=f"one of {in_short(known)}" if known else "a definition: there is none",
+        )
     owner, line = (file, file.local[name]) if name in file.local else shared.constants[name]
     # once: constants that double each other would be worked out 2 ** n times
     if line not in shared.values:
@@ -413,6 +430,7 @@ def _evaluating(shared: Shared, what: str, where: str) -> Iterator[None]:
             "numbers of the .geo file go in a circle, or refer to each other too often",
             where=where,
             found=" -> ".join([*way[-4:], what]),
+            needed=f"a chain of {_NUMBERS_DEEPEST} at most that ends in a number",
         )
     way.append(what)
     try:
@@ -427,7 +445,12 @@ def corner_of(shared: Shared, number: int, where: str) -> Point:
     if source is None:
         original = _original(shared, number)
         if original is None:
-            raise InputError("no corner has this number", where=where, found=str(number))
+            raise InputError(
+                "no corner has this number",
+                where=where,
+                found=str(number),
+                needed=f"one of {in_short([str(n) for n in shared.corners])}",
+            )
         x, y, z = corner_of(shared, original, where)
         return -x, y, z
     if source.point is None:
@@ -454,7 +477,12 @@ def _worked_out(source: CornerSource) -> Point:
     point = [0.0, 0.0, 0.0]
     locked = [k for k in range(3) if re.search(r"(?i)\block\s*\(", source.expressions[k])]
     if len(locked) > 1:
-        raise InputError("a corner has more than one lock()", where=source.where)
+        raise InputError(
+            "a corner has more than one lock()",
+            where=source.where,
+            found=f"{len(locked)} of them",
+            needed="one at most: two coordinates fix the third on a plane",
+        )
     for axis in (0, 1, 2):
         if axis not in locked:
             point[axis] = value(axis)

@@ -80,9 +80,7 @@ class _Lines:
         """Return the next line, which must start with a word and have so many words in all."""
         words = self.words()
         if not words:
-            raise InputError(
-                "the room file ends early", where=str(self.path), hint="export it again"
-            )
+            raise _cut_short(self.path)
         if len(words) < least or (first is not None and words[0] != first):
             needed = f"{first!r} and {least - 1} values" if first else f"{least} values"
             raise InputError(
@@ -119,9 +117,13 @@ def read_ac3d(path: Path) -> RoomModel:
     .. [1] A. Colebourne, "The AC3D file format" (2003), www.inivis.com.
     """
     lines = _Lines(path)
-    if not "".join(lines.words()[:1]).startswith("AC3D"):
+    first = lines.words()
+    if not "".join(first[:1]).startswith("AC3D"):
         raise InputError(
-            "this is no AC3D file", where=str(path), needed='"AC3D" at the start of the first line'
+            "this is no AC3D file",
+            where=str(path),
+            found=repr(" ".join(first)[:40]),
+            needed='"AC3D" at the start of the first line',
         )
     materials: list[str] = []
     done: list[_Object] = []
@@ -188,7 +190,10 @@ def _read_surf(lines: _Lines) -> _Surf:
         words = lines.needed("refs", 2)
     elif words[0] != "refs":
         raise InputError(
-            "an AC3D surface without refs", where=lines.where, found=" ".join(words)[:60]
+            "an AC3D surface without refs",
+            where=lines.where,
+            found=" ".join(words)[:60],
+            needed='"refs" and the number of its corners',
         )
     rows = range(_count(words, lines))
     corners = tuple(whole(lines.needed(None, 1)[0], lines.where) for _ in rows)
@@ -208,7 +213,12 @@ def _floats(words: list[str], n: int, lines: _Lines) -> list[float]:
 def _count(words: list[str], lines: _Lines) -> int:
     count = whole(words[1] if len(words) > 1 else "", lines.where)
     if not 0 <= count <= _LARGEST_COUNT:
-        raise InputError("a count is out of range", where=lines.where, found=str(count))
+        raise InputError(
+            "a count is out of range",
+            where=lines.where,
+            found=str(count),
+            needed=f"0 to {_LARGEST_COUNT}",
+        )
     return count
 
 
@@ -279,7 +289,10 @@ def read_obj(path: Path) -> RoomModel:
             case "v":
                 if len(words) < 4:
                     raise InputError(
-                        "a vertex needs three coordinates", where=where, found=" ".join(words)
+                        "a vertex needs three coordinates",
+                        where=where,
+                        found=" ".join(words),
+                        needed="v x y z",
                     )
                 x, y, z = (finite(word, where) for word in words[1:4])
                 vertices.append((x, y, z))
@@ -436,7 +449,12 @@ def _layer(names: list[str], number: int, path: Path) -> Surface | None:
 
 def _coordinate(row: dict[str, list[float]], axis: str, where: str) -> float:
     if not row.get(axis):
-        raise InputError("a vertex needs three coordinates", where=where, needed="x, y and z")
+        raise InputError(
+            "a vertex needs three coordinates",
+            where=where,
+            found=f"no {axis}, but {', '.join(row) or 'nothing'}",
+            needed="x, y and z",
+        )
     return finite(str(row[axis][0]), where)
 
 
@@ -447,7 +465,10 @@ def _header(path: Path, content: bytes) -> tuple[str, list[_Element], bytes]:
     lines = head.decode("latin-1").splitlines()
     if not found or not lines or lines[0].strip() != "ply":
         raise InputError(
-            "this is no PLY file", where=str(path), needed='"ply" first and "end_header" later'
+            "this is no PLY file",
+            where=str(path),
+            found=repr(lines[0][:40] if lines else ""),
+            needed='"ply" first and "end_header" later',
         )
     order, elements = None, list[_Element]()
     for number, line in enumerate(lines, start=1):
@@ -460,20 +481,27 @@ def _header(path: Path, content: bytes) -> tuple[str, list[_Element], bytes]:
             case ["property", "list", count, kind, name] if elements:
                 code, count_code = _code(kind, where), _code(count, where)
                 if count_code in "fd" or (name in (*_CORNERS, _LAYER_NAME) and code in "fd"):
-                    raise InputError("a PLY list needs whole numbers", where=where, found=line)
+                    wanted = ", ".join(k for k, c in _CODES.items() if c not in "fd")
+                    what = "a PLY list needs whole numbers"
+                    raise InputError(what, where=where, found=line, needed=f"one of {wanted}")
                 elements[-1].properties.append((name, code, count_code))
             case ["property", kind, name] if elements:
                 elements[-1].properties.append((name, _code(kind, where), ""))
     if order is None:
         raise InputError(
-            "a PLY file of unknown format", where=str(path), needed=f"one of {', '.join(_ORDERS)}"
+            "a PLY file of unknown format",
+            where=str(path),
+            found=next((w for w in lines if w.startswith("format")), "no line format")[:60],
+            needed=f"one of {', '.join(_ORDERS)}",
         )
     return order, elements, rest[rest.find(b"\n") + 1 :]
 
 
 def _code(kind: str, where: str) -> str:
     if kind not in _CODES:
-        raise InputError("unknown PLY type", where=where, found=repr(kind))
+        raise InputError(
+            "unknown PLY type", where=where, found=repr(kind), needed=f"one of {', '.join(_CODES)}"
+        )
     return _CODES[kind]
 
 
@@ -501,7 +529,8 @@ def _cut_short(path: Path) -> InputError:
     return InputError(
         "the room file ends early",
         where=str(path),
-        needed="as many numbers as its header declares",
+        found="its end, where more is declared",
+        needed="as many numbers and lines as it declares",
         hint="the file is cut short: export or copy it again",
     )
 
@@ -525,7 +554,12 @@ def read_3ds(path: Path) -> RoomModel:
     """
     content = read_bytes(path, "room file", most="text_bytes")
     if len(content) < _CHUNK.size or content[:2] != b"MM":
-        raise InputError("this is no 3DS file", where=str(path), needed='"MM" at its beginning')
+        raise InputError(
+            "this is no 3DS file",
+            where=str(path),
+            found=repr(content[:2]),
+            needed='"MM" at its beginning',
+        )
     _, length = _CHUNK.unpack_from(content)
     if length > len(content):
         raise _cut_short(path)

@@ -141,7 +141,10 @@ def whole(token: str, where: str) -> int:
         return int(token)
     except ValueError:
         raise InputError(
-            "a whole number was expected", where=where, found=repr(token[:40])
+            "a whole number was expected",
+            where=where,
+            found=repr(token[:40]),
+            needed=f"digits alone, {_MOST_DIGITS} at most",
         ) from None
 
 
@@ -163,12 +166,16 @@ def damaged(kind: str, path: Path, found: str) -> InputError:
         f"this {kind} file cannot be read",
         where=str(path),
         found=found,
+        needed=f"a whole {kind} file",
         hint="the file may be damaged or cut short: export it again",
     )
 
 
 def no_faces(
-    path: Path, found: str | None = None, needed: str | None = None, hint: str | None = None
+    path: Path,
+    found: str = "none",
+    needed: str = "faces of three corners or more",
+    hint: str | None = None,
 ) -> InputError:
     """Return the error of a file in which there is no face."""
     return InputError(

@@ -47,15 +47,29 @@ def read_corners(path: Path) -> dict[str, tuple[float, float, float]]:
         if number is None:
             if all(_is_finite(cell) for cell in cells):
                 raise InputError(
-                    "a corner without a number", where=where, found=", ".join(row)[:60]
+                    "a corner without a number",
+                    where=where,
+                    found=", ".join(row)[:60],
+                    needed="a number of its own in the column of numbers",
                 )
             continue
         if number in corners:
-            raise InputError("a corner is given twice in one table", where=where, found=number)
+            raise InputError(
+                "a corner is given twice in one table",
+                where=where,
+                found=number,
+                needed="each number once",
+                hint="number one of the two anew; a corner is replaced by a later table alone",
+            )
         x, y, z = (finite(cell, where) for cell in cells)
         corners[number] = (x, y, z)
     if not corners:
-        raise InputError("the table holds no corners", where=str(path))
+        raise InputError(
+            "the table holds no corners",
+            where=str(path),
+            found="a heading alone",
+            needed="rows of number, x, y, z",
+        )
     return corners
 
 
@@ -76,9 +90,20 @@ def read_planes(path: Path) -> dict[str, Plane]:
         if number is None and len(corners) < 3:
             continue
         if number is None:
-            raise InputError("a plane without a number", where=where, found=", ".join(row)[:60])
+            raise InputError(
+                "a plane without a number",
+                where=where,
+                found=", ".join(row)[:60],
+                needed="a number of its own in the column of numbers",
+            )
         if number in planes:
-            raise InputError("a plane is given twice in one table", where=where, found=number)
+            raise InputError(
+                "a plane is given twice in one table",
+                where=where,
+                found=number,
+                needed="each number once",
+                hint="number one of the two anew; a plane is replaced by a later table alone",
+            )
         if len(corners) < 3:
             raise InputError(
                 "a plane has fewer than three corners",
@@ -97,7 +122,12 @@ def read_planes(path: Path) -> dict[str, Plane]:
             where,
         )
     if not planes:
-        raise InputError("the table holds no planes", where=str(path))
+        raise InputError(
+            "the table holds no planes",
+            where=str(path),
+            found="a heading alone",
+            needed="rows of a number and three corners or more",
+        )
     return planes
 
 
@@ -118,6 +148,7 @@ def _rows(path: Path, needed: tuple[str, ...]) -> Iterator[tuple[str, list[str],
         raise InputError(
             "the table has no heading that names its columns",
             where=str(path),
+            found="no such row",
             needed=f"a row with the words number, {', '.join(needed)}",
         )
 

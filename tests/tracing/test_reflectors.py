@@ -1,0 +1,53 @@
+"""Triangles of a plane become convex pieces, in whatever order their corners stand."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from roomfit.tracing.reflectors import convex_pieces
+
+
+def square(x: float, y: float) -> np.ndarray:
+    """Return two triangles of a unit square, shape (2, 3, 3), counter-clockwise."""
+    corners = np.array([[x, y, 0.0], [x + 1, y, 0.0], [x + 1, y + 1, 0.0], [x, y + 1, 0.0]])
+    return corners[[[0, 1, 2], [0, 2, 3]]]
+
+
+def area_m2(piece: np.ndarray) -> float:
+    """Return the area of a polygon in the plane z = 0, by the formula of Gauss."""
+    x, y = piece[:, 0], piece[:, 1]
+    return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+@pytest.mark.parametrize("turned", list(itertools.product(range(3), repeat=2)))
+@pytest.mark.parametrize("at", [(0.0, 0.0), (-40.0, 7.0), (3.0, -90.0)])
+def test_two_triangles_of_a_square_are_one_piece_whichever_corner_comes_first(turned, at):
+    triangles = [np.roll(t, n, axis=0) for t, n in zip(square(*at), turned, strict=True)]
+    (piece,) = convex_pieces(np.array(triangles), np.array([0.0, 0.0, 1.0]), 1e-6)
+    assert len(piece) == 4
+    assert area_m2(piece) == pytest.approx(1.0, rel=1e-9)
+    assert set(map(tuple, piece)) == {tuple(p) for p in square(*at).reshape(-1, 3)}
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(
+    ("squares", "number"),
+    [
+        ([(0, 0), (1, 0), (2, 0), (3, 0)], 1),
+        ([(0, 0), (1, 0), (0, 1), (1, 1)], 1),
+        ([(0, 0), (1, 0), (0, 1)], 2),  # an L is two rectangles
+        ([(0, 0), (2, 0)], 2),  # with a gap between them
+        ([(0, 0), (1, 1)], 2),  # with a corner in common
+    ],
+)
+def test_pieces_cover_what_the_triangles_cover_and_are_as_few_as_can_be(seed, squares, number):
+    """Triangles and their corners in a random order; each number can be counted on a sketch."""
+    rng = np.random.default_rng(seed)
+    triangles = np.concatenate([square(x - 20.0, y + 5.0) for x, y in squares])
+    triangles = np.array([np.roll(t, rng.integers(3), axis=0) for t in rng.permutation(triangles)])
+    pieces = convex_pieces(triangles, np.array([0.0, 0.0, 1.0]), 1e-6)
+    assert len(pieces) == number
+    assert sum(map(area_m2, pieces)) == pytest.approx(len(squares), rel=1e-9)

@@ -1,0 +1,74 @@
+"""What a treatment's sentence says and its figure draws, of numbers that are written down here."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.collections import LineCollection
+
+import roomfit
+from roomfit.bands import bands_between
+from roomfit.prediction.tables import PredictedValue, ValueChange
+from roomfit.treatment.output import treatment_figure, treatment_sentence
+from roomfit.treatment.question import Target
+from roomfit.treatment.treat import Arrangement, Hung, Treatment
+
+BANDS = bands_between("octave", 500, 1000)
+NONE = np.full(2, np.nan)
+
+
+@pytest.fixture
+def treatment() -> Treatment:
+    room = roomfit.shoebox_room((6.0, 5.0, 3.0), {})
+    scene = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+    before = ValueChange(
+        np.array([1.2, 1.3]), np.array([1.1, 1.15]), np.array([1.35, 1.4]),
+        np.array([-0.5, -0.5]), np.array([-0.6, -0.6]), np.array([-0.4, -0.4]),
+        NONE, NONE, NONE,
+    )  # fmt: skip
+    after = PredictedValue(
+        np.array([0.7, 0.8]), np.array([0.65, 0.7]), np.array([0.78, 0.95]),
+        NONE, NONE, NONE, NONE, NONE, before,
+    )  # fmt: skip
+    hung = Hung("ceiling", "panel", 12.5, 0.4)
+    first = Arrangement(
+        (hung,), 100.0, {"T30_s": after}, np.array([0.834]), np.array([0.02]), 0.834, (), ()
+    )
+    changing: Any = SimpleNamespace(scene=scene)
+    target = Target("T30_s", high=0.9, bands_hz=(500.0, 1000.0))
+    return Treatment(BANDS, (target,), (first,), True, changing, ())
+
+
+def test_intervals_stand_at_their_bands_from_the_lower_to_the_upper_limit(treatment):
+    """Before on the left of a band's mark, after on the right, the limit across it."""
+    axes = treatment_figure(treatment).axes[1]
+    drawn = [s for c in axes.collections if isinstance(c, LineCollection) for s in c.get_segments()]
+    upright = sorted((x0, y0, y1) for (x0, y0), (x1, y1) in drawn if x0 == x1)
+    wanted = [(-0.1, 1.1, 1.35), (0.1, 0.65, 0.78), (0.9, 1.15, 1.4), (1.1, 0.7, 0.95)]
+    np.testing.assert_allclose(upright, wanted, atol=1e-12)
+    level = sorted((x0, x1, y0) for (x0, y0), (x1, y1) in drawn if y0 == y1)
+    np.testing.assert_allclose(level, [(-0.4, 0.4, 0.9), (0.6, 1.4, 0.9)], atol=1e-12)
+    points = {line.get_label(): line.get_xydata() for line in axes.lines}
+    np.testing.assert_allclose(points["as it is"], [(-0.1, 1.2), (0.9, 1.3)], atol=1e-12)
+    np.testing.assert_allclose(points["treated"], [(0.1, 0.7), (1.1, 0.8)], atol=1e-12)
+    # half as much again as the highest number drawn, from zero
+    assert axes.get_ylim() == pytest.approx((0.0, 1.5 * 1.4))
+    assert [t.get_text() for t in axes.get_xticklabels()] == ["500", "1000"]
+
+
+def test_the_sentence_says_what_hangs_where_and_how_likely_it_is_enough(treatment):
+    text = treatment_sentence(treatment)
+    assert text.startswith("12.5 m² panel on ceiling: ")
+    assert text.endswith("The target is met with a probability of 83 %.")
+    two = replace(treatment, targets=2 * treatment.targets)
+    assert treatment_sentence(two).endswith("All targets are met with a probability of 83 %.")
+    missed = treatment_sentence(replace(treatment, is_met=False))
+    assert missed.endswith("This does not meet the targets; nothing that was allowed does.")
+    assert "probability" not in missed
+    bare = replace(treatment.arrangements[0], hung=(), mean={})
+    alone = treatment_sentence(replace(treatment, arrangements=(bare,)))
+    assert alone == "Nothing. The target is met with a probability of 83 %."
