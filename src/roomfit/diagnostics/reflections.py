@@ -164,8 +164,8 @@ def _isolated(
     inside = windows[:, 1] < min(traced.settings.duration_s, float(m.noise.usable_end_s[band]))
     attenuation = float(attenuation_per_m(scene.air, measured.bands)[band])
     # energies without absorption and scattering of the wall itself, (n,), and of all else
-    heard = rows_at(traced.binned, float(measured.bands.centres_hz[band]))[m.pair]
-    weight = _weights(paths, own, heard)
+    arriving = rows_at(traced.binned, float(measured.bands.centres_hz[band]))[m.pair]
+    weight = _weights(paths, own, arriving)
     kept = np.where(struck.sum(axis=1) > 0, 1.0 - traced.scattering[material, band], 1.0)
     share = np.array(
         [energy_share(kernel, band, [t], w)[0, 0] for t, w in zip(arrival_s, windows, strict=True)]
@@ -182,7 +182,7 @@ def _isolated(
     bins_s = traced.binned.edges_s
     centres_s = 0.5 * (bins_s[1:] + bins_s[:-1])
     n = int(np.searchsorted(centres_s, edges[-1] + spreading_reach_s(kernel, band)))
-    rows = first_rows(heard, n)
+    rows = first_rows(arriving, n)
     alpha, air = absorption[:, band : band + 1], np.array([attenuation])
     energy = weigh(rows, alpha, air, derivative=False).energy[0]
     spreading = spreading_matrix(kernel, band, centres_s[: energy.size], edges)
