@@ -276,6 +276,16 @@ def test_the_decay_term_widens_answers_along_their_shift_alone() -> None:
     np.testing.assert_array_equal(after.absorption, a)
 
 
+def test_what_returns_little_is_as_uncertain_as_what_absorbs_little() -> None:
+    """Absorption a and reflection 1 - a have mirrored intervals."""
+    priors, areas, rate = _PRIORS, np.ones(2), DecayRate(1e-9, 0.0, np.array([0.3, 0.2]))
+    a = np.array([0.03, 0.2])
+    (low,) = with_decay_errors([_answer(a, rate)], areas, priors)
+    (high,) = with_decay_errors([_answer(1.0 - a, rate._replace(step=-rate.step))], areas, priors)
+    np.testing.assert_allclose(low.upper95, 1.0 - high.lower95)
+    np.testing.assert_allclose(low.lower95, 1.0 - high.upper95)
+
+
 def test_what_is_fixed_stays_beside_a_rate_that_is_not() -> None:
     """And an answer without windows stays as it is."""
     rate = DecayRate(1e-9, 0.0, np.array([0.2, 0.3]))

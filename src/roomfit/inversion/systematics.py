@@ -394,7 +394,6 @@ def _moved_along(
     a = np.clip(answer.absorption, _LEAST, 1.0 - _LEAST)
     nearer_half = np.where(a < 0.5, a + np.abs(step), a - np.abs(step))
     logit_step = np.sign(step) * np.abs(logit(nearer_half, _LEAST) - logit(a, _LEAST))
-    logit_step = np.where(answer.upper95 > answer.lower95, logit_step, 0.0)
     mean_sd = float(np.abs(areas_m2 @ step) / areas_m2.sum())
     wider = widened(answer, np.outer(logit_step, logit_step), areas_m2, mean_sd)
     sd = np.sqrt(np.diag(wider.logit_covariance))
