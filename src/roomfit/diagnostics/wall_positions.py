@@ -31,7 +31,7 @@ _SAME_S = 1e-8
 # factor of 2 in eight responses (more in fewer, as a mean's deviation) more than the echo of the
 # specified position or any other, and in most responses.
 _LEAST_SCORE, _LEAST_LEAD, _LEAD_RESPONSES, _LEAST_SHARE = 1.5, 0.7, 8, 0.7
-_LEAST_RESPONSES = 4
+_LEAST_RESPONSES = 5
 _EXPLAINED_ORDER = 2
 # Hundreds of seats have echoes at every time, and to trace them takes minutes.
 _MAX_TRIANGLES = 2000
@@ -93,7 +93,7 @@ def outline_findings(
     ----------
     scene : Scene
     responses : sequence of (pair, ImpulseResponse)
-        Index of the pair in the scene; time zero is the emission. Not examined: fewer than four
+        Index of the pair in the scene; time zero is the emission. Not examined: fewer than five
         responses; those of a single source, whose own stand or table echoes in all of them alike;
         and a room of more than 2000 triangles.
 
