@@ -28,9 +28,9 @@ _MASK_S = 0.25e-3
 # Two computations of the same image's arrival differ by rounding alone.
 _SAME_S = 1e-8
 # An echo elsewhere counts where it stands out of its surroundings by a factor of e**1.5, by a
-# factor of 2 in eight responses (more in fewer, as a mean's deviation) more than the echo of the
-# specified position or any other, and in most responses.
-_LEAST_SCORE, _LEAST_LEAD, _LEAD_RESPONSES, _LEAST_SHARE = 1.5, 0.7, 8, 0.7
+# factor of 2 in eight responses (more in fewer, as a mean's deviation, and beyond half the reach)
+# more than the echo of the specified position or any other, and in most responses.
+_LEAST_SCORE, _LEAST_LEAD, _LEAST_FAR_LEAD, _LEAD_RESPONSES, _LEAST_SHARE = 1.5, 0.7, 1.0, 8, 0.7
 _LEAST_RESPONSES = 5
 _EXPLAINED_ORDER = 2
 # Hundreds of seats have echoes at every time, and to trace them takes minutes.
@@ -233,7 +233,8 @@ def _mismatch(
     peak = peak[np.isfinite(peak)]
     share = float(np.mean(peak > 1.0))
     lead = best - max(float(here.max()), float(rest.max()))
-    least_lead = _LEAST_LEAD * max(1.0, np.sqrt(_LEAD_RESPONSES / peak.size))
+    least_lead = _LEAST_LEAD if abs(moved_m) <= 0.5 * _REACH_M else _LEAST_FAR_LEAD
+    least_lead *= max(1.0, np.sqrt(_LEAD_RESPONSES / peak.size))
     if best < _LEAST_SCORE or lead < least_lead or share < _LEAST_SHARE:
         return []
     way = "farther out than" if moved_m > 0.0 else "inside of where"
