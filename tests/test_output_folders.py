@@ -17,6 +17,8 @@ import pytest
 from roomfit.cache import shared_folder, sole_writer, whole_output_folder
 from roomfit.errors import InputError, StoreError
 from roomfit.io.results import check_disk_room
+from roomfit.prediction.campaign import WantedPairs
+from roomfit.predictions import predict_to_folder
 from small_campaign import ABSORPTION, run_command, write_campaign
 
 # processes of these tests import their helpers, too
@@ -378,6 +380,14 @@ class Disk(NamedTuple):
     free: int
 
 
+def absorption_table(folder: Path) -> Path:
+    rows = [f"{m},{f},{a},{a},{a},true" for m, a in ABSORPTION.items() for f in (500, 1000)]
+    heading = "material,band_hz,absorption,lower95,upper95,identifiable"
+    table = folder / "absorption.csv"
+    table.write_text("\n".join([heading, *rows]) + "\n")
+    return table
+
+
 def with_free(monkeypatch, disk: Disk) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: disk)
 
@@ -395,10 +405,7 @@ def test_a_disk_without_room_is_told_before_the_work_and_nothing_is_written(
         monkeypatch.setattr(f"roomfit.{place}", worked)
     monkeypatch.setattr("roomfit.prediction.diffuse.predict_field", worked)
     with_free(monkeypatch, Disk(10**12, 10**6))
-    campaign, table = write_campaign(tmp_path / "campaign"), tmp_path / "absorption.csv"
-    rows = [f"{m},{f},{a},{a},{a},true" for m, a in ABSORPTION.items() for f in (500, 1000)]
-    heading = "material,band_hz,absorption,lower95,upper95,identifiable"
-    table.write_text("\n".join([heading, *rows]) + "\n")
+    campaign, table = write_campaign(tmp_path / "campaign"), absorption_table(tmp_path)
     if "without" in command:
         (tmp_path / "t.csv").write_text("name,500,1000\nA,0.6,0.6\n")
         campaign.write_text(
@@ -412,6 +419,25 @@ def test_a_disk_without_room_is_told_before_the_work_and_nothing_is_written(
     assert "the disk has no room for the result" in shown and "1.0 MB free" in shown, shown
     assert "needed  about" in shown and "try     make room" in shown
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_map_of_many_points_asks_for_no_room_for_pictures_that_are_not_drawn(
+    tmp_path, monkeypatch
+):
+    """Some 250 points: 20 kB each, where 200 kB would be 50 MB."""
+
+    class BegunError(Exception):
+        """Raised in place of the work."""
+
+    def begun(**named):
+        assert 200 < len(named["scene"].pairs) < 300
+        raise BegunError
+
+    monkeypatch.setattr("roomfit.prediction.predict.predict", begun)
+    with_free(monkeypatch, Disk(10**12, 10**7))
+    campaign, table = write_campaign(tmp_path / "campaign"), absorption_table(tmp_path)
+    with pytest.raises(BegunError):
+        predict_to_folder(campaign, table, tmp_path / "out", wanted=WantedPairs(grid_m=(1.2, 0.2)))
 
 
 def test_the_room_that_a_result_needs_grows_with_pairs_and_results(tmp_path, monkeypatch):
