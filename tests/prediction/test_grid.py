@@ -119,6 +119,7 @@ def test_a_map_shows_the_mean_at_mid_frequencies_where_it_is(mapped):
         (np.nan, 1.0, "a height and a spacing"),
         (3.5, 1.0, "no point of the grid"),
         (1.2, 0.01, "more pairs than can be predicted"),
+        (1.2, 6e-19, "more pairs than can be predicted"),  # more than an integer of 64 bits
     ],
 )
 def test_a_grid_that_cannot_be_is_refused(height_m, spacing_m, words):

@@ -67,12 +67,12 @@ def grid_scene(scene: Scene, height_m: float, spacing_m: float) -> Scene:
         )
     vertices = scene.room.mesh.vertices_m
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    counts = np.maximum((high - low)[:2] / spacing_m + 1e-9, 1.0).astype(np.int64)
+    counts = np.floor(np.maximum((high - low)[:2] / spacing_m + 1e-9, 1.0))
     most = 2000
-    if float(np.prod(counts.astype(float))) * len(scene.sources) > most:
+    if counts.max() > most or counts.prod() * len(scene.sources) > most:
         raise InputError(
             "a grid of more pairs than can be predicted",
-            found=f"{counts[0]} x {counts[1]} points, {len(scene.sources)} sources",
+            found=f"{counts[0]:g} x {counts[1]:g} points, {len(scene.sources)} sources",
             needed=f"at most {most} pairs",
             hint="a wider spacing",
         )
