@@ -46,6 +46,7 @@ AREAS = {
     "impedance",
     "kept apart",
     "random places",
+    "the rate of decay",
     "limits of absorption",
     "treatment",
     "workers",

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import NamedTuple
 
 import pytest
 
 from roomfit.cache import shared_folder, sole_writer, whole_output_folder
 from roomfit.errors import InputError, StoreError
-from roomfit.io.results import check_disk_room
-from small_campaign import ABSORPTION, run_command, write_campaign
+from small_campaign import run_command
 
 # processes of these tests import their helpers, too
 _PATHS = [str(Path(__file__).parent), str(Path(__file__).parent / "helpers")]
@@ -371,62 +368,3 @@ def test_workers_that_are_starting_get_no_interrupt():
         [sys.executable, "-c", program], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-
-
-class Disk(NamedTuple):
-    total: int
-    free: int
-
-
-def with_free(monkeypatch, disk: Disk) -> None:
-    monkeypatch.setattr(shutil, "disk_usage", lambda _path: disk)
-
-
-@pytest.mark.parametrize("command", ["identify", "batch", "predict", "predict without positions"])
-def test_a_disk_without_room_is_told_before_the_work_and_nothing_is_written(
-    tmp_path, monkeypatch, capsys, command
-):
-    """One megabyte is free, and a result takes more; nothing is traced or fitted before."""
-
-    def worked(*_arguments, **_named):
-        raise AssertionError("the work has begun")
-
-    for place in ("identification.identify", "prediction.predict.predict"):
-        monkeypatch.setattr(f"roomfit.{place}", worked)
-    monkeypatch.setattr("roomfit.prediction.diffuse.predict_field", worked)
-    with_free(monkeypatch, Disk(10**12, 10**6))
-    campaign, table = write_campaign(tmp_path / "campaign"), tmp_path / "absorption.csv"
-    rows = [f"{m},{f},{a},{a},{a},true" for m, a in ABSORPTION.items() for f in (500, 1000)]
-    heading = "material,band_hz,absorption,lower95,upper95,identifiable"
-    table.write_text("\n".join([heading, *rows]) + "\n")
-    if "without" in command:
-        (tmp_path / "t.csv").write_text("name,500,1000\nA,0.6,0.6\n")
-        campaign.write_text(
-            'format_version = 1\n[room]\nshoebox = [5, 4, 3]\n[reverberation]\nfile = "../t.csv"\n'
-        )
-    more = ("--absorption", table) if command == "predict" else ()
-    before = sorted(tmp_path.rglob("*"))
-    words = (command.split()[0], campaign, *more, "--out", tmp_path / "out")
-    assert run_command(monkeypatch, *words) == 2
-    shown = capsys.readouterr().err
-    assert "the disk has no room for the result" in shown and "1.0 MB free" in shown, shown
-    assert "needed  about" in shown and "try     make room" in shown
-    assert sorted(tmp_path.rglob("*")) == before
-
-
-def test_the_room_that_a_result_needs_grows_with_pairs_and_results(tmp_path, monkeypatch):
-    """To the byte on either side; a disk that tells nothing, or fails to, is not refused."""
-    needed = 3 * 1_500_000 + 10 * 200_000
-    with_free(monkeypatch, Disk(10**12, needed))
-    check_disk_room(tmp_path / "new" / "out", 10, 3)
-    with_free(monkeypatch, Disk(10**12, needed - 1))
-    with pytest.raises(StoreError, match=r"(?s)6\.5 MB free.*about 6\.5 MB"):
-        check_disk_room(tmp_path / "new" / "out", 10, 3)
-    with_free(monkeypatch, Disk(0, 0))
-    check_disk_room(tmp_path, 10)
-
-    def fails(_path: object) -> Disk:
-        raise OSError(38, "not implemented")
-
-    monkeypatch.setattr(shutil, "disk_usage", fails)
-    check_disk_room(tmp_path, 10)

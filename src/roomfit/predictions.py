@@ -130,18 +130,21 @@ def predict_to_folder(
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
     field = _prepared_field(campaign, absorption_file, wanted)
+    pairs, state, grid_m, doubted = wanted or WantedPairs()
+    most_drawn = _MOST_PICTURES if grid_m is None else 0
     if field is not None:
         check_disk_room(out, 0)
         with located(str(campaign_file)):
             predicted = predict_field(field, changes)
     elif absorption_file is not None:
         found = read_result(absorption_file)
-        pairs, state, grid_m, doubted = wanted or WantedPairs()
         arguments = predict_arguments(campaign, found, changes, pairs, state, doubted)
         if grid_m is not None:
             own = grid_scene(arguments["scene"], *grid_m)
             arguments = {**arguments, "scene": own, "measurements": ()}
-        check_disk_room(out, len(arguments["scene"].pairs))
+        n_pairs = len(arguments["scene"].pairs)
+        # without its picture a pair takes a tenth: 20 kB with seven bands
+        check_disk_room(out, min(n_pairs, most_drawn) + n_pairs // 10)
         cache = user_cache() if use_cache else None
         with located(str(campaign_file)):
             predicted = predict(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
@@ -149,10 +152,9 @@ def predict_to_folder(
         write_predicted(folder, predicted, files_read())
         if predicted.compares_states:
             write_bytes_atomically(folder / "change.png", png(change_figure(predicted)))
-        is_grid = wanted is not None and wanted.grid_m is not None
-        if is_grid:
+        if grid_m is not None:
             write_grid(folder, predicted, arguments["scene"])
-        shown = () if is_grid else predicted.pairs[:_MOST_PICTURES]
+        shown = predicted.pairs[:most_drawn]
         for number, pair in enumerate(shown, start=1):
             name = f"predicted_{number:02d}_{in_file_name(pair.source, pair.receiver)}.png"
             write_bytes_atomically(folder / name, png(predicted_decay_figure(predicted, pair)))
@@ -296,7 +298,8 @@ def _treat_traced(
     from roomfit.treatment.treat import treat
 
     pairs, state = (wanted or WantedPairs())[:2]
-    given = predict_arguments(campaign, read_result(absorption_file), (), pairs, state)
+    # what a seriously doubted result leaves open is in the answer, and said there
+    given = predict_arguments(campaign, read_result(absorption_file), (), pairs, state, True)
     scene, known = given["scene"], given["absorption"]
     asked, doubts = treat_arguments(treatment_file, table, known, scene)
     with located(str(treatment_file)):
@@ -328,6 +331,7 @@ def _what_to_measure(
     from roomfit.experiment_design.design import design
     from roomfit.experiment_design.output import chosen_positions
     from roomfit.io.results import read_result
+    from roomfit.scene import wall_materials
 
     first = answer.arrangements[0]
     names = answer.room.scene.room.materials
@@ -343,10 +347,12 @@ def _what_to_measure(
     for source, source_m, receiver, receiver_m in chosen_positions(found):
         here, there = (", ".join(f"{x:.2f}" for x in at_m) for at_m in (source_m, receiver_m))
         lines.append(f"{source} at ({here}) m to {receiver} at ({there}) m")
-    before, after = found.widths[[0, -1], found.materials.index(first.decisive[0][0])].mean(axis=1)
+    index = found.materials.index(first.decisive[0][0])
+    before, after = found.widths[[0, -1], index].mean(axis=1)
+    unit = " m2" * (index >= len(wall_materials(found.scene.room)))
     lines.append(
-        f"with these the 95 % interval of the absorption of {first.decisive[0][0]}, {before:.2f} "
-        f"wide in the mean over the bands, is expected to be {after:.2f} wide"
+        f"with these the 95 % interval of the absorption of {first.decisive[0][0]}, {before:.2f}"
+        f"{unit} wide in the mean over the bands, is expected to be {after:.2f}{unit} wide"
     )
     return tuple(lines)
 
@@ -388,7 +394,7 @@ def listen_to_folder(
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
     found = read_result(absorption_file)
-    arguments = predict_arguments(campaign, found, changes, "campaign", state)
+    arguments = predict_arguments(campaign, found, changes, "campaign", state, True)
     measured = [m for m in arguments["measurements"] if isinstance(m, Measurement)]
     known, settings = arguments["absorption"], arguments["settings"]
     recorded = None if dry is None else _dry_pressure(dry, measured)

@@ -315,3 +315,27 @@ def test_connections_that_ask_nothing_keep_nobody_waiting_and_are_closed(tmp_pat
         finally:
             for line in lines:
                 line.close()
+
+
+def test_what_has_begun_in_time_may_take_longer(tmp_path: Path) -> None:
+    """A slow upload, what is asked next after a pause, and the connection of the page."""
+    with running(tmp_path, limits="request_s=1") as server:
+
+        def slowly() -> Iterator[bytes]:
+            for part in (sound()[:1000], sound()[1000:]):
+                time.sleep(1.5)
+                yield part
+
+        connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+        own = {"Cookie": server.cookie}
+        with contextlib.closing(connection):
+            connection.request("PUT", "/upload/recordings/slow.wav", slowly(), own)
+            answer = connection.getresponse()
+            assert (answer.status, answer.will_close) == (200, False), answer.read()
+            answer.read()
+            time.sleep(1.5)
+            connection.request("GET", "/", None, own)
+            assert connection.getresponse().status == 200
+        assert (server.folder / "recordings" / "slow.wav").read_bytes() == sound()
+        origin = {"Origin": f"http://127.0.0.1:{server.port}"}
+        assert server.websocket(origin, after_s=1.5) == 101

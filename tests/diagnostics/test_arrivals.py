@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import roomfit
 from roomfit.air import Air, speed_of_sound_m_s
 from roomfit.diagnostics.arrivals import arrival_verdicts
 from roomfit.diagnostics.checks import BEFORE_THE_FIT, examine, recorded
+from roomfit.diagnostics.levels import _is_levelled, _peak
 from roomfit.diagnostics.usable import check_recordings
 from roomfit.errors import InputError
 from roomfit.findings import Code
@@ -333,6 +335,27 @@ def test_files_that_were_normalised_one_by_one_are_named():
     assert "the same peak, 0.9" in found.sentence and "one by one" in found.sentence
     assert {pair[0] for pair in found.about.pairs} == {"LS2"}
     assert voids(measured_findings([replace(m, level="per-file") for m in files])) == []
+
+
+def test_equal_peaks_are_no_normalisation_where_distances_are_alike_or_peaks_are_cut_off():
+    """At distances within 1 dB direct sounds have like peaks; files cut off have theirs often."""
+    files = changed(recordings(), lambda x: 0.9 * x / np.abs(x).max())
+    assert _is_levelled([0.9, 0.90002, 0.9], [5e-3, 5.5e-3, 6e-3])
+    assert not _is_levelled([0.9, 0.9003, 0.9], [5e-3, 5.5e-3, 6e-3])
+    assert not _is_levelled([0.9, 0.9, 0.9], [5e-3, 5.5e-3, 5.5e-3])
+    assert not _is_levelled([0.9, np.nan, 0.9], [5e-3, 5.5e-3, 6e-3])
+    pressure = np.asarray(files[0].samples)
+    for cut, peak in ((1.0, 0.9), (0.5, np.nan)):
+        own = SimpleNamespace(
+            response=SimpleNamespace(pressure=np.clip(pressure, -0.9 * cut, 0.9 * cut))
+        )
+        np.testing.assert_allclose(_peak(SimpleNamespace(measurement=own)), peak)
+
+
+def test_an_absolute_level_is_said_of_all_sources_that_share_it():
+    files = changed(recordings(), lambda x: 0.9 * x / np.abs(x).max())
+    (found,) = voids(measured_findings([replace(m, level="absolute") for m in files]))
+    assert found.sentence.startswith("All 12 files of LS1, LS2, LS3 have the same peak")
 
 
 def test_opposite_polarity_is_named_and_voids_nothing():

@@ -412,6 +412,23 @@ def test_objects_are_designed_for_in_square_metres_and_walls_alone_are_averaged(
     assert "people, m2" in str(found)
 
 
+def test_where_objects_alone_are_unknown_random_designs_are_in_square_metres_as_well(tmp_path):
+    """Before the first pair all designs have the same width, in the unit of the chosen one."""
+    given = ("scattering = 0.0", "scattering = 0.0\nabsorption = 0.45")
+    path = write_campaign(tmp_path, ENERGY, given)
+    people = "[objects.people]\nprior = {mean = 3, sd = 1}\n"
+    path.write_text(path.read_text() + people + DESIGN)
+    campaign = roomfit.read_campaign(path, to_fit=False)
+    found = designed(campaign, n_candidates=4, number=1, n_random=2)
+    assert found.compared.tolist() == [n == "people" for n in found.materials]
+    means = found.widths[:, found.compared].mean(axis=(1, 2))
+    assert means[0] > 2.0  # a share of energy would be below 1
+    np.testing.assert_allclose(found.random_means[:, 0], means[0], rtol=1e-12)
+    lines = str(found).splitlines()
+    (said,) = [line for line in lines if "Widest interval before: people" in line]
+    assert re.search(r" Hz, \d\.\d{3} m2; expected afterwards \d\.\d{3} m2\.$", said)
+
+
 def test_a_campaign_without_measurements_can_be_designed(tmp_path):
     """Nothing measured, sources and receivers as they are listed; a source limit is obeyed."""
     path = write_campaign(tmp_path, ENERGY, DEAD, *UNMEASURED)

@@ -44,7 +44,7 @@ def nothing(*_: Any, **__: Any) -> None:
 
 
 def empty(*_: Any, **__: Any) -> dict[str, Any]:
-    return {"scene": None, "measurements": None}
+    return {"scene": None, "measurements": ()}
 
 
 def writes(*names: str) -> Callable[..., None]:
@@ -88,7 +88,9 @@ STUBS: dict[str, dict[str, Any]] = {
     "predict": {
         PREDICTIONS + "_prepared_field": nothing,
         "roomfit.io.results.read_result": nothing,
-        "roomfit.prediction.campaign.predict_arguments": lambda *_: {},
+        "roomfit.prediction.campaign.predict_arguments": lambda *_: {
+            "scene": SimpleNamespace(pairs=())
+        },
         "roomfit.prediction.predict.predict": lambda **_: SimpleNamespace(
             compares_states=True, pairs=(SimpleNamespace(source="S", receiver="R"),)
         ),

@@ -7,8 +7,9 @@ import os
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,8 +61,13 @@ class Running:
     ) -> Answer:
         return self.ask("PUT", path, body, headers or {}, cookie)
 
-    def websocket(self, headers: Mapping[str, str], cookie: bool = True) -> int:
-        """Return the status with which a WebSocket is opened or refused; 101 is opened."""
+    def websocket(
+        self, headers: Mapping[str, str], cookie: bool = True, after_s: float = 0.0
+    ) -> int:
+        """Return the status with which a WebSocket is opened or refused; 101 is opened.
+
+        0 where it was opened and is closed so many seconds later.
+        """
         upgrade = {
             "Connection": "Upgrade",
             "Upgrade": "websocket",
@@ -73,7 +79,15 @@ class Running:
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=120)
         try:
             connection.request("GET", path, None, {**upgrade, **own, **headers})
-            return connection.getresponse().status
+            status = connection.getresponse().status
+            if after_s > 0.0:
+                time.sleep(after_s)
+                connection.sock.settimeout(0.2)
+                with suppress(TimeoutError):
+                    while connection.sock.recv(65536):
+                        pass
+                    return 0
+            return status
         finally:
             connection.close()
 

@@ -18,7 +18,7 @@ from roomfit.uncertainty.posterior import AbsorptionPosterior
 from small_campaign import run_command
 
 BANDS = bands_between("octave", 500, 1000)
-SOURCES = {"S": (1.5, 1.2, 1.5), "far": (5.2, 4.1, 1.5)}
+SOURCES = {"S": (1.2, 1.4, 1.5), "far": (5.2, 4.1, 1.5)}
 
 
 def hall():
@@ -108,6 +108,7 @@ def test_a_map_shows_the_mean_at_mid_frequencies_where_it_is(mapped):
         x, y = places[pair.receiver][:2]
         expected = pair.parameters["C80_dB"].predicted.mean()
         assert table[ys.index(y), xs.index(x)] == pytest.approx(expected)
+    assert np.isfinite(table).sum() == len(own) == table.size - 1
     assert "width of the 95 % interval" in [a.get_title() for a in figure.axes]
 
 
@@ -118,11 +119,20 @@ def test_a_map_shows_the_mean_at_mid_frequencies_where_it_is(mapped):
         (np.nan, 1.0, "a height and a spacing"),
         (3.5, 1.0, "no point of the grid"),
         (1.2, 0.01, "more pairs than can be predicted"),
+        (1.2, 6e-19, "more pairs than can be predicted"),  # more than an integer of 64 bits
     ],
 )
 def test_a_grid_that_cannot_be_is_refused(height_m, spacing_m, words):
     with pytest.raises(InputError, match=words):
         grid_scene(hall(), height_m, spacing_m)
+
+
+def test_a_room_in_which_all_points_are_near_its_source_is_refused():
+    """A booth of 90 cm: its corners, 10 cm within, are 49 cm from the middle."""
+    booth = roomfit.shoebox_room((0.9, 0.9, 2.0), "walls")
+    scene = roomfit.scene_of(booth, {"S": (0.45, 0.45, 1.2)}, {"R": (0.7, 0.2, 1.2)})
+    with pytest.raises(InputError, match="50 cm from a source"):
+        grid_scene(scene, 1.2, 0.3)
 
 
 CAMPAIGN = """

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from report_cases import answer_of, scene_of
+from roomfit.app.what_if import what_if_prepare
 from roomfit.bands import bands_between
-from roomfit.errors import InsufficientDataError
+from roomfit.errors import InputError, InsufficientDataError
 from roomfit.findings import About, Code, Finding
 from roomfit.io.campaign import read_campaign
 from roomfit.io.results import read_result, write_result
 from roomfit.logit import logit
 from roomfit.materials.priors import DEFAULT_LOGIT_SD
-from roomfit.prediction.campaign import predict_arguments
+from roomfit.prediction.campaign import WantedPairs, predict_arguments
 from roomfit.prediction.changes import read_change
 from roomfit.prediction.split import doubted_bands, for_another_room, open_splits
+from roomfit.predictions import _treat_traced, listen_to_folder
 from roomfit.results import absorption_posterior
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
 
@@ -197,7 +200,38 @@ def test_other_walls_are_not_predicted_where_the_result_is_seriously_doubted(tmp
         assert [(c.values, c.sds) for c in found["changes"]] == [((0.4,), (0.2,))] * len(changes)
         whole = predict_arguments(campaign, known, changes, state=state, doubted=True)
         assert len(whole["absorption"].bands) == 2 and whole["changes"] == tuple(changes)
+    with pytest.raises(InputError, match="one value per predicted band") as refused:
+        predict_arguments(campaign, known, [read_change("curtain=0.3,0.4,0.5")])
+    assert "500, 1000 Hz" in str(refused.value)
     everywhere = replace(known, result_findings=(DISPLACED,))
     with pytest.raises(InsufficientDataError, match="seriously doubted") as refused:
         predict_arguments(campaign, everywhere, [change])
     assert "displacement-detected" in str(refused.value) and "--doubted" in str(refused.value)
+
+
+def test_what_has_no_option_for_doubted_results_is_not_refused(tmp_path, monkeypatch):
+    """Treatments, sounds and the workbench say that the result is doubted; in any state, too."""
+
+    class BegunError(Exception):
+        """Raised in place of the work."""
+
+    def begun(*_arguments, **_named):
+        raise BegunError
+
+    file = tmp_path / "campaign.toml"
+    file.write_text(TURNED)
+    known = replace(one_decay(), areas_m2=np.array([130.0, 40.0, 40.0]))
+    known = replace(known, fitted_states=("elsewhere",), result_findings=(DISPLACED,))
+    monkeypatch.setattr("roomfit.io.results.read_result", lambda _: known)
+    monkeypatch.setattr("roomfit.app.what_if.read_result", lambda _: known)
+    monkeypatch.setattr("roomfit.app.what_if.project.best_result", lambda _: file)
+    monkeypatch.setattr("roomfit.app.what_if.prepare_prediction", begun)
+    monkeypatch.setattr("roomfit.treatment.campaign.treat_arguments", begun)
+    campaign, wanted = read_campaign(file, to_fit=False), WantedPairs("all", "turned")
+    with pytest.raises(BegunError):
+        _treat_traced(campaign, file, file, SimpleNamespace(), wanted, None)
+    with pytest.raises(BegunError):
+        what_if_prepare(lambda _: None, str(tmp_path))
+    # which is asked later
+    with pytest.raises(InputError, match="measured no pair"):
+        listen_to_folder(file, file, tmp_path / "out", [read_change("curtain=0.4")])

@@ -50,7 +50,8 @@ def what_if_prepare(progress: Progress, folder: str) -> dict[str, Any]:
     stamp = (result.stat().st_mtime, file.stat().st_mtime)
     if folder not in _ready or _ready[folder][0] != stamp:
         _ready.clear()
-        arguments = predict_arguments(read_campaign(file, to_fit=False), read_result(result))
+        campaign = read_campaign(file, to_fit=False)
+        arguments = predict_arguments(campaign, read_result(result), doubted=True)
         known = arguments["absorption"]
         harder = [Change(name, "factor", (_LEAST_FACTOR,)) for name in known.materials]
         room = prepare_prediction(

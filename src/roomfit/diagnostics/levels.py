@@ -89,9 +89,9 @@ def _is_levelled(peaks: Sequence[float], direct_s: Sequence[float]) -> bool:
 def _levelled(group: Sequence[MeasuredPair], peak: float) -> Finding:
     files = [m.measurement for m in group]
     text = (
-        f"All {len(files)} files of {files[0].source} have the same peak, {peak:.3g}, at unlike "
-        "distances: they were levelled one by one, and their levels say nothing: set level = "
-        '"per-file", or export them without normalisation.'
+        f"All {len(files)} files of {', '.join(dict.fromkeys(f.source for f in files))} have the "
+        f"same peak, {peak:.3g}, at unlike distances: they were normalised one by one, and their "
+        'levels say nothing. Set level = "per-file", or export them without normalisation.'
     )
     about = About(files=[m.where for m in files], pairs=[pair_of(m) for m in files])
     return Finding(

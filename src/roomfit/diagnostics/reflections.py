@@ -226,7 +226,7 @@ def _isolated(
 
 def _weights(paths: Paths, own: IntArray, rows: EnergyRows) -> FloatArray:
     """Return the weights of image paths in a band, as its rows have them, with all its factors."""
-    weight = paths.weight_per_m2[own].copy()
+    weight = paths.weight_per_m2[own]
     if rows.path is not None:
         image = np.flatnonzero(rows.batch < 0)
         of_row = np.intersect1d(rows.path[image], own, assume_unique=True, return_indices=True)

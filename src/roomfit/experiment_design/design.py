@@ -57,7 +57,6 @@ from roomfit.experiment_design.information import (
 )
 from roomfit.experiment_design.prior import (
     PriorInformation,
-    Unknowns,
     information_from_fit,
     information_from_priors,
 )
@@ -233,8 +232,7 @@ def design(
     # after a fit one more pair stands beside others, whose positions are not known here
     used = () if after_fit else (*rules.fixed, *chosen)
     doubts = (*doubts, *_on_planes(candidates, used, known, settings))
-    widths = _widths(known.unknowns, pairs, [*rules.fixed], chosen)
-    widths, typical = _with_objects_in_m2(scene, widths, known.typical)
+    areas_m2, middle = _in_m2(scene, known.typical), known.typical
     return Design(
         scene=candidates,
         n_fixed=len(rules.fixed),
@@ -242,11 +240,11 @@ def design(
         bands=known.bands,
         materials=scene.room.materials,
         to_find=known.unknowns.number >= 0,
-        widths=widths,
-        random_means=_random_means(scene, known.unknowns, pairs, rules, n, options, settings.seed),
+        widths=_widths(scene, known, pairs, [*rules.fixed], chosen),
+        random_means=_random_means(scene, known, pairs, rules, n, options, settings.seed),
         criterion=criterion,
         model="coherent" if coherent else "energy",
-        absorption=typical,
+        absorption=np.vstack((middle[: len(middle) - len(areas_m2)], areas_m2)),
         n_draws=len(known.draws),
         after_fit=after_fit,
         source_distance_m=distance_m,
@@ -317,45 +315,39 @@ def _compared(scene: Scene, to_find: BoolArray) -> BoolArray:
     return walls if walls.any() else to_find
 
 
-def _with_objects_in_m2(
-    scene: Scene, shares: FloatArray, typical: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return widths and typical absorption, those of objects as absorption areas in m2.
+def _in_m2(scene: Scene, shares: FloatArray) -> FloatArray:
+    """Return the absorption areas of objects in m2, (n_objects, n_bands), of the shares of all.
 
     A fit knows an object by the share of energy that it takes from sound on a short way.
-
-    Parameters
-    ----------
-    shares : float array, shape (n_steps, n_materials, n_bands)
-    typical : float array, shape (n_materials, n_bands)
     """
-    first, volume = len(wall_materials(scene.room)), volume_m3(scene.room.mesh)
-    widths, middle = shares.copy(), typical.copy()
-    half = 0.5 * np.minimum(shares[:, first:], 2.0 * (1.0 - typical[first:]) - 1e-9)
-    ends = (object_area_m2(typical[first:] + side * half, volume) for side in (1.0, -1.0))
-    widths[:, first:] = next(ends) - next(ends)
-    middle[first:] = object_area_m2(typical[first:], volume)
-    return widths, middle
+    objects = shares[len(wall_materials(scene.room)) :]
+    return np.asarray(object_area_m2(objects, volume_m3(scene.room.mesh)))
 
 
 def _widths(
-    unknowns: Unknowns, pairs: PairInformation, fixed: list[int], chosen: tuple[int, ...]
+    scene: Scene,
+    known: PriorInformation,
+    pairs: PairInformation,
+    fixed: list[int],
+    chosen: tuple[int, ...],
 ) -> FloatArray:
-    """Return the widths before and after each of the chosen, (n + 1, n_materials, n_bands)."""
-    steps = [[*fixed, *chosen[:i]] for i in range(len(chosen) + 1)]
-    return np.stack(
-        [
-            material_widths(
-                unknowns, interval_widths(unknowns, information_of(unknowns, pairs, step))
-            )
-            for step in steps
-        ]
-    )
+    """Return the widths before and after each of the chosen, (n + 1, n_materials, n_bands).
+
+    Of objects those of their areas in m2.
+    """
+    unknowns, middle, found = known.unknowns, known.typical, []
+    for i in range(len(chosen) + 1):
+        information = information_of(unknowns, pairs, [*fixed, *chosen[:i]])
+        widths = material_widths(unknowns, interval_widths(unknowns, information))
+        half = 0.5 * np.minimum(widths, 2.0 * (1.0 - middle) - 1e-9)
+        areas_m2 = _in_m2(scene, middle + half) - _in_m2(scene, middle - half)
+        found.append(np.vstack((widths[: len(widths) - len(areas_m2)], areas_m2)))
+    return np.stack(found)
 
 
 def _random_means(
     scene: Scene,
-    unknowns: Unknowns,
+    known: PriorInformation,
     pairs: PairInformation,
     rules: Rules,
     n: int,
@@ -365,9 +357,9 @@ def _random_means(
     """Return the mean widths of random designs, (n_random, n + 1), NaN where one ends early."""
     rng = np.random.default_rng(seed)
     out: FloatArray = np.full((options.n_random, n + 1), np.nan)
-    compared = _compared(scene, unknowns.number >= 0)
+    compared = _compared(scene, known.unknowns.number >= 0)
     for row in out:
         drawn = random_design(rules, n, rng)
-        widths = _widths(unknowns, pairs, [*rules.fixed], drawn)
+        widths = _widths(scene, known, pairs, [*rules.fixed], drawn)
         row[: len(drawn) + 1] = widths[:, compared].mean(axis=(1, 2))
     return out

@@ -295,9 +295,10 @@ def _comparison(design: Design) -> str:
         )
     material, band = widest(design)
     before, after = design.widths[[0, -1], material, band]
+    unit = " m2" * (material >= len(wall_materials(design.scene.room)))
     lines.append(
-        f"Widest interval before: {design.materials[material]} at "
-        f"{design.bands.centres_hz[band]:g} Hz, {before:.3f}; expected afterwards {after:.3f}."
+        f"Widest interval before: {design.materials[material]} at {design.bands.centres_hz[band]:g}"
+        f" Hz, {before:.3f}{unit}; expected afterwards {after:.3f}{unit}."
     )
     return "\n".join(lines)
 

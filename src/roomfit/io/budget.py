@@ -236,10 +236,11 @@ def budget_records(found: Iterable[Budget]) -> Table:
         for name, part in one.variances.items():
             rows.append((*head, name, contribution(part), share(part, one), SOURCES.get(name, "")))
         expanded = Z95 * one.standard
+        law = "95 %, normal" if one.quantity == MEAN else "95 %, normal in the logit"
         interval = f"{one.lower95:.5f} to {one.upper95:.5f}"
         rows += [
             (*head, "combined standard uncertainty", one.standard, None, ""),
-            (*head, "coverage factor", Z95, None, "95 %, normal in the logit"),
+            (*head, "coverage factor", Z95, None, law),
             (*head, "expanded uncertainty", expanded, None, f"half of the interval {interval}"),
             (*head, "without the prior", one.without_prior, None, "standard uncertainty"),
         ]

@@ -135,15 +135,8 @@ def _place(complaint: ErrorDetails) -> tuple[int | str, ...]:
 
 
 _MEMBER_NAMES = {
-    *(
-        "AreaSpectrum",
-        "AreaPrior",
-        "Spectrum",
-        "Prior",
-        "Directivity",
-        "MeasuredDirectivity",
-        "SharedDirectivity",
-    ),
+    *("AreaSpectrum", "AreaPrior", "Spectrum", "Prior"),
+    *("Directivity", "MeasuredDirectivity", "SharedDirectivity"),
     *("float", "str", "int", "constrained-float", "constrained-str"),
 }
 

@@ -32,7 +32,7 @@ from roomfit.core import (
 )
 from roomfit.io.campaign import Campaign
 from roomfit.io.inputs import CampaignInputs
-from roomfit.prediction.changes import Change
+from roomfit.prediction.changes import Change, values_per_band
 from roomfit.prediction.split import for_another_room, for_another_state
 
 PairChoice = Literal["all", "campaign"]
@@ -203,10 +203,7 @@ def _undoubted(
             hint="put right what the findings name, and identify again; or add --doubted (in "
             "Python doubted=True), whose intervals hold less than they say",
         )
-    own = tuple(
-        replace(c, values=_at(c.values, kept), sds=_at(c.sds, kept)) if len(c.values) > 1 else c
-        for c in changes
-    )
+    own = tuple(_at(c, bands, kept) if len(c.values) > 1 else c for c in changes)
     left_out = bands.centres_hz[~kept].tolist()
     text = (
         f"With other walls nothing is predicted at {', '.join(f'{f:g}' for f in left_out)} Hz: the "
@@ -217,9 +214,10 @@ def _undoubted(
     return Bands(bands.kind, bands.centres_hz[kept]), own, (finding,)
 
 
-def _at(values: tuple[float, ...], kept: BoolArray) -> tuple[float, ...]:
-    """Return the values of some bands; as they are where there is not one a band."""
-    return tuple(np.array(values)[kept].tolist()) if len(values) == kept.size else values
+def _at(change: Change, bands: Bands, kept: BoolArray) -> Change:
+    """Return a change, which has one value a band, with those of some bands."""
+    values, sds = (tuple(of[kept].tolist()) for of in values_per_band(change, bands, np.inf))
+    return replace(change, values=values, sds=sds)
 
 
 def _at_state(scene: Scene, campaign: Campaign, state: str) -> Scene:

@@ -138,7 +138,7 @@ def changed_draws(
         z = rng.standard_normal(len(draws))
         with located(where):
             if change.kind == "factor":
-                factor, sd = _per_band(change, posterior.bands, high=np.inf)
+                factor, sd = values_per_band(change, posterior.bands, high=np.inf)
                 wanted = absorption[index] * factor
                 absorption[index] = np.minimum(wanted, 1.0)
                 factors = np.maximum(factor + sd * z[:, None], 0.0)
@@ -161,11 +161,11 @@ def changed_draws(
                 elif change.material in posterior.objects:
                     # areas in m2, as the absorption that they stand for in the room
                     volume_m3 = posterior.objects[change.material]
-                    area_m2, sd_m2 = _per_band(change, posterior.bands, high=1e5)
+                    area_m2, sd_m2 = values_per_band(change, posterior.bands, high=1e5)
                     mean = object_absorption(area_m2, volume_m3)
                     sd = object_absorption(area_m2 + sd_m2, volume_m3) - mean
                 else:
-                    mean, sd = _per_band(change, posterior.bands, high=1.0)
+                    mean, sd = values_per_band(change, posterior.bands, high=1.0)
                 absorption[index] = mean
                 drawn[:, index] = logit_normal(mean, sd, z)
     return absorption, drawn, tuple(findings)
@@ -183,7 +183,8 @@ def _index_of(material: str, materials: tuple[str, ...], where: str) -> int:
     return materials.index(material)
 
 
-def _per_band(change: Change, bands: Bands, high: float) -> tuple[FloatArray, FloatArray]:
+def values_per_band(change: Change, bands: Bands, high: float) -> tuple[FloatArray, FloatArray]:
+    """Return values and standard deviations of a change, one a band; refuse another number."""
     values, sds = np.array(change.values), np.array(change.sds)
     if values.size not in (1, len(bands)):
         raise InputError(

@@ -12,10 +12,8 @@ from roomfit.core import (
     InputError,
     Point,
     Scene,
-    distances_m,
     is_clear_of_walls,
     pair_states,
-    select_pairs,
 )
 from roomfit.prediction.predict import Predicted
 from roomfit.prediction.tables import PredictedPair, named_values
@@ -50,7 +48,8 @@ def grid_scene(scene: Scene, height_m: float, spacing_m: float) -> Scene:
     Raises
     ------
     InputError
-        A length is no positive number, no point is in the room, or there are more than 2000 pairs.
+        A length is no positive number, no point is in the room and half a metre from a source, or
+        there are more than 2000 pairs.
 
     Examples
     --------
@@ -68,12 +67,12 @@ def grid_scene(scene: Scene, height_m: float, spacing_m: float) -> Scene:
         )
     vertices = scene.room.mesh.vertices_m
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    counts = np.maximum((high - low)[:2] / spacing_m + 1e-9, 1.0).astype(np.int64)
+    counts = np.floor(np.maximum((high - low)[:2] / spacing_m + 1e-9, 1.0))
     most = 2000
-    if float(np.prod(counts.astype(float))) * len(scene.sources) > most:
+    if counts.max() > most or counts.prod() * len(scene.sources) > most:
         raise InputError(
             "a grid of more pairs than can be predicted",
-            found=f"{counts[0]} x {counts[1]} points, {len(scene.sources)} sources",
+            found=f"{counts[0]:g} x {counts[1]:g} points, {len(scene.sources)} sources",
             needed=f"at most {most} pairs",
             hint="a wider spacing",
         )
@@ -83,19 +82,20 @@ def grid_scene(scene: Scene, height_m: float, spacing_m: float) -> Scene:
     ]
     x, y = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
     points = np.stack((x, y, np.full(x.size, low[2] + height_m)), axis=1)
-    points = points[is_clear_of_walls(scene.room, points, 0.1)]
-    if not len(points):
+    sources_m = np.array([s.position_m for s in scene.sources]).reshape(-1, 1, 3)
+    is_far = np.linalg.norm(points - sources_m, axis=2) >= 0.5  # (n_sources, n_points)
+    kept = is_clear_of_walls(scene.room, points, 0.1) & is_far.any(axis=0)
+    if not kept.any():
         raise InputError(
-            "no point of the grid is in the room",
+            "no point of the grid can be predicted",
             found=f"height {height_m:g} m, spacing {spacing_m:g} m",
-            needed="a height below the ceiling",
+            needed="points 10 cm within the room and 50 cm from a source",
+            hint="a height below the ceiling, or a smaller spacing",
         )
-    receivers = tuple(Point(f"G{i}", at.round(4)) for i, at in enumerate(points, start=1))
-    pairs = np.array([(s, r) for s in range(len(scene.sources)) for r in range(len(receivers))])
-    state = int(pair_states(scene)[0]) if len(scene.pairs) else 0
-    states = np.full(len(pairs), state)
-    whole = replace(scene, receivers=receivers, pairs=pairs, pair_state=states, groups=())
-    return select_pairs(whole, distances_m(whole) >= 0.5)
+    receivers = tuple(Point(f"G{i}", at.round(4)) for i, at in enumerate(points[kept], start=1))
+    pairs = np.argwhere(is_far[:, kept])
+    states = np.full(len(pairs), pair_states(scene)[0] if len(scene.pairs) else 0)
+    return replace(scene, receivers=receivers, pairs=pairs, pair_state=states, groups=())
 
 
 def grid_records(predicted: Predicted, scene: Scene) -> Table:

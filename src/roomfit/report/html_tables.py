@@ -254,7 +254,8 @@ def condition_tables(answer: Result) -> tuple[Table, ...]:
     ----------
     .. [1] ISO 3382-2:2008, clause 7 and annex A, equations A.1 and A.2 with n = 10.
     """
-    fitted = [p for p in answer.pairs if p.use == "fit" and p.state == answer.pairs[0].state]
+    fitted = [p for p in answer.pairs if p.use == "fit"]
+    fitted = [p for p in fitted if p.state == fitted[0].state]
     key = decay_time_key(name for p in fitted for name in p.parameters)
     if key is None:
         return ()

@@ -117,10 +117,10 @@ def read_model(spec: RoomSpec) -> tuple[RoomModel, str]:
         The file is of no known format, or cannot be read.
     """
     with located(hint="correct the file there, or export it again"):
-        return _polygons(spec)
+        return _model(spec)
 
 
-def _polygons(spec: RoomSpec) -> tuple[RoomModel, str]:
+def _model(spec: RoomSpec) -> tuple[RoomModel, str]:
     if spec.polygons is not None:
         own = read_polygons(spec.polygons, spec.unit, spec.materials or ())
         return own, str(spec.polygons.corners[0])
