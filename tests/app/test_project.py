@@ -417,6 +417,7 @@ def test_a_remedy_can_be_undone_byte_by_byte_and_only_while_nobody_edits(tmp_pat
     assert file.read_text() == wanted.after and project.can_undo(tmp_path)
     project.undo(tmp_path)
     assert file.read_text() == WRITTEN and not project.can_undo(tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["campaign.toml"]
     with pytest.raises(InputError, match="nothing can be undone"):
         project.undo(tmp_path)
     project.apply(tmp_path, wanted)
@@ -507,3 +508,46 @@ def test_a_remedy_that_counts_from_old_values_is_none_of_a_campaign_that_was_cha
     assert [a["code"] for a in views.advised(found, campaign)] == [f.code.value for f in found]
     left = views.advised(found, campaign, changed=True)
     assert [a["code"] for a in left] == ["position-inconsistent"]
+
+
+def test_a_result_advises_what_holds_of_the_campaign_now_and_nothing_once_it_was_edited(
+    tmp_path: Path,
+) -> None:
+    project.campaign_file(tmp_path).write_text(WRITTEN)
+    own = {"severity": "serious", "sentence": "..."}
+    inflated = {"code": "position-uncertainty-inflated", "severity": "warning", "sentence": "..."}
+    found = [
+        {**own, "code": "position-inconsistent", "evidence": {}},
+        {**inflated, "evidence": {"stretch": 2.0}},
+    ]
+    write_result(tmp_path, found, [])
+    file = tmp_path / "first" / "result.json"
+
+    def codes() -> list[str]:
+        view = views.result_view(nothing, str(tmp_path), "first")
+        assert view is not None
+        return [a["code"] for a in view["advised"]]
+
+    assert codes() == [f["code"] for f in found]
+    content = json.loads(file.read_text())
+    del content["content_sha256"]
+    content["provenance"] = {"inputs_sha256": {"campaign.toml": "of another text"}}
+    write_json_atomically(file, content)
+    assert codes() == ["position-inconsistent"]
+    file.write_text(file.read_text().replace("1000.0", "500.0"))
+    assert codes() == []
+
+
+def test_findings_of_one_code_are_one_choice_of_all_of_them_first(tmp_path: Path) -> None:
+    row = '\n[[measurements]]\nsource = "S1"\nreceiver = "R 1"\nfile = "{}.wav"\n'
+    project.campaign_file(tmp_path).write_text(WRITTEN + row.format("a") + row.format("b"))
+    campaign = read_campaign(project.campaign_file(tmp_path), to_fit=False)
+    found = [
+        Finding(Code.TIME_ZERO_MISMATCH, About(files=[f"{name}.wav"]), "...", graded=severity)
+        for name, severity in (("a", "warning"), ("b", "serious"))
+    ]
+    (entry,) = views.advised(found, campaign)
+    assert [o["words"] for o in entry["options"]] == [
+        f'time_zero = "direct" for {which}' for which in ("all 2 recordings", "a.wav", "b.wav")
+    ]
+    assert (entry["n"], entry["severity"]) == (2, "serious")

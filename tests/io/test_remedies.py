@@ -235,3 +235,31 @@ def test_findings_that_say_one_thing_of_several_files_are_one(tmp_path: Path) ->
     assert (
         together([doubt(Code.EXCHANGED, files=["a"]), doubt(Code.EXCHANGED, files=["b"])]) is None
     )
+
+
+def test_files_of_one_name_in_two_folders_are_told_apart_by_their_pairs(tmp_path: Path) -> None:
+    rows = "".join(
+        f'[[measurements]]\nsource = "S{i}"\nreceiver = "R1"\nfile = "{i}/a.wav"\n' for i in (1, 2)
+    )
+    own = campaign_of(tmp_path, ROOM + rows)
+    about = {"files": ["a.wav"], "pairs": [("S2", "R1")]}
+    found = remedies(doubt(Code.LEVEL_UNKNOWN, **about), own)
+    assert written(found) == [[("measurements", 2, "level", "per-file")]]
+
+
+def test_unlike_latencies_stay_unlike(tmp_path: Path) -> None:
+    own = campaign_of(tmp_path, ROOM + ROWS + "latency_s = 0.001\n")
+    files = [str(m.response.path) for m in own.measurements]
+    late = remedies(doubt(Code.RECORDINGS_LATE, {"late_s": 0.002}, files=files), own)[0]
+    assert [e.value for e in late.edits] == [0.002, 0.002, 0.002, 0.003]
+    assert late.words == "latency_s for all 4 recordings"
+
+
+def test_what_is_stated_otherwise_is_left_as_it_is(tmp_path: Path) -> None:
+    """A pattern from a file, a standard deviation, a clock that says nothing."""
+    text = ROOM.replace("position_sd = 0.01", 'position_sd = 0.01\ndirectivity = "S2.sofa"')
+    own = campaign_of(tmp_path, text + ROWS + 'time_zero = "unknown"\n')
+    assert remedies(doubt(Code.SOURCE_NOT_OMNIDIRECTIONAL, {"source": "S2"}), own) == ()
+    assert remedies(doubt(Code.POSITION_UNCERTAINTY_ASSUMED, {"points": ["S2"]}), own) == ()
+    last = str(tmp_path / "S2_R2.wav")
+    assert remedies(doubt(Code.TIME_ZERO_MISMATCH, files=[last]), own) == ()
