@@ -469,6 +469,7 @@ def change(file: Path, how: Callable[[FloatArray], FloatArray]) -> None:
     soundfile.write(file, how(samples), rate_hz, subtype="FLOAT")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spoil", "code"),
     [
