@@ -5,11 +5,15 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import shutil
 import struct
 import time
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
+import soundfile
 
 pytest.importorskip("tomlkit", reason="the workbench needs the extra app")
 
@@ -20,6 +24,8 @@ from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import refuse
 from roomfit.io.campaign import read_campaign
+from roomfit.io.remedies import Edit
+from roomfit.typing import FloatArray
 
 
 def nothing(_: float) -> None:
@@ -311,3 +317,238 @@ def test_the_time_that_remains_is_stated_once_there_is_something_to_go_by() -> N
     assert job.remaining_s is None and job.stage == "one"
     job.state, job.fraction, job.began_s = "running", 0.75, time.monotonic() - 30.0
     assert job.remaining_s == pytest.approx(10.0, abs=0.5) and job.stage == "two"
+
+
+# Remedies.
+
+WRITTEN = """# of my room
+[room]
+shoebox = [6, 5, 3]
+
+[sources.S1]
+position = [1.5, 1.2, 1.5]  # by tape
+
+# receivers, by laser
+[receivers."R 1"]
+position = [4.0, 3.5, 1.2]
+
+[identify]
+positions = "fixed"  # for now
+"""
+
+
+def remedied(folder: Path, text: str, *edits: Edit) -> project.Preview:
+    project.campaign_file(folder).write_text(text)
+    return project.preview(folder, edits)
+
+
+def test_a_remedy_changes_its_keys_and_keeps_comments_and_order(tmp_path: Path) -> None:
+    wanted = remedied(
+        tmp_path,
+        WRITTEN,
+        Edit(("sources", "S1"), "directivity", "fit"),
+        Edit(("receivers", "R 1"), "position", (4.0, 3.0, 1.25)),
+        Edit(("identify",), "positions", "fit"),
+        Edit(("materials", "walls"), "prior", "cork-tiles"),
+        Edit(("materials", "walls"), "scattering", 0.1),
+    )
+    expected = WRITTEN.replace("# by tape\n", '# by tape\ndirectivity = "fit"\n')
+    expected = expected.replace("[4.0, 3.5, 1.2]", "[4.0, 3.0, 1.25]")
+    expected = expected.replace('"fixed"', '"fit"')
+    expected += '\n[materials.walls]\nprior = "cork-tiles"\nscattering = 0.1\n'
+    assert wanted.after == expected
+    assert wanted.lines[:2] == (
+        ("[sources.S1]", "not stated", 'directivity = "fit"'),
+        ('[receivers."R 1"]', "position = [4.0, 3.5, 1.2]", "position = [4.0, 3.0, 1.25]"),
+    )
+    assert project.campaign_file(tmp_path).read_text() == WRITTEN, "a preview writes nothing"
+    assert [p.name for p in tmp_path.iterdir()] == ["campaign.toml"]
+
+
+def test_rows_of_measurements_are_changed_by_their_number_and_new_ones_come_last(
+    tmp_path: Path,
+) -> None:
+    row = '\n[[measurements]]\nsource = "S1"\nreceiver = "R 1"\nfile = "{}.wav" # {}\n'
+    text = WRITTEN + row.format("a", 1) + "\n# the other\n" + row.format("b", 2)
+    new = {"source": "S1", "receiver": "R 1", "file": "c.wav", "level": "per-file"}
+    wanted = remedied(
+        tmp_path,
+        text,
+        Edit(("measurements", 1), "level", "per-file"),
+        *[Edit(("measurements", 3), key, value) for key, value in new.items()],
+    )
+    added = "".join(f'{key} = "{value}"\n' for key, value in new.items())
+    expected = text.replace("# 1\n", '# 1\nlevel = "per-file"\n')
+    assert wanted.after == f"{expected}\n[[measurements]]\n{added}"
+    assert wanted.lines[0] == ("[[measurements]], no. 1", "not stated", 'level = "per-file"')
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_ends_of_lines_stay_and_the_last_one_may_be_missing(tmp_path: Path, end: str) -> None:
+    text = WRITTEN.rstrip("\n").replace("\n", end)
+    after = project.edited_text(text, [Edit(("identify",), "wall_delays", True)])
+    assert after == f"{text}{end}wall_delays = true{end}"
+
+
+def test_a_campaign_that_cannot_be_edited_key_by_key_is_refused_and_stays(tmp_path: Path) -> None:
+    text = WRITTEN + "[materials]\nwalls = {scattering = 0.1}\n"
+    edit = Edit(("materials", "walls"), "prior", "cork-tiles")
+    assert "cork-tiles" in remedied(tmp_path, text, edit).after
+    inline = "materials = {walls = {scattering = 0.1}}\n" + WRITTEN
+    with pytest.raises(InputError, match=r"cannot edit(?s:.*)\[materials.floor\]"):
+        remedied(tmp_path, inline, Edit(("materials", "floor"), "prior", "cork-tiles"))
+    assert project.campaign_file(tmp_path).read_text() == inline
+
+
+def test_a_remedy_that_the_campaign_does_not_allow_is_refused_before_it_is_written(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(InputError, match="positions"):
+        remedied(tmp_path, WRITTEN, Edit(("identify",), "positions", "somewhere"))
+    assert [p.name for p in tmp_path.iterdir()] == ["campaign.toml"]
+    assert project.campaign_file(tmp_path).read_text() == WRITTEN
+
+
+def test_a_remedy_can_be_undone_byte_by_byte_and_only_while_nobody_edits(tmp_path: Path) -> None:
+    file = project.campaign_file(tmp_path)
+    assert not project.can_undo(tmp_path)
+    wanted = remedied(tmp_path, WRITTEN, Edit(("identify",), "positions", "fit"))
+    project.apply(tmp_path, wanted)
+    assert file.read_text() == wanted.after and project.can_undo(tmp_path)
+    project.undo(tmp_path)
+    assert file.read_text() == WRITTEN and not project.can_undo(tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["campaign.toml"]
+    with pytest.raises(InputError, match="nothing can be undone"):
+        project.undo(tmp_path)
+    project.apply(tmp_path, wanted)
+    file.write_text(wanted.after + "# mine\n")
+    assert not project.can_undo(tmp_path)
+    with pytest.raises(InputError, match="nothing can be undone"):
+        project.undo(tmp_path)
+    assert file.read_text() == wanted.after + "# mine\n"
+
+
+def test_what_was_shown_is_not_written_over_what_somebody_else_has_written(tmp_path: Path) -> None:
+    wanted = remedied(tmp_path, WRITTEN, Edit(("identify",), "positions", "fit"))
+    project.campaign_file(tmp_path).write_text(WRITTEN + "# mine\n")
+    with pytest.raises(InputError, match="has changed since"):
+        project.apply(tmp_path, wanted)
+    assert project.campaign_file(tmp_path).read_text() == WRITTEN + "# mine\n"
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the demo project, measured by simulation; to be copied."""
+    folder = tmp_path_factory.mktemp("measured")
+    views.demo(nothing, str(folder))
+    return folder
+
+
+def _louder(folder: Path) -> None:
+    change(folder / "LS1_MP3.wav", lambda x: 0.2 * x)
+
+
+def _late(folder: Path) -> None:
+    for file in folder.glob("*.wav"):
+        change(file, lambda x: np.concatenate([np.zeros(240), x]))
+
+
+def _one_late(folder: Path) -> None:
+    change(folder / "LS2_MP4.wav", lambda x: np.concatenate([np.zeros(300), x]))
+
+
+def _exchanged(folder: Path) -> None:
+    one, other, aside = (folder / f"{n}.wav" for n in ("LS1_MP1", "LS1_MP4", "aside"))
+    one.rename(aside)
+    other.rename(one)
+    aside.rename(other)
+
+
+def change(file: Path, how: Callable[[FloatArray], FloatArray]) -> None:
+    samples, rate_hz = soundfile.read(file)
+    soundfile.write(file, how(samples), rate_hz, subtype="FLOAT")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("spoil", "code"),
+    [
+        (_louder, Code.LEVELS_APART),
+        (_late, Code.RECORDINGS_LATE),
+        (_one_late, Code.TIME_ZERO_MISMATCH),
+        (_exchanged, Code.EXCHANGED),
+    ],
+)
+def test_what_a_finding_advises_resolves_it(
+    measured: Path, tmp_path: Path, spoil: Callable[[Path], None], code: Code
+) -> None:
+    """Recordings of known faults are examined, the first remedy is made, and they are again."""
+    folder = tmp_path / "project"
+    shutil.copytree(measured, folder)
+    spoil(folder)
+    view = views.recordings_view(nothing, str(folder), project.SHAPE)
+    (entry,) = [a for a in view["advised"] if a["code"] == code.value]
+    options = json.loads(json.dumps(entry["options"], allow_nan=False))
+    edits = [Edit(tuple(e["table"]), e["key"], e["value"]) for e in options[0]["edits"]]
+    project.apply(folder, project.preview(folder, edits))
+    again = views.recordings_view(nothing, str(folder), project.SHAPE)
+    said = [*again["findings"], *(note for row in again["rows"] for note in row["notes"])]
+    assert code.value not in [f["code"] for f in said] and not again["advised"]
+
+
+def test_a_remedy_that_counts_from_old_values_is_none_of_a_campaign_that_was_changed(
+    tmp_path: Path,
+) -> None:
+    file = project.campaign_file(tmp_path)
+    file.write_text(WRITTEN)
+    campaign = read_campaign(file, to_fit=False)
+    found = [
+        Finding(Code.POSITION_INCONSISTENT, About(), "..."),
+        Finding(Code.POSITION_UNCERTAINTY_INFLATED, About(), "...", {"stretch": 2.0}),
+    ]
+    assert [a["code"] for a in views.advised(found, campaign)] == [f.code.value for f in found]
+    left = views.advised(found, campaign, changed=True)
+    assert [a["code"] for a in left] == ["position-inconsistent"]
+
+
+def test_a_result_advises_what_holds_of_the_campaign_now_and_nothing_once_it_was_edited(
+    tmp_path: Path,
+) -> None:
+    project.campaign_file(tmp_path).write_text(WRITTEN)
+    own = {"severity": "serious", "sentence": "..."}
+    inflated = {"code": "position-uncertainty-inflated", "severity": "warning", "sentence": "..."}
+    found = [
+        {**own, "code": "position-inconsistent", "evidence": {}},
+        {**inflated, "evidence": {"stretch": 2.0}},
+    ]
+    write_result(tmp_path, found, [])
+    file = tmp_path / "first" / "result.json"
+
+    def codes() -> list[str]:
+        view = views.result_view(nothing, str(tmp_path), "first")
+        assert view is not None
+        return [a["code"] for a in view["advised"]]
+
+    assert codes() == [f["code"] for f in found]
+    content = json.loads(file.read_text())
+    del content["content_sha256"]
+    content["provenance"] = {"inputs_sha256": {"campaign.toml": "of another text"}}
+    write_json_atomically(file, content)
+    assert codes() == ["position-inconsistent"]
+    file.write_text(file.read_text().replace("1000.0", "500.0"))
+    assert codes() == []
+
+
+def test_findings_of_one_code_are_one_choice_of_all_of_them_first(tmp_path: Path) -> None:
+    row = '\n[[measurements]]\nsource = "S1"\nreceiver = "R 1"\nfile = "{}.wav"\n'
+    project.campaign_file(tmp_path).write_text(WRITTEN + row.format("a") + row.format("b"))
+    campaign = read_campaign(project.campaign_file(tmp_path), to_fit=False)
+    found = [
+        Finding(Code.TIME_ZERO_MISMATCH, About(files=[f"{name}.wav"]), "...", graded=severity)
+        for name, severity in (("a", "warning"), ("b", "serious"))
+    ]
+    (entry,) = views.advised(found, campaign)
+    assert [o["words"] for o in entry["options"]] == [
+        f'time_zero = "direct" for {which}' for which in ("all 2 recordings", "a.wav", "b.wav")
+    ]
+    assert (entry["n"], entry["severity"]) == (2, "serious")

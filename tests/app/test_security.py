@@ -219,7 +219,12 @@ def test_links_lead_nowhere(server: Running) -> None:
 @pytest.mark.parametrize(
     "path",
     [
-        *("/files/campaign.toml", "/files/../secret.wav", "/files/..%2Fsecret.wav"),
+        *(
+            "/files/campaign.toml",
+            "/files/.roomfit-undo.json",
+            "/files/../secret.wav",
+            "/files/..%2Fsecret.wav",
+        ),
         *("/files/result/..%2F..%2Fsecret.wav", "/files/%2Fetc%2Fpasswd", "/files/result/.x"),
         *("/files/result", "/files/result/link.html", "/files/result/%00"),
     ],

@@ -60,7 +60,7 @@ def answers(name: str, folder: Path) -> tuple[dict[str, Any], dict[str, Any], st
         return old, {**old, "findings": [finding]}, "It is new."
     if name == "Identify":
         table = {"bands_hz": [1000.0], "materials": {}, "findings": [], "usable": []}
-        table |= {"stale": False}
+        table |= {"stale": False, "advised": []}
         return (
             {**table, "plan": ["old"], "made": 1.0},
             {**table, "plan": ["new"], "made": 2.0},
@@ -228,6 +228,7 @@ def result_of(findings: list[dict[str, Any]], usable: list[str]) -> dict[str, An
         "plan": [],
         "made": 1.0,
         "stale": False,
+        "advised": [],
     }
 
 
@@ -410,3 +411,112 @@ def test_modules_of_the_workbench_import_each_other_in_no_circle_inside_function
         assert free, f"in or above a circle: {', '.join(sorted(left))}"
         for name in free:
             del left[name]
+
+
+# What findings advise.
+
+
+ADVISED = {
+    "code": "position-inconsistent",
+    "severity": "serious",
+    "n": 1,
+    "options": [
+        {
+            "words": 'positions = "fit"',
+            "edits": [{"table": ["identify"], "key": "positions", "value": "fit"}],
+        }
+    ],
+}
+
+
+def button(client: Client, text: str) -> ui.button:
+    """Return the button of a page that says so."""
+    (found,) = [e for e in client.elements.values() if isinstance(e, ui.button) and e.text == text]
+    return found
+
+
+async def press(own: ui.button) -> None:
+    """Do what the server does when a button is clicked."""
+    (clicked,) = [e for e in own._event_listeners.values() if e.type == "click"]
+    own._handle_event({"listener_id": clicked.id, "args": {}})
+    await asyncio.sleep(0)
+
+
+def test_a_remedy_is_shown_then_written_then_undone(folder: Path) -> None:
+    before = project.campaign_file(folder).read_text()
+
+    async def whole() -> None:
+        tab, bench, client = tab_of(IdentifyTab, folder)
+        view = {**result_of([], []), "advised": [ADVISED]}
+        await answer(bench, tab, copy.deepcopy(view))
+        assert "Position inconsistent" in shown(client) and "Undo" not in shown(client)
+        await press(button(client, 'Set positions = "fit"'))
+        text = shown(client)
+        assert "[identify]" in text and "not stated" in text and tab.advice.dialog.value
+        assert project.campaign_file(folder).read_text() == before
+        await press(button(client, "Apply"))
+        assert not tab.advice.dialog.value
+        after = before.replace("to_hz = 4000\n", 'to_hz = 4000\npositions = "fit"\n')
+        assert project.campaign_file(folder).read_text() == after != before
+        await answer(bench, tab, {**result_of([], []), "stale": True})
+        await press(button(client, "Undo the last remedy"))
+        assert project.campaign_file(folder).read_text() == before
+        await answer(bench, tab, result_of([], []))
+        assert "What the findings advise" not in shown(client)
+
+    asyncio.run(whole())
+
+
+def test_a_remedy_that_is_left_writes_nothing(folder: Path) -> None:
+    before = project.campaign_file(folder).read_bytes()
+
+    async def whole() -> None:
+        tab, bench, client = tab_of(IdentifyTab, folder)
+        await answer(bench, tab, {**result_of([], []), "advised": [copy.deepcopy(ADVISED)]})
+        await press(button(client, 'Set positions = "fit"'))
+        await press(button(client, "Leave it as it is"))
+        assert not tab.advice.dialog.value
+
+    asyncio.run(whole())
+    assert project.campaign_file(folder).read_bytes() == before and not project.can_undo(folder)
+
+
+def test_of_several_remedies_the_one_that_was_chosen_is_shown(folder: Path) -> None:
+    options = [
+        {
+            "words": f'prior = "{entry}" for <floor>',
+            "edits": [{"table": ["materials", "<floor>"], "key": "prior", "value": entry}],
+        }
+        for entry in ("cork-tiles", "carpet-on-underlay")
+    ]
+    entry = {"code": "broad-prior-assumed", "severity": "info", "n": 1, "options": options}
+
+    async def whole() -> None:
+        tab, bench, client = tab_of(IdentifyTab, folder)
+        await answer(bench, tab, {**result_of([], []), "advised": [entry]})
+        (choice,) = [
+            e
+            for e in client.elements.values()
+            if isinstance(e, ui.select) and "broad prior" in str(e.props["label"])
+        ]
+        choice.set_value(1)
+        await press(button(client, "Set this"))
+        text = shown(client)
+        assert "carpet-on-underlay" in text and "cork-tiles" not in text
+        assert "&lt;floor&gt;" in text and "<floor>" not in text
+
+    asyncio.run(whole())
+
+
+def test_a_finding_without_a_remedy_has_no_button(folder: Path) -> None:
+    view = views.recordings_view(lambda _: None, str(folder), project.SHAPE)
+    doubt = {"code": "x", "severity": "warning", "sentence": "Doubt.", "about": {}}
+
+    async def whole() -> None:
+        tab, bench, client = tab_of(MeasurementsTab, folder)
+        await answer(bench, tab, {**view, "findings": [doubt]})
+        assert "Doubt." in shown(client) and "What the findings advise" not in shown(client)
+        await answer(bench, tab, {**view, "findings": [doubt], "advised": [ADVISED]})
+        assert button(client, 'Set positions = "fit"').enabled
+
+    asyncio.run(whole())

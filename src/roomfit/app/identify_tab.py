@@ -21,6 +21,7 @@ from roomfit.app.elements import (
     table_html,
 )
 from roomfit.app.jobs import Bench
+from roomfit.app.remedies import Advice
 from roomfit.bands import OCTAVES_HZ
 from roomfit.errors import InputError
 from roomfit.report.wording import short_hertz
@@ -49,6 +50,7 @@ class IdentifyTab:
             text = "The campaign has changed since this answer was made."
             findings([{"severity": "warning", "sentence": text}])
         self.stale.set_visibility(False)
+        self.advice = Advice(bench.folder)
         self.answer = ui.element("div").style("width: 100%")
         self.questions = Questions(self.answer)
 
@@ -77,6 +79,7 @@ class IdentifyTab:
             return
         self.show_bands()
         self.stale.set_visibility(view is not None and view.pop("stale"))
+        self.advice.show([] if view is None else view.pop("advised"))
         if emptied(self.answer, (name, view)):
             with self.answer:
                 if view is None:

@@ -24,6 +24,7 @@ from roomfit.app.elements import (
     table_html,
 )
 from roomfit.app.jobs import Bench
+from roomfit.app.remedies import Advice
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.report.wording import short_hertz
 
@@ -51,6 +52,7 @@ class MeasurementsTab:
                 ).style("flex: 1 1 16rem")
                 quiet_button("Use these names", self.use_shape)
         self.general = ui.element("div")
+        self.advice = Advice(bench.folder)
         with ui.element("div").classes("panel two").style("margin: 0.75rem 0"):
             self.table = ui.element("div")
             with ui.element("div"):
@@ -103,6 +105,7 @@ class MeasurementsTab:
         if emptied(self.general, view["findings"]):
             with self.general:
                 findings(view["findings"])
+        self.advice.show(view["advised"])
         self.show_positions(view["positions"])
         self.plan.set_visibility(bool(view["plan"] and self.positions))
         self.plan.show(view["plan"], self.positions)

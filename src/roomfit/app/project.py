@@ -5,23 +5,28 @@ Everything that the workbench changes, it changes here, in the files. Comments o
 
 from __future__ import annotations
 
+import json
 import os
 import secrets
+import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import tomlkit
-from tomlkit.items import Table
+from tomlkit.items import AoT, Table
 
-from roomfit.cache import write_text_atomically
+from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.commands import export_result
 from roomfit.errors import InputError
 from roomfit.io.campaign import Campaign, blanks, read_campaign
 from roomfit.io.door import read_text
 from roomfit.io.draft import draft_campaign, matching_files
 from roomfit.io.exports import FORMATS
+from roomfit.io.remedies import Edit, value_text
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.io.rooms import READERS
 from roomfit.io.rooms.model import RoomSpec
@@ -33,6 +38,7 @@ RESULTS = (f"{QUICK}/result.json", f"{FULL}/result.json")
 TREATMENT_QUESTION, TREATMENT = "treatment.toml", "treatment"
 """Products and targets, and the folder of the answer."""
 LISTENED = "listened"
+_UNDO = ".roomfit-undo.json"  # the campaign before the last remedy, and the digest of it after
 RECORDINGS, DRY = "recordings", "dry"
 SHAPE = "{source}_{receiver}.wav"
 """By which recordings are named, unless the user says otherwise."""
@@ -65,10 +71,13 @@ def best_result(folder: Path) -> Path | None:
     return next((file for file in files if file.is_file()), None)
 
 
+def _text(folder: Path) -> str:
+    return read_text(campaign_file(folder), "campaign file", most="campaign_bytes")
+
+
 def _document(folder: Path) -> tomlkit.TOMLDocument:
-    text = read_text(campaign_file(folder), "campaign file", most="campaign_bytes")
     try:
-        return tomlkit.parse(text)
+        return tomlkit.parse(_text(folder))
     except (ValueError, RecursionError) as error:
         raise InputError(
             "the campaign file is not valid TOML",
@@ -257,13 +266,197 @@ def filled_campaign(folder: Path) -> Iterator[Campaign]:
         for m in rows
         if m.get("source") in content["sources"] and m.get("receiver") in content["receivers"]
     ]
-    # beside the campaign, for paths are relative to it
+    with _read_beside(folder, tomlkit.dumps(content)) as campaign:
+        yield campaign
+
+
+@contextmanager
+def _read_beside(folder: Path, text: str) -> Iterator[Campaign]:
+    """Read what would be a campaign beside that of the folder, for paths are relative to it."""
     beside = folder / f".roomfit-{secrets.token_hex(8)}.toml"
     try:
-        write_text_atomically(beside, tomlkit.dumps(content))
+        write_text_atomically(beside, text)
         yield read_campaign(beside, to_fit=False)
     finally:
         beside.unlink(missing_ok=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Preview:
+    """What a remedy would write into a campaign."""
+
+    before: str  # the whole text
+    after: str
+    lines: tuple[tuple[str, str, str], ...]  # the table, its line as it is, and as it would be
+
+
+def preview(folder: Path, edits: Sequence[Edit]) -> Preview:
+    """Return what the campaign would be with some keys changed, and write nothing.
+
+    Raises
+    ------
+    InputError
+        The campaign cannot be edited key by key, or could not be read any more.
+    """
+    before = _text(folder)
+    content, lines = tomllib.loads(before), []
+    for edit in edits:
+        old = _part(content, edit.table).get(edit.key)
+        stated = "not stated" if old is None else f"{edit.key} = {value_text(old)}"
+        number = f", no. {edit.table[1]}" if edit.table[0] == "measurements" else ""
+        then = f"{edit.key} = {value_text(edit.value)}"
+        lines.append((f"{_heading(edit.table)}{number}", stated, then))
+    after = edited_text(before, edits)
+    with _read_beside(folder, after):
+        return Preview(before, after, tuple(lines))
+
+
+def apply(folder: Path, wanted: Preview) -> None:
+    """Write what was previewed, and keep the text that was there, so that one step can be undone.
+
+    Raises
+    ------
+    InputError
+        The campaign has changed since the preview.
+    """
+    if _text(folder) != wanted.before:
+        raise InputError(
+            "the campaign has changed since this was shown",
+            where=str(campaign_file(folder)),
+            hint="look at what is written now, and apply that",
+        )
+    kept = {"before": wanted.before, "written": sha256(wanted.after.encode()).hexdigest()}
+    write_json_atomically(folder / _UNDO, kept)
+    write_text_atomically(campaign_file(folder), wanted.after)
+
+
+def _undone(folder: Path) -> str | None:
+    """Return the text before the last remedy, None where there is none or it was edited since."""
+    if not (folder / _UNDO).is_file() or not has_campaign(folder):
+        return None
+    try:
+        kept = json.loads(read_text(folder / _UNDO, "text to be undone to"))
+        same = kept["written"] == sha256(_text(folder).encode()).hexdigest()
+        return str(kept["before"]) if same else None
+    except (InputError, ValueError, KeyError, TypeError):  # not as it was written
+        return None
+
+
+def can_undo(folder: Path) -> bool:
+    """Whether the campaign is as the last remedy left it, so that this can be taken back."""
+    return _undone(folder) is not None
+
+
+def undo(folder: Path) -> None:
+    """Write the campaign as it was before the last remedy.
+
+    Raises
+    ------
+    InputError
+        There was none, or the campaign was edited since, which would be lost.
+    """
+    before = _undone(folder)
+    if before is None:
+        raise InputError(
+            "nothing can be undone",
+            where=str(campaign_file(folder)),
+            found="no remedy, or a campaign that was edited after it",
+            hint="edit campaign.toml by hand",
+        )
+    write_text_atomically(campaign_file(folder), before)
+    (folder / _UNDO).unlink()
+
+
+def edited_text(text: str, edits: Sequence[Edit]) -> str:
+    """Return the text of a campaign with some keys changed; all else stays as it is written.
+
+    A new key stands below the last one of its table, a new table at the end.
+
+    Raises
+    ------
+    InputError
+        The text is written in a way that does not allow it, as with one inline table of all
+        materials: read again, it has not exactly these keys changed.
+
+    Examples
+    --------
+    >>> edited_text("[sources.S] # mine", [Edit(("sources", "S"), "directivity", "fit")])
+    '[sources.S] # mine\\ndirectivity = "fit"\\n'
+    """
+    document, expected = tomlkit.parse(text), tomllib.loads(text)
+    end = "\r\n" if "\r\n" in text else "\n"
+    new: dict[tuple[str | int, ...], list[str]] = {}
+    for edit in edits:
+        value = list(edit.value) if isinstance(edit.value, tuple) else edit.value
+        _part(expected, edit.table)[edit.key] = value
+        table = _found(document, edit.table)
+        line = f"{tomlkit.key(edit.key).as_string()} = {tomlkit.item(value).as_string()}"
+        if table is None:
+            new.setdefault(edit.table, [_heading(edit.table)]).append(line)
+        elif edit.key in table or not isinstance(table, Table):
+            table[edit.key] = value
+        else:
+            _add_line(table, line, end)
+    after = tomlkit.dumps(document)
+    for lines in new.values():
+        after = f"{after.rstrip()}{end}{end}{end.join(lines)}{end}"
+    try:
+        as_wanted = tomllib.loads(after) == expected
+    except ValueError:
+        as_wanted = False
+    if not as_wanted:
+        raise InputError(
+            "the campaign is written in a way that this cannot edit",
+            found=", ".join(dict.fromkeys(_heading(edit.table) for edit in edits)),
+            needed="tables such as [sources.NAME], one key a line",
+            hint="write into campaign.toml by hand: "
+            + ", ".join(f"{edit.key} = {value_text(edit.value)}" for edit in edits[:4]),
+        )
+    return after
+
+
+def _heading(table: Sequence[str | int]) -> str:
+    """Return a table as its first line names it."""
+    if table[0] == "measurements":
+        return "[[measurements]]"
+    return f"[{'.'.join(tomlkit.key(str(name)).as_string() for name in table)}]"
+
+
+def _part(content: dict[str, Any], table: Sequence[str | int]) -> dict[str, Any]:
+    """Return a table of plain content, made where it is missing."""
+    part: Any = content
+    for name, below in zip(table, (*table[1:], ""), strict=True):
+        if isinstance(name, int):
+            part += [{} for _ in range(name - len(part))]
+            part = part[name - 1]
+        else:
+            part = part.setdefault(name, [] if isinstance(below, int) else {})
+    made: dict[str, Any] = part
+    return made
+
+
+def _found(document: tomlkit.TOMLDocument, table: Sequence[str | int]) -> Any:
+    """Return a table of a document, None where it is missing."""
+    part: Any = document
+    for name in table:
+        if isinstance(name, int):
+            part = part[name - 1] if isinstance(part, AoT | list) and name <= len(part) else None
+        else:
+            part = part.get(name) if isinstance(part, dict) else None
+        if part is None:
+            return None
+    return part
+
+
+def _add_line(table: Table, line: str, end: str) -> None:
+    """Write a key below the last one of a table, above comments that lead to the next table.
+
+    tomlkit itself would write it below these.
+    """
+    own = [item for key, item in table.value.body if key is not None]
+    last = next((i for i in reversed(own) if not isinstance(i, Table | AoT)), table)
+    trail = last.trivia.trail
+    last.trivia.trail = f"{trail if trail.endswith(end) else trail + end}{line}{end}"
 
 
 def upload_place(folder: Path, kind: str, name: str) -> Path:

@@ -5,8 +5,9 @@ Each takes a function for progress first and says what a command of the command 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +17,21 @@ from roomfit import commands, predictions
 from roomfit.app import project
 from roomfit.app.what_if import what_if, what_if_prepare
 from roomfit.errors import InputError, RoomfitError
-from roomfit.findings import About, Code
+from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import Mesh, triangle_areas_m2
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import read_bytes
 from roomfit.io.draft import matching_files
-from roomfit.io.encoding import EditedFile, finding_content, number_or_null, numbers_or_null
+from roomfit.io.encoding import (
+    EditedFile,
+    finding_content,
+    finding_of,
+    number_or_null,
+    numbers_or_null,
+)
 from roomfit.io.exports import read_result_content
 from roomfit.io.inputs import check_campaign
+from roomfit.io.remedies import is_file, remedies, together
 from roomfit.io.responses import SOUND_SUFFIXES, read_response
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.rooms import read_mesh
@@ -128,7 +136,7 @@ def recordings_view(_: Progress, folder: str, shape: str) -> dict[str, Any]:
     """
     root = Path(folder)
     rows: dict[str, dict[str, Any]] = {}
-    view: dict[str, Any] = {"bands_hz": [], "findings": [], "plan": []}
+    view: dict[str, Any] = {"bands_hz": [], "findings": [], "plan": [], "advised": []}
     known: dict[str, dict[str, Any]] = {"sources": {}, "receivers": {}}
     if project.has_campaign(root):
         with project.filled_campaign(root) as campaign:
@@ -177,7 +185,9 @@ def _plan(campaign: Campaign) -> list[list[float]]:
 
 def _check(root: Path, rows: dict[str, dict[str, Any]], view: dict[str, Any]) -> None:
     """Add what is known of each recording, and findings to the recordings that they are about."""
-    checked = commands.check_campaign_recordings(read_campaign(project.campaign_file(root)))
+    campaign = read_campaign(project.campaign_file(root))
+    checked = commands.check_campaign_recordings(campaign)
+    view["advised"] = advised(checked.findings, campaign)
     view["bands_hz"] = checked.bands.centres_hz.tolist()
     by_pair = {(r["source"], r["receiver"], Path(f).name): r for f, r in rows.items()}
     for i, m in enumerate(checked.measurements):
@@ -203,6 +213,35 @@ def _check(root: Path, rows: dict[str, dict[str, Any]], view: dict[str, Any]) ->
             view["findings"].append(content)
 
 
+def advised(
+    findings: Sequence[Finding], campaign: Campaign, *, changed: bool = False
+) -> list[dict[str, Any]]:
+    """Return what findings advise to write into a campaign, those of one code together.
+
+    Parameters
+    ----------
+    changed : bool
+        Whether the campaign was changed since the findings were raised, so that what counts from
+        its values is none of it any more.
+
+    Returns
+    -------
+    list of dict
+        ``code``, ``severity``, ``n``: of how many findings, and ``options``: words and edits.
+    """
+    shown = []
+    for code in dict.fromkeys(f.code for f in findings):
+        own = [f for f in findings if f.code is code]
+        whole = together(own)
+        found = [r for f in (*([whole] if whole else []), *own) for r in remedies(f, campaign)]
+        options = {r.words: asdict(r) for r in found if not (changed and r.once)}
+        if options:
+            severity = "serious" if any(f.severity == "serious" for f in own) else own[0].severity
+            entry = {"code": code.value, "severity": severity, "n": len(own)}
+            shown.append({**entry, "options": list(options.values())})
+    return shown
+
+
 def concerned_recordings(about: About, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the rows, each with file, source and receiver, that a finding names; not all if none.
 
@@ -216,27 +255,16 @@ def concerned_recordings(about: About, rows: Iterable[dict[str, Any]]) -> list[d
         row
         for row in rows
         if (about.files or about.pairs)
-        and (not about.files or any(_is_file(name, row["file"]) for name in about.files))
+        and (not about.files or any(is_file(name, row["file"]) for name in about.files))
         and (not about.pairs or (row["source"], row["receiver"]) in about.pairs)
     ]
-
-
-def _is_file(named: str, file: str) -> bool:
-    """Whether a name, perhaps without folders, or with more, or with a part in brackets, fits."""
-    own = Path(file).parts
-    for text in (named, named.rpartition("[")[0]):
-        parts = Path(text).parts
-        n = min(len(own), len(parts))
-        if n and own[-n:] == parts[-n:]:
-            return True
-    return False
 
 
 def result_view(_: Progress, folder: str, name: str) -> dict[str, Any] | None:
     """Return absorption with intervals by material, and findings, None where there is no result.
 
     ``beside`` of a finding are the materials at which it is shown; ``usable`` says what still
-    holds, where a finding voids what is identifiable.
+    holds, where a finding voids what is identifiable; ``advised`` is what `advised` returns.
     """
     file = Path(folder) / name / "result.json"
     if not file.is_file():
@@ -250,6 +278,7 @@ def result_view(_: Progress, folder: str, name: str) -> dict[str, Any] | None:
         findings.append({**finding, "beside": own if len(own) <= _FEW else []})
     voids = any(finding["code"] in _VOIDING for finding in findings)
     keys = ("absorption", "lower95", "upper95", "identifiable", "area_m2")
+    stale = _is_stale(Path(folder), content)
     return {
         "bands_hz": content["bands_hz"],
         "materials": {m: {k: own[k] for k in keys} for m, own in materials.items()},
@@ -258,8 +287,18 @@ def result_view(_: Progress, folder: str, name: str) -> dict[str, Any] | None:
         "plan": content.get("plan", []),
         "seconds": content["fit"].get("seconds"),
         "made": file.stat().st_mtime,
-        "stale": _is_stale(Path(folder), content),
+        "stale": stale,
+        "advised": [] if doubts else _advised_by(content, Path(folder), stale),
     }
+
+
+def _advised_by(content: Mapping[str, Any], folder: Path, stale: bool) -> list[dict[str, Any]]:
+    """Return what a result advises; nothing where the campaign cannot be read any more."""
+    with suppress(InputError):
+        campaign = read_campaign(project.campaign_file(folder), to_fit=False)
+        findings = [finding_of(f, "result.json") for f in content["findings"]]
+        return advised(findings, campaign, changed=stale)
+    return []
 
 
 def _is_stale(folder: Path, content: Mapping[str, Any]) -> bool:

@@ -266,8 +266,6 @@ def read_file(file: MeasuredFile) -> Measurement:
     """
     spec = file.response
     response, findings = read_response(spec)
-    chosen = (spec.channel, spec.variable, spec.measurement, spec.receiver_index)
-    part = ", ".join(str(c) for c in chosen if c is not None)
     return Measurement(
         file.source,
         file.receiver,
@@ -280,7 +278,7 @@ def read_file(file: MeasuredFile) -> Measurement:
         use=file.use,
         name=spec.path.name,
         state=file.state,
-        where=f"{spec.path}[{part}]" if part else str(spec.path),
+        where=spec.where,
         findings=findings,
     )
 

@@ -44,6 +44,13 @@ class ResponseSpec:
     # from 0; needed where the excitation has several channels
     excitation_channel: int | None = None
 
+    @property
+    def where(self) -> str:
+        """The file and the part of it, as findings name them."""
+        chosen = (self.channel, self.variable, self.measurement, self.receiver_index)
+        part = ", ".join(str(c) for c in chosen if c is not None)
+        return f"{self.path}[{part}]" if part else str(self.path)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
