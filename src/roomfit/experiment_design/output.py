@@ -14,12 +14,12 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from roomfit.cache import write_json_atomically, write_text_atomically
+from roomfit.core import wall_materials
 from roomfit.io.encoding import finding_content, numbers_or_null, provenance
 from roomfit.report.figures import OKABE_ITO, figure_legend, new_figure
 from roomfit.report.room_figure import outline_m
 from roomfit.report.text import findings_text
 from roomfit.report.wording import html_findings
-from roomfit.scene import wall_materials
 from roomfit.table import Column, Table, csv_of, html_of, text_of
 from roomfit.typing import FloatArray
 
