@@ -50,7 +50,6 @@ def fitted(seed: int, data: FloatArray) -> tuple[FloatArray, FloatArray]:
     problem = objective_of(term)
     fit = score_band(problem, start_vector(problem.parameters))
     shared = shared_errors(problem, fit, (0, 0), np.zeros((fit.measured.size, 2)))
-    del shared["decay"]
     wider = with_shared_errors(problem, fit, shared)
     more = np.linalg.inv(wider.information) - np.linalg.inv(fit.information)
     return fit.vector, np.diag(more) * max(fit.chi2_reduced, 1.0)
@@ -95,6 +94,5 @@ def test_without_rays_nothing_is_widened() -> None:
     problem = objective_of(term)
     fit = score_band(problem, start_vector(problem.parameters))
     shared = shared_errors(problem, fit, (0, 0), np.zeros((fit.measured.size, 2)))
-    del shared["decay"]
     same = with_shared_errors(problem, fit, shared)
     assert same.information is fit.information
