@@ -31,6 +31,7 @@ SOURCE = Path(roomfit.__file__).parent
 OWN = {"cache.py", "materials/catalogue.py", "io/encoding.py"}
 OWN |= {"app/page.py", "treatment/standards.py"}
 OWN |= {"app/server.py"}  # writes what is uploaded, and opens a browser
+OWN |= {"app/remedies.py"}  # opens a dialog
 OWN |= {"tracing/bvh.py"}  # compiled code that loads from memory
 OPENING = {"read_bytes", "read_text", "open", "load", "fromfile", "loadtxt", "genfromtxt"}
 
