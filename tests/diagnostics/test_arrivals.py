@@ -123,6 +123,16 @@ def test_a_common_delay_is_one_sentence_with_the_key_to_set():
     assert measured_findings(set_so) == ()
 
 
+def test_a_delay_beside_a_latency_is_one_to_be_added():
+    """Where a file says when it begins, its latency is more than the key of the campaign."""
+    begin = [replace(m, latency_s=0.01) for m in changed(recordings(), late(0.01079))]
+    (found,) = measured_findings(begin)
+    assert found.code is Code.RECORDINGS_LATE
+    assert f"add {found.evidence['late_s']:.5f} to their latency_s" in found.sentence
+    assert found.evidence["latency_s"] is None
+    assert found.evidence["late_s"] == pytest.approx(0.00079, abs=1 / RATE_HZ)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 1e-4])
 def test_two_seconds_before_every_sound_are_one_sentence_and_the_table_is_right(noise):

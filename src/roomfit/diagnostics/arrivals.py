@@ -326,8 +326,9 @@ def _late_by(found: _Arrivals, groups: NDArray[Any]) -> _Explanation | None:
 
 def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> ArrivalVerdict:
     samples = abs(late_s) * measurements[0].response.sampling_rate_hz
-    latencies = {m.latency_s for m in measurements}
-    latency_s = round(latencies.pop() + late_s, 5) if len(latencies) == 1 else None  # 3 mm
+    # one that is not 0 may hold where a file says that it begins, beside what the campaign states
+    is_unset = all(m.latency_s == 0.0 for m in measurements)
+    latency_s = round(late_s, 5) if is_unset else None  # 3 mm
     advice = (
         f"add {late_s:.5f} to their latency_s"
         if latency_s is None
