@@ -98,7 +98,7 @@ def test_a_map_shows_the_mean_at_mid_frequencies_where_it_is(mapped):
     scene, predicted = mapped
     figure = grid_figure(predicted, scene, "S")
     shown = {a.get_title(): a for a in figure.axes if a.get_title()}
-    first = next(a for title, a in shown.items() if title.startswith("C80 dB"))
+    first = next(a for title, a in shown.items() if title.startswith("C80 (dB)"))
     (mesh,) = first.collections
     table = np.ma.filled(mesh.get_array(), np.nan)
     places = {p.name: p.position_m for p in scene.receivers}
@@ -109,7 +109,7 @@ def test_a_map_shows_the_mean_at_mid_frequencies_where_it_is(mapped):
         expected = pair.parameters["C80_dB"].predicted.mean()
         assert table[ys.index(y), xs.index(x)] == pytest.approx(expected)
     assert np.isfinite(table).sum() == len(own) == table.size - 1
-    assert "width of the 95 % interval" in [a.get_title() for a in figure.axes]
+    assert "width of its 95 % interval (dB)" in [a.get_title() for a in figure.axes]
 
 
 @pytest.mark.parametrize(

@@ -136,8 +136,9 @@ def grid_figure(predicted: Predicted, scene: Scene, source: str) -> Figure:
     for row, name in zip(panels, known, strict=True):
         value, width = _of(predicted, pairs, name)
         how, where = parameter(name), f", {mid_words(predicted.bands.centres_hz)}"
-        words = f"{how.symbol} {how.unit}".strip() + (where if name != "STI" else "")
-        titles = (words, "width of the 95 % interval")
+        unit = f" ({how.unit})" if how.unit else ""
+        words = f"{how.symbol}{unit}{where if name != 'STI' else ''}"
+        titles = (words, f"width of its 95 % interval{unit}")
         for axes, numbers, title in zip(row, (value, width), titles, strict=True):
             table = np.full((y_m.size, x_m.size), np.nan)
             table[np.searchsorted(y_m, at_m[:, 1]), np.searchsorted(x_m, at_m[:, 0])] = numbers
