@@ -233,7 +233,8 @@ def advised(
     for code in dict.fromkeys(f.code for f in findings):
         own = [f for f in findings if f.code is code]
         whole = together(own)
-        found = [r for f in (*([whole] if whole else []), *own) for r in remedies(f, campaign)]
+        first = [] if whole is None else [whole]
+        found = [r for f in first + own for r in remedies(f, campaign)]
         options = {r.words: asdict(r) for r in found if not (changed and r.once)}
         if options:
             severity = "serious" if any(f.severity == "serious" for f in own) else own[0].severity

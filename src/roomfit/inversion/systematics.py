@@ -138,16 +138,10 @@ def _half_each(one: FloatArray | None, other: FloatArray | None) -> FloatArray |
     return np.where(from_other, other[: len(one)], one)
 
 
-def widened(
-    answer: BandEstimate,
-    covariance: FloatArray,
-    areas_m2: FloatArray,
-    mean_sd: float | None = None,
-) -> BandEstimate:
+def widened(answer: BandEstimate, covariance: FloatArray, areas_m2: FloatArray) -> BandEstimate:
     """Return the answer with an error of its logits added, of a covariance (n_materials,) square.
 
-    What is fixed stays. `mean_sd` is the standard deviation of that error of the mean absorption,
-    by default to first order in the logits.
+    What is fixed stays.
     """
     fixed = answer.upper95 <= answer.lower95
     covariance = np.where(fixed[:, None] | fixed, 0.0, covariance)
@@ -160,10 +154,8 @@ def widened(
     upper95 = np.where(fixed, answer.upper95, np.maximum(expit(upper), answer.upper95))
     narrow = (upper95 - lower95 <= WIDEST_IDENTIFIABLE) | fixed
     mean, low, high = answer.mean
-    if mean_sd is None:
-        slope = areas_m2 / areas_m2.sum() * a * (1.0 - a)
-        mean_sd = float(np.sqrt(slope @ covariance @ slope))
-    more = Z95 * mean_sd
+    slope = areas_m2 / areas_m2.sum() * a * (1.0 - a)
+    more = Z95 * float(np.sqrt(slope @ covariance @ slope))
     size, directions = np.linalg.eigh(covariance)
     root = directions * np.sqrt(np.maximum(size, 0.0))
 
@@ -395,7 +387,7 @@ def _moved_along(
     nearer_half = np.where(a < 0.5, a + np.abs(step), a - np.abs(step))
     logit_step = np.sign(step) * np.abs(logit(nearer_half, _LEAST) - logit(a, _LEAST))
     mean_sd = float(np.abs(areas_m2 @ step) / areas_m2.sum())
-    wider = widened(answer, np.outer(logit_step, logit_step), areas_m2, mean_sd)
+    wider = widened(answer, np.outer(logit_step, logit_step), areas_m2)
     sd = np.sqrt(np.diag(wider.logit_covariance))
     prior_sd = np.sqrt(np.diag(prior))
     sure = is_identifiable(wider.chi2_reduced, wider.lower95, wider.upper95, sd, prior_sd)
