@@ -620,7 +620,7 @@ def main() -> None:
     parser.add_argument("--rings", nargs="+", default=["150", "200"], help="distances in cm")
     parser.add_argument("--scattering", type=float, help="of all walls; left out: chosen")
     parser.add_argument("--seed", type=int, default=1, help="of the rays")
-    parser.add_argument("--model", choices=["auto", "energy", "coherent"], default="energy")
+    parser.add_argument("--model", choices=["auto", "energy", "coherent"], default="auto")
     parser.add_argument("--moved", action="store_true", help="nothing but wrong descriptions")
     parser.add_argument("--out", type=Path, help="folder for pictures")
     asked = parser.parse_args()

@@ -23,14 +23,14 @@ from roomfit.cache import (
     write_json_atomically,
     write_text_atomically,
 )
-from roomfit.errors import InputError, located
+from roomfit.errors import InputError, InsufficientDataError, located
+from roomfit.findings import Code, Finding
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import files_read, reading_noted
 from roomfit.table import csv_of
 from roomfit.typing import FloatArray, Progress, part
 
 if TYPE_CHECKING:
-    from roomfit.findings import Finding
     from roomfit.inversion.diffuse import DiffuseAbsorption
     from roomfit.io.encoding import ResultFile
     from roomfit.io.schema import TreatmentTable
@@ -293,13 +293,15 @@ def _treat_traced(
     """Return a treatment by the paths of the room, and what is in doubt about its standards."""
     from roomfit.io.results import read_result
     from roomfit.prediction.campaign import WantedPairs, predict_arguments
+    from roomfit.prediction.changes import Change
     from roomfit.prediction.predict import prepare_prediction
     from roomfit.treatment.campaign import hardest_changes, treat_arguments
     from roomfit.treatment.treat import treat
 
-    pairs, state = (wanted or WantedPairs())[:2]
-    # what a seriously doubted result leaves open is in the answer, and said there
-    given = predict_arguments(campaign, read_result(absorption_file), (), pairs, state, True)
+    pairs, state, _, doubted = wanted or WantedPairs()
+    found = read_result(absorption_file)
+    covered = [Change(name, "factor", (1.0,)) for name in table.surfaces]
+    given = predict_arguments(campaign, found, covered, pairs, state, doubted)
     scene, known = given["scene"], given["absorption"]
     asked, doubts = treat_arguments(treatment_file, table, known, scene)
     with located(str(treatment_file)):
@@ -365,6 +367,7 @@ def listen_to_folder(
     *,
     state: str = "",
     dry: Path | None = None,
+    doubted: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
@@ -382,6 +385,9 @@ def listen_to_folder(
     ------
     InputError
         See `roomfit.prediction.listen.listen`; or the recording has another sampling rate.
+    InsufficientDataError
+        The result is seriously doubted in a band, which a sound cannot leave out, and `doubted` is
+        false.
     StoreError
         The disk refuses.
     """
@@ -394,7 +400,15 @@ def listen_to_folder(
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
     found = read_result(absorption_file)
-    arguments = predict_arguments(campaign, found, changes, "campaign", state, True)
+    arguments = predict_arguments(campaign, found, changes, "campaign", state, doubted)
+    for doubt in arguments["absorption"].findings:
+        if doubt.code is Code.RESULT_DOUBTED:
+            raise InsufficientDataError(
+                "a sound has every band, and other walls are not predicted in some",
+                found=doubt.sentence,
+                needed="in every band, absorptions that no serious finding calls wrong",
+                hint="put right what the findings name, and identify again; or add --doubted",
+            )
     measured = [m for m in arguments["measurements"] if isinstance(m, Measurement)]
     known, settings = arguments["absorption"], arguments["settings"]
     recorded = None if dry is None else _dry_pressure(dry, measured)

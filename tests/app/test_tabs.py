@@ -36,11 +36,13 @@ class Bench:
     def __init__(self, folder: Path) -> None:
         self.folder, self.jobs, self.what_if = folder, Jobs(), self
         self.asked: list[asyncio.Future[Any]] = []
+        self.told: list[dict[str, Any]] = []  # arguments of every question
 
     def stamp(self, names: tuple[str, ...]) -> tuple[str, ...]:
         return names
 
-    async def ask(self, *_: Any, **__: Any) -> Any:
+    async def ask(self, _: str, *arguments: dict[str, Any], **__: Any) -> Any:
+        self.told += arguments
         self.asked.append(asyncio.get_running_loop().create_future())
         return await self.asked[-1]
 
@@ -67,6 +69,7 @@ def answers(name: str, folder: Path) -> tuple[dict[str, Any], dict[str, Any], st
             "new",
         )
     room = {"bands_hz": [1000.0], "limits": [], "pairs": [], "mean": {"T20_s": _value(0.5)}}
+    room["left_out"] = ""
     old = {**room, "absorption": {"brick": [0.1]}}
     return old, {**room, "absorption": {"plaster": [0.2]}}, "Absorption of plaster"
 
@@ -336,8 +339,37 @@ def test_changes_are_factors_on_what_was_found_and_forget_materials_that_are_gon
     entry = changes.spectrum("floor")
     assert entry != [0.2, 0.2] and changes.move("floor", 0, 0.5)
     assert changes.spectrum("floor") == [0.5, entry[1]] and changes.entry("floor") is None
-    changes.take_result((500.0,), {"floor": [0.2]})
+    changes.take_result((500.0, 1000.0), {"floor": [0.2, 0.2]})
     assert list(changes.chosen) == ["floor"]
+    # moves of sliders belong to their bands
+    changes.take_result((500.0,), {"floor": [0.2]})
+    assert not changes.chosen
+
+
+def test_changes_from_a_doubted_result_are_offered_and_not_made(folder: Path) -> None:
+    _, new, _ = answers("What if", folder)
+
+    async def whole() -> None:
+        tab, bench, _ = tab_of(WhatIfTab, folder)
+        await answer(bench, tab, {"refused": "The walls are seriously doubted."})
+        assert "seriously doubted" in tab.note.text
+        assert tab.all_the_same.visible and not tab.both.visible
+        asking = asyncio.ensure_future(tab.take_doubted(True))
+        for _ in range(5):
+            await asyncio.sleep(0)
+        assert bench.told[-1]["doubted"]
+        bench.asked[-1].set_result(copy.deepcopy(new))
+        await asking
+        # it stays, so that it can be taken back
+        assert tab.both.visible and tab.all_the_same.visible
+        tab.changes.doubted = False
+        left_out = "Nothing is predicted at 500 Hz."
+        await answer(bench, tab, {**new, "left_out": left_out})
+        assert tab.all_the_same.visible and left_out in tab.note.text
+        await answer(bench, tab, copy.deepcopy(new))
+        assert not tab.all_the_same.visible
+
+    asyncio.run(whole())
 
 
 def test_while_a_change_is_evaluated_only_the_newest_waits(folder: Path) -> None:

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import soundfile
 
 from report_cases import answer_of, scene_of
 from roomfit.app.what_if import what_if_prepare
@@ -209,8 +210,10 @@ def test_other_walls_are_not_predicted_where_the_result_is_seriously_doubted(tmp
     assert "displacement-detected" in str(refused.value) and "--doubted" in str(refused.value)
 
 
-def test_what_has_no_option_for_doubted_results_is_not_refused(tmp_path, monkeypatch):
-    """Treatments, sounds and the workbench say that the result is doubted; in any state, too."""
+def test_treatments_sounds_and_the_workbench_need_to_be_asked_for_doubted_walls(
+    tmp_path, monkeypatch
+):
+    """In any state, too; a sound has every band, so that one that is doubted is enough."""
 
     class BegunError(Exception):
         """Raised in place of the work."""
@@ -227,11 +230,27 @@ def test_what_has_no_option_for_doubted_results_is_not_refused(tmp_path, monkeyp
     monkeypatch.setattr("roomfit.app.what_if.project.best_result", lambda _: file)
     monkeypatch.setattr("roomfit.app.what_if.prepare_prediction", begun)
     monkeypatch.setattr("roomfit.treatment.campaign.treat_arguments", begun)
-    campaign, wanted = read_campaign(file, to_fit=False), WantedPairs("all", "turned")
+    campaign, table = read_campaign(file, to_fit=False), SimpleNamespace(surfaces={"floor": None})
+    for state in ("", "turned"):
+        wanted = WantedPairs("all", state)
+        with pytest.raises(InsufficientDataError, match="seriously doubted"):
+            _treat_traced(campaign, file, file, table, wanted, None)
+        with pytest.raises(BegunError):
+            _treat_traced(campaign, file, file, table, wanted._replace(doubted=True), None)
+    refused = what_if_prepare(lambda _: None, str(tmp_path))
+    assert list(refused) == ["refused"] and "displacement-detected" in refused["refused"]
     with pytest.raises(BegunError):
-        _treat_traced(campaign, file, file, SimpleNamespace(), wanted, None)
+        what_if_prepare(lambda _: None, str(tmp_path), doubted=True)
+    asked = file, file, tmp_path / "out", [read_change("curtain=0.4")]
+    with pytest.raises(InsufficientDataError, match="in every band"):
+        listen_to_folder(*asked)
+    one_band = Finding(Code.DECAY_NOT_REPRODUCED, About(bands_hz=[500]), "")
+    known = replace(known, result_findings=(one_band,))
+    file.write_text(TURNED + '[[measurements]]\nsource = "S"\nreceiver = "R"\nfile = "r.wav"\n')
+    soundfile.write(tmp_path / "r.wav", np.exp(-np.arange(8000) / 500.0), 8000)
+    monkeypatch.setattr("roomfit.prediction.listen.listen", begun)
+    with pytest.raises(InsufficientDataError, match="a sound has every band") as refusal:
+        listen_to_folder(*asked)
+    assert "at 500 Hz" in str(refusal.value)
     with pytest.raises(BegunError):
-        what_if_prepare(lambda _: None, str(tmp_path))
-    # which is asked later
-    with pytest.raises(InputError, match="measured no pair"):
-        listen_to_folder(file, file, tmp_path / "out", [read_change("curtain=0.4")])
+        listen_to_folder(*asked, doubted=True)

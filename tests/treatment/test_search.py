@@ -10,7 +10,7 @@ import pytest
 
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
-from roomfit.findings import Code
+from roomfit.findings import About, Code, Finding
 from roomfit.io.campaign import read_campaign
 from roomfit.prediction.campaign import predict_arguments
 from roomfit.prediction.predict import prepare_prediction
@@ -118,6 +118,17 @@ def test_the_odds_are_those_of_draws_and_a_larger_probability_costs_more(room):
     assert np.all(first.before < first.probability)
     assert 0.0 < first.joint <= first.probability.min() + 1e-9
     assert first.decisive[0][1] > 0.1
+
+
+def test_what_the_prior_alone_says_of_a_covered_surface_is_said(room):
+    def of(name):
+        return Finding(Code.CHANGE_PRIOR_DOMINATED, About(materials=[name], bands_hz=[500]), "")
+
+    unsure = replace(room, dominated=(of("walls"), of("carpet")))
+    asked = (SURFACES[:1], products(), at_most(room, LIMITS[0]))
+    found = [f.about for f in treat(unsure, *asked).findings if f.code is of("walls").code]
+    assert found == [of("walls").about]
+    assert not [f for f in treat(room, *asked).findings if f.code is of("walls").code]
 
 
 def test_a_part_covered_surface_has_the_mean_by_area(room):

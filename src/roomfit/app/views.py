@@ -36,6 +36,7 @@ from roomfit.io.responses import SOUND_SUFFIXES, read_response
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.rooms import read_mesh
 from roomfit.io.rooms.model import RoomSpec
+from roomfit.prediction.campaign import WantedPairs
 from roomfit.prediction.changes import read_change
 from roomfit.report.room_figure import MOST_FACES, material_colour, outline_m
 from roomfit.scene import Room, check_mesh, surface_materials
@@ -346,13 +347,15 @@ def set_room(_: Progress, folder: str, **room: Any) -> None:
     project.set_room(Path(folder), **room)
 
 
-def treat(progress: Progress, folder: str) -> str:
+def treat(progress: Progress, folder: str, doubted: bool = False) -> str:
     """Choose what to hang where, as ``roomfit treat`` does; return the answer in words.
 
     Raises
     ------
     InputError
         There is no result yet, or no treatment.toml with products and targets.
+    InsufficientDataError
+        The result is seriously doubted in every band, and `doubted` is false.
     """
     root = Path(folder)
     result = project.best_result(root)
@@ -365,6 +368,7 @@ def treat(progress: Progress, folder: str) -> str:
         result,
         root / project.TREATMENT_QUESTION,
         out,
+        wanted=WantedPairs(doubted=doubted),
         overwrite=True,
         progress=progress,
     )
@@ -398,7 +402,9 @@ def look_at_upload(_: Progress, folder: str, kind: str, file: str) -> None:
         raise InputError(error.what, found=error.found, needed=error.needed) from None
 
 
-def listen(progress: Progress, folder: str, changes: list[str], dry: str = "") -> str:
+def listen(
+    progress: Progress, folder: str, changes: list[str], dry: str = "", doubted: bool = False
+) -> str:
     """Make what a change sounds like, as ``roomfit listen`` does.
 
     Parameters
@@ -407,6 +413,8 @@ def listen(progress: Progress, folder: str, changes: list[str], dry: str = "") -
         As those of ``--set``.
     dry : str
         Name of a recording in the folder of dry ones, to be listened to; none: the responses.
+    doubted : bool
+        Whether also from a result that is seriously doubted.
 
     Raises
     ------
@@ -425,6 +433,7 @@ def listen(progress: Progress, folder: str, changes: list[str], dry: str = "") -
         out,
         [read_change(text) for text in changes],
         dry=project.upload_place(root, project.DRY, dry) if dry else None,
+        doubted=doubted,
         overwrite=True,
         progress=progress,
     )

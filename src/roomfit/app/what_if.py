@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from roomfit.app import project
-from roomfit.errors import InputError
+from roomfit.errors import InputError, InsufficientDataError
+from roomfit.findings import Code
 from roomfit.io.campaign import read_campaign
 from roomfit.io.encoding import numbers_or_null
 from roomfit.io.results import read_result
@@ -34,8 +35,11 @@ _LEAST_FACTOR = 0.5  # decays are followed as long as with so much of each mater
 _ready: dict[str, tuple[tuple[float, ...], PreparedRoom]] = {}
 
 
-def what_if_prepare(progress: Progress, folder: str) -> dict[str, Any]:
+def what_if_prepare(progress: Progress, folder: str, doubted: bool = False) -> dict[str, Any]:
     """Trace the room for changes; return materials, their absorption and the room as it is.
+
+    Bands in which the result is seriously doubted are left out, unless `doubted`; where these are
+    all of them, the answer is why, alone.
 
     Raises
     ------
@@ -47,17 +51,21 @@ def what_if_prepare(progress: Progress, folder: str) -> dict[str, Any]:
     if result is None:
         raise InputError("there is no answer yet", hint="identify first")
     file = project.campaign_file(root)
-    stamp = (result.stat().st_mtime, file.stat().st_mtime)
+    stamp = (result.stat().st_mtime, file.stat().st_mtime, float(doubted))
     if folder not in _ready or _ready[folder][0] != stamp:
         _ready.clear()
         campaign = read_campaign(file, to_fit=False)
-        arguments = predict_arguments(campaign, read_result(result), doubted=True)
+        found = read_result(result)
+        harder = _harder(found.materials)
+        try:
+            arguments = predict_arguments(campaign, found, harder, doubted=doubted)
+        except InsufficientDataError as error:
+            return {"refused": f"{error.what[0].upper()}{error.what[1:]}: {error.found}."}
         known = arguments["absorption"]
-        harder = [Change(name, "factor", (_LEAST_FACTOR,)) for name in known.materials]
         room = prepare_prediction(
             arguments["scene"],
             known,
-            (harder,),
+            (_harder(known.materials),),
             arguments["measurements"],
             speech_db=arguments["speech_db"],
             settings=arguments["settings"],
@@ -67,13 +75,19 @@ def what_if_prepare(progress: Progress, folder: str) -> dict[str, Any]:
         predict_change(room, [Change(known.materials[0], "factor", (1.0,))])
         _ready[folder] = (stamp, room)
     room = prepared(folder)
-    found = room.absorption
+    known = room.absorption
+    left_out = [f.sentence for f in known.findings if f.code is Code.RESULT_DOUBTED]
     return {
-        "bands_hz": found.bands.centres_hz.tolist(),
-        "absorption": dict(zip(found.materials, found.absorption.tolist(), strict=True)),
+        "bands_hz": known.bands.centres_hz.tolist(),
+        "absorption": dict(zip(known.materials, known.absorption.tolist(), strict=True)),
+        "left_out": " ".join(left_out),
         "limits": _limits(root / project.TREATMENT_QUESTION, room),
         **what_if(progress, folder, []),
     }
+
+
+def _harder(materials: Sequence[str]) -> list[Change]:
+    return [Change(name, "factor", (_LEAST_FACTOR,)) for name in materials]
 
 
 def prepared(folder: str) -> PreparedRoom:
@@ -89,7 +103,9 @@ def prepared(folder: str) -> PreparedRoom:
     return _ready[folder][1]
 
 
-def what_if(progress: Progress, folder: str, changes: list[str]) -> dict[str, Any]:
+def what_if(
+    progress: Progress, folder: str, changes: list[str], doubted: bool = False
+) -> dict[str, Any]:
     """Return what changes do, written as those of ``roomfit predict --set``.
 
     Raises
@@ -98,7 +114,7 @@ def what_if(progress: Progress, folder: str, changes: list[str]) -> dict[str, An
         There is no result, or a change cannot be made.
     """
     if folder not in _ready:  # the process was ended meanwhile and started again
-        what_if_prepare(progress, folder)
+        what_if_prepare(progress, folder, doubted)
     # nothing measured stands beside: means are over all pairs in every band
     room = replace(prepared(folder), observed=())
     own = [read_change(text) for text in changes]

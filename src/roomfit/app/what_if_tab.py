@@ -56,12 +56,15 @@ class Changes:
     found: Mapping[str, Sequence[float]] = field(default_factory=dict)  # absorption by material
     # by material a name of the catalogue, or absorption in each band
     chosen: dict[str, str | list[float]] = field(default_factory=dict)
+    doubted: bool = False  # whether they are predicted also where the result is seriously doubted
 
     def take_result(self, bands_hz: Sequence[float], found: Mapping[str, Sequence[float]]) -> None:
-        """Take another result; changes of materials that it does not have are forgotten."""
+        """Take another result; changes of what it does not have are forgotten."""
+        others = list(bands_hz) != list(self.bands_hz)
         self.bands_hz, self.found = bands_hz, found
-        for gone in [m for m in self.chosen if m not in found]:
-            del self.chosen[gone]
+        for name, own in list(self.chosen.items()):
+            if name not in found or (others and isinstance(own, list)):
+                del self.chosen[name]
 
     def entry(self, material: str) -> str | None:
         """Return the entry of the catalogue that a material becomes, None: no entry."""
@@ -137,6 +140,9 @@ class WhatIfTab:
         self.is_busy = self.is_outdated = False  # evaluating, and what is evaluated is not the last
         with ui.element("div").classes("bar"):
             self.note = ui.label("").classes("soft")
+        text = "Predict also where the result is seriously doubted"
+        self.all_the_same = ui.checkbox(text, on_change=lambda e: self.take_doubted(e.value))
+        self.all_the_same.set_visibility(False)
         self.both = ui.element("div").style("width: 100%")
         with self.both:
             self.controls = Controls(self.changes, self.evaluate, self.draw)
@@ -147,7 +153,7 @@ class WhatIfTab:
             with self.pairs.classes("panel"):
                 self.numbers = markup("")
             self.sounds = Sounds(bench, self.changes)
-            self.treatment = Treatment(bench)
+            self.treatment = Treatment(bench, self.changes)
         self.both.set_visibility(False)
         self.questions = Questions(self.both)
 
@@ -161,13 +167,20 @@ class WhatIfTab:
         self.note.set_text(text)
         self.predicted = None
         is_current = self.questions.put()
-        own = {"folder": str(self.bench.folder)}
+        own = {"folder": str(self.bench.folder), "doubted": self.changes.doubted}
         try:
             found = await self.bench.what_if.ask("what_if_prepare", own, limit_s=_PREPARE_S)
         except InputError:
             self.note.set_text("The room could not be prepared.")
             raise
         if not is_current():
+            return
+        refused = found.get("refused")
+        doubts = refused or found["left_out"] or self.changes.doubted
+        self.all_the_same.set_visibility(bool(doubts))
+        if refused:
+            self.note.set_text(refused)
+            self.both.set_visibility(False)
             return
         self.room = found
         self.changes.take_result(found["bands_hz"], found["absorption"])
@@ -180,6 +193,13 @@ class WhatIfTab:
         if self.changes.chosen:
             await self.evaluate()
 
+    async def take_doubted(self, wanted: bool) -> None:
+        """Predict also where the result is seriously doubted, or there no more."""
+        if wanted != self.changes.doubted:
+            self.changes.doubted = wanted
+            with saying_errors(self.both):
+                await self.refresh()
+
     async def evaluate(self) -> None:
         """Evaluate what is chosen now; while one is under way, the newest waits, no other."""
         if self.is_busy:
@@ -190,7 +210,11 @@ class WhatIfTab:
             with saying_errors(self.both):
                 while self.is_outdated:
                     self.is_outdated = False
-                    own = {"folder": str(self.bench.folder), "changes": self.changes.written()}
+                    own = {
+                        "folder": str(self.bench.folder),
+                        "changes": self.changes.written(),
+                        "doubted": self.changes.doubted,
+                    }
                     is_current = self.questions.since()
                     found = await self.bench.what_if.ask("what_if", own, limit_s=_PREPARE_S)
                     if self.both.is_deleted:  # the page was closed meanwhile
@@ -220,7 +244,7 @@ class WhatIfTab:
             f"{count(len(view['pairs']), 'pair')}, "
             f"{count(len(self.changes.chosen), 'material')} changed. "
             "Lines: mean over the pairs with its 95 % interval; dashed: the same as it is now; "
-            "thin: each pair; red: limits."
+            f"thin: each pair; red: limits. {self.room['left_out']}".rstrip()
         )
 
     def draw_pairs(self) -> None:
@@ -357,13 +381,14 @@ class Controls:
 class Treatment:
     """What to hang where: the search, and the files of its answer."""
 
-    def __init__(self, bench: Bench) -> None:
+    def __init__(self, bench: Bench, changes: Changes) -> None:
         self.bench = bench
+        self.changes = changes
         self.place = ui.element("div").classes("panel").style("margin-top: 0.75rem")
 
     def search(self) -> None:
         """Put the search into the queue."""
-        own = {"folder": str(self.bench.folder)}
+        own = {"folder": str(self.bench.folder), "doubted": self.changes.doubted}
         self.bench.jobs.add("What to hang where", "treat", own, _STAGES)
 
     def show(self) -> None:
@@ -400,7 +425,12 @@ class Sounds:
 
     def make(self) -> None:
         """Put the making of the sounds into the queue."""
-        own = {"folder": str(self.bench.folder), "changes": self.changes.written(), "dry": self.dry}
+        own = {
+            "folder": str(self.bench.folder),
+            "changes": self.changes.written(),
+            "dry": self.dry,
+            "doubted": self.changes.doubted,
+        }
         self.bench.jobs.add("Before and after", "listen", own, _SOUNDING)
 
     def choose_dry(self, name: str | None) -> None:

@@ -75,6 +75,11 @@ class Parser(argparse.ArgumentParser):
             default="all",
         )
 
+    def add_doubted(self) -> None:
+        """Add ``--doubted``, see `roomfit.prediction.campaign.predict_arguments`."""
+        text = "Predict changes and other states also where the result is seriously doubted."
+        self.add_argument("--doubted", action="store_true", help=text)
+
     def add_out(self, text: str = "Folder for the results; made if needed.") -> None:
         """Add ``--out``, a path that must be given."""
         self.add_argument("--out", type=Path, required=True, help=text)

@@ -30,6 +30,7 @@ def add(commands: Commands) -> None:
     parser.add_option(
         "--dry", "A WAV file of one channel, at the responses' rate, to convolve.", type=Path
     )
+    parser.add_doubted()
     parser.add_overwrite()
 
 
@@ -46,6 +47,7 @@ def run(options: argparse.Namespace) -> None:
             [read_change(text) for text in options.changes or []],
             state=options.state or "",
             dry=options.dry,
+            doubted=options.doubted,
             overwrite=options.overwrite,
             progress=progress,
         )

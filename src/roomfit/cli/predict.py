@@ -32,11 +32,7 @@ def add(commands: Commands) -> None:
         metavar="H,S",
         type=_grid,
     )
-    parser.add_argument(
-        "--doubted",
-        action="store_true",
-        help="Predict changes and other states also where the result is seriously doubted.",
-    )
+    parser.add_doubted()
     parser.add_overwrite()
     parser.add_argument(
         "--no-cache", action="store_true", help="Neither use nor keep intermediate results."

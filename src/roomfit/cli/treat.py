@@ -19,6 +19,7 @@ def add(commands: Commands) -> None:
     parser.add_out()
     parser.add_pairs()
     parser.add_state()
+    parser.add_doubted()
     parser.add_overwrite()
 
 
@@ -26,7 +27,8 @@ def run(options: argparse.Namespace) -> None:
     from roomfit.prediction.campaign import WantedPairs, pair_choice
     from roomfit.predictions import treat_to_folder
 
-    wanted = WantedPairs(pair_choice(options.pairs), options.state or "")
+    pairs = pair_choice(options.pairs)
+    wanted = WantedPairs(pairs, options.state or "", doubted=options.doubted)
     with shown_progress("choosing what to hang") as progress:
         answer = treat_to_folder(
             options.campaign,

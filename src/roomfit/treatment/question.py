@@ -277,6 +277,8 @@ def row_weights(target: Target, bands: Bands) -> FloatArray:
             where=str(target),
             found=f"{', '.join(f'{f:g}' for f in missing or USUAL_HZ)} Hz",
             needed=f"of {', '.join(f'{f:g}' for f in bands.centres_hz)} Hz",
+            hint="others were not fitted, or a serious finding of the result says that its walls "
+            "are wrong there: roomfit treat --doubted then predicts them nevertheless",
         )
     rows = np.array([bands.centres_hz == f for f in wanted], dtype=np.float64)
     return rows.mean(axis=0)[None] if target.mean_of_bands else rows

@@ -190,11 +190,21 @@ def treat(
         room.absorption.bands, question.targets, arrangements, is_met, room,
         (
             *result_doubts(room.absorption, room.scene.room.findings),
-            *(room.findings if isinstance(room, PreparedField) else ()),
+            *_of_the_room(room, arrangements),
             *_findings(question, arrangements, first, margin, is_met),
         ),
         before=before_in_words,
     )  # fmt: skip
+
+
+def _of_the_room(room: ChangingRoom, arrangements: Sequence[Arrangement]) -> tuple[Finding, ...]:
+    """Return what is left out, and what the prior alone says of surfaces that are covered."""
+    if isinstance(room, PreparedField):
+        return room.findings
+    covered = {h.surface for a in arrangements for h in a.hung}
+    dominated = [f for f in room.dominated if covered & set(f.about.materials)]
+    own = room.absorption.findings
+    return (*(f for f in own if f.code is Code.RESULT_DOUBTED), *dominated)
 
 
 def _before_in_words(room: ChangingRoom) -> str:
