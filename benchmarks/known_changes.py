@@ -10,7 +10,8 @@ For each room: the absorption of every wall in every state with 95 % intervals, 
 differences of the walls that did not change. For the first, state R, whose walls are those of two
 other states, predicted from these: the raw model, and the measured values carried over by the
 model's change, beside Sabine's formula and the mean of the two states. `together` fits the two
-states of the first room at once, its panels as products (`--product-sd`, logit; 0: independent).
+states of the first room at once, its panels as products (`--product-sd`, logit; 0: independent),
+and compares every state by itself, with the defaults, with these two.
 Isolated first reflections stand beside the walls that were fitted, with what they return more
 than these, in dB; of the first room those that leave a loudspeaker as the direct sound does.
 `dechorate`: the change from one state to the other, pair by pair and in the mean, with the floor of
@@ -216,21 +217,20 @@ def unchanged(first: Result, second: Result, walls: Sequence[str]) -> str:
     at = np.flatnonzero(first.bands.centres_hz > 400.0)
     z, half, marks, shares = [], [], [], []
     for name in walls:
-        m = first.materials.index(name)
-        logits = [logit(r.absorption[m, at]) for r in (first, second)]
+        own = [(r, r.materials.index(name)) for r in (first, second)]
+        logits = [logit(r.absorption[m, at]) for r, m in own]
         spreads = [
-            (logit(r.upper95[m, at]) - logit(r.lower95[m, at])) / (2.0 * Z95)
-            for r in (first, second)
+            (logit(r.upper95[m, at]) - logit(r.lower95[m, at])) / (2.0 * Z95) for r, m in own
         ]
         z.append((logits[0] - logits[1]) / np.hypot(*spreads))
         known = [
             np.minimum((s / r.logit_prior[1, m, at]) ** 2, 1.0)
-            for s, r in zip(spreads, (first, second), strict=True)
+            for s, (r, m) in zip(spreads, own, strict=True)
             if r.logit_prior is not None
         ]
         scatter = sum(s**2 * (1.0 - k) for s, k in zip(spreads, known, strict=True))
         shares.append(scatter / np.sum(np.square(spreads), axis=0))
-        for r in (first, second):
+        for r, m in own:
             half.append(0.5 * (r.upper95[m, at] - r.lower95[m, at]))
             marks.append(r.identifiable[m, at])
     return (
@@ -639,6 +639,11 @@ def main() -> None:
                 "r3vival 000 and 100", both, asked.scattering, settings, asked.product_sd
             )
             swap_together(asked.data, both, result, known, "R")
+            print()
+            for state in ABSORBING:
+                alone = r3vival_together(asked.data, (state,), (), asked.step, asked.rings)
+                single = fitted(f"r3vival {state}", alone, asked.scattering, settings)
+                print(f"{state} and both, {unchanged(single, result, single.materials)}")
             continue
         states = dict.fromkeys(state for pair in SAME[room] for state in pair)
         results, cases = {}, {}

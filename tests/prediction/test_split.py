@@ -20,7 +20,7 @@ from roomfit.logit import logit
 from roomfit.materials.priors import DEFAULT_LOGIT_SD
 from roomfit.prediction.campaign import WantedPairs, predict_arguments
 from roomfit.prediction.changes import read_change
-from roomfit.prediction.split import doubted_bands, for_another_room, open_splits
+from roomfit.prediction.split import doubted_walls, for_another_room, open_splits
 from roomfit.predictions import _treat_traced, listen_to_folder
 from roomfit.results import absorption_posterior
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
@@ -68,17 +68,26 @@ def test_nothing_is_open_where_nothing_is_doubted():
     known = one_decay()
     draws = draw_absorption(known, 16, np.random.default_rng(1))
     np.testing.assert_array_equal(open_splits(known, draws, (), AREAS[None], 1), draws)
-    assert not doubted_bands(known).any()
+    assert not doubted_walls(known).any()
 
 
-def test_a_doubted_result_leaves_every_split_open_in_the_bands_of_its_doubt():
+def test_a_doubted_result_leaves_the_splits_of_what_it_doubts_open():
     wrong = Finding(
         Code.REFLECTION_DISAGREES, About(materials=["floor"], bands_hz=[500]), "", graded="serious"
     )
     mild = Finding(Code.REFLECTION_DISAGREES, About(bands_hz=[1000]), "")
-    assert doubted_bands(one_decay(result_findings=(wrong, mild))).tolist() == [True, False]
+    of_floor = one_decay(result_findings=(wrong, mild))
+    assert doubted_walls(of_floor).tolist() == [[False, False], [False, False], [True, False]]
+    draws = draw_absorption(of_floor, 400, np.random.default_rng(1))
+    found = open_splits(of_floor, draws, (), AREAS[None], 1)
+    # the other walls keep their proportions, and the sum stays
+    shares = np.log1p(-found[:, 1, 0]) / np.log1p(-found[:, 0, 0])
+    own = np.log1p(-draws[:, 1, 0]) / np.log1p(-draws[:, 0, 0])
+    np.testing.assert_allclose(shares, own, rtol=1e-9)
+    np.testing.assert_allclose(sums(found), sums(draws), rtol=1e-9)
+    assert np.ptp(found[1::2, 2, 0]) > 0.5 and np.array_equal(found[:, :, 1], draws[:, :, 1])
     known = one_decay(result_findings=(DISPLACED,))
-    assert doubted_bands(known).all()
+    assert doubted_walls(known).all()
     draws = draw_absorption(known, 400, np.random.default_rng(1))
     found = open_splits(known, draws, (), AREAS[None], 1)
     np.testing.assert_allclose(sums(found), sums(draws), rtol=1e-9)

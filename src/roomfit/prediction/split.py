@@ -36,11 +36,14 @@ _LEAST_LEFT = 0.05
 _SAME_AREA = 0.05
 
 
-def doubted_bands(posterior: AbsorptionPosterior) -> BoolArray:
-    """Return in which bands findings of the result take identifiability from a wall, (n_bands,)."""
+def doubted_walls(posterior: AbsorptionPosterior) -> BoolArray:
+    """Return of which materials findings take identifiability, (n_materials, n_bands)."""
     void = [f for f in posterior.result_findings if voids_walls(f)]
     centres = posterior.bands.centres_hz.tolist()
-    return np.array([any(f.about.in_band(c) for f in void) for c in centres], dtype=np.bool_)
+    rows = [
+        [any(f.about.concerns(m, c) for f in void) for c in centres] for m in posterior.materials
+    ]
+    return np.array(rows, dtype=np.bool_).reshape(len(posterior.materials), len(centres))
 
 
 def open_splits(
@@ -54,9 +57,9 @@ def open_splits(
 
     Every second draw has another split: one wall takes a share of the absorption of the room that
     is drawn evenly from none to all, as far as 95 % absorption allows it; all others keep their
-    proportions, and the sum of the exponents ``-S log(1 - a)`` over the walls stays. In bands in
-    which the result is doubted the wall is any; else it is one of those of which the findings say
-    that the prior decides.
+    proportions, and the sum of the exponents ``-S log(1 - a)`` over the walls stays. The wall is
+    one of those that findings of the result doubt in the band, or of those of which the prior
+    decides.
 
     Parameters
     ----------
@@ -75,10 +78,10 @@ def open_splits(
     """
     found = draws.copy()
     z = np.random.default_rng([seed, 5]).random((2, len(areas_m2), len(draws)))
-    is_doubted = doubted_bands(posterior)
+    is_doubted = doubted_walls(posterior)
     for band, centre in enumerate(posterior.bands.centres_hz.tolist()):
         named = [any(f.about.concerns(m, centre) for f in dominated) for m in posterior.materials]
-        open_ = np.array(named) | is_doubted[band]
+        open_ = np.array(named) | is_doubted[:, band]
         left = np.diag(posterior.logit_covariance[band]) > 0.0
         for state, areas in enumerate(areas_m2):
             own, other = left & (areas > 0.0), ~left & (areas > 0.0)
@@ -131,7 +134,7 @@ def for_another_room(
     draws = draw_absorption(posterior, n_draws, rng)
     changed = [name for name, other in zip(posterior.materials, is_other, strict=True) if other]
     dominated = prior_dominated(posterior, draws, changed, own, rng)
-    if not dominated and not doubted_bands(posterior).any():
+    if not dominated and not doubted_walls(posterior).any():
         return posterior, ()
     return replace(
         posterior, draws=open_splits(posterior, draws, dominated, own[None], seed)
@@ -148,7 +151,7 @@ def for_another_state(
     areas_m2 : float array, shape (n_states, n_materials)
         Of the states that were fitted.
     """
-    if not doubted_bands(posterior).any():
+    if not doubted_walls(posterior).any():
         return posterior
     draws = draw_absorption(posterior, n_draws, np.random.default_rng(seed))
     return replace(posterior, draws=open_splits(posterior, draws, (), areas_m2, seed))
