@@ -170,6 +170,21 @@ def test_a_template_that_fits_nothing_says_what_is_there(folder, template, words
     assert words in str(caught.value)
 
 
+def test_a_name_is_split_where_both_parts_are_known(tmp_path):
+    """Else at the first place: names of sources and receivers may hold what stands between."""
+    for name in ("s000_150_M.wav", "S030_150_M_2.wav", "other_one_M.wav"):
+        (tmp_path / name).touch()
+    known = ("S000_150", "S030_150", "M", "M_2")
+    found = matching_files(tmp_path, "{source}_{receiver}.wav", known)
+    assert found == {
+        "s000_150_M.wav": ("S000_150", "M"),
+        "S030_150_M_2.wav": ("S030_150", "M_2"),
+        "other_one_M.wav": ("other", "one_M"),
+    }
+    apart = matching_files(tmp_path, "{source}_{receiver}.wav")
+    assert apart["s000_150_M.wav"] == ("s000", "150_M")
+
+
 def test_other_text_and_several_separators_are_taken(tmp_path):
     for name in ("2024 hall S1 at R2 take3.wav", "2024 hall S1 at R3 take1.wav", "sweep.wav"):
         (tmp_path / name).touch()

@@ -182,7 +182,8 @@ def matching_files(
         `recordings_in` the folder those whose names hold two of the known ones, the source first;
         where none does, those of that shape, if most have it, else all of one source.
     known : iterable of str
-        Names of sources and receivers. The case of letters does not matter.
+        Names of sources and receivers. The case of letters does not matter. A name that may be
+        split at several places is split where both parts are known.
 
     Raises
     ------
@@ -200,7 +201,9 @@ def matching_files(
         mostly = len(found) >= _MOST_NAMES * len(names)
         return found if mostly else {name: ("S1", Path(name).stem) for name in names}
     with located("--recordings"):
-        shape, names = shape_of(template), files_of_shape(folder, template)
+        names, spelled = files_of_shape(folder, template), {n.casefold(): n for n in known}
+        shapes = [shape_of(template, one_of=spelled.values())] if spelled else []
+        shapes.append(shape_of(template))
     if not names:
         below = Path(template).parent
         raise InputError(
@@ -210,8 +213,12 @@ def matching_files(
             needed=template,
             hint="put {source} and {receiver} where names differ, and * for other text",
         )
-    matches = [shape.fullmatch(name) for name in names]
-    return {m[0]: (m["source"], m["receiver"]) for m in matches if m}
+    matches = (next(filter(None, (s.fullmatch(name) for s in shapes)), None) for name in names)
+    found = {m[0]: (m["source"], m["receiver"]) for m in matches if m}
+    return {
+        k: (spelled.get(a.casefold(), a), spelled.get(b.casefold(), b))
+        for k, (a, b) in found.items()
+    }
 
 
 _MOST_NAMES = 2 / 3

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from roomfit.errors import InputError
@@ -12,7 +12,9 @@ from roomfit.errors import InputError
 _SHOWN = 6
 
 
-def shape_of(template: str, known: Mapping[str, str] | None = None) -> re.Pattern[str]:
+def shape_of(
+    template: str, known: Mapping[str, str] | None = None, one_of: Iterable[str] = ()
+) -> re.Pattern[str]:
     """Return the pattern of names of a template; {source} and {receiver} are groups, * any text.
 
     Parameters
@@ -20,6 +22,8 @@ def shape_of(template: str, known: Mapping[str, str] | None = None) -> re.Patter
     template : str
     known : mapping, optional
         The source and the receiver, where they are given.
+    one_of : iterable of str, optional
+        Names that either may have, in letters of any case; left out: any.
 
     Raises
     ------
@@ -40,13 +44,14 @@ def shape_of(template: str, known: Mapping[str, str] | None = None) -> re.Patter
             "'DIR/{source}_{receiver}.wav'",
         )
     shape = re.escape(Path(template).as_posix()).replace(r"\*", "[^/]*")
+    any_name = "|".join(re.escape(n) for n in sorted(one_of, key=len, reverse=True)) or "[^/]+?"
     for key in keys:
-        first, again = f"(?P<{key}>[^/]+?)", f"(?P={key})"
+        first, again = f"(?P<{key}>{any_name})", f"(?P={key})"
         if known is not None:
             first = again = re.escape(known[key])
         place = rf"\{{{key}\}}"
         shape = shape.replace(place, first, 1).replace(place, again)
-    return re.compile(shape)
+    return re.compile(shape, re.IGNORECASE if any_name != "[^/]+?" else 0)
 
 
 def files_of_shape(folder: Path, template: str) -> list[str]:
