@@ -365,16 +365,16 @@ def listen_to_folder(
     out: Path,
     changes: Sequence[Change] = (),
     *,
-    state: str = "",
+    wanted: WantedPairs | None = None,
     dry: Path | None = None,
-    doubted: bool = False,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Write measured responses before and after a change, as WAV files of floats, and listen.json.
 
     Nothing is normalised. With `dry`, a recording of one channel, its convolutions stand beside
-    them, all scaled by one factor so that the loudest has a peak of half.
+    them, all scaled by one factor so that the loudest has a peak of half. Of what is wanted the
+    state counts, and whether the result may be doubted.
 
     Returns
     -------
@@ -386,20 +386,21 @@ def listen_to_folder(
     InputError
         See `roomfit.prediction.listen.listen`; or the recording has another sampling rate.
     InsufficientDataError
-        The result is seriously doubted in a band, which a sound cannot leave out, and `doubted` is
-        false.
+        The result is seriously doubted in a band, which a sound cannot leave out, and this is not
+        wanted.
     StoreError
         The disk refuses.
     """
     from roomfit.io.results import read_result
     from roomfit.measurement import Measurement
-    from roomfit.prediction.campaign import predict_arguments
+    from roomfit.prediction.campaign import WantedPairs, predict_arguments
     from roomfit.prediction.listen import listen, with_dry_recording
     from roomfit.prediction.output import listen_content
 
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
     found = read_result(absorption_file)
+    _, state, _, doubted = wanted or WantedPairs()
     arguments = predict_arguments(campaign, found, changes, "campaign", state, doubted)
     for doubt in arguments["absorption"].findings:
         if doubt.code is Code.RESULT_DOUBTED:

@@ -266,4 +266,4 @@ def test_treatments_sounds_and_the_workbench_need_to_be_asked_for_doubted_walls(
         listen_to_folder(*asked)
     assert "at 500 Hz" in str(refusal.value)
     with pytest.raises(BegunError):
-        listen_to_folder(*asked, doubted=True)
+        listen_to_folder(*asked, wanted=WantedPairs(doubted=True))

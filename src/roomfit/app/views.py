@@ -433,7 +433,7 @@ def listen(
         out,
         [read_change(text) for text in changes],
         dry=project.upload_place(root, project.DRY, dry) if dry else None,
-        doubted=doubted,
+        wanted=WantedPairs(doubted=doubted),
         overwrite=True,
         progress=progress,
     )

@@ -35,6 +35,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
+    from roomfit.prediction.campaign import WantedPairs
     from roomfit.prediction.changes import read_change
     from roomfit.prediction.output import listen_text
     from roomfit.predictions import listen_to_folder
@@ -45,9 +46,8 @@ def run(options: argparse.Namespace) -> None:
             result_file(options, options.absorption),
             options.out,
             [read_change(text) for text in options.changes or []],
-            state=options.state or "",
             dry=options.dry,
-            doubted=options.doubted,
+            wanted=WantedPairs(state=options.state or "", doubted=options.doubted),
             overwrite=options.overwrite,
             progress=progress,
         )

@@ -32,9 +32,6 @@ from roomfit.core import (
 _MOST_EXPONENT = 3.0
 # Of the sum of a state's own walls, where walls that it has in common with others take all of it.
 _LEAST_LEFT = 0.05
-# Of other splits, those in which the wall has nothing, and as many in which it has all: of all draws a
-# twentieth at either end, so that a 95 % interval holds both. No draw absorbs exactly nothing.
-_AT_AN_END, _NOTHING = 0.1, 1e-3
 # Areas that differ by less are those of one room described twice.
 _SAME_AREA = 0.05
 
@@ -60,9 +57,9 @@ def open_splits(
 
     Every second draw has another split: one wall takes a share of the absorption of the room that
     is drawn evenly from none to all, as far as 95 % absorption allows it, and is none or all in a
-    tenth of these draws each; all others keep their proportions, and the sum of the exponents ``-S log(1 - a)`` over the walls stays. The wall is
-    one of those that findings of the result doubt in the band, or of those of which the prior
-    decides.
+    tenth of these draws each; all others keep their proportions, and the sum of the exponents
+    ``-S log(1 - a)`` over the walls stays. The wall is one of those that findings of the result
+    doubt in the band, or of those of which the prior decides.
 
     Parameters
     ----------
@@ -81,8 +78,8 @@ def open_splits(
     """
     found = draws.copy()
     z = np.random.default_rng([seed, 5]).random((2, len(areas_m2), len(draws)))
-    shares = (z[1] - _AT_AN_END) / (1.0 - 2.0 * _AT_AN_END)
-    shares = np.clip(shares, _NOTHING, 1.0 - _NOTHING)
+    # of all draws a twentieth at either end, so that a 95 % interval holds both
+    shares = np.clip((z[1] - 0.1) / 0.8, 0.001, 0.999)
     is_doubted = doubted_walls(posterior)
     for band, centre in enumerate(posterior.bands.centres_hz.tolist()):
         named = [any(f.about.concerns(m, centre) for f in dominated) for m in posterior.materials]
