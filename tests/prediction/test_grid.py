@@ -11,7 +11,7 @@ import roomfit
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
 from roomfit.logit import logit
-from roomfit.prediction.grid import grid_figure, grid_records, grid_scene
+from roomfit.prediction.grid import _cells, grid_figure, grid_records, grid_scene
 from roomfit.prediction.predict import predict
 from roomfit.predictions import write_grid
 from roomfit.uncertainty.posterior import AbsorptionPosterior
@@ -91,6 +91,16 @@ def test_every_number_of_the_table_is_that_of_its_pair(mapped, tmp_path):
         assert float(row["width95"]) == pytest.approx(width, abs=1e-4)
     assert len(grid_records(predicted, scene).rows) == len(rows)
     assert sorted(p.name for p in tmp_path.glob("*.png")) == ["grid_01_S.png", "grid_02_far.png"]
+
+
+def test_a_map_keeps_its_cells_even_where_a_row_has_no_point():
+    at_m = np.array([[0.5, 1.0], [1.0, 1.0], [0.5, 2.5], [2.0, 2.5]])
+    x_m, y_m, cells = _cells(at_m)
+    np.testing.assert_allclose(x_m, [0.5, 1.0, 1.5, 2.0])
+    np.testing.assert_allclose(y_m, [1.0, 1.5, 2.0, 2.5])
+    np.testing.assert_allclose(np.column_stack([x_m[cells[:, 0]], y_m[cells[:, 1]]]), at_m)
+    one = _cells(at_m[:1])
+    assert [x.tolist() for x in one] == [[0.5], [1.0], [[0, 0]]]
 
 
 def test_a_map_shows_the_mean_at_mid_frequencies_where_it_is(mapped):

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from roomfit.core import (
     FloatArray,
     InputError,
+    IntArray,
     Point,
     Scene,
     is_clear_of_walls,
@@ -130,7 +131,7 @@ def grid_figure(predicted: Predicted, scene: Scene, source: str) -> Figure:
     positions = {p.name: p.position_m for p in scene.receivers}
     at_m = np.array([positions[p.receiver] for p in pairs])
     here_m = next(p.position_m for p in scene.sources if p.name == source)
-    x_m, y_m = np.unique(at_m[:, 0]), np.unique(at_m[:, 1])
+    x_m, y_m, cells = _cells(at_m[:, :2])
     figure = new_figure(9.0, 2.8 * len(known) + 0.6)
     panels = figure.subplots(len(known), 2, squeeze=False)
     for row, name in zip(panels, known, strict=True):
@@ -141,7 +142,7 @@ def grid_figure(predicted: Predicted, scene: Scene, source: str) -> Figure:
         titles = (words, f"width of its 95 % interval{unit}")
         for axes, numbers, title in zip(row, (value, width), titles, strict=True):
             table = np.full((y_m.size, x_m.size), np.nan)
-            table[np.searchsorted(y_m, at_m[:, 1]), np.searchsorted(x_m, at_m[:, 0])] = numbers
+            table[cells[:, 1], cells[:, 0]] = numbers
             drawn = axes.pcolormesh(x_m, y_m, table, shading="nearest", cmap="viridis")
             axes.plot(*here_m[:2], "k*", ms=9)
             axes.set_title(title, fontsize=9)
@@ -149,6 +150,21 @@ def grid_figure(predicted: Predicted, scene: Scene, source: str) -> Figure:
             figure.colorbar(drawn, ax=axes)
     figure.suptitle(f"From {literal(source, 30)}, {at_m[0, 2]:.2f} m high; x and y in m")
     return figure
+
+
+def _cells(at_m: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return x and y of evenly spaced cells, and the cell of every point, (n, 2).
+
+    Where no point of a whole row lies in the room, the row is there, and empty.
+    """
+    first = at_m.min(axis=0)
+    gaps = np.concatenate([np.diff(np.unique(column)) for column in at_m.T])
+    step = float(gaps[gaps > 1e-6].min(initial=np.inf))
+    if not np.isfinite(step):
+        return at_m[:1, 0], at_m[:1, 1], np.zeros((len(at_m), 2), dtype=np.int64)
+    cells = np.rint((at_m - first) / step).astype(np.int64)
+    x_m, y_m = (first[i] + step * np.arange(cells[:, i].max() + 1) for i in (0, 1))
+    return x_m, y_m, cells
 
 
 def _of(
