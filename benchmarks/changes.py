@@ -36,6 +36,7 @@ from roomfit.measurement import Measurement
 from roomfit.objective.room_parameters import predicted_values
 from roomfit.prediction.changes import Change
 from roomfit.prediction.predict import Predicted, predict
+from roomfit.prediction.split import for_another_room
 from roomfit.results import absorption_posterior
 from roomfit.scene import Scene, material_areas_m2, scene_of, shoebox_room
 from roomfit.settings import Settings
@@ -390,10 +391,19 @@ def studio_simulated(folder: Path, n_seeds: int) -> None:
                 )
                 theirs = new.scene.room.materials
                 own = studio_priors(folder, theirs, bands, new.scattering, broad=broad)
-                known = room_posterior(replace(known, materials=renamed), own, bands)
+                # as `roomfit.predict_arguments` has it for a campaign of another geometry
+                known, dominated = for_another_room(
+                    replace(known, materials=renamed),
+                    area[not was_closed],
+                    STUDIO_SETTINGS.n_draws,
+                    STUDIO_SETTINGS.seed,
+                )
+                known = room_posterior(known, own, bands)
+                known = replace(known, findings=(*known.findings, *dominated))
                 found = predict(new.scene, known, [change], settings=STUDIO_SETTINGS)
                 w = found.mean["T30_s"]
-                n_found[label] += Code.CHANGE_PRIOR_DOMINATED in [f.code for f in found.findings]
+                codes = [f.code for f in (*dominated, *found.findings)]
+                n_found[label] += Code.CHANGE_PRIOR_DOMINATED in codes
                 errors.setdefault(f"predicted, {label} priors", []).append(
                     w.predicted / after - 1.0
                 )
