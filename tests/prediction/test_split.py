@@ -19,13 +19,10 @@ from roomfit.io.results import read_result, write_result
 from roomfit.logit import logit
 from roomfit.materials.priors import DEFAULT_LOGIT_SD
 from roomfit.prediction.campaign import WantedPairs, predict_arguments
-from roomfit.prediction.changes import Change, read_change
-from roomfit.prediction.predict import _open_draws
+from roomfit.prediction.changes import read_change
 from roomfit.prediction.split import doubted_walls, for_another_room, open_splits
 from roomfit.predictions import _treat_traced, listen_to_folder
 from roomfit.results import absorption_posterior
-from roomfit.scene import scene_of as scene_in
-from roomfit.scene import shoebox_room
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
 
 BANDS = bands_between("octave", 500, 1000)
@@ -100,29 +97,6 @@ def test_a_doubted_result_leaves_the_splits_of_what_it_doubts_open():
     np.testing.assert_allclose(sums(found), sums(draws), rtol=1e-9)
     low, high = np.quantile(found, (0.025, 0.975), axis=0)
     assert np.all(low < 0.06) and np.all(high[1] > 0.6) and np.all(high[2] > 0.45)
-
-
-def test_a_split_that_another_room_has_opened_is_not_opened_by_the_areas_of_this_one():
-    """The sum was measured by the areas there; a wall that is changed here alone is opened here."""
-    sides = {"walls": "walls", "floor": "floor", "ceiling": "curtain"}
-    scene = scene_in(shoebox_room((8.0, 5.0, 5.0), sides), {"S": (1, 1, 1)}, {"R": (4, 3, 1)})
-    known = one_decay()
-    order = [NAMES.index(name) for name in scene.room.materials]
-    known = replace(
-        known,
-        materials=scene.room.materials,
-        logit_covariance=known.logit_covariance[:, order][:, :, order],
-    )
-    draws = draw_absorption(known, 64, np.random.default_rng(1))
-    change = [[Change("curtain", "value", (0.4, 0.4))]]
-    opened, dominated = _open_draws(scene, known, draws, change, 1)
-    assert not np.array_equal(opened, draws) and dominated
-    said = replace(known, findings=tuple(f for f in dominated if "curtain" in f.about.materials))
-    kept, others = _open_draws(scene, said, draws, change, 1)
-    np.testing.assert_array_equal(kept, draws)
-    assert len(others) == len(dominated) - 1
-    both = [*change, [Change("floor", "value", (0.4, 0.4))]]
-    assert not np.array_equal(_open_draws(scene, said, draws, both, 1)[0], draws)
 
 
 def test_states_keep_their_own_sums_and_what_they_have_in_common():

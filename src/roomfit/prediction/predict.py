@@ -331,11 +331,7 @@ def _open_draws(
     states = [first, *(s for s in range(1 + len(scene.room.states)) if s != first)]
     areas_m2 = np.stack([material_areas_m2(scene.room, s) for s in states])
     rng, names = np.random.default_rng(seed), absorption.materials
-    code = Code.CHANGE_PRIOR_DOMINATED
-    # of another room than was fitted: opened by the areas of which the sum was measured
-    said = {m for f in absorption.findings if f.code is code for m in f.about.materials}
-    found = prior_dominated(absorption, draws, names, areas_m2[0], rng)
-    dominated = tuple(f for f in found if not said & set(f.about.materials))
+    dominated = prior_dominated(absorption, draws, names, areas_m2[0], rng)
     changed = {c.material for one in alternatives for c in one}
     if not changed:
         return draws, dominated
