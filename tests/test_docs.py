@@ -139,6 +139,36 @@ def test_the_picture_of_the_pipeline_is_what_its_script_draws():
     assert script.with_suffix(".svg").read_text(encoding="utf-8") == drawn
 
 
+# The first pages are short, and take their figures from the page that has the commands.
+
+
+def test_the_readme_is_read_in_a_few_minutes_and_shows_python_before_the_commands():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.split()) <= 900
+    (example,) = code_blocks(ROOT / "README.md", "python")
+    assert len([line for line in example.split("\n") if line]) <= 15
+    assert text.index("```python") < text.index("| to | command |")
+
+
+def test_a_cell_of_the_accuracy_in_the_readme_has_one_number_that_its_page_has_too():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    table = text[text.index("| data |") : text.index("Among positions")].strip().split("\n")
+    rows = [[cell.strip() for cell in row.strip("|").split("|")] for row in table[2:]]
+    assert len(rows) > 5
+    known = set(re.findall(r"[\d.]+", page("accuracy.md")))
+    for _, quantity, found, baseline in rows:
+        for cell in (found, baseline):
+            numbers = re.findall(r"[\d.]+", cell)
+            assert len(numbers) == 1 or not cell, quantity
+            assert set(numbers) <= known, quantity
+
+
+def test_a_version_in_the_changelog_takes_600_words_at_most():
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    for version in text.split("\n## ")[1:]:
+        assert len(version.split()) <= 600, version.split("\n")[0]
+
+
 # What the pages name exists.
 
 
