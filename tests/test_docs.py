@@ -163,6 +163,15 @@ def test_a_cell_of_the_accuracy_in_the_readme_has_one_number_that_its_page_has_t
             assert set(numbers) <= known, quantity
 
 
+def test_each_step_of_getting_started_shows_a_picture():
+    steps = re.split(r"^## ", page("getting-started.md"), flags=re.M)
+    numbered = [step for step in steps if re.match(r"\d", step)]
+    assert len(numbered) >= 6
+    for step in numbered:
+        (picture, *_) = re.findall(r"^!\[.+\]\((.*)\)$", step, re.M)
+        assert (DOCS / picture).is_file()
+
+
 def test_a_version_in_the_changelog_takes_600_words_at_most():
     text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     for version in text.split("\n## ")[1:]:
