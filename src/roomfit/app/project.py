@@ -44,12 +44,13 @@ SHAPE = "{source}_{receiver}.wav"
 """By which recordings are named, unless the user says otherwise."""
 _LONGEST_NAME = 120
 _ENDINGS = {
-    **dict.fromkeys((*FORMATS, "excel", "gltf", "pdf"), ".txt"),
+    **dict.fromkeys((*FORMATS, "excel", "gltf", "pdf", "word"), ".txt"),
     "catt": ".geo",
     "csv": ".csv",
     "excel": ".xlsx",
     "gltf": ".gltf",
     "pdf": ".pdf",
+    "word": ".docx",
     "pyroomacoustics": ".py",
 }
 EXPORTS = tuple(_ENDINGS)
