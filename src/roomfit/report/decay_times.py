@@ -116,7 +116,8 @@ def decay_time_figure(
         x, colour = at + shift * i - 0.12, OKABE_ITO[i]
         if one.lower95_s is not None and one.upper95_s is not None:
             axes.vlines(x, one.lower95_s, one.upper95_s, color=colour, lw=1.8)
-            highest.append(float(np.nanquantile(one.upper95_s, 0.75)))
+            known = one.upper95_s[np.isfinite(one.upper95_s)]
+            highest.append(float(np.quantile(known, 0.75)) if known.size else 0.0)
         axes.plot(
             x, one.values_s, mark, color=colour, ms=5, label=literal(one.label, 60), ls="-", lw=0.8
         )
