@@ -39,6 +39,8 @@ GENERATED = {"_build", "gallery", "reference"}
 PAGES = sorted(
     page for page in DOCS.rglob("*.md") if not GENERATED & set(page.relative_to(DOCS).parts)
 )
+# tutorials are walked in tests/test_tutorials.py
+SINGLE = [page for page in PAGES if not page.name.startswith("tutorial-")]
 EXAMPLES = sorted((DOCS / "examples").glob("plot_*.py"))
 SOURCES = sorted(SOURCE.rglob("*.py"))
 
@@ -111,7 +113,7 @@ def campaign_folder(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "path", [p for p in [ROOT / "README.md", *PAGES] if code_blocks(p, "python")], ids=named
+    "path", [p for p in [ROOT / "README.md", *SINGLE] if code_blocks(p, "python")], ids=named
 )
 def test_python_on_a_page_runs_from_top_to_bottom(path, campaign_folder):
     run_python("-c", "\n".join(code_blocks(path, "python")), folder=campaign_folder)
