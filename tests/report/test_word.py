@@ -136,6 +136,14 @@ def test_it_is_the_same_file_whenever_it_is_written_and_names_nobody(written):
     assert not re.search(r"20\d\d-|python-docx", core)
 
 
+def test_it_is_in_the_language_of_the_page():
+    scene = scene_of()
+    page = report_html(answer_of(scene), scene, title="Saal", project={"language": "de"})
+    shown = docx.Document(io.BytesIO(report_word(page, {})))
+    assert "Befunde" in " ".join(p.text for p in shown.paragraphs if "Heading" in p.style.name)
+    assert set(shown.styles.element.xpath("//w:lang/@w:val")) == {"de"}
+
+
 def test_names_of_any_letters_are_written_as_text():
     scene = scene_of()
     answer = answer_of(scene)

@@ -62,6 +62,8 @@ def report_word(page: str, pictures: Mapping[str, bytes]) -> bytes:
     section.left_margin = section.right_margin = millimetre(_MARGIN_MM)
     section.top_margin = section.bottom_margin = millimetre(_MARGIN_MM)
     tree = parser.document_fromstring(page)
+    for language in book.styles.element.xpath("//w:lang"):  # what spelling is checked by
+        language.set(library.oxml.ns.qn("w:val"), tree.get("lang"))
     _append(book, tree.find("body"), pictures)
     about = book.core_properties
     about.title = _plain(tree.findtext(".//title") or "")
