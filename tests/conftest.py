@@ -34,6 +34,7 @@ LONGEST = (
     "suh2001/test_command.py",
     "app/test_browser.py",
     "test_docs.py",
+    "test_tutorials.py",
     "inversion/test_identify_rooms.py",
     "prediction/test_predict.py",
     "test_workers.py",

@@ -39,6 +39,8 @@ GENERATED = {"_build", "gallery", "reference"}
 PAGES = sorted(
     page for page in DOCS.rglob("*.md") if not GENERATED & set(page.relative_to(DOCS).parts)
 )
+# tutorials are walked in tests/test_tutorials.py
+SINGLE = [page for page in PAGES if not page.name.startswith("tutorial-")]
 EXAMPLES = sorted((DOCS / "examples").glob("plot_*.py"))
 SOURCES = sorted(SOURCE.rglob("*.py"))
 
@@ -111,7 +113,7 @@ def campaign_folder(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "path", [p for p in [ROOT / "README.md", *PAGES] if code_blocks(p, "python")], ids=named
+    "path", [p for p in [ROOT / "README.md", *SINGLE] if code_blocks(p, "python")], ids=named
 )
 def test_python_on_a_page_runs_from_top_to_bottom(path, campaign_folder):
     run_python("-c", "\n".join(code_blocks(path, "python")), folder=campaign_folder)
@@ -137,6 +139,45 @@ def test_the_picture_of_the_pipeline_is_what_its_script_draws():
     script = DOCS / "pictures" / "pipeline.py"
     drawn = runpy.run_path(str(script))["draw"]()
     assert script.with_suffix(".svg").read_text(encoding="utf-8") == drawn
+
+
+# The first pages are short, and take their figures from the page that has the commands.
+
+
+def test_the_readme_is_read_in_a_few_minutes_and_shows_python_before_the_commands():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.split()) <= 900
+    (example,) = code_blocks(ROOT / "README.md", "python")
+    assert len([line for line in example.split("\n") if line]) <= 15
+    assert text.index("```python") < text.index("| to | command |")
+
+
+def test_a_cell_of_the_accuracy_in_the_readme_has_one_number_that_its_page_has_too():
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    table = text[text.index("| data |") : text.index("Among positions")].strip().split("\n")
+    rows = [[cell.strip() for cell in row.strip("|").split("|")] for row in table[2:]]
+    assert len(rows) > 5
+    known = set(re.findall(r"[\d.]+", page("accuracy.md")))
+    for _, quantity, found, baseline in rows:
+        for cell in (found, baseline):
+            numbers = re.findall(r"[\d.]+", cell)
+            assert len(numbers) == 1 or not cell, quantity
+            assert set(numbers) <= known, quantity
+
+
+def test_each_step_of_getting_started_shows_a_picture():
+    steps = re.split(r"^## ", page("getting-started.md"), flags=re.M)
+    numbered = [step for step in steps if re.match(r"\d", step)]
+    assert len(numbered) >= 6
+    for step in numbered:
+        (picture, *_) = re.findall(r"^!\[.+\]\((.*)\)$", step, re.M)
+        assert (DOCS / picture).is_file()
+
+
+def test_a_version_in_the_changelog_takes_600_words_at_most():
+    text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    for version in text.split("\n## ")[1:]:
+        assert len(version.split()) <= 600, version.split("\n")[0]
 
 
 # What the pages name exists.

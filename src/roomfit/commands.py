@@ -30,7 +30,7 @@ from roomfit.cache import (
 )
 from roomfit.errors import InputError, located
 from roomfit.io.campaign import Campaign, read_campaign
-from roomfit.io.door import files_read, read_text, reading_noted
+from roomfit.io.door import files_read, read_bytes, read_text, reading_noted
 from roomfit.io.encoding import ResultFile, input_digests, path_of
 from roomfit.io.inputs import campaign_room, identify_arguments
 from roomfit.io.inputs import check_campaign as check_campaign
@@ -222,10 +222,11 @@ def export_result(
     Parameters
     ----------
     result_file : Path or Result
-        A ``result.json`` or an ``absorption.csv``; for "pdf" with its ``report.html`` beside it.
-        Or a result in memory, but for "excel", "gltf" and "pdf".
+        A ``result.json`` or an ``absorption.csv``; for "pdf" and "word" with its ``report.html``
+        beside it, for "word" the pictures as well. Or a result in memory, but for "excel", "gltf",
+        "pdf" and "word".
     wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv", "budget", "excel", \
-"gltf", "pdf"}
+"gltf", "pdf", "word"}
     out : Path
         The file to write; for "raven", which has a file for each material, the folder.
     scattering : float, optional
@@ -270,12 +271,12 @@ def export_result(
 
         found = uncertainty_budget(result_file)
         return ExportedFiles(_write_texts(out, {"": csv_of(budget_records(found))}, overwrite), ())
-    if wanted in ("excel", "gltf", "pdf"):
+    if wanted in ("excel", "gltf", "pdf", "word"):
         if isinstance(result_file, Result):
             raise InputError(
                 "this format is made from the files of a result",
                 found=f"a result in memory, for {wanted!r}",
-                needed="result.json, and for a PDF report.html beside it",
+                needed="result.json, and for PDF or Word report.html beside it",
                 hint="roomfit.write_result(folder, result, []) first",
             )
         _check_place(out, overwrite)
@@ -311,14 +312,20 @@ def _whole_export(
 
     if wanted == "excel":
         return workbook_bytes(result_file), read_material_table(result_file).findings
-    if wanted == "pdf":
-        from roomfit.report.pdf import report_pdf
-
+    if wanted in ("pdf", "word"):
         # the page that was written beside the result
         path = path_of(result_file)
         own = path.suffix.lower() in (".html", ".htm")
-        page = path if own else path.with_name("report.html")
-        return report_pdf(read_text(page, "report")), ()
+        page = read_text(path if own else path.with_name("report.html"), "report")
+        if wanted == "pdf":
+            from roomfit.report.pdf import report_pdf
+
+            return report_pdf(page), ()
+        from roomfit.report.word import report_word
+
+        findings = () if own else read_material_table(result_file).findings
+        beside = sorted(path.parent.glob("*.png"))
+        return report_word(page, {f.stem: read_bytes(f, "picture") for f in beside}), findings
     from roomfit.io.gltf import gltf_text
 
     campaign_file = _own_campaign(result_file) if campaign_file is None else campaign_file
@@ -535,11 +542,14 @@ def _write_answer(
     """Write result and report, and pictures beside it unless the answer is a quick one."""
     from roomfit.io.results import write_result
     from roomfit.report.figures import answer_figures, write_pictures
-    from roomfit.report.html import report_html
+    from roomfit.report.html import mean_decay_figure, report_html
+    from roomfit.report.room_figure import room_figure
     from roomfit.report.usable import remaining_usable
 
     inputs = tuple(files_read())
-    figures = answer_figures(answer)
+    figures = {**answer_figures(answer), "room": room_figure(scene)}
+    if (decays := mean_decay_figure(answer)) is not None:
+        figures["decay_times"] = decays
     page = report_html(
         answer,
         scene,

@@ -20,6 +20,7 @@ pytest.importorskip("tomlkit", reason="the workbench needs the extra app")
 from roomfit.app import project, views
 from roomfit.app.jobs import Job, Jobs, Worker
 from roomfit.cache import write_json_atomically
+from roomfit.commands import ExportedFiles
 from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import refuse
@@ -222,6 +223,27 @@ def test_exports_need_a_result_and_stay_in_the_project(box: Path) -> None:
     (box / "exports").symlink_to(box.parent)
     with pytest.raises(InputError):
         project.export(box, "csv")
+
+
+@pytest.mark.parametrize(
+    ("wanted", "name"),
+    [
+        ("pdf", "report.pdf"),
+        ("word", "report.docx"),
+        ("pyroomacoustics", "materials-pyroomacoustics.json"),  # what that program reads is JSON
+    ],
+)
+def test_an_export_is_named_as_what_opens_it(
+    box: Path, monkeypatch: pytest.MonkeyPatch, wanted: str, name: str
+) -> None:
+    (box / "first").mkdir()
+    (box / "first" / "result.json").write_text("{}")
+
+    def written(_: Path, __: str, out: Path, **___: object) -> ExportedFiles:
+        return ExportedFiles((out,), ())
+
+    monkeypatch.setattr(project, "export_result", written)
+    assert project.export(box, wanted) == [f"exports/{name}"]
 
 
 @pytest.mark.parametrize("kind", ["sources", "receivers"])

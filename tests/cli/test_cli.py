@@ -134,10 +134,12 @@ def test_identify_writes_every_file_and_prints_what_they_say(tmp_path, monkeypat
         "absorption.png",
         "decay_01_a_b_MP1.png",
         "decay_02_a_b_MP2.png",
+        "decay_times.png",
         "identifiable.png",
         "profiles.png",
         "report.html",
         "result.json",
+        "room.png",
     ]
     assert [p.name for p in out.parent.iterdir()] == ["out"]
     # made aside, yet with the permissions of any other new folder

@@ -362,3 +362,15 @@ def test_the_noise_level_of_a_decay_is_where_decay_and_noise_are_alike(noise_db)
     np.testing.assert_allclose(_decay(curve, curve).noise_db, noise_db, atol=4.0)
     ended = replace(curve, noise_reached=np.array([True, False, True]))
     assert np.isnan(_decay(ended, ended).noise_db).tolist() == [False, True, False]
+
+
+def test_a_mean_at_mid_frequencies_has_no_interval_of_another_band():
+    """A predicted 125 Hz beside measured bands had lent its interval to the measured mean."""
+    centres = np.array([125.0, 500.0, 1000.0])
+    alone = np.array([1.73, np.nan, np.nan]), np.array([11.3, np.nan, np.nan])
+    value, low, high = Series("before", np.array([3.1, 0.88, 0.90]), *alone).mid_s(centres)
+    assert value == pytest.approx(0.89)
+    assert np.isnan([low, high]).all()
+    both = np.array([1.73, 0.8, 0.7]), np.array([11.3, 1.0, 1.1])
+    _, low, high = Series("before", np.array([3.1, 0.88, 0.90]), *both).mid_s(centres)
+    assert (low, high) == pytest.approx((0.75, 1.05))

@@ -14,6 +14,7 @@ from roomfit.errors import InputError
 from roomfit.materials.priors import uniform_scattering
 from roomfit.scene import Room
 from roomfit.synthetic.polyhedra import Cells, cell_images
+from roomfit.tracing.beams import beam_tree
 from roomfit.tracing.image_sources import (
     Budget,
     affordable_duration_s,
@@ -311,6 +312,22 @@ def test_what_would_take_too_long_is_refused_and_how_far_one_can_go_is_reported(
     assert affordable_duration_s(scene, 0.03) == 0.03
     few = affordable_duration_s(scene, 0.5, images=500.0)
     assert len(trace_images(scene, ALL_ORDERS, few, still)) <= 500
+
+
+def test_a_duration_that_is_affordable_altogether_is_searched_once_a_source(monkeypatch) -> None:
+    """The steps to it would cost four times as much, each the cube of its duration."""
+    room = room_of(CELLS["L"])
+    sources = [SOURCES["L"], [1.1, 5.1, 1.4]]
+    scene = scene_of(room, sources, RECEIVERS["L"])
+    searches = []
+
+    def counted(*arguments):
+        searches.append(arguments)
+        return beam_tree(*arguments)
+
+    monkeypatch.setattr("roomfit.tracing.image_sources.beam_tree", counted)
+    assert affordable_duration_s(scene, 0.05) == 0.05
+    assert len(searches) == len(sources)
 
 
 def test_several_sources_in_threads_give_the_bits_of_one_after_the_other() -> None:

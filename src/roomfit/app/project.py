@@ -44,13 +44,13 @@ SHAPE = "{source}_{receiver}.wav"
 """By which recordings are named, unless the user says otherwise."""
 _LONGEST_NAME = 120
 _ENDINGS = {
-    **dict.fromkeys((*FORMATS, "excel", "gltf", "pdf"), ".txt"),
+    **dict.fromkeys((*FORMATS, "excel", "gltf", "pdf", "word"), ".txt"),
     "catt": ".geo",
     "csv": ".csv",
     "excel": ".xlsx",
     "gltf": ".gltf",
     "pdf": ".pdf",
-    "pyroomacoustics": ".py",
+    "pyroomacoustics": ".json",
 }
 EXPORTS = tuple(_ENDINGS)
 
@@ -543,7 +543,7 @@ def export(folder: Path, wanted: str) -> list[str]:
         raise InputError("no such format", found=repr(wanted), needed=", ".join(EXPORTS))
     exports = folder / "exports"
     exports.mkdir(exist_ok=True)
-    named = {"raven": "raven", "pdf": "report.pdf"}
+    named = {"raven": "raven", "pdf": "report.pdf", "word": "report.docx"}
     out = exports / named.get(wanted, f"materials-{wanted}{_ENDINGS[wanted]}")
     written = export_result(
         result, wanted, inside(folder, out), campaign_file=campaign_file(folder), overwrite=True

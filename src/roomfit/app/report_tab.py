@@ -24,7 +24,11 @@ _PROGRAMS = {
     "gltf": "glTF",
     "pyroomacoustics": "pyroomacoustics",
 }
-_WHOLE = {"pdf": "The report as PDF", "excel": "All of it as an Excel workbook"}
+_WHOLE = {
+    "pdf": "The report as PDF",
+    "word": "The report as a Word file",
+    "excel": "All of it as an Excel workbook",
+}
 _FILES = ("report.html", "absorption.csv", "result.json")
 
 

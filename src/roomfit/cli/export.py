@@ -11,13 +11,13 @@ from roomfit.cli.terminal import say
 
 
 def add(commands: Commands) -> None:
-    about = "Write what was found as materials of another program, or the report as PDF."
+    about = "Write what was found as materials of another program, or the report as PDF or Word."
     parser = add_command(commands, "export", about, run)
     parser.add_argument("result", type=Path, help="result.json or absorption.csv of a fit.")
     parser.add_option(
         "--format",
         "catt, odeon, isimpa, raven, pyroomacoustics, csv, excel, gltf, budget (of the "
-        "uncertainty, CSV), or pdf (the report).",
+        "uncertainty, CSV), or pdf or word (the report).",
         required=True,
     )
     parser.add_out("File to write; for raven a folder.")

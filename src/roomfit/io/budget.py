@@ -97,8 +97,8 @@ def uncertainty_budget(
     that term's contribution. These are no independent variances that add up: without one of two
     terms of which each suffices little changes, and what multiplies others (`misfit`,
     `neighbours`) is counted with them. What is missing to the combined variance is therefore a row
-    of its own, the remainder. The prior is information and no source; `without_prior` says what it
-    is worth. To first order, in the logit, and carried over by the width of the interval.
+    of its own, the remainder. The prior is information and no source [1]_; `without_prior` says
+    what it is worth. To first order, in the logit, and carried over by the width of the interval.
 
     References
     ----------

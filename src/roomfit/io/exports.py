@@ -598,8 +598,8 @@ def export_materials(
     InputError
         There is no such format, or the scattering is out of range.
     """
-    if wanted not in FORMATS:  # the other four are no materials as text
-        others = ("budget", "excel", "gltf", "pdf")
+    if wanted not in FORMATS:  # the other five are no materials as text
+        others = ("budget", "excel", "gltf", "pdf", "word")
         check_known("no such format for an export", wanted, (*FORMATS, *others))
     check_range("scattering coefficient", scattering, 0.0, 1.0)
     specified = table.scattering

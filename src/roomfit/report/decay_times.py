@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from roomfit.report.figures import OKABE_ITO, figure_legend, literal, new_figure
 from roomfit.report.wording import number, short_hertz
 from roomfit.signals.decay import jnd_of
-from roomfit.typing import FloatArray
+from roomfit.typing import BoolArray, FloatArray
 
 # Of these the mean is the single number of a decay time (ISO 3382-1:2009, table A.1).
 MID_HZ = (500.0, 1000.0)
@@ -27,10 +27,11 @@ class Series:
     upper95_s: FloatArray | None = None
 
     def mid_s(self, centres_hz: FloatArray) -> tuple[float, float, float]:
-        """Return the mean at mid frequencies, and that of the bounds."""
-        rows = (self.values_s, self.lower95_s, self.upper95_s)
-        value, low, high = (np.nan if r is None else mid_mean(centres_hz, r) for r in rows)
-        return value, low, high
+        """Return the mean at mid frequencies, and its bounds, NaN where a band of it has none."""
+        own = _mid_bands(centres_hz, self.values_s)
+        bounds = (self.lower95_s, self.upper95_s)
+        low, high = (np.nan if b is None or not own.any() else float(b[own].mean()) for b in bounds)
+        return mid_mean(centres_hz, self.values_s), low, high
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,14 +51,18 @@ def mid_mean(centres_hz: FloatArray, values: FloatArray) -> float:
     >>> mid_mean(np.array([250.0, 500.0, 1000.0]), np.array([0.9, 0.5, 0.7]))
     0.6
     """
+    own = _mid_bands(centres_hz, values)
+    return float(values[own].mean()) if own.any() else float("nan")
+
+
+def _mid_bands(centres_hz: FloatArray, values: FloatArray) -> BoolArray:
+    """Return which bands `mid_mean` is of, shape (n_bands,); none where no value is known."""
     known = np.isfinite(values)
-    if not known.any():
-        return float("nan")
     own = known & np.isin(centres_hz, MID_HZ)
-    if own.any():
-        return float(values[own].mean())
+    if own.any() or not known.any():
+        return own
     distance = np.where(known, np.abs(np.log(centres_hz / 700.0)), np.inf)
-    return float(values[int(np.argmin(distance))])
+    return np.asarray(np.arange(len(values)) == np.argmin(distance))
 
 
 def mid_words(centres_hz: FloatArray) -> str:
@@ -111,7 +116,8 @@ def decay_time_figure(
         x, colour = at + shift * i - 0.12, OKABE_ITO[i]
         if one.lower95_s is not None and one.upper95_s is not None:
             axes.vlines(x, one.lower95_s, one.upper95_s, color=colour, lw=1.8)
-            highest.append(float(np.nanquantile(one.upper95_s, 0.75)))
+            known = one.upper95_s[np.isfinite(one.upper95_s)]
+            highest.append(float(np.quantile(known, 0.75)) if known.size else 0.0)
         axes.plot(
             x, one.values_s, mark, color=colour, ms=5, label=literal(one.label, 60), ls="-", lw=0.8
         )

@@ -75,7 +75,7 @@ from roomfit.report.wording import (
     number,
     parameter,
 )
-from roomfit.results import Result
+from roomfit.results import ComparedPair, Result
 from roomfit.scene import Scene, wall_materials
 from roomfit.table import Cell, Table, html_of
 from roomfit.typing import BoolArray
@@ -387,7 +387,8 @@ def report_html(
         Of client, author, date, instruments, language ("en" or "de": headings and the first
         screen, not findings) and logo (a data URL of PNG or JPEG) what there is.
     figures : mapping of str to Figure, optional
-        Those of `answer_figures`, where they are written as files, too.
+        Those of `answer_figures`, `mean_decay_figure` ("decay_times") and `room_figure` ("room"),
+        where they are written as files, too.
 
     Returns
     -------
@@ -425,13 +426,13 @@ def report_html(
         logo=logo,
         headline=headline(answer, say),
         usable=remaining_usable(answer),
-        decay_times=_decay_times(answer, say),
+        decay_times=_decay_times(answer, drawn if language == "en" else {}, say),
         figures=key_figures(answer, say),
         findings_count=findings_count(answer, say),
         serious=any(f.severity == "serious" for f in answer.findings),
         summary=summary_sentences(answer),
         findings=finding_groups(answer.findings),
-        room=_room(scene),
+        room=_room(scene, drawn),
         materials=material_table(scene.room),
         positions=position_table(scene),
         plan=answer.plan,
@@ -606,7 +607,7 @@ def drawing(
     )
 
 
-def _room(scene: Scene) -> Markup:
+def _room(scene: Scene, drawn: Mapping[str, Figure]) -> Markup:
     caption = (
         "Above: the room without the walls towards the viewer, colours as in the table of "
         "materials; dotted lines lead down to the floor. Below: the plan with its materials and "
@@ -620,17 +621,48 @@ def _room(scene: Scene) -> Markup:
         f"{count(len(scene.sources), 'source')} and {count(len(scene.receivers), 'receiver')}: "
         "in space, in plan and from two sides; the tables below hold the numbers."
     )
-    return drawing(room_figure(scene), "room", title, caption, room_figure(scene, narrow=True))
+    wide = drawn.get("room") or room_figure(scene)
+    return drawing(wide, "room", title, caption, room_figure(scene, narrow=True))
 
 
-def _decay_times(answer: Result, say: Callable[[str], str]) -> Markup | str:
+def _decay_times(
+    answer: Result, drawn: Mapping[str, Figure], say: Callable[[str], str]
+) -> Markup | str:
     """Return measured and predicted decay times over frequency, means over the pairs."""
+    narrow = mean_decay_figure(answer, say, narrow=True)
+    wide = drawn.get("decay_times") or mean_decay_figure(answer, say)
+    if narrow is None or wide is None:
+        return ""
+    symbol = parameter(_shown_decay(answer)[1] or "").symbol
+    is_kept = any(pair.use == "validate" for pair in answer.pairs)
+    which = "measurements that were not fitted" if is_kept else "the fitted measurements"
+    return drawing(
+        wide,
+        "decay-times",
+        f"{symbol} over frequency, measured and predicted",
+        say(
+            "{symbol} over frequency, mean of {pairs}. A listener does not notice what stays "
+            "within the pale box of a band, one just noticeable difference about what was measured."
+        ).format(symbol=symbol, pairs=say(which)),
+        narrow,
+    )
+
+
+def _shown_decay(answer: Result) -> tuple[list[ComparedPair], str | None]:
+    """Return the pairs kept for validation, else all, and which decay time of them is shown."""
     kept = [pair for pair in answer.pairs if pair.use == "validate"]
     pairs = kept or list(answer.pairs)
     known = parameter_keys(pairs)
-    key = "T30_s" if "T30_s" in known else decay_time_key(known)
+    return pairs, "T30_s" if "T30_s" in known else decay_time_key(known)
+
+
+def mean_decay_figure(
+    answer: Result, say: Callable[[str], str] = str, *, narrow: bool = False
+) -> Figure | None:
+    """Return measured and predicted decay times, means over the pairs; None where none is known."""
+    pairs, key = _shown_decay(answer)
     if key is None:
-        return ""
+        return None
     both = np.array(
         [
             (p.parameters[key].measured, p.parameters[key].predicted)
@@ -642,22 +674,12 @@ def _decay_times(answer: Result, say: Callable[[str], str]) -> Markup | str:
     both = np.where(np.isfinite(both).all(axis=1, keepdims=True), both, np.nan)
     n_known = np.isfinite(both).sum(axis=0)
     if not n_known.any():
-        return ""
+        return None
     with np.errstate(invalid="ignore", divide="ignore"):
         measured, predicted = np.where(n_known > 0, np.nansum(both, axis=0) / n_known, np.nan)
     series = (Series(say("measured"), measured), Series(say("predicted"), predicted))
-    centres, symbol = answer.bands.centres_hz, parameter(key).symbol
-    which = "measurements that were not fitted" if kept else "the fitted measurements"
-    return drawing(
-        decay_time_figure(centres, series, symbol),
-        "decay-times",
-        f"{symbol} over frequency, measured and predicted",
-        say(
-            "{symbol} over frequency, mean of {pairs}. A listener does not notice what stays "
-            "within the pale box of a band, one just noticeable difference about what was measured."
-        ).format(symbol=symbol, pairs=say(which)),
-        decay_time_figure(centres, series, symbol, narrow=True),
-    )
+    symbol = parameter(key).symbol
+    return decay_time_figure(answer.bands.centres_hz, series, symbol, narrow=narrow)
 
 
 def _absorption(answer: Result, drawn: Mapping[str, Figure], say: Callable[[str], str]) -> Markup:

@@ -1,0 +1,176 @@
+"""The report as a Word file: headings, tables and pictures of the page, numbers of the result."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import sys
+import zipfile
+from dataclasses import replace
+from html import escape
+
+import numpy as np
+import pytest
+
+from report_cases import answer_of, read_page, scene_of
+from roomfit.commands import export_result, identify_to_folder
+from roomfit.errors import InputError
+from roomfit.report.figures import png
+from roomfit.report.html import report_html
+from roomfit.report.room_figure import room_figure
+from roomfit.report.wording import DASH
+from small_campaign import write_campaign
+
+docx = pytest.importorskip("docx")
+pytestmark = pytest.mark.slow
+from roomfit.report.word import report_word  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """Return the folder of a small result, as `identify` leaves it, and its report in Word."""
+    folder = tmp_path_factory.mktemp("word")
+    titled = ("[room]\n", '[project]\ntitle = "Hall ü"\n[room]\n')
+    campaign = write_campaign(folder / "campaign", titled)
+    identify_to_folder(campaign, folder / "result")
+    export_result(folder / "result" / "result.json", "word", folder / "report.docx")
+    return folder / "result"
+
+
+@pytest.fixture(scope="module")
+def book(written):
+    return docx.Document(str(written.with_name("report.docx")))
+
+
+def tables(book) -> dict[str, list[list[str]]]:
+    """Return rows of cells by the caption that stands before each table."""
+    found, caption = {}, ""
+    for block in book.iter_inner_content():
+        if isinstance(block, docx.table.Table):
+            found[caption] = [[cell.text for cell in row.cells] for row in block.rows]
+        elif block.style.name == "Caption":
+            caption = block.text
+    return found
+
+
+def number(text: str) -> float:
+    return float(text.strip("()▲ ").replace("\N{MINUS SIGN}", "-"))
+
+
+def test_absorption_and_intervals_are_those_of_the_result(written, book):
+    result = json.loads((written / "result.json").read_text())
+    shown = {}
+    for caption, (_, *rows) in tables(book).items():
+        if caption.startswith("Absorption coefficient"):
+            for head, *cells in rows:
+                shown.setdefault(head.split("\n")[0], []).extend(cells)
+    assert set(result["materials"]) == set(shown) - {"mean of the room"}
+    for name, found in result["materials"].items():
+        for i, cell in enumerate(shown[name]):
+            value, interval, *marks = cell.split("\n")
+            lower, upper = map(number, interval.split(DASH))
+            expected = [found[key][i] for key in ("absorption", "lower95", "upper95")]
+            # two decimals, three where it is small
+            np.testing.assert_allclose([number(value), lower, upper], expected, atol=0.00501)
+            assert bool(marks) != found["identifiable"][i]
+
+
+def test_room_parameters_are_those_of_the_result(written, book):
+    result = json.loads((written / "result.json").read_text())
+    for pair in result["pairs"]:
+        caption = f"{pair['source']} to {pair['receiver']}: predicted minus measured in JND"
+        rows = {row[0].split("\n")[0]: row[1:] for row in tables(book)[caption][1:]}
+        for i, cell in enumerate(rows["T20"]):
+            measured, predicted = map(number, cell.split("\n")[1].split("→"))
+            values = pair["parameters"]["T20_s"]
+            np.testing.assert_allclose(
+                [measured, predicted], [values["measured"][i], values["predicted"][i]], atol=0.00501
+            )
+
+
+def test_headings_tables_and_findings_are_those_of_the_page_in_its_order(written, book):
+    text = (written / "report.html").read_text(encoding="utf-8")
+    headings = re.findall(r"<h[12]>(.*?)</h[12]>", text)
+    styles = ("Title", "Heading 1")
+    assert headings == [escape(p.text) for p in book.paragraphs if p.style.name in styles]
+    page, shown = read_page(text).tables, tables(book)
+    assert len(page) > 10
+    assert set(shown) == set(page)
+    for caption, rows in page.items():
+        assert len(rows) == len(shown[caption]), caption
+    said = [p.text for p in book.paragraphs if p.style.name.startswith("List Bullet")]
+    result = json.loads((written / "result.json").read_text())
+    for one in result["findings"]:
+        assert sum(one["sentence"] in line for line in said) == 1
+
+
+def test_pictures_are_those_beside_the_report_with_words_for_those_who_do_not_see(written, book):
+    parts = book.part.related_parts.values()
+    held = {part.blob for part in parts if part.content_type == "image/png"}
+    names = ("absorption", "identifiable", "room", "decay_times", "profiles")
+    assert {(written / f"{name}.png").read_bytes() for name in names} <= held
+    words = [shape._inline.docPr.get("descr") for shape in book.inline_shapes]
+    assert len(words) == len(held) and all(words)
+    assert not any("In report.html" in p.text for p in book.paragraphs)
+
+
+def test_without_pictures_drawings_are_named(written, book, tmp_path):
+    for name in ("result.json", "report.html"):
+        (tmp_path / name).write_bytes((written / name).read_bytes())
+    export_result(tmp_path / "result.json", "word", tmp_path / "a.docx")
+    light = docx.Document(str(tmp_path / "a.docx"))
+    assert not light.inline_shapes
+    assert sum("[In report.html: " in p.text for p in light.paragraphs) >= 5
+    assert tables(light) == tables(book)
+
+
+def test_it_is_the_same_file_whenever_it_is_written_and_names_nobody(written):
+    text = (written / "report.html").read_text(encoding="utf-8")
+    content = report_word(text, {})
+    assert content == report_word(text, {})
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        assert {entry.date_time for entry in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
+        core = archive.read("docProps/core.xml").decode()
+    assert "<dc:title>Hall ü</dc:title>" in core
+    assert not re.search(r"20\d\d-|python-docx", core)
+
+
+def test_it_is_in_the_language_of_the_page():
+    scene = scene_of()
+    page = report_html(answer_of(scene), scene, title="Saal", project={"language": "de"})
+    shown = docx.Document(io.BytesIO(report_word(page, {})))
+    assert "Befunde" in " ".join(p.text for p in shown.paragraphs if "Heading" in p.style.name)
+    assert set(shown.styles.element.xpath("//w:lang/@w:val")) == {"de"}
+
+
+def test_names_of_any_letters_are_written_as_text():
+    scene = scene_of()
+    answer = answer_of(scene)
+    odd = "</table>\x07&<b>"
+    named = replace(answer, materials=(odd, *answer.materials[1:]))
+    shown = docx.Document(io.BytesIO(report_word(report_html(named, scene, title="a"), {})))
+    heads = {cells[0].split("\n")[0] for rows in tables(shown).values() for cells in rows}
+    assert "</table>?&<b>" in heads
+
+
+def test_a_damaged_picture_and_a_changed_result_are_refused(written, tmp_path):
+    text = (written / "report.html").read_text(encoding="utf-8")
+    with pytest.raises(InputError, match="picture of the report is damaged"):
+        report_word(text, {"absorption": b"no picture"})
+    whole = png(room_figure(scene_of()))
+    with pytest.raises(InputError, match="picture of the report is damaged"):
+        report_word(text, {"absorption": whole[:20]})
+    changed = (written / "result.json").read_text().replace('"seed": ', '"seed": 1')
+    (tmp_path / "result.json").write_text(changed)
+    (tmp_path / "report.html").write_text(text)
+    with pytest.raises(InputError, match="changed after roomfit wrote it"):
+        export_result(tmp_path / "result.json", "word", tmp_path / "b.docx")
+    assert not (tmp_path / "b.docx").exists()
+
+
+def test_without_python_docx_it_says_what_to_install(written, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "docx", None)
+    with pytest.raises(InputError, match=r"(?s)python-docx.*roomfit\[word\]"):
+        export_result(written / "result.json", "word", tmp_path / "b.docx")
+    assert not (tmp_path / "b.docx").exists()
