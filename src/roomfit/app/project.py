@@ -22,12 +22,13 @@ from tomlkit.items import AoT, Table
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.commands import export_result
 from roomfit.errors import InputError
-from roomfit.io.campaign import Campaign, blanks, read_campaign
+from roomfit.io.campaign import FILL_IN, Campaign, blanks, read_campaign
 from roomfit.io.door import read_text
 from roomfit.io.draft import draft_campaign, matching_files
 from roomfit.io.exports import FORMATS
 from roomfit.io.remedies import Edit, value_text
 from roomfit.io.responses import RESPONSE_SUFFIXES
+from roomfit.io.responses.sweep import response_name
 from roomfit.io.rooms import READERS
 from roomfit.io.rooms.model import RoomSpec
 
@@ -210,6 +211,23 @@ def set_position(folder: Path, kind: str, name: str, position_m: Sequence[float]
         else:
             point = _table(_table(document, kind), name.strip())
             point["position"] = [round(float(x), 4) for x in position_m]
+
+
+def name_measured(folder: Path, source: str, receiver: str) -> None:
+    """Write a measured response into the campaign, of which positions may still be blank.
+
+    Its devices delay the sound by an unknown time, which stands in a table of its own.
+    """
+    if not has_campaign(folder):
+        return
+    file = f"{RECORDINGS}/{response_name(source, receiver)}"
+    with editing(folder) as document:
+        for kind, name in (("sources", source), ("receivers", receiver)):
+            _table(_table(document, kind), name).setdefault("position", FILL_IN)
+        rows = document.setdefault("measurements", tomlkit.aot())
+        if all(row.get("file") != file for row in rows):
+            row = {"source": source, "receiver": receiver, "file": file, "time_zero": "unknown"}
+            rows.append(tomlkit.item(row))
 
 
 def set_recordings(folder: Path, shape: str) -> None:
