@@ -61,9 +61,10 @@ class MeasureTab:
             return
         with self.quality, ui.element("div").classes("panel"):
             heading(f"{quality['source']} to {quality['receiver']}")
-            again = [f"Measure again: {reason}." for reason in quality["again"]]
-            findings({"severity": "warning", "sentence": sentence} for sentence in again)
-            if not again:
+            doubts = [f"Measure again: {reason}." for reason in quality["again"]]
+            doubts += [quality["not_named"]] if "not_named" in quality else []
+            findings({"severity": "warning", "sentence": sentence} for sentence in doubts)
+            if not quality["again"]:
                 ui.label("It suffices from 125 Hz to 4 kHz.")
             markup(quality_html(quality))
 

@@ -217,17 +217,26 @@ def name_measured(folder: Path, source: str, receiver: str) -> None:
     """Write a measured response into the campaign, of which positions may still be blank.
 
     Its devices delay the sound by an unknown time, which stands in a table of its own.
+
+    Raises
+    ------
+    InputError
+        The campaign is no TOML, or written in a way that does not allow it.
     """
     if not has_campaign(folder):
         return
-    file = f"{RECORDINGS}/{response_name(source, receiver)}"
-    with editing(folder) as document:
-        for kind, name in (("sources", source), ("receivers", receiver)):
-            _table(_table(document, kind), name).setdefault("position", FILL_IN)
-        rows = document.setdefault("measurements", tomlkit.aot())
-        if all(row.get("file") != file for row in rows):
-            row = {"source": source, "receiver": receiver, "file": file, "time_zero": "unknown"}
-            rows.append(tomlkit.item(row))
+    text, file = _text(folder), f"{RECORDINGS}/{response_name(source, receiver)}"
+    content = _document(folder).unwrap()
+    rows = content.get("measurements", [])
+    edits = [
+        Edit((kind, name), "position", FILL_IN)
+        for kind, name in (("sources", source), ("receivers", receiver))
+        if name not in content.get(kind, {})
+    ]
+    if all(row.get("file") != file for row in rows):
+        row = {"source": source, "receiver": receiver, "file": file, "time_zero": "unknown"}
+        edits += [Edit(("measurements", len(rows) + 1), key, value) for key, value in row.items()]
+    write_text_atomically(campaign_file(folder), edited_text(text, edits))
 
 
 def set_recordings(folder: Path, shape: str) -> None:

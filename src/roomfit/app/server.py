@@ -153,7 +153,10 @@ async def _measure(bench: Bench, request: Request) -> Response:
             quality = await bench.ask("measure", file=f"{waiting.name}/{name}", plan=asdict(plan))
             place.parent.mkdir(exist_ok=True)
             (waiting / name).replace(place)
-        project.name_measured(bench.folder, source, receiver)
+        try:
+            project.name_measured(bench.folder, source, receiver)
+        except InputError as error:  # the response is there all the same
+            quality["not_named"] = f"The response is not in the campaign: {error.what}."
     except RoomfitError as error:
         return PlainTextResponse(str(error), 400)
     except ClientDisconnect:

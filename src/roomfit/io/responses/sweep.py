@@ -38,7 +38,10 @@ _ABOVE_BACKGROUND, _SHARE, _BLOCK_S = 10.0, 1e-4, 0.125
 _SAME_DB, _SAME_SAMPLES = 0.1, 0.2
 _STILL_S, _STILL = 0.05, 1e-9  # no microphone gives equal samples for so long
 _ABSENT = 1e-5  # of the strongest third of an octave
-_WAKE = "see whether the loudspeaker plays, and whether the right microphone is recorded"
+_WAKE = (
+    "see whether the loudspeaker plays, and whether the right microphone is recorded; then louder, "
+    "or with a longer silence after the sweep"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,13 +85,17 @@ def sweep(plan: SweepPlan) -> FloatArray:
     rate_hz = plan.sampling_rate_hz
     n = round(plan.seconds * rate_hz)
     share = np.arange(n) / n
-    growth = float(np.log(min(_HIGHEST_HZ, _HIGHEST * rate_hz) / _LOWEST_HZ))
+    growth = float(np.log(_top_hz(rate_hz) / _LOWEST_HZ))
     phase = 2.0 * np.pi * _LOWEST_HZ * plan.seconds / growth * np.expm1(growth * share)
     x = _AMPLITUDE * np.sin(phase)
     for part_s, ends in ((_RISE_S, x), (_FALL_S, x[::-1])):
         fade = np.arange(round(part_s * rate_hz)) / (part_s * rate_hz)
         ends[: len(fade)] *= np.sin(0.5 * np.pi * fade) ** 2
     return np.asarray(x)
+
+
+def _top_hz(rate_hz: float) -> float:
+    return min(_HIGHEST_HZ, _HIGHEST * rate_hz)
 
 
 def excitation(plan: SweepPlan) -> FloatArray:
@@ -177,17 +184,18 @@ def response_from_recording(
     background = x[:n_first] - x[:n_first].mean()
     repeated = x[n_first:n_needed].reshape(plan.repetitions, n_one)
     mean = repeated.mean(axis=0)
+    played = Recording(sweep(plan), rate_hz)
     paths = Path("recording"), Path("sweep")
+    bands = bands_between("octave", 125.0, min(8000.0, rate_hz / 4.2))  # its filter needs 4
     try:
-        own = deconvolved(Recording(mean, rate_hz), Recording(sweep(plan), rate_hz), *paths)
+        own = deconvolved(Recording(mean, rate_hz), played, *paths, _whole_band_hz(rate_hz))
         response = ImpulseResponse(own.pressure, rate_hz, -own.delay_s)
         onset_s = find_onset(response)
+        curve = decay_curve(bands, response, onset_s)
+        check_decay_range(curve)
     except InputError as error:
         found, needed = error.found, error.needed
         raise InputError(error.what, found=found, needed=needed, hint=_WAKE) from error
-    bands = bands_between("octave", 125.0, min(8000.0, rate_hz / 4.2))  # its filter needs 4
-    curve = decay_curve(bands, response, onset_s)
-    check_decay_range(curve)
     n_clipped = int(np.count_nonzero(np.abs(x) >= _FULL_SCALE))
     peak, noise = float(np.abs(x).max()), float(background.std())
     short = (curve.usable_db < _T20_DB) & (curve.bands.centres_hz <= _NEEDED_HZ)
@@ -195,7 +203,7 @@ def response_from_recording(
         *reported,
         *_of_level(n_clipped, repeated),
         *_of_silence(background, rate_hz),
-        *_of_bandwidth(mean, background, plan),
+        *_of_bandwidth(mean, rate_hz),
         *_of_repetitions(repeated, mean, noise, rate_hz),
         *_of_range(curve.bands, curve.usable_db, short & ~curve.noise_reached, short, plan),
     )
@@ -209,6 +217,11 @@ def response_from_recording(
         ~curve.noise_reached,
         reasons,
     )
+
+
+def _whole_band_hz(rate_hz: float) -> tuple[float, float]:
+    """Return where the sweep has all its power: its ends, inverted, would amplify noise."""
+    return _LOWEST_HZ * 2.0**0.5, _top_hz(rate_hz) / 1.1
 
 
 def _level(amplitude: float) -> float:
@@ -233,26 +246,16 @@ def _of_silence(background: FloatArray, rate_hz: float) -> Iterator[str]:
         )
 
 
-def _of_bandwidth(mean: FloatArray, background: FloatArray, plan: SweepPlan) -> Iterator[str]:
-    """Say where nothing arrives above some frequency, as from a headset that sends speech."""
-    rate_hz = plan.sampling_rate_hz
-    highest_hz = min(_HIGHEST_HZ, _HIGHEST * rate_hz)
-    edges_hz = highest_hz * 2.0 ** (np.arange(-12, 1) / 3.0)
-    hann = np.hanning(len(background))
-    # energies a hertz: that of the background in as long a recording, averaged as that one is
-    factor = len(mean) / (hann @ hann) / plan.repetitions
-    energies = []
-    for signal, scale in ((mean, 1.0), (hann * background, factor)):
-        power = np.cumsum(np.abs(rfft(signal)) ** 2) / len(signal) * scale
-        energies.append(np.diff(np.interp(edges_hz, rfftfreq(len(signal), 1.0 / rate_hz), power)))
-    sound, noise = energies
-    present = sound > _ABOVE_BACKGROUND * noise + _ABSENT * sound.max()
-    reached_hz = float(edges_hz[np.flatnonzero(present)[-1] + 1]) if present.any() else 0.0
-    needed_hz = min(_NEEDED_HZ * 2.0**0.5, 0.8 * highest_hz)
-    if reached_hz < needed_hz:
+def _of_bandwidth(mean: FloatArray, rate_hz: float) -> Iterator[str]:
+    """Say where not even noise arrives above some frequency, as from a headset for speech."""
+    edges_hz = _top_hz(rate_hz) * 2.0 ** (np.arange(-12, 1) / 3.0)
+    power = np.cumsum(np.abs(rfft(mean)) ** 2)
+    sound = np.diff(np.interp(edges_hz, rfftfreq(len(mean), 1.0 / rate_hz), power))
+    reached_hz = float(edges_hz[np.flatnonzero(sound > _ABSENT * sound.max())[-1] + 1])
+    if reached_hz < min(_NEEDED_HZ * 2.0**0.5, 0.8 * _top_hz(rate_hz)):
         yield (
-            f"nothing of the sweep arrives above {reached_hz:.0f} Hz: a headset or a call mode "
-            "limits the band, or the loudspeaker does; use a wired microphone"
+            f"nothing arrives above {reached_hz:.0f} Hz: a headset or a call mode limits the band; "
+            "use another microphone"
         )
 
 
