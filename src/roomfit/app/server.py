@@ -52,7 +52,7 @@ def application(bench: Bench, door: Door) -> Guard:
 
     @app.get("/sweeps")
     async def sweeps(request: Request) -> Response:
-        return await _sweeps(request)
+        return await _sweeps(bench, request)
 
     @app.put("/upload/measured")
     async def measured(request: Request) -> Response:
@@ -115,39 +115,44 @@ async def _receive(request: Request, file: Path) -> None:
             await asyncio.to_thread(stream.write, chunk)
 
 
-def _plan(request: Request) -> SweepPlan:
-    """Return what a request says of a measurement.
+def _asked(folder: Path, request: Request) -> tuple[SweepPlan, str, str]:
+    """Return what a page asks to measure: how, the source and the receiver.
 
     Raises
     ------
     InputError
-        A word that is no number, or out of range.
+        A word that is no number, or out of range; a name of no use; or a pair that was measured.
     """
     asked = request.query_params
     try:
         rate_hz, seconds, silence_s = (float(asked[k]) for k in ("rate_hz", "seconds", "silence_s"))
-        return SweepPlan(rate_hz, seconds, silence_s, int(asked["repetitions"]))
+        plan = SweepPlan(rate_hz, seconds, silence_s, int(asked["repetitions"]))
+        source, receiver, again = asked["source"], asked["receiver"], asked["again"] == "true"
     except (KeyError, ValueError, OverflowError) as error:
-        raise InputError("a measurement is four numbers", found=str(error)[:80]) from None
+        raise InputError(
+            "a measurement is four numbers and two names", found=str(error)[:80]
+        ) from None
+    place = project.upload_place(folder, project.RECORDINGS, response_name(source, receiver))
+    check_not_measured(place, again=again)
+    return plan, source, receiver
 
 
-async def _sweeps(request: Request) -> Response:
+async def _sweeps(bench: Bench, request: Request) -> Response:
     """Give what is to be played, as 32-bit floating point numbers."""
     try:
-        played = await asyncio.to_thread(excitation, _plan(request))
+        plan, _, _ = _asked(bench.folder, request)
     except InputError as error:
         return PlainTextResponse(str(error), 400)
+    played = await asyncio.to_thread(excitation, plan)
     return Response(played.astype("<f4").tobytes(), media_type="application/octet-stream")
 
 
 async def _measure(bench: Bench, request: Request) -> Response:
     """Take what a page has recorded; the response comes to the recordings, its quality back."""
-    asked = request.query_params
-    source, receiver = asked.get("source", ""), asked.get("receiver", "")
     try:
-        plan, name = _plan(request), response_name(source, receiver)
-        place = project.upload_place(bench.folder, project.RECORDINGS, name)
-        check_not_measured(place, again=asked.get("again") == "true")
+        plan, source, receiver = _asked(bench.folder, request)
+        name = response_name(source, receiver)
+        place = bench.folder / project.RECORDINGS / name
         with _waiting(bench.folder) as waiting:
             await _receive(request, waiting / "recorded")
             quality = await bench.ask("measure", file=f"{waiting.name}/{name}", plan=asdict(plan))
