@@ -48,6 +48,26 @@ def test_a_typed_box_is_a_campaign_that_the_command_line_reads(box: Path) -> Non
     json.dumps(view, allow_nan=False)
 
 
+def test_a_measured_pair_stands_in_the_campaign_once_and_without_a_common_clock(box: Path) -> None:
+    file = project.campaign_file(box)
+    file.write_text(file.read_text() + "\n# mine\n[air]\ntemperature_c = 21.5 # measured\n")
+    project.set_position(box, "sources", "LS1", (1.0, 2.0, 1.5))
+    for _ in range(2):
+        project.name_measured(box, "LS1", "hall 2")
+    text = file.read_text()
+    assert "# mine" in text and "# measured" in text
+    assert text.count("recordings/LS1_hall 2.wav") == 1 and text.count('"FILL IN"') == 1
+    project.set_position(box, "receivers", "hall 2", (2.0, 2.0, 1.5))
+    (measured,) = read_campaign(file, to_fit=False).measurements
+    assert (measured.source, measured.receiver) == ("LS1", "hall 2")
+    assert measured.response.time_zero == "unknown"
+    file.write_text('measurements = [{ source = "A", receiver = "B", file = "x.wav" }]\n')
+    before = file.read_bytes()
+    with pytest.raises(InputError, match="cannot edit"):
+        project.name_measured(box, "LS1", "R1")
+    assert file.read_bytes() == before
+
+
 def test_editing_keeps_comments_and_what_the_page_does_not_know(box: Path) -> None:
     file = project.campaign_file(box)
     file.write_text(file.read_text() + "\n# mine\n[air]\ntemperature_c = 21.5 # measured\n")

@@ -415,9 +415,8 @@ def measure(_: Progress, folder: str, file: str, plan: dict[str, Any]) -> dict[s
         Nothing of use was recorded.
     """
     path = Path(folder) / file
-    content = read_bytes(path.with_name("recorded"), "recording")
-    recorded = np.frombuffer(content[: len(content) // 4 * 4], "<f4")
-    measured = response_from_recording(SweepPlan(**plan), recorded)
+    recorded = np.fromfile(path.with_name("recorded"), "<f4")
+    measured = response_from_recording(SweepPlan(**plan), recorded.astype(np.float64))
     path.write_bytes(wav_bytes(measured.response))
     return measured.content()
 
