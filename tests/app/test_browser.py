@@ -528,7 +528,7 @@ def test_a_response_measured_in_the_page_through_a_loop_is_that_of_the_file(
         visit.tab("Measure")
         for label, value in (("Source", "LS2"), ("Sweep (s)", "2"), ("Silence (s)", "1")):
             page.get_by_label(label).fill(value)
-        page.get_by_label("Times").fill("2")
+        page.get_by_label("Repetitions").fill("2")
         page.get_by_role("button", name="Open the microphone").press("Enter")
         page.get_by_label("Level of the microphone").wait_for()
         play = page.get_by_role("button", name="Play and record")

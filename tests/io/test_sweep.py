@@ -280,7 +280,7 @@ def test_the_command_measures_says_so_and_ends_with_what_it_is_good_for(
     call = ("measure", str(tmp_path), "--source", "S1", "--receiver", "R1", *short)
     assert run_command(monkeypatch, *call) == 0
     shown = capsys.readouterr().out
-    assert "4000 Hz" in shown and "T30" in shown and 'time_zero = "unknown"' in shown
+    assert "4000 Hz" in shown and "T30" in shown and 'time_zero = "direct"' in shown
     assert run_command(monkeypatch, *call) == 2
     assert "--again" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "sounddevice", Backend(0.001))

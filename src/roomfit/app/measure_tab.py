@@ -15,7 +15,7 @@ from roomfit.report.wording import short_hertz
 _LENGTHS = {
     "seconds": ("Sweep (s)", 6),
     "silence_s": ("Silence (s)", 3),
-    "repetitions": ("Times", 3),
+    "repetitions": ("Repetitions", 3),
 }
 
 

@@ -216,7 +216,8 @@ def set_position(folder: Path, kind: str, name: str, position_m: Sequence[float]
 def name_measured(folder: Path, source: str, receiver: str) -> None:
     """Write a measured response into the campaign, of which positions may still be blank.
 
-    Its devices delay the sound by an unknown time, which stands in a table of its own.
+    Devices delay each recording by another time: its clock is that of its direct sound, as its own
+    table says (``unknown`` would be one delay for all files of a source).
 
     Raises
     ------
@@ -234,7 +235,7 @@ def name_measured(folder: Path, source: str, receiver: str) -> None:
         if name not in content.get(kind, {})
     ]
     if all(row.get("file") != file for row in rows):
-        row = {"source": source, "receiver": receiver, "file": file, "time_zero": "unknown"}
+        row = {"source": source, "receiver": receiver, "file": file, "time_zero": "direct"}
         edits += [Edit(("measurements", len(rows) + 1), key, value) for key, value in row.items()]
     write_text_atomically(campaign_file(folder), edited_text(text, edits))
 

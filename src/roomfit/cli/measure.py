@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> None:
     measured = measure_to_folder(folder, source, receiver, plan, card, again=options.again)
     say(f"{measured}\n\n{source} to {receiver} is in {folder}")
     say(
-        'The devices delay the sound by an unknown time: write time_zero = "unknown" under '
+        'The devices delay each recording by another time: write time_zero = "direct" under '
         "[defaults] of the campaign."
     )
     if measured.again:

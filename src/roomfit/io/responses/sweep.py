@@ -292,7 +292,7 @@ def _of_repetitions(
     else:
         yield (
             f"repetition {worst + 1} differs from the mean {block * _BLOCK_S:.1f} s after it began "
-            "by more than the background: something was heard in the room; keep still"
+            "by more than the background: a sound of something else in the room; keep still"
         )
 
 
