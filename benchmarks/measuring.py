@@ -23,9 +23,10 @@ from pathlib import Path
 
 import numpy as np
 import soundfile
-from scipy.signal import fftconvolve, firwin2
+from scipy.signal import fftconvolve, firwin2, minimum_phase
 
 from roomfit.commands import identify_to_folder
+from roomfit.errors import InputError
 from roomfit.io.responses.sweep import (
     SweepPlan,
     SweepResponse,
@@ -73,15 +74,20 @@ def noisy(level_db: float) -> Chain:
     return chain
 
 
-def coloured(
-    played: FloatArray, response: FloatArray, gain: float, rng: np.random.Generator
-) -> FloatArray:
-    x = noisy(_NOISE_DB)(played, response, gain, rng)
-    at, level = np.array(_COLOUR_HZ), 10.0 ** (np.array(_COLOUR_DB) / 20.0)
-    taps = firwin2(
-        8191, [*at, 0.5 * _PLAN.sampling_rate_hz], [*level, 0.0], fs=_PLAN.sampling_rate_hz
-    )
-    return np.asarray(fftconvolve(x, taps)[: len(x)])
+def coloured(share: float) -> Chain:
+    """Return a microphone with a share of a phone's decibels, of minimum phase as they are."""
+    at, level = np.array(_COLOUR_HZ), 10.0 ** (share * np.array(_COLOUR_DB) / 20.0)
+    rate_hz = _PLAN.sampling_rate_hz
+    even = firwin2(8191, [*at, 0.5 * rate_hz], [*level, level[-1]], fs=rate_hz)
+    taps = minimum_phase(even, method="homomorphic", half=False)
+
+    def chain(
+        played: FloatArray, response: FloatArray, gain: float, rng: np.random.Generator
+    ) -> FloatArray:
+        x = noisy(_NOISE_DB)(played, response, gain, rng)
+        return np.asarray(fftconvolve(x, taps)[: len(x)])
+
+    return chain
 
 
 def distorted(
@@ -115,9 +121,10 @@ CHAINS: dict[str, Chain | None] = {
     "files as simulated": None,
     "a good chain, background -75 dBFS": noisy(_NOISE_DB),
     "background -55 dBFS": noisy(-55.0),
-    "background -45 dBFS": noisy(-45.0),
-    "background -35 dBFS": noisy(-35.0),
-    "a microphone with +8 to -18 dB of colour": coloured,
+    "background -50 dBFS": noisy(-50.0),
+    "background -40 dBFS": noisy(-40.0),
+    "a microphone with +1 to -1 dB of colour": coloured(0.12),
+    "a microphone with +8 to -18 dB of colour": coloured(1.0),
     "a loudspeaker with 5 % of harmonics": distorted,
     "automatic gain": automatic,
     "two clocks, 50 ppm apart": other_clock,
@@ -202,7 +209,11 @@ def main() -> None:
             chain, folder = CHAINS[name], Path(place) / str(i)
             shutil.copytree(base, folder)
             rng = np.random.default_rng(options.seed)
-            responses = [] if chain is None else measured(folder, chain, rng)
+            try:
+                responses = [] if chain is None else measured(folder, chain, rng)
+            except InputError as error:
+                print(f"| {name} | | refused: {error.what} | | | | | | |", flush=True)
+                continue
             print(row(name, folder, responses), flush=True)
             for reason in sorted({reason for r in responses for reason in r.again}):
                 print(f"    {reason}")

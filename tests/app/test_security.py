@@ -234,9 +234,9 @@ def test_a_measurement_needs_the_key_and_leaves_nothing_where_it_is_of_no_use(
     foreign = {"Origin": "http://evil.example"}
     assert server.put(f"/upload/measured?{ASKED}", b"", foreign).status == 403
     played = server.get(f"/sweeps?{ASKED}").body
-    assert len(played) == 4 * 48_000 * 2.5
-    noise = np.random.default_rng(1).normal(size=120_000).astype("<f4")
-    too_much = np.full(120_000, np.nan, "<f4")
+    assert len(played) == 4 * 48_000 * 4
+    noise = np.random.default_rng(1).normal(size=192_000).astype("<f4")
+    too_much = np.full(192_000, np.nan, "<f4")
     for body in (b"", played[:-40], bytes(len(played)), noise.tobytes(), too_much.tobytes()):
         answer = server.put(f"/upload/measured?{ASKED}", body)
         assert answer.status == 400 and len(answer.body) > 20, answer.body

@@ -19,7 +19,7 @@ from roomfit._checks import check_name, check_range, float_array
 from roomfit.bands import Bands, bands_between, bands_in_words
 from roomfit.errors import InputError
 from roomfit.io.responses.recordings import Recording, deconvolved
-from roomfit.signals.decay import check_decay_range, decay_curve
+from roomfit.signals.decay import check_decay_range, check_is_response, decay_curve
 from roomfit.signals.response import ImpulseResponse, clipping, find_onset
 from roomfit.typing import BoolArray, FloatArray
 
@@ -27,6 +27,7 @@ _BACKGROUND_S = 1.0  # of silence before the first sweep
 _LOWEST_HZ, _HIGHEST_HZ, _HIGHEST = 40.0, 20_000.0, 0.45  # of the sweep; a share of the rate
 _RISE_S, _FALL_S = 0.05, 0.005
 _AMPLITUDE = 0.5  # converters that interpolate have 6 dB left
+_SOFT = 0.5  # amplitude of the first sweep beside the others: what follows the level shows
 _LONGEST_S = 600.0
 # ISO 3382-1:2009, 5.3.3: the level lies so far above the background noise for T20 and for T30.
 _T20_DB, _T30_DB = 35.0, 45.0
@@ -35,7 +36,7 @@ _FULL_SCALE = 1.0 - 1e-4
 # Repetitions that differ by more than both, the background and the share of what was recorded,
 # differ by an event: loudspeakers repeat themselves to -40 dB.
 _ABOVE_BACKGROUND, _SHARE, _BLOCK_S = 10.0, 1e-4, 0.125
-_SAME_DB, _SAME_SAMPLES = 0.1, 0.2
+_SAME_DB, _LINEAR_DB, _SAME_SAMPLES = 0.1, 0.5, 0.2
 _STILL_S, _STILL = 0.05, 1e-9  # no microphone gives equal samples for so long
 _ABSENT = 1e-5  # of the strongest third of an octave
 _WAKE = (
@@ -46,7 +47,7 @@ _WAKE = (
 
 @dataclass(frozen=True, slots=True)
 class SweepPlan:
-    """What is played: a second of silence, then sweeps, each with the silence to decay in."""
+    """What is played: a second of silence, a soft sweep, sweeps; each with silence to decay in."""
 
     sampling_rate_hz: float = 48_000.0  # 8 to 192 kHz
     seconds: float = 6.0  # of one sweep, 1 to 60
@@ -63,7 +64,7 @@ class SweepPlan:
     @property
     def length_s(self) -> float:
         """How long all of it takes."""
-        return _BACKGROUND_S + self.repetitions * (self.seconds + self.silence_s)
+        return _BACKGROUND_S + (1 + self.repetitions) * (self.seconds + self.silence_s)
 
 
 def sweep(plan: SweepPlan) -> FloatArray:
@@ -99,11 +100,11 @@ def _top_hz(rate_hz: float) -> float:
 
 
 def excitation(plan: SweepPlan) -> FloatArray:
-    """Return all that is played, shape (n_samples,): silence, then every sweep with its own."""
+    """Return all that is played, shape (n_samples,): silence, a sweep at half, and all others."""
     rate_hz = plan.sampling_rate_hz
     one = np.concatenate([sweep(plan), np.zeros(round(plan.silence_s * rate_hz))])
     silence = np.zeros(round(_BACKGROUND_S * rate_hz))
-    return np.concatenate([silence, np.tile(one, plan.repetitions)])
+    return np.concatenate([silence, _SOFT * one, np.tile(one, plan.repetitions)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,8 +173,7 @@ def response_from_recording(
     """
     x = float_array("recording", recorded, (None,))
     rate_hz, n_first = plan.sampling_rate_hz, round(_BACKGROUND_S * plan.sampling_rate_hz)
-    n_one = (len(excitation(plan)) - n_first) // plan.repetitions
-    n_needed = n_first + plan.repetitions * n_one
+    n_needed = len(excitation(plan))
     if len(x) < n_needed:
         raise InputError(
             "the recording is shorter than what was played",
@@ -182,20 +182,24 @@ def response_from_recording(
             hint="measure again, and leave the page or the command alone meanwhile",
         )
     background = x[:n_first] - x[:n_first].mean()
-    repeated = x[n_first:n_needed].reshape(plan.repetitions, n_one)
-    mean = repeated.mean(axis=0)
+    soft, *others = x[n_first:n_needed].reshape(1 + plan.repetitions, -1)
+    repeated = np.array(others)
+    mean = (_SOFT * soft + repeated.sum(axis=0)) / (_SOFT**2 + plan.repetitions)
     played = Recording(sweep(plan), rate_hz)
     paths = Path("recording"), Path("sweep")
     bands = bands_between("octave", 125.0, min(8000.0, rate_hz / 4.2))  # its filter needs 4
+    what = ""
     try:
         own = deconvolved(Recording(mean, rate_hz), played, *paths, _whole_band_hz(rate_hz))
         response = ImpulseResponse(own.pressure, rate_hz, -own.delay_s)
         onset_s = find_onset(response)
         curve = decay_curve(bands, response, onset_s)
         check_decay_range(curve)
+        what = "noise is louder than the response, all frequencies together"
+        check_is_response(response)  # by which others would take it for a sweep
     except InputError as error:
         found, needed = error.found, error.needed
-        raise InputError(error.what, found=found, needed=needed, hint=_WAKE) from error
+        raise InputError(what or error.what, found=found, needed=needed, hint=_WAKE) from error
     n_clipped = int(np.count_nonzero(np.abs(x) >= _FULL_SCALE))
     peak, noise = float(np.abs(x).max()), float(background.std())
     short = (curve.usable_db < _T20_DB) & (curve.bands.centres_hz <= _NEEDED_HZ)
@@ -204,7 +208,7 @@ def response_from_recording(
         *_of_level(n_clipped, repeated),
         *_of_silence(background, rate_hz),
         *_of_bandwidth(mean, rate_hz),
-        *_of_repetitions(repeated, mean, noise, rate_hz),
+        *_of_repetitions(repeated, soft, noise, rate_hz),
         *_of_range(curve.bands, curve.usable_db, short & ~curve.noise_reached, short, plan),
     )
     return SweepResponse(
@@ -260,23 +264,26 @@ def _of_bandwidth(mean: FloatArray, rate_hz: float) -> Iterator[str]:
 
 
 def _of_repetitions(
-    repeated: FloatArray, mean: FloatArray, noise: float, rate_hz: float
+    repeated: FloatArray, soft: FloatArray, noise: float, rate_hz: float
 ) -> Iterator[str]:
-    """Say where repetitions differ by more than the background, and by what."""
-    n = round(_BLOCK_S * rate_hz)
-    n_blocks = len(mean) // n
-    own = repeated[:, : n_blocks * n].reshape(len(repeated), n_blocks, n)
-    common = own.mean(axis=0)
-    power = np.mean((own - common) ** 2, axis=2)
-    limit = max(_ABOVE_BACKGROUND * noise**2, _SHARE * float(np.mean(mean**2)))
+    """Say where repetitions differ by more than the background and by what; else, what is louder.
+
+    `repeated` has the shape (n_repetitions, n_samples); `soft` is the recording of the first sweep.
+    """
+    left = noise**2 / len(repeated)  # of the background in the mean
+    own, gains_db = _compared(repeated, repeated.mean(axis=0), left, rate_hz)
+    power = np.mean((own - own.mean(axis=0)) ** 2, axis=2)
+    limit = max(_ABOVE_BACKGROUND * noise**2, _SHARE * float(np.mean(repeated**2)))
     if not power.max() > limit:
+        expected = _SOFT * repeated.mean(axis=0)
+        (bend_db,) = _compared(soft[None], expected, _SOFT**2 * left, rate_hz)[1]
+        if abs(bend_db) > _LINEAR_DB:
+            yield (
+                f"a sweep that is 6 dB softer is recorded {6.0 - bend_db:.1f} dB softer: automatic "
+                "gain, noise suppression or a compressor is on, or the loudspeaker is at its limit"
+            )
         return
     lags = [_lag(row, repeated[0]) for row in repeated]
-    energy = np.sum(common**2, axis=1)
-    loud = energy > 0.01 * energy.max()
-    # the median over time: an event is no gain
-    gains = np.median(np.sum(own * common, axis=2)[:, loud] / energy[loud], axis=1)
-    gains_db = 20.0 * np.log10(np.maximum(gains, 1e-10))
     worst, block = np.unravel_index(int(np.argmax(power)), power.shape)
     if np.ptp(lags) > _SAME_SAMPLES:
         yield (
@@ -294,6 +301,25 @@ def _of_repetitions(
             f"repetition {worst + 1} differs from the mean {block * _BLOCK_S:.1f} s after it began "
             "by more than the background: a sound of something else in the room; keep still"
         )
+
+
+def _compared(
+    signals: FloatArray, common: FloatArray, background: float, rate_hz: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return signals in blocks, shape (n, n_blocks, n_samples), and their gains in dB, (n,).
+
+    Each gain is the median over the blocks in which the common signal is loud: an event is no gain.
+    It is 0 dB where there are none, as in a background, mean square, that is as loud.
+    """
+    n = round(_BLOCK_S * rate_hz)
+    own = signals[:, : common.size // n * n].reshape(len(signals), -1, n)
+    blocks = common[: common.size // n * n].reshape(-1, n)
+    energy = np.sum(blocks**2, axis=1) - n * background
+    loud = energy > max(0.01 * energy.max(), _ABOVE_BACKGROUND * n * background)
+    if not loud.any():
+        return own, np.zeros(len(signals))
+    gains = np.median(np.sum(own * blocks, axis=2)[:, loud] / energy[loud], axis=1)
+    return own, 20.0 * np.log10(np.maximum(gains, 1e-10))
 
 
 def _lag(signal: FloatArray, other: FloatArray) -> float:
