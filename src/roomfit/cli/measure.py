@@ -10,8 +10,6 @@ from pathlib import Path
 from roomfit.cli.arguments import Commands, add_command, number, positive_number
 from roomfit.cli.terminal import say
 
-_IN_DOUBT = 1
-
 
 def add(commands: Commands) -> None:
     about = (
@@ -62,7 +60,7 @@ def run(options: argparse.Namespace) -> None:
         "[defaults] of the campaign."
     )
     if measured.again:
-        sys.exit(_IN_DOUBT)
+        sys.exit(1)
 
 
 def _device(text: str | None) -> str | int | None:

@@ -28,8 +28,7 @@ _LOWEST_HZ, _HIGHEST_HZ, _HIGHEST = 40.0, 20_000.0, 0.45  # of the sweep; a shar
 _RISE_S, _FALL_S = 0.05, 0.005
 _AMPLITUDE = 0.5  # converters that interpolate have 6 dB left
 _SOFT = 0.5  # amplitude of the first sweep beside the others: what follows the level shows
-_LONGEST_S = 600.0
-# ISO 3382-1:2009, 5.3.3: the level lies so far above the background noise for T20 and for T30.
+# ISO 3382-1:2009: the level lies so far above the background noise for T20 and for T30.
 _T20_DB, _T30_DB = 35.0, 45.0
 _NEEDED_HZ = 4000.0  # up to this octave, from 125 Hz, a response must suffice
 _FULL_SCALE = 1.0 - 1e-4
@@ -59,7 +58,7 @@ class SweepPlan:
         check_range("length of the sweep", self.seconds, 1.0, 60.0, "s")
         check_range("silence after the sweep", self.silence_s, 0.5, 30.0, "s")
         check_range("number of repetitions", self.repetitions, 1, 20)
-        check_range("length of a measurement", self.length_s, 0.0, _LONGEST_S, "s")
+        check_range("length of a measurement", self.length_s, 0.0, 600.0, "s")
 
     @property
     def length_s(self) -> float:
@@ -117,7 +116,6 @@ class SweepResponse:
     noise_dbfs: float  # rms of the background before the first sweep
     bands: Bands
     range_db: FloatArray  # (n_bands,), of decay above the noise, and before the end
-    ends_early: BoolArray  # (n_bands,), whether the end of the recording, not noise, limits it
     again: tuple[str, ...]  # why it is to be measured again, and what to change; empty: it suffices
 
     def content(self) -> dict[str, Any]:
@@ -169,7 +167,7 @@ def response_from_recording(
 
     Notes
     -----
-    Whether a decay suffices is judged from 125 Hz to 4 kHz by ISO 3382-1:2009, 5.3.3.
+    Whether a decay suffices is judged from 125 Hz to 4 kHz by ISO 3382-1:2009.
     """
     x = float_array("recording", recorded, (None,))
     rate_hz, n_first = plan.sampling_rate_hz, round(_BACKGROUND_S * plan.sampling_rate_hz)
@@ -188,9 +186,11 @@ def response_from_recording(
     played = Recording(sweep(plan), rate_hz)
     paths = Path("recording"), Path("sweep")
     bands = bands_between("octave", 125.0, min(8000.0, rate_hz / 4.2))  # its filter needs 4
+    # where the sweep has all its power: its ends, inverted, would amplify noise
+    band_hz = _LOWEST_HZ * 2.0**0.5, _top_hz(rate_hz) / 1.1
     what = ""
     try:
-        own = deconvolved(Recording(mean, rate_hz), played, *paths, _whole_band_hz(rate_hz))
+        own = deconvolved(Recording(mean, rate_hz), played, *paths, band_hz)
         response = ImpulseResponse(own.pressure, rate_hz, -own.delay_s)
         onset_s = find_onset(response)
         curve = decay_curve(bands, response, onset_s)
@@ -202,34 +202,19 @@ def response_from_recording(
         raise InputError(what or error.what, found=found, needed=needed, hint=_WAKE) from error
     n_clipped = int(np.count_nonzero(np.abs(x) >= _FULL_SCALE))
     peak, noise = float(np.abs(x).max()), float(background.std())
-    short = (curve.usable_db < _T20_DB) & (curve.bands.centres_hz <= _NEEDED_HZ)
+    short = (curve.usable_db < _T20_DB) & (bands.centres_hz <= _NEEDED_HZ)
     reasons = (
         *reported,
         *_of_level(n_clipped, repeated),
         *_of_silence(background, rate_hz),
         *_of_bandwidth(mean, rate_hz),
         *_of_repetitions(repeated, soft, noise, rate_hz),
-        *_of_range(curve.bands, curve.usable_db, short & ~curve.noise_reached, short, plan),
+        *_of_range(bands, curve.usable_db, short & ~curve.noise_reached, short, plan),
     )
+    peak_dbfs, noise_dbfs = (20.0 * float(np.log10(max(a, 1e-10))) for a in (peak, noise))
     return SweepResponse(
-        response,
-        _level(peak),
-        n_clipped,
-        _level(noise),
-        curve.bands,
-        curve.usable_db,
-        ~curve.noise_reached,
-        reasons,
+        response, peak_dbfs, n_clipped, noise_dbfs, bands, curve.usable_db, reasons
     )
-
-
-def _whole_band_hz(rate_hz: float) -> tuple[float, float]:
-    """Return where the sweep has all its power: its ends, inverted, would amplify noise."""
-    return _LOWEST_HZ * 2.0**0.5, _top_hz(rate_hz) / 1.1
-
-
-def _level(amplitude: float) -> float:
-    return 20.0 * float(np.log10(max(amplitude, 1e-10)))
 
 
 def _of_level(n_clipped: int, repeated: FloatArray) -> Iterator[str]:
