@@ -582,7 +582,7 @@ def test_a_browser_that_changes_the_sound_is_refused_and_one_that_does_not_is_be
         visit.tab("Measure")
         button = page.get_by_role("button", name=re.compile("the microphone"))
         button.click()
-        page.get_by_role("button", name="Play and record").wait_for()
+        page.locator("meter").wait_for()
         obeyed = page.evaluate("window.obeyed")
         words = {"echoCancellation": "echo cancelling", "autoGainControl": "automatic gain"}
         words["noiseSuppression"] = "noise suppression"

@@ -15,17 +15,22 @@ const level = (x) => (x > 1e-10 ? 20 * Math.log10(x) : -200);
 export default {
   template: `<div>
     <div class="bar">
-      <button type="button" class="plain" :disabled="state === 'playing'" @click="open">{{ state === "closed" ? "Open the microphone" : "Close the microphone" }}</button>
+      <button type="button" class="plain" :disabled="state === 'playing' || state === 'opening'" @click="open">{{ isOpen ? "Close the microphone" : "Open the microphone" }}</button>
       <label v-if="microphones.length > 1" class="file-label"><span>Microphone</span>
         <select v-model="chosen" @change="reopen"><option v-for="m in microphones" :key="m.deviceId" :value="m.deviceId">{{ m.label || m.deviceId }}</option></select></label>
       <button type="button" class="plain" :disabled="state !== 'open'" @click="measure">Play and record</button>
     </div>
-    <meter v-if="state !== 'closed'" min="-90" max="0" high="-6" :value="Math.max(peak, -90)" aria-label="Level of the microphone"></meter>
-    <div v-if="state !== 'closed'" class="file-status">peak {{ peak.toFixed(0) }} dBFS, mean {{ mean.toFixed(0) }} dBFS{{ clipped ? ", clipped" : "" }}</div>
+    <meter v-if="isOpen" min="-90" max="0" high="-6" :value="Math.max(peak, -90)" aria-label="Level of the microphone"></meter>
+    <div v-if="isOpen" class="file-status">peak {{ peak.toFixed(0) }} dBFS, mean {{ mean.toFixed(0) }} dBFS{{ clipped ? ", clipped" : "" }}</div>
     <div role="status" class="file-status">{{ status }}</div>
     <div v-for="w in warnings" :key="w" class="finding warning"><b>Warning</b>{{ w }}</div></div>`,
   props: { asked: Object },
   data: () => ({ state: "closed", status: "", warnings: [], microphones: [], chosen: "", peak: -200, mean: -200, clipped: false }),
+  computed: {
+    isOpen() {
+      return this.state === "open" || this.state === "playing";
+    },
+  },
   created() {
     this.sound = null; // context, stream: kept from Vue, which would wrap them
     this.record = null;
@@ -38,6 +43,7 @@ export default {
     async open() {
       if (this.state !== "closed") return this.close();
       this.status = "";
+      this.state = "opening"; // a second click must not open it twice
       try {
         await this.start();
       } catch (error) {
