@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from roomfit.diagnostics.usable import CheckedRecordings
     from roomfit.experiment_design.design import Design
     from roomfit.findings import Finding
+    from roomfit.io.responses.sweep import SweepPlan, SweepResponse
     from roomfit.io.rooms.model import RoomSpec
     from roomfit.report.comparison import Comparison
     from roomfit.results import Result
@@ -159,6 +160,53 @@ def draft_to_folder(
     make_folder(folder)
     write_text_atomically(folder / "campaign.toml", text)
     return text
+
+
+def measure_to_folder(
+    folder: Path,
+    source: str,
+    receiver: str,
+    plan: SweepPlan,
+    play_and_record: Callable[[FloatArray, float], tuple[FloatArray, tuple[str, ...]]],
+    *,
+    again: bool = False,
+) -> SweepResponse:
+    """Measure a pair and write its impulse response as ``SOURCE_RECEIVER.wav``, 32-bit float.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the recordings; made where it is missing.
+    plan : SweepPlan
+    play_and_record : callable
+        Takes what is played, shape (n_samples,), and its sampling rate in Hz; returns what was
+        recorded meanwhile, and what the devices report of faults. `SoundCard` is one.
+    again : bool
+        Whether to replace the response of this pair.
+
+    Raises
+    ------
+    InputError
+        A name of no use, a pair that was measured already, or a recording of no use; then nothing
+        is written.
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.io.responses.sweep import (
+        check_not_measured,
+        excitation,
+        response_from_recording,
+        response_name,
+        wav_bytes,
+    )
+
+    path = folder / response_name(source, receiver)
+    check_not_measured(path, again=again)
+    recorded, reported = play_and_record(excitation(plan), plan.sampling_rate_hz)
+    measured = response_from_recording(plan, recorded, reported)
+    make_folder(folder)
+    write_bytes_atomically(path, wav_bytes(measured.response))
+    return measured
 
 
 @reading_noted()

@@ -75,8 +75,8 @@ class Visit:
         self.page.goto(server.address)
 
     def tab(self, name: str) -> None:
-        self.page.get_by_role("tab", name=name).click()
-        self.page.locator('[role=tab][aria-selected="true"]', has_text=name).wait_for()
+        self.page.get_by_role("tab", name=name, exact=True).click()
+        self.page.get_by_role("tab", name=name, exact=True, selected=True).wait_for()
 
 
 @pytest.fixture(scope="module")
@@ -405,6 +405,7 @@ def test_it_can_be_read_and_named_everywhere(
     page.get_by_role("button", name=re.compile("^floor")).click()
     seen = {
         "Room": "Surface floor",
+        "Measure": "Measure an impulse response",
         "Measurements": "T20 is not evaluated there",
         "Identify": "Measured against predicted",
         "What if": "pairs, 0 materials changed",
@@ -459,3 +460,148 @@ def test_a_receiver_is_dragged_and_what_is_shown_of_the_answer_stays(
     assert not page.get_by_text("LS1 stands").is_visible()
     assert visit.errors == []
     visit.context.close()
+
+
+# What goes to the loudspeaker goes through a room, and with noise into the microphone.
+_LOOP = """([room, hiss]) => {
+  const Real = window.AudioContext;
+  window.AudioContext = class extends Real {
+    constructor(...a) { super(...a); window.sound = this; }
+  };
+  const connect = AudioNode.prototype.connect;
+  const filled = (samples) => {
+    const buffer = window.sound.createBuffer(1, samples.length, window.sound.sampleRate);
+    buffer.copyToChannel(new Float32Array(samples), 0);
+    return buffer;
+  };
+  AudioNode.prototype.connect = function (to, ...rest) {
+    const plays = this instanceof AudioBufferSourceNode && to === this.context.destination;
+    return connect.call(this, plays ? window.loop : to, ...rest);
+  };
+  navigator.mediaDevices.getUserMedia = async (constraints) => {
+    window.asked = constraints.audio;
+    const whole = { disableNormalization: true, buffer: filled(room) };
+    window.loop = new ConvolverNode(window.sound, whole);
+    const noise = new AudioBufferSourceNode(window.sound, { buffer: filled(hiss), loop: true });
+    const end = new MediaStreamAudioDestinationNode(window.sound, { channelCount: 1 });
+    noise.start();
+    connect.call(window.loop, end);
+    connect.call(noise, end);
+    const { echoCancellation, noiseSuppression, autoGainControl } = constraints.audio;
+    end.stream.getAudioTracks()[0].getSettings = () => ({
+      echoCancellation, noiseSuppression, autoGainControl, sampleRate: window.sound.sampleRate });
+    return end.stream;
+  };
+}"""
+_ORDERS = """() => {
+  const ask = navigator.mediaDevices.getUserMedia.bind(navigator.mediaDevices);
+  navigator.mediaDevices.getUserMedia = async (constraints) => {
+    const { audio } = constraints;
+    if (window.disobey) Object.keys(window.disobey).forEach((key) => delete audio[key]);
+    const stream = await ask({ audio: { ...audio, ...window.disobey } });
+    if (window.silent) stream.getAudioTracks()[0].getSettings = () => ({ sampleRate: 8000 });
+    window.obeyed = stream.getAudioTracks()[0].getSettings();
+    return stream;
+  };
+}"""
+
+
+def test_a_response_measured_in_the_page_through_a_loop_is_that_of_the_file(
+    browser: Any, tmp_path: Path
+) -> None:
+    """By the keyboard, through play, microphone, worklet, upload and deconvolution."""
+    import numpy as np
+    import soundfile
+
+    from roomfit.app import project, views
+
+    views.set_room(lambda _: None, str(tmp_path), shoebox=[5.0, 4.0, 3.0])
+    rng, t = np.random.default_rng(1), np.arange(40_000) / 48_000.0
+    room = 0.002 * rng.normal(size=len(t)) * 10.0 ** (-3.0 * t / 0.4)
+    room[:300], room[300] = 0.0, 0.05
+    room, hiss = (x.astype(np.float32) for x in (room, 1e-5 * rng.normal(size=50_000)))
+    with running(tmp_path) as server:
+        visit = Visit(browser, server, 390, "dark")
+        page = visit.page
+        page.set_default_timeout(60_000)
+        page.evaluate(_LOOP, [room.tolist(), hiss.tolist()])
+        visit.tab("Measure")
+        for label, value in (("Source", "LS2"), ("Sweep (s)", "2"), ("Silence (s)", "1")):
+            page.get_by_label(label).fill(value)
+        page.get_by_label("Repetitions").fill("2")
+        page.get_by_role("button", name="Open the microphone").press("Enter")
+        page.get_by_label("Level of the microphone").wait_for()
+        play = page.get_by_role("button", name="Play and record")
+        play.press("Enter")
+        page.get_by_text("It suffices from 125 Hz to 4 kHz").wait_for()
+        page.wait_for_timeout(500)  # colours pass slowly into each other
+        assert page.evaluate(_CONTRAST) == [] and page.evaluate(_UNNAMED) == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        off = ("echoCancellation", "noiseSuppression", "autoGainControl")
+        assert all(page.evaluate("window.asked")[key] is False for key in off)
+        # what is there is replaced when it is asked for, and not else
+        file = tmp_path / "recordings" / "LS2_R1.wav"
+        before = file.read_bytes()
+        play.press("Enter")
+        page.get_by_text("this pair was measured already").wait_for()
+        assert file.read_bytes() == before
+        page.get_by_role("checkbox").press("Space")
+        page.wait_for_timeout(500)
+        play.press("Enter")
+        page.get_by_text("In recordings: LS2_R1.wav").wait_for()
+        page.wait_for_function("() => [...document.querySelectorAll('.file-status')]"
+            ".some((e) => e.textContent === 'Measured')")  # fmt: skip
+        assert file.read_bytes() != before
+        rate_hz = page.evaluate("window.sound.sampleRate")
+        assert visit.foreign == [] and not [e for e in visit.errors if "400 (Bad" not in e]
+        visit.context.close()
+    measured, own_hz = soundfile.read(file)
+    assert own_hz == rate_hz
+    n = 2**18
+    edges = np.searchsorted(np.fft.rfftfreq(n, 1.0 / rate_hz), 100.0 * 2.0 ** (np.arange(77) / 12))
+    power = [np.add.reduceat(np.abs(np.fft.rfft(x, n)) ** 2, edges)[:-1] for x in (measured, room)]
+    assert np.abs(10.0 * np.log10(power[0] / power[1])).max() < 0.1
+    # its row, and positions that are still to be given
+    for kind, name in (("sources", "LS2"), ("receivers", "R1")):
+        project.set_position(tmp_path, kind, name, (1.0, 1.0 + (name == "R1"), 1.2))
+    view = views.recordings_view(lambda _: None, str(tmp_path), project.SHAPE)
+    (row,) = view["rows"]
+    assert row["file"] == "recordings/LS2_R1.wav" and all(row["has_t20"])
+    # the delay of the devices is no fault of the recording
+    assert not [f for f in view["findings"] + row["notes"] if "direct sound" in f["sentence"]]
+
+
+def test_a_browser_that_changes_the_sound_is_refused_and_one_that_does_not_is_believed(
+    browser: Any, tmp_path: Path
+) -> None:
+    """Chromium itself obeys; it is made to leave on what the page asks to be off."""
+    with running(tmp_path) as server:
+        visit = Visit(browser, server, 1400, "light")
+        page = visit.page
+        page.evaluate(_ORDERS)
+        visit.tab("Measure")
+        button = page.get_by_role("button", name=re.compile("the microphone"))
+        button.click()
+        page.locator("meter").wait_for()
+        obeyed = page.evaluate("window.obeyed")
+        words = {"echoCancellation": "echo cancelling", "autoGainControl": "automatic gain"}
+        words["noiseSuppression"] = "noise suppression"
+        assert [obeyed[key] for key in words] == [False] * 3
+        assert page.locator(".finding").count() == 0
+        for key, word in words.items():
+            button.click()
+            page.evaluate("(key) => { window.disobey = { [key]: true }; }", key)
+            button.click()
+            page.get_by_text(f"the browser leaves {word} on").wait_for()
+            assert page.evaluate("window.obeyed")[key] is True
+            assert page.get_by_role("button", name="Play and record").is_disabled()
+            page.evaluate("() => { window.disobey = null; }")
+            button.click()
+            page.locator("meter").wait_for()
+        button.click()
+        page.evaluate("() => { window.silent = true; }")
+        button.click()
+        page.get_by_text("does not say whether echo cancelling, noise suppression").wait_for()
+        page.get_by_text("resamples from 8000 to").wait_for()
+        assert visit.foreign == [] and visit.errors == []
+        visit.context.close()

@@ -49,6 +49,44 @@ def test_a_typed_box_is_a_campaign_that_the_command_line_reads(box: Path) -> Non
     json.dumps(view, allow_nan=False)
 
 
+def test_a_measured_pair_stands_in_the_campaign_once_and_without_a_common_clock(box: Path) -> None:
+    file = project.campaign_file(box)
+    file.write_text(file.read_text() + "\n# mine\n[air]\ntemperature_c = 21.5 # measured\n")
+    project.set_position(box, "sources", "LS1", (1.0, 2.0, 1.5))
+    for _ in range(2):
+        project.name_measured(box, "LS1", "hall 2")
+    text = file.read_text()
+    assert "# mine" in text and "# measured" in text
+    assert text.count("recordings/LS1_hall 2.wav") == 1 and text.count('"FILL IN"') == 1
+    project.set_position(box, "receivers", "hall 2", (2.0, 2.0, 1.5))
+    (measured,) = read_campaign(file, to_fit=False).measurements
+    assert (measured.source, measured.receiver) == ("LS1", "hall 2")
+    assert measured.response.time_zero == "direct"
+    file.write_text('measurements = [{ source = "A", receiver = "B", file = "x.wav" }]\n')
+    before = file.read_bytes()
+    with pytest.raises(InputError, match="cannot edit"):
+        project.name_measured(box, "LS1", "R1")
+    assert file.read_bytes() == before
+
+
+def test_files_that_devices_have_delayed_unlike_begin_where_the_geometry_says(box: Path) -> None:
+    """5 and 60 ms, to three samples of an onset: one delay for both would be 27 ms off."""
+    rng, t = np.random.default_rng(1), np.arange(24_000) / 48_000.0
+    project.set_position(box, "sources", "S1", (1.0, 1.0, 1.2))
+    (box / "recordings").mkdir()
+    for name, x_m, delay_s in (("R1", 3.0, 0.005), ("R2", 5.0, 0.06)):
+        project.set_position(box, "receivers", name, (x_m, 2.0, 1.3))
+        travel_s = float(np.linalg.norm([x_m - 1.0, 1.0, 0.1])) / 343.2
+        h = np.concatenate([[1.0], 0.1 * rng.normal(size=len(t)) * np.exp(-t / 0.04)])
+        late = np.concatenate([np.zeros(round((travel_s + delay_s) * 48_000)), h])
+        soundfile.write(box / "recordings" / f"S1_{name}.wav", late, 48_000, subtype="FLOAT")
+        project.name_measured(box, "S1", name)
+    view = views.recordings_view(nothing, str(box), project.SHAPE)
+    assert len(view["rows"]) == 2
+    for row in view["rows"]:
+        assert row["onset_ms"] == pytest.approx(row["travel_ms"], abs=0.07)
+
+
 def test_editing_keeps_comments_and_what_the_page_does_not_know(box: Path) -> None:
     file = project.campaign_file(box)
     file.write_text(file.read_text() + "\n# mine\n[air]\ntemperature_c = 21.5 # measured\n")

@@ -200,6 +200,52 @@ def test_names_that_lead_elsewhere_or_are_no_room_are_refused(server: Running, p
     assert sorted(p for p in server.folder.parent.rglob("*")) == before
 
 
+ASKED = "rate_hz=48000&seconds=1&silence_s=0.5&repetitions=1&source=LS7&receiver=MP7&again=false"
+
+
+@pytest.mark.parametrize(
+    ("word", "other"),
+    [
+        ("source=LS7", "source=..%2FLS7"),
+        ("receiver=MP7", "receiver=%00"),
+        ("source=LS7", "source=.x"),
+        ("seconds=1", "seconds=1e9"),
+        ("seconds=1", "seconds=nan"),
+        ("rate_hz=48000", "rate_hz=1e308"),
+        ("repetitions=1", "repetitions=inf"),
+        ("&again=false", ""),
+    ],
+)
+def test_a_measurement_that_leads_elsewhere_or_is_endless_is_refused(
+    server: Running, word: str, other: str
+) -> None:
+    before = sorted(server.folder.parent.rglob("*"))
+    asked = ASKED.replace(word, other)
+    assert server.get(f"/sweeps?{asked}").status == 400
+    assert server.put(f"/upload/measured?{asked}", b"x" * 400).status == 400
+    assert sorted(server.folder.parent.rglob("*")) == before
+
+
+def test_a_measurement_needs_the_key_and_leaves_nothing_where_it_is_of_no_use(
+    server: Running,
+) -> None:
+    assert server.get(f"/sweeps?{ASKED}", cookie=False).status == 403
+    assert server.put(f"/upload/measured?{ASKED}", b"", cookie=False).status == 403
+    foreign = {"Origin": "http://evil.example"}
+    assert server.put(f"/upload/measured?{ASKED}", b"", foreign).status == 403
+    played = server.get(f"/sweeps?{ASKED}").body
+    assert len(played) == 4 * 48_000 * 4
+    noise = np.random.default_rng(1).normal(size=192_000).astype("<f4")
+    too_much = np.full(192_000, np.nan, "<f4")
+    for body in (b"", played[:-40], bytes(len(played)), noise.tobytes(), too_much.tobytes()):
+        answer = server.put(f"/upload/measured?{ASKED}", body)
+        assert answer.status == 400 and len(answer.body) > 20, answer.body
+        assert b".roomfit-upload" not in answer.body and b"Traceback" not in answer.body
+        assert not list(server.folder.rglob("LS7*")) and not server.leftovers()
+    over = {"Content-Length": "3000001"}
+    assert server.put(f"/upload/measured?{ASKED}", b"", over).status == 413
+
+
 def test_links_lead_nowhere(server: Running) -> None:
     outside = server.folder.parent / "secret.wav"
     places = server.folder / "recordings"
@@ -246,6 +292,7 @@ def test_a_report_runs_nothing_and_the_page_only_its_own(server: Running) -> Non
     assert nonce[1] not in server.get("/").headers["content-security-policy"]  # each page its own
     assert "default-src 'none'" in policy and "connect-src 'self'" in policy
     assert page.headers["x-content-type-options"] == "nosniff"
+    assert "microphone=(self)" in page.headers["permissions-policy"]
     assert page.headers["cross-origin-resource-policy"] == "same-origin"
     assert "access-control-allow-origin" not in page.headers
 

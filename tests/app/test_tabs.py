@@ -21,13 +21,14 @@ from roomfit.app import elements, project, views
 from roomfit.app import page as own_page
 from roomfit.app.identify_tab import IdentifyTab
 from roomfit.app.jobs import Jobs
+from roomfit.app.measure_tab import MeasureTab
 from roomfit.app.measurements_tab import MeasurementsTab
 from roomfit.app.report_tab import ReportTab
 from roomfit.app.room_tab import RoomTab
 from roomfit.app.what_if_tab import Changes, WhatIfTab
 from roomfit.errors import InputError
 
-ASKING = {tab.name: tab for tab in own_page.TABS if tab is not ReportTab}
+ASKING = {tab.name: tab for tab in own_page.TABS if tab not in (MeasureTab, ReportTab)}
 
 
 class Bench:
@@ -550,5 +551,44 @@ def test_a_finding_without_a_remedy_has_no_button(folder: Path) -> None:
         assert "Doubt." in shown(client) and "What the findings advise" not in shown(client)
         await answer(bench, tab, {**view, "findings": [doubt], "advised": [ADVISED]})
         assert button(client, 'Set positions = "fit"').enabled
+
+    asyncio.run(whole())
+
+
+# What was measured here.
+
+
+QUALITY = {
+    "source": "<S>",
+    "receiver": "R1",
+    "peak_dbfs": -9.0,
+    "n_clipped": 0,
+    "noise_dbfs": -70.0,
+    "bands_hz": [125.0, 250.0],
+    "range_db": [31.0, 47.0],
+    "suffices_for": ["", "T30"],
+    "again": ["noise hides the decay in 125 Hz"],
+}
+
+
+def test_a_response_is_shown_with_its_range_and_why_to_measure_again(folder: Path) -> None:
+    async def whole() -> None:
+        tab, _, client = tab_of(MeasureTab, folder)
+        await tab.show(QUALITY)
+        text = shown(client)
+        assert "Measure again: noise hides the decay in 125 Hz." in text
+        assert "31 dB" in text and "too short" in text and "&lt;S&gt; to R1" in text
+        assert "It suffices" not in text
+        await tab.show(
+            {**QUALITY, "again": [], "not_named": "The response is not in the campaign."}
+        )
+        text = shown(client)
+        assert (
+            "It suffices" in text and "not in the campaign" in text and "again: noise" not in text
+        )
+        (folder / project.RECORDINGS).mkdir()
+        (folder / project.RECORDINGS / "S1_R1.wav").touch()
+        await tab.refresh()
+        assert "In recordings: S1_R1.wav" in shown(client)
 
     asyncio.run(whole())

@@ -63,8 +63,8 @@ def test_a_check_of_a_room_loads_no_pictures_and_no_statistics(tmp_path):
 
 
 COMMANDS = ("app", "batch", "cache", "catalogue", "check", "compare", "coverage", "demo",
-            "design", "export", "identify", "impedance", "init", "listen", "paper", "predict",
-            "reverberation", "schema", "treat")  # fmt: skip
+            "design", "export", "identify", "impedance", "init", "listen", "measure", "paper",
+            "predict", "reverberation", "schema", "treat")  # fmt: skip
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -128,4 +128,6 @@ def chromium() -> Any:
     )
     if not path:
         pytest.skip("no Chromium at /usr/bin/chromium")
-    return playwright.sync_playwright, {"executable_path": path, "args": ["--no-sandbox"]}
+    # a microphone that beeps, which is asked for without a question
+    fake = ["--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream"]
+    return playwright.sync_playwright, {"executable_path": path, "args": ["--no-sandbox", *fake]}

@@ -99,6 +99,25 @@ class FileDrop(Element, component="file_drop.js"):
         self.on("sent", sent)
 
 
+class Recorder(Element, component="recorder.js"):
+    """Plays sweeps and records them; what was recorded is sent to ``/upload/measured``."""
+
+    def __init__(self, on_measured: Callable[[dict[str, Any]], Awaitable[None]]) -> None:
+        super().__init__()
+        self._props["asked"] = {}
+
+        async def measured(event: events.GenericEventArguments) -> None:
+            await on_measured(dict(event.args))
+
+        self.on("measured", measured)
+
+    def ask(self, asked: Mapping[str, Any]) -> None:
+        """Say what is measured: source, receiver, seconds, silence_s, repetitions, again."""
+        if asked != self._props["asked"]:
+            self._props["asked"] = dict(asked)
+            self.update()
+
+
 class BandSlider(Element, component="band_slider.js"):
     """A slider from 0.01 to 0.99."""
 

@@ -1,4 +1,4 @@
-"""The page: a bar with what is at work, five tabs, and a look at the folder twice a second."""
+"""The page: a bar with what is at work, six tabs, and a look at the folder twice a second."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from nicegui import ui
 from roomfit.app.elements import emptied, heading, saying_errors
 from roomfit.app.identify_tab import IdentifyTab
 from roomfit.app.jobs import Bench, Job
+from roomfit.app.measure_tab import MeasureTab
 from roomfit.app.measurements_tab import MeasurementsTab
 from roomfit.app.report_tab import ReportTab
 from roomfit.app.room_tab import RoomTab
@@ -33,7 +34,14 @@ class Tab(Protocol):
         """Ask for what is to be shown now, and show it."""
 
 
-TABS: tuple[type[Tab], ...] = (RoomTab, MeasurementsTab, IdentifyTab, WhatIfTab, ReportTab)
+TABS: tuple[type[Tab], ...] = (
+    RoomTab,
+    MeasureTab,
+    MeasurementsTab,
+    IdentifyTab,
+    WhatIfTab,
+    ReportTab,
+)
 """A new tab is a class in a module of its own, a name here, and its questions in `views.TASKS`."""
 
 

@@ -22,12 +22,13 @@ from tomlkit.items import AoT, Table
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.commands import export_result
 from roomfit.errors import InputError
-from roomfit.io.campaign import Campaign, blanks, read_campaign
+from roomfit.io.campaign import FILL_IN, Campaign, blanks, read_campaign
 from roomfit.io.door import read_text
 from roomfit.io.draft import draft_campaign, matching_files
 from roomfit.io.exports import FORMATS
 from roomfit.io.remedies import Edit, value_text
 from roomfit.io.responses import RESPONSE_SUFFIXES
+from roomfit.io.responses.sweep import response_name
 from roomfit.io.rooms import READERS
 from roomfit.io.rooms.model import RoomSpec
 
@@ -210,6 +211,33 @@ def set_position(folder: Path, kind: str, name: str, position_m: Sequence[float]
         else:
             point = _table(_table(document, kind), name.strip())
             point["position"] = [round(float(x), 4) for x in position_m]
+
+
+def name_measured(folder: Path, source: str, receiver: str) -> None:
+    """Write a measured response into the campaign, of which positions may still be blank.
+
+    Devices delay each recording by another time: its clock is that of its direct sound, as its own
+    table says (``unknown`` would be one delay for all files of a source).
+
+    Raises
+    ------
+    InputError
+        The campaign is no TOML, or written in a way that does not allow it.
+    """
+    if not has_campaign(folder):
+        return
+    text, file = _text(folder), f"{RECORDINGS}/{response_name(source, receiver)}"
+    content = _document(folder).unwrap()
+    rows = content.get("measurements", [])
+    edits = [
+        Edit((kind, name), "position", FILL_IN)
+        for kind, name in (("sources", source), ("receivers", receiver))
+        if name not in content.get(kind, {})
+    ]
+    if all(row.get("file") != file for row in rows):
+        row = {"source": source, "receiver": receiver, "file": file, "time_zero": "direct"}
+        edits += [Edit(("measurements", len(rows) + 1), key, value) for key, value in row.items()]
+    write_text_atomically(campaign_file(folder), edited_text(text, edits))
 
 
 def set_recordings(folder: Path, shape: str) -> None:

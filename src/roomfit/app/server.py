@@ -8,8 +8,9 @@ import secrets
 import shutil
 import socket
 import webbrowser
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager
+from dataclasses import asdict
 from pathlib import Path
 
 import h11
@@ -17,15 +18,21 @@ import uvicorn
 from fastapi import FastAPI, Request
 from nicegui import ui
 from starlette.requests import ClientDisconnect
-from starlette.responses import FileResponse, PlainTextResponse, Response
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from roomfit.app import project
 from roomfit.app.jobs import Bench
 from roomfit.app.page import build_page
 from roomfit.app.security import Door, Guard, new_door
-from roomfit.errors import InputError
+from roomfit.errors import InputError, RoomfitError
 from roomfit.io.door import limit
+from roomfit.io.responses.sweep import (
+    SweepPlan,
+    check_not_measured,
+    excitation,
+    response_name,
+)
 
 _SHOWN_AS_PAGE = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; sandbox"
 _FIRST_PORT, _PORTS = 8321, 20
@@ -42,6 +49,14 @@ def application(bench: Bench, door: Door) -> Guard:
         await bench.stop()
 
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None, lifespan=living)
+
+    @app.get("/sweeps")
+    async def sweeps(request: Request) -> Response:
+        return await _sweeps(bench, request)
+
+    @app.put("/upload/measured")
+    async def measured(request: Request) -> Response:
+        return await _measure(bench, request)
 
     @app.put("/upload/{kind}/{name}")
     async def upload(kind: str, name: str, request: Request) -> Response:
@@ -70,22 +85,88 @@ async def _take(bench: Bench, kind: str, name: str, request: Request) -> Respons
         place = project.upload_place(bench.folder, kind, name)
     except InputError as error:
         return PlainTextResponse(str(error), 400)
-    waiting = bench.folder / f".roomfit-upload-{secrets.token_hex(8)}"
+    with _waiting(bench.folder) as waiting:
+        try:
+            await _receive(request, waiting / name)
+            await bench.ask("look_at_upload", kind=kind, file=f"{waiting.name}/{name}")
+            place.parent.mkdir(exist_ok=True)
+            (waiting / name).replace(place)
+        except InputError as error:
+            return PlainTextResponse(str(error), 400)
+        except ClientDisconnect:  # or more than the limit, to which the guard has answered
+            return PlainTextResponse("not whole", 400)
+    return PlainTextResponse("taken")
+
+
+@contextlib.contextmanager
+def _waiting(folder: Path) -> Iterator[Path]:
+    """Give a hidden folder for what is not whole yet."""
+    waiting = folder / f".roomfit-upload-{secrets.token_hex(8)}"
     waiting.mkdir()
     try:
-        with (waiting / name).open("xb") as stream:
-            async for chunk in request.stream():
-                await asyncio.to_thread(stream.write, chunk)
-        await bench.ask("look_at_upload", kind=kind, file=f"{waiting.name}/{name}")
-        place.parent.mkdir(exist_ok=True)
-        (waiting / name).replace(place)
-    except InputError as error:
-        return PlainTextResponse(str(error), 400)
-    except ClientDisconnect:  # or more than the limit, to which the guard has answered
-        return PlainTextResponse("not whole", 400)
+        yield waiting
     finally:
         shutil.rmtree(waiting, ignore_errors=True)
-    return PlainTextResponse("taken")
+
+
+async def _receive(request: Request, file: Path) -> None:
+    with file.open("xb") as stream:
+        async for chunk in request.stream():
+            await asyncio.to_thread(stream.write, chunk)
+
+
+def _asked(folder: Path, request: Request) -> tuple[SweepPlan, str, str]:
+    """Return what a page asks to measure: how, the source and the receiver.
+
+    Raises
+    ------
+    InputError
+        A word that is no number, or out of range; a name of no use; or a pair that was measured.
+    """
+    asked = request.query_params
+    try:
+        rate_hz, seconds, silence_s = (float(asked[k]) for k in ("rate_hz", "seconds", "silence_s"))
+        plan = SweepPlan(rate_hz, seconds, silence_s, int(asked["repetitions"]))
+        source, receiver, again = asked["source"], asked["receiver"], asked["again"] == "true"
+    except (KeyError, ValueError, OverflowError) as error:
+        raise InputError(
+            "a measurement is four numbers and two names", found=str(error)[:80]
+        ) from None
+    place = project.upload_place(folder, project.RECORDINGS, response_name(source, receiver))
+    check_not_measured(place, again=again)
+    return plan, source, receiver
+
+
+async def _sweeps(bench: Bench, request: Request) -> Response:
+    """Give what is to be played, as 32-bit floating point numbers."""
+    try:
+        plan, _, _ = _asked(bench.folder, request)
+    except InputError as error:
+        return PlainTextResponse(str(error), 400)
+    played = await asyncio.to_thread(excitation, plan)
+    return Response(played.astype("<f4").tobytes(), media_type="application/octet-stream")
+
+
+async def _measure(bench: Bench, request: Request) -> Response:
+    """Take what a page has recorded; the response comes to the recordings, its quality back."""
+    try:
+        plan, source, receiver = _asked(bench.folder, request)
+        name = response_name(source, receiver)
+        place = bench.folder / project.RECORDINGS / name
+        with _waiting(bench.folder) as waiting:
+            await _receive(request, waiting / "recorded")
+            quality = await bench.ask("measure", file=f"{waiting.name}/{name}", plan=asdict(plan))
+            place.parent.mkdir(exist_ok=True)
+            (waiting / name).replace(place)
+        try:
+            project.name_measured(bench.folder, source, receiver)
+        except InputError as error:  # the response is there all the same
+            quality["not_named"] = f"The response is not in the campaign: {error.what}."
+    except RoomfitError as error:
+        return PlainTextResponse(str(error), 400)
+    except ClientDisconnect:
+        return PlainTextResponse("not whole", 400)
+    return JSONResponse(quality)
 
 
 def _give(folder: Path, path: str, save: bool) -> Response:

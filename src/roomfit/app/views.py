@@ -34,6 +34,7 @@ from roomfit.io.inputs import check_campaign
 from roomfit.io.remedies import is_file, remedies, together
 from roomfit.io.responses import SOUND_SUFFIXES, read_response
 from roomfit.io.responses.recordings import ResponseSpec
+from roomfit.io.responses.sweep import SweepPlan, response_from_recording, wav_bytes
 from roomfit.io.rooms import read_mesh
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.prediction.campaign import WantedPairs
@@ -402,6 +403,28 @@ def look_at_upload(_: Progress, folder: str, kind: str, file: str) -> None:
         raise InputError(error.what, found=error.found, needed=error.needed) from None
 
 
+def measure(_: Progress, folder: str, file: str, plan: dict[str, Any]) -> dict[str, Any]:
+    """Write the response of a recording, which lies beside it as ``recorded``; return its quality.
+
+    Parameters
+    ----------
+    file : str
+        Of the response, in the folder; of the recording it has 32-bit floating point numbers.
+    plan : dict
+        The fields of a `SweepPlan`.
+
+    Raises
+    ------
+    InputError
+        Nothing of use was recorded.
+    """
+    path = Path(folder) / file
+    recorded = np.fromfile(path.with_name("recorded"), "<f4")
+    measured = response_from_recording(SweepPlan(**plan), recorded.astype(np.float64))
+    path.write_bytes(wav_bytes(measured.response))
+    return measured.content()
+
+
 def listen(
     progress: Progress, folder: str, changes: list[str], dry: str = "", doubted: bool = False
 ) -> str:
@@ -461,6 +484,7 @@ TASKS: dict[str, Callable[..., Any]] = {
         set_room,
         treat,
         listen,
+        measure,
         look_at_upload,
         export,
         what_if_prepare,

@@ -166,7 +166,11 @@ _MOST_SAMPLES = 2**26
 
 
 def deconvolved(
-    recording: Recording, excitation: Recording, path: Path, excitation_path: Path
+    recording: Recording,
+    excitation: Recording,
+    path: Path,
+    excitation_path: Path,
+    band_hz: tuple[float, float] | None = None,
 ) -> Recording:
     """Return the impulse response between an excitation and its recording.
 
@@ -183,6 +187,8 @@ def deconvolved(
         At the same sampling rate. The excitation may be any broadband signal, or a loopback.
     path, excitation_path : Path
         Name both in messages.
+    band_hz : (lowest, highest), optional
+        Outside of which the response goes to nothing; left out: by `band_of`.
 
     Raises
     ------
@@ -211,7 +217,7 @@ def deconvolved(
         refuse_useless(excitation)
     with located(str(path)):
         n_kept = _kept(recording.pressure, excitation.pressure, rate_hz)
-    low_hz, high_hz = band_of(excitation.pressure, rate_hz)
+    low_hz, high_hz = band_hz or band_of(excitation.pressure, rate_hz)
     response = regularised_quotient(
         recording.pressure, excitation.pressure, rate_hz, (low_hz, high_hz)
     )
