@@ -28,7 +28,7 @@ from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.eyring import eyring_absorption
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
-from roomfit.inversion.bands import fit_bands
+from roomfit.inversion.bands import fitted_band
 from roomfit.inversion.compare import compared_values
 from roomfit.inversion.measurements import observe
 from roomfit.io.campaign import read_campaign
@@ -214,7 +214,10 @@ def solved(
     """Fit every band."""
     areas = material_areas_m2(case.scene.room)
     refine = Refinement("gaussian", areas, 1, n_draws=n_draws)
-    return tuple(refine(band) for band in fit_bands(problems, case.priors, areas, Settings()))
+    return tuple(
+        refine(fitted_band(b, problem, case.priors, areas, Settings()))
+        for b, problem in enumerate(problems)
+    )
 
 
 def absorption_of(answers: tuple[BandEstimate, ...]) -> np.ndarray:

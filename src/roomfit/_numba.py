@@ -6,16 +6,22 @@ the kernels do not wait for each other.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 from threadpoolctl import threadpool_limits
 
+from roomfit.errors import InputError
+
 P = ParamSpec("P")
 R = TypeVar("R")
+
+_THREADS = "ROOMFIT_THREADS"
 
 
 def kernel(
@@ -71,6 +77,18 @@ def in_threads(
             other.result()
 
 
+def each_in_threads(function: Callable[[int], R], n: int, *, worth_it: bool = True) -> list[R]:
+    """Return what a function makes of 0 to n - 1, in as many threads as kernels may have.
+
+    For functions that spend their time in kernels, which let other threads run; each has one.
+    """
+    n_threads = min(numba.get_num_threads(), n) if worth_it else 1
+    if n_threads < 2:
+        return [function(i) for i in range(n)]
+    with ThreadPoolExecutor(n_threads, initializer=numba.set_num_threads, initargs=(1,)) as pool:
+        return list(pool.map(function, range(n)))
+
+
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
     """Return a function that runs with one thread for linear algebra.
 
@@ -86,3 +104,36 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
 def keep_one_blas_thread() -> None:
     """Give linear algebra one thread in this process from now on."""
     threadpool_limits(limits=1, user_api="blas")
+
+
+@contextmanager
+def at_most_threads(wanted: int | None = None) -> Iterator[None]:
+    """Let kernels called from this thread, and copies of this process, take so many cores.
+
+    Parameters
+    ----------
+    wanted : int, optional
+        1 or more, of which there are no more than the machine has. Left out: as the variable
+        ``ROOMFIT_THREADS`` of the environment says; without it, as it is.
+
+    Raises
+    ------
+    InputError
+        The variable is no whole number from 1 up.
+    """
+    most: int = numba.config.NUMBA_NUM_THREADS  # type: ignore[attr-defined]
+    said = os.environ.get(_THREADS, "") if wanted is None else str(wanted)
+    if said and not (said.isascii() and said.isdigit() and int(said) > 0):
+        raise InputError(
+            "the number of threads is no whole number from 1 up",
+            where=f"{_THREADS} in the environment",
+            found=repr(said),
+            needed=f"1 to {most}, the cores of this machine",
+            hint="leave it out, and all cores are used",
+        )
+    before = numba.get_num_threads()
+    numba.set_num_threads(min(int(said or before), most))
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)

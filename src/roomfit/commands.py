@@ -12,6 +12,7 @@ import logging
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,7 @@ from roomfit.cache import (
     write_text_atomically,
 )
 from roomfit.errors import InputError, located
+from roomfit.forks import beside, in_this_process
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import files_read, read_bytes, read_text, reading_noted
 from roomfit.io.encoding import ResultFile, input_digests, path_of
@@ -598,20 +600,22 @@ def _write_answer(
     figures = {**answer_figures(answer), "room": room_figure(scene)}
     if (decays := mean_decay_figure(answer)) is not None:
         figures["decay_times"] = decays
-    page = report_html(
-        answer,
-        scene,
-        title=project.pop("title", f"Absorption: {campaign_file.stem}"),
-        campaign=campaign_file.name,
-        inputs_sha256=input_digests(inputs),
-        project=project,
-        figures=figures,
-    )
-    write_result(folder, answer, inputs, remaining_usable(answer))
-    write_text_atomically(folder / "report.html", page)
-    if not answer.settings.quick:
-        _LOG.info("drawing")
-        write_pictures(folder, answer, progress, figures)
+    drawing = partial(write_pictures, folder, answer, in_this_process(progress), figures)
+    _LOG.info("drawing")
+    with beside(drawing) if not answer.settings.quick else nullcontext() as drawn:
+        page = report_html(
+            answer,
+            scene,
+            title=project.pop("title", f"Absorption: {campaign_file.stem}"),
+            campaign=campaign_file.name,
+            inputs_sha256=input_digests(inputs),
+            project=project,
+            figures=figures,
+        )
+        write_result(folder, answer, inputs, remaining_usable(answer))
+        write_text_atomically(folder / "report.html", page)
+        if drawn is not None:
+            drawn.result()
 
 
 @sole_writer

@@ -160,7 +160,7 @@ if TYPE_CHECKING:
         draw_absorption as draw_absorption,
         draw_prior as draw_prior,
     )
-    from roomfit.workers import end_with_parent as end_with_parent
+    from roomfit.forks import end_with_parent as end_with_parent
 
 
 # Where each name stands.
@@ -212,7 +212,7 @@ _HOME = {
         "uncertainty.combinations": "area_shares",
         "uncertainty.other_room": "common_bands room_posterior",
         "uncertainty.posterior": "AbsorptionPosterior draw_absorption draw_prior",
-        "workers": "end_with_parent",
+        "forks": "end_with_parent",
     }.items()
     for name in names.split()
 }

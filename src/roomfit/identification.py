@@ -7,6 +7,7 @@ import logging
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -24,8 +25,9 @@ from roomfit.diagnostics.checks import (
 )
 from roomfit.diagnostics.evidence import Evidence, Recorded
 from roomfit.diagnostics.verdict import judge
-from roomfit.errors import InputError, InsufficientDataError
+from roomfit.errors import InputError, InsufficientDataError, RoomfitError
 from roomfit.findings import About, Code, Finding
+from roomfit.forks import at_once, beside, count_evaluation, counted_evaluations, in_this_process
 from roomfit.geometry.mesh import volume_m3
 from roomfit.inversion.coherent import fit_coherent, initialise
 from roomfit.inversion.displacement import (
@@ -65,7 +67,6 @@ from roomfit.materials.priors import (
     prior_logit_law,
 )
 from roomfit.measurement import Measurement
-from roomfit.objective.problem import counted_evaluations
 from roomfit.response.directivity import Directivities
 from roomfit.results import Result, with_objects_apart
 from roomfit.scene import (
@@ -151,7 +152,7 @@ def identify(
     >>> bool(0.1 < result.absorption[0, 0] < 0.25)
     True
     """
-    began = time.perf_counter()
+    began, progress = time.perf_counter(), in_this_process(progress)
     bands = bands_between("octave", 125.0, 4000.0) if bands is None else bands
     settings = Settings() if settings is None else settings
     names = [p.name for p in (*scene.sources, *scene.receivers)]
@@ -165,12 +166,10 @@ def identify(
     priors = complete_priors(scene.room.materials, materials, bands)
     _check_objects(scene, priors)
     check_certifiable(given.measured, settings, priors)
-    start = eyring_start(given.measured)
     with counted_evaluations() as made:
         ends = (0.02, 0.22, 0.49, 0.98) if scene.groups else (0.02, 0.45, 0.98, 0.98)
         early, late, again = (part(progress, *x) for x in itertools.pairwise(ends))
-        used = replace(settings, model=chosen_model(given.measured, priors, start, settings))
-        traced = traced_paths(given.measured, priors, used, start, cache, early)
+        used, traced = _traced(given.measured, priors, settings, cache, early)
         fits = _fits(given.measured, priors, traced, used, late)
         observed, traced, fits = _with_positions_examined(
             given, measurements, priors, (traced, fits), settings, cache, again
@@ -210,6 +209,46 @@ def _check_objects(scene: Scene, priors: tuple[MaterialPrior, ...]) -> None:
                 needed=f"roomfit.materials.priors.object_prior for {volume:g} m3 among the "
                 "materials, and roomfit.scene.with_objects of the room",
             )
+
+
+class _OtherModelError(Exception):
+    """A room is being traced for another model than that which was chosen meanwhile."""
+
+
+def _traced(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    settings: Settings,
+    cache: Cache | None,
+    progress: Progress | None,
+) -> tuple[Settings, TracedPaths]:
+    """Return the settings with the chosen model, and the room traced for it.
+
+    In the one process that there may be, the model is chosen first. Beside another, the room is
+    meanwhile traced for the usual outcome, which is given up when another has come out.
+    """
+    start = eyring_start(measured)
+
+    def usual(fraction: float) -> None:
+        if choice.is_done() and choice.result() != settings.model:
+            raise _OtherModelError
+        if progress is not None:
+            progress(fraction)
+
+    is_alone = at_once() == 1
+    with beside(partial(chosen_model, measured, priors, start, settings)) as choice:
+        if not is_alone:
+            try:
+                with counted_evaluations() as made:
+                    traced = traced_paths(measured, priors, settings, start, cache, usual)
+            except (_OtherModelError, RoomfitError):
+                if choice.result() == settings.model:
+                    raise
+        used = replace(settings, model=choice.result())
+    if not is_alone and used.model == settings.model:
+        count_evaluation(made[0])
+        return used, traced
+    return used, traced_paths(measured, priors, used, start, cache, progress)
 
 
 def _fits(
@@ -266,10 +305,8 @@ def _with_positions_examined(
         range_db, patterns = settings.decay_range_db, measured.directivities
         observed = recorded(scene, measurements, measured.bands, patterns, range_db)
         measured = observed.measured
-        start = eyring_start(measured)
         early, late = part(progress, 0.0, 0.45), part(progress, 0.45, 1.0)
-        used = replace(settings, model=chosen_model(measured, priors, start, settings))
-        traced = traced_paths(measured, priors, used, start, cache, early)
+        used, traced = _traced(measured, priors, settings, cache, early)
         fits = _fits(measured, priors, traced, used, late)
         outline = _outline(measured, priors, traced, fits, offsets, moved_m)
     if outline is not None:

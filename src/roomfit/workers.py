@@ -7,9 +7,7 @@ between processes.
 
 from __future__ import annotations
 
-import ctypes
 import logging
-import os
 import signal
 import sys
 import time
@@ -28,8 +26,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
 from itertools import islice
-from multiprocessing import active_children, get_context, parent_process
-from threading import Lock, Thread
+from multiprocessing import active_children, get_context
+from threading import Lock
 from typing import Any, TypeVar
 
 import numba
@@ -37,6 +35,7 @@ import numba
 from roomfit._numba import keep_one_blas_thread
 from roomfit.cache import code_digest
 from roomfit.errors import InputError, InsufficientDataError, StoreError
+from roomfit.forks import end_with_parent, interrupts_deferred
 from roomfit.typing import Progress
 
 T = TypeVar("T")
@@ -56,7 +55,6 @@ _DEATH = "KilledWorker"
 LEAST_MEMORY_BYTES = 400_000_000
 # After so long without an end of a task, a message names who is waited for.
 _SILENCE_S = 60.0
-_PR_SET_PDEATHSIG = 1
 _ONE_THREAD = {
     "NUMBA_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
@@ -101,22 +99,6 @@ def worker_pool(n_workers: int) -> Iterator[Executor]:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-@contextmanager
-def _interrupts_deferred() -> Iterator[None]:
-    """Hold interrupts until the block ends; processes that start within it never get any.
-
-    Control-C reaches the whole group, also workers that still load and would print a traceback.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 def _check_workers(n_workers: int) -> None:
     if n_workers < 1:
         raise InputError("number of workers is out of range", found=str(n_workers), needed="1 up")
@@ -127,26 +109,6 @@ def _become_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
     keep_one_thread()
-
-
-def end_with_parent() -> None:
-    """End this process when the one that has started it is gone, whatever it is doing then.
-
-    On Linux the system sees to it. Elsewhere a thread watches, which a call that lets no other
-    thread run keeps waiting.
-    """
-    parent = os.getppid()
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-        if os.getppid() != parent:  # it was gone before
-            os._exit(1)
-    elif (starter := parent_process()) is not None:
-
-        def watch() -> None:
-            starter.join()
-            os._exit(1)
-
-        Thread(target=watch, daemon=True).start()
 
 
 def dask_setup(_: object) -> None:
@@ -174,7 +136,7 @@ def completed(
     since = time.strftime("%H:%M:%S")
     try:
         while True:
-            with _interrupts_deferred():
+            with interrupts_deferred():
                 for number, task in islice(waiting, window - len(running)):
                     running[pool.submit(task)] = number
             if not running:

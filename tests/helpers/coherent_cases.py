@@ -12,10 +12,10 @@ from roomfit.bands import Bands
 from roomfit.geometry.mesh import shoebox_mesh
 from roomfit.inversion.coherent import (
     CoherentFit,
-    coherent_estimates,
-    decided,
+    coherent_estimate,
     energy_estimates,
 )
+from roomfit.inversion.solve import decided
 from roomfit.inversion.systematics import inflated_by_adjacent_bands
 from roomfit.materials.priors import uniform_scattering
 from roomfit.objective.coherent import CoherentTerm, coherent_term
@@ -144,8 +144,10 @@ def with_data(term: CoherentTerm, data: np.ndarray) -> CoherentTerm:
 def estimates_of(fit: CoherentFit) -> tuple[BandEstimate | None, ...]:
     """Return the Gaussian estimate of every band of a partly coherent fit."""
     areas_m2 = material_areas_m2(fit.state.task.scene.room)
-    coherent = tuple(b if b is None else b.estimate for b in coherent_estimates(fit))
-    energy = [b if b is None else b.estimate for b in energy_estimates(fit)]
+    n, by_energies = len(fit.fits), energy_estimates(fit)
+    found = tuple(coherent_estimate(fit, b) for b in range(n))
+    coherent = tuple(b if b is None else b.estimate for b in found)
+    energy = [b if b is None else b.estimate for b in map(by_energies, range(n))]
     return decided(fit, energy, inflated_by_adjacent_bands(coherent, areas_m2))
 
 

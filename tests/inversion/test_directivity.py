@@ -26,7 +26,7 @@ from roomfit.diagnostics import source_patterns
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.identification import identify
-from roomfit.inversion.bands import fit_bands
+from roomfit.inversion.bands import fitted_band
 from roomfit.inversion.coherent import CoherentFit, CoherentTask, fit_coherent, initialise
 from roomfit.inversion.directivity import (
     DirectivityScore,
@@ -35,7 +35,7 @@ from roomfit.inversion.directivity import (
     directed_energies,
     directivity_parameters,
     omnidirectional,
-    score_sources,
+    source_scorer,
 )
 from roomfit.inversion.measurements import Measurements, collect_measurements
 from roomfit.inversion.paths import TracedPaths
@@ -200,16 +200,15 @@ def energy_answer(
     unknown = unknown_directivities(case.asked, case.scene)
     suspects = omnidirectional(observed)
     directivities = directed_energies(observed, priors, traced, start, unknown)
-    doubts: dict[int, DirectivityScore] = {}
-    watch = None if suspects is None else score_sources(observed, traced, suspects, doubts)
-    fitted = fit_bands(
-        energy_objectives(observed, priors, traced, start, directivities),
-        priors,
-        material_areas_m2(case.scene.room),
-        Settings(),
-        watch=watch,
-    )
+    objective_of = energy_objectives(observed, priors, traced, start, directivities)
+    areas_m2, n = material_areas_m2(case.scene.room), len(observed.bands)
+    fitted = [fitted_band(b, objective_of(b), priors, areas_m2, Settings()) for b in range(n)]
     answers = tuple(band.estimate for band in fitted)
+    doubts: dict[int, DirectivityScore] = {}
+    if suspects is not None:
+        score = source_scorer(observed, traced, suspects)
+        found = [b.fit and score(i, b.objective, b.fit) for i, b in enumerate(fitted)]
+        doubts = {i: d for i, d in enumerate(found) if d is not None}
     found = band_directivities(case.scene, unknown, directivities, answers)
     against = contradicted_sources(suspects, doubts)
     fits = SimpleNamespace(contradicted=against, unknown_sources=unknown)

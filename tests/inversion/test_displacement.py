@@ -14,6 +14,7 @@ import roomfit.identification as whole
 from roomfit.diagnostics import displacement as check_of_displacement
 from roomfit.errors import InputError
 from roomfit.findings import Code
+from roomfit.forks import counted_evaluations
 from roomfit.inversion import displacement as whole_displacement
 from roomfit.inversion.displacement import (
     LENGTH_SD_M,
@@ -26,7 +27,7 @@ from roomfit.inversion.displacement import (
 from roomfit.io.campaign import read_campaign
 from roomfit.io.inputs import identify_arguments
 from roomfit.materials.priors import unknown_material
-from roomfit.objective.problem import Objective, counted_evaluations
+from roomfit.objective.problem import Objective
 from roomfit.scene import PointGroup, Scene
 from roomfit.synthetic.boxes import (
     SAMPLING_RATE_HZ,

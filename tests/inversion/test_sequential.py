@@ -18,6 +18,7 @@ from roomfit.inversion.sequential import (
     CoherentOptions,
     compared_with_energies,
     contradicts_geometry,
+    evidence_of_energies,
     fit_in_rounds,
     forward_pass,
     inflated_log_likelihood,
@@ -244,12 +245,13 @@ def passed(monkeypatch, centres_hz, gains, model="auto"):
         found = Marginal(np.zeros(0), np.full((1, 1), band.coherent.energies.centre_hz))
         return SimpleNamespace(fit=answer, log_likelihood=0.0, found=found, noise=noise)
 
-    def compared(band, found):
+    def compared(band, found, _evidence):
         found.evidences = 0.0, gains[centres_hz.index(band.coherent.energies.centre_hz)]
         found.found = found.found if found.evidences[1] > 0.0 else None
         return found
 
     monkeypatch.setattr(sequential, "fit_in_rounds", fit)
+    monkeypatch.setattr(sequential, "evidence_of_energies", lambda _: 0.0)
     monkeypatch.setattr(sequential, "compared_with_energies", compared)
     monkeypatch.setattr(sequential, "log_evidences", lambda _, found: found.evidences)
     nothing = SimpleNamespace(fitted=np.zeros(0, dtype=bool))
@@ -308,6 +310,7 @@ def test_energies_and_pressures_without_coherence_have_the_same_evidence():
     band = CoherentBand(energies, score_band(energies, start), term)
     whole = np.append(start, np.zeros(sd.size))
     fits = [fit_in_rounds(band, whole, noise, None, rounds=1) for noise in NOISES]
-    best = compared_with_energies(band, max(fits, key=lambda f: f.log_evidence))
+    best = max(fits, key=lambda f: f.log_evidence)
+    best = compared_with_energies(band, best, evidence_of_energies(band))
     assert np.ptp([f.log_evidence for f in fits]) > 0.5
     assert best.log_evidence == pytest.approx(best.energy_log_evidence, abs=0.1)

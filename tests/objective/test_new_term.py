@@ -13,11 +13,12 @@ import pytest
 from scipy.optimize import minimize
 
 from posterior_cases import absorption_block
+from roomfit.forks import count_evaluation
 from roomfit.inversion.solve import without_responses
 from roomfit.logit import expit
 from roomfit.materials.priors import unknown_material
 from roomfit.objective.parameters import Parameters, prior_residuals
-from roomfit.objective.problem import DataTerm, Objective, Rows, Values, count_evaluation
+from roomfit.objective.problem import DataTerm, Objective, Rows, Values
 from roomfit.solvers.least_squares import fit_band
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, band_estimate

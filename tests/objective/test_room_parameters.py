@@ -13,7 +13,7 @@ from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
 from roomfit.errors import InputError
 from roomfit.findings import Code
-from roomfit.inversion.bands import fit_bands
+from roomfit.inversion.bands import fitted_band
 from roomfit.inversion.compare import compared_values
 from roomfit.io.iso3382 import read_parameters
 from roomfit.io.rooms import read_room
@@ -340,9 +340,8 @@ def test_absorption_is_found_again_from_values_alone():
     (term,) = value_terms(scene, bands, measured, binned)
     assert term is not None
     term = replace(term, model_error_jnd=0.0)
-    problems = [without_responses((term,), priors, 0, np.full(1, 0.25))]
-    (band,) = fit_bands(problems, priors, np.ones(3), Settings())
-    answer = band.estimate
+    problem = without_responses((term,), priors, 0, np.full(1, 0.25))
+    answer = fitted_band(0, problem, priors, np.ones(3), Settings()).estimate
 
     assert answer.chi2_reduced < 0.1
     sd = np.sqrt(np.diag(answer.logit_covariance))

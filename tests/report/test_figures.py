@@ -146,3 +146,12 @@ def test_pairs_without_curves_have_no_decay_picture(answer, tmp_path):
     assert "decays" not in answer_figures(values)
     write_pictures(tmp_path, values)
     assert not list(tmp_path.glob("decay_*.png"))
+
+
+def test_a_figure_is_the_same_whether_the_page_or_its_file_is_drawn_first(answer):
+    """Two processes draw them at the same time, each its own."""
+    pages, files = answer_figures(answer), answer_figures(answer)
+    for name, page in pages.items():
+        text, picture = svg(page, "x", name), png(files[name])
+        assert picture == png(page)
+        assert text == svg(files[name], "x", name)

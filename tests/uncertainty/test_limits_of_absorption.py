@@ -139,6 +139,7 @@ def test_a_group_moves_as_far_as_data_and_prior_have_it_by_their_variances(monke
         assert roughly in (True, False)
         return float(-0.5 * ((shift_m[0] - 0.3) / 0.1) ** 2)
 
+    logl.foresee = lambda _shifts_m: None
     monkeypatch.setattr(displacement, "logl_of", lambda _: logl)
     monkeypatch.setattr(displacement, "_stated_step", lambda *_: None)
     for name in ("_implausible", "_farthest"):

@@ -100,7 +100,7 @@ class Worker:
                 limit=_LONGEST_ANSWER,
                 start_new_session=True,
                 # no name of this machine's shell or its keys for what reads strangers' files
-                env={k: v for k, v in os.environ.items() if "TOKEN" not in k},
+                env={k: v for k, v in os.environ.items() if "TOKEN" not in k} | _threads(),
             )
         return self._process
 
@@ -120,6 +120,12 @@ class Worker:
             process.stdin.close()
             with contextlib.suppress(OSError):
                 await process.stdin.wait_closed()
+
+
+def _threads() -> dict[str, str]:
+    """Return what lets a process have as many threads as the environment says, if it does."""
+    said = os.environ.get("ROOMFIT_THREADS")
+    return {"NUMBA_NUM_THREADS": str(min(int(said), os.cpu_count() or 1))} if said else {}
 
 
 State = Literal["waiting", "running", "done", "failed", "cancelled"]

@@ -23,11 +23,11 @@ def main() -> None:
     os.dup2(2, 1)
     _limit_memory(int(sys.argv[1]))
     requests: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()
-    threading.Thread(target=_listen, args=(requests,), daemon=True).start()
+    threading.Thread(target=_listen, args=(requests,), name="requests", daemon=True).start()
 
     from roomfit.app.views import TASKS  # after the limit, which the import needs not much of
     from roomfit.errors import RoomfitError
-    from roomfit.workers import end_with_parent
+    from roomfit.forks import end_with_parent
 
     end_with_parent()  # the thread that listens has no turn while compiled code runs
 

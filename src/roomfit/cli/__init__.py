@@ -17,7 +17,7 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 import roomfit
 from roomfit.cli import (
@@ -86,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         with _ended_like_an_interrupt():
             options = _parsed(sys.argv[1:] if arguments is None else list(arguments))
-            with _shown(options):
+            with _shown(options), _with_threads(options):
                 options.run(options)
             sys.stdout.flush()
     except RoomfitError as error:
@@ -112,6 +112,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
         text = "the disk is full, or the output cannot grow"
         warn(StoreError(text, found=str(error), hint="make room, and run the command again"))
         sys.exit(2)
+
+
+def _with_threads(options: argparse.Namespace) -> AbstractContextManager[None]:
+    """Let a call take as many cores as it says, or the environment: all where neither does."""
+    wanted = getattr(options, "threads", None)
+    if wanted is None and "ROOMFIT_THREADS" not in os.environ:
+        return nullcontext()
+    from roomfit._numba import at_most_threads  # needs numba, which --help must not wait for
+
+    return at_most_threads(wanted)
 
 
 @contextmanager

@@ -84,6 +84,11 @@ class Parser(argparse.ArgumentParser):
         """Add ``--out``, a path that must be given."""
         self.add_argument("--out", type=Path, required=True, help=text)
 
+    def add_threads(self) -> None:
+        """Add ``--threads``."""
+        text = "Cores to use at most; left out: ROOMFIT_THREADS of the environment, or all."
+        self.add_option("--threads", text, type=positive_number)
+
     def add_overwrite(self, text: str = "Write into a folder that is not empty.") -> None:
         """Add ``--overwrite``."""
         self.add_argument("--overwrite", action="store_true", help=text)

@@ -24,6 +24,7 @@ def add(commands: Commands) -> None:
     parser.add_option(
         "--seed", "Of the positions, levels and noise drawn.", type=whole_number, default=1
     )
+    parser.add_threads()
     parser.add_overwrite()
 
 

@@ -31,6 +31,7 @@ def add(commands: Commands) -> None:
         action="store_true",
         help="A first answer: no search for faults of files, positions and chain, no pictures.",
     )
+    parser.add_threads()
     parser.add_overwrite()
     parser.add_argument("--no-cache", action="store_true", help="Neither use nor keep a trace.")
 

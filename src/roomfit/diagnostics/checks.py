@@ -46,6 +46,7 @@ from roomfit.diagnostics.evidence import Evidence, Recorded
 from roomfit.errors import InputError
 from roomfit.eyring import eyring_absorption
 from roomfit.findings import Finding
+from roomfit.forks import in_forks
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.compare import compare_all
 from roomfit.inversion.fits import BandFits
@@ -120,7 +121,8 @@ def examine(
     checks: Sequence[Callable[[Observed], Iterable[Finding]]], evidence: Observed
 ) -> tuple[Finding, ...]:
     """Return what checks find in the evidence, in their order."""
-    return tuple(finding for check in checks for finding in check(evidence))
+    found = in_forks(lambda check: tuple(check(evidence)), checks)
+    return tuple(finding for findings in found for finding in findings)
 
 
 def recorded(

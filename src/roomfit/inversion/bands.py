@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -28,7 +27,7 @@ from roomfit.solvers.least_squares import (
     gauss_newton,
     simplex_solver,
 )
-from roomfit.typing import FloatArray, Progress, part
+from roomfit.typing import FloatArray, Progress
 from roomfit.uncertainty.gaussian import (
     FittedBand,
     SharedCovariance,
@@ -98,60 +97,49 @@ def _random_start(objective: Objective, fit: BandFit, rng: np.random.Generator) 
     return start
 
 
-def fit_bands(
-    objectives: Iterable[Objective | None],
+def fitted_band(
+    band: int,
+    objective: Objective | None,
     priors: tuple[MaterialPrior, ...],
     areas_m2: FloatArray,
     settings: Settings,
     progress: Progress | None = None,
-    *,
-    watch: Callable[[int, Objective, BandFit], None] | None = None,
     shared_covariance: SharedCovariance | None = None,
-) -> Iterator[FittedBand]:
-    """Fit one band after the other, each when it is asked for; without data, take the prior.
+) -> FittedBand:
+    """Return a band with its fit; without data, with its prior.
 
     Parameters
     ----------
-    objectives : iterable of Objective or None
-        Taken one at a time, so that they may be made when they are needed.
     settings : Settings
         Method and seed. "auto" is least squares, with a proof where one is affordable. The
         paper's two methods search for the first squares' minimum. "certified" is least squares with
         a proof.
-    watch : callable, optional
-        Called with every band that was fitted, its objective and its fit.
     shared_covariance : callable, optional
         Makes intervals allow for errors that a fit cannot see.
     """
+    if objective is None:
+        return FittedBand(prior_only_band(priors, band, areas_m2))
     method, seed = settings.method, settings.seed
-    n_bands = priors[0].prior_logit_mean.size
-    for band, objective in enumerate(objectives):
-        if objective is None:
-            yield FittedBand(prior_only_band(priors, band, areas_m2))
-            continue
-        done = part(progress, band / n_bands, (band + 1) / n_bands)
-        starts: Starts | None = None
-        proof: Certificate | None = None
-        model = "energy" if objective.is_gamma().any() else "values"
-        if method == "certified":
-            from roomfit.certified.certificate import certified_fit  # heavy: kernels of its own
+    starts: Starts | None = None
+    proof: Certificate | None = None
+    model = "energy" if objective.is_gamma().any() else "values"
+    if method == "certified":
+        from roomfit.certified.certificate import certified_fit  # heavy: kernels of its own
 
-            fit, proof = certified_fit(objective, progress=done)
-            model = "energy"
-        else:
-            solver = _solver(objective.parameters, method, np.random.default_rng(seed))
-            fit = fit_band(objective, solver, max_rounds=settings.max_rounds, progress=done)
-            if method == "auto" and fit.vector.size and only_energies(objective) is not None:
-                fit, starts = from_random_starts(
-                    objective, fit, np.random.default_rng(seed), settings.n_random_starts
-                )
-            if watch is not None:
-                watch(band, objective, fit)
-        if method == "auto":
-            proof = affordable_certificate(objective, fit.vector)
-        noisy = fit if shared_covariance is None else shared_covariance(band, objective, fit)
-        own = band_estimate(objective.parameters, noisy, areas_m2, model)
-        yield FittedBand(replace(own, starts=starts, certificate=proof), objective, fit)
+        fit, proof = certified_fit(objective, progress=progress)
+        model = "energy"
+    else:
+        solver = _solver(objective.parameters, method, np.random.default_rng(seed))
+        fit = fit_band(objective, solver, max_rounds=settings.max_rounds, progress=progress)
+        if method == "auto" and fit.vector.size and only_energies(objective) is not None:
+            fit, starts = from_random_starts(
+                objective, fit, np.random.default_rng(seed), settings.n_random_starts
+            )
+    if method == "auto":
+        proof = affordable_certificate(objective, fit.vector)
+    noisy = fit if shared_covariance is None else shared_covariance(band, objective, fit)
+    own = band_estimate(objective.parameters, noisy, areas_m2, model)
+    return FittedBand(replace(own, starts=starts, certificate=proof), objective, fit)
 
 
 def affordable_certificate(objective: Objective, vector: FloatArray) -> Certificate | None:

@@ -11,7 +11,7 @@ well, for comparison only.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import cast
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
-from roomfit.inversion.bands import affordable_certificate
+from roomfit.forks import in_forks
 from roomfit.inversion.directivity import (
     DirectivityScore,
     SourceGain,
@@ -57,7 +57,6 @@ from roomfit.inversion.sequential import (
 from roomfit.inversion.systematics import (
     relative_errors,
     shared_errors,
-    with_both_intervals,
     with_shared_errors,
 )
 from roomfit.materials.priors import MaterialPrior
@@ -72,6 +71,7 @@ from roomfit.objective.coherent import (
     moved_scene,
 )
 from roomfit.objective.directivity import (
+    BandDirectivities,
     DirectivityParameters,
     directed,
     directed_band,
@@ -80,9 +80,9 @@ from roomfit.objective.directivity import (
     with_directivities,
 )
 from roomfit.objective.energy import EnergyTerm
-from roomfit.objective.observation import energy_terms, fitted_in_band
+from roomfit.objective.observation import energy_term, energy_terms, fitted_in_band
 from roomfit.objective.parameters import Geometry, physical_values
-from roomfit.objective.problem import DataTerm, Objective
+from roomfit.objective.problem import DataTerm, Objective, Prediction
 from roomfit.objective.windows import WINDOW_DECAYS, windows_decay_s
 from roomfit.response.binned import BinnedPaths
 from roomfit.response.coherent import ImagePaths, image_paths, images_of
@@ -91,7 +91,6 @@ from roomfit.solvers.least_squares import BandFit, fit_band, score_band
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.gaussian import (
-    BandEstimate,
     FittedBand,
     absorption_intervals,
     band_estimate,
@@ -251,10 +250,9 @@ def rebuild(state: SequentialState) -> SequentialState:
     )
     images = _images(state) if state.images is None else state.images
     bases = None if unknown is None else row_bases(unknown, task.scene, state.paths, state.binned)
-    bands: list[CoherentBand | None] = []
+    ready: list[tuple[int, Objective, CoherentTerm, BandDirectivities | None]] = []
     for b, found in enumerate(made):
         if found is None:
-            bands.append(None)
             continue
         windows, parameters = found
         directivity, files = None, fitted_in_band(task.measured, b)
@@ -262,13 +260,19 @@ def rebuild(state: SequentialState) -> SequentialState:
             directivity = directed_band(unknown, task.scene, bases, windows, files)
         coherent = _early(state, b, windows, geometry, images)
         energies = energy_objective(windows, parameters, directivity, task.others[b])
-        before = starts[b]
-        fit = (
-            fit_band(energies, max_rounds=limit, settled_sd=BEFORE_THE_LAST_PASS_SD)
-            if before is None
-            else score_band(energies, before, max_rounds=limit, settled_sd=BEFORE_THE_LAST_PASS_SD)
-        )
-        bands.append(CoherentBand(energies, fit, coherent, directivity))
+        ready.append((b, energies, coherent, directivity))
+
+    def fitted(own: tuple[int, Objective, CoherentTerm, BandDirectivities | None]) -> BandFit:
+        before, energies = starts[own[0]], own[1]
+        if before is None:
+            return fit_band(energies, max_rounds=limit, settled_sd=BEFORE_THE_LAST_PASS_SD)
+        return score_band(energies, before, max_rounds=limit, settled_sd=BEFORE_THE_LAST_PASS_SD)
+
+    bands: list[CoherentBand | None] = [None] * len(task.bands)
+    for (b, energies, coherent, directivity), fit in zip(
+        ready, in_forks(fitted, ready), strict=True
+    ):
+        bands[b] = CoherentBand(energies, fit, coherent, directivity)
     misfits = [
         file_misfits(fitted_in_band(task.measured, b), own.coherent.energies, own.energy_fit, None)
         for b, own in enumerate(bands)
@@ -591,50 +595,63 @@ def _fitted_windows(
     state: SequentialState, fits: Sequence[CoherentBandFit | None]
 ) -> tuple[FittedWindows | None, ...]:
     """Return what questions to each fit need, one at a time: what was fitted is large."""
-    task, found = state.task, list[FittedWindows | None]()
-    for b, (own, fit) in enumerate(zip(state.bands, fits, strict=True)):
+    task = state.task
+
+    # what is large, or known by its identity, is not for a copy of this process to return
+    def asked(b: int) -> tuple[Prediction, FloatArray, FloatArray, Mapping[str, FloatArray]] | None:
+        own, fit = state.bands[b], fits[b]
         if own is None or fit is None:
-            found.append(None)
-            continue
-        files = fitted_in_band(task.measured, b)
+            return None
         objective, by_wall = fit.objective(own), np.zeros((0, len(task.priors)))
         if any(p.known is not None for p in task.priors):
             values, _ = physical_values(fit.parameters, fit.fit.vector)
             by_wall = np.concatenate([t.predict(values)[2]["absorption"] for t in objective.terms])
-        windows = own.coherent.energies
-        relative = _relative_errors(state, objective, fit.fit, windows)
+        relative = _relative_errors(state, objective, fit.fit, own.coherent.energies)
+        shared = shared_errors(objective, fit.fit, _sources(task, b), relative, own)
+        there = objective.predict(fit.fit.vector)
+        return there, by_wall, objective.correlation_length(), shared
+
+    found = list[FittedWindows | None]()
+    for b, answer in enumerate(in_forks(asked, range(len(fits)))):
+        own, fit = state.bands[b], fits[b]
+        if answer is None or own is None or fit is None:
+            found.append(None)
+            continue
+        there, by_wall, neighbours, shared = answer
+        files = fitted_in_band(task.measured, b)
         found.append(
             FittedWindows(
                 band=b,
                 parameters=fit.parameters,
-                there=objective.predict(fit.fit.vector),
+                there=there,
                 by_wall=by_wall,
-                neighbours=objective.correlation_length(),
+                neighbours=neighbours,
                 fit=fit.fit,
-                energies=windows,
+                energies=own.coherent.energies,
                 files=files,
-                shared=shared_errors(objective, fit.fit, _sources(task, b), relative, own),
+                shared=shared,
                 decay_rate_per_s=1.0
                 / float(np.median([m.noise.tail_time_constant_s[b] for m in files])),
             )
         )
-        del objective  # before the next one is made
     return tuple(found)
 
 
 def _source_scores(state: SequentialState) -> dict[int, DirectivityScore]:
     """Return by band what contradicts that sources taken for omnidirectional are."""
     task, tested = state.task, state.task.tested_sources
-    scores: dict[int, DirectivityScore] = {}
     if tested is None:
-        return scores
+        return {}
     bases = row_bases(tested, task.scene, state.paths, state.binned)
-    for b, own in enumerate(state.bands):
-        if own is not None:
-            files = fitted_in_band(task.measured, b)
-            directivity = directed_band(tested, task.scene, bases, own.coherent.energies, files)
-            scores[b] = directivity_score(own.energies, own.energy_fit, directivity)
-    return scores
+
+    def score(band: tuple[int, CoherentBand]) -> DirectivityScore:
+        b, own = band
+        files = fitted_in_band(task.measured, b)
+        directivity = directed_band(tested, task.scene, bases, own.coherent.energies, files)
+        return directivity_score(own.energies, own.energy_fit, directivity)
+
+    there = [(b, own) for b, own in enumerate(state.bands) if own is not None]
+    return dict(zip((b for b, _ in there), in_forks(score, there), strict=True))
 
 
 def with_sources_examined(state: SequentialState, traced: TracedPaths) -> SequentialState:
@@ -655,24 +672,23 @@ def with_sources_examined(state: SequentialState, traced: TracedPaths) -> Sequen
     return initialise(again, traced)
 
 
-def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
-    """Return the coherent estimates, common-mode errors included in the covariance.
+def coherent_estimate(fit: CoherentFit, b: int) -> FittedBand | None:
+    """Return a band's coherent estimate, common-mode errors included in the covariance.
 
     Without fit and problem where energies explain the band better: its intervals are of no use.
     """
     state, task = fit.state, fit.state.task
     areas_m2 = material_areas_m2(task.scene.room)
-    each = zip(state.bands, fit.fits, fit.windows, fit.log_evidences, strict=True)
-    for band, found, windows, evidences in each:
-        if band is None or found is None or windows is None:
-            yield None
-            continue
-        objective = found.objective(band)
-        noisy = with_shared_errors(objective, found.fit, windows.shared, windows.there, areas_m2)
-        own = band_estimate(objective.parameters, noisy, areas_m2, "coherent")
-        own = replace(own, window_decays_s=_window_decays_s(windows.energies, found.fit))
-        beaten = task.settings.model != "coherent" and evidences[0] - evidences[1] >= UNDECIDED
-        yield FittedBand(own) if beaten else FittedBand(own, objective, found.fit)
+    band, found, windows = state.bands[b], fit.fits[b], fit.windows[b]
+    if band is None or found is None or windows is None:
+        return None
+    objective = found.objective(band)
+    noisy = with_shared_errors(objective, found.fit, windows.shared, windows.there, areas_m2)
+    own = band_estimate(objective.parameters, noisy, areas_m2, "coherent")
+    own = replace(own, window_decays_s=_window_decays_s(windows.energies, found.fit))
+    lost = float(fit.log_evidences[b, 0] - fit.log_evidences[b, 1])
+    beaten = task.settings.model != "coherent" and lost >= UNDECIDED
+    return FittedBand(own) if beaten else FittedBand(own, objective, found.fit)
 
 
 def _window_decays_s(windows: EnergyTerm, fit: BandFit) -> dict[str, FloatArray]:
@@ -710,8 +726,8 @@ def _sources(task: CoherentTask, band: int) -> tuple[int, ...]:
     return tuple(int(task.scene.pairs[m.pair][0]) for m in fitted_in_band(task.measured, band))
 
 
-def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
-    """Give what energies alone say of each band, in the windows whose noise is known to suit them.
+def energy_estimates(fit: CoherentFit) -> Callable[[int], FittedBand | None]:
+    """Return what says of a band by energies alone, in the windows whose noise is known to suit.
 
     None where the partly coherent model decides, or where there are no data.
     """
@@ -722,19 +738,19 @@ def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
         f is None or (may_decide and bool(x[1] - x[0] < UNDECIDED))
         for f, x in zip(fit.fits, fit.log_evidences, strict=True)
     ]
-    if not any(wanted):
-        yield from [None] * len(wanted)
-        return
-    unknown = task.directivity_parameters
-    bases = None if unknown is None else row_bases(unknown, task.scene, state.paths, state.binned)
-    made = energy_terms(
-        task.scene, task.bands, task.priors, task.measured, state.binned, task.start
-    )
-    for number, (own, band) in enumerate(zip(made, state.bands, strict=True)):
-        if own is None or not wanted[number]:
-            yield None
-            continue
-        windows, parameters = own
+    unknown, bases = task.directivity_parameters, None
+    if unknown is not None and any(wanted):
+        bases = row_bases(unknown, task.scene, state.paths, state.binned)
+
+    def estimate(number: int) -> FittedBand | None:
+        if not wanted[number]:
+            return None
+        made = energy_term(
+            task.scene, task.bands, task.priors, task.measured, state.binned, task.start, number
+        )
+        if made is None:
+            return None
+        (windows, parameters), band = made, state.bands[number]
         files = fitted_in_band(task.measured, number)
         directivity = None if band is None else band.directivity
         if directivity is not None and unknown is not None and bases is not None:
@@ -755,45 +771,6 @@ def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
         shared = shared_errors(objective, own_fit, _sources(task, number), relative)
         noisy = with_shared_errors(objective, own_fit, shared, areas_m2=areas_m2)
         answer = band_estimate(objective.parameters, noisy, areas_m2, "energy")
-        yield FittedBand(answer, objective, own_fit)
+        return FittedBand(answer, objective, own_fit)
 
-
-def decided(
-    fit: CoherentFit,
-    energy: Sequence[BandEstimate | None],
-    coherent: Sequence[BandEstimate | None],
-) -> tuple[BandEstimate | None, ...]:
-    """Return each band's estimate by the model of larger evidence, None without data.
-
-    With what is proven of its energies alone, where that is affordable.
-    """
-    task = fit.state.task
-    chosen = [
-        _decided(*each, task.settings)
-        for each in zip(energy, coherent, fit.log_evidences, strict=True)
-    ]
-    if task.settings.model != "auto":
-        return tuple(chosen)
-    out: list[BandEstimate | None] = []
-    for answer, band in zip(chosen, fit.state.bands, strict=True):
-        if answer is not None and band is not None:
-            proof = affordable_certificate(band.energies, band.energy_fit.vector)
-            answer = replace(answer, certificate=proof)
-        out.append(answer)
-    return tuple(out)
-
-
-def _decided(
-    energy: BandEstimate | None,
-    coherent: BandEstimate | None,
-    evidences: FloatArray,
-    settings: CoherentOptions,
-) -> BandEstimate | None:
-    """Return the answer of larger evidence; with both intervals where evidence cannot decide."""
-    if coherent is None:
-        return energy
-    if energy is None or settings.model == "coherent":
-        return coherent
-    better = evidences[1] - evidences[0]
-    best, other = (coherent, energy) if better > 0.0 else (energy, coherent)
-    return best if abs(better) >= UNDECIDED else with_both_intervals(best, other)
+    return estimate

@@ -352,22 +352,20 @@ def directed_energies(
     return directivities_under_cavity_priors(parameters, bands, directivities, fits)
 
 
-def score_sources(
-    measured: Measurements,
-    traced: TracedPaths,
-    tested_sources: DirectivityParameters,
-    scores: dict[int, DirectivityScore],
-) -> Callable[[int, Objective, BandFit], None]:
-    """Return what enters every fitted band's evidence against its sources into `scores`."""
+def source_scorer(
+    measured: Measurements, traced: TracedPaths, tested_sources: DirectivityParameters
+) -> Callable[[int, Objective, BandFit], DirectivityScore | None]:
+    """Return what finds a fitted band's evidence against its sources, None without windows."""
     bases = row_bases(tested_sources, measured.scene, traced.paths, traced.binned)
 
-    def watch(band: int, objective: Objective, fit: BandFit) -> None:
+    def score(band: int, objective: Objective, fit: BandFit) -> DirectivityScore | None:
         windows, files = objective.as_energies(fit.vector), fitted_in_band(measured.responses, band)
-        if windows is not None:
-            directivity = directed_band(tested_sources, measured.scene, bases, windows, files)
-            scores[band] = directivity_score(objective, fit, directivity)
+        if windows is None:
+            return None
+        directivity = directed_band(tested_sources, measured.scene, bases, windows, files)
+        return directivity_score(objective, fit, directivity)
 
-    return watch
+    return score
 
 
 def directivity_parameters(

@@ -16,6 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.forks import in_forks
 from roomfit.geometry.mesh import mean_free_path_m, shoebox_mesh
 from roomfit.inversion.fits import BandFits, Displacement
 from roomfit.inversion.measurements import Measurements
@@ -352,37 +353,56 @@ def displaced_terms(model: DisplacementModel, shift_m: FloatArray) -> Iterator[D
         yield displaced_term(own.kept, images, times_s, weight, kernel)
 
 
-def logl_of(model: DisplacementModel) -> LogL:
-    """Return the log-likelihood of offsets with absorption, gains and directivity near the best.
+class _LogL:
+    """The log-likelihood of offsets with absorption, gains and directivity near the best.
 
     Windows follow a normal law whose scale is fitted in each band, so that a model that misses some
     of them alike at every place neither gains nor loses; neighbours count as for absorption.
     """
-    vectors, least = [own.start for own in model.bands], [-np.inf] * len(model.bands)
-    known: dict[bytes, float] = {}
 
-    def at(shift_m: FloatArray, roughly: bool, max_rounds: int) -> float:
-        key = np.round(shift_m, 4).tobytes()
-        if key in known and (roughly or known[key] > -np.inf):
-            return known[key]
+    def __init__(self, model: DisplacementModel) -> None:
+        self.model, self.known = model, dict[bytes, float]()
+        self.vectors, self.least = [b.start for b in model.bands], [-np.inf] * len(model.bands)
+
+    def __call__(self, shift_m: FloatArray, roughly: bool = False) -> float:
+        key = _rounded(shift_m)
+        known = self.known.get(key)
+        if known is None or not (roughly or known > -np.inf):
+            known = self.known[key] = self.evaluated(shift_m, roughly, 2)
+        return known
+
+    def foresee(self, shifts_m: Sequence[FloatArray]) -> None:
+        """Evaluate roughly at many vectors together, so that each is known when it is asked for."""
+        asked = {_rounded(s): s for s in reversed(shifts_m) if _rounded(s) not in self.known}
+        values = in_forks(lambda s: self.evaluated(s, True, 2), list(asked.values()))
+        self.known |= dict(zip(asked, values, strict=True))
+
+    def evaluated(self, shift_m: FloatArray, roughly: bool, max_rounds: int) -> float:
+        model = self.model
         if not _is_possible(displaced(model.measured.scene, model.offsets, shift_m)):
             return -np.inf
         total = 0.0
         for i, term in enumerate(displaced_terms(model, shift_m)):
             objective = Objective(model.bands[i].parameters, (term,))
-            fit = score_band(objective, vectors[i], max_rounds=max_rounds)
+            fit = score_band(objective, self.vectors[i], max_rounds=max_rounds)
             prior, _ = prior_residuals(objective.parameters, fit.vector)
             total += _log_likelihood(objective, fit) - 0.5 * float(prior @ prior)
             if max_rounds > 2:
-                vectors[i], least[i] = fit.vector, total - _RULED_OUT
-            elif roughly and total < least[i]:
-                total = -np.inf
-                break
-        known[key] = total
+                self.vectors[i], self.least[i] = fit.vector, total - _RULED_OUT
+            elif roughly and total < self.least[i]:
+                return -np.inf
         return total
 
-    at(np.zeros(len(model.offsets)), False, 12)
-    return lambda shift_m, roughly=False: at(shift_m, roughly, 2)
+
+def _rounded(shift_m: FloatArray) -> bytes:
+    return np.round(shift_m, 4).tobytes()
+
+
+def logl_of(model: DisplacementModel) -> _LogL:
+    """Return the log-likelihood of offsets."""
+    logl, none = _LogL(model), np.zeros(len(model.offsets))
+    logl.known[_rounded(none)] = logl.evaluated(none, False, 12)
+    return logl
 
 
 def _is_possible(scene: Scene) -> bool:
@@ -412,11 +432,13 @@ def located(model: DisplacementModel) -> Located:
     def posterior(shift_m: FloatArray, roughly: bool = False) -> float:
         return logl(shift_m, roughly) - 0.5 * float(np.sum(((model.moved_m + shift_m) / sd_m) ** 2))
 
+    logl.foresee(_about(np.zeros(n), sd_m))
     shift_m = _swept(posterior, np.zeros(n), sd_m)
     for _ in range(n if stated.any() else 0):
         at = _stated_step(model, posterior, shift_m)
         if at is None:
             break
+        logl.foresee(_about(at, sd_m))
         shift_m = _swept(posterior, at, sd_m)
     found_sd_m, own = np.array([o.sd_m for o in offsets]), np.flatnonzero(stated)
     if own.size:
@@ -501,6 +523,13 @@ def _log_prior(offset: Offset, by_m: float) -> float:
     return -2.5 * float(np.log1p(0.25 * (by_m / _tolerance_m(offset)) ** 2))
 
 
+def _about(shift_m: FloatArray, sd_m: FloatArray) -> list[FloatArray]:
+    """Return where a sweep looks first, one offset after the other."""
+    ways = np.eye(shift_m.size)
+    each = zip(ways, sd_m, strict=True)
+    return [shift_m + t * min(s, _REACH_M) * w for w, s in each for t in _WITHIN_SD]
+
+
 def _swept(logl: LogL, shift_m: FloatArray, sd_m: FloatArray) -> FloatArray:
     """Maximise the likelihood over one offset at a time, in order of decreasing gain.
 
@@ -508,7 +537,8 @@ def _swept(logl: LogL, shift_m: FloatArray, sd_m: FloatArray) -> FloatArray:
     """
     ways = np.eye(shift_m.size)
     grids = [[t * min(s, _REACH_M) for t in _WITHIN_SD] for s in sd_m]
-    gains = [max(logl(shift_m + d * w, True) for d in g) for w, g in zip(ways, grids, strict=True)]
+    first = [logl(s, True) for s in _about(shift_m, sd_m)]
+    gains = np.reshape(first, (-1, len(_WITHIN_SD))).max(axis=1)
     at, best = np.array(shift_m), logl(shift_m)
     for k in [i for i in np.argsort(gains)[::-1] if gains[i] > best]:
         for trial in [at + d * ways[k] for d in grids[k]]:
@@ -563,7 +593,7 @@ def _stated_step(
     return trials[int(np.argmax(values))]
 
 
-def _farthest(model: DisplacementModel, logl: LogL, shift_m: FloatArray) -> FloatArray | None:
+def _farthest(model: DisplacementModel, logl: _LogL, shift_m: FloatArray) -> FloatArray | None:
     """Return where one offset is beyond what is specified and gains most, None where none gains.
 
     Over its axis as specified; less likely than what is within the specified, it is nowhere. What
@@ -571,14 +601,14 @@ def _farthest(model: DisplacementModel, logl: LogL, shift_m: FloatArray) -> Floa
     """
     limits_m = np.array([LARGEST_SHIFT_SD * _tolerance_m(o) for o in model.offsets])
     inside, best, at = logl(shift_m), LEAST_GAIN, None
+    axes, unit = np.array([o.axis for o in model.offsets]), np.eye(shift_m.size)
+    starts_m = np.where(axes[:, None] == axes, -model.moved_m, shift_m)
+    grids = [[d for d in (*-_GRID_M, *_GRID_M) if abs(d) > limit] for limit in limits_m]
+    far = zip(starts_m, unit, grids, strict=True)
+    logl.foresee([start + d * way for start, way, grid in far for d in grid])
     for k, offset in enumerate(model.offsets):
-        way = np.eye(shift_m.size)[k]
-        same = [o.axis == offset.axis for o in model.offsets]
-        start_m = np.where(same, -model.moved_m, shift_m)
-        here = logl(start_m)
-        for d in (*-_GRID_M, *_GRID_M):
-            if abs(d) <= limits_m[k]:
-                continue
+        way, start_m, here = unit[k], starts_m[k], logl(starts_m[k])
+        for d in grids[k]:
             found = logl(start_m + d * way, True)
             gain = found - here + _log_prior(offset, d)
             if found > inside and gain > best:

@@ -10,6 +10,7 @@ from scipy import fft
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.eyring import schroeder_hz
+from roomfit.forks import in_forks
 from roomfit.geometry.mesh import volume_m3
 from roomfit.measurement import MeasuredPair
 from roomfit.response.coherent import image_energies, image_paths
@@ -58,16 +59,19 @@ def equalise_sources(
     # octave filters begin an octave below the centre, others nearer
     lowest_hz = float(bands.lower_hz[0] ** 2 / bands.exact_centres_hz[0])
     of_pair = paths_of_pairs(paths)
-    magnitudes: dict[str, SourceMagnitude] = {}
-    for source in dict.fromkeys(m.measurement.source for m in fitted):
+
+    def magnitude_of(source: str) -> SourceMagnitude:
         own = [m for m in fitted if m.measurement.source == source]
-        magnitudes[source] = source_magnitude(
+        return source_magnitude(
             [m.response for m in own],
             [_expected(scene, bands, m, paths, of_pair, absorption) for m in own],
             [m.direct_s + _COMPARED_S for m in own],
             lowest_hz,
             schroeder_factor * _median_schroeder_hz(scene, own),
         )
+
+    sources = list(dict.fromkeys(m.measurement.source for m in fitted))
+    magnitudes = dict(zip(sources, in_forks(magnitude_of, sources), strict=True))
     out = []
     for m in measured:
         magnitude = magnitudes.get(m.measurement.source)

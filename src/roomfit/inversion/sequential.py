@@ -12,6 +12,7 @@ from typing import Literal
 
 import numpy as np
 
+from roomfit.forks import beside, in_forks
 from roomfit.objective.coherent import CoherentTerm, with_coherence
 from roomfit.objective.directivity import BandDirectivities, directed
 from roomfit.objective.parameters import (
@@ -210,45 +211,49 @@ def forward_pass(
     """
     fits: list[CoherentBandFit | None] = []
     known: Marginal | None = None
-    for i, band in enumerate(bands):
-        if band is None or options.model == "energy":
-            fits.append(None)
-            continue
-        geometry = geometry_block(band.coherent.geometry)
-        moved = np.zeros(int(geometry.fitted.sum())) if known is None else known.mean
-        near = BEFORE_THE_LAST_PASS_SD if moved.size else None
-        vector, covariance = band.energy_fit.vector, None
-        if starts and (earlier := starts[i]) is not None:
-            vector = earlier[: vector.size]
-        if known_before is not None:
-            moved = known_before.mean
-            covariance = np.asarray(np.linalg.inv(known_before.information))
-        limit = options.max_rounds
-        best = fit_in_rounds(
-            band,
-            np.append(vector, moved),
-            NOISES[0],
-            known,
-            covariance=covariance,
-            max_rounds=limit,
-            settled_sd=near,
-        )
-        for noise in NOISES[1:]:
-            if best.fit.chi2_reduced <= 1.0:
-                break
-            fit = fit_in_rounds(
-                band, best.fit.vector, noise, known, max_rounds=limit, settled_sd=near
+    there = [own for own in bands if own is not None and options.model == "auto"]
+    # no lower band changes them
+    with beside(lambda: [evidence_of_energies(own) for own in there]) as evidences:
+        for i, band in enumerate(bands):
+            if band is None or options.model == "energy":
+                fits.append(None)
+                continue
+            geometry = geometry_block(band.coherent.geometry)
+            moved = np.zeros(int(geometry.fitted.sum())) if known is None else known.mean
+            near = BEFORE_THE_LAST_PASS_SD if moved.size else None
+            vector, covariance = band.energy_fit.vector, None
+            if starts and (earlier := starts[i]) is not None:
+                vector = earlier[: vector.size]
+            if known_before is not None:
+                moved = known_before.mean
+                covariance = np.asarray(np.linalg.inv(known_before.information))
+            limit = options.max_rounds
+            best = fit_in_rounds(
+                band,
+                np.append(vector, moved),
+                NOISES[0],
+                known,
+                covariance=covariance,
+                max_rounds=limit,
+                settled_sd=near,
             )
-            less_likely = fit.log_likelihood < best.log_likelihood - _AS_LIKELY
-            if less_likely and noise[0] > best.noise[0]:
-                break
-            best = max(best, fit, key=lambda f: f.log_likelihood)
-        if options.model == "auto":
-            best = compared_with_energies(band, best)
-        fits.append(best)
-        known = known if best.found is None else best.found
-        if progress is not None:
-            progress((i + 1) / len(bands))
+            for noise in NOISES[1:]:
+                if best.fit.chi2_reduced <= 1.0:
+                    break
+                fit = fit_in_rounds(
+                    band, best.fit.vector, noise, known, max_rounds=limit, settled_sd=near
+                )
+                less_likely = fit.log_likelihood < best.log_likelihood - _AS_LIKELY
+                if less_likely and noise[0] > best.noise[0]:
+                    break
+                best = max(best, fit, key=lambda f: f.log_likelihood)
+            if there:
+                evidence = evidences.result()[there.index(band)]
+                best = compared_with_energies(band, best, evidence)
+            fits.append(best)
+            known = known if best.found is None else best.found
+            if progress is not None:
+                progress((i + 1) / len(bands))
     return fits
 
 
@@ -287,7 +292,11 @@ def leave_one_out_pass(
         return again, None
     *_, final = trusted[-1]
     covariance = np.asarray(np.linalg.inv(final.information))
-    for i, band, fit, found in trusted:
+
+    def fitted(
+        which: tuple[int, CoherentBand, CoherentBandFit, Marginal],
+    ) -> CoherentBandFit:
+        _, band, fit, found = which
         joint = cavity_prior(final, found, geometry_information(fit.parameters))
         n = fit.fit.vector.size - final.mean.size
         start = np.concatenate((fit.fit.vector[:n], final.mean))
@@ -300,7 +309,10 @@ def leave_one_out_pass(
             rounds=1,
             max_rounds=options.max_rounds,
         )
-        again[i] = replace(last, energy_log_evidence=fit.energy_log_evidence)
+        return replace(last, energy_log_evidence=fit.energy_log_evidence)
+
+    for (i, *_), last in zip(trusted, in_forks(fitted, trusted), strict=True):
+        again[i] = last
     return again, final
 
 
@@ -346,8 +358,8 @@ def cavity_prior(final: Marginal, after: Marginal, before: FloatArray) -> Margin
     return Marginal(final.mean, final.information - (after.information - before))
 
 
-def compared_with_energies(band: CoherentBand, fit: CoherentBandFit) -> CoherentBandFit:
-    """Return a fit with the evidence of energies, and without geometry where that is no smaller.
+def evidence_of_energies(band: CoherentBand) -> float:
+    """Return the log evidence of a band's data with windows as energies.
 
     Energies have the error of the model, of `NOISES`, that suits them best, as pressures have.
     """
@@ -358,7 +370,14 @@ def compared_with_energies(band: CoherentBand, fit: CoherentBandFit) -> Coherent
         objective = replace(band.energies, terms=terms)
         own = score_band(objective, band.energy_fit.vector, settled_sd=BEFORE_THE_LAST_PASS_SD)
         found.append(log_evidence(objective, own))
-    fit = replace(fit, energy_log_evidence=max(found))
+    return max(found)
+
+
+def compared_with_energies(
+    band: CoherentBand, fit: CoherentBandFit, energy_log_evidence: float
+) -> CoherentBandFit:
+    """Return a fit with the evidence of energies, and without geometry where that is no smaller."""
+    fit = replace(fit, energy_log_evidence=energy_log_evidence)
     energies, pressures = log_evidences(band, fit)
     return fit if pressures > energies else replace(fit, found=None)
 

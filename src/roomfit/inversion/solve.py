@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from roomfit.air import Air, relative_speed_sd
-from roomfit.inversion.bands import fit_bands
+from roomfit.forks import in_forks
+from roomfit.inversion.bands import affordable_certificate, fitted_band
 from roomfit.inversion.coherent import (
     CoherentFit,
     CoherentTask,
-    coherent_estimates,
+    coherent_estimate,
     contradicted_position_sd_scale,
-    decided,
     energy_estimates,
     initialise,
     with_sources_examined,
@@ -28,7 +28,7 @@ from roomfit.inversion.directivity import (
     directivity_parameters,
     is_fittable,
     omnidirectional,
-    score_sources,
+    source_scorer,
     with_fitted_sources,
 )
 from roomfit.inversion.fits import BandFits
@@ -45,6 +45,7 @@ from roomfit.inversion.systematics import (
     inflated_by_adjacent_bands,
     relative_errors,
     shared_errors,
+    with_both_intervals,
     with_decay_errors,
     with_shared_errors,
 )
@@ -55,7 +56,7 @@ from roomfit.objective.directivity import (
     DirectivityParameters,
     energy_objective,
 )
-from roomfit.objective.observation import energy_terms, fitted_in_band
+from roomfit.objective.observation import energy_term, fitted_in_band
 from roomfit.objective.parameters import physical_values
 from roomfit.objective.problem import DataTerm, Objective
 from roomfit.objective.room_parameters import value_terms, without_responses
@@ -133,17 +134,23 @@ def estimate_energies(
         unknown: DirectivityParameters | None, tested: DirectivityParameters | None
     ) -> BandFits:
         directivities = directed_energies(measured, priors, traced, start, unknown)
-        scores: dict[int, DirectivityScore] = {}
-        fitted = fit_bands(
-            energy_objectives(measured, priors, traced, start, directivities),
-            priors,
-            areas_m2,
-            settings,
-            progress,
-            watch=None if tested is None else score_sources(measured, traced, tested, scores),
-            shared_covariance=shared_error_covariance(measured, traced),
-        )
-        estimates = with_decay_errors([refine(band, None) for band in fitted], areas_m2, priors)
+        objective_of = energy_objectives(measured, priors, traced, start, directivities)
+        score = None
+        if tested is not None and settings.method != "certified":  # a proof is of what was asked
+            score = source_scorer(measured, traced, tested)
+        shared, n = shared_error_covariance(measured, traced), len(measured.bands)
+
+        def answer(band: int) -> tuple[BandEstimate, DirectivityScore | None]:
+            done = part(progress, band / n, (band + 1) / n)
+            own = fitted_band(band, objective_of(band), priors, areas_m2, settings, done, shared)
+            against: DirectivityScore | None = None
+            if score is not None and own.objective is not None and own.fit is not None:
+                against = score(band, own.objective, own.fit)
+            return refine(own, None), against
+
+        answers = in_forks(answer, range(n))
+        scores = {band: score for band, (_, score) in enumerate(answers) if score is not None}
+        estimates = with_decay_errors([found for found, _ in answers], areas_m2, priors)
         found = band_directivities(measured.scene, unknown, directivities, estimates)
         against = contradicted_sources(tested, scores)
         return BandFits(
@@ -163,17 +170,18 @@ def energy_objectives(
     traced: TracedPaths,
     start: FloatArray,
     directivities: tuple[BandDirectivities | None, ...],
-) -> Iterator[Objective | None]:
-    """Make one objective after the other from window energies, room parameters, or both."""
+) -> Callable[[int], Objective | None]:
+    """Return what makes the objective of a band from window energies, room parameters, or both."""
     others = _other_terms(measured, traced)
-    made = energy_terms(
-        measured.scene, measured.bands, priors, measured.responses, traced.binned, start
-    )
-    for band, own in enumerate(made):
+    scene, bands, responses = measured.scene, measured.bands, measured.responses
+
+    def objective(band: int) -> Objective | None:
+        own = energy_term(scene, bands, priors, responses, traced.binned, start, band)
         if own is None:
-            yield without_responses(others[band], priors, band, start)
-        else:
-            yield energy_objective(*own, directivities[band], others[band])
+            return without_responses(others[band], priors, band, start)
+        return energy_objective(*own, directivities[band], others[band])
+
+    return objective
 
 
 def coherent_task(
@@ -294,30 +302,75 @@ def coherent_answers(
 ) -> BandFits:
     """Return each band's estimate by partly coherent image sources where they explain it."""
     task, n = fit.state.task, len(fit.fits)
-    coherent: list[BandEstimate | None] = []
-    for i, band in enumerate(coherent_estimates(fit)):
-        done = part(progress, 0.8 * i / n, 0.8 * (i + 1) / n)
-        coherent.append(None if band is None else refine(band, done))
+    by_energies = energy_estimates(fit)
+
+    def answers(b: int) -> tuple[BandEstimate | None, BandEstimate | None]:
+        pressures, energies = coherent_estimate(fit, b), by_energies(b)
+        done = part(progress, 0.8 * b / n, 0.8 * (b + 1) / n)
+        return (
+            None if pressures is None else refine(pressures, done),
+            None if energies is None else refine(energies, None),
+        )
+
+    coherent, energy = zip(*in_forks(answers, range(n)), strict=True)
     areas_m2 = material_areas_m2(task.scene.room)
-    energy = [None if b is None else refine(b, None) for b in energy_estimates(fit)]
-    chosen = decided(
-        fit, energy, inflated_by_adjacent_bands(tuple(coherent), areas_m2, task.priors)
-    )
+    chosen = decided(fit, energy, inflated_by_adjacent_bands(coherent, areas_m2, task.priors))
+
     # where no response has data, room parameters or the prior
-    alone = [
-        without_responses(own, task.priors, band, task.start) if e is None else None
-        for band, (e, own) in enumerate(zip(chosen, task.others, strict=True))
-    ]
-    rest = fit_bands(alone, task.priors, areas_m2, settings, part(progress, 0.8, 1.0))
-    estimates = with_decay_errors(
-        [refine(r, None) if e is None else e for e, r in zip(chosen, rest, strict=True)],
-        areas_m2,
-        task.priors,
-    )
+    def rest(b: int) -> BandEstimate:
+        alone = without_responses(task.others[b], task.priors, b, task.start)
+        done = part(progress, 0.8 + 0.2 * b / n, 0.8 + 0.2 * (b + 1) / n)
+        return refine(fitted_band(b, alone, task.priors, areas_m2, settings, done), None)
+
+    missing = [b for b, e in enumerate(chosen) if e is None]
+    others = dict(zip(missing, in_forks(rest, missing), strict=True))
+    each = [others[b] if e is None else e for b, e in enumerate(chosen)]
+    estimates = with_decay_errors(each, areas_m2, task.priors)
     directivities = tuple(None if b is None else b.directivity for b in fit.state.bands)
     found = band_directivities(task.scene, task.directivity_parameters, directivities, estimates)
     unknown = task.directivity_parameters
     return BandFits(estimates, fit.geometry, found, unknown, fit.contradicted, fit.tests)
+
+
+def decided(
+    fit: CoherentFit,
+    energy: Sequence[BandEstimate | None],
+    coherent: Sequence[BandEstimate | None],
+) -> tuple[BandEstimate | None, ...]:
+    """Return each band's estimate by the model of larger evidence, None without data.
+
+    With what is proven of its energies alone, where that is affordable.
+    """
+    task = fit.state.task
+    chosen = [
+        _decided(*each, task.settings)
+        for each in zip(energy, coherent, fit.log_evidences, strict=True)
+    ]
+    if task.settings.model != "auto":
+        return tuple(chosen)
+    out: list[BandEstimate | None] = []
+    for answer, band in zip(chosen, fit.state.bands, strict=True):
+        if answer is not None and band is not None:
+            proof = affordable_certificate(band.energies, band.energy_fit.vector)
+            answer = replace(answer, certificate=proof)
+        out.append(answer)
+    return tuple(out)
+
+
+def _decided(
+    energy: BandEstimate | None,
+    coherent: BandEstimate | None,
+    evidences: FloatArray,
+    settings: CoherentOptions,
+) -> BandEstimate | None:
+    """Return the answer of larger evidence; with both intervals where evidence cannot decide."""
+    if coherent is None:
+        return energy
+    if energy is None or settings.model == "coherent":
+        return coherent
+    better = evidences[1] - evidences[0]
+    best, other = (coherent, energy) if better > 0.0 else (energy, coherent)
+    return best if abs(better) >= UNDECIDED else with_both_intervals(best, other)
 
 
 def _other_terms(measured: Measurements, traced: TracedPaths) -> tuple[tuple[DataTerm, ...], ...]:

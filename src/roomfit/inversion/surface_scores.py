@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
+from roomfit.forks import in_forks
 from roomfit.geometry.mesh import area_vectors_m2, corners_m, is_double_sided, plane_axes
 from roomfit.inversion.coherent import CoherentFit
 from roomfit.inversion.fits import SurfaceScore
@@ -97,25 +98,29 @@ def surface_scores(fit: CoherentFit) -> tuple[SurfaceScore, ...]:
     task = fit.state.task
     surfaces = plane_surfaces(task.scene.room)
     n = len(surfaces)
-    found: list[list[tuple[int, FloatArray, FloatArray]]] = [[] for _ in surfaces]
-    each = zip(fit.state.bands, fit.fits, fit.windows, fit.log_evidences, strict=True)
-    for own, band_fit, windows, evidences in each:
+
+    def cells_of(b: int) -> list[tuple[int, FloatArray, FloatArray]]:
+        """Return band, score and information of the cells of every surface, if a band has any."""
+        own, band_fit, windows = fit.state.bands[b], fit.fits[b], fit.windows[b]
         if own is None or band_fit is None or windows is None or not surfaces:
-            continue
+            return []
         term = band_fit.objective(own).terms[0]
         values, _ = physical_values(windows.parameters, windows.fit.vector)
         if isinstance(term, DirectedTerm):
             term = term.radiated(values)
-        if not (isinstance(term, CoherentTerm) and not evidences[1] < evidences[0]):
-            continue
+        energies, pressures = fit.log_evidences[b]
+        if not isinstance(term, CoherentTerm) or pressures < energies:
+            return []
         strikes = _strikes(term.images, task.scene, [m.pair for m in windows.files], surfaces)
         slopes = _slopes(term, values, strikes.reshape(len(strikes), -1))
         score, information = scored(windows, slopes)
         blocks = information.reshape(n, N_CELLS, n, N_CELLS)
-        for k, cells in enumerate(score.reshape(n, N_CELLS)):
-            found[k].append((windows.band, cells, blocks[k, :, k]))
+        return [(b, own, blocks[k, :, k]) for k, own in enumerate(score.reshape(n, N_CELLS))]
+
     octaves = np.log2(task.bands.centres_hz)
-    return tuple(_score(s, own, octaves) for s, own in zip(surfaces, found, strict=True) if own)
+    found = [cells for cells in in_forks(cells_of, range(len(fit.fits))) if cells]
+    each = zip(surfaces, zip(*found, strict=True), strict=True) if found else ()
+    return tuple(_score(surface, own, octaves) for surface, own in each)
 
 
 def _score(
@@ -237,14 +242,9 @@ def _slopes(term: CoherentTerm, values: Values, hits: IntArray) -> FloatArray:
     times = replace(times, delays_s=np.append(times.delays_s, np.zeros(n)))
     absorption = np.append(values["absorption"], np.zeros(n))
     names = tuple(f"further {k}" for k in range(n))
-    every, coherent = (
-        replace(
-            images,
-            materials=(*images.materials, *names),
-            hits=np.ascontiguousarray(np.concatenate((images.hits, hits), axis=1)),
-        )
-        for images in (term.images, term.coherent)
-    )
+    every, coherent = term.images, term.coherent
+    both = np.concatenate((coherent.hits, hits), axis=1)
+    coherent = replace(coherent, materials=(*coherent.materials, *names), hits=both)
     edges_s = tuple(o.fine_edges_s for o in term.early)
     response = coherent_response(coherent, absorption, times, term.grid, edges_s)
     ends = np.cumsum([0, *(o.fine_edges_s.size - 1 for o in term.early)])
@@ -253,7 +253,8 @@ def _slopes(term: CoherentTerm, values: Values, hits: IntArray) -> FloatArray:
         for end, o in zip(ends, term.early, strict=False)
     ]
     pressures = np.add.reduceat(response.by_log_reflected, np.concatenate(firsts))[:, -n:]
-    energy = image_energies(every, absorption) * (1.0 - every.coherence)
+    # what is hit beside the materials absorbs nothing
+    energy = image_energies(every, values["absorption"]) * (1.0 - every.coherence)
     rest = []
     for o, observed in enumerate(term.early):
         own = np.arange(every.offsets[o], every.offsets[o + 1])

@@ -12,6 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from roomfit._numba import each_in_threads, in_threads
 from roomfit.air import speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.materials.priors import MaterialPrior
@@ -58,7 +59,7 @@ from roomfit.response.directivity import (
     image_amplitudes,
     image_basis,
 )
-from roomfit.response.energy import first_rows, shared_zeros
+from roomfit.response.energy import ROWS_WORTH_THREADS, first_rows, shared_zeros
 from roomfit.scene import Scene
 from roomfit.typing import FloatArray, IntArray
 
@@ -167,8 +168,9 @@ class CoherentTerm(DataTerm):
     def _less(self, energy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the energies of what is coherent in each early window, and by ln(1 - a)."""
         energy = energy * self.coherent.coherence
-        energies, by_hits = [], []
-        for o, observed in enumerate(self.early):
+
+        def less(o: int) -> tuple[FloatArray, FloatArray]:
+            observed = self.early[o]
             own = slice(self.coherent.offsets[o], self.coherent.offsets[o + 1])
             n_bins = observed.spreading.shape[1]
             total, hits = np.zeros(n_bins), np.zeros((self.coherent.hits.shape[1], n_bins))
@@ -180,8 +182,12 @@ class CoherentTerm(DataTerm):
                 total,
                 hits,
             )
-            energies.append(observed.spreading @ total)
-            by_hits.append(in_windows(observed.spreading, hits.T))
+            return observed.spreading @ total, in_windows(observed.spreading, hits.T)
+
+        worth_it = energy.size * self.coherent.hits.shape[1] >= ROWS_WORTH_THREADS
+        energies, by_hits = zip(
+            *each_in_threads(less, len(self.early), worth_it=worth_it), strict=True
+        )
         return np.concatenate(energies), np.concatenate(by_hits)
 
     def expected(self, values: Values) -> FloatArray:
@@ -303,7 +309,7 @@ def with_coherence(
     spread = np.empty(images.weight.size)
     roots = local_roots(term.geometry, covariance)
     shared = (images.row, images.image_to_receiver_m, images.image_transform, images.hits)
-    spread_squared(images.offsets, *shared, c, roots, spread)
+    in_threads(spread_squared, len(roots), images.offsets, *shared, c, roots, spread)
     travel_s = images.lengths_m() / c
     spread += 2.0 * (_POSITION_SD_M / c) ** 2 + (_TIMING_SHARE * travel_s) ** 2
     phase = (2.0 * np.pi * term.energies.centre_hz) ** 2 * spread

@@ -15,6 +15,7 @@ from typing import ClassVar
 import numpy as np
 from scipy.sparse import block_diag, csr_array
 
+from roomfit.forks import count_evaluation
 from roomfit.objective.directivity import DIRECTIVITY, BandDirectivities, DirectedTerm, vectors_of
 from roomfit.objective.energy import (
     EnergyTerm,
@@ -22,7 +23,7 @@ from roomfit.objective.energy import (
     parts_of,
     variance_of_batches,
 )
-from roomfit.objective.problem import DataTerm, Rows, Values, count_evaluation
+from roomfit.objective.problem import DataTerm, Rows, Values
 from roomfit.objective.windows import in_windows
 from roomfit.response.directivity import amplitude_and_slope, pattern_basis
 from roomfit.signals.filters import (

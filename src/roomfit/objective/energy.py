@@ -10,16 +10,18 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from roomfit._checks import float_array
+from roomfit._numba import each_in_threads
 from roomfit.errors import InputError
+from roomfit.forks import count_evaluation
 from roomfit.objective.parameters import start_vector
-from roomfit.objective.problem import DataTerm, Objective, Rows, Values, count_evaluation
+from roomfit.objective.problem import DataTerm, Objective, Rows, Values
 from roomfit.objective.windows import (
     in_windows,
     squares_in_windows,
     with_squares,
 )
 from roomfit.response.directivity import EnergyParts, RowBasis, RowPattern, weigh_parts
-from roomfit.response.energy import EnergyRows, rows_in_air, shared_zeros
+from roomfit.response.energy import ROWS_WORTH_THREADS, EnergyRows, rows_in_air, shared_zeros
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 _RINGING_S = 2e-3
@@ -104,13 +106,21 @@ class EnergyTerm(DataTerm):
         """
         count_evaluation()
         gains = np.append(values["gain"], 1.0)  # index -1: absolute level
-        signals, by_absorption, by_gain, by_pattern, paths = [], [], [], [], []
-        for o, observation in enumerate(self.observations):
-            gain = gains[observation.gain]
+        walls, air = values["absorption"], self.attenuation_per_m
+
+        def weighed_windows(o: int) -> tuple[EnergyParts, FloatArray]:
             pattern = self.patterns[o] if self.patterns else None
-            walls, air = values["absorption"], self.attenuation_per_m
             parts = weigh_parts(self.rows[o], pattern, walls, air, derivative=True)
-            found = in_windows(observation.spreading, parts.columns)
+            return parts, in_windows(self.observations[o].spreading, parts.columns)
+
+        signals, by_absorption, by_gain, by_pattern, paths = [], [], [], [], []
+        each = each_in_threads(
+            weighed_windows,
+            len(self.observations),
+            worth_it=sum(map(len, self.rows)) >= ROWS_WORTH_THREADS,
+        )
+        for observation, (parts, found) in zip(self.observations, each, strict=True):
+            gain = gains[observation.gain]
             last = 2 + len(parts.batches)
             tracing = variance_of_batches(found[:, 2:last])
             paths.append(Weighed(parts.energy, parts.squares, tracing))

@@ -55,19 +55,34 @@ def energy_terms(
     periods: float = 1.5,
     fine_s: float = 0.0,
 ) -> Iterator[tuple[EnergyTerm, Parameters] | None]:
-    """Make the windows of one band after the other, with their unknowns.
+    """Make the windows of one band after the other, see `energy_term`.
 
-    Over the measurements that are to be fitted.
-
-    None stands for a band in which fewer windows rise above the noise than there are unknowns.
     Terms of large jobs are large: take what is needed of one before asking for the next.
+    """
+    for band in range(len(bands)):
+        yield energy_term(scene, bands, priors, measured, binned, start, band, (periods, fine_s))
+
+
+def energy_term(
+    scene: Scene,
+    bands: Bands,
+    priors: tuple[MaterialPrior, ...],
+    measured: tuple[MeasuredPair, ...],
+    binned: BinnedPaths,
+    start: FloatArray,
+    band: int,
+    shortest: tuple[float, float] = (1.5, 0.0),
+) -> tuple[EnergyTerm, Parameters] | None:
+    """Return the windows of a band, with their unknowns, of the measurements to be fitted.
+
+    None where fewer windows rise above the noise than there are unknowns.
 
     Parameters
     ----------
     start : float array, shape (n_bands,)
         Uniform absorption to start from.
-    periods, fine_s : float
-        How short the windows may be; see `window_edges_s`.
+    shortest : two floats
+        How short the windows may be; `periods` and `fine_s` of `window_edges_s`.
 
     Notes
     -----
@@ -75,34 +90,31 @@ def energy_terms(
     noise would determine neither the walls nor its gain.
     """
     attenuation = attenuation_per_m(scene.air, bands)
-    kernel = spreading_kernel(bands)
-    for band in range(len(bands)):
-        fitted = fitted_in_band(measured, band)
-        coarse = in_band(binned, float(bands.centres_hz[band]))
-        labels = [_gain_label(m) for m in fitted]  # "" where the level is absolute
-        gain_labels = tuple(dict.fromkeys(label for label in labels if label))
-        one = Bands(bands.kind, bands.centres_hz[band : band + 1])
-        observations = tuple(
-            _observation(
-                (one, kernel),
-                band,
-                m,
-                coarse.edges_s,
-                timing_sd_s(scene, m),
-                gain_labels.index(label) if label else -1,
-                (periods, fine_s),
-            )
-            for m, label in zip(fitted, labels, strict=True)
+    fitted = fitted_in_band(measured, band)
+    coarse = in_band(binned, float(bands.centres_hz[band]))
+    labels = [_gain_label(m) for m in fitted]  # "" where the level is absolute
+    gain_labels = tuple(dict.fromkeys(label for label in labels if label))
+    one = Bands(bands.kind, bands.centres_hz[band : band + 1])
+    reduction = one, spreading_kernel(bands)
+    observations = tuple(
+        _observation(
+            reduction,
+            band,
+            m,
+            coarse.edges_s,
+            timing_sd_s(scene, m),
+            gain_labels.index(label) if label else -1,
+            shortest,
         )
-        if sum(o.energy.size for o in observations) <= len(priors) + len(gain_labels):
-            yield None
-            continue
-        absorption = absorption_block(priors, band, float(start[band]))
-        centre_hz, bandwidth_hz = float(bands.centres_hz[band]), statistical_bandwidth_hz(one)[0]
-        term = EnergyTerm(centre_hz, float(bandwidth_hz), 0.0, (), observations)
-        term = with_paths(term, binned, float(attenuation[band]))
-        gain = _gain_block(gain_labels, term, absorption)
-        yield term, Parameters((absorption, gain))
+        for m, label in zip(fitted, labels, strict=True)
+    )
+    if sum(o.energy.size for o in observations) <= len(priors) + len(gain_labels):
+        return None
+    absorption = absorption_block(priors, band, float(start[band]))
+    centre_hz, bandwidth_hz = float(bands.centres_hz[band]), statistical_bandwidth_hz(one)[0]
+    term = EnergyTerm(centre_hz, float(bandwidth_hz), 0.0, (), observations)
+    term = with_paths(term, binned, float(attenuation[band]))
+    return term, Parameters((absorption, _gain_block(gain_labels, term, absorption)))
 
 
 def with_paths(term: EnergyTerm, binned: BinnedPaths, attenuation_per_m: float) -> EnergyTerm:

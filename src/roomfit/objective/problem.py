@@ -7,9 +7,7 @@ terms end to end, and puts their derivatives into the columns of the vector.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Protocol, TypeAlias
@@ -207,30 +205,6 @@ class Objective:
                 for term, mean, spread in split
             ]
         )
-
-
-# How many predictions were made since `counted_evaluations` was entered; in a context of its own,
-# because fits are made in trials, rounds, profiles and samples of many functions, and a count that
-# passes through the signatures of all of them forgets some.
-_MADE: ContextVar[list[int]] = ContextVar("evaluations")
-
-
-@contextmanager
-def counted_evaluations() -> Iterator[list[int]]:
-    """Give a list whose only entry counts the evaluations of data terms made within the block."""
-    made = [0]
-    token = _MADE.set(made)
-    try:
-        yield made
-    finally:
-        _MADE.reset(token)
-
-
-def count_evaluation() -> None:
-    """Count one evaluation of one kind of data of a band, where anyone counts."""
-    made = _MADE.get(None)
-    if made is not None:
-        made[0] += 1
 
 
 def total(parts: Mapping[str, FloatArray]) -> FloatArray:

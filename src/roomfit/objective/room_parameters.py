@@ -13,10 +13,11 @@ from scipy import fft
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import InputError
+from roomfit.forks import count_evaluation
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.observation import absorption_block
 from roomfit.objective.parameters import Parameters
-from roomfit.objective.problem import DataTerm, Objective, Rows, Values, count_evaluation
+from roomfit.objective.problem import DataTerm, Objective, Rows, Values
 from roomfit.objective.windows import (
     Spreading,
     band_spreading,

@@ -108,6 +108,10 @@ def answer_figures(answer: Result) -> dict[str, Figure]:
     pairs = [pair for pair in answer.pairs if has_curves(pair)]
     if pairs:
         found["decays"] = decay_figure(answer, *pairs)
+    for figure in found.values():
+        figure.set_dpi(72)  # all in its place as by `svg`, whoever draws first
+        FigureCanvasSVG(figure).figure.draw_without_rendering()
+        figure.set_layout_engine("none")
     return found
 
 

@@ -148,7 +148,9 @@ def shown_progress(description: str) -> Iterator[Progress]:
     if not stages.lines:
         bar = _bar() if notebook else None
         # by a thread, so that the clock moves during a long step, too
-        draw = threading.Thread(target=_drawn, args=(stages, bar, ended), daemon=True)
+        draw = threading.Thread(
+            target=_drawn, args=(stages, bar, ended), name="progress", daemon=True
+        )
         draw.start()
     logger.addHandler(stages)
     try:

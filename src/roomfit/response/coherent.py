@@ -24,6 +24,7 @@ from scipy.special import i0
 from roomfit._numba import in_threads, kernel
 from roomfit.bands import Bands
 from roomfit.errors import InputError
+from roomfit.response.energy import ROWS_WORTH_THREADS
 from roomfit.signals.filters import energy_bandwidth_hz, frequency_response
 from roomfit.tracing.paths import Paths, hits, losses, paths_of_pairs
 from roomfit.typing import BoolArray, FloatArray, IntArray
@@ -38,7 +39,6 @@ TABLE_STEPS = 2048
 _COLUMNS_AT_ONCE = 8
 
 
-@kernel()
 def root_energies(
     weight: FloatArray, row: IntArray, hits: IntArray, powers: FloatArray
 ) -> FloatArray:
@@ -47,13 +47,27 @@ def root_energies(
     Path i has the hits of `row[i]`. `powers` is the table of ``sqrt(x) ** h``, shape
     (n_materials, max_hits + 1).
     """
-    out = np.empty(len(weight))
-    for i in range(len(weight)):
+    n, out = len(weight), np.empty(len(weight))
+    worth_it = n * hits.shape[1] >= ROWS_WORTH_THREADS
+    in_threads(_root_energies, n, weight, row, hits, powers, out, worth_it=worth_it)
+    return out
+
+
+@kernel(allocates=False)
+def _root_energies(
+    first: int,
+    last: int,
+    weight: FloatArray,
+    row: IntArray,
+    hits: IntArray,
+    powers: FloatArray,
+    out: FloatArray,
+) -> None:
+    for i in range(first, last):
         root = math.sqrt(weight[i])
         for m in range(hits.shape[1]):
             root *= powers[m, hits[row[i], m]]
         out[i] = root
-    return out
 
 
 @kernel()
@@ -236,6 +250,8 @@ def binned_shares(
 
 @kernel()
 def spread_squared(
+    first: int,
+    last: int,
     offsets: IntArray,
     row: IntArray,
     away: FloatArray,
@@ -245,13 +261,15 @@ def spread_squared(
     roots: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Variance of arrival times: the squared length of each path's slopes D times a root of Cov.
+    """Fill variances of arrival times: squared lengths of each path's slopes D times a root of Cov.
+
+    Of the observations from `first` up to `last`.
 
     `roots` has the shape (n_observations, 8 + n_materials, k), entries in the order source (3),
     receiver (3), ln c, latency, delays; the other arrays are those of `grid_impulses`.
     """
     n_materials = hits.shape[1]
-    for o in range(len(offsets) - 1):
+    for o in range(first, last):
         root = roots[o]
         slopes, along = np.empty(8 + n_materials), np.empty(root.shape[1])
         for i in range(offsets[o], offsets[o + 1]):

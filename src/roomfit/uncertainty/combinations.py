@@ -18,6 +18,7 @@ import numpy as np
 from roomfit._checks import float_array
 from roomfit.errors import InputError
 from roomfit.findings import About, Code, Finding
+from roomfit.forks import in_forks
 from roomfit.materials.priors import symmetric_root
 from roomfit.typing import BoolArray, FloatArray, IntArray
 from roomfit.uncertainty.posterior import band_draws, prior_draws
@@ -499,8 +500,9 @@ def determined(
     shares : float array, shape (3, n_materials, n_bands)
         Of each material in the room's absorption, with its lower and its upper 95 % bound.
     """
-    combinations, sentences, shares = [], [], []
-    for band, covariance in enumerate(logit_covariance):
+
+    def of_band(band: int) -> tuple[tuple[Combination, ...], str, FloatArray]:
+        covariance = logit_covariance[band]
         a, prior = absorption[:, band], (logit_prior[0][:, band], logit_prior[1][band])
         drawn = samples[band] if band < len(samples) else None
         if drawn is None:
@@ -508,11 +510,12 @@ def determined(
             drawn = band_draws(a, covariance, prior[0], prior[1], N_DRAWS, rng, specified=specified)
         rng = np.random.default_rng(seed)
         found = find_combinations(areas_m2, a, covariance, prior[0], prior[1], rng, draws=drawn)
-        combinations.append(found)
-        left_open = undetermined_groups(covariance, prior[1])
-        sentences.append(band_sentence(materials, found, left_open))
-        shares.append(absorption_shares(areas_m2, a, drawn))
-    return tuple(combinations), tuple(sentences), np.stack(shares, axis=-1)
+        sentence = band_sentence(materials, found, undetermined_groups(covariance, prior[1]))
+        return found, sentence, absorption_shares(areas_m2, a, drawn)
+
+    bands = in_forks(of_band, range(len(logit_covariance)))
+    combinations, sentences, shares = zip(*bands, strict=True)
+    return combinations, sentences, np.stack(shares, axis=-1)
 
 
 def inseparable_findings(

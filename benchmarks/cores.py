@@ -1,0 +1,133 @@
+"""What further cores are worth: seconds by the clock, processor seconds, memory, and equal answers.
+
+    python benchmarks/cores.py [--threads 1 2] [--repeats 2] [--quick] [--campaign FILE]
+
+The demo's campaign, or any, is identified by the command line without the cache, report and
+pictures included, with each number of threads in turn. Memory is what process and copies have
+together at most, pages that they share counted once (PSS, every 50 ms). The serial share is
+Amdahl's, by the clock: it means something only on a machine that has nothing else to do, which the
+load before each run says. Processor seconds are those of all processes. Exit code 1 where
+`result.json`, its seconds apart, or a picture differs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from roomfit.synthetic.boxes import demo_plan, write_measured_box
+
+_EVERY_S = 0.05
+
+
+class Run(NamedTuple):
+    """One identification."""
+
+    wall_s: float
+    cpu_s: float
+    memory_bytes: int
+    load: float  # before it
+    digest: str
+
+
+def identified(campaign: Path, out: Path, threads: int, *, quick: bool) -> Run:
+    """Identify a campaign in a process of its own."""
+    command = [sys.executable, "-m", "roomfit", "identify", str(campaign), "--out", str(out)]
+    command += ["--no-cache", "--overwrite", "--quiet", "--threads", str(threads)]
+    load, before = os.getloadavg()[0], resource.getrusage(resource.RUSAGE_CHILDREN)
+    began, most = time.perf_counter(), 0
+    process = subprocess.Popen(
+        command + ["--quick"] * quick, stdout=subprocess.DEVNULL, start_new_session=True
+    )
+    while process.poll() is None:
+        most = max(most, group_bytes(process.pid))
+        time.sleep(_EVERY_S)
+    wall_s, after = time.perf_counter() - began, resource.getrusage(resource.RUSAGE_CHILDREN)
+    if process.returncode:
+        raise SystemExit(f"roomfit ended with {process.returncode}")
+    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return Run(wall_s, cpu_s, most, load, digest_of(out))
+
+
+def group_bytes(group: int) -> int:
+    """Return the memory of all processes of a group, what they share counted once."""
+    found = 0
+    for folder in Path("/proc").glob("[0-9]*"):
+        # processes end while they are being looked at
+        with suppress(OSError, ValueError):
+            if os.getpgid(int(folder.name)) == group:
+                lines = (folder / "smaps_rollup").read_text().splitlines()
+                found += sum(1024 * int(x.split()[1]) for x in lines if x.startswith("Pss:"))
+    return found
+
+
+def digest_of(out: Path) -> str:
+    """Return the digest of result.json without its seconds, and of pictures and tables."""
+    content = without_seconds(json.loads((out / "result.json").read_text(encoding="utf-8")))
+    total = sha256(json.dumps(content, sort_keys=True).encode())
+    for file in sorted(out.iterdir()):
+        if file.suffix in (".png", ".csv"):
+            total.update(file.read_bytes())
+    return total.hexdigest()
+
+
+def without_seconds(content: Any) -> Any:
+    """Return the content of a result without what says how long it took, and without its digest."""
+    if isinstance(content, list):
+        return [without_seconds(x) for x in content]
+    if not isinstance(content, dict):
+        return content
+    left_out = ("seconds", "content_sha256")
+    return {k: without_seconds(v) for k, v in content.items() if k not in left_out}
+
+
+def main() -> int:
+    """Print one row for each number of threads."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--threads", type=int, nargs="+", default=(1, 2))
+    parser.add_argument("--repeats", type=int, default=2)
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--campaign", type=Path, help="another than the demo's")
+    options = parser.parse_args()
+    runs: dict[int, list[Run]] = {n: [] for n in options.threads}
+    with tempfile.TemporaryDirectory() as name:
+        campaign = options.campaign
+        if campaign is None:
+            rng = np.random.default_rng(1)
+            campaign = write_measured_box(demo_plan(), Path(name) / "campaign", rng)
+        # the first run compiles what is not on the disk yet
+        identified(campaign, Path(name) / "first", 1, quick=options.quick)
+        for _ in range(options.repeats):
+            for n, own in runs.items():
+                out = Path(name) / f"{n}"
+                own.append(identified(campaign, out, n, quick=options.quick))
+    heads = ("clock s", "CPU s", "memory MB", "load before", "serial share")
+    print("threads  " + "".join(f"{h:>14s}" for h in heads))
+    first = runs[options.threads[0]]
+    for n, own in runs.items():
+        # of runs beside other work the fastest says most
+        wall_s, alone_s = (min(r.wall_s for r in x) for x in (own, first))
+        serial = (n * wall_s / alone_s - 1.0) / (n - 1) if n > 1 else np.nan
+        cpu_s, memory = min(r.cpu_s for r in own), max(r.memory_bytes for r in own)
+        load = min(own, key=lambda r: r.wall_s).load
+        row = wall_s, cpu_s, 1e-6 * memory, load, serial
+        print(f"{n:7d}  " + "".join(f"{x:14.2f}" for x in row))
+    alike = len({r.digest for own in runs.values() for r in own}) == 1
+    print("all answers and pictures are alike" if alike else "ANSWERS DIFFER")
+    return 0 if alike else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
