@@ -64,7 +64,7 @@ from roomfit.objective.parameters import Parameters, physical_values
 from roomfit.objective.problem import Objective
 from roomfit.response.directivity import directed_rows, directivity_factors
 from roomfit.response.energy import window_of_rows
-from roomfit.scene import Point, material_areas_m2, scene_of, shoebox_room
+from roomfit.scene import Point, scene_of, shoebox_room
 from roomfit.signals.filters import frequency_response, window_energies
 from roomfit.solvers.least_squares import BandFit, fit_band, score_band
 from roomfit.synthetic.boxes import (
@@ -205,8 +205,7 @@ def omni_estimate(
     objective = Objective(parameters, (term,))
     fit, _ = from_random_starts(objective, fit_band(objective), np.random.default_rng(1), 3)
     noisy = shared_error_covariance(case.measured, traced)(band, objective, fit)
-    areas_m2 = material_areas_m2(case.measured.scene.room)
-    return band_estimate(parameters, noisy, areas_m2, "energy"), fit
+    return band_estimate(parameters, noisy, "energy"), fit
 
 
 @dataclass(frozen=True)
@@ -249,7 +248,7 @@ def beam_estimate(
         vector = found.vector
         values = physical_values(with_beams, vector)[0]
     noisy = with_errors_of_beams(case, traced, band, objective, found, errors)
-    return band_estimate(with_beams, noisy, material_areas_m2(scene.room), "energy")
+    return band_estimate(with_beams, noisy, "energy")
 
 
 def with_errors_of_beams(
@@ -368,9 +367,8 @@ def estimates(case: ArrayCase, kinds: dict[str, Kind]) -> dict[str, list[BandEst
         for name, kind in kinds.items():
             answer = beam_estimate(case, traced, band, own, fit, kind, errors)
             out[name].append(answer)
-    areas_m2 = material_areas_m2(measured.scene.room)
     return {
-        name: [a for a in inflated_by_adjacent_bands(own, areas_m2, case.priors) if a is not None]
+        name: [a for a in inflated_by_adjacent_bands(own, case.priors) if a is not None]
         for name, own in out.items()
     }
 

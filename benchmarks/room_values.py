@@ -212,10 +212,9 @@ def solved(
     case: Case, problems: tuple[Objective | None, ...], n_draws: int = 0
 ) -> tuple[BandEstimate, ...]:
     """Fit every band."""
-    areas = material_areas_m2(case.scene.room)
-    refine = Refinement("gaussian", areas, 1, n_draws=n_draws)
+    refine = Refinement("gaussian", 1, n_draws=n_draws)
     return tuple(
-        refine(fitted_band(b, problem, case.priors, areas, Settings()))
+        refine(fitted_band(b, problem, case.priors, Settings()))
         for b, problem in enumerate(problems)
     )
 

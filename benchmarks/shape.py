@@ -255,11 +255,15 @@ def _names(function: ast.AST, context: type[ast.expr_context]) -> set[str]:
     }
 
 
+_CARRIERS = ("forks.py", "_numba.py")
+
+
 def deepest_stacks() -> tuple[list[str], list[str]]:
     """Identify the demo's room, and return the deepest stacks of roomfit's own frames.
 
     The first ends where a compiled kernel is entered, the second with any call, down to the checks
-    of an array.
+    of an array. What hands work to copies of the process or to threads counts as little as `map`
+    does, and a local function belongs to the function that it stands in.
     """
     from dataclasses import replace
     from tempfile import TemporaryDirectory
@@ -281,7 +285,8 @@ def deepest_stacks() -> tuple[list[str], list[str]]:
 
     def name_of(code: CodeType) -> str:
         path = own_path(code.co_filename)
-        return f"{path}:{code.co_name}" if path and not code.co_name.startswith("<") else ""
+        is_own = path and path not in _CARRIERS and "<" not in code.co_qualname
+        return f"{path}:{code.co_name}" if is_own else ""
 
     def watch(frame: FrameType, event: str, _argument: Any) -> None:
         if event != "call" or not name_of(frame.f_code):

@@ -180,11 +180,8 @@ def identify(
     if fits.directivities:
         traced = redirected(observed.measured, traced, fits.directivities)
     if settings.smoothness_per_octave is not None:
-        areas_m2 = material_areas_m2(scene.room)
         smooth = settings.smoothness_per_octave
-        fits = replace(
-            fits, answers=smoothed(fits.answers, priors, bands, smooth, areas_m2=areas_m2)
-        )
+        fits = replace(fits, answers=smoothed(fits.answers, priors, bands, smooth))
     _check_any_fitted(fits)
     _LOG.info("predicting the measured pairs")
     trim_memory()
@@ -490,7 +487,6 @@ def _refinement(
         intervals = "gaussian"
     return Refinement(
         intervals,
-        material_areas_m2(measured.scene.room),
         settings.seed,
         tuple(s.exchange for s in mirror_symmetries(measured, priors)),
         settings.n_draws if settings.posterior_draws is not False else 0,

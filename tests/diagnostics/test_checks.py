@@ -79,7 +79,7 @@ PRIORS = (
 
 def verdict(*findings: Finding) -> np.ndarray:
     """Return the verdict on bands that the rule calls identifiable throughout."""
-    one = prior_only_band(PRIORS, 0, np.ones(3))
+    one = prior_only_band(PRIORS, 0)
     answers = [replace(one, identifiable=np.ones(3, dtype=np.bool_))] * 2
     return judge(answers, findings, PRIORS, BANDS)
 

@@ -271,11 +271,11 @@ def test_a_fit_that_is_cut_short_names_what_moved_and_converges_when_it_goes_on(
     assert few.ending is Ending.OUT_OF_ROUNDS
     assert many.converged
     assert abs(float(many.vector[0])) < 0.03
-    answer = band_estimate(case.parameters, few, np.ones(1), "energy")
+    answer = band_estimate(case.parameters, few, "energy")
     assert answer.moved[0].startswith("absorption of ")
     octave = bands_between("octave", 1000, 1000)
     (finding,) = convergence.check_fits(of_answers([answer], octave))
     assert finding.code is Code.FIT_NOT_CONVERGED
     assert " from 0." in finding.sentence
     assert "max_rounds" in finding.sentence
-    assert band_estimate(case.parameters, many, np.ones(1), "energy").moved == ()
+    assert band_estimate(case.parameters, many, "energy").moved == ()

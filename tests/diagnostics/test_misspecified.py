@@ -97,7 +97,7 @@ def test_a_scale_is_in_the_finding():
 def answers(phi: list[float], model: str = "coherent"):
     priors = (unknown_material("a", len(phi)),)
     return [
-        replace(prior_only_band(priors, band, np.ones(1)), chi2_reduced=p, model=model)
+        replace(prior_only_band(priors, band), chi2_reduced=p, model=model)
         for band, p in enumerate(phi)
     ]
 

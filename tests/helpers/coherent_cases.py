@@ -30,7 +30,7 @@ from roomfit.objective.problem import Objective
 from roomfit.objective.windows import window_edges_s
 from roomfit.response.binned import BinnedPaths, bin_paths, in_band
 from roomfit.response.coherent import image_paths
-from roomfit.scene import Point, Room, Scene, material_areas_m2
+from roomfit.scene import Point, Room, Scene
 from roomfit.signals.filters import (
     energy_share,
     spreading_kernel,
@@ -143,12 +143,11 @@ def with_data(term: CoherentTerm, data: np.ndarray) -> CoherentTerm:
 
 def estimates_of(fit: CoherentFit) -> tuple[BandEstimate | None, ...]:
     """Return the Gaussian estimate of every band of a partly coherent fit."""
-    areas_m2 = material_areas_m2(fit.state.task.scene.room)
     n, by_energies = len(fit.fits), energy_estimates(fit)
     found = tuple(coherent_estimate(fit, b) for b in range(n))
     coherent = tuple(b if b is None else b.estimate for b in found)
     energy = [b if b is None else b.estimate for b in map(by_energies, range(n))]
-    return decided(fit, energy, inflated_by_adjacent_bands(coherent, areas_m2))
+    return decided(fit, energy, inflated_by_adjacent_bands(coherent))
 
 
 def estimate_of(absorption: list[float], half_width: float) -> BandEstimate:

@@ -56,7 +56,7 @@ from roomfit.report.html_tables import source_tables
 from roomfit.report.text import directivity_text
 from roomfit.response.binned import bin_paths
 from roomfit.response.directivity import Pattern, UnknownDirectivity
-from roomfit.scene import Scene, material_areas_m2
+from roomfit.scene import Scene
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import (
     SyntheticBox,
@@ -201,8 +201,8 @@ def energy_answer(
     suspects = omnidirectional(observed)
     directivities = directed_energies(observed, priors, traced, start, unknown)
     objective_of = energy_objectives(observed, priors, traced, start, directivities)
-    areas_m2, n = material_areas_m2(case.scene.room), len(observed.bands)
-    fitted = [fitted_band(b, objective_of(b), priors, areas_m2, Settings()) for b in range(n)]
+    n = len(observed.bands)
+    fitted = [fitted_band(b, objective_of(b), priors, Settings()) for b in range(n)]
     answers = tuple(band.estimate for band in fitted)
     doubts: dict[int, DirectivityScore] = {}
     if suspects is not None:

@@ -71,8 +71,8 @@ def estimate(method: str) -> BandEstimate:
     """Return what a band of nothing but areas gives by one method of intervals."""
     objective = Objective(Parameters((absorption_block(2),)), (area_term(),))
     fit = fit_band(objective)
-    gaussian = band_estimate(objective.parameters, fit, AREAS_M2, "areas")
-    refine = Refinement(method, AREAS_M2, 1, n_draws=64)
+    gaussian = band_estimate(objective.parameters, fit, "areas")
+    refine = Refinement(method, 1, n_draws=64)
     return refine(FittedBand(gaussian, objective, fit), None)
 
 

@@ -20,7 +20,7 @@ from roomfit.objective.parameters import (
     to_physical,
 )
 from roomfit.objective.problem import gamma_log_likelihood
-from roomfit.uncertainty.gaussian import absorption_intervals, weighted_mean_interval
+from roomfit.uncertainty.gaussian import absorption_intervals, weighted_mean_gradient
 
 
 def block(transform: str, n: int = 3, **changes) -> Block:
@@ -102,8 +102,8 @@ def test_a_tied_entry_has_its_leader_s_interval_and_counts_in_the_mean():
     for values in (found.absorption, found.lower95, found.upper95, found.identifiable):
         assert values[2] == values[0]
     merged = Parameters((block("logit", 2, name="absorption"),))
-    pooled = weighted_mean_interval(merged, vector, found.covariance, np.array([0.7, 0.3]))
-    apart = weighted_mean_interval(p, vector, found.covariance, np.array([0.3, 0.3, 0.4]))
+    pooled = weighted_mean_gradient(merged, vector, np.array([0.7, 0.3]))
+    apart = weighted_mean_gradient(p, vector, np.array([0.3, 0.3, 0.4]))
     np.testing.assert_allclose(apart, pooled, rtol=1e-12)
 
 

@@ -341,7 +341,7 @@ def test_absorption_is_found_again_from_values_alone():
     assert term is not None
     term = replace(term, model_error_jnd=0.0)
     problem = without_responses((term,), priors, 0, np.full(1, 0.25))
-    answer = fitted_band(0, problem, priors, np.ones(3), Settings()).estimate
+    answer = fitted_band(0, problem, priors, Settings()).estimate
 
     assert answer.chi2_reduced < 0.1
     sd = np.sqrt(np.diag(answer.logit_covariance))

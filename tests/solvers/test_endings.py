@@ -136,8 +136,8 @@ def test_mirror_images_and_profiles_add_their_evaluations_to_the_answer() -> Non
     problem = Counting(0.2 * case.matrix, case.observed, case.sd, case.parameters)
     Counting.made = 0
     fit = fit_band(problem)
-    answer = band_estimate(problem.parameters, fit, np.ones(3), "energy")
-    refine = Refinement("profile", np.ones(3), 1, exchanges=(np.array([1, 0, 2]),))
+    answer = band_estimate(problem.parameters, fit, "energy")
+    refine = Refinement("profile", 1, exchanges=(np.array([1, 0, 2]),))
     refined = refine(FittedBand(answer, problem, fit))
     assert refined.profiles
     assert refined.evaluations == Counting.made > fit.evaluations

@@ -12,7 +12,6 @@ import pytest
 from coherent_cases import objective_of, small_term
 from roomfit.bands import bands_between
 from roomfit.inversion.systematics import with_shared_errors
-from roomfit.logit import Z95
 from roomfit.objective.parameters import prior_residuals, start_vector
 from roomfit.report.text import costs_text
 from roomfit.results import Result
@@ -20,9 +19,9 @@ from roomfit.solvers.least_squares import score_band
 from roomfit.uncertainty.gaussian import (
     add_covariance,
     answer_steps,
-    band_estimate,
     costs_of_terms,
     sd_without_term,
+    weighted_mean_gradient,
 )
 
 RNG = np.random.default_rng(4)
@@ -155,7 +154,9 @@ def test_the_mean_of_the_room_has_the_costs_of_its_own_interval():
     areas_m2 = np.arange(1.0, 1.0 + len(objective.parameters.blocks[0].labels))
     errors = {"air": 0.1 * fit.expected[:, None], "decay": 0.2 * fit.expected[:, None]}
     wider = with_shared_errors(objective, fit, errors, areas_m2=areas_m2)
-    mean, _, high = band_estimate(objective.parameters, wider, areas_m2, "energy").mean
-    np.testing.assert_allclose(wider.mean_costs[""], (high - mean) / Z95, rtol=1e-6)
+    phi = max(wider.chi2_reduced, 1.0)
+    gradient = weighted_mean_gradient(objective.parameters, fit.vector, areas_m2 / areas_m2.sum())
+    variance = phi * gradient @ np.linalg.solve(wider.information, gradient)
+    np.testing.assert_allclose(wider.mean_costs[""] ** 2, variance, rtol=1e-6)
     assert wider.mean_costs["interference"] < wider.mean_costs[""]
     assert wider.costs[""].shape == fit.vector.shape

@@ -9,46 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from coherent_cases import estimate_of
-from posterior_cases import absorption_block
 from roomfit.air import Air
 from roomfit.bands import bands_between
 from roomfit.coverage.statistics import CoverageSample, grouped_proportion, scaled_errors
 from roomfit.inversion import displacement
 from roomfit.inversion.outliers import file_misfits, variance_inflation
 from roomfit.inversion.solve import prior_speed_sd
-from roomfit.materials.priors import unknown_material
-from roomfit.objective.parameters import Parameters
 from roomfit.prediction.changes import Change, changed_draws
 from roomfit.settings import Settings
-from roomfit.uncertainty.gaussian import weighted_mean_interval
 from roomfit.uncertainty.posterior import AbsorptionPosterior
-from roomfit.uncertainty.smoothing import smoothed
 
 BANDS = bands_between("octave", 500, 1000)
-
-
-def test_a_mean_of_the_room_is_clipped_at_0_and_at_1():
-    parameters, weights = Parameters((absorption_block(2),)), np.array([0.6, 0.4])
-    for x in (3.0, -3.0):
-        found = weighted_mean_interval(parameters, np.full(2, x), 9.0 * np.eye(2), weights)
-        mean, low, high = found
-        assert 0.0 <= low <= mean <= high <= 1.0
-        assert (high == 1.0) if x > 0 else (low == 0.0)
-
-
-def test_a_smoothed_mean_of_the_room_is_clipped_at_0_and_at_1():
-    for a, sd in ((0.97, 1.3), (0.03, 1.3)):
-        one = replace(
-            estimate_of([a, a], 0.01),
-            logit_mean=np.full(2, np.log(a / (1.0 - a))),
-            logit_covariance=sd**2 * np.eye(2),
-        )
-        priors = tuple(unknown_material(n, 2) for n in ("walls", "floor"))
-        for answer in smoothed((one, one), priors, BANDS, 5.0, np.array([3.0, 2.0])):
-            mean, low, high = answer.mean
-            assert 0.0 <= low < mean < high <= 1.0
-            assert (high == 1.0) if a > 0.5 else (low == 0.0)
 
 
 def test_draws_of_a_factor_stay_between_0_and_1():

@@ -86,10 +86,10 @@ def test_draws_and_samples_are_those_of_the_seed():
     """Two seeds differ and one repeats itself, with draws for predictions and with samples."""
     case = decay_case(np.random.default_rng(4), np.array([0.2]), gain=False)
     fit = fit_band(case)
-    answer = band_estimate(case.parameters, fit, np.ones(1), "energy")
+    answer = band_estimate(case.parameters, fit, "energy")
     band = FittedBand(answer, case, fit)
     drawn, samples = (
-        [Refinement(way, np.ones(1), seed, n_draws=16)(band) for seed in (1, 2, 2)]
+        [Refinement(way, seed, n_draws=16)(band) for seed in (1, 2, 2)]
         for way in ("gaussian", "posterior")
     )
     assert not np.array_equal(drawn[0].draws, drawn[1].draws)

@@ -158,7 +158,7 @@ def test_all_uses_see_one_law():
     middle, low, _ = prior_intervals(walls)
     np.testing.assert_allclose(middle, expit(mean))
     np.testing.assert_allclose(low[0], expit(MEAN - 1.959964 * np.sqrt(2.34)), rtol=1e-5)
-    alone = prior_only_band(walls, 0, np.ones(4))
+    alone = prior_only_band(walls, 0)
     np.testing.assert_allclose(alone.logit_covariance, covariance[0])
 
 
@@ -341,10 +341,8 @@ def test_bands_are_linked_under_the_law_of_the_product():
 
 def test_smoothing_of_nothing_leaves_the_prior():
     walls = panels()
-    answers = [prior_only_band(walls, band, np.ones(3)) for band in range(2)]
-    for before, after in zip(
-        answers, smoothed(answers, walls, BANDS, 0.5, np.ones(3)), strict=True
-    ):
+    answers = [prior_only_band(walls, band) for band in range(2)]
+    for before, after in zip(answers, smoothed(answers, walls, BANDS, 0.5), strict=True):
         np.testing.assert_allclose(after.logit_covariance, before.logit_covariance, atol=1e-9)
 
 
@@ -416,7 +414,7 @@ def box_energies(rng: np.random.Generator, truth: np.ndarray, shape: float) -> P
 def answered(case: Posynomial, walls: tuple[MaterialPrior, ...]):
     block = absorption_block(walls, 0, 0.2)
     problem = replace(case, parameters=Parameters((block, gain_block())))
-    return band_estimate(problem.parameters, fitted(problem), np.ones(len(walls)), "energy")
+    return band_estimate(problem.parameters, fitted(problem), "energy")
 
 
 @pytest.mark.slow

@@ -187,7 +187,7 @@ def test_profiles_replace_gaussian_intervals_where_they_are_skew_and_are_named()
     rng = np.random.default_rng(1)
     problem = decay_case(rng, np.array([0.02, 0.5]))
     fit = fitted(problem)
-    gauss = band_estimate(problem.parameters, fit, np.array([10.0, 20.0]), "energy")
+    gauss = band_estimate(problem.parameters, fit, "energy")
     better = profiled(problem, fit, gauss)
     assert set(better.kinds) <= {"gaussian", "profile"}
     assert "profile" in better.kinds
@@ -207,7 +207,7 @@ def test_profiles_replace_gaussian_intervals_where_they_are_skew_and_are_named()
 def skew_case():
     problem = decay_case(np.random.default_rng(1), np.array([0.02, 0.5]))
     fit = fitted(problem)
-    return problem, fit, band_estimate(problem.parameters, fit, np.array([10.0, 20.0]), "energy")
+    return problem, fit, band_estimate(problem.parameters, fit, "energy")
 
 
 def logits(a):
@@ -277,10 +277,8 @@ def test_random_starts_that_agree_change_nothing():
 def test_a_second_fit_from_the_exchanged_absorptions_is_as_likely():
     problem = exchangeable_case()
     fit = fitted(problem)
-    answer = band_estimate(problem.parameters, fit, np.ones(2), "energy")
-    refined = Refinement("gaussian", np.ones(2), 1, (np.array([1, 0]),))(
-        FittedBand(answer, problem, fit)
-    )
+    answer = band_estimate(problem.parameters, fit, "energy")
+    refined = Refinement("gaussian", 1, (np.array([1, 0]),))(FittedBand(answer, problem, fit))
     (trial,) = refined.mirrors
     np.testing.assert_allclose(trial.absorption, answer.absorption[::-1], atol=0.02)
     assert abs(trial.gain) < 0.05

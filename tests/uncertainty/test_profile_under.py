@@ -78,8 +78,7 @@ def test_profiles_stay_profiles_under_smoothness() -> None:
     """One band of a hard wall between two others: its profile is kept, and its side."""
     bands = bands_between("octave", 500, 2000)
     priors = (unknown_material("wall", 3),)
-    area = np.array([10.0])
-    reported = [prior_only_band(priors, band, area) for band in range(3)]
+    reported = [prior_only_band(priors, band) for band in range(3)]
     free, sd = -3.0, 0.8
     found = skew()
     profile = replace(
@@ -101,17 +100,17 @@ def test_profiles_stay_profiles_under_smoothness() -> None:
         model="coherent",
         chi2_reduced=1.0,
     )
-    (_, loose, _) = smoothed(reported, priors, bands, 1e6, area)
+    (_, loose, _) = smoothed(reported, priors, bands, 1e6)
     np.testing.assert_allclose(loose.lower95, reported[1].lower95, rtol=0.02)
     np.testing.assert_allclose(loose.upper95, reported[1].upper95, rtol=0.02)
     # bands that know only the same prior have nothing to add
-    (_, alone, _) = smoothed(reported, priors, bands, 0.5, area)
+    (_, alone, _) = smoothed(reported, priors, bands, 0.5)
     np.testing.assert_allclose(alone.lower95, loose.lower95, rtol=1e-9)
     np.testing.assert_allclose(alone.upper95, loose.upper95, rtol=1e-9)
     for band in (0, 2):
         own = {"logit_mean": np.array([-2.8]), "logit_covariance": np.array([[0.6**2]])}
         reported[band] = replace(reported[band], model="coherent", chi2_reduced=1.0, **own)
-    (_, tight, _) = smoothed(reported, priors, bands, 0.5, area)
+    (_, tight, _) = smoothed(reported, priors, bands, 0.5)
     assert loose.kinds == tight.kinds == ("profile",)
     assert tight.lower95[0] > loose.lower95[0]
     # below, the likelihood is flat and a Gaussian's end would lie far beyond where it rises

@@ -101,7 +101,6 @@ def fitted_band(
     band: int,
     objective: Objective | None,
     priors: tuple[MaterialPrior, ...],
-    areas_m2: FloatArray,
     settings: Settings,
     progress: Progress | None = None,
     shared_covariance: SharedCovariance | None = None,
@@ -118,7 +117,7 @@ def fitted_band(
         Makes intervals allow for errors that a fit cannot see.
     """
     if objective is None:
-        return FittedBand(prior_only_band(priors, band, areas_m2))
+        return FittedBand(prior_only_band(priors, band))
     method, seed = settings.method, settings.seed
     starts: Starts | None = None
     proof: Certificate | None = None
@@ -138,7 +137,7 @@ def fitted_band(
     if method == "auto":
         proof = affordable_certificate(objective, fit.vector)
     noisy = fit if shared_covariance is None else shared_covariance(band, objective, fit)
-    own = band_estimate(objective.parameters, noisy, areas_m2, model)
+    own = band_estimate(objective.parameters, noisy, model)
     return FittedBand(replace(own, starts=starts, certificate=proof), objective, fit)
 
 

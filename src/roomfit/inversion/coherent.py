@@ -684,7 +684,7 @@ def coherent_estimate(fit: CoherentFit, b: int) -> FittedBand | None:
         return None
     objective = found.objective(band)
     noisy = with_shared_errors(objective, found.fit, windows.shared, windows.there, areas_m2)
-    own = band_estimate(objective.parameters, noisy, areas_m2, "coherent")
+    own = band_estimate(objective.parameters, noisy, "coherent")
     own = replace(own, window_decays_s=_window_decays_s(windows.energies, found.fit))
     lost = float(fit.log_evidences[b, 0] - fit.log_evidences[b, 1])
     beaten = task.settings.model != "coherent" and lost >= UNDECIDED
@@ -770,7 +770,7 @@ def energy_estimates(fit: CoherentFit) -> Callable[[int], FittedBand | None]:
         relative = _relative_errors(state, objective, own_fit, windows)
         shared = shared_errors(objective, own_fit, _sources(task, number), relative)
         noisy = with_shared_errors(objective, own_fit, shared, areas_m2=areas_m2)
-        answer = band_estimate(objective.parameters, noisy, areas_m2, "energy")
+        answer = band_estimate(objective.parameters, noisy, "energy")
         return FittedBand(answer, objective, own_fit)
 
     return estimate

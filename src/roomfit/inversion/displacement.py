@@ -53,7 +53,6 @@ from roomfit.scene import (
     Room,
     Scene,
     distances_m,
-    material_areas_m2,
     position_findings,
 )
 from roomfit.signals.filters import SpreadingKernel, spreading_kernel
@@ -473,9 +472,8 @@ def with_offsets(fits: BandFits, model: DisplacementModel, found: Located) -> Ba
         n_offsets=own.size,
     )
     answers = list(fits.answers)
-    areas_m2 = material_areas_m2(model.measured.scene.room)
     for band, steps in offset_steps(model, found.sd_m).items():
-        answers[band] = widened(answers[band], steps @ steps.T, areas_m2)
+        answers[band] = widened(answers[band], steps @ steps.T)
     return replace(fits, geometry=geometry, answers=tuple(answers))
 
 

@@ -142,7 +142,7 @@ def estimate_energies(
 
         def answer(band: int) -> tuple[BandEstimate, DirectivityScore | None]:
             done = part(progress, band / n, (band + 1) / n)
-            own = fitted_band(band, objective_of(band), priors, areas_m2, settings, done, shared)
+            own = fitted_band(band, objective_of(band), priors, settings, done, shared)
             against: DirectivityScore | None = None
             if score is not None and own.objective is not None and own.fit is not None:
                 against = score(band, own.objective, own.fit)
@@ -314,13 +314,13 @@ def coherent_answers(
 
     coherent, energy = zip(*in_forks(answers, range(n)), strict=True)
     areas_m2 = material_areas_m2(task.scene.room)
-    chosen = decided(fit, energy, inflated_by_adjacent_bands(coherent, areas_m2, task.priors))
+    chosen = decided(fit, energy, inflated_by_adjacent_bands(coherent, task.priors))
 
     # where no response has data, room parameters or the prior
     def rest(b: int) -> BandEstimate:
         alone = without_responses(task.others[b], task.priors, b, task.start)
         done = part(progress, 0.8 + 0.2 * b / n, 0.8 + 0.2 * (b + 1) / n)
-        return refine(fitted_band(b, alone, task.priors, areas_m2, settings, done), None)
+        return refine(fitted_band(b, alone, task.priors, settings, done), None)
 
     missing = [b for b, e in enumerate(chosen) if e is None]
     others = dict(zip(missing, in_forks(rest, missing), strict=True))

@@ -54,9 +54,7 @@ _SLOT_S = 0.04
 
 
 def inflated_by_adjacent_bands(
-    answers: Sequence[BandEstimate | None],
-    areas_m2: FloatArray,
-    priors: tuple[MaterialPrior, ...] = (),
+    answers: Sequence[BandEstimate | None], priors: tuple[MaterialPrior, ...] = ()
 ) -> tuple[BandEstimate | None, ...]:
     """Return intervals that allow for absorption that changes within a band.
 
@@ -69,7 +67,6 @@ def inflated_by_adjacent_bands(
     Parameters
     ----------
     answers : sequence of BandEstimate or None, one a band, low to high
-    areas_m2 : float array, shape (n_materials,)
     priors : tuple of MaterialPrior, optional
         What says which materials are alike; without them none are.
     """
@@ -87,7 +84,7 @@ def inflated_by_adjacent_bands(
             step = np.hypot(ABOVE, BELOW) * (only.absorption - answer.absorption)
         a = np.clip(answer.absorption, _LEAST, 1.0 - _LEAST)
         sd = np.abs(step) / (a * (1.0 - a))
-        out.append(widened(answer, _likeness(priors, band, a.size) * np.outer(sd, sd), areas_m2))
+        out.append(widened(answer, _likeness(priors, band, a.size) * np.outer(sd, sd)))
     return tuple(out)
 
 
@@ -111,7 +108,6 @@ def with_both_intervals(best: BandEstimate, other: BandEstimate) -> BandEstimate
     """Return an answer whose intervals contain those of another model, too."""
     lower = np.minimum(best.lower95, other.lower95)
     upper = np.maximum(best.upper95, other.upper95)
-    mean = (best.mean[0], min(best.mean[1], other.mean[1]), max(best.mean[2], other.mean[2]))
     sure = best.identifiable & other.identifiable & (upper - lower <= WIDEST_IDENTIFIABLE)
     middle = logit(best.absorption, _LEAST)
     reach = np.maximum(logit(upper, _LEAST) - middle, middle - logit(lower, _LEAST)) / Z95
@@ -122,7 +118,6 @@ def with_both_intervals(best: BandEstimate, other: BandEstimate) -> BandEstimate
         best,
         lower95=lower,
         upper95=upper,
-        mean=mean,
         samples=None,
         draws=_half_each(best.draws, other.draws),
         identifiable=sure,
@@ -138,7 +133,7 @@ def _half_each(one: FloatArray | None, other: FloatArray | None) -> FloatArray |
     return np.where(from_other, other[: len(one)], one)
 
 
-def widened(answer: BandEstimate, covariance: FloatArray, areas_m2: FloatArray) -> BandEstimate:
+def widened(answer: BandEstimate, covariance: FloatArray) -> BandEstimate:
     """Return the answer with an error of its logits added, of a covariance (n_materials,) square.
 
     What is fixed stays.
@@ -153,9 +148,6 @@ def widened(answer: BandEstimate, covariance: FloatArray, areas_m2: FloatArray) 
     lower95 = np.where(fixed, answer.lower95, np.minimum(expit(lower), answer.lower95))
     upper95 = np.where(fixed, answer.upper95, np.maximum(expit(upper), answer.upper95))
     narrow = (upper95 - lower95 <= WIDEST_IDENTIFIABLE) | fixed
-    mean, low, high = answer.mean
-    slope = areas_m2 / areas_m2.sum() * a * (1.0 - a)
-    more = Z95 * float(np.sqrt(slope @ covariance @ slope))
     size, directions = np.linalg.eigh(covariance)
     root = directions * np.sqrt(np.maximum(size, 0.0))
 
@@ -173,11 +165,6 @@ def widened(answer: BandEstimate, covariance: FloatArray, areas_m2: FloatArray) 
         draws=moved(answer.draws),
         identifiable=answer.identifiable & narrow,
         logit_covariance=answer.logit_covariance + covariance,
-        mean=(
-            mean,
-            max(mean - float(np.hypot(mean - low, more)), 0.0),
-            min(mean + float(np.hypot(high - mean, more)), 1.0),
-        ),
     )
 
 
@@ -343,14 +330,15 @@ def decay_error_sds(rates: Sequence[DecayRate]) -> FloatArray:
     bands together say which, so that one band that prefers another rate by chance does not; data
     that contradict the walls' rate widen their intervals, and data that determine it hardly do.
     The answer is not moved: what data prefer is made by anything that early and late windows
-    disagree about.
+    disagree about. No law is taken beyond its own width either: a preferred change of several of
+    these is an extrapolation of first order, and says that something else is wrong.
     """
     information, score = (np.array([r[i] for r in rates])[:, None] for i in (0, 1))
     # of each law: its variance and mean after the data, and how well it predicted them
     variance = 1.0 / (information + DECAY_SDS**-2)
     log_evidence = 0.5 * np.sum(variance * score**2 + np.log(variance / DECAY_SDS**2), axis=0)
     weight = DECAY_PROBABILITIES * np.exp(log_evidence - log_evidence.max())
-    square = variance + (variance * score) ** 2
+    square = np.minimum(variance + (variance * score) ** 2, DECAY_SDS**2)
     return np.sqrt(np.asarray(square @ weight / weight.sum(), dtype=np.float64))
 
 
@@ -387,7 +375,7 @@ def _moved_along(
     nearer_half = np.where(a < 0.5, a + np.abs(step), a - np.abs(step))
     logit_step = np.sign(step) * np.abs(logit(nearer_half, _LEAST) - logit(a, _LEAST))
     mean_sd = float(np.abs(areas_m2 @ step) / areas_m2.sum())
-    wider = widened(answer, np.outer(logit_step, logit_step), areas_m2)
+    wider = widened(answer, np.outer(logit_step, logit_step))
     sd = np.sqrt(np.diag(wider.logit_covariance))
     prior_sd = np.sqrt(np.diag(prior))
     sure = is_identifiable(wider.chi2_reduced, wider.lower95, wider.upper95, sd, prior_sd)

@@ -639,7 +639,9 @@ def _roots(paths: ImagePaths, weight: FloatArray, absorption: FloatArray) -> Flo
         )
     highest = int(paths.hits.max(initial=0))
     powers = np.sqrt(1.0 - a)[:, None] ** np.arange(highest + 1, dtype=np.float64)
-    roots = root_energies(weight, paths.row, paths.hits, np.asarray(powers))
+    roots, worth_it = np.empty(len(weight)), paths.hits.size >= ROWS_WORTH_THREADS
+    own = weight, paths.row, paths.hits, np.asarray(powers), roots
+    in_threads(_root_energies, len(weight), *own, worth_it=worth_it)
     return roots if paths.sign is None else roots * paths.sign
 
 

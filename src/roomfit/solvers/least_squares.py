@@ -367,10 +367,10 @@ class _Logarithms:
 
     def __init__(self, objective: Objective) -> None:
         self.objective, self.evaluations = objective, 0
-        self._at: FloatArray | None = None
         start, measured = start_vector(objective.parameters), objective.measured()
         variance, logs = objective.variance(start), objective.is_gamma()
-        expected = self._predicted(start).expected
+        self._at, self._prediction = np.array(start), objective.predict(start)
+        self.evaluations, expected = 1, self._prediction.expected
         # a window that neither a path nor noise reaches has no logarithm
         least = np.where(logs, 1e-9 * float(expected.max(where=logs, initial=0.0)), 0.0)
         expected = np.where(logs, expected + least, 1.0)
@@ -383,19 +383,16 @@ class _Logarithms:
         self._logs, self._least = logs, least
 
     def __call__(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-        prediction = self._predicted(vector)
+        if not np.array_equal(vector, self._at):
+            self._at, self._prediction = np.array(vector), self.objective.predict(vector)
+            self.evaluations += 1
+        prediction = self._prediction
         positive = np.where(self._logs, prediction.expected + self._least, 1.0)
         predicted = np.where(self._logs, np.log(positive), prediction.expected)
         prior, prior_rows = prior_residuals(self.objective.parameters, vector)
         rows = -prediction.jacobian / (positive * self._sd)[:, None]
         residuals = (self._target - predicted) / self._sd
         return np.concatenate((residuals, prior)), np.concatenate((rows, prior_rows))
-
-    def _predicted(self, vector: FloatArray) -> Prediction:
-        if self._at is None or not np.array_equal(vector, self._at):
-            self._at, self._prediction = np.array(vector), self.objective.predict(vector)
-            self.evaluations += 1
-        return self._prediction
 
 
 def marginal(fit: BandFit, first: int, prior: FloatArray) -> Marginal:

@@ -131,33 +131,12 @@ def absorption_intervals(
     )
 
 
-def weighted_mean_interval(
-    parameters: Parameters, vector: FloatArray, covariance: FloatArray, weights: FloatArray
-) -> tuple[float, float, float]:
-    """Return a weighted mean of the absorptions and its 95 % interval, clipped to 0 and 1.
-
-    Parameters
-    ----------
-    weights : float array, shape (n_materials,)
-        Sum 1; areas over the whole area give the mean absorption of the room.
-
-    Returns
-    -------
-    mean, lower95, upper95 : float
-    """
-    values, _ = physical_values(parameters, vector)
-    mean = float(weights @ values["absorption"])
-    gradient = weighted_mean_gradient(parameters, vector, weights)
-    sd = float(np.sqrt(gradient @ covariance @ gradient))
-    return mean, max(mean - Z95 * sd, 0.0), min(mean + Z95 * sd, 1.0)
-
-
 def weighted_mean_gradient(
     parameters: Parameters, vector: FloatArray, weights: FloatArray
 ) -> FloatArray:
     """Return the derivative of a weighted mean of the absorptions by the free numbers, (n_free,).
 
-    0 by gains, geometry and directivity. `weights` as in `weighted_mean_interval`.
+    0 by gains, geometry and directivity. `weights`, (n_materials,), have the sum 1.
     """
     _, slopes = physical_values(parameters, vector)
     block = absorption_of(parameters)
@@ -371,7 +350,6 @@ class BandEstimate:
     logit_mean: FloatArray  # logit of the absorption
     # (n_materials, n_materials), its posterior, misfit included; zeros where absorption is fixed
     logit_covariance: FloatArray
-    mean: tuple[float, float, float]  # area-weighted mean absorption and its 95 % interval
     chi2_reduced: float  # 0 where nothing was fitted, and so the cost
     cost: float
     evaluations: int  # of the model with its derivative: fits, starts, profiles, samples
@@ -421,16 +399,11 @@ Refine: TypeAlias = Callable[[FittedBand, Progress | None], BandEstimate]
 SharedCovariance: TypeAlias = Callable[[int, Objective, BandFit], BandFit]
 
 
-def band_estimate(
-    parameters: Parameters, fit: BandFit, areas_m2: FloatArray, model: str
-) -> BandEstimate:
+def band_estimate(parameters: Parameters, fit: BandFit, model: str) -> BandEstimate:
     """Return one band's absorption of each material and of the room as a whole."""
     found = absorption_intervals(parameters, fit.vector, fit.information, fit.chi2_reduced)
-    mean = weighted_mean_interval(
-        parameters, fit.vector, found.covariance, areas_m2 / areas_m2.sum()
-    )
     block = absorption_of(parameters)
-    own: FloatArray = np.zeros((areas_m2.size, areas_m2.size))
+    own: FloatArray = np.zeros((block.fitted.size, block.fitted.size))
     fitted = np.flatnonzero(block.fitted)
     first = position_of(parameters, "absorption")
     chosen = slice(first, first + fitted.size)
@@ -448,7 +421,6 @@ def band_estimate(
         found.identifiable,
         to_free(block, found.absorption),
         covariance,
-        mean,
         fit.chi2_reduced,
         fit.cost,
         fit.evaluations,
@@ -526,9 +498,7 @@ def prior_absorptions(
     return drawn[:, [names.index(k.tied_to or k.name) for k in priors]]
 
 
-def prior_only_band(
-    priors: tuple[MaterialPrior, ...], band: int, areas_m2: FloatArray
-) -> BandEstimate:
+def prior_only_band(priors: tuple[MaterialPrior, ...], band: int) -> BandEstimate:
     """Return the answer of a band without data: the prior, 0 to 1 where none was stated."""
     mean, law = prior_logit_law(priors)
     stated = are_specified(priors)
@@ -546,7 +516,6 @@ def prior_only_band(
     low, high = (lower + (upper - lower) * expit(free + z * sd) for z in (-Z95, Z95))
     least = np.where(fixed, known, np.where(stated, low, 0.0))
     most = np.where(fixed, known, np.where(stated, high, 1.0))
-    share = areas_m2 / areas_m2.sum()
     return BandEstimate(
         absorption,
         least,
@@ -554,7 +523,6 @@ def prior_only_band(
         fixed,
         free,
         covariance,
-        (float(share @ absorption), float(share @ least), float(share @ most)),
         0.0,
         0.0,
         0,

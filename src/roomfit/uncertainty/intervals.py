@@ -44,7 +44,6 @@ class Refinement:
     """What is done to every band after its fit."""
 
     intervals: str  # of `INTERVALS`
-    areas_m2: FloatArray  # (n_materials,)
     seed: int
     # of materials, by a symmetry of room and positions: fitted a second time from there
     exchanges: tuple[IntArray, ...] = ()
@@ -90,7 +89,7 @@ def by_samples(
     more = 0 if near.windows is None else 1 + near.centre.size
     answer = replace(answer, evaluations=answer.evaluations + more)
     beyond = _beyond_fit(objective.parameters, fit, answer)
-    return sampled(objective.parameters, found, answer, settings.areas_m2, beyond)
+    return sampled(objective.parameters, found, answer, beyond)
 
 
 def profiled(
@@ -183,11 +182,7 @@ def _beyond_fit(parameters: Parameters, fit: BandFit, answer: BandEstimate) -> F
 
 
 def sampled(
-    parameters: Parameters,
-    found: Sampled,
-    answer: BandEstimate,
-    areas_m2: FloatArray,
-    beyond: FloatArray | None = None,
+    parameters: Parameters, found: Sampled, answer: BandEstimate, beyond: FloatArray | None = None
 ) -> BandEstimate:
     """Return the answer by samples: medians, quantiles, covariance; as it was where they fail.
 
@@ -206,7 +201,7 @@ def sampled(
     chosen = np.linspace(0, len(found.draws) - 1, min(_DRAWS_KEPT, len(found.draws))).astype(int)
     draws, free = _absorptions(parameters, found.draws, answer, beyond, np.random.default_rng(1))
     lower, median, upper = np.quantile(draws, (0.025, 0.5, 0.975), axis=0)
-    own = np.zeros((areas_m2.size, areas_m2.size))
+    own = np.zeros((block.fitted.size, block.fitted.size))
     own[np.ix_(fitted, fitted)] = np.cov(free.T).reshape(fitted.size, fitted.size)
     leader = leaders(block)
     fixed = ~block.fitted[leader]
@@ -215,8 +210,6 @@ def sampled(
     covariance = own[np.ix_(leader, leader)]
     sd = np.sqrt(np.diag(covariance))
     sure = is_identifiable(answer.chi2_reduced, lower, upper, sd, block.prior_sd[leader])
-    means = draws @ (areas_m2 / areas_m2.sum())
-    middle = (float(np.quantile(means, q)) for q in (0.5, 0.025, 0.975))
     return replace(
         answer,
         absorption=np.where(fixed, answer.absorption, median),
@@ -225,7 +218,6 @@ def sampled(
         identifiable=sure | fixed,
         logit_mean=np.where(fixed, answer.logit_mean, logit(median)),
         logit_covariance=covariance,
-        mean=(next(middle), next(middle), next(middle)),
         kinds=tuple(k if k in ("given", "none") else "sampled" for k in answer.kinds),
         samples=draws[chosen],
         sampling=found,

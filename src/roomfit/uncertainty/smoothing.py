@@ -158,7 +158,6 @@ def smoothed(
     priors: tuple[MaterialPrior, ...],
     bands: Bands,
     sd_per_octave: float,
-    areas_m2: FloatArray,
 ) -> tuple[BandEstimate, ...]:
     """Return the answers under the assumption that logit absorption changes slowly over frequency.
 
@@ -167,7 +166,6 @@ def smoothed(
     sd_per_octave : float
         Standard deviation of the step over one octave; intervals are valid only as far as it is
         true.
-    areas_m2 : float array, shape (n_materials,)
     """
     names = [k.name for k in priors]
     owner = np.array([names.index(k.tied_to or k.name) for k in priors])
@@ -183,7 +181,7 @@ def smoothed(
     )
     means, covariances = means[:, leader], covariances[:, leader][:, :, leader]
     return tuple(
-        _redrawn(answer, mean, covariance, priors, band, areas_m2)
+        _redrawn(answer, mean, covariance, priors, band)
         for band, (answer, mean, covariance) in enumerate(
             zip(answers, means, covariances, strict=True)
         )
@@ -196,7 +194,6 @@ def _redrawn(
     covariance: FloatArray,
     priors: tuple[MaterialPrior, ...],
     band: int,
-    areas_m2: FloatArray,
 ) -> BandEstimate:
     """Return one band's answer with another mean and covariance of logit absorption."""
     low = np.array([k.lower for k in priors])
@@ -214,10 +211,6 @@ def _redrawn(
     prior_sd = np.sqrt(np.diag(prior_logit_law(priors)[1][band]))
     sure = is_identifiable(answer.chi2_reduced, lower, upper, sd, prior_sd)
     sure &= answer.model != "prior"
-    share = areas_m2 / areas_m2.sum()
-    gradient = share * (absorption - low) * (low + width - absorption) / width
-    mean_sd = float(np.sqrt(max(gradient @ covariance @ gradient, 0.0)))
-    whole = float(share @ absorption)
     return replace(
         answer,
         absorption=absorption,
@@ -230,7 +223,6 @@ def _redrawn(
         draws=None,
         logit_mean=mean,
         logit_covariance=covariance,
-        mean=(whole, max(whole - Z95 * mean_sd, 0.0), min(whole + Z95 * mean_sd, 1.0)),
     )
 
 
