@@ -131,7 +131,7 @@ def _step(page: Any, rng: random.Random) -> float:
         field.fill(f"{rng.uniform(1.1, 1.3):.3f}")
         field.press("Enter")
     elif name == "What if":
-        slider = page.get_by_label(re.compile("^Absorption of .* at 1k Hz"))
+        slider = page.get_by_label(re.compile("^Absorption of .* at 1 kHz"))
         slider.press(rng.choice(("ArrowRight", "ArrowLeft")))
         page.get_by_text("1 material changed").wait_for()
     else:

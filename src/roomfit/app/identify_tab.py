@@ -24,11 +24,11 @@ from roomfit.app.jobs import Bench
 from roomfit.app.remedies import Advice
 from roomfit.bands import OCTAVES_HZ
 from roomfit.errors import InputError
-from roomfit.report.wording import short_hertz
+from roomfit.report.wording import hertz
 
 _STAGES = ((0.0, "reading the files"), (1e-6, "tracing and fitting"), (0.95, "drawing"))
 _NAMES = {project.FULL: "full answer", project.QUICK: "first answer"}
-_OCTAVES = {f: f"{short_hertz(f)} Hz" for f in OCTAVES_HZ}
+_OCTAVES = {f: hertz(f) for f in OCTAVES_HZ}
 
 
 class IdentifyTab:
@@ -129,7 +129,7 @@ def usable_html(sentences: list[str]) -> str:
 
 def absorption_html(view: Mapping[str, Any]) -> str:
     """Return absorption with its intervals as a table, findings beside their material."""
-    heads = ["Material", *(f"{short_hertz(f)} Hz" for f in view["bands_hz"])]
+    heads = ["Material", *(hertz(f) for f in view["bands_hz"])]
     has_notes = any(f["beside"] for f in view["findings"])
     heads += ["Findings"] if has_notes else []
     rows = []

@@ -10,7 +10,7 @@ from nicegui import ui
 from roomfit.app import project
 from roomfit.app.elements import Recorder, emptied, findings, heading, markup, table_html
 from roomfit.app.jobs import Bench
-from roomfit.report.wording import short_hertz
+from roomfit.report.wording import hertz
 
 _LENGTHS = {
     "seconds": ("Sweep (s)", 6),
@@ -81,7 +81,7 @@ def quality_html(quality: dict[str, Any]) -> str:
     clipped = f"{int(quality['n_clipped'])} samples clipped"
     caption = f"Peak {peak_db:.1f} dBFS, {clipped}, background {noise_db:.1f} dBFS"
     rows = [
-        [f"{short_hertz(f)} Hz", f"{range_db:.0f} dB", escape(good or "too short")]
+        [hertz(f), f"{range_db:.0f} dB", escape(good or "too short")]
         for f, range_db, good in zip(
             quality["bands_hz"], quality["range_db"], quality["suffices_for"], strict=True
         )

@@ -30,7 +30,7 @@ from roomfit.errors import InputError
 from roomfit.io.encoding import written_content
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.materials.catalogue import catalogue
-from roomfit.report.wording import count, short_hertz
+from roomfit.report.wording import count, hertz, short_hertz
 
 _LABELS = {
     "T20_s": "T20 in s",
@@ -43,7 +43,7 @@ _STAGES = ((0.0, "tracing"), (0.8, "searching"))
 _SOUNDING = ((0.0, "tracing"), (0.6, "scaling"))
 _PREPARE_S = 900.0  # a change may need it, too, where the process was started again
 _MOST = {"D50_percent": 100.0, "STI": 1.0}
-_SPEECH = "125 to 8k Hz together"
+_SPEECH = "125 Hz to 8 kHz together"
 _SOUND_HEADS = ("Pair", "Before", "After")
 _WIDE, _HIGH, _LEFT, _BELOW = 320.0, 190.0, 44.0, 24.0
 
@@ -332,7 +332,7 @@ class Controls:
             with ui.element("div").classes("sliders"):
                 values = self.changes.spectrum(self.material)
                 for band, centre_hz in enumerate(self.changes.bands_hz):
-                    word = f"{short_hertz(centre_hz)} Hz"
+                    word = hertz(centre_hz)
                     label = f"Absorption of {self.material} at {word}"
                     BandSlider(word, label, values[band], partial(self.slide, band))
 
@@ -638,5 +638,5 @@ def pairs_html(view: Mapping[str, Any], bands_hz: Sequence[float]) -> str:
                 cells.append(f'{value:.2f}<div class="small">{ends}</div>')
             cells += [""] * (2 + len(bands_hz) - len(cells))  # the index is of all bands together
             rows.append(cells)
-    heads = ["Pair", "Parameter", *(f"{short_hertz(f)} Hz" for f in bands_hz)]
+    heads = ["Pair", "Parameter", *(hertz(f) for f in bands_hz)]
     return table_html("Where a measurement is expected, 95 of 100 times", heads, rows)
