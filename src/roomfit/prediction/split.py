@@ -56,10 +56,10 @@ def open_splits(
     """Return draws that hold what a change may do where the data do not say how walls share.
 
     Every second draw has another split: one wall takes a share of the absorption of the room that
-    is drawn evenly from none to all, as far as 95 % absorption allows it, and is none or all in a
-    tenth of these draws each; all others keep their proportions, and the sum of the exponents
-    ``-S log(1 - a)`` over the walls stays. The wall is one of those that findings of the result
-    doubt in the band, or of those of which the prior decides.
+    is drawn evenly from none to all, as far as 95 % absorption allows it; all others keep their
+    proportions, and the sum of the exponents ``-S log(1 - a)`` over the walls stays. The wall is
+    one of those that findings of the result doubt in the band, or of those of which the prior
+    decides.
 
     Parameters
     ----------
@@ -78,8 +78,6 @@ def open_splits(
     """
     found = draws.copy()
     z = np.random.default_rng([seed, 5]).random((2, len(areas_m2), len(draws)))
-    # of all draws a twentieth at either end, so that a 95 % interval holds both
-    shares = np.clip((z[1] - 0.1) / 0.8, 0.001, 0.999)
     is_doubted = doubted_walls(posterior)
     for band, centre in enumerate(posterior.bands.centres_hz.tolist()):
         named = [any(f.about.concerns(m, centre) for f in dominated) for m in posterior.materials]
@@ -94,7 +92,7 @@ def open_splits(
                 kept = _exponents(found[draw, :, band], areas)[other].sum()
                 which = walls[int(z[0, state, draw] * walls.size)] == np.flatnonzero(own)
                 sum_left = max(total.sum() - kept, _LEAST_LEFT * total[own].sum())
-                parts = _other_split(total[own], areas[own], which, shares[state, draw], sum_left)
+                parts = _other_split(total[own], areas[own], which, z[1, state, draw], sum_left)
                 found[draw, own, band] = -np.expm1(-parts / areas[own])
     return found
 
