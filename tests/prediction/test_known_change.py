@@ -94,6 +94,23 @@ def test_a_value_that_scatters_little_is_carried_over_as_a_whole_and_one_that_sc
         assert reach[0] == pytest.approx(-1.96 * own_sd, rel=0.03, abs=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("name", "old", "new", "measured"),
+    [("D50_percent", 80.0, 86.0, 97.0), ("T20_s", 0.54, 0.3, 0.5)],
+)
+def test_every_interval_of_a_change_holds_its_own_estimate(name, old, new, measured):
+    """The likeliest absorption may lie aside of all draws; no share of energy is above 100 %."""
+    row, draws = VALUE_NAMES.index(name), np.linspace(1.2, 2.0, 64)
+    before, after = numbers(old, 0.01, old * draws), numbers(new, 0.01, new * draws)
+    found = _change(name, row, (after, before), np.array([measured]), np.zeros(1))
+    for estimate in ("before", "change", "carried"):
+        low, value, high = (
+            getattr(found, estimate + end)[0] for end in ("_lower95", "", "_upper95")
+        )
+        assert low <= value <= high, estimate
+    assert found.carried[0] <= 100.0
+
+
 def test_the_change_of_what_is_not_shared_moves_draw_by_draw():
     """By hand: the ratio of each draw after to the same before, where nothing interferes."""
     shared, row = np.array([-0.2, -0.1, 0.1, 0.2]), VALUE_NAMES.index("T20_s")

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from roomfit.bands import bands_between
+from roomfit.prediction.answer import decay_answer
 from roomfit.prediction.decay import PredictedDecay
 from roomfit.prediction.output import predicted_decay_figure
-from roomfit.prediction.tables import PredictedPair, PredictedValue
+from roomfit.prediction.tables import PredictedPair, PredictedValue, ValueChange
 
 BANDS = bands_between("octave", 500, 1000)
 TIME_S = np.linspace(0.0, 0.6, 61)
@@ -55,3 +56,39 @@ def test_each_curve_stands_in_the_panel_of_its_band_under_its_name(changes, comp
         corners = area.get_paths()[0].vertices
         at = corners[np.isclose(corners[:, 0], 0.3)][:, 1]
         assert (at.min(), at.max()) == pytest.approx((line(0.5)[band, 30], line(0.75)[band, 30]))
+
+
+@pytest.mark.parametrize(
+    ("bounds", "after", "says"),
+    [
+        (
+            (0.8, 0.95),
+            0.86,
+            "falls from 0.89 s (predicted, 0.80 to 0.99) to 0.86 s (0.72 to 1.02).",
+        ),
+        ((0.8, 1.1), 0.86, "whether it falls is not determined."),
+        ((0.95, 1.3), 0.99, "whether it rises is not determined."),
+        (
+            (1.02, 1.3),
+            0.99,
+            "rises from 0.89 s (predicted, 0.80 to 0.99) to 0.99 s (0.72 to 1.02).",
+        ),
+        ((0.9, 1.1), 0.892, "stays at 0.89 s (predicted, 0.80 to 0.99): 0.89 s (0.72 to 1.02)"),
+        ((np.nan, np.nan), 0.86, "falls from 0.89 s"),  # no draws, no interval
+    ],
+)
+def test_a_sentence_says_falls_only_where_the_interval_of_the_change_does(bounds, after, says):
+    """Of the means at 500 and 1000 Hz; one band alone may be beyond "none"."""
+    two, apart, none = np.ones(2), np.array([-0.03, 0.03]), np.full(2, np.nan)
+    change = ValueChange(
+        0.89 * two, 0.8 * two, 0.99 * two, after / 0.89 * two, bounds[0] + apart, bounds[1] + apart,
+        none, none, none,
+    )  # fmt: skip
+    value = PredictedValue(
+        after * two, 0.72 * two, 1.02 * two, none, none, none, none, none, change
+    )
+    answer = decay_answer(bands_between("octave", 500, 1000), {"T30_s": value}, is_changed=True)
+    assert f"T30 at mid frequencies {says}" in answer.sentence or answer.sentence.endswith(says)
+    if "determined" in says:
+        assert "0.89 s (predicted, 0.80 to 0.99), and 0." in answer.sentence
+        assert "s (0.72 to 1.02) is expected after the change" in answer.sentence

@@ -13,11 +13,14 @@ from roomfit.errors import InputError
 from roomfit.materials.priors import Scattering, uniform_scattering
 from roomfit.scene import Room, Scene
 from roomfit.tracing.paths import Paths, TraceSettings, hits, select
+from roomfit.tracing.ray_kernels import ESCAPES_KEPT, Tally
 from roomfit.tracing.rays import (
+    RayStatistics,
     Trace,
     expected_paths,
     fibonacci_directions,
     path_bytes,
+    ray_statistics,
     sobol_directions,
     trace_rays,
 )
@@ -114,6 +117,36 @@ def test_after_every_hit_all_energy_is_still_in_the_room(s: float):
     assert trace.statistics.mean_free_path_m == pytest.approx(free.mean(), rel=1e-12)
     variance = (free.std() / free.mean()) ** 2
     assert trace.statistics.relative_variance == pytest.approx(variance, rel=1e-9)
+
+
+def test_free_paths_of_all_chunks_are_counted_together_and_none_is_no_spread():
+    """By numpy over the paths; equal ones have no spread, though rounding leaves less than none."""
+
+    def statistics(*chunks: list[float]) -> RayStatistics:
+        n, s1, s2 = (
+            np.array([f(np.array(c)) for c in chunks]) for f in (np.size, np.sum, _squares)
+        )
+        none, starts = np.zeros(len(chunks), dtype=int), np.zeros((len(chunks), ESCAPES_KEPT, 3))
+        return ray_statistics(8, [Tally(n, none, n, s1, s2, starts)])
+
+    found, paths = statistics([1.0, 2.5], [4.0]), np.array([1.0, 2.5, 4.0])
+    assert (found.n_hits, found.n_free_paths) == (3, 3)
+    assert found.mean_free_path_m == pytest.approx(2.5, rel=1e-12)
+    assert found.relative_variance == pytest.approx(paths.var() / 2.5**2, rel=1e-12)
+    # far apart: the variance is above 1
+    far = statistics([1e-3] * 9 + [10.0])
+    assert far.relative_variance == pytest.approx(9.0, rel=1e-2)
+    # in metres and in millimetres alike
+    small = statistics([1e-3, 2.5e-3], [4e-3])
+    assert small.relative_variance == pytest.approx(found.relative_variance, rel=1e-9)
+    for n in range(2, 60):
+        equal = statistics([0.1] * n).relative_variance
+        assert 0.0 <= equal < 1e-14
+    assert (statistics([]).mean_free_path_m, statistics([]).relative_variance) == (0.0, 0.0)
+
+
+def _squares(paths: FloatArray) -> float:
+    return float(np.sum(paths**2))
 
 
 def test_a_material_scatters_with_its_own_probability():

@@ -258,7 +258,8 @@ def test_the_page_begins_with_the_sentence_that_is_printed_and_shows_a_covered_c
     """The ceiling is turned away from the viewer: its two triangles are drawn in front."""
     out = command(monkeypatch, folder, "treat")
     sentence = capsys.readouterr().out.splitlines()[0]
-    assert " m² panel on ceiling: T30 at mid frequencies falls from 1.10 s (measured" in sentence
+    assert " m² panel on ceiling: T30 at mid frequencies is 1.10 s (measured)" in sentence
+    assert "is expected after the change; whether it falls is not determined." in sentence
     page = (out / "treatment.html").read_text()
     assert f'<p class="lead">{sentence}</p>' in page
     assert page.index("<svg") < page.index('<ul class="figures">') < page.index("<table")
@@ -275,9 +276,9 @@ def test_a_prediction_of_a_change_begins_with_what_was_measured_and_what_is_then
 ):
     out = command(monkeypatch, folder, "predict", "--set", "ceiling=0.6")
     first = capsys.readouterr().out.splitlines()[0]
-    assert first.startswith("With ceiling=0.6: T30 at mid frequencies falls from 1.10 s (measured")
+    assert first.startswith("With ceiling=0.6: T30 at mid frequencies is 1.10 s (measured)")
     content = json.loads((out / "predicted.json").read_text())
     time = content["mean"]["T30_s"]
-    said = f"to {np.mean(time['carried']):.2f} s ({np.mean(time['carried_lower95']):.2f} to "
+    said = f"and {np.mean(time['carried']):.2f} s ({np.mean(time['carried_lower95']):.2f} to "
     assert said in first
     assert (out / "change.png").read_bytes()[:4] == b"\x89PNG"

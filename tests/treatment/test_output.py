@@ -67,8 +67,16 @@ def test_the_sentence_says_what_hangs_where_and_how_likely_it_is_enough(treatmen
     two = replace(treatment, targets=2 * treatment.targets)
     assert treatment_sentence(two).endswith("All targets are met with a probability of 83 %.")
     missed = treatment_sentence(replace(treatment, is_met=False))
-    assert missed.endswith("This does not meet the targets; nothing that was allowed does.")
+    assert missed.endswith(
+        "By the likeliest prediction this does not meet the targets; nothing that was allowed does."
+    )
     assert "probability" not in missed
+    # a miss that rounding to whole percents would hide
+    asked = treatment_sentence(replace(treatment, is_met=False, asked=0.8345))
+    assert asked.endswith(
+        "The target is met with a probability of 83.4 %; nothing that was allowed meets each "
+        "target with the 83.45 % that were asked for."
+    )
     bare = replace(treatment.arrangements[0], hung=(), mean={})
     alone = treatment_sentence(replace(treatment, arrangements=(bare,)))
     assert alone == "Nothing. The target is met with a probability of 83 %."

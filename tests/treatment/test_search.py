@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from itertools import product as combinations
 
@@ -14,6 +15,7 @@ from roomfit.findings import About, Code, Finding
 from roomfit.io.campaign import read_campaign
 from roomfit.prediction.campaign import predict_arguments
 from roomfit.prediction.predict import prepare_prediction
+from roomfit.treatment.output import treatment_sentence
 from roomfit.treatment.question import Product, Surface, Target, question_of, treated, treated_draws
 from roomfit.treatment.search import best_arrangement, excess, mean_values, numbers_of
 from roomfit.treatment.treat import treat
@@ -118,6 +120,39 @@ def test_the_odds_are_those_of_draws_and_a_larger_probability_costs_more(room):
     assert np.all(first.before < first.probability)
     assert 0.0 < first.joint <= first.probability.min() + 1e-9
     assert first.decisive[0][1] > 0.1
+
+
+@pytest.mark.parametrize("probability", [0.5, 0.6, 0.8, 0.9, 0.95])
+@pytest.mark.parametrize("share", [0.8, 0.6, 0.5])
+def test_the_verdict_is_that_of_the_odds_that_are_printed(room, share, probability):
+    """Each target has one band here, so that its odds are those that the verdict is about."""
+    targets = at_most(room, share)
+    found = treat(room, SURFACES, products(), targets, number=2, probability=probability)
+    for one in found.arrangements if probability > 0.5 else ():
+        assert found.is_met == bool(np.all(one.probability >= probability)) == (not one.missed)
+    said = treatment_sentence(found)
+    if probability > 0.5 and not found.is_met:
+        (one,) = found.arrangements
+        short = [100.0 * p for p in one.probability if p < probability]
+        assert len(one.missed) == len(short)
+        for p, line in zip(short, one.missed, strict=True):
+            likely, needed = re.findall(r"probability of ([\d.]+) %, ([\d.]+) % was", line)[0]
+            assert float(likely) == pytest.approx(p, abs=0.51) and float(likely) < float(needed)
+        assert "are met with a probability of" in said and f"{100 * probability:g} % that" in said
+    assert found.is_met == ("nothing that was allowed" not in said)
+
+
+def test_what_misses_by_little_is_said_with_digits_that_show_it(room):
+    """A limit 2 ms below the best that can be reached: two decimals are often the same."""
+    (best,) = treat(room, SURFACES, products(), at_most(room, 0.1)).arrangements
+    reached = best.mean["T30_s"].predicted
+    targets = [Target("T30_s", high=float(t) - 2e-3, bands_hz=(f,))
+               for t, f in zip(reached, BANDS.centres_hz.tolist(), strict=True)]  # fmt: skip
+    (one,) = treat(room, SURFACES, products(), targets).arrangements
+    assert one.missed
+    for line in one.missed:
+        found, needed = re.findall(r"is ([\d.]+), ([\d.]+) was needed", line)[0]
+        assert float(found) > float(needed)
 
 
 def test_what_the_prior_alone_says_of_a_covered_surface_is_said(room):

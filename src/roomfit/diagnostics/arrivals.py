@@ -29,7 +29,7 @@ from roomfit.findings import About, Code, Finding
 from roomfit.measurement import Measurement
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.scene import Point, Scene
-from roomfit.signals.response import find_onset, onset_tolerance_m
+from roomfit.signals.response import find_onset, find_peak, onset_tolerance_m
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # Coordinates in one unit that are read in another are off by one of these factors.
@@ -91,6 +91,7 @@ class _Arrivals:
     source: list[Point]
     receiver: list[Point]
     path_m: FloatArray  # (n,), of the direct sound by its onset
+    peak_m: FloatArray  # (n,), by the peak of a pulse as short as the sampling rate allows
     distance_m: FloatArray  # (n,), by the geometry
     tolerance_m: FloatArray  # (n,), of an onset that is as specified
     speed_m_s: float
@@ -170,6 +171,7 @@ def _arrivals(scene: Scene, measurements: Sequence[Measurement]) -> _Arrivals | 
         source,
         receiver,
         c * np.array(onset_s),
+        c * np.array([find_peak(m.response, t) for m, t in zip(chosen, onset_s, strict=True)]),
         _distances_m(source, receiver),
         np.array([onset_tolerance_m(c, m.response.sampling_rate_hz) for m in chosen]),
         c,
@@ -314,7 +316,9 @@ def _late_by(found: _Arrivals, groups: NDArray[Any]) -> _Explanation | None:
             if len(late_m) < 2:
                 return None
             chosen = [m for m, own in zip(found.measurements, group, strict=True) if own]
-            verdicts.append(_late(chosen, middle_m / found.speed_m_s, len(groups)))
+            # onsets decide, which a slow pulse leaves where they are; by how much, the peaks say
+            own_m = float(np.median((found.peak_m - found.distance_m)[group]))
+            verdicts.append(_late(chosen, own_m / found.speed_m_s, len(groups)))
             rest_m[group] -= float(np.mean(late_m))
             columns.append(group.astype(float))
             ranges_m.append(2.0 * _LOG_DELAYS * abs(middle_m))

@@ -34,6 +34,7 @@ class DecayAnswer:
     is_changed: bool
     # why a change is not determined, as "prior alone"; "" where it is
     open_because: str = ""
+    is_determined: bool = True  # whether it rises or falls, at 95 %
 
     @property
     def sentence(self) -> str:
@@ -55,10 +56,15 @@ class DecayAnswer:
                 f"determined ({self.open_because})."
             )
         moved = self.after.mid_s(centres)[0] - value
-        way = "stays at" if abs(moved) < 0.005 else "falls from" if moved < 0.0 else "rises from"
-        if way == "stays at":
-            return f"{what} {way} {number(value, 2)} s ({label}): {after} after the change."
-        return f"{what} {way} {number(value, 2)} s ({label}) to {after}."
+        if abs(moved) < 0.005:
+            return f"{what} stays at {number(value, 2)} s ({label}): {after} after the change."
+        way = "falls" if moved < 0.0 else "rises"
+        if self.is_determined:
+            return f"{what} {way} from {number(value, 2)} s ({label}) to {after}."
+        return (
+            f"{what} is {number(value, 2)} s ({label}), and {after} is expected after the change; "
+            f"whether it {way} is not determined."
+        )
 
     @property
     def figures(self) -> list[tuple[str, str]]:
@@ -151,7 +157,12 @@ def decay_answer(
         np.where(is_alone, np.nan, c.before_upper95),
     )
     why = _open_because(bands.centres_hz, is_undetermined(name, c), open_for)
-    return DecayAnswer(bands, symbol, earlier, Series(after, values, low, high), is_changed, why)
+    later = Series(after, values, low, high)
+    _, least, most = Series("", c.change, c.change_lower95, c.change_upper95).mid_s(
+        bands.centres_hz
+    )
+    # without an interval, the likeliest is all that is known
+    return DecayAnswer(bands, symbol, earlier, later, is_changed, why, not least <= 1.0 <= most)
 
 
 def _open_because(centres_hz: FloatArray, unknown: BoolArray, open_for: Sequence[str]) -> str:

@@ -283,12 +283,9 @@ def _table(
         # the model is wrong in the same way everywhere
         error_sd = after.model_scale[row] * model_sd(name, after.values[row])
         rest_sd = np.hypot(after.noise_sd[row], error_sd)
-        low, high = _interval(name, after.draws[:, row], rest_sd)
         table[name] = PredictedValue(
             after.values[row],
-            # of several answers that explain the data alike the likeliest may lie aside of most
-            np.fmin(low, after.values[row]),
-            np.fmax(high, after.values[row]),
+            *_interval(name, after.values[row], after.draws[:, row], rest_sd),
             np.std(after.draws[:, row], axis=0),
             rest_sd,
             measured[row],
@@ -352,35 +349,38 @@ def _change(
             carried = new * (measured / old) ** share
             carried_draws, rest_sd = drawn_new * (measured / drawn_old) ** share, rest_sd * carried
         else:
-            carried = new + share * (measured - old)
+            carried = np.clip(new + share * (measured - old), *_range(name))
             carried_draws = drawn_new + share * (measured - drawn_old)
         apart_sd = np.sqrt(np.maximum(s**2 + t**2 - 2.0 * both, 0.0)) * (change if in_ratios else 1)
-    low, high = _interval("change", drawn, apart_sd)
     ends = carried, carried  # unknown where nothing was measured
     if np.isfinite(measured).any():
-        ends = _interval(name, carried_draws, rest_sd)
+        ends = _interval(name, carried, carried_draws, rest_sd)
     return ValueChange(
         old,
-        *_interval(name, drawn_old, np.hypot(sds[0], sds[2])),
+        *_interval(name, old, drawn_old, np.hypot(sds[0], sds[2])),
         change,
         # no direction is said to be determined that the likeliest absorption contradicts
-        np.minimum(low, change),
-        np.maximum(high, change),
+        *_interval("change", change, drawn, apart_sd),
         carried,
         *ends,
     )
 
 
-def _interval(name: str, draws: FloatArray, rest_sd: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _interval(
+    name: str, likeliest: FloatArray, draws: FloatArray, rest_sd: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return the quantiles of all draws, each widened by noise, of shape (n_bands,) each."""
     wide = draws[:, None, :] + _STEPS[:, None] * rest_sd / np.std(_STEPS)
     low, high = np.quantile(wide.reshape(-1, rest_sd.size), (0.025, 0.975), axis=0)
-    if name in FIT_RANGES_DB:
-        low = np.maximum(low, 0.0)
-    if name in ("D50_percent", "STI"):
-        most = 1.0 if name == "STI" else 100.0
-        low, high = np.clip(low, 0.0, most), np.clip(high, 0.0, most)
-    return low, high
+    # of several answers that explain the data alike the likeliest may lie aside of most
+    low, high = np.fmin(low, likeliest), np.fmax(high, likeliest)
+    return np.clip(low, *_range(name)), np.clip(high, *_range(name))
+
+
+def _range(name: str) -> tuple[float, float]:
+    """Return the least and the most that a room parameter can be."""
+    most = {"D50_percent": 100.0, "STI": 1.0}.get(name, np.inf)
+    return 0.0 if name in FIT_RANGES_DB or np.isfinite(most) else -np.inf, most
 
 
 def _mean(rows: Sequence[FloatArray], shape: tuple[int, ...]) -> FloatArray:

@@ -37,6 +37,7 @@ from roomfit.scene import triangle_material
 from roomfit.signals.decay import FIT_RANGES_DB
 from roomfit.table import Cell, Column, Table, csv_of, text_of
 from roomfit.treatment.question import USUAL_HZ, TargetName
+from roomfit.treatment.treat import apart
 
 if TYPE_CHECKING:
     from roomfit.treatment.treat import Arrangement, Treatment
@@ -120,7 +121,7 @@ def treatment_page(treatment: Treatment) -> str:
         (f"Arrangement {number}", _words(a), _arrangement_tables(treatment, a))
         for number, a in enumerate(treatment.arrangements, start=1)
     ]
-    odds = f"{100 * first.joint:.0f} %"
+    odds = f"{_percent(treatment, first.joint)} %"
     wanted = "all targets" if len(first.probability) > 1 else "the target"
     words = f"probability that a measurement meets {wanted}"
     area_m2 = sum(h.area_m2 for h in first.hung)
@@ -149,12 +150,25 @@ def treatment_sentence(treatment: Treatment) -> str:
     answer = _answer(treatment, first)
     found = f"{_words(first)}." if answer is None else f"{_words(first)}: {answer.sentence}"
     all_ = "All targets are" if len(treatment.targets) > 1 else "The target is"
-    met = f"{all_} met with a probability of {100 * first.joint:.0f} %."
+    met = f"{all_} met with a probability of {_percent(treatment, first.joint)} %"
+    if treatment.is_met:
+        return f"{found} {met}."
+    if treatment.asked > 0.5:
+        return (
+            f"{found} {met}; nothing that was allowed meets each target with the "
+            f"{100 * treatment.asked:g} % that were asked for."
+        )
     return (
-        f"{found} {met}"
-        if treatment.is_met
-        else f"{found} This does not meet the targets; nothing that was allowed does."
+        f"{found} By the likeliest prediction this does not meet the targets; nothing that was "
+        "allowed does."
     )
+
+
+def _percent(treatment: Treatment, probability: float) -> str:
+    """Return a probability in percent; one below that asked for with what tells it apart."""
+    if probability >= treatment.asked:
+        return f"{100 * probability:.0f}"
+    return apart(100 * probability, 100 * treatment.asked, 0)[0]
 
 
 def _words(a: Arrangement) -> str:
@@ -183,7 +197,7 @@ def _arrangement_tables(treatment: Treatment, a: Arrangement) -> list[Table]:
         ("nothing", "", "", "")
     ]
     odds = [
-        (str(t), f"{100 * before:.0f}", f"{100 * after:.0f}")
+        (str(t), f"{100 * before:.0f}", _percent(treatment, after))
         for t, before, after in zip(treatment.targets, a.before, a.probability, strict=True)
     ]
     rows = [
@@ -218,11 +232,11 @@ def _arrangement_text(treatment: Treatment, a: Arrangement, number: int) -> str:
         lines.append("  nothing")
     for i, (before, after) in enumerate(zip(a.before, a.probability, strict=True), start=1):
         lines.append(
-            f"  target {i} is met with a probability of {100 * after:.0f} % "
+            f"  target {i} is met with a probability of {_percent(treatment, after)} % "
             f"(as it is: {100 * before:.0f} %)"
         )
     if len(treatment.targets) > 1:
-        lines.append(f"  all targets: {100 * a.joint:.0f} %")
+        lines.append(f"  all targets: {_percent(treatment, a.joint)} %")
     if a.decisive and not a.is_sure:
         name, share = a.decisive[0]
         lines.append(

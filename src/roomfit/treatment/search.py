@@ -71,13 +71,14 @@ def excess(question: Question, numbers: FloatArray, margin: FloatArray) -> Float
     """
     low, high = limits_of(question)
     high, low = high - margin, low + margin
-    scale = _scale(question)
+    scale = scale_of(question)
     missed = np.maximum(np.maximum(low - numbers, numbers - high), 0.0) / scale
     missed = np.where(missed * scale <= MET * scale, 0.0, missed)
     return np.asarray(np.where(np.isnan(numbers), 1.0, missed))
 
 
-def _scale(question: Question) -> FloatArray:
+def scale_of(question: Question) -> FloatArray:
+    """Return what misses of each row are measured by, see `excess`, (n_rows,)."""
     low, high = limits_of(question)
     finite = np.where(np.isfinite(high), high, low)
     others = {"D50_percent": 100.0, "TS_ms": 200.0, "STI": 0.6}
@@ -172,7 +173,7 @@ def _programme(
         )
     low, high = np.where(times, inverse[0], low), np.where(times, inverse[1], high)
     linear = np.nan_to_num(_linear(question, numbers))
-    scale = np.where(times, 1.0 / _scale(question), _scale(question))
+    scale = np.where(times, 1.0 / scale_of(question), scale_of(question))
     base = slopes @ here - linear
     slack = np.diag(scale)
     nothing = np.zeros((k, n))

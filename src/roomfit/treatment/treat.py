@@ -39,7 +39,7 @@ from roomfit.treatment.question import (
     treated,
     treated_draws,
 )
-from roomfit.treatment.search import best_arrangement, excess
+from roomfit.treatment.search import MET, best_arrangement, excess, scale_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -89,12 +89,13 @@ class Treatment:
     bands: Bands
     targets: tuple[Target, ...]
     arrangements: tuple[Arrangement, ...]
-    is_met: bool  # by the likeliest prediction
+    is_met: bool  # by the likeliest prediction; each as likely as asked for where that is above 0.5
     room: ChangingRoom
     findings: tuple[Finding, ...]
     # pairs to be measured for the absorption on which a target hangs, in words, by `roomfit.design`
     to_measure: tuple[str, ...] = ()
     before: str = "predicted before"  # what stands before in the means, in words
+    asked: float = 0.5  # probability of each target in each band
 
     def __str__(self) -> str:
         """Return arrangements, what they do, and how likely it is enough."""
@@ -164,19 +165,19 @@ def treat(
     question = question_of(room, surfaces, products, targets)
     n_rows = len(question.target)
     margin = np.zeros(n_rows)
-    first = best_arrangement(question, margin, (), most_cost)
-    if probability > 0.5:
-        for _ in range(_MARGIN_ROUNDS):
-            before, margin = margin, _margin(question, *first, probability)
-            if np.allclose(margin, before, rtol=0.02):
-                break
-            first = best_arrangement(question, margin, (), most_cost)
-    found, excluded = [first], []
-    is_met = not excess(question, first[1], margin).any()
+    tried = [best_arrangement(question, margin, (), most_cost)]
+    for _ in range(_MARGIN_ROUNDS if probability > 0.5 else 0):
+        margin = _margin(question, *tried[-1], probability)
+        tried.append(best_arrangement(question, margin, (), most_cost))
+        if np.array_equal(tried[-1][0], tried[-2][0]):
+            break
+    met = [one for one in tried if not _missed(question, *one, probability)]
+    first = min(met or tried[-1:], key=lambda one: float(question.cost @ one[0]))
+    found, excluded, is_met = [first], [], bool(met)
     while is_met and first[0].any() and len(found) < number:
         excluded.append(found[-1][0] > 0)
         other = best_arrangement(question, margin, excluded, most_cost)
-        if excess(question, other[1], margin).any() or any(
+        if _missed(question, *other, probability) or any(
             (other[0] > 0).tolist() == e.tolist() for e in excluded
         ):
             break
@@ -185,15 +186,15 @@ def treat(
             progress(len(found) / number)
     found.sort(key=lambda one: float(question.cost @ one[0]))
     before = _outcome(question, np.zeros(len(question.cost)))[1]
-    arrangements = tuple(_arrangement(question, p, n, margin, before) for p, n in found)
+    arrangements = tuple(_arrangement(question, p, n, probability, before) for p, n in found)
     return Treatment(
         room.absorption.bands, question.targets, arrangements, is_met, room,
         (
             *result_doubts(room.absorption, room.scene.room.findings),
             *_of_the_room(room, arrangements),
-            *_findings(question, arrangements, first, margin, is_met),
+            *_findings(question, arrangements, first, probability, is_met),
         ),
-        before=before_in_words,
+        before=before_in_words, asked=probability,
     )  # fmt: skip
 
 
@@ -255,13 +256,17 @@ def _outcome(
         question.room, treated(question, pieces), treated_draws(question, pieces)
     )
     rows = rows_of(question, drawn)
-    sd = _rest_sd(question, means)
-    low, high = limits_of(question)
-    odds = np.nan_to_num(ndtr((high - rows) / sd) - ndtr((low - rows) / sd))
+    odds = _odds(question, means, rows)
     n = len(question.targets)
     of = np.array(question.target)
     each = np.array([np.mean(np.prod(odds[:, of == t], axis=1)) for t in range(n)])
     return means, each, rows, float(np.mean(np.prod(odds, axis=1)))
+
+
+def _odds(question: Question, means: _Means, rows: FloatArray) -> FloatArray:
+    """Return the probability that each draw is measured within its limits, as `rows`."""
+    sd, (low, high) = _rest_sd(question, means), limits_of(question)
+    return np.asarray(np.nan_to_num(ndtr((high - rows) / sd) - ndtr((low - rows) / sd)))
 
 
 def _means_and_draws(
@@ -307,18 +312,17 @@ def _margin(
     ends = np.quantile(wide.reshape(-1, rows.shape[1]), (1.0 - probability, probability), axis=0)
     low, high = limits_of(question)
     below, above = np.nan_to_num((numbers - ends[0], ends[1] - numbers))
-    return np.asarray(
-        np.maximum(
-            np.where(np.isfinite(low), below, -np.inf), np.where(np.isfinite(high), above, -np.inf)
-        )
+    wide = np.maximum(
+        np.where(np.isfinite(low), below, -np.inf), np.where(np.isfinite(high), above, -np.inf)
     )
+    return np.asarray(wide + MET * scale_of(question))  # what the search lets pass is made up for
 
 
 def _arrangement(
     question: Question,
     pieces: FloatArray,
     numbers: FloatArray,
-    margin: FloatArray,
+    probability: float,
     before: FloatArray,
 ) -> Arrangement:
     means, odds, rows, joint = _outcome(question, pieces)
@@ -335,24 +339,51 @@ def _arrangement(
         odds,
         before,
         joint,
-        _missed(question, numbers, margin),
+        _missed(question, pieces, numbers, probability),
         _decisive(question, pieces, rows[:, np.array(question.target) == np.argmin(odds)]),
         means[1],
     )
 
 
-def _missed(question: Question, numbers: FloatArray, margin: FloatArray) -> tuple[str, ...]:
+def _missed(
+    question: Question, pieces: FloatArray, numbers: FloatArray, probability: float
+) -> tuple[str, ...]:
+    """Return in words what the likeliest prediction misses, or what is less likely than asked."""
     low, high = limits_of(question)
+    nothing = np.zeros(len(numbers))
+    short, odds = excess(question, numbers, nothing) > 0.0, nothing
+    if probability > 0.5:
+        means, _, rows, _ = _outcome(question, pieces)
+        odds = _odds(question, means, rows).mean(axis=0)
+        short = odds < probability
     lines = []
-    for r in np.flatnonzero(excess(question, numbers, margin)):
+    for r in np.flatnonzero(short):
         target = question.targets[question.target[r]]
         at = question.room.absorption.bands.centres_hz[question.weights[r] > 0.0]
-        limit = high[r] - margin[r] if numbers[r] > high[r] - margin[r] else low[r] + margin[r]
-        lines.append(
-            f"{target.parameter} at {', '.join(f'{f:g}' for f in at)} Hz is {numbers[r]:.2f}, "
-            f"{limit:.2f} was needed"
-        )
+        limit = low[r] if numbers[r] < low[r] or np.isinf(high[r]) else high[r]
+        found, needed = apart(numbers[r], limit, 2)
+        line = f"{target.parameter} at {', '.join(f'{f:g}' for f in at)} Hz is {found}, "
+        if probability > 0.5:
+            likely, asked = apart(100.0 * odds[r], 100.0 * probability, 0)
+            line += f"met with a probability of {likely} %, {asked} % was needed"
+        else:
+            line += f"{needed} was needed"
+        lines.append(line)
     return tuple(lines)
+
+
+def apart(value: float, other: float, decimals: int) -> tuple[str, str]:
+    """Return two numbers with so many decimals, or as many more as tell them apart, 4 at most.
+
+    Examples
+    --------
+    >>> apart(0.634, 0.63, 2), apart(79.7, 80.0, 0), apart(0.5, 0.63, 2)
+    (('0.634', '0.630'), ('79.7', '80.0'), ('0.50', '0.63'))
+    """
+    for n in range(decimals, 4):
+        if f"{value:.{n}f}" != f"{other:.{n}f}":
+            return f"{value:.{n}f}", f"{other:.{n}f}"
+    return f"{value:.4f}", f"{other:.4f}"
 
 
 def _decisive(
@@ -382,16 +413,17 @@ def _findings(
     question: Question,
     arrangements: Sequence[Arrangement],
     first: tuple[FloatArray, FloatArray],
-    margin: FloatArray,
+    probability: float,
     is_met: bool,
 ) -> tuple[Finding, ...]:
     found = []
     if not is_met:
         used = float((first[0] * question.piece_m2).sum())
-        missed = _missed(question, first[1], margin)
+        missed = _missed(question, *first, probability)
+        likely = f" with a probability of {100.0 * probability:g} %" if probability > 0.5 else ""
         free = sum(question.free_m2.values())
         sentence = (
-            f"The targets cannot be met with these products on {free:.4g} m2: "
+            f"The targets cannot be met{likely} with these products on {free:.4g} m2: "
             f"{'; '.join(missed[:4])}. The arrangement shown misses least, with {used:.4g} m2."
         )
         found.append(Finding(Code.TARGET_NOT_MET, About(), sentence, {"missed": list(missed)}))

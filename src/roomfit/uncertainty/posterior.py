@@ -250,7 +250,10 @@ def rto_draws(
     -----
     Each draw disturbs data and prior by their own noise and finds the most likely values again
     [1]_: exact where the problem is linear, and close to the posterior elsewhere. The data are
-    those of a linear problem with the information and the maximum of the given one.
+    those of a linear problem with the information and the maximum of the given one. Errors that all
+    data share were added to the covariance after the fit and leave less information than has pulled
+    the answer from its prior, or none: the rest of the pull moves the centre of the prior, so that
+    the draws lie about the answer.
 
     References
     ----------
@@ -265,14 +268,19 @@ def rto_draws(
     size, direction = np.linalg.eigh(0.5 * (information + information.T))
     is_determined = size > 1e-9 * max(float(size.max()), 1e-300)
     R = np.sqrt(size[is_determined])[:, None] * direction[:, is_determined].T
-    # at the maximum the data pull as much as the prior does
-    pull = prior @ (x - prior_logit_mean) / slope
-    perturbed = R @ _exponent(x) + np.linalg.lstsq(R.T, pull, rcond=None)[0]
-    perturbed = perturbed + antithetic_normals(n_draws, perturbed.size, rng)
+    # at the maximum the data pull as much as the prior does, as far as three quarters of the
+    # curvature stay: a large pull with little information would make the answer no minimum
+    pull = prior @ (x - prior_logit_mean)
+    moved = np.linalg.lstsq(R.T, pull / slope, rcond=None)[0]
+    white = np.linalg.inv(np.linalg.cholesky((R * slope).T @ (R * slope) + prior))
+    bend = white * (slope * (R.T @ moved) * (1.0 - absorption)) @ white.T
+    moved *= 0.25 / max(float(np.linalg.eigvalsh(bend)[-1]), 0.25)
+    perturbed = R @ _exponent(x) + moved + antithetic_normals(n_draws, len(R), rng)
+    middle = prior_logit_mean + prior_logit_covariance @ (pull - slope * (R.T @ moved))
     own = np.diag(np.diag(prior_logit_covariance) - shared_variance(prior_logit_covariance))
     scale = np.broadcast_to(prior_sd_scale, n)
     root = np.linalg.cholesky((prior_logit_covariance - own) * np.outer(scale, scale) + own)
-    centres = prior_logit_mean + antithetic_normals(n_draws, n, rng) @ root.T
+    centres = middle + antithetic_normals(n_draws, n, rng) @ root.T
     return expit(_most_likely(x, R, perturbed, centres, np.linalg.inv(root)))
 
 
