@@ -90,7 +90,7 @@ def show(done: list[Outcome]) -> None:
     wrong = 1.0 - inside[sure].mean() if sure.any() else 0.0
     print(f"identifiable {sure.mean():.2f}, of which outside their interval {wrong:.3f}")
     _show_means(done)
-    null = np.concatenate([np.abs(_null(o) - o.true).ravel() for o in done])
+    null = np.concatenate([np.abs(one_for_all(o) - o.true).ravel() for o in done])
     print(f"null model |error| median {np.median(null):.4f}  90 % {np.quantile(null, 0.9):.4f}")
     by_band = np.concatenate([np.abs(o.answer.absorption - o.true) for o in done])
     print("median by band", " ".join(f"{x:.3f}" for x in np.median(by_band, axis=0)))
@@ -134,7 +134,7 @@ def _show_directivity(done: list[Outcome]) -> None:
     )
 
 
-def _null(o: Outcome) -> np.ndarray:
+def one_for_all(o: Outcome) -> np.ndarray:
     """Return the room's own mean for every wall, shape (n_materials, n_bands)."""
     share = o.answer.areas_m2 / o.answer.areas_m2.sum()
     return np.tile(share @ o.answer.absorption, (share.size, 1))

@@ -1,0 +1,146 @@
+"""Another program beside roomfit: scenes are written, answers read, the program stays outside."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip("resource", reason="processor seconds of a child, as POSIX counts them")
+
+import _peer
+import peers
+from roomfit.air import Air
+from roomfit.errors import InputError
+from roomfit.scene import Point, Scene, shoebox_room
+from roomfit.signals.iso3382 import MeasuredValues
+
+LENGTHS_M = (5.0, 4.0, 3.0)
+WALLS = ("west", "east", "south", "north", "floor", "ceiling")
+
+
+def scene() -> Scene:
+    """Return a box of six materials, two sources and one receiver."""
+    room = shoebox_room(LENGTHS_M, dict(zip(WALLS, ("a", "b", "c", "d", "e", "f"), strict=True)))
+    sources = tuple(Point(f"S{i}", np.array([1.0 * i, 1.0, 1.5])) for i in (1, 2))
+    receivers = (Point("R1", np.array([4.0, 3.0, 1.25])),)
+    return Scene(room, sources, receivers, np.array([(0, 0), (1, 0)]), Air(18.0, 40.0, 99.0))
+
+
+def answer() -> dict[str, object]:
+    """Return an answer in the documented form: absorption i/10 of material i, plus octave/100."""
+    tables = {
+        f"m{i}": {
+            "absorption": [i / 10 + octave / 100 for octave in range(8)],
+            "uncertainty": [0.05 * i if octave != 3 else None for octave in range(8)],
+        }
+        for i in (2, 1)
+    }
+    return {"bands_hz": [63, 125, 250, 500, 1000, 2000, 4000, 8000], "materials": tables}
+
+
+def test_each_wall_of_a_box_is_its_own_group_with_normals_into_the_room(tmp_path):
+    """Read by hand: material i lies in the i-th plane, and every face looks at the middle."""
+    _peer.write_scene(scene(), np.zeros(6), tmp_path)
+    corners, faces, group = [], {}, ""
+    for line in (tmp_path / "room.obj").read_text().splitlines():
+        key, *rest = line.split()
+        if key == "v":
+            corners.append([float(x) for x in rest])
+        elif key == "g":
+            group = rest[0]
+        else:
+            faces.setdefault(group, []).append([int(x) - 1 for x in rest])
+    assert list(faces) == ["m1", "m2", "m3", "m4", "m5", "m6"]
+    for number, triangles in enumerate(faces.values()):
+        axis, far = divmod(number, 2)
+        area = 0.0
+        for a, b, c in (np.array([corners[i] for i in triangle]) for triangle in triangles):
+            assert {a[axis], b[axis], c[axis]} == {LENGTHS_M[axis] if far else 0.0}
+            normal = np.cross(b - a, c - a)
+            assert normal @ (np.array(LENGTHS_M) / 2 - a) > 0.0
+            area += 0.5 * float(np.linalg.norm(normal))
+        assert area == pytest.approx(math.prod(LENGTHS_M) / LENGTHS_M[axis], rel=1e-12)
+
+
+def test_a_scene_names_what_the_room_has(tmp_path):
+    content = json.loads(_peer.write_scene(scene(), np.arange(6) / 10, tmp_path).read_text())
+    assert content["geometry"] == {"file": "room.obj", "units": "m"}
+    assert content["assignments"] == {f"m{i}": f"m{i}" for i in range(1, 7)}
+    assert content["materials"]["m4"] == {"absorption": [0.15] * 8, "scattering": 0.3}
+    assert [s["position"] for s in content["sources"]] == [[1.0, 1.0, 1.5], [2.0, 1.0, 1.5]]
+    assert content["listeners"] == [{"name": "R1", "position": [4.0, 3.0, 1.25]}]
+    assert content["air"] == {"temperature_c": 18.0, "humidity_percent": 40.0, "pressure_kpa": 99.0}
+    assert "simulation" not in content
+    still = _peer.write_scene(scene(), np.zeros(6), tmp_path, diffraction=False).read_text()
+    assert json.loads(still)["simulation"] == {"early": {"diffraction": "none"}}
+
+
+def test_values_stand_in_eight_octaves_and_what_is_missing_is_null(tmp_path):
+    measured = {"T30_s": [0.5, 0.6], "C80_dB": [9.0, np.nan], "D50_percent": [80.0, 81.0]}
+    _peer.write_values([MeasuredValues("S1", "R1", [250, 500], measured)], tmp_path / "v.json")
+    assert json.loads((tmp_path / "v.json").read_text()) == {
+        "pairs": {
+            "S1 R1": {
+                "t30": [None, None, 0.5, 0.6, None, None, None, None],
+                "edt": [None] * 8,
+                "c80": [None, None, 9.0, None, None, None, None, None],
+            }
+        }
+    }
+
+
+def test_an_answer_is_read_by_material_and_octave_and_no_error_holds_nothing(tmp_path):
+    """1.96 standard errors, cut at 0 and 1; a standard error of null leaves 0 to 1."""
+    (tmp_path / "fit.json").write_text(json.dumps(answer()))
+    fit = _peer.read_fit(tmp_path / "fit.json", 2, np.array([125.0, 500.0, 4000.0]))
+    np.testing.assert_allclose(fit.absorption, [[0.11, 0.13, 0.16], [0.21, 0.23, 0.26]])
+    low, high = fit.bounds
+    np.testing.assert_allclose(low, [[0.012, 0.0, 0.062], [0.014, 0.0, 0.064]], atol=1e-12)
+    np.testing.assert_allclose(high, [[0.208, 1.0, 0.258], [0.406, 1.0, 0.456]], atol=1e-12)
+
+
+@pytest.mark.parametrize(("n_materials", "centre_hz"), [(3, 125.0), (2, 16000.0)])
+def test_an_answer_without_a_material_or_an_octave_is_refused(tmp_path, n_materials, centre_hz):
+    (tmp_path / "fit.json").write_text(json.dumps(answer()))
+    with pytest.raises(InputError, match="lacks a material or an octave"):
+        _peer.read_fit(tmp_path / "fit.json", n_materials, np.array([centre_hz]))
+
+
+def test_a_prediction_is_that_of_its_pair(tmp_path):
+    rows = {"edt": [0.2] * 8, "t30": [0.3] * 7 + [None], "c80": [12.0] * 8}
+    pairs = [
+        {"source": "S1", "listener": "R1", "parameters": {k: [9.0] * 8 for k in rows}},
+        {"source": "S2", "listener": "R1", "parameters": rows},
+    ]
+    content = {"bands_hz": list(_peer.OCTAVES_HZ), "responses": pairs}
+    (tmp_path / "p.json").write_text(json.dumps(content))
+    found = _peer.read_predicted(tmp_path / "p.json", "S2", "R1", np.array([125.0, 8000.0]))
+    np.testing.assert_array_equal(found, [[0.3, np.nan], [0.2, 0.2], [12.0, 12.0]])
+    with pytest.raises(InputError, match="lacks a pair"):
+        _peer.read_predicted(tmp_path / "p.json", "S1", "R2", np.array([125.0]))
+
+
+def test_a_program_that_is_not_there_is_refused_with_what_to_do(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["peers.py", str(tmp_path / "none"), "--seeds", "1"])
+    assert peers.main() == 2
+    said = capsys.readouterr().err
+    assert said.startswith("the other program is not there\n")
+    assert str(tmp_path / "none") in said and "pip install acoustic-spaces" in said
+
+
+def test_a_program_that_fails_says_so_and_one_that_computes_is_charged_for_it(tmp_path):
+    """Half a second of processor time spent by the child, whatever its clock says."""
+    program = tmp_path / "program"
+    program.write_text(
+        f"#!{sys.executable}\nimport sys, time\n"
+        "while time.process_time() < 0.5: pass\n"
+        "sys.exit('no ' + sys.argv[2] if sys.argv[1] == 'simulate' else 0)\n"
+    )
+    program.chmod(0o755)
+    assert 0.5 <= _peer.run_peer(str(program), ["calibrate"]) < 5.0
+    with pytest.raises(InputError, match="exit code 1: no room"):
+        _peer.run_peer(str(program), ["simulate", "room"])
