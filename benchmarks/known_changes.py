@@ -361,6 +361,7 @@ def swap_together(
     for state, p in found.items():
         print(c50_of(state, unknown, (p,), itself))
     print(c50_of(" and ".join(found), unknown, tuple(found.values()), itself))
+    print(edt_of(" and ".join(found), unknown, tuple(found.values()), itself))
 
 
 def first_reflections(case: Case, result: Result, *, on_axis: bool) -> str:
@@ -546,6 +547,32 @@ def c50_of(state: str, unknown: str, changed: Sequence[Predicted], itself: Predi
         f"{100 * held.mean():.0f} % held (model alone: {np.median(raw):.2f} dB, "
         f"{100 * np.mean(raw < 1.0):.0f} %; no change predicted: {np.median(baseline):.2f} dB, "
         f"{100 * np.mean(baseline < 1.0):.0f} %)"
+    )
+
+
+def edt_of(state: str, unknown: str, changed: Sequence[Predicted], itself: Predicted) -> str:
+    """Return how well EDT is carried over from known states, pair by pair, in their mean."""
+    truth = np.array([q.parameters["EDT_s"].measured for q in itself.pairs])[:, 1:]
+    before, carried, low, high = (
+        np.exp(
+            np.mean(
+                [[np.log(read(p.parameters["EDT_s"])[1:]) for p in c.pairs] for c in changed],
+                axis=0,
+            )
+        )
+        for read in (
+            lambda v: v.measured,
+            lambda v: change_of(v).carried,
+            lambda v: change_of(v).carried_lower95,
+            lambda v: change_of(v).carried_upper95,
+        )
+    )
+    known = np.isfinite(before + truth + carried)
+    error, baseline = (100.0 * np.abs(x / truth - 1.0)[known] for x in (carried, before))
+    held = ((low <= truth) & (truth <= high))[known]
+    return (
+        f"EDT, carried over from {state} to {unknown} by pair: median error {np.median(error):.1f} %, "
+        f"{100 * held.mean():.0f} % held (no change predicted: {np.median(baseline):.1f} %)"
     )
 
 
