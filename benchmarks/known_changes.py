@@ -571,7 +571,8 @@ def edt_of(state: str, unknown: str, changed: Sequence[Predicted], itself: Predi
     error, baseline = (100.0 * np.abs(x / truth - 1.0)[known] for x in (carried, before))
     held = ((low <= truth) & (truth <= high))[known]
     return (
-        f"EDT, carried over from {state} to {unknown} by pair: median error {np.median(error):.1f} %, "
+        f"EDT, carried over from {state} to {unknown} by pair: "
+        f"median error {np.median(error):.1f} %, "
         f"{100 * held.mean():.0f} % held (no change predicted: {np.median(baseline):.1f} %)"
     )
 
