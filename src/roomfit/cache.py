@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
-from functools import cache, wraps
+from functools import cache, partial, wraps
 from glob import escape
 from importlib.metadata import version
 from inspect import signature
@@ -369,7 +369,7 @@ def shared_folder(path: Path, *, alone: bool) -> Iterator[bool]:
 @contextmanager
 def _locked(lock: Path, path: Path) -> Iterator[None]:
     try:
-        descriptor, locked = _opened(lock, _try_lock)
+        descriptor, locked = _opened(lock, partial(_try_lock, tries=50))
     except OSError as error:
         raise _cannot_be_made(path, error) from error
     if not locked:
@@ -398,7 +398,7 @@ def _opened(lock: Path, take: Callable[[int], bool]) -> tuple[int, bool]:
         os.close(descriptor)  # its last owner has just removed it
 
 
-def _try_lock(descriptor: int) -> bool:
+def _try_lock(descriptor: int, tries: int = 1) -> bool:
     """Return whether an open file, or on POSIX a folder, could be locked; True without locks."""
     try:
         if sys.platform != "win32":
@@ -408,7 +408,10 @@ def _try_lock(descriptor: int) -> bool:
 
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
     except OSError as error:
-        return error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
+        if error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK) or tries == 1:
+            return error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
+        time.sleep(0.02)  # copies of a killed run hold its locks until they have died
+        return _try_lock(descriptor, tries - 1)
     return True
 
 
@@ -445,13 +448,11 @@ def remove_leftovers(parent: Path, prefix: str) -> None:
     if sys.platform == "win32":
         return  # which locks no folders
     for folder in parent.glob(f"{escape(prefix)}????????"):
-        try:
+        with suppress(OSError):
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-        except OSError:
-            continue
-        if _try_lock(descriptor):
-            shutil.rmtree(folder, ignore_errors=True)
-        os.close(descriptor)
+            if _try_lock(descriptor, tries=50):
+                shutil.rmtree(folder, ignore_errors=True)
+            os.close(descriptor)
 
 
 def _recover(path: Path, parent: Path) -> None:

@@ -191,13 +191,14 @@ class Beside(Generic[T]):
         if not fork:
             return
         self.receiving, sending = os.pipe()
+        home = os.getpid()
         with interrupts_deferred(), warnings.catch_warnings():
             # threads of compiled kernels, which wait, and which no copy needs
             warnings.simplefilter("ignore", DeprecationWarning)
             with suppress(OSError):  # where no memory or no process is left, this one does it
                 self.pid = os.fork()
                 if self.pid == 0:
-                    _send(function, sending)
+                    _send(function, sending, home)
         os.close(sending)
 
     def is_done(self) -> bool:
@@ -254,13 +255,14 @@ def interrupts_deferred() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def end_with_parent() -> None:
+def end_with_parent(parent: int | None = None) -> None:
     """End this process when the one that has started it is gone, whatever it is doing then.
 
-    On Linux the system sees to it. Elsewhere a thread watches, which a call that lets no other
-    thread run keeps waiting.
+    `parent` is the number of that one, where it is known: it may be gone already. On Linux the
+    system sees to it. Elsewhere a thread watches, which a call that lets no other thread run keeps
+    waiting.
     """
-    parent = os.getppid()
+    parent = os.getppid() if parent is None else parent
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:  # it was gone before
@@ -274,13 +276,13 @@ def end_with_parent() -> None:
         threading.Thread(target=watch, daemon=True).start()
 
 
-def _send(function: Callable[[], object], sending: int) -> NoReturn:
+def _send(function: Callable[[], object], sending: int, home: int) -> NoReturn:
     """Call a function in a copy, send count, value and error, and end."""
     status = 1
     try:
         for number in (signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_DFL)
-        end_with_parent()
+        end_with_parent(home)
         gc.freeze()  # what the parent has let go of is not for a copy to close
         logging.disable()
         sys.stdout = sys.stderr = io.StringIO()

@@ -212,7 +212,7 @@ def outcomes(command: str, folder: Path) -> Iterator[str]:
         # the next run goes on, and removes what is left
         run(command, out)
         assert content(out) == saved["new"] | {"notes.txt": "mine"}, step
-        assert [p.name for p in out.parent.iterdir()] == ["out"], step
+        assert [p.name for p in out.parent.iterdir()] == ["out"], (step, list(out.parent.iterdir()))
         shutil.rmtree(out.parent)
         yield "old" if found == saved["old"] else "new"
 

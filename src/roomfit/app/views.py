@@ -419,7 +419,7 @@ def measure(_: Progress, folder: str, file: str, plan: dict[str, Any]) -> dict[s
         Nothing of use was recorded.
     """
     path = Path(folder) / file
-    recorded = np.fromfile(path.with_name("recorded"), "<f4")
+    recorded = np.frombuffer(read_bytes(path.with_name("recorded"), "recording"), "<f4")
     measured = response_from_recording(SweepPlan(**plan), recorded.astype(np.float64))
     path.write_bytes(wav_bytes(measured.response))
     return measured.content()

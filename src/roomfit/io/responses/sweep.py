@@ -149,7 +149,7 @@ def response_from_recording(
 ) -> SweepResponse:
     """Return the response of a recording that began with the first sample played.
 
-    The mean of the repetitions, `deconvolved`. Repetitions that differ by more than the background
+    The mean of the repetitions, without the sweep. Repetitions that differ by more than background
     explains are named with the likely cause: a gain that followed the sound, samples that were lost
     or clocks that differ, an event.
 
