@@ -419,7 +419,10 @@ def measure(_: Progress, folder: str, file: str, plan: dict[str, Any]) -> dict[s
         Nothing of use was recorded.
     """
     path = Path(folder) / file
-    recorded = np.frombuffer(read_bytes(path.with_name("recorded"), "recording"), "<f4")
+    try:
+        recorded = np.frombuffer(read_bytes(path.with_name("recorded"), "recording"), "<f4")
+    except RoomfitError as error:  # without the place, which is nobody's business
+        raise InputError(error.what, found=error.found, hint="measure again") from None
     measured = response_from_recording(SweepPlan(**plan), recorded.astype(np.float64))
     path.write_bytes(wav_bytes(measured.response))
     return measured.content()
