@@ -109,6 +109,9 @@ def test_a_treatment_file_is_read(tmp_path):
     np.testing.assert_allclose(panel.absorption, [0.7, 0.9])  # halfway in octaves
     assert felt.sd.min() > 0.0
     assert found["targets"][0].high == 0.5
+    # of 500, 1000 and 2000 Hz those that are predicted: others are not named
+    assert found["targets"][0].bands_hz == (500.0, 1000.0)
+    assert "2000" not in str(found["targets"][0])
     assert (found["targets"][1].low, found["targets"][1].high) == (3.0, 5.0)  # one jnd
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TypedDict, cast
 
@@ -29,6 +30,7 @@ from roomfit.io.schema import HungTable, Spectrum, TargetTable, TreatmentTable
 from roomfit.prediction.changes import Change
 from roomfit.treatment.polygons import forbidden_area_m2
 from roomfit.treatment.question import (
+    USUAL_HZ,
     Product,
     Surface,
     Target,
@@ -111,6 +113,9 @@ def treat_arguments(
         with located(f"{path}, targets[{i}]"):
             target, doubts = _target(t, scene.room)
             row_weights(target, known.bands)
+            if not target.bands_hz and target.parameter != "STI":  # those that are left are named
+                usual = tuple(f for f in USUAL_HZ if f in known.bands.centres_hz)
+                target = replace(target, bands_hz=usual)
             targets.append(target)
             findings += doubts
     with located(str(path)):
