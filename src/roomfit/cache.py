@@ -408,8 +408,9 @@ def _try_lock(descriptor: int, tries: int = 1) -> bool:
 
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
     except OSError as error:
-        if error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK) or tries == 1:
-            return error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
+        is_free = error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
+        if is_free or tries == 1:
+            return is_free
         time.sleep(0.02)  # copies of a killed run hold its locks until they have died
         return _try_lock(descriptor, tries - 1)
     return True
@@ -445,9 +446,8 @@ def hidden_folder(parent: Path, prefix: str) -> Iterator[Path]:
 
 def remove_leftovers(parent: Path, prefix: str) -> None:
     """Remove the hidden folders of runs that were killed; those of living ones are locked."""
-    if sys.platform == "win32":
-        return  # which locks no folders
-    for folder in parent.glob(f"{escape(prefix)}????????"):
+    # Windows locks no folders
+    for folder in () if sys.platform == "win32" else parent.glob(f"{escape(prefix)}????????"):
         with suppress(OSError):
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
             if _try_lock(descriptor, tries=50):

@@ -37,13 +37,13 @@ class Bench:
     def __init__(self, folder: Path) -> None:
         self.folder, self.jobs, self.what_if = folder, Jobs(), self
         self.asked: list[asyncio.Future[Any]] = []
-        self.told: list[dict[str, Any]] = []  # arguments of every question
+        self.arguments: list[dict[str, Any]] = []  # of every question
 
     def stamp(self, names: tuple[str, ...]) -> tuple[str, ...]:
         return names
 
     async def ask(self, _: str, *arguments: dict[str, Any], **__: Any) -> Any:
-        self.told += arguments
+        self.arguments += arguments
         self.asked.append(asyncio.get_running_loop().create_future())
         return await self.asked[-1]
 
@@ -358,7 +358,7 @@ def test_changes_from_a_doubted_result_are_offered_and_not_made(folder: Path) ->
         asking = asyncio.ensure_future(tab.take_doubted(True))
         for _ in range(5):
             await asyncio.sleep(0)
-        assert bench.told[-1]["doubted"]
+        assert bench.arguments[-1]["doubted"]
         bench.asked[-1].set_result(copy.deepcopy(new))
         await asking
         # it stays, so that it can be taken back

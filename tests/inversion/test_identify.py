@@ -332,7 +332,7 @@ def test_every_evaluation_that_was_made_is_counted(tmp_path, few_rays, monkeypat
         return original(term, values)
 
     monkeypatch.setattr("roomfit.objective.energy.EnergyTerm.predict", counting)
-    with at_most_threads(1):  # what copies of this process do is not heard of here
+    with at_most_threads(1):  # a method that is patched here counts nothing in forked copies
         answer = identify(**load_campaign(write_campaign(tmp_path, ("scattering = 0.0", ""))))
     assert answer.evaluations == len(calls) > 100
 

@@ -10,6 +10,7 @@ import pytest
 import soundfile
 
 from report_cases import answer_of, scene_of
+from roomfit.app import project
 from roomfit.app.what_if import what_if_prepare
 from roomfit.bands import bands_between
 from roomfit.errors import InputError, InsufficientDataError
@@ -263,3 +264,24 @@ def test_treatments_sounds_and_the_workbench_need_to_be_asked_for_doubted_walls(
     assert "at 500 Hz" in str(refusal.value)
     with pytest.raises(BegunError):
         listen_to_folder(*asked, wanted=WantedPairs(doubted=True))
+
+
+@pytest.mark.slow
+def test_a_target_in_a_band_that_is_left_out_does_not_stop_the_sliders(tmp_path, monkeypatch):
+    """`treat` refuses it, with the reason; where nothing is left out the file is at fault."""
+    (tmp_path / "campaign.toml").write_text(f"{TURNED}[settings]\nn_rays = 1000\n")
+    question = tmp_path / project.TREATMENT_QUESTION
+    text = "[surfaces.walls]\n[products.felt]\nabsorption = 0.5\n"
+    question.write_text(f"{text}[[targets]]\nat_most = 0.5\nbands_hz = [500]\n")
+    wrong = Finding(Code.DECAY_NOT_REPRODUCED, About(bands_hz=[500]), "")
+    known = replace(one_decay(fitted_states=("",), result_findings=(wrong,)), areas_m2=None)
+    monkeypatch.setattr("roomfit.app.what_if.read_result", lambda _: known)
+    monkeypatch.setattr("roomfit.app.what_if.project.best_result", lambda _: question)
+    found = what_if_prepare(lambda _: None, str(tmp_path))
+    assert found["bands_hz"] == [1000.0] and found["limits"] == []
+    assert "at 500 Hz" in found["left_out"]
+    whole = what_if_prepare(lambda _: None, str(tmp_path), doubted=True)
+    assert [x["value"] for x in whole["limits"]] == [0.5] and whole["left_out"] == ""
+    question.write_text(question.read_text().replace("[500]", "[4000]"))
+    with pytest.raises(InputError, match="not predicted"):
+        what_if_prepare(lambda _: None, str(tmp_path), doubted=True)

@@ -130,7 +130,9 @@ def _asked(folder: Path, request: Request) -> tuple[SweepPlan, str, str]:
         source, receiver, again = asked["source"], asked["receiver"], asked["again"] == "true"
     except (KeyError, ValueError, OverflowError) as error:
         raise InputError(
-            "a measurement is four numbers and two names", found=str(error)[:80]
+            "a measurement is four numbers and two names",
+            found=str(error)[:80],
+            needed="rate_hz, seconds, silence_s, repetitions, source and receiver",
         ) from None
     place = project.upload_place(folder, project.RECORDINGS, response_name(source, receiver))
     check_not_measured(place, again=again)

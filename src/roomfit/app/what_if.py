@@ -77,11 +77,17 @@ def what_if_prepare(progress: Progress, folder: str, doubted: bool = False) -> d
     room = prepared(folder)
     known = room.absorption
     left_out = [f.sentence for f in known.findings if f.code is Code.RESULT_DOUBTED]
+    try:
+        limits = _limits(root / project.TREATMENT_QUESTION, room)
+    except InputError:
+        if not left_out:
+            raise
+        limits = []  # of a band that is left out; `treat` says so
     return {
         "bands_hz": known.bands.centres_hz.tolist(),
         "absorption": dict(zip(known.materials, known.absorption.tolist(), strict=True)),
         "left_out": " ".join(left_out),
-        "limits": _limits(root / project.TREATMENT_QUESTION, room),
+        "limits": limits,
         **what_if(progress, folder, []),
     }
 

@@ -524,7 +524,10 @@ def coherent_response(
         False leaves the derivatives zero.
     """
     n_materials = len(paths.materials)
-    roots = _roots(paths, paths.weight * paths.coherence, absorption)
+    powers, weight = _root_powers(paths, absorption), paths.weight * paths.coherence
+    roots = root_energies(weight, paths.row, paths.hits, powers)
+    if paths.sign is not None:
+        roots *= paths.sign
     n_products, parts = 8 + 2 * n_materials if derivative else 0, []
     # few enough for their grids to stay in memory that is at hand: new pages cost as much as sums
     at_once = max(numba.get_num_threads(), 2)
@@ -625,10 +628,12 @@ def integrated_products(
 
 def image_energies(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
     """Return the energy of every path, whatever its coherence, shape (n_paths,)."""
-    return np.square(_roots(paths, paths.weight, absorption))
+    powers = _root_powers(paths, absorption)
+    return np.square(root_energies(paths.weight, paths.row, paths.hits, powers))
 
 
-def _roots(paths: ImagePaths, weight: FloatArray, absorption: FloatArray) -> FloatArray:
+def _root_powers(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
+    """Return the table of `root_energies`, of absorption that is checked."""
     a = np.asarray(absorption, dtype=np.float64)
     # on the spot: this is done at every evaluation of a fit
     if a.shape != (len(paths.materials),) or not np.all((a >= 0.0) & (a <= 1.0)):
@@ -638,11 +643,7 @@ def _roots(paths: ImagePaths, weight: FloatArray, absorption: FloatArray) -> Flo
             needed=f"{len(paths.materials)} values from 0 to 1",
         )
     highest = int(paths.hits.max(initial=0))
-    powers = np.sqrt(1.0 - a)[:, None] ** np.arange(highest + 1, dtype=np.float64)
-    roots, worth_it = np.empty(len(weight)), paths.hits.size >= ROWS_WORTH_THREADS
-    own = weight, paths.row, paths.hits, np.asarray(powers), roots
-    in_threads(_root_energies, len(weight), *own, worth_it=worth_it)
-    return roots if paths.sign is None else roots * paths.sign
+    return np.asarray(np.sqrt(1.0 - a)[:, None] ** np.arange(highest + 1, dtype=np.float64))
 
 
 def _stand_in(departure: FloatArray, arrival: FloatArray) -> NDArray[np.float32]:

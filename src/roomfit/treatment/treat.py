@@ -203,9 +203,8 @@ def _of_the_room(room: ChangingRoom, arrangements: Sequence[Arrangement]) -> tup
     if isinstance(room, PreparedField):
         return room.findings
     covered = {h.surface for a in arrangements for h in a.hung}
-    dominated = [f for f in room.dominated if covered & set(f.about.materials)]
-    own = room.absorption.findings
-    return (*(f for f in own if f.code is Code.RESULT_DOUBTED), *dominated)
+    dominated = tuple(f for f in room.dominated if covered & set(f.about.materials))
+    return tuple(f for f in room.absorption.findings if f.code is Code.RESULT_DOUBTED) + dominated
 
 
 def _before_in_words(room: ChangingRoom) -> str:
