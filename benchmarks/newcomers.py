@@ -1,12 +1,13 @@
-"""The clock of three new users: how many commands and minutes to a first number and to a report.
+"""The clock of three new users: to a first number, to a report, and to what they came to ask.
 
     python benchmarks/newcomers.py [--to STEP] [--out DIR]
 
 Each starts from a folder as strangers have it, made of the demo's room. The consultant has files
 of 24 bits that all begin 40 samples too early, in a folder below, with a hidden twin and a sweep
 among them, a drawing in centimetres and a table with decimal commas; follows what `roomfit init`
-and `roomfit check` say, and nothing else. The researcher has the same responses as arrays. The
-owner of a hall has T30 values.
+and `roomfit check` say, and nothing else; what would a carpet on the tiles do? The researcher has
+the same responses as arrays, and wants the walls in pyroomacoustics. The owner of a hall has T30
+values: how many square metres of absorber for a T30 of 1 s?
 
 Printed are seconds of the clock and of the processor since the start, by command. ``--to check``
 leaves out the fits, which take most of the time.
@@ -15,6 +16,7 @@ leaves out the fits, which take most of the time.
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import resource
 import shlex
@@ -35,6 +37,19 @@ QUADS = {
     "west": (0, 4, 6, 2), "east": (1, 3, 7, 5), "south": (0, 1, 5, 4), "north": (2, 6, 7, 3),
     "floor": (0, 2, 3, 1), "ceiling": (4, 5, 7, 6),
 }  # fmt: skip
+
+TREATMENT = """\
+[surfaces.ceiling]
+
+[products."wool panel"]
+catalogue = "mineral-wool-50-mm"
+
+[[targets]]
+parameter = "T30_s"
+at_most = 1.0
+bands_hz = [500, 2000]
+mean_of_bands = true
+"""
 
 
 def late_responses() -> dict[tuple[str, str], np.ndarray]:
@@ -117,6 +132,10 @@ def consultant(folder: Path, *, fit: bool) -> None:
         said = clock.run(folder, "identify", "campaign.toml", "--quick", "--out", "first")
         clock.tell(f"report: {(folder / 'first' / 'report.html').stat().st_size} bytes")
         print("\n".join(said[said.find("Absorption, 95 %") :].split("\n")[:9]))
+        answer = ("--absorption", "first/result.json", "--out", "carpet")
+        change = "tiles=carpet-on-underlay"
+        said = clock.run(folder, "predict", "campaign.toml", *answer, "--set", change)
+        clock.tell(f"answer: {said.splitlines()[0]}")
 
 
 def researcher(*, fit: bool) -> None:
@@ -141,6 +160,11 @@ def researcher(*, fit: bool) -> None:
         clock.tell("identify, 500 and 1000 Hz")
         page = roomfit.report_html(result, scene, title="demo")
         clock.tell(f"report_html: {len(page)} letters")
+        with tempfile.TemporaryDirectory() as temporary:
+            file = Path(temporary) / "materials.json"
+            roomfit.export_result(result, "pyroomacoustics", file)
+            walls = json.loads(file.read_text(encoding="utf-8"))
+        clock.tell(f"answer: export_result, {len(walls)} entries")
 
 
 def owner(folder: Path) -> None:
@@ -153,6 +177,9 @@ def owner(folder: Path) -> None:
     said = clock.run(folder, *_advised(said, "perhaps"))
     print(clock.run(folder, *_advised(said, "then"), "--out", "mean").split("\n\n")[0])
     clock.tell(f"report: {(folder / 'mean' / 'reverberation.html').stat().st_size} bytes")
+    (folder / "treatment.toml").write_text(TREATMENT)
+    said = clock.run(folder, "treat", "campaign.toml", "treatment.toml", "--out", "treated")
+    clock.tell(f"answer: {said.splitlines()[0]}")
 
 
 def main() -> None:
@@ -160,14 +187,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("--to", choices=("check", "report"), default="report")
+    parser.add_argument("--to", choices=("check", "answer"), default="answer")
     parser.add_argument("--out", type=Path, help="A new folder, which is kept.")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         out: Path = options.out or Path(temporary)
         owner(out / "hall of an owner")
-        consultant(out / "Großer Saal", fit=options.to == "report")
-        researcher(fit=options.to == "report")
+        consultant(out / "Großer Saal", fit=options.to == "answer")
+        researcher(fit=options.to == "answer")
 
 
 if __name__ == "__main__":

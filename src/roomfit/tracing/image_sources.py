@@ -8,7 +8,7 @@ counts of work decide how far image sources are worth their cost.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
+from roomfit._numba import each_in_threads
 from roomfit.air import speed_of_sound_m_s
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
@@ -183,6 +184,9 @@ def _image_set(
 _ANY_ORDER = 1000  # within any length worth the name
 # Steps in which a duration is tried; a step costs some 1.1**5 = 1.6 times the one before.
 _STEP = 1.1
+# Work and images grow as powers of the duration: at least the third, at most these, and later on by
+# higher ones. What is too long costs the whole budget, a step too few less than another one.
+_STEEPEST, _STEEPER = (6.0, 3.5), (0.6, 0.0)
 
 
 def expected_images(volume_m3: float, length_m: float) -> float:
@@ -217,18 +221,29 @@ def affordable_duration_s(
         costs more.
     """
     speed = speed_of_sound_m_s(scene.air)
-    affordable_s = longest_s
-    for keeps in _budget_tests(scene, work, images):
-        if keeps(_ANY_ORDER, affordable_s * speed):
-            continue  # a quarter of what all steps to it would cost
-        duration_s = longest_s / 100.0
-        while duration_s < affordable_s:
-            next_s = min(duration_s * _STEP, affordable_s)
-            if not keeps(_ANY_ORDER, next_s * speed):
-                break
-            duration_s = next_s
-        affordable_s = duration_s
-    return affordable_s
+    share = _budget_shares(scene, work, images)
+    last = math.ceil(math.log(100.0) / math.log(_STEP))
+
+    def duration_s(step: int) -> float:
+        return min(longest_s / 100.0 * _STEP**step, longest_s)
+
+    # the affordable step lies from `low` up and below `high`
+    low, high = 0, last + 1
+    before, power, step = np.zeros(2), np.array(_STEEPEST), last - math.ceil(math.log(8.0, _STEP))
+    while high - low > 1:
+        found = np.maximum(share(_ANY_ORDER, duration_s(step) * speed), 1e-9)
+        if found.max() > 1.0:
+            high = step
+            step = (low + high) // 2
+            continue
+        if np.all((before > 0.0) & (found > before)):
+            power = np.log(found / before) / math.log(duration_s(step) / duration_s(low))
+            power = np.clip(power + _STEEPER, 3.0, _STEEPEST)
+        low, before = step, found
+        # as far as these powers say that the budget reaches
+        further = math.floor(float(np.min(-np.log(found) / (power * math.log(_STEP)))))
+        step = min(low + max(further, 1), high - 1)
+    return duration_s(low)
 
 
 def affordable_order(
@@ -254,39 +269,44 @@ def affordable_order(
         At least 0: the direct sound costs nothing.
     """
     length_m = duration_s * speed_of_sound_m_s(scene.air)
-    affordable = most
-    for keeps in _budget_tests(scene, work, images):
-        order = 0
-        while order < affordable and keeps(order + 1, length_m):
-            order += 1
-        affordable = order
-    return affordable
+    share = _budget_shares(scene, work, images)
+    order = 0
+    while order < most and share(order + 1, length_m).max() <= 1.0:
+        order += 1
+    return order
 
 
-def _budget_tests(
-    scene: Scene, work: float, images: float
-) -> Iterator[Callable[[int, float], bool]]:
-    """Give for every source whether its images within an order and a length keep to a budget."""
+def _budget_shares(scene: Scene, work: float, images: float) -> Callable[[int, float], FloatArray]:
+    """Return what of a budget the images of any one source take: shares of work and of images.
+
+    Of images within an order and a length, m; infinite where the search was given up. Sources share
+    the processors.
+    """
     walls, blockers = mirrors_of(scene.room)
     # images count for their hits in the tree: a generous bound keeps it from growing
     budget = Budget(100.0 * images * _BYTES, work)
-    for source in np.unique(scene.pairs[:, 0]):
-        own = scene.pairs[scene.pairs[:, 0] == source, 1]
-        receivers = np.array([scene.receivers[r].position_m for r in own])
-        search = partial(
-            beam_tree,
-            walls,
-            blockers,
-            np.array(scene.sources[source].position_m),
-            receivers,
-            distances_to_m(walls, receivers),
-        )
+    sources = [int(s) for s in np.unique(scene.pairs[:, 0])]
 
-        def keeps(order: int, length_m: float, search: Callable[[Limits], Found] = search) -> bool:
-            found = search(limits_of(order, length_m, budget))
-            return found.ending == DONE and len(found.receiver) <= images
+    def largest(order: int, length_m: float) -> FloatArray:
+        def of_source(i: int) -> FloatArray:
+            own = scene.pairs[scene.pairs[:, 0] == sources[i], 1]
+            receivers = np.array([scene.receivers[r].position_m for r in own])
+            found = beam_tree(
+                walls,
+                blockers,
+                np.array(scene.sources[sources[i]].position_m),
+                receivers,
+                distances_to_m(walls, receivers),
+                limits_of(order, length_m, budget),
+            )
+            if found.ending != DONE:
+                return np.full(2, np.inf)
+            return np.array([found.work / work, len(found.receiver) / images])
 
-        yield keeps
+        of_each = [np.zeros(2), *each_in_threads(of_source, len(sources))]
+        return np.asarray(np.max(of_each, axis=0))
+
+    return largest
 
 
 def shoebox_images(
