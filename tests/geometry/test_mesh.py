@@ -20,6 +20,7 @@ from roomfit.geometry.mesh import (
     Mesh,
     Surface,
     area_vectors_m2,
+    as_shoebox,
     edges_of,
     mean_free_path_m,
     refuse,
@@ -395,3 +396,53 @@ def test_few_points_find_the_nearest_triangles_that_many_do(monkeypatch, seed):
     expected, index = inside.nearest_triangles(mesh, points)
     np.testing.assert_allclose(distance, expected, rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(triangle, index)
+
+
+@given(
+    order=st.permutations(range(12)), turns=st.lists(st.integers(0, 2), min_size=12, max_size=12)
+)
+def test_a_drawn_box_is_the_shoebox_whatever_the_order_of_its_triangles(
+    order: list[int], turns: list[int]
+) -> None:
+    """Walls keep their names; west, east, south, north, floor and ceiling come in that order."""
+    drawn = build_mesh(BOX, box_faces())[0]
+    triangles = np.array([np.roll(drawn.triangles[i], turns[i]) for i in order])
+    drawn = Mesh(drawn.vertices_m, triangles, drawn.triangle_surface[order], drawn.surfaces)
+    box = as_shoebox(drawn)
+    assert box is not None
+    assert [s.name for s in box.surfaces] == list(SHOEBOX_SURFACES)
+    expected = shoebox_mesh(LENGTHS)
+    np.testing.assert_array_equal(box.vertices_m, expected.vertices_m)
+    np.testing.assert_array_equal(box.triangles, expected.triangles)
+
+
+def test_what_is_no_box_or_has_two_surfaces_in_a_wall_stays_as_drawn() -> None:
+    """Moved, slanted, L-shaped, inside out, with a door, a sheet in it, or half a wall gone."""
+    box = build_mesh(BOX, box_faces())[0]
+    assert as_shoebox(box) is not None
+    assert as_shoebox(replace(box, vertices_m=box.vertices_m + np.array([0.0, 0.01, 0.0]))) is None
+    slanted = box.vertices_m + np.where(box.vertices_m[:, :1] > 0.0, [[0.0, 0.0, 0.01]], 0.0)
+    assert as_shoebox(replace(box, vertices_m=slanted)) is None
+    assert as_shoebox(l_room()) is None
+    assert as_shoebox(replace(box, triangles=box.triangles[:, ::-1])) is None
+    door = replace(box, surfaces=(*box.surfaces, Surface("door")))
+    owner = np.where(np.arange(12) == 3, 6, door.triangle_surface)
+    assert as_shoebox(replace(door, triangle_surface=owner)) is None
+    curtain = np.array([[2.0, 1.0, 1.0], [2.0, 2.0, 1.0], [2.0, 1.0, 2.0]])
+    hung = Mesh(
+        np.vstack([box.vertices_m, curtain]),
+        np.vstack([box.triangles, [[8, 9, 10]]]),
+        np.append(box.triangle_surface, 6),
+        (*box.surfaces, Surface("curtain", double_sided=True)),
+    )
+    assert as_shoebox(hung) is None
+    open_box = replace(
+        box, triangles=box.triangles[:11], triangle_surface=box.triangle_surface[:11]
+    )
+    assert as_shoebox(open_box) is None
+    twice = replace(
+        box,
+        triangles=np.vstack([box.triangles, box.triangles[:1]]),
+        triangle_surface=np.append(box.triangle_surface, box.triangle_surface[0]),
+    )
+    assert as_shoebox(twice) is None

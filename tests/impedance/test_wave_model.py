@@ -326,7 +326,8 @@ def test_the_slope_of_a_causal_curve_is_that_of_central_differences(tau_s):
     np.testing.assert_allclose(numeric, slope, atol=1e-7 * np.abs(slope).max())
     chosen = np.array([3, 8, 20])
     np.testing.assert_array_equal(curve.at(chosen).r0(x), curve.r0(x)[chosen])
-    np.testing.assert_array_equal(curve.at(chosen).slope(x), slope[chosen])
+    # sums of another number of rows may be made in another order
+    np.testing.assert_allclose(curve.at(chosen).slope(x), slope[chosen], rtol=1e-13, atol=1e-15)
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -7,7 +7,7 @@ measured. A fault is a finding so serious that a room cannot be traced.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
@@ -300,6 +300,45 @@ def shoebox_mesh(lengths_m: ArrayLike) -> Mesh:
 # rounding of drawing programs (six decimals of a metre, three of a millimetre), which does not grow
 # with the room, and because it must stay far below any wavelength (21 mm at 16 kHz).
 WELD_TOLERANCE_M = 1e-4
+
+
+def as_shoebox(mesh: Mesh) -> Mesh | None:
+    """Return the same box as `shoebox_mesh` orders it; None where the mesh is no such box.
+
+    It is one where every triangle lies in one of six planes, those of a box with a corner at the
+    origin and edges along the axes, the triangles of a plane cover it once, and all of them belong
+    to one surface. Image sources of a box are exact and cost little, and its lengths can be fitted.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Normals out of the air.
+
+    Returns
+    -------
+    Mesh or None
+        Surfaces west, east, south, north, floor and ceiling under the names that they had; the
+        lengths are its last vertex.
+    """
+    lengths = np.max(mesh.vertices_m, axis=0)
+    if np.abs(np.min(mesh.vertices_m, axis=0)).max() > WELD_TOLERANCE_M or lengths.min() < 1e-3:
+        return None
+    box = shoebox_mesh(lengths)
+    planes = np.stack([np.zeros(3), lengths], axis=1).ravel()  # x = 0, x = length, y = 0, ...
+    heights = corners_m(mesh)[:, :, [0, 0, 1, 1, 2, 2]] - planes
+    lies_in = np.abs(heights).max(axis=1) <= WELD_TOLERANCE_M  # (n_triangles, 6)
+    if not np.all(lies_in.sum(axis=1) == 1):
+        return None
+    wall = np.argmax(lies_in, axis=1)
+    along = np.repeat(np.eye(3), 2, axis=0) * np.tile([-1.0, 1.0], 3)[:, None]
+    outwards = np.einsum("ni,ni->n", area_vectors_m2(mesh), along[wall])
+    covered = np.bincount(wall, outwards, 6)
+    whole = np.bincount(box.triangle_surface, triangle_areas_m2(box), 6)
+    pairs = np.unique(np.column_stack([wall, mesh.triangle_surface]), axis=0)
+    is_sheet = any(mesh.surfaces[s].double_sided for s in pairs[:, 1])
+    if np.any(outwards < 0.0) or not np.allclose(covered, whole, rtol=1e-3) or len(pairs) != 6:
+        return None
+    return None if is_sheet else replace(box, surfaces=tuple(mesh.surfaces[s] for s in pairs[:, 1]))
 
 
 def weld(points_m: FloatArray) -> IntArray:

@@ -11,7 +11,7 @@ from roomfit._checks import nearest
 from roomfit.errors import InputError, located
 from roomfit.findings import Finding
 from roomfit.geometry.build import build_mesh, oriented
-from roomfit.geometry.mesh import WELD_TOLERANCE_M, Mesh, refuse, shoebox_mesh
+from roomfit.geometry.mesh import WELD_TOLERANCE_M, Mesh, as_shoebox, refuse, shoebox_mesh
 from roomfit.io.door import check_limit
 from roomfit.io.rooms.catt import read_catt
 from roomfit.io.rooms.dxf import read_dxf
@@ -49,7 +49,8 @@ def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
     Returns
     -------
     room : Room
-        In metres, z up, normals out of the air.
+        In metres, z up, normals out of the air. A file's box with a corner at the origin is a
+        shoebox, see `roomfit.geometry.mesh.as_shoebox`.
     findings : tuple of Finding
         What was repaired and what is doubtful; none is serious.
 
@@ -69,7 +70,10 @@ def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
     mesh, built = read_mesh(spec)
     findings = check_mesh(mesh, spec.materials, built).findings
     refuse(findings)
-    return room_from_mesh(mesh, spec.materials, shoebox_lengths_m(spec)), findings
+    if (box := as_shoebox(mesh)) is None:
+        return room_from_mesh(mesh, spec.materials), findings
+    x, y, z = box.vertices_m[-1].tolist()
+    return room_from_mesh(box, spec.materials, (x, y, z)), findings
 
 
 def read_mesh(spec: RoomSpec) -> tuple[Mesh, tuple[Finding, ...]]:
