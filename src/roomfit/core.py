@@ -160,7 +160,11 @@ if TYPE_CHECKING:
         draw_absorption as draw_absorption,
         draw_prior as draw_prior,
     )
-    from roomfit.forks import end_with_parent as end_with_parent
+    from roomfit.forks import (
+        end_with_parent as end_with_parent,
+        in_forks as in_forks,
+        in_this_process as in_this_process,
+    )
 
 
 # Where each name stands.
@@ -212,7 +216,7 @@ _HOME = {
         "uncertainty.combinations": "area_shares",
         "uncertainty.other_room": "common_bands room_posterior",
         "uncertainty.posterior": "AbsorptionPosterior draw_absorption draw_prior",
-        "forks": "end_with_parent",
+        "forks": "end_with_parent in_forks in_this_process",
     }.items()
     for name in names.split()
 }

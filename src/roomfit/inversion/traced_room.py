@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,7 +18,7 @@ from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.compare import predicted_curve
 from roomfit.inversion.scattering import band_factors, specified_scattering
-from roomfit.inversion.trace_plan import LEAST_RAYS, cached_trace, plan_trace
+from roomfit.inversion.trace_plan import LEAST_RAYS, TracePlan, cached_trace, plan_trace
 from roomfit.materials.priors import MaterialPrior, unknown_material
 from roomfit.objective.observation import spread_over_time
 from roomfit.objective.reduced_rows import (
@@ -51,12 +52,14 @@ from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName, valu
 from roomfit.signals.speech import modulation_gradients
 from roomfit.tracing.paths import Paths
 from roomfit.tracing.trace import trace
-from roomfit.typing import FloatArray, Progress, part
+from roomfit.typing import FloatArray, Progress
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 # T30 is read from 5 to 35 dB below the start of the decay.
 _NEEDED_DB = 36.0
-_ATTEMPTS = 4
+_ATTEMPTS = 8
+# Enough to see how far the decay falls; the rays that follow are six times as many, or more.
+_PILOT_RAYS = 10_000
 _LONGER = 1.5
 _LONGEST_S = 30.0
 
@@ -250,10 +253,11 @@ def trace_room(
     cache: Cache | None = None,
     progress: Progress | None = None,
 ) -> TracedRoom:
-    """Trace until every band of every pair has fallen by 36 dB, in up to four attempts.
+    """Trace until every band of every pair has fallen by 36 dB, or for 30 s.
 
     How long is estimated from Eyring's formula and the measured decay, the longer of both; where
-    walls differ much, sound between the hard ones lasts longer still, and the trace is repeated.
+    walls differ much, sound between the hard ones lasts longer still, which few rays find out
+    before.
 
     Parameters
     ----------
@@ -269,26 +273,34 @@ def trace_room(
     absorption = known.absorption if absorption is None else absorption
     priors = _scattering_priors(known)
     longest_s = max(measured_decay_s, float(scene_decay_s(scene, bands, absorption).max()))
-    found: list[Finding] = []
-    for attempt in range(_ATTEMPTS):
-        plan = plan_trace(scene, priors, min(longest_s, _LONGEST_S), 0.0, settings)
-        done = part(progress, attempt / _ATTEMPTS, (attempt + 1) / _ATTEMPTS)
-        traced = cached_trace(scene, plan.settings, plan.scattering, cache, done)
-        found += traced.findings
-        paths = traced.value.paths
+
+    def planned() -> TracePlan:
+        return plan_trace(scene, priors, min(longest_s, _LONGEST_S), 0.0, settings)
+
+    def traced(n_rays: int, cache: Cache | None, progress: Progress | None) -> TracedRoom:
+        plan = planned()
+        fineness = replace(plan.settings, n_rays=min(plan.settings.n_rays, n_rays))
+        found = cached_trace(scene, fineness, plan.scattering, cache, progress)
+        paths = found.value.paths
         scattering = specified_scattering(priors, plan.scattering.coefficients, len(bands))
         factors, degenerate = band_factors(directivities, scene, bands, paths, scattering)
         binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
         key = (plan.settings, scattering, known_directivities(directivities, scene.sources))
-        room = TracedRoom(scene, bands, binned, key, ())
+        doubts = (*plan.findings, *found.value.findings, *found.findings, *degenerate)
+        return TracedRoom(scene, bands, binned, key, doubts)
+
+    has_pilot = planned().settings.n_rays > _PILOT_RAYS
+    for _ in range(_ATTEMPTS if has_pilot else 0):
+        if longest_s >= _LONGEST_S or not _short_bands(traced(_PILOT_RAYS, None, None), absorption):
+            break
+        longest_s *= _LONGER
+    for _ in range(2 if has_pilot else _ATTEMPTS):
+        room = traced(sys.maxsize, cache, progress)
         short = _short_bands(room, absorption)
         if not short or longest_s >= _LONGEST_S:
             break
         longest_s *= _LONGER
-    if progress is not None:
-        progress(1.0)
-    doubts = (*plan.findings, *traced.value.findings, *found, *degenerate)
-    return replace(room, findings=(*doubts, *_short_finding(bands, short)))
+    return replace(room, findings=(*room.findings, *_short_finding(bands, short)))
 
 
 def coherent_paths(

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +36,8 @@ from roomfit.core import (
     cached,
     check_scene,
     draw_absorption,
+    in_forks,
+    in_this_process,
     material_areas_m2,
     object_area_m2,
     one_blas_thread,
@@ -299,7 +302,7 @@ def prepare_prediction(
     longest_s, done = _longest_s(observed), part(progress, 0.02, 0.6)
     traced = trace_room(scene, absorption, least, longest_s, settings, cache, done)
     bands, found = absorption.bands, absorption.absorption
-    few = tuple(traced.reduced(i, found) for i in range(len(scene.pairs)))
+    few = tuple(in_forks(partial(traced.reduced, absorption=found), range(len(scene.pairs))))
     energies = [f.energies(found[None]) for f in few]
     base = [f.values(e) for f, e in zip(few, energies, strict=True)]
     base_sti = [f.sti(e, v, speech_db) for f, e, v in zip(few, energies, base, strict=True)]
@@ -362,24 +365,26 @@ def _exact_numbers(
     progress: Progress | None,
 ) -> tuple[tuple[PairNumbers, ...], tuple[Finding, ...]]:
     """Return the numbers of every pair from all paths, and what happened to the cache."""
-    scene, bands, numbers = room.scene, room.absorption.bands, []
-    findings: list[Finding] = []
+    scene, bands = room.scene, room.absorption.bands
     _LOG.info("predicting")
-    for i in range(len(scene.pairs)):
+    shown = in_this_process(progress)
+
+    def of_pair(i: int) -> tuple[PairNumbers, tuple[Finding, ...]]:
         one = cached(
             cache,
             "pair",
             (scene, room.traced.key, bands, i, absorption, draws, room.speech_db),
-            lambda i=i: pair_numbers(  # type: ignore[misc]
-                room.traced, i, room.few[i], absorption, draws, room.speech_db
-            ),
+            lambda: pair_numbers(room.traced, i, room.few[i], absorption, draws, room.speech_db),
             (PairNumbers, PredictedDecay),
         )
-        numbers.append(one.value)
-        findings += one.findings
-        if progress is not None:
-            progress((i + 1) / len(scene.pairs))
-    return with_misfit(tuple(numbers), room.absorption.fitted_jnd), tuple(findings)
+        if shown is not None:
+            shown((i + 1) / len(scene.pairs))
+        return one.value, one.findings
+
+    numbers, findings = zip(*in_forks(of_pair, range(len(scene.pairs))), strict=True)
+    return with_misfit(numbers, room.absorption.fitted_jnd), tuple(
+        f for own in findings for f in own
+    )
 
 
 def numbers_at(

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 
+import numba
 import numpy as np
 
+from roomfit._numba import each_in_threads
 from roomfit.air import speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.response.energy import (
+    ROWS_WORTH_THREADS,
     EnergyRows,
     energy_rows,
     regrouped_rows,
@@ -95,10 +98,18 @@ def bin_paths(
     last = int(np.ceil(duration_s / BIN_S))
     edges = BIN_S * np.arange(first, last + 1, dtype=np.float64)
     c = speed_of_sound_m_s(scene.air)
-    each = (
-        energy_rows(paths, pair, edges, c, own) for pair, own in enumerate(paths_of_pairs(paths))
-    )
-    return reweighed(scene, bands, BinnedPaths(edges, once(scene.pairs, each)), factors)
+    of_pair, worth_it = paths_of_pairs(paths), len(paths.pair) >= ROWS_WORTH_THREADS
+
+    def rows(first: int, i: int) -> EnergyRows:
+        return energy_rows(paths, first + i, edges, c, of_pair[first + i])
+
+    def each() -> Iterator[EnergyRows]:
+        """Give few pairs at a time: in memory until what states have in common is there once."""
+        for first in range(0, len(of_pair), at_once := numba.get_num_threads()):
+            n = min(at_once, len(of_pair) - first)
+            yield from each_in_threads(partial(rows, first), n, worth_it=worth_it)
+
+    return reweighed(scene, bands, BinnedPaths(edges, once(scene.pairs, each())), factors)
 
 
 def reweighed(
