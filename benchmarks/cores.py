@@ -1,13 +1,15 @@
 """What further cores are worth: seconds by the clock, processor seconds, memory, and equal answers.
 
     python benchmarks/cores.py [--threads 1 2] [--repeats 2] [--quick] [--campaign FILE]
+        [--job identify|predict|treat]
 
 The demo's campaign, or any, is identified by the command line without the cache, report and
-pictures included, with each number of threads in turn. Memory is what process and copies have
+pictures included, with each number of threads in turn; or what is found of the demo is predicted
+with a curtain before its brick, or treated. Memory is what process and copies have
 together at most, pages that they share counted once (PSS, every 50 ms). The serial share is
 Amdahl's, by the clock: it means something only on a machine that has nothing else to do, which the
 load before each run says. Processor seconds are those of all processes. Exit code 1 where
-`result.json`, its seconds apart, or a picture differs.
+what was written, its seconds apart, differs.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ _EVERY_S = 0.05
 
 
 class Run(NamedTuple):
-    """One identification."""
+    """One run of a command."""
 
     wall_s: float
     cpu_s: float
@@ -42,14 +44,41 @@ class Run(NamedTuple):
     digest: str
 
 
-def identified(campaign: Path, out: Path, threads: int, *, quick: bool) -> Run:
-    """Identify a campaign in a process of its own."""
-    command = [sys.executable, "-m", "roomfit", "identify", str(campaign), "--out", str(out)]
-    command += ["--no-cache", "--overwrite", "--quiet", "--threads", str(threads)]
+TREATMENT = """\
+[surfaces.brick]
+[surfaces.panelling]
+
+[products."wool panel"]
+catalogue = "mineral-wool-50-mm"
+
+[[targets]]
+parameter = "T30_s"
+at_most = 0.7
+bands_hz = [500, 1000]
+mean_of_bands = true
+"""
+
+
+def words_of(job: str, campaign: Path, folder: Path, *, quick: bool) -> list[str]:
+    """Return the command of a job, without where it writes and its number of threads."""
+    if job == "identify":
+        return ["identify", str(campaign), "--no-cache", *["--quick"] * quick]
+    found = ["--absorption", str(folder / "fit" / "result.json")]
+    if job == "predict":
+        return ["predict", str(campaign), *found, "--no-cache", "--set", "brick=curtain"]
+    (folder / "treatment.toml").write_text(TREATMENT, encoding="utf-8")
+    return ["treat", str(campaign), str(folder / "treatment.toml"), *found]
+
+
+def measured(words: list[str], out: Path, threads: int) -> Run:
+    """Run a command in a process of its own."""
+    command = [sys.executable, "-m", "roomfit", *words, "--out", str(out)]
+    command += ["--overwrite", "--quiet", "--threads", str(threads)]
     load, before = os.getloadavg()[0], resource.getrusage(resource.RUSAGE_CHILDREN)
     began, most = time.perf_counter(), 0
+    environment = {**os.environ, "ROOMFIT_CACHE": "off"}
     process = subprocess.Popen(
-        command + ["--quick"] * quick, stdout=subprocess.DEVNULL, start_new_session=True
+        command, stdout=subprocess.DEVNULL, start_new_session=True, env=environment
     )
     while process.poll() is None:
         most = max(most, group_bytes(process.pid))
@@ -74,11 +103,13 @@ def group_bytes(group: int) -> int:
 
 
 def digest_of(out: Path) -> str:
-    """Return the digest of result.json without its seconds, and of pictures and tables."""
-    content = without_seconds(json.loads((out / "result.json").read_text(encoding="utf-8")))
-    total = sha256(json.dumps(content, sort_keys=True).encode())
+    """Return the digest of JSON files without their seconds, and of pictures and tables."""
+    total = sha256()
     for file in sorted(out.iterdir()):
-        if file.suffix in (".png", ".csv"):
+        if file.suffix == ".json":
+            content = without_seconds(json.loads(file.read_text(encoding="utf-8")))
+            total.update(json.dumps(content, sort_keys=True).encode())
+        elif file.suffix in (".png", ".csv"):
             total.update(file.read_bytes())
     return total.hexdigest()
 
@@ -99,20 +130,25 @@ def main() -> int:
     parser.add_argument("--threads", type=int, nargs="+", default=(1, 2))
     parser.add_argument("--repeats", type=int, default=2)
     parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--campaign", type=Path, help="another than the demo's")
+    parser.add_argument("--campaign", type=Path, help="another than the demo's, to be identified")
+    parser.add_argument("--job", choices=("identify", "predict", "treat"), default="identify")
     options = parser.parse_args()
     runs: dict[int, list[Run]] = {n: [] for n in options.threads}
     with tempfile.TemporaryDirectory() as name:
         campaign = options.campaign
         if campaign is None:
+            (Path(name) / "campaign").mkdir()
             rng = np.random.default_rng(1)
             campaign = write_measured_box(demo_plan(), Path(name) / "campaign", rng)
+        if options.job != "identify":
+            fit = words_of("identify", campaign, Path(name), quick=True)
+            measured(fit, Path(name) / "fit", max(options.threads))
+        words = words_of(options.job, campaign, Path(name), quick=options.quick)
         # the first run compiles what is not on the disk yet
-        identified(campaign, Path(name) / "first", 1, quick=options.quick)
+        measured(words, Path(name) / "first", 1)
         for _ in range(options.repeats):
             for n, own in runs.items():
-                out = Path(name) / f"{n}"
-                own.append(identified(campaign, out, n, quick=options.quick))
+                own.append(measured(words, Path(name) / f"{n}", n))
     heads = ("clock s", "CPU s", "memory MB", "load before", "serial share")
     print("threads  " + "".join(f"{h:>14s}" for h in heads))
     first = runs[options.threads[0]]

@@ -5,7 +5,7 @@
 Each starts from a folder as strangers have it, made of the demo's room. The consultant has files
 of 24 bits that all begin 40 samples too early, in a folder below, with a hidden twin and a sweep
 among them, a drawing in centimetres and a table with decimal commas; follows what `roomfit init`
-and `roomfit check` say, and nothing else; what would a carpet on the tiles do? The researcher has
+and `roomfit check` say, and nothing else; what would a curtain before the brick do? The researcher has
 the same responses as arrays, and wants the walls in pyroomacoustics. The owner of a hall has T30
 values: how many square metres of absorber for a T30 of 1 s?
 
@@ -132,8 +132,8 @@ def consultant(folder: Path, *, fit: bool) -> None:
         said = clock.run(folder, "identify", "campaign.toml", "--quick", "--out", "first")
         clock.tell(f"report: {(folder / 'first' / 'report.html').stat().st_size} bytes")
         print("\n".join(said[said.find("Absorption, 95 %") :].split("\n")[:9]))
-        answer = ("--absorption", "first/result.json", "--out", "carpet")
-        change = "tiles=carpet-on-underlay"
+        answer = ("--absorption", "first/result.json", "--out", "curtain")
+        change = "brick=curtain-heavy-draped"
         said = clock.run(folder, "predict", "campaign.toml", *answer, "--set", change)
         clock.tell(f"answer: {said.splitlines()[0]}")
 

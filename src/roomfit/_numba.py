@@ -69,6 +69,9 @@ def in_threads(
     one takes a tenth of a millisecond. numba's own parallel loops take seconds to compile.
     """
     n_parts = max(min(numba.get_num_threads(), n), 1) if worth_it else 1
+    if n_parts == 1:
+        loop(0, n, *arguments)
+        return
     ends = [n * i // n_parts for i in range(n_parts + 1)]
     with ThreadPoolExecutor(n_parts) as pool:
         others = [pool.submit(loop, a, b, *arguments) for a, b in pairwise(ends[1:])]

@@ -25,6 +25,7 @@ from roomfit.cache import (
 )
 from roomfit.errors import InputError, InsufficientDataError, located
 from roomfit.findings import Code, Finding
+from roomfit.forks import in_forks
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import files_read, reading_noted
 from roomfit.table import csv_of
@@ -155,11 +156,12 @@ def predict_to_folder(
         if grid_m is not None:
             write_grid(folder, predicted, arguments["scene"])
         shown = predicted.pairs[:most_drawn]
-        for number, pair in enumerate(shown, start=1):
+        drawn = in_forks(lambda pair: png(predicted_decay_figure(predicted, pair)), shown)
+        for number, (pair, picture) in enumerate(zip(shown, drawn, strict=True), start=1):
             name = f"predicted_{number:02d}_{in_file_name(pair.source, pair.receiver)}.png"
-            write_bytes_atomically(folder / name, png(predicted_decay_figure(predicted, pair)))
-            if progress is not None:
-                progress(0.95 + 0.05 * number / len(shown))
+            write_bytes_atomically(folder / name, picture)
+    if progress is not None:
+        progress(1.0)
     return predicted
 
 

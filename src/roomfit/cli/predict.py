@@ -33,6 +33,7 @@ def add(commands: Commands) -> None:
         type=_grid,
     )
     parser.add_doubted()
+    parser.add_threads()
     parser.add_overwrite()
     parser.add_argument(
         "--no-cache", action="store_true", help="Neither use nor keep intermediate results."

@@ -20,6 +20,7 @@ def add(commands: Commands) -> None:
     parser.add_pairs()
     parser.add_state()
     parser.add_doubted()
+    parser.add_threads()
     parser.add_overwrite()
 
 

@@ -29,6 +29,8 @@ from roomfit.core import (
     check_points,
     distances_m,
     expected_fit,
+    in_forks,
+    in_this_process,
     is_clear_of_walls,
 )
 from roomfit.experiment_design.choose import Criterion, Rules
@@ -410,14 +412,24 @@ def information_of_candidates(
         decay_range_db=options.decay_range_db,
         position_sd_m=options.position_sd_m,
     )
-    findings = list(fit.plan.findings)
-    found: list[FloatArray] = []
-    indices: list[IntArray] = []
-    for at, pairs, doubts in fit.groups(progress):
+    groups, traced = fit.groups()
+    shown = in_this_process(progress)
+
+    def of_group(number: int) -> tuple[list[FloatArray], tuple[Finding, ...]]:
+        objectives, doubts = traced(groups[number])
+
+        def of_pair(pair: int) -> FloatArray:
+            return information_of_pair(objectives(pair), fit, known, n_pairs - 1)
+
+        found = in_forks(of_pair, range(groups[number].size))
+        if shown is not None:
+            shown((number + 1) / len(groups))
+        return found, doubts
+
+    findings, found = list(fit.plan.findings), list[FloatArray]()
+    for own, doubts in in_forks(of_group, range(len(groups))):
         reported = {f.code for f in findings}
         findings += [f for f in doubts if f.code not in reported]
-        found += [information_of_pair(own, fit, known, n_pairs - 1) for own in pairs]
-        indices.append(at)
+        found += own
     # back from the order of the sources to that of the pairs
-    matrices = np.stack(found)[np.argsort(np.concatenate(indices))]
-    return matrices, fit.coherent, tuple(findings)
+    return np.stack(found)[np.argsort(np.concatenate(groups))], fit.coherent, tuple(findings)

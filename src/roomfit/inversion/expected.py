@@ -6,8 +6,9 @@ own, in multiples of its prior standard deviations.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -60,9 +61,9 @@ from roomfit.signals.filters import (
     spreading_slopes_per_s,
     statistical_bandwidth_hz,
 )
-from roomfit.tracing.paths import Paths, TraceSettings, concatenate, select
+from roomfit.tracing.paths import Paths, TraceSettings, concatenate, paths_of_pairs, select
 from roomfit.tracing.trace import trace
-from roomfit.typing import BoolArray, FloatArray, IntArray, Progress, part
+from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # As in a fit: a window is used down to where the decay stands 4 dB above the noise.
 _CLEAR_OF_NOISE = 2.5
@@ -105,40 +106,39 @@ class ExpectedFit:
         common = np.array([label == "speed" or label.startswith("delay") for label in labels])
         return np.asarray(common[self.geometry.fitted & (self.geometry.sd > 0.0)])
 
-    def groups(
-        self, progress: Progress | None = None
-    ) -> Iterator[tuple[IntArray, Iterator[list[Objective]], tuple[Finding, ...]]]:
-        """Trace one group of pairs after the other, and give the objectives of each pair in turn.
+    def groups(self) -> tuple[list[IntArray], Callable[[IntArray], TracedGroup]]:
+        """Return groups of pairs that are traced together, and what traces one of them.
 
-        Yields
-        ------
-        pairs : int array
-            Indices of pairs that are traced together: rays serve all receivers of a source.
-        objectives : iterator of lists of Objective
-            Of each of these pairs by itself, one a band. Those of pressures are as coherent as
-            arrival times that are known exactly make them, see `as_coherent`.
-        findings : tuple of Finding
-            Of the trace.
+        Rays serve all receivers of a source; without rays every pair is a group by itself.
         """
         fineness, late = _late_images(self)
-        groups = self.scene.pairs[:, 0] if late is None else np.arange(len(self.scene.pairs))
-        names = np.unique(groups)
-        for number, name in enumerate(names):
-            at = np.flatnonzero(groups == name)
+        names = self.scene.pairs[:, 0] if late is None else np.arange(len(self.scene.pairs))
+
+        def traced(at: IntArray) -> TracedGroup:
             own = select_pairs(self.scene, at)
-            done = part(progress, number / names.size, (number + 1) / names.size)
-            traced = trace(own, fineness, self.plan.scattering, part(done, 0.0, _TRACING))
-            paths = traced.paths if late is None else concatenate((traced.paths, late))
-            scattering = specified_scattering(
-                self.priors, self.plan.scattering.coefficients, len(self.bands)
-            )
+            found = trace(own, fineness, self.plan.scattering)
+            paths = found.paths if late is None else concatenate((found.paths, late))
+            sampled = self.plan.scattering.coefficients
+            scattering = specified_scattering(self.priors, sampled, len(self.bands))
             factors, degenerate = band_factors(
                 self.directivities, own, self.bands, paths, scattering
             )
             # a candidate near a wall is no doubt about anything
-            doubts = [f for f in traced.findings if f.code is not Code.RECEIVER_SPHERE_SHRUNK]
-            weighing = part(done, _TRACING, 1.0)
-            yield at, _of_pairs(self, own, paths, factors, weighing), (*doubts, *degenerate)
+            doubts = [f for f in found.findings if f.code is not Code.RECEIVER_SPHERE_SHRUNK]
+            return TracedGroup(_of_pair(self, own, paths, factors), (*doubts, *degenerate))
+
+        return [np.flatnonzero(names == name) for name in np.unique(names)], traced
+
+
+class TracedGroup(NamedTuple):
+    """The objectives of a pair of a group by its number in it, one a band, and findings.
+
+    Those of pressures are as coherent as arrival times that are known exactly make them, see
+    `as_coherent`.
+    """
+
+    objectives: Callable[[int], list[Objective]]
+    findings: tuple[Finding, ...]
 
 
 def expected_fit(
@@ -233,14 +233,10 @@ def _with_fewer_rays(settings: TraceSettings, scene: Scene) -> TraceSettings:
     return replace(settings, n_rays=min(settings.n_rays, max(affordable, _FEWEST_RAYS)))
 
 
-def _of_pairs(
-    fit: ExpectedFit,
-    scene: Scene,
-    paths: Paths,
-    factors: FloatArray | None,
-    progress: Progress | None,
-) -> Iterator[list[Objective]]:
-    """Give the objectives of every pair of a traced scene in turn, one a band.
+def _of_pair(
+    fit: ExpectedFit, scene: Scene, paths: Paths, factors: FloatArray | None
+) -> Callable[[int], list[Objective]]:
+    """Return what gives the objectives of a pair of a traced scene, one a band.
 
     Parameters
     ----------
@@ -248,18 +244,17 @@ def _of_pairs(
         On the weight of every path in every band.
     """
     filters = _band_filters(fit.bands, attenuation_per_m(scene.air, fit.bands))
-    order = np.argsort(paths.pair, kind="stable")
-    ends = np.searchsorted(paths.pair[order], np.arange(len(scene.pairs) + 1))
-    for pair in range(len(scene.pairs)):
-        own = order[ends[pair] : ends[pair + 1]]
-        caught = select(paths, own)
+    of_pair = paths_of_pairs(paths)
+
+    def objectives(pair: int) -> list[Objective]:
+        caught = select(paths, of_pair[pair])
         stands = None if caught.objects is None else caught.objects[pair : pair + 1]
         caught = replace(caught, n_pairs=1, pair=np.zeros_like(caught.pair), objects=stands)
-        weights = None if factors is None else factors[:, own]
+        weights = None if factors is None else factors[:, of_pair[pair]]
         alone = select_pairs(scene, slice(pair, pair + 1))
-        yield _objectives(fit, alone, caught, weights, filters)
-        if progress is not None:
-            progress((pair + 1) / len(scene.pairs))
+        return _objectives(fit, alone, caught, weights, filters)
+
+    return objectives
 
 
 def _objectives(
