@@ -5,9 +5,9 @@
 Each starts from a folder as strangers have it, made of the demo's room. The consultant has files
 of 24 bits that all begin 40 samples too early, in a folder below, with a hidden twin and a sweep
 among them, a drawing in centimetres and a table with decimal commas; follows what `roomfit init`
-and `roomfit check` say, and nothing else; what would a curtain before the brick do? The researcher has
-the same responses as arrays, and wants the walls in pyroomacoustics. The owner of a hall has T30
-values: how many square metres of absorber for a T30 of 1 s?
+and `roomfit check` say, and nothing else; what would a curtain before the brick do? The researcher
+has the same responses as arrays, and wants the walls in pyroomacoustics. The owner of a hall has
+T30 values: how many square metres of absorber for a T30 of 1 s?
 
 Printed are seconds of the clock and of the processor since the start, by command. ``--to check``
 leaves out the fits, which take most of the time.
