@@ -70,10 +70,13 @@ def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
     mesh, built = read_mesh(spec)
     findings = check_mesh(mesh, spec.materials, built).findings
     refuse(findings)
-    if (box := as_shoebox(mesh)) is None:
-        return room_from_mesh(mesh, spec.materials), findings
+    room, box = room_from_mesh(mesh, spec.materials), as_shoebox(mesh)
+    if box is None:
+        return room, findings
     x, y, z = box.vertices_m[-1].tolist()
-    return room_from_mesh(box, spec.materials, (x, y, z)), findings
+    # materials stay in the order of the file
+    own = room.surface_material[[mesh.surfaces.index(s) for s in box.surfaces]]
+    return Room(box, room.materials, own, (x, y, z)), findings
 
 
 def read_mesh(spec: RoomSpec) -> tuple[Mesh, tuple[Finding, ...]]:
