@@ -1,6 +1,6 @@
 """The program that reads one file in a process of its own; `roomfit.io.door.of_child` starts it.
 
-Damaged files lead libraries of others (HDF5, COLLADA, IFC) into endless loops, and to read and
+Damaged files lead libraries of others (HDF5, COLLADA, IFC, USD) into endless loops, and to read and
 write where they must not. So they run where nothing can be lost: with limits of memory and time,
 the file on standard input, and on standard output one line of JSON (what there is, or an error),
 and behind it the numbers as float64 in that order. Nothing of roomfit is imported.
@@ -15,7 +15,9 @@ import json
 import os
 import re
 import sys
+import tempfile
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 # netCDF keeps a dimension that has no values of its own as a variable with this remark
@@ -323,7 +325,71 @@ def _on_piece(corners: Any, pieces: list[tuple[Any, tuple[str, str, str]]]) -> t
     return side, "", side
 
 
-_READERS = {"hdf5": _hdf5, "dae": _collada, "ifc": _ifc}
+def _usdz(content: bytes, _: int, place: list[str]) -> tuple[dict[str, Any], list[Any]]:
+    """Return the points of each wall, door, window and opening of a scan by RoomPlan, m, z up.
+
+    They are known by names, as Wall0 or Door_0; whatever else ends in a number is a thing.
+    """
+    import numpy as np
+    from pxr import Usd, UsdGeom
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "scan.usdz")
+        file.write_bytes(content)
+        stage = Usd.Stage.Open(str(file))
+        for layer in stage.GetUsedLayers():
+            if not (layer.anonymous or layer.realPath.startswith(str(file))):
+                raise ValueError("it leads to other files")
+        found: dict[tuple[str, str, str], list[Any]] = {}
+        things: set[tuple[str, str]] = set()
+        for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
+            if not prim.IsA(UsdGeom.Gprim):
+                continue
+            place[0] = str(prim.GetPath())
+            kind, number = _numbered(prim)
+            if kind in ("wall", "door", "window", "opening"):
+                named = (f"{kind.capitalize()}{number}", kind, "")
+                found.setdefault(named, []).append(_points(prim))
+            elif kind not in ("", "floor", "ceiling"):
+                things.add((kind, number))
+        metres, up = UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)
+    if not found:
+        raise ValueError("nothing in it is named Wall0: no scan by RoomPlan; export it as GLB")
+    polygons: _Rooms = []
+    for named, parts in found.items():
+        x, y, z = metres * np.concatenate(parts).T
+        polygons.append((np.stack([x, -z, y] if up == "Y" else [x, y, z], axis=1), named))
+    return _outline(polygons, things=Counter(kind for kind, _ in things))
+
+
+def _numbered(prim: Any) -> tuple[str, str]:
+    """Return kind and number in the name of a shape, or else of what it belongs to."""
+    while prim and not prim.IsPseudoRoot():
+        match = re.fullmatch(r"([A-Za-z]+)_?([0-9]+)", prim.GetName())
+        if match:
+            return match[1].lower(), match[2]
+        prim = prim.GetParent()
+    return "", ""
+
+
+def _points(prim: Any) -> Any:
+    """Return the points of a mesh, or the corners of what encloses another shape, in the scene."""
+    import numpy as np
+    from pxr import Usd, UsdGeom
+
+    own = UsdGeom.Mesh(prim).GetPointsAttr().Get() if prim.IsA(UsdGeom.Mesh) else None
+    if own is None:
+        now = Usd.TimeCode.Default()
+        low, high = np.array(
+            UsdGeom.Boundable.ComputeExtentFromPlugins(UsdGeom.Boundable(prim), now)
+        )
+        own = [np.where([i & 1, i & 2, i & 4], high, low) for i in range(8)]
+    points = np.array(own, dtype=np.float64).reshape(-1, 3)
+    matrix = np.array(UsdGeom.XformCache().GetLocalToWorldTransform(prim))
+    return points @ matrix[:3, :3] + matrix[3, :3]
+
+
+_READERS = {"hdf5": _hdf5, "dae": _collada, "ifc": _ifc, "usdz": _usdz}
 
 if __name__ == "__main__":
     main(sys.argv[1:])

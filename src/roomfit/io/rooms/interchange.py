@@ -1,4 +1,4 @@
-"""COLLADA and IFC: rooms of drawing programs and of building models, read in a process apart."""
+"""COLLADA, IFC and USDZ: rooms that libraries of others read, in a process apart."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from roomfit.errors import InputError
+from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import Surface
 from roomfit.io.door import check_limit, of_child, read_bytes
@@ -21,7 +21,11 @@ from roomfit.io.rooms.model import (
     finite,
     joined,
 )
+from roomfit.io.rooms.roomplan import closed_room, part_of
 from roomfit.typing import FloatArray
+
+_NAMES = {"dae": "COLLADA", "ifc": "IFC", "usdz": "USDZ"}
+_INSTEAD = {"usdz": ", or give the scan's JSON, which needs nothing and says more"}
 
 
 def read_collada(path: Path) -> RoomModel:
@@ -106,6 +110,24 @@ def read_ifc(path: Path, space: str | None = None) -> RoomModel:
     return RoomModel(*joined(own), findings, "m", "z")
 
 
+def read_usdz(path: Path) -> RoomModel:
+    """Read a scan by Apple's RoomPlan from its USDZ by usd-core: metres, z up.
+
+    Walls, doors and windows are known by their names, each flat where the middle of its box is.
+    See `roomfit.io.rooms.roomplan.closed_room`.
+
+    Raises
+    ------
+    InputError
+        usd-core is not installed; no USDZ file, damaged, no scan, or one that does not close.
+    """
+    head, shapes = _polygons(path, "usdz", "usd-core", "usd")
+    parts = [part_of(surface.name, surface.group or "", points) for points, surface in shapes]
+    things = {str(kind): int(n) for kind, n in dict(head["things"]).items()}
+    with located(str(path)):
+        return closed_room(parts, None, things)
+
+
 def _polygons(path: Path, kind: str, library: str, extra: str) -> tuple[Any, list[Polygon]]:
     """Return what the process says of the file, and its polygons."""
     content = read_bytes(path, "room file", most="text_bytes")
@@ -123,10 +145,9 @@ def _polygons(path: Path, kind: str, library: str, extra: str) -> tuple[Any, lis
             raise InputError(
                 f"{path.suffix} files are read by {library}, which is not installed",
                 where=str(path),
-                hint=f"pip install roomfit[{extra}]",
+                hint=f"pip install roomfit[{extra}]{_INSTEAD.get(kind, '')}",
             ) from None
-        name = {"dae": "COLLADA", "ifc": "IFC"}[kind]
-        raise damaged(name, path, str(error)[:300]) from error
+        raise damaged(_NAMES[kind], path, str(error)[:300]) from error
 
 
 def _cut(corners: FloatArray, each: FloatArray, surfaces: Sequence[Surface]) -> list[Polygon]:
