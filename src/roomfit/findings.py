@@ -182,6 +182,7 @@ class Code(StrEnum):
     LAYERS_IGNORED = "layers-ignored", "warning"
     MATERIALS_JOINED = "materials-joined", "info"
     TWO_SIDED_TAKEN_AS_SHEETS = "two-sided-taken-as-sheets", "warning"
+    AUDIENCE_AREA = "audience-area", "info"
     AXES_EXCHANGED = "axes-exchanged", "warning"
     POSITION_IN_WALL = "position-in-wall", "serious"
     POSITION_OUTSIDE = "position-outside", "serious"
