@@ -202,7 +202,7 @@ def test_the_child_imports_nothing_of_roomfit():
     }
     own = {"__future__", "collections", "io", "json", "os", "re", "sys", "typing", "resource"}
     own |= {"pathlib", "tempfile"}
-    others = {"h5py", "numpy", "collada", "ifcopenshell", "mapbox_earcut", "pxr"}
+    others = {"h5py", "numpy", "collada", "ifcopenshell", "mapbox_earcut", "pxr", "openskp"}
     assert {module.partition(".")[0] for module in modules} <= own | others
 
 

@@ -1,9 +1,9 @@
 """The program that reads one file in a process of its own; `roomfit.io.door.of_child` starts it.
 
-Damaged files lead libraries of others (HDF5, COLLADA, IFC, USD) into endless loops, and to read and
-write where they must not. So they run where nothing can be lost: with limits of memory and time,
-the file on standard input, and on standard output one line of JSON (what there is, or an error),
-and behind it the numbers as float64 in that order. Nothing of roomfit is imported.
+Damaged files lead libraries of others (HDF5, COLLADA, IFC, USD, SKP) into endless loops, and to
+read and write where they must not. So they run where nothing can be lost: with limits of memory
+and time, the file on standard input, and on standard output one line of JSON (what there is, or an
+error), and behind it the numbers as float64 in that order. Nothing of roomfit is imported.
 
 Arguments: kind of the file, bytes of memory, seconds of processor time, bytes of numbers.
 """
@@ -330,13 +330,18 @@ def _usdz(content: bytes, _: int, place: list[str]) -> tuple[dict[str, Any], lis
 
     They are known by names, as Wall0 or Door_0; whatever else ends in a number is a thing.
     """
+    os.environ["PXR_WORK_THREAD_LIMIT"] = "1"  # each thread takes addresses, which are limited
     import numpy as np
-    from pxr import Usd, UsdGeom
+    from pxr import Tf, Usd, UsdGeom
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "scan.usdz")
         file.write_bytes(content)
-        stage = Usd.Stage.Open(str(file))
+        try:
+            stage = Usd.Stage.Open(str(file))
+        except Tf.ErrorException as error:
+            # its text has places in the library and of this copy
+            raise ValueError("no layer of USD that can be opened") from error
         for layer in stage.GetUsedLayers():
             if not (layer.anonymous or layer.realPath.startswith(str(file))):
                 raise ValueError("it leads to other files")
@@ -389,7 +394,92 @@ def _points(prim: Any) -> Any:
     return points @ matrix[:3, :3] + matrix[3, :3]
 
 
-_READERS = {"hdf5": _hdf5, "dae": _collada, "ifc": _ifc, "usdz": _usdz}
+def _skp(content: bytes, most_bytes: int, place: list[str]) -> tuple[dict[str, Any], list[Any]]:
+    """Return the faces of a SketchUp model, every component where it is placed, in inches, z up.
+
+    Corners run counter-clockwise as seen from a face's front. A surface is named as the component
+    or group; in place of group and material are the materials of back and front.
+    """
+    import numpy as np
+    from openskp import SkpFile
+    from openskp.errors import SkpParseError
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "room.skp")
+        file.write_bytes(content)
+        try:
+            model = SkpFile(file).parse()
+        except SkpParseError as error:
+            raise ValueError(str(error)) from error
+    names = {i: str(material.name) for i, material in model.materials_by_id.items()}
+    polygons: _Rooms = []
+    ignored: Counter[str] = Counter()
+    n_bytes, hidden = 0, 0
+    # what is placed, how, under which name and paint, hidden or not, and within what
+    stack = [(model.root, np.eye(4)[:3], "model", "", False, frozenset[int]())]
+    while stack:
+        own, matrix, name, paint, is_hidden, within = stack.pop()
+        place[0] = repr(name)
+        for face in own.faces.values():
+            back, front = (names.get(i, paint) for i in (face.back_material_id, face.material_id))
+            for corners in _face_corners(own, face, matrix):
+                polygons.append((corners, (name, back, front)))
+                n_bytes += corners.nbytes
+                hidden += is_hidden or bool(face.hidden)
+            if n_bytes > most_bytes:
+                raise ValueError(f"more than {most_bytes:.4g} bytes of numbers")
+        for part in own.instances:
+            inner = model.definitions.get(part.ref_idx)
+            if inner is None or inner.is_image or inner.always_faces_camera:
+                ignored["part without a definition" if inner is None else "picture"] += 1
+                continue
+            if part.ref_idx in within:
+                raise ValueError("a component that contains itself")
+            m = np.array(part.matrix[:12], dtype=np.float64)
+            turn = matrix[:, :3] @ m[:9].reshape(3, 3)
+            put = np.column_stack([turn, matrix[:, :3] @ m[9:] + matrix[:, 3]])
+            called = str(part.name or inner.name or "group")
+            shown = names.get(part.material_id, paint), is_hidden or bool(part.hidden)
+            stack.append((inner, put, called, *shown, within | {part.ref_idx}))
+    return _outline(polygons, ignored=ignored, hidden=hidden)
+
+
+def _face_corners(own: Any, face: Any, matrix: Any) -> list[Any]:
+    """Return the outline of a face, or where it has holes the triangles around them."""
+    import numpy as np
+    from mapbox_earcut import triangulate_float64
+
+    loops = []
+    for loop in face.loops:
+        ends = [(own.edges[edge], forwards) for edge, forwards in loop]
+        at = [own.vertices[e.v1_id if forwards > 0 else e.v2_id] for e, forwards in ends]
+        loops.append(np.array([(v.x, v.y, v.z) for v in at], dtype=np.float64))
+    loops.sort(key=lambda loop: -float(np.linalg.norm(_normal(loop))))
+    if face.normal is not None and _normal(loops[0]) @ np.array(face.normal) < 0.0:
+        loops[0] = loops[0][::-1]
+    normal = _normal(loops[0])
+    if len(loops) == 1:
+        parts = loops
+    else:
+        points = np.concatenate(loops)
+        axes = np.linalg.svd(normal[None])[2][1:]
+        rings = np.cumsum([len(loop) for loop in loops]).astype(np.uint32)
+        flat = np.ascontiguousarray(points @ axes.T)
+        parts = list(points[triangulate_float64(flat, rings).astype(np.int64).reshape(-1, 3)])
+        parts = [p if _normal(p) @ normal > 0.0 else p[::-1] for p in parts]
+    # a mirror leaves the front where it was, and turns the corners round
+    sense = 1 if np.linalg.det(matrix[:, :3]) > 0.0 else -1
+    return [(p @ matrix[:, :3].T + matrix[:, 3])[::sense] for p in parts]
+
+
+def _normal(corners: Any) -> Any:
+    """Return twice the area of a polygon along its normal, shape (3,)."""
+    import numpy as np
+
+    return np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
+
+
+_READERS = {"hdf5": _hdf5, "dae": _collada, "ifc": _ifc, "usdz": _usdz, "skp": _skp}
 
 if __name__ == "__main__":
     main(sys.argv[1:])

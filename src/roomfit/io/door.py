@@ -56,7 +56,7 @@ LIMITS: Mapping[str, tuple[float, str]] = {
     "scan_parts": (500, "walls, doors, windows and corners of the floor of one scan"),
     "reading_s": (
         20,
-        "seconds of processor time for reading one file of SOFA, MAT 7.3, COLLADA, IFC or USDZ",
+        "seconds of processor time for one file of SOFA, MAT 7.3, COLLADA, IFC, USDZ or SKP",
     ),
     "request_s": (20, "seconds in which the head of a request to the workbench must be there"),
 }
@@ -311,7 +311,7 @@ def of_child(
 
     Parameters
     ----------
-    kind : {"hdf5", "dae", "ifc", "usdz"}
+    kind : {"hdf5", "dae", "ifc", "usdz", "skp"}
     content : bytes
     library : str
         What the library is called in messages.

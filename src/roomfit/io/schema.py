@@ -71,8 +71,8 @@ class RoomTable(Table):
     """``[room]``."""
 
     file: str | None = None
-    """OBJ, AC3D (.ac), PLY, 3DS, STL, GLB, CATT-Acoustic (.geo), DXF, COLLADA (.dae), IFC, or a
-    scan by Apple's RoomPlan (.json, .usdz)."""
+    """OBJ, AC3D (.ac), PLY, 3DS, STL, GLB, CATT-Acoustic (.geo), DXF, COLLADA (.dae), IFC,
+    SketchUp (.skp), or a scan by Apple's RoomPlan (.json, .usdz)."""
     space: str | None = None
     """Of a building model (IFC): name of the space that is the room, where it has several."""
     shoebox: tuple[float, float, float] | None = None

@@ -15,7 +15,7 @@ from roomfit.geometry.mesh import WELD_TOLERANCE_M, Mesh, refuse, shoebox_mesh
 from roomfit.io.door import check_limit
 from roomfit.io.rooms.catt import read_catt
 from roomfit.io.rooms.dxf import read_dxf
-from roomfit.io.rooms.interchange import read_collada, read_ifc, read_usdz
+from roomfit.io.rooms.interchange import read_collada, read_ifc, read_skp, read_usdz
 from roomfit.io.rooms.mesh_formats import (
     read_3ds,
     read_ac3d,
@@ -43,6 +43,7 @@ READERS: dict[str, Callable[[Path], RoomModel]] = {
     ".ifc": read_ifc,
     ".json": read_roomplan,
     ".usdz": read_usdz,
+    ".skp": read_skp,
 }
 
 

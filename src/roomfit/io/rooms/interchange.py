@@ -1,4 +1,4 @@
-"""COLLADA, IFC and USDZ: rooms that libraries of others read, in a process apart."""
+"""COLLADA, IFC, USDZ and SketchUp: rooms that libraries of others read, in a process apart."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ import numpy as np
 
 from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding
-from roomfit.geometry.mesh import Surface
+from roomfit.geometry.build import build_mesh
+from roomfit.geometry.inside import is_inside
+from roomfit.geometry.mesh import Surface, area_vector_m2, triangulate
 from roomfit.io.door import check_limit, of_child, read_bytes
 from roomfit.io.rooms.model import (
     METRES_PER_UNIT,
@@ -24,8 +26,12 @@ from roomfit.io.rooms.model import (
 from roomfit.io.rooms.roomplan import closed_room, part_of
 from roomfit.typing import FloatArray
 
-_NAMES = {"dae": "COLLADA", "ifc": "IFC", "usdz": "USDZ"}
-_INSTEAD = {"usdz": ", or give the scan's JSON, which needs nothing and says more"}
+_STEP_M = 1e-3  # from a face into the air
+_NAMES = {"dae": "COLLADA", "ifc": "IFC", "usdz": "USDZ", "skp": "SketchUp"}
+_INSTEAD = {
+    "usdz": ", or give the scan's JSON, which needs nothing and says more",
+    "skp": ", or export the model from SketchUp as COLLADA, OBJ, IFC or GLB",
+}
 
 
 def read_collada(path: Path) -> RoomModel:
@@ -126,6 +132,55 @@ def read_usdz(path: Path) -> RoomModel:
     things = {str(kind): int(n) for kind, n in dict(head["things"]).items()}
     with located(str(path)):
         return closed_room(parts, None, things)
+
+
+def read_skp(path: Path) -> RoomModel:
+    """Read the faces of a SketchUp model by openskp: inches, z up.
+
+    A surface has the name of its component or group, "model" outside of them, and the material
+    that is painted on the side of the face which looks into the room; unpainted faces have that of
+    the component. Hidden faces are of the room as well, for ceilings are hidden to look into it.
+
+    Raises
+    ------
+    InputError
+        openskp is not installed; no SketchUp file, damaged, or without faces.
+    """
+    head, painted = _polygons(path, "skp", "openskp", "skp")
+    corners = [points for points, _ in painted]
+    is_front = _air_before(corners)
+    polygons = []
+    for (points, sides), front in zip(painted, is_front, strict=True):
+        # what looks into the room is painted, or else its other side
+        inner, outer = sides.file_material, sides.group
+        inner, outer = (inner, outer) if front else (outer, inner)
+        surface = Surface(sides.name, None, inner or outer)
+        polygons.append((points[::-1] if front else points, surface))
+    kinds = {str(kind): int(n) for kind, n in dict(head["ignored"]).items()}
+    if int(head["hidden"]):
+        kinds["hidden face, taken all the same"] = int(head["hidden"])
+    findings: tuple[Finding, ...] = ()
+    if kinds:
+        text = f"The model has parts that are hidden or no faces: {counted(kinds)}."
+        findings = (Finding(Code.ENTITIES_IGNORED, About(), text, kinds, graded="info"),)
+    return RoomModel(*joined(polygons), findings, "in", "z")
+
+
+def _air_before(corners_in: Sequence[FloatArray]) -> list[bool]:
+    """Return for each polygon whether the room lies before its front, or on neither side."""
+    whole = [(points * METRES_PER_UNIT["in"], Surface("face")) for points in corners_in]
+    vertices_m, faces = joined(whole)
+    mesh, _ = build_mesh(vertices_m, faces)
+    middles, normals = np.zeros((len(whole), 3)), np.zeros((len(whole), 3))
+    for i, (points, _) in enumerate(whole):
+        cut = triangulate(points)
+        if len(cut.triangles):
+            normal = area_vector_m2(points)
+            normals[i] = normal / np.linalg.norm(normal)
+            middles[i] = points[cut.triangles[0]].mean(axis=0)
+    behind = is_inside(mesh, middles - _STEP_M * normals)
+    before = is_inside(mesh, middles + _STEP_M * normals)
+    return [bool(x) for x in before | ~behind]
 
 
 def _polygons(path: Path, kind: str, library: str, extra: str) -> tuple[Any, list[Polygon]]:
