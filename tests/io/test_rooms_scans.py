@@ -128,6 +128,17 @@ def test_overlapping_openings_and_those_at_rims_leave_no_hole(tmp_path):
     assert own["opening"] == pytest.approx(1.5 * 2.6 - 0.4 * 2.1, rel=1e-5)
 
 
+def test_a_wall_that_is_one_opening_is_not_said_to_be_left_out(tmp_path):
+    content = scan()
+    frame = placed(25.0, (-1.3, 0.7), -1.45)
+    whole = upright((3.5, 3.02), (3.5, 4.98), 0.0, 2.6, frame)
+    content["openings"] = [surface(0, "opening", whole, parentIdentifier="wall-3")]
+    room, findings = room_of(tmp_path, content)
+    assert areas(room)["opening"] == pytest.approx(2.0 * HEIGHT_M, rel=1e-5)
+    assert "Wall3" not in {s.name for s in room.mesh.surfaces}
+    assert [f for f in findings if f.severity == "warning"] == []
+
+
 def test_a_window_is_put_into_the_nearest_wall_where_its_parent_is_not_said(tmp_path):
     """As iOS 16 writes it; one that hangs in the middle of the room is left out and said."""
     content = scan()

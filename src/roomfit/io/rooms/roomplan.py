@@ -394,7 +394,9 @@ def _sides(
     polygons: list[Polygon] = []
     for i, edge in enumerate(edges):
         polygons += _pieces(edge, holes[i], f"Gap{i}", ground_m, plane)
-    return polygons, {surface.name for _, surface in polygons}
+    # an opening may take a whole wall
+    walls = {e.wall.name for e in edges if e.wall is not None}
+    return polygons, walls | {surface.name for _, surface in polygons}
 
 
 def _hole(edge: _Edge, part: Part, ground_m: float, plane: FloatArray) -> FloatArray | None:
