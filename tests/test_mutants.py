@@ -37,6 +37,7 @@ AREAS = {
     "speech transmission",
     "responses after a change",
     "air",
+    "scans and seats",
     "scattering weights",
     "seeds",
     "certificate",

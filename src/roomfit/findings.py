@@ -178,9 +178,11 @@ class Code(StrEnum):
     STATED_AREA_MISMATCH = "stated-area-mismatch", "warning"
     MATERIAL_NAMES_SIMILAR = "material-names-similar", "warning"
     ENTITIES_IGNORED = "entities-ignored", ("info", "warning")
+    ROOM_COMPLETED = "room-completed", ("info", "warning")
     LAYERS_IGNORED = "layers-ignored", "warning"
     MATERIALS_JOINED = "materials-joined", "info"
     TWO_SIDED_TAKEN_AS_SHEETS = "two-sided-taken-as-sheets", "warning"
+    AUDIENCE_AREA = "audience-area", "info"
     AXES_EXCHANGED = "axes-exchanged", "warning"
     POSITION_IN_WALL = "position-in-wall", "serious"
     POSITION_OUTSIDE = "position-outside", "serious"

@@ -16,6 +16,7 @@ import numpy as np
 from examples import absorption, campaign, examples, glb, mat, npz, result, rew
 
 from box_files import obj
+from scans import scan, scan_json
 
 
 def _constants() -> bytes:
@@ -127,6 +128,12 @@ def _squares(n: int) -> bytes:
     return "\n".join(rows).encode()
 
 
+def _scanned_floor(n: int) -> bytes:
+    content = scan()
+    content["floors"][0]["polygonCorners"] *= n // len(content["floors"][0]["polygonCorners"])
+    return json.dumps(content).encode()
+
+
 def _geo_plane(plane: str) -> bytes:
     return examples()["box.geo"] + f"\r\n[99 long / {plane}]".encode()
 
@@ -178,6 +185,10 @@ def corpus() -> dict[str, bytes]:
         "5,000 digits as number of bands--result.json": result().replace(
             b"500.0", b"1" + b"0" * 400
         ),
+        "deep--scan.json": scan_json()[:-1] + b', "deep": ' + deep + b"}",
+        "5,000 digits--scan.json": scan_json().replace(b"2.6", digits),
+        "100,000 walls--scan.json": json.dumps({"walls": scan()["walls"] * 17_000}).encode(),
+        "a floor of 20,000 corners--scan.json": _scanned_floor(20_000),
         "deep--replicate.json": replicate.rstrip()[:-1] + b', "deep": ' + deep + b"}",
         "5,000 digits--replicate.json": replicate.replace(b"0.3", digits),
         "deep--campaign.toml": campaign().replace(b"[5, 4, 3]", deep),

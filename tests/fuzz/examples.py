@@ -25,6 +25,7 @@ from box_files import (
     stl,
     three_ds,
 )
+from scans import scan_json
 
 RATE_HZ = 8000
 
@@ -294,6 +295,7 @@ def examples() -> dict[str, bytes]:
         "text.stl": stl_text(),
         "box.glb": glb(),
         "box.geo": geo(),
+        "scan.json": scan_json(),
         "text.dxf": dxf(binary=False),
         "binary.dxf": dxf(binary=True),
         "corners.csv": corners(),

@@ -219,7 +219,7 @@ def readers(folder: Path) -> dict[str, Callable[[Path], object]]:
         return identify_arguments(read_campaign(place))
 
     kinds = ("obj", "ac", "ply", "3ds", "stl", "glb", "geo", "dxf")
-    rooms = [name for name in examples() if name.endswith(kinds)]
+    rooms = ["scan.json", *(name for name in examples() if name.endswith(kinds))]
     mat = response(variable="RIR", channel=0, sampling_rate_variable="Fs")
     return {
         **dict.fromkeys(rooms, room),

@@ -416,7 +416,7 @@ def test_seats_are_stated_by_the_floor_they_stand_on(tmp_path) -> None:
     [
         ("count = 3", "needs a known absorption area or a prior"),
         ("absorption_area_m2 = 1\nprior = {mean = 1, sd = 1}", "needs a known absorption area or"),
-        ("absorption_area_m2 = 1\ncount = 2\nfloor_area_m2 = 3", "counted and measured by floor"),
+        ("absorption_area_m2 = 1\ncount = 2\nfloor_area_m2 = 3", "measured in two ways"),
         ('absorption_area_m2 = "person-seated"\nfloor_area_m2 = 3', "of another kind"),
         ('absorption_area_m2 = "audience-wood-chairs"', "of another kind"),
         ('absorption_area_m2 = 1\nstates = ["empty"]', "state that the room does not have"),

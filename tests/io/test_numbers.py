@@ -78,6 +78,7 @@ LISTS = {
     "objects.NAME.absorption_area_m2.centres_hz": [500.0, 1000.0],
     "objects.NAME.absorption_area_m2.values": [1.0, 2.0],
     "objects.NAME.prior.centres_hz": [500.0, 1000.0],
+    "objects.NAME.outlines": [[[1.0, 0.8, 0.0], [2.0, 0.8, 0.0], [2.0, 2.0, 0.0]]],
     "sources.NAME.directivity.aim": [1.0, 0.0, 0.0],
     "sources.NAME.directivity.up": [0.0, 0.0, 1.0],
     "identify.bands": [500.0, 1000.0],

@@ -24,7 +24,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("folder", type=Path, help="Folder of the campaign to be.")
     parser.add_option(
         "--room",
-        "Room (.obj, .ac, .ply, .3ds, .stl, .glb, .geo, .dxf, .dae, .ifc) of the campaign.",
+        "Room (.obj, .ac, .ply, .3ds, .stl, .glb, .geo, .dxf, .dae, .ifc, .skp, .usdz, .json).",
         type=Path,
     )
     parser.add_option(

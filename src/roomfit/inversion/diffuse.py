@@ -286,7 +286,7 @@ class DiffuseField:
     areas_m2: FloatArray  # (3, n_materials), see `absorption_area_m2`
     volume_m3: float
     speed_of_sound_m_s: float
-    attenuation_per_m: FloatArray  # (n_bands,), energy attenuation of the air
+    attenuation_per_m: FloatArray  # (n_bands,), of energy by the air and by known objects
     # (n_positions, n_bands), measured reverberation times in s, NaN where unknown; None: none
     decay_s: FloatArray | None = None
 

@@ -1,9 +1,9 @@
 """The program that reads one file in a process of its own; `roomfit.io.door.of_child` starts it.
 
-Damaged files lead libraries of others (HDF5, COLLADA, IFC) into endless loops, and to read and
-write where they must not. So they run where nothing can be lost: with limits of memory and time,
-the file on standard input, and on standard output one line of JSON (what there is, or an error),
-and behind it the numbers as float64 in that order. Nothing of roomfit is imported.
+Damaged files lead libraries of others (HDF5, COLLADA, IFC, USD, SKP) into endless loops, and to
+read and write where they must not. So they run where nothing can be lost: with limits of memory
+and time, the file on standard input, and on standard output one line of JSON (what there is, or an
+error), and behind it the numbers as float64 in that order. Nothing of roomfit is imported.
 
 Arguments: kind of the file, bytes of memory, seconds of processor time, bytes of numbers.
 """
@@ -15,7 +15,9 @@ import json
 import os
 import re
 import sys
+import tempfile
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 # netCDF keeps a dimension that has no values of its own as a variable with this remark
@@ -323,7 +325,161 @@ def _on_piece(corners: Any, pieces: list[tuple[Any, tuple[str, str, str]]]) -> t
     return side, "", side
 
 
-_READERS = {"hdf5": _hdf5, "dae": _collada, "ifc": _ifc}
+def _usdz(content: bytes, _: int, place: list[str]) -> tuple[dict[str, Any], list[Any]]:
+    """Return the points of each wall, door, window and opening of a scan by RoomPlan, m, z up.
+
+    They are known by names, as Wall0 or Door_0; whatever else ends in a number is a thing.
+    """
+    os.environ["PXR_WORK_THREAD_LIMIT"] = "1"  # each thread takes addresses, which are limited
+    import numpy as np
+    from pxr import Tf, Usd, UsdGeom
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "scan.usdz")
+        file.write_bytes(content)
+        try:
+            stage = Usd.Stage.Open(str(file))
+        except Tf.ErrorException as error:
+            # its text has places in the library and of this copy
+            raise ValueError("no layer of USD that can be opened") from error
+        for layer in stage.GetUsedLayers():
+            if not (layer.anonymous or layer.realPath.startswith(str(file))):
+                raise ValueError("it leads to other files")
+        found: dict[tuple[str, str, str], list[Any]] = {}
+        things: set[tuple[str, str]] = set()
+        for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
+            if not prim.IsA(UsdGeom.Gprim):
+                continue
+            place[0] = str(prim.GetPath())
+            kind, number = _numbered(prim)
+            if kind in ("wall", "door", "window", "opening"):
+                named = (f"{kind.capitalize()}{number}", kind, "")
+                found.setdefault(named, []).append(_points(prim))
+            elif kind not in ("", "floor", "ceiling"):
+                things.add((kind, number))
+        metres, up = UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)
+    if not found:
+        raise ValueError("nothing in it is named Wall0: no scan by RoomPlan; export it as GLB")
+    polygons: _Rooms = []
+    for named, parts in found.items():
+        x, y, z = metres * np.concatenate(parts).T
+        polygons.append((np.stack([x, -z, y] if up == "Y" else [x, y, z], axis=1), named))
+    return _outline(polygons, things=Counter(kind for kind, _ in things))
+
+
+def _numbered(prim: Any) -> tuple[str, str]:
+    """Return kind and number in the name of a shape, or else of what it belongs to."""
+    while prim and not prim.IsPseudoRoot():
+        match = re.fullmatch(r"([A-Za-z]+)_?([0-9]+)", prim.GetName())
+        if match:
+            return match[1].lower(), match[2]
+        prim = prim.GetParent()
+    return "", ""
+
+
+def _points(prim: Any) -> Any:
+    """Return the points of a mesh, or the corners of what encloses another shape, in the scene."""
+    import numpy as np
+    from pxr import Usd, UsdGeom
+
+    own = UsdGeom.Mesh(prim).GetPointsAttr().Get() if prim.IsA(UsdGeom.Mesh) else None
+    if own is None:
+        now = Usd.TimeCode.Default()
+        low, high = np.array(
+            UsdGeom.Boundable.ComputeExtentFromPlugins(UsdGeom.Boundable(prim), now)
+        )
+        own = [np.where([i & 1, i & 2, i & 4], high, low) for i in range(8)]
+    points = np.array(own, dtype=np.float64).reshape(-1, 3)
+    matrix = np.array(UsdGeom.XformCache().GetLocalToWorldTransform(prim))
+    return points @ matrix[:3, :3] + matrix[3, :3]
+
+
+def _skp(content: bytes, most_bytes: int, place: list[str]) -> tuple[dict[str, Any], list[Any]]:
+    """Return the faces of a SketchUp model, every component where it is placed, in inches, z up.
+
+    Corners run counter-clockwise as seen from a face's front. A surface is named as the component
+    or group; in place of group and material are the materials of back and front.
+    """
+    import numpy as np
+    from openskp import SkpFile
+    from openskp.errors import SkpParseError
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "room.skp")
+        file.write_bytes(content)
+        try:
+            model = SkpFile(file).parse()
+        except SkpParseError as error:
+            raise ValueError(str(error)) from error
+    names = {i: str(material.name) for i, material in model.materials_by_id.items()}
+    polygons: _Rooms = []
+    ignored: Counter[str] = Counter()
+    n_bytes, hidden = 0, 0
+    # what is placed, how, under which name and paint, hidden or not, and within what
+    stack = [(model.root, np.eye(4)[:3], "model", "", False, frozenset[int]())]
+    while stack:
+        own, matrix, name, paint, is_hidden, within = stack.pop()
+        place[0] = repr(name)
+        for face in own.faces.values():
+            back, front = (names.get(i, paint) for i in (face.back_material_id, face.material_id))
+            for corners in _face_corners(own, face, matrix):
+                polygons.append((corners, (name, back, front)))
+                n_bytes += corners.nbytes
+                hidden += is_hidden or bool(face.hidden)
+            if n_bytes > most_bytes:
+                raise ValueError(f"more than {most_bytes:.4g} bytes of numbers")
+        for part in own.instances:
+            inner = model.definitions.get(part.ref_idx)
+            if inner is None or inner.is_image or inner.always_faces_camera:
+                ignored["part without a definition" if inner is None else "picture"] += 1
+                continue
+            if part.ref_idx in within:
+                raise ValueError("a component that contains itself")
+            m = np.array(part.matrix[:12], dtype=np.float64)
+            turn = matrix[:, :3] @ m[:9].reshape(3, 3)
+            put = np.column_stack([turn, matrix[:, :3] @ m[9:] + matrix[:, 3]])
+            called = str(part.name or inner.name or "group")
+            shown = names.get(part.material_id, paint), is_hidden or bool(part.hidden)
+            stack.append((inner, put, called, *shown, within | {part.ref_idx}))
+    return _outline(polygons, ignored=ignored, hidden=hidden)
+
+
+def _face_corners(own: Any, face: Any, matrix: Any) -> list[Any]:
+    """Return the outline of a face, or where it has holes the triangles around them."""
+    import numpy as np
+    from mapbox_earcut import triangulate_float64
+
+    loops = []
+    for loop in face.loops:
+        ends = [(own.edges[edge], forwards) for edge, forwards in loop]
+        at = [own.vertices[e.v1_id if forwards > 0 else e.v2_id] for e, forwards in ends]
+        loops.append(np.array([(v.x, v.y, v.z) for v in at], dtype=np.float64))
+    loops.sort(key=lambda loop: -float(np.linalg.norm(_normal(loop))))
+    if face.normal is not None and _normal(loops[0]) @ np.array(face.normal) < 0.0:
+        loops[0] = loops[0][::-1]
+    normal = _normal(loops[0])
+    if len(loops) == 1:
+        parts = loops
+    else:
+        points = np.concatenate(loops)
+        axes = np.linalg.svd(normal[None])[2][1:]
+        rings = np.cumsum([len(loop) for loop in loops]).astype(np.uint32)
+        flat = np.ascontiguousarray(points @ axes.T)
+        parts = list(points[triangulate_float64(flat, rings).astype(np.int64).reshape(-1, 3)])
+        parts = [p if _normal(p) @ normal > 0.0 else p[::-1] for p in parts]
+    # a mirror leaves the front where it was, and turns the corners round
+    sense = 1 if np.linalg.det(matrix[:, :3]) > 0.0 else -1
+    return [(p @ matrix[:, :3].T + matrix[:, 3])[::sense] for p in parts]
+
+
+def _normal(corners: Any) -> Any:
+    """Return twice the area of a polygon along its normal, shape (3,)."""
+    import numpy as np
+
+    return np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
+
+
+_READERS = {"hdf5": _hdf5, "dae": _collada, "ifc": _ifc, "usdz": _usdz, "skp": _skp}
 
 if __name__ == "__main__":
     main(sys.argv[1:])

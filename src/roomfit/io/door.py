@@ -53,9 +53,10 @@ LIMITS: Mapping[str, tuple[float, str]] = {
     "constants": (10000, "constants of one .geo file"),
     "statement_letters": (20000, "letters of one statement of a .geo file"),
     "part_pairs": (20000, "pairs of parts of one plane of a .geo file, over all planes"),
+    "scan_parts": (500, "walls, doors, windows and corners of the floor of one scan"),
     "reading_s": (
         20,
-        "seconds of processor time for reading one file of SOFA, MAT 7.3, COLLADA or IFC",
+        "seconds of processor time for one file of SOFA, MAT 7.3, COLLADA, IFC, USDZ or SKP",
     ),
     "request_s": (20, "seconds in which the head of a request to the workbench must be there"),
 }
@@ -310,7 +311,7 @@ def of_child(
 
     Parameters
     ----------
-    kind : {"hdf5", "dae", "ifc"}
+    kind : {"hdf5", "dae", "ifc", "usdz", "skp"}
     content : bytes
     library : str
         What the library is called in messages.

@@ -13,7 +13,10 @@ from numpy.typing import ArrayLike
 
 from roomfit.bands import Bands, bands_between
 from roomfit.errors import InputError, located
-from roomfit.geometry.mesh import volume_m3
+from roomfit.findings import About, Code, Finding
+from roomfit.geometry.audience import audience_area_m2, points_on
+from roomfit.geometry.inside import nearest_triangles
+from roomfit.geometry.mesh import Mesh, area_vectors_m2, volume_m3
 from roomfit.io.campaign import Campaign, MeasuredFile, input_files, read_campaign
 from roomfit.io.directivity import read_directivity
 from roomfit.io.door import check_files
@@ -33,8 +36,10 @@ from roomfit.io.schema import (
 )
 from roomfit.io.schema import Directivity as FirstOrderTable
 from roomfit.materials.catalogue import (
+    SEATS,
     broad_prior_findings,
     catalogue_prior,
+    find_material,
     material_prior,
     object_catalogue_area,
     product_findings,
@@ -49,6 +54,7 @@ from roomfit.scene import (
     check_mesh,
     position_findings,
     room_from_mesh,
+    triangle_material,
     with_objects,
     with_states,
 )
@@ -100,11 +106,11 @@ def _directivity(
 
 
 def material_priors(
-    campaign: Campaign, materials: tuple[str, ...], volume_m3: float = 0.0
+    campaign: Campaign, materials: tuple[str, ...], mesh: Mesh | None = None
 ) -> tuple[MaterialPrior, ...]:
     """Return what the campaign says of each of the room's materials, in their order.
 
-    Objects among them have areas in a room of a volume, which is needed only of these.
+    Objects among them have areas in the volume of a mesh, which is needed only of these.
 
     Raises
     ------
@@ -118,7 +124,12 @@ def material_priors(
             [
                 *(_material_prior(campaign, table, k) for k, table in campaign.materials.items()),
                 *(
-                    _object_prior(campaign, k, volume_m3)
+                    object_prior(
+                        k,
+                        campaign.bands,
+                        0.0 if mesh is None else volume_m3(mesh),
+                        **object_areas_m2(campaign, k, mesh),
+                    )
                     for k in materials
                     if k in campaign.objects
                 ),
@@ -127,28 +138,105 @@ def material_priors(
         )
 
 
-def _object_prior(campaign: Campaign, name: str, volume_m3: float) -> MaterialPrior:
-    """Return what the campaign says of an object, all of its pieces together."""
-    table, bands = campaign.objects[name], campaign.bands
+class ObjectAreas(TypedDict):
+    """What is known of the equivalent absorption area of all pieces of an object, in m2."""
+
+    absorption_area_m2: FloatArray | None
+    prior_m2: tuple[FloatArray, FloatArray] | None  # mean and standard deviation
+
+
+def object_areas_m2(campaign: Campaign, name: str, mesh: Mesh | None) -> ObjectAreas:
+    """Return what the campaign says of an object, all of its pieces together.
+
+    Raises
+    ------
+    InputError
+        It is measured in two ways, or its outlines are no blocks on the floor of the mesh.
+    """
+    table = campaign.objects[name]
     with located(f"objects.{name}"):
-        if table.count is not None and table.floor_area_m2 is not None:
+        ways = ("count", "floor_area_m2", "outlines")
+        given = [way for way in ways if getattr(table, way) is not None]
+        if len(given) > 1:
             raise InputError(
-                "an object is counted and measured by floor",
-                found="count and floor_area_m2",
-                needed="one of the two",
+                "an object is measured in two ways",
+                found=" and ".join(given),
+                needed=f"one of {', '.join(ways)}",
             )
-        known, law = _areas_of_one(table, bands)
-    n = next((x for x in (table.floor_area_m2, table.count) if x is not None), 1.0)
-    own = None if known is None else n * known
-    prior = None if law is None else (n * law[0], n * law[1])
-    return object_prior(name, bands, volume_m3, absorption_area_m2=own, prior_m2=prior)
+        known, law = _areas_of_one(table, campaign.bands)
+        n = next((x for x in (table.floor_area_m2, table.count) if x is not None), 1.0)
+        if table.outlines is not None:
+            n = _blocks_m2(table, mesh)[1]
+    return {
+        "absorption_area_m2": None if known is None else n * known,
+        "prior_m2": None if law is None else (n * law[0], n * law[1]),
+    }
+
+
+def _blocks_m2(table: ObjectTable, mesh: Mesh | None) -> tuple[float, float]:
+    """Return the area of an object's blocks of seats, and that with strips along free edges."""
+    if mesh is None:
+        raise InputError("outlines of seats without a room", needed="floor_area_m2, or [room]")
+    outlines = [np.array(o, dtype=np.float64) for o in table.outlines or ()]
+    return audience_area_m2(mesh, outlines, table.edge_m)
+
+
+def audience_findings(campaign: Campaign, room: Room) -> tuple[Finding, ...]:
+    """Return what area seats and audience absorb with, as blocks and as faces of the drawing.
+
+    Raises
+    ------
+    InputError
+        Seats are drawn as faces of the floor and outlined as a block upon it.
+    """
+    found = []
+    seats = {name: entry for name, table in campaign.materials.items() if (entry := _seats(table))}
+    areas, owner = area_vectors_m2(room.mesh), triangle_material(room)
+    for name, table in campaign.objects.items():
+        if table.outlines is None:
+            continue
+        with located(f"objects.{name}"):
+            own, whole = _blocks_m2(table, room.mesh)
+        on = np.concatenate([points_on(np.array(o, dtype=np.float64)) for o in table.outlines])
+        below = {room.materials[owner[t]] for t in nearest_triangles(room.mesh, on)[1]}
+        if twice := sorted(below & seats.keys()):
+            raise InputError(
+                "the same seats absorb twice",
+                where=f"objects.{name}",
+                found=f"outlines on faces of the material {twice[0]!r}, {seats[twice[0]]!r}",
+                needed="either the outlines, or the material",
+            )
+        text = (
+            f"{name}: {own:.1f} m2 of seats absorb as {whole:.1f} m2, with strips of up to "
+            f"{table.edge_m:g} m along their free edges."
+        )
+        found.append(Finding(Code.AUDIENCE_AREA, About((name,)), text, {"area_m2": [own, whole]}))
+    for name in (k for k in room.materials if k in seats):
+        own_areas = areas[owner == room.materials.index(name)]
+        sizes = np.linalg.norm(own_areas, axis=1)
+        upright = float(sizes[np.abs(own_areas[:, 2]) < 0.5 * sizes].sum())
+        text = (
+            f"{name}: {sizes.sum() - upright:.1f} m2 of level and {upright:.1f} m2 of upright "
+            f"faces absorb as {seats[name]!r}. Its coefficients are of the floor that seats take "
+            "with a strip of 0.5 m along free edges, for which the upright faces stand: half of it "
+            "where they are 0.25 m high, 1.6 times where they are 0.8 m high."
+        )
+        evidence = {"level_m2": float(sizes.sum() - upright), "upright_m2": upright}
+        found.append(Finding(Code.AUDIENCE_AREA, About((name,)), text, evidence))
+    return tuple(found)
+
+
+def _seats(table: MaterialTable) -> str:
+    """Return the entry of the catalogue that a material has if that is of seats, else ""."""
+    named = [x for x in (table.absorption, table.prior) if isinstance(x, str)]
+    return named[0] if named and find_material(named[0]).group == SEATS else ""
 
 
 def _areas_of_one(
     table: ObjectTable, bands: Bands
 ) -> tuple[FloatArray | None, tuple[FloatArray, FloatArray] | None]:
     """Return the known area of a piece or of 1 m2 of floor, and mean and sd of an unknown one."""
-    by_floor = table.floor_area_m2 is not None
+    by_floor = table.floor_area_m2 is not None or table.outlines is not None
     own, prior = table.absorption_area_m2, table.prior
     known, law = None, None
     if isinstance(own, str):
@@ -398,11 +486,13 @@ def campaign_room(campaign: Campaign) -> Room:
     with located(str(campaign.path)):
         findings = (*findings, *campaign.findings)
         described = replace(room, findings=findings, lengths_sd_m=campaign.room.lengths_sd)
-        return _furnished(with_states(described, campaign.states), campaign)
+        described = with_states(described, campaign.states)
+        findings = (*findings, *audience_findings(campaign, described))
+        return _furnished(replace(described, findings=findings), campaign)
 
 
 def _room_priors(campaign: Campaign, room: Room) -> tuple[MaterialPrior, ...]:
-    return material_priors(campaign, room.materials, volume_m3(room.mesh))
+    return material_priors(campaign, room.materials, room.mesh)
 
 
 def _furnished(room: Room, campaign: Campaign) -> Room:
@@ -505,5 +595,6 @@ def check_campaign(campaign: Campaign) -> RoomCheck:
     room = _furnished(with_states(room_from_mesh(mesh, spec.materials), campaign.states), campaign)
     priors = _room_priors(campaign, room)
     assumed = (*broad_prior_findings(priors), *product_findings(priors))
+    assumed += audience_findings(campaign, room)
     position_doubts = position_findings(room, campaign.sources, campaign.receivers)
     return replace(check, findings=(*check.findings, *position_doubts, *assumed))

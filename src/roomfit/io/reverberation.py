@@ -20,13 +20,13 @@ from roomfit.inversion.diffuse import (
     DiffuseField,
     field_posterior,
 )
-from roomfit.io.campaign import Campaign, refuse_objects
+from roomfit.io.campaign import Campaign
 from roomfit.io.door import csv_rows, read_text
 from roomfit.io.encoding import provenance
-from roomfit.io.inputs import campaign_room, material_priors
+from roomfit.io.inputs import campaign_room, material_priors, object_areas_m2
 from roomfit.logit import logit
 from roomfit.materials.priors import unknown_material
-from roomfit.scene import Room, triangle_material
+from roomfit.scene import Room, triangle_material, wall_materials
 from roomfit.typing import FloatArray
 
 _DRAWS = 500  # in a file, of which predictions take as many
@@ -38,9 +38,9 @@ def diffuse_field(campaign: Campaign) -> tuple[DiffuseField, Room | None]:
     Raises
     ------
     InputError
-        The table of decay times cannot be read, or neither a room nor volume and surface are given.
+        The table of decay times cannot be read, neither a room nor volume and surface are given,
+        or an object has an unknown area.
     """
-    refuse_objects(campaign, "decay times alone")
     own = campaign.reverberation
     decay_s, bands, volume = None, campaign.bands, None
     if own is not None:
@@ -48,6 +48,7 @@ def diffuse_field(campaign: Campaign) -> tuple[DiffuseField, Room | None]:
         volume = own.volume_m3
     room = campaign_room(campaign) if campaign.has_room else None
     if room is not None:
+        room = replace(room, materials=wall_materials(room), objects=())
         priors = material_priors(replace(campaign, bands=bands), room.materials)
         areas_m2, volume = areas_by_axis_m2(room), volume or volume_m3(room.mesh)
     else:
@@ -60,10 +61,31 @@ def diffuse_field(campaign: Campaign) -> tuple[DiffuseField, Room | None]:
         priors = (unknown_material("room", len(bands)),)
         areas_m2 = np.full((3, 1), own.surface_m2 / 3.0)
     formula = "Eyring" if own is None else own.formula
+    known_m2 = _known_objects_m2(replace(campaign, bands=bands), room)
+    # what takes energy everywhere in the volume, as the air does
+    losses = attenuation_per_m(campaign.air, bands) + known_m2 / (4.0 * volume)
     return DiffuseField(
-        formula, bands, priors, areas_m2, volume, speed_of_sound_m_s(campaign.air),
-        attenuation_per_m(campaign.air, bands), decay_s,
+        formula, bands, priors, areas_m2, volume, speed_of_sound_m_s(campaign.air), losses, decay_s,
     ), room  # fmt: skip
+
+
+def _known_objects_m2(campaign: Campaign, room: Room | None) -> FloatArray:
+    """Return the area of all objects of the room as described together, shape (n_bands,)."""
+    total = np.zeros(len(campaign.bands))
+    for name, table in campaign.objects.items():
+        if table.states is not None and "" not in table.states:
+            continue
+        area = object_areas_m2(campaign, name, None if room is None else room.mesh)
+        if area["absorption_area_m2"] is None:
+            raise InputError(
+                "decay times alone tell no object from the walls",
+                where=f"{campaign.path}, objects.{name}",
+                found="a prior",
+                needed="absorption_area_m2, which is known",
+                hint="roomfit identify fits areas, from responses",
+            )
+        total += area["absorption_area_m2"]
+    return total
 
 
 def diffuse_result_content(

@@ -71,7 +71,8 @@ class RoomTable(Table):
     """``[room]``."""
 
     file: str | None = None
-    """OBJ, AC3D (.ac), PLY, 3DS, STL, GLB, CATT-Acoustic (.geo), DXF, COLLADA (.dae) or IFC."""
+    """OBJ, AC3D (.ac), PLY, 3DS, STL, GLB, CATT-Acoustic (.geo), DXF, COLLADA (.dae), IFC,
+    SketchUp (.skp), or a scan by Apple's RoomPlan (.json, .usdz)."""
     space: str | None = None
     """Of a building model (IFC): name of the space that is the room, where it has several."""
     shoebox: tuple[float, float, float] | None = None
@@ -208,6 +209,11 @@ class ObjectTable(Table):
     """How many pieces there are. Default: 1."""
     floor_area_m2: ObjectArea | None = None
     """In place of `count`: floor in m2 on which people or seats stand, the area being of 1 m2."""
+    outlines: list[Annotated[list[Position], Field(min_length=3)]] | None = None
+    """In place of `count`: corners, x, y, z in m on the floor, of each block of seats. Its area is
+    that of the block and of a strip along its free edges."""
+    edge_m: Annotated[float, _limited(0.0, 2.0, "m; tables of seats have 0.5")] = 0.5
+    """Width of that strip, up to a wall or half an aisle; 0: none."""
     states: list[str] | None = None
     """States of the room in which it is there, "" as described. Default: all."""
 

@@ -435,6 +435,7 @@ def _middle_and_sd(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
 
 
 _PIECES = "people, m2 each"
+SEATS = "seats and people"  # group whose coefficients are of floor
 
 
 def object_catalogue_area(
@@ -458,7 +459,7 @@ def object_catalogue_area(
             "an entry of the catalogue is of another kind than the object",
             found=f"{name!r}, " + ("m2 of one piece" if by_floor else "a coefficient"),
             needed="a coefficient, of 1 m2 of floor" if by_floor else f"an entry of {_PIECES!r}",
-            hint="give count in place of floor_area_m2" if by_floor else "give floor_area_m2",
+            hint="give count in place of a floor" if by_floor else "give floor_area_m2 or outlines",
         )
     return _middle_and_sd(name, bands)
 

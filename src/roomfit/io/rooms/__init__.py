@@ -15,7 +15,7 @@ from roomfit.geometry.mesh import WELD_TOLERANCE_M, Mesh, as_shoebox, refuse, sh
 from roomfit.io.door import check_limit
 from roomfit.io.rooms.catt import read_catt
 from roomfit.io.rooms.dxf import read_dxf
-from roomfit.io.rooms.interchange import read_collada, read_ifc
+from roomfit.io.rooms.interchange import read_collada, read_ifc, read_skp, read_usdz
 from roomfit.io.rooms.mesh_formats import (
     read_3ds,
     read_ac3d,
@@ -25,6 +25,7 @@ from roomfit.io.rooms.mesh_formats import (
     read_stl,
 )
 from roomfit.io.rooms.model import METRES_PER_UNIT, RoomModel, RoomSpec, in_metres
+from roomfit.io.rooms.roomplan import read_roomplan
 from roomfit.io.rooms.tables import read_polygons
 from roomfit.scene import Room, check_mesh, room_from_mesh
 from roomfit.typing import FloatArray, IntArray
@@ -40,6 +41,9 @@ READERS: dict[str, Callable[[Path], RoomModel]] = {
     ".dxf": read_dxf,
     ".dae": read_collada,
     ".ifc": read_ifc,
+    ".json": read_roomplan,
+    ".usdz": read_usdz,
+    ".skp": read_skp,
 }
 
 

@@ -1,4 +1,4 @@
-"""COLLADA and IFC: rooms of drawing programs and of building models, read in a process apart."""
+"""COLLADA, IFC, USDZ and SketchUp: rooms that libraries of others read, in a process apart."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from roomfit.errors import InputError
+from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding
-from roomfit.geometry.mesh import Surface
+from roomfit.geometry.build import build_mesh
+from roomfit.geometry.inside import is_inside
+from roomfit.geometry.mesh import Surface, area_vector_m2, triangulate
 from roomfit.io.door import check_limit, of_child, read_bytes
 from roomfit.io.rooms.model import (
     METRES_PER_UNIT,
@@ -21,7 +23,15 @@ from roomfit.io.rooms.model import (
     finite,
     joined,
 )
+from roomfit.io.rooms.roomplan import closed_room, part_of
 from roomfit.typing import FloatArray
+
+_STEP_M = 1e-3  # from a face into the air
+_NAMES = {"dae": "COLLADA", "ifc": "IFC", "usdz": "USDZ", "skp": "SketchUp"}
+_INSTEAD = {
+    "usdz": ", or give the scan's JSON, which needs nothing and says more",
+    "skp": ", or export the model from SketchUp as COLLADA, OBJ, IFC or GLB",
+}
 
 
 def read_collada(path: Path) -> RoomModel:
@@ -106,6 +116,73 @@ def read_ifc(path: Path, space: str | None = None) -> RoomModel:
     return RoomModel(*joined(own), findings, "m", "z")
 
 
+def read_usdz(path: Path) -> RoomModel:
+    """Read a scan by Apple's RoomPlan from its USDZ by usd-core: metres, z up.
+
+    Walls, doors and windows are known by their names, each flat where the middle of its box is.
+    See `roomfit.io.rooms.roomplan.closed_room`.
+
+    Raises
+    ------
+    InputError
+        usd-core is not installed; no USDZ file, damaged, no scan, or one that does not close.
+    """
+    head, shapes = _polygons(path, "usdz", "usd-core", "usd")
+    parts = [part_of(surface.name, surface.group or "", points) for points, surface in shapes]
+    things = {str(kind): int(n) for kind, n in dict(head["things"]).items()}
+    with located(str(path)):
+        return closed_room(parts, None, things)
+
+
+def read_skp(path: Path) -> RoomModel:
+    """Read the faces of a SketchUp model by openskp: inches, z up.
+
+    A surface has the name of its component or group, "model" outside of them, and the material
+    that is painted on the side of the face which looks into the room; unpainted faces have that of
+    the component. Hidden faces are of the room as well, for ceilings are hidden to look into it.
+
+    Raises
+    ------
+    InputError
+        openskp is not installed; no SketchUp file, damaged, or without faces.
+    """
+    head, painted = _polygons(path, "skp", "openskp", "skp")
+    corners = [points for points, _ in painted]
+    is_front = _air_before(corners)
+    polygons = []
+    for (points, sides), front in zip(painted, is_front, strict=True):
+        # what looks into the room is painted, or else its other side
+        inner, outer = sides.file_material, sides.group
+        inner, outer = (inner, outer) if front else (outer, inner)
+        surface = Surface(sides.name, None, inner or outer)
+        polygons.append((points[::-1] if front else points, surface))
+    kinds = {str(kind): int(n) for kind, n in dict(head["ignored"]).items()}
+    if int(head["hidden"]):
+        kinds["hidden face, taken all the same"] = int(head["hidden"])
+    findings: tuple[Finding, ...] = ()
+    if kinds:
+        text = f"The model has parts that are hidden or no faces: {counted(kinds)}."
+        findings = (Finding(Code.ENTITIES_IGNORED, About(), text, kinds, graded="info"),)
+    return RoomModel(*joined(polygons), findings, "in", "z")
+
+
+def _air_before(corners_in: Sequence[FloatArray]) -> list[bool]:
+    """Return for each polygon whether the room lies before its front, or on neither side."""
+    whole = [(points * METRES_PER_UNIT["in"], Surface("face")) for points in corners_in]
+    vertices_m, faces = joined(whole)
+    mesh, _ = build_mesh(vertices_m, faces)
+    middles, normals = np.zeros((len(whole), 3)), np.zeros((len(whole), 3))
+    for i, (points, _) in enumerate(whole):
+        cut = triangulate(points)
+        if len(cut.triangles):
+            normal = area_vector_m2(points)
+            normals[i] = normal / np.linalg.norm(normal)
+            middles[i] = points[cut.triangles[0]].mean(axis=0)
+    behind = is_inside(mesh, middles - _STEP_M * normals)
+    before = is_inside(mesh, middles + _STEP_M * normals)
+    return [bool(x) for x in before | ~behind]
+
+
 def _polygons(path: Path, kind: str, library: str, extra: str) -> tuple[Any, list[Polygon]]:
     """Return what the process says of the file, and its polygons."""
     content = read_bytes(path, "room file", most="text_bytes")
@@ -123,10 +200,9 @@ def _polygons(path: Path, kind: str, library: str, extra: str) -> tuple[Any, lis
             raise InputError(
                 f"{path.suffix} files are read by {library}, which is not installed",
                 where=str(path),
-                hint=f"pip install roomfit[{extra}]",
+                hint=f"pip install roomfit[{extra}]{_INSTEAD.get(kind, '')}",
             ) from None
-        name = {"dae": "COLLADA", "ifc": "IFC"}[kind]
-        raise damaged(name, path, str(error)[:300]) from error
+        raise damaged(_NAMES[kind], path, str(error)[:300]) from error
 
 
 def _cut(corners: FloatArray, each: FloatArray, surfaces: Sequence[Surface]) -> list[Polygon]:

@@ -86,13 +86,14 @@ class PolygonSpec:
 class RoomSpec:
     """Which room to read, and how to understand it. One of the first three is given."""
 
-    # OBJ, AC3D, PLY, 3DS, STL, GLB, CATT-Acoustic's GEO, DXF, COLLADA or IFC, by the name's end
+    # OBJ, AC3D, PLY, 3DS, STL, GLB, CATT-Acoustic's GEO, DXF, COLLADA, IFC, SketchUp's SKP,
+    # RoomPlan's JSON or USDZ
     file: Path | None = None
     # Lengths along x, y and z of a box with one corner at the origin
     shoebox: tuple[float, float, float] | None = None
     polygons: PolygonSpec | None = None
     # m, mm, cm, ft or in. None: what the format prescribes (GLB, GEO, shoebox and polygons:
-    # m) or the file says (DXF's $INSUNITS, COLLADA, IFC).
+    # m) or the file says (DXF's $INSUNITS, COLLADA, IFC, USDZ, SketchUp).
     unit: str | None = None
     up: str | None = None  # None: what the format prescribes (GLB: y) or COLLADA says; others: z
     # From the name of a surface, a group or a file's material (in that precedence) to a

@@ -1,0 +1,485 @@
+"""Apple's RoomPlan: rooms as telephones and tablets scan them, closed by what a scan leaves out.
+
+A scan has walls, doors and windows, each flat and by itself, perhaps the outline of the floor, and
+no ceiling. Here they become one closed room: walls meet in corners, what is in a wall is cut out of
+it, floor and ceiling are put in.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from roomfit.errors import InputError, located
+from roomfit.findings import About, Code, Finding, Severity
+from roomfit.geometry.mesh import Surface, place
+from roomfit.io.door import check_limit, complete, json_content, read_text
+from roomfit.io.rooms.model import Polygon, RoomModel, counted, joined
+from roomfit.typing import FloatArray
+
+# Ends of walls nearer than this are one corner, and what is that near to a wall's plane is in it.
+_MEETS_M = 0.3
+# Tops of walls as near as this to one plane carry one ceiling.
+_LEVEL_M = 0.1
+# A rim nearer than this to the wall's own is on it, and nothing narrower is cut out.
+_RIM_M = 0.05
+_DISTINCT_M = 0.01
+_PARALLEL = 0.966  # cosine of 15 degrees
+_MOST_KINDS = 20
+_KINDS = {"wall": "walls", "door": "doors", "window": "windows", "opening": "openings"}
+_HINT = "close the room in a drawing program, and give it as OBJ or COLLADA"
+
+
+class Part(NamedTuple):
+    """A wall of a scan, or what is in a wall: upright and flat."""
+
+    name: str
+    kind: str  # wall, door, window or opening
+    corners_m: FloatArray  # (n_corners, 3), z up
+    own: str = ""  # identifier
+    parent: str = ""  # identifier of the wall it is in, "" where that is not said
+
+
+class _Edge(NamedTuple):
+    """A side of the floor, from its start with the room to the left, and the wall above it."""
+
+    start_m: FloatArray  # (2,)
+    end_m: FloatArray
+    wall: Part | None
+
+
+def read_roomplan(path: Path) -> RoomModel:
+    """Read a ``CapturedRoom`` of RoomPlan as Swift's JSONEncoder writes it [1]_: m, z up.
+
+    Surfaces are Wall0, Door0, Window0, Opening0, ..., Floor0 and Ceiling; their materials and
+    groups wall, door, window, opening, floor and ceiling. See `closed_room`.
+
+    Raises
+    ------
+    InputError
+        No such scan, one of several rooms or floors, with curved walls, or one that does not close.
+
+    References
+    ----------
+    .. [1] Apple Inc., "RoomPlan: CapturedRoom", developer documentation (2022 to 2025).
+    """
+    with located(str(path)):
+        content = json_content(read_text(path, "room file"), "room file")
+        if not isinstance(content, dict) or not isinstance(content.get("walls"), list):
+            raise InputError(
+                "this JSON file is no scan of a room",
+                found="no list of walls",
+                needed="a CapturedRoom of Apple's RoomPlan, encoded by JSONEncoder",
+            )
+        if content.get("rooms"):
+            raise InputError(
+                "the scan has several rooms",
+                found=f"{len(content['rooms'])} rooms in one CapturedStructure",
+                needed="one CapturedRoom",
+                hint="export each room by itself",
+            )
+        with complete("scan", "dimensions and transform of each surface, as RoomPlan has them"):
+            parts = [
+                _part(kind, i, surface)
+                for kind, key in _KINDS.items()
+                for i, surface in enumerate(content.get(key) or ())
+            ]
+            floors = [_corners(f) for f in content.get("floors") or () if f.get("polygonCorners")]
+            things = Counter(_category(thing) for thing in content.get("objects") or ())
+        if len(floors) > 1:
+            raise InputError(
+                "the scan has several floors", found=f"{len(floors)}", needed="one", hint=_HINT
+            )
+        return closed_room(
+            parts, floors[0] if floors else None, dict(things.most_common(_MOST_KINDS))
+        )
+
+
+def _part(kind: str, number: int, surface: Mapping[str, Any]) -> Part:
+    name = f"{kind.capitalize()}{number}"
+    if surface.get("curve") is not None:
+        raise InputError(
+            "a wall of the scan is curved", where=name, needed="flat ones alone", hint=_HINT
+        )
+    own, parent = (str(surface.get(k) or "") for k in ("identifier", "parentIdentifier"))
+    return Part(name, kind, _corners(surface), own, parent)
+
+
+def _corners(surface: Mapping[str, Any]) -> FloatArray:
+    """Return the corners of a surface, shape (n, 3), in m with z up."""
+    outline = surface.get("polygonCorners") or ()
+    if len(outline) < 3:
+        width, height, _ = (float(x) / 2.0 for x in surface["dimensions"])
+        outline = [(-width, -height, 0), (width, -height, 0), (width, height, 0)]
+        outline.append((-width, height, 0))
+    # written column by column
+    matrix = np.array(surface["transform"], dtype=np.float64).reshape(4, 4).T
+    own = np.array(outline, dtype=np.float64).reshape(-1, 3)
+    with np.errstate(over="ignore", invalid="ignore"):
+        x, y, z = matrix[:3, :3] @ own.T + matrix[:3, 3:]
+    found = np.stack([x, -z, y], axis=1)
+    if not (np.abs(found) < 1e6).all():
+        raise ValueError("a coordinate that is not a finite number")
+    return found
+
+
+def _category(thing: Mapping[str, Any]) -> str:
+    """Return what an object is: Swift writes a case as the only key of a mapping."""
+    return str(next(iter(thing["category"])) if thing["category"] else "object")[:40]
+
+
+def closed_room(
+    parts: Sequence[Part], floor_m: FloatArray | None, objects: Mapping[str, int]
+) -> RoomModel:
+    """Return a closed room of what a scan has found: m, z up.
+
+    Parameters
+    ----------
+    parts : sequence of Part
+        Walls, and what is in them.
+    floor_m : float array, shape (n_corners, 3), or None
+        The outline of the floor; None: where walls meet, whose ends may be 0.3 m apart. A side of
+        it without a wall is an opening, with a finding.
+    objects : mapping of str to int
+        How many things of a kind stand there. They are left out, with a finding.
+
+    Returns
+    -------
+    RoomModel
+        The longest wall lies along x, the lowest x, y and z are 0: a scan's own origin is where it
+        happened to begin. The ceiling is the plane, level or sloping, from which no wall's top is
+        farther than 0.1 m.
+
+    Raises
+    ------
+    InputError
+        Walls do not meet, or their tops lie on no plane.
+    """
+    n_parts = len(parts) + (0 if floor_m is None else len(floor_m))
+    check_limit("scan_parts", n_parts, "the scan")
+    walls = [p for p in parts if p.kind == "wall" and _length(_foot(p)) > _DISTINCT_M]
+    if len(walls) < 3:
+        raise InputError(
+            "the scan encloses no room", found=f"{len(walls)} walls", needed="three or more"
+        )
+    edges, moved_m = _edges_by_walls(walls) if floor_m is None else (_by_floor(floor_m, walls), 0.0)
+    if all(e.wall is None for e in edges):
+        raise InputError("no wall of the scan stands on the outline of its floor", hint=_HINT)
+    ground_m = float(np.median([w.corners_m[:, 2].min() for w in walls]))
+    plane = _ceiling(walls, ground_m)
+    polygons, used = _sides(edges, parts, ground_m, plane)
+    around = np.array([e.start_m for e in edges])
+    floor = np.column_stack([around, np.full(len(around), ground_m)])
+    above = np.column_stack([around, _height(plane, around)])
+    polygons.append((floor[::-1], Surface("Floor0", "floor", "floor")))
+    polygons.append((above, Surface("Ceiling", "ceiling", "ceiling")))
+    idle = [p.name for p in parts if p.name not in used]
+    vertices, faces = joined(polygons)
+    longest = max(edges, key=lambda e: _length(np.stack([e.start_m, e.end_m])))
+    run = np.array([[*longest.start_m, ground_m], [*longest.end_m, ground_m]])
+    *room, start, end = _at_home(np.concatenate([vertices, run]), longest)
+    lies = (
+        f"x runs along {longest.wall.name if longest.wall else 'the longest side'}, from "
+        f"{place(start)} to {place(end)}: give positions in these axes."
+    )
+    findings = (
+        _completed(edges, moved_m, _height(plane, around) - ground_m, lies),
+        *_left_out(idle, objects),
+    )
+    return RoomModel(np.array(room), faces, findings, "m", "z")
+
+
+def part_of(name: str, kind: str, points_m: FloatArray) -> Part:
+    """Return a part from the points of a slab that stands upright, shape (n_points, 3).
+
+    Its outline is the convex hull of the points, upright and in the middle of the slab.
+    """
+    from scipy.spatial import ConvexHull  # heavy, and JSON needs none
+
+    middle = 0.5 * (points_m.min(axis=0) + points_m.max(axis=0))[:2]
+    plan = points_m[:, :2] - middle
+    way, across = np.linalg.svd(plan, full_matrices=False)[2]
+    if np.ptp(plan @ across) > _DISTINCT_M:
+        # the thinnest way through a slab is square to one of the sides of its outline
+        ring = plan[ConvexHull(plan).vertices]
+        ways = np.roll(ring, -1, axis=0) - ring
+        ways /= np.linalg.norm(ways, axis=1)[:, None]
+        way = ways[np.argmin([np.ptp(ring @ np.array([-y, x])) for x, y in ways])]
+        across = np.array([-way[1], way[0]])
+    flat = np.column_stack([plan @ way, points_m[:, 2]])
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    rim = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
+    if (high - low > _DISTINCT_M).all():
+        rim = flat[ConvexHull(flat).vertices]
+    aside = plan @ across
+    plan = middle + np.outer(rim[:, 0], way) + 0.5 * (aside.min() + aside.max()) * across
+    return Part(name, kind, np.column_stack([plan, rim[:, 1]]))
+
+
+def _foot(part: Part) -> FloatArray:
+    """Return the two ends of what stands upright as seen from above, shape (2, 2)."""
+    plan = part.corners_m[:, :2]
+    a = plan[np.argmax(np.linalg.norm(plan - plan.mean(axis=0), axis=1))]
+    b = plan[np.argmax(np.linalg.norm(plan - a, axis=1))]
+    return np.stack([a, b])
+
+
+def _length(ends: FloatArray) -> float:
+    return float(np.linalg.norm(ends[1] - ends[0]))
+
+
+def _edges_by_walls(walls: Sequence[Part]) -> tuple[list[_Edge], float]:
+    """Return the sides of a floor whose corners are those of walls, and the widest gap closed."""
+    feet = np.array([_foot(w) for w in walls])
+    order = _loop(walls, feet)
+    ends = [feet[i][::-1] if back else feet[i] for i, back in order]
+    starts: list[FloatArray] = []
+    owners: list[Part] = []
+    moved_m = 0.0
+    for (i, _), one, two in zip(order, ends, ends[1:] + ends[:1], strict=True):
+        meeting = _meeting(one, two)
+        moved_m = max(moved_m, float(np.linalg.norm(two[0] - one[1])))
+        starts += meeting
+        # of two corners the step between them belongs to the wall that ends there
+        owners += [walls[i]] * len(meeting)
+    # the first of these corners is where the first wall ends
+    last = [*starts[1:], starts[0]]
+    after = [*owners[1:], owners[0]]
+    return _turning_left(
+        [_Edge(a, b, w) for a, b, w in zip(starts, last, after, strict=True)]
+    ), moved_m
+
+
+def _loop(walls: Sequence[Part], feet: FloatArray) -> list[tuple[int, bool]]:
+    """Return walls one behind the other around the room, and which run from their second end."""
+    first = int(np.argmax(np.linalg.norm(feet[:, 1] - feet[:, 0], axis=1)))
+    order = [(first, False)]
+    left = set(range(len(walls))) - {first}
+    end = feet[first, 1]
+    while True:
+        home = float(np.linalg.norm(feet[first, 0] - end)) if len(order) > 2 else np.inf
+        ways = {(w, e): float(np.linalg.norm(feet[w, e] - end)) for w in left for e in (0, 1)}
+        near = min(ways, key=lambda way: ways[way], default=(first, 0))
+        gap = min(home, ways.get(near, np.inf))
+        if gap > _MEETS_M:
+            name = walls[order[-1][0]].name
+            raise InputError(
+                "walls of the scan do not meet",
+                where=f"the end of {name}",
+                found=f"{gap:.2f} m to the nearest end of another" if left else "no other wall",
+                needed=f"at most {_MEETS_M:g} m",
+                hint="scan with iOS 17 or later, which exports the outline of the floor, or "
+                + _HINT,
+            )
+        if home == gap:
+            return order
+        order.append((near[0], near[1] == 1))
+        left.remove(near[0])
+        end = feet[near[0], 1 - near[1]]
+
+
+def _meeting(one: FloatArray, two: FloatArray) -> list[FloatArray]:
+    """Return the corner where a wall ends and the next begins, or two with a step between them."""
+    a, b = one[1] - one[0], two[1] - two[0]
+    cross = a[0] * b[1] - a[1] * b[0]
+    apart = two[0] - one[1]
+    if abs(cross) > np.sqrt(1.0 - _PARALLEL**2) * np.linalg.norm(a) * np.linalg.norm(b):
+        along = (apart[0] * b[1] - apart[1] * b[0]) / cross
+        corner = one[1] + along * a
+        if max(np.linalg.norm(corner - one[1]), np.linalg.norm(corner - two[0])) <= _MEETS_M:
+            return [corner]
+    elif abs(apart[0] * a[1] - apart[1] * a[0]) <= _RIM_M * np.linalg.norm(a):
+        return [0.5 * (one[1] + two[0])]
+    return [one[1], two[0]]
+
+
+def _by_floor(floor_m: FloatArray, walls: Sequence[Part]) -> list[_Edge]:
+    """Return the sides of an outlined floor, each with the wall that covers most of it."""
+    plan = floor_m[:, :2]
+    plan = plan[np.linalg.norm(plan - np.roll(plan, 1, axis=0), axis=1) > _DISTINCT_M]
+    if len(plan) < 3:
+        raise InputError("the floor of the scan has no area", needed="three corners or more")
+    return _turning_left(
+        [_Edge(a, b, _over(a, b, walls)) for a, b in zip(plan, np.roll(plan, -1, 0), strict=True)]
+    )
+
+
+def _over(start: FloatArray, end: FloatArray, parts: Sequence[Part]) -> Part | None:
+    """Return which of the parts stands along most of an edge, if one does along half of it."""
+    length = _length(np.stack([start, end]))
+    covered = {p.name: _shared(start, end, p) for p in parts}
+    best = max(parts, key=lambda p: covered[p.name], default=None)
+    return best if best is not None and covered[best.name] > 0.5 * length else None
+
+
+def _shared(start: FloatArray, end: FloatArray, part: Part) -> float:
+    """Return the length over which a part stands along an edge; 0 where it stands elsewhere."""
+    foot = _foot(part)
+    along, aside = _beside(start, end, foot)
+    if np.abs(aside).max() > _MEETS_M or abs(np.ptp(along)) < _PARALLEL * _length(foot):
+        return 0.0
+    length = _length(np.stack([start, end]))
+    return float(max(min(along.max(), length) - max(along.min(), 0.0), 0.0))
+
+
+def _beside(start: FloatArray, end: FloatArray, plan: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far points, shape (n, 2), lie along an edge and beside it, each (n,)."""
+    way = (end - start) / np.linalg.norm(end - start)
+    from_start = plan - start
+    return from_start @ way, from_start @ np.array([-way[1], way[0]])
+
+
+def _turning_left(edges: list[_Edge]) -> list[_Edge]:
+    """Return the sides of a floor in the sense that has the room to the left."""
+    x, y = np.array([e.start_m for e in edges]).T
+    if x @ np.roll(y, -1) - y @ np.roll(x, -1) > 0.0:
+        return edges
+    return [_Edge(e.end_m, e.start_m, e.wall) for e in reversed(edges)]
+
+
+def _ceiling(walls: Sequence[Part], ground_m: float) -> FloatArray:
+    """Return the plane z = c + p x + q y of the ceiling as (c, p, q): level where that will do."""
+    tops = []
+    for wall in walls:
+        z = wall.corners_m[:, 2]
+        tops.append(wall.corners_m[z > z.min() + _LEVEL_M])
+    points = np.concatenate(tops)
+    if not len(points):
+        raise InputError("the walls of the scan have no height", needed="tops above their feet")
+    level = np.array([np.median(points[:, 2]), 0.0, 0.0])
+    at = np.column_stack([np.ones(len(points)), points[:, :2]])
+    sloping = np.linalg.lstsq(at, points[:, 2], rcond=None)[0]
+    for plane in (level, sloping):
+        off_m = float(np.abs(at @ plane - points[:, 2]).max())
+        if off_m <= _LEVEL_M and (at @ plane - ground_m).min() > _LEVEL_M:
+            return plane
+    low, high = points[:, 2].min() - ground_m, points[:, 2].max() - ground_m
+    raise InputError(
+        "a scan has no ceiling, and the tops of its walls carry no flat one",
+        found=f"tops {low:.2f} to {high:.2f} m above the floor, up to {off_m:.2f} m off a plane",
+        needed=f"all within {_LEVEL_M:g} m of one plane, level or sloping",
+        hint=_HINT,
+    )
+
+
+def _height(plane: FloatArray, plan: FloatArray) -> FloatArray:
+    """Return the height of the ceiling over points, shape (n, 2)."""
+    return np.asarray(plane[0] + plan @ plane[1:])
+
+
+_Hole = tuple[Part, FloatArray]  # what is in a wall: from and to along it, from and to in height
+
+
+def _sides(
+    edges: Sequence[_Edge], parts: Sequence[Part], ground_m: float, plane: FloatArray
+) -> tuple[list[Polygon], set[str]]:
+    """Return the polygons of all walls and of what is in them, and the names of those in use."""
+    holes: dict[int, list[_Hole]] = {i: [] for i in range(len(edges))}
+    for part in parts:
+        if part.kind == "wall":
+            continue
+        own = [_shared(e.start_m, e.end_m, part) for e in edges]
+        if part.parent in {e.wall.own for e in edges if e.wall is not None}:
+            kept = [e.wall is not None and e.wall.own == part.parent for e in edges]
+            own = [length if keep else 0.0 for length, keep in zip(own, kept, strict=True)]
+        best = int(np.argmax(own))
+        hole = _hole(edges[best], part, ground_m, plane) if own[best] > 0.0 else None
+        if hole is not None:
+            holes[best].append((part, hole))
+    polygons: list[Polygon] = []
+    for i, edge in enumerate(edges):
+        polygons += _pieces(edge, holes[i], f"Gap{i}", ground_m, plane)
+    # an opening may take a whole wall
+    walls = {e.wall.name for e in edges if e.wall is not None}
+    return polygons, walls | {surface.name for _, surface in polygons}
+
+
+def _hole(edge: _Edge, part: Part, ground_m: float, plane: FloatArray) -> FloatArray | None:
+    """Return where in a wall something is: from and to along it and in height, shape (4,)."""
+    along, _ = _beside(edge.start_m, edge.end_m, part.corners_m[:, :2])
+    length = _length(np.stack([edge.start_m, edge.end_m]))
+    top = float(_height(plane, np.stack([edge.start_m, edge.end_m])).min())
+    z = part.corners_m[:, 2]
+    found = np.array([along.min(), along.max(), z.min(), z.max()])
+    for k, (low, high) in enumerate([(0.0, length)] * 2 + [(ground_m, top)] * 2):
+        value = min(max(found[k], low), high)
+        found[k] = low if value - low < _RIM_M else high if high - value < _RIM_M else value
+    return found if min(found[1] - found[0], found[3] - found[2]) >= _RIM_M else None
+
+
+def _pieces(
+    edge: _Edge, holes: Sequence[_Hole], unnamed: str, ground_m: float, plane: FloatArray
+) -> list[Polygon]:
+    """Return a wall in columns, cut at the rims of what is in it; where two overlap, the first."""
+    wall = (
+        Surface(unnamed, "opening", "opening")
+        if edge.wall is None
+        else Surface(edge.wall.name, "wall", "wall")
+    )
+    length = _length(np.stack([edge.start_m, edge.end_m]))
+    way = (edge.end_m - edge.start_m) / length
+    found: list[Polygon] = []
+    cuts = np.unique([0.0, length, *(x for _, hole in holes for x in hole[:2])])
+    for left, right in pairwise(cuts):
+        plan = edge.start_m + np.outer([left, right], way)
+        tops = _height(plane, plan)
+        here = [h for h in holes if h[1][0] <= left and right <= h[1][1]]
+        # a sloping top is met by the last piece of a column alone
+        rims = np.unique([ground_m, *(z for _, hole in here for z in hole[2:])])
+        rims = rims[rims < tops.min() - _DISTINCT_M]
+        below = [np.full(2, z) for z in rims]
+        for low, high in zip(below, [*below[1:], tops], strict=True):
+            middle = 0.5 * (low.mean() + min(high.mean(), high.min() + _RIM_M))
+            part = next((p for p, hole in here if hole[2] <= middle <= hole[3]), None)
+            surface = wall if part is None else Surface(part.name, part.kind, part.kind)
+            corners = [(*plan[0], low[0]), (*plan[1], low[1]), (*plan[1], high[1])]
+            corners.append((*plan[0], high[0]))
+            found.append((np.array(corners), surface))
+    return found
+
+
+def _at_home(vertices_m: FloatArray, longest: _Edge) -> FloatArray:
+    """Return vertices with the longest side of the floor along x and the lowest of each at 0."""
+    c, s = (longest.end_m - longest.start_m) / _length(np.stack([longest.start_m, longest.end_m]))
+    turned = vertices_m @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    # corners of a scan are known to centimetres
+    return np.asarray(np.round(turned - turned.min(axis=0), 6) + 0.0)
+
+
+def _completed(edges: Sequence[_Edge], moved_m: float, heights_m: FloatArray, lies: str) -> Finding:
+    """Return what was put in, and how the axes lie."""
+    low, high = float(heights_m.min()), float(heights_m.max())
+    tall = f"{low:.2f}" if high - low < _DISTINCT_M else f"{low:.2f} to {high:.2f}"
+    text = f"A flat ceiling was put {tall} m above the floor, on the walls' tops: a scan has none. "
+    if moved_m > _DISTINCT_M:
+        text += f"Ends of walls up to {moved_m:.2f} m apart were joined. "
+    gaps_m = [_length(np.stack([e.start_m, e.end_m])) for e in edges if e.wall is None]
+    if gaps_m:
+        text += (
+            f"Sides of the floor without a wall, {sum(gaps_m):.2f} m in all, were closed by an "
+            "'opening': say in [room.materials] what is there. "
+        )
+    evidence = {"height_m": [low, high], "joined_m": moved_m, "without_wall_m": gaps_m}
+    grade: Severity = "warning" if gaps_m else "info"
+    return Finding(Code.ROOM_COMPLETED, About(), text + lies, evidence, graded=grade)
+
+
+def _left_out(idle: Sequence[str], objects: Mapping[str, int]) -> list[Finding]:
+    """Return what of a scan is not in the room."""
+    found = []
+    code = Code.ENTITIES_IGNORED
+    if idle:
+        text = f"Parts of the scan are on no outer wall, left out: {', '.join(idle)}."
+        found.append(Finding(code, About(), text, {"parts": list(idle)}, graded="warning"))
+    if objects:
+        text = (
+            f"What stands in the scanned room is left out: {counted(objects)}. State what it "
+            "absorbs under [objects]; a piece whose shadow matters belongs into the room's file."
+        )
+        found.append(Finding(code, About(), text, dict(objects), graded="info"))
+    return found
