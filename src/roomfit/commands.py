@@ -37,6 +37,7 @@ from roomfit.io.encoding import ResultFile, input_digests, path_of
 from roomfit.io.inputs import campaign_room, identify_arguments
 from roomfit.io.inputs import check_campaign as check_campaign
 from roomfit.io.inputs import check_room as check_room
+from roomfit.io.remedies import Advice, advice
 from roomfit.settings import Settings
 from roomfit.table import csv_of
 from roomfit.typing import FloatArray, Progress, part
@@ -530,7 +531,7 @@ def identify_to_folder(
     overwrite: bool = False,
     keep: bool = True,
     progress: Progress | None = None,
-    answered: Callable[[Result], None] | None = None,
+    answered: Callable[[Result, Advice], None] | None = None,
 ) -> Result:
     """Identify a campaign and write result.json, tables, pictures and report into a folder.
 
@@ -548,7 +549,8 @@ def identify_to_folder(
     keep : bool
         Keep the trace in the user's cache, so that a run that was interrupted continues from it.
     progress, answered : callable, optional
-        `answered` is called with the answer before report and pictures are drawn.
+        `answered` is called with the answer, and with what its findings advise to write into the
+        campaign, before report and pictures are drawn.
 
     Raises
     ------
@@ -573,11 +575,13 @@ def identify_to_folder(
     cache = user_cache() if keep else None
     with located(str(campaign_file)):
         answer = identify(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
+    advised = advice(answer.findings, campaign)
     if answered is not None:
-        answered(answer)
+        answered(answer, advised)
     scene = measured_scene(arguments["scene"], arguments["measurements"])
     with whole_output_folder(out, overwrite=overwrite) as folder:
-        _write_answer(folder, answer, scene, campaign_file, project, part(progress, 0.95, 1.0))
+        rest = part(progress, 0.95, 1.0)
+        _write_answer(folder, answer, scene, campaign_file, project, advised, rest)
     return answer
 
 
@@ -587,6 +591,7 @@ def _write_answer(
     scene: Scene,
     campaign_file: Path,
     project: dict[str, str],
+    advised: Advice,
     progress: Progress | None,
 ) -> None:
     """Write result and report, and pictures beside it unless the answer is a quick one."""
@@ -611,6 +616,7 @@ def _write_answer(
             inputs_sha256=input_digests(inputs),
             project=project,
             figures=figures,
+            advice=advised,
         )
         write_result(folder, answer, inputs, remaining_usable(answer))
         write_text_atomically(folder / "report.html", page)
