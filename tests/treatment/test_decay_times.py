@@ -89,6 +89,7 @@ def test_square_metres_are_those_of_sabine_by_hand_and_what_was_measured_is_kept
     out = command(monkeypatch, folder, "treat")
     content = json.loads((out / "treatment.json").read_text())
     (first,) = content["arrangements"]
+    assert content["probability_asked"] == 0.5
     hand = by_hand_m2(144.0, 1.10, 0.8, 0.8)
     assert first["hung"][0]["area_m2"] == pytest.approx(hand, rel=0.03)
     time = first["mean"]["T30_s"]
@@ -105,8 +106,10 @@ def test_square_metres_are_those_of_sabine_by_hand_and_what_was_measured_is_kept
 def test_more_of_a_probability_takes_more_of_the_panel(folder, monkeypatch):
     (folder / "treatment.toml").write_text("probability = 0.9\n" + TREATMENT)
     out = command(monkeypatch, folder, "treat")
-    first = json.loads((out / "treatment.json").read_text())["arrangements"][0]
+    content = json.loads((out / "treatment.json").read_text())
+    first = content["arrangements"][0]
     assert first["probability"][0] == pytest.approx(0.9, abs=0.03)
+    assert content["probability_asked"] == 0.9
     assert first["hung"][0]["area_m2"] > 1.1 * by_hand_m2(144.0, 1.10, 0.8, 0.8)
 
 
