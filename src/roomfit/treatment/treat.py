@@ -13,6 +13,7 @@ from roomfit.core import (
     VALUE_NAMES,
     About,
     Bands,
+    BoolArray,
     Code,
     Finding,
     FloatArray,
@@ -160,52 +161,48 @@ def treat(
             found=f"{probability:g}",
             needed="0.5 to 0.99",
         )
-    before_in_words = _before_in_words(room)
-    room = as_measured(room)
+    in_words, room = _before_in_words(room), as_measured(room)
     question = question_of(room, surfaces, products, targets)
-    margin = np.zeros(len(question.target))
-    known: dict[bytes, _Outcome] = {}
+    known: dict[tuple[float, ...], _Outcome] = {}
 
-    def outcome(pieces: FloatArray, numbers: FloatArray) -> _Outcome:
+    def best(margin: FloatArray, excluded: Sequence[BoolArray] = ()) -> _Outcome:
         # margins go to and fro between two arrangements, and an alternative may be one of them
-        key = pieces.tobytes()
-        if key not in known:
-            known[key] = _outcome(question, pieces, numbers, probability)
+        found = best_arrangement(question, margin, excluded, most_cost)
+        key = tuple(found[0].tolist())
+        known[key] = known.get(key) or _outcome(question, *found, probability)
         return known[key]
 
-    tried = [outcome(*best_arrangement(question, margin, (), most_cost))]
+    margin = np.zeros(len(question.target))
+    tried = [best(margin)]
     for _ in range(_MARGIN_ROUNDS if probability > 0.5 else 0):
         margin = _margin(question, tried[-1], probability)
-        pieces, numbers = best_arrangement(question, margin, (), most_cost)
-        if np.array_equal(pieces, tried[-1].pieces):
+        tried.append(best(margin))
+        if tried[-1] is tried[-2]:
             break
-        tried.append(outcome(pieces, numbers))
     met = [one for one in tried if not one.missed]
     first = min(met or tried[-1:], key=lambda one: one.cost)
     found, excluded = [first], []
     while met and first.pieces.any() and len(found) < number:
         excluded.append(found[-1].pieces > 0)
-        pieces, numbers = best_arrangement(question, margin, excluded, most_cost)
-        if any(np.array_equal(pieces > 0, e) for e in excluded):
-            break
-        other = outcome(pieces, numbers)
-        if other.missed:
+        other = best(margin, excluded)
+        if other.missed or any(np.array_equal(other.pieces > 0, e) for e in excluded):
             break
         found.append(other)
         if progress is not None:
             progress(len(found) / number)
     found.sort(key=lambda one: one.cost)
-    nothing = outcome(0.0 * question.cost, 0.0 * margin)
+    bare = 0.0 * question.cost
+    nothing = known.get(tuple(bare.tolist())) or _outcome(question, bare, 0.0 * margin, probability)
     before, _ = _of_targets(question, nothing.odds)
     arrangements = tuple(_arrangement(question, one, before) for one in found)
+    doubts = (
+        *result_doubts(room.absorption, room.scene.room.findings),
+        *_of_the_room(room, arrangements),
+        *_findings(question, arrangements, first, probability),
+    )
     return Treatment(
-        room.absorption.bands, question.targets, arrangements, bool(met), room,
-        (
-            *result_doubts(room.absorption, room.scene.room.findings),
-            *_of_the_room(room, arrangements),
-            *_findings(question, arrangements, first, probability),
-        ),
-        before=before_in_words, asked=probability,
+        room.absorption.bands, question.targets, arrangements, bool(met), room, doubts,
+        before=in_words, asked=probability,
     )  # fmt: skip
 
 
