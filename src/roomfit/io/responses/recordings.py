@@ -279,6 +279,8 @@ def band_of(excitation: FloatArray, rate_hz: float) -> tuple[float, float]:
     Its power is summed in twelfths of an octave. The band goes on, from the strongest, while
     either the power of each or its density per hertz is within 15 dB of the largest: so an
     exponential sweep (equal power in each) and a linear one (equal density) keep all they have.
+    A loopback through a chain that rolls off keeps what is 15 dB down: the quotient is right there,
+    and its noise 15 dB higher at most, which every band is judged by.
     """
     n_lines = next_fast_len(max(len(excitation), int(2.0 * rate_hz)), real=True)
     power = np.abs(np.fft.rfft(excitation, n_lines)) ** 2
