@@ -30,14 +30,8 @@ from roomfit.cache import (
     write_text_atomically,
 )
 from roomfit.errors import InputError, located
-from roomfit.forks import beside, in_this_process
-from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import files_read, read_bytes, read_text, reading_noted
 from roomfit.io.encoding import ResultFile, input_digests, path_of
-from roomfit.io.inputs import campaign_room, identify_arguments
-from roomfit.io.inputs import check_campaign as check_campaign
-from roomfit.io.inputs import check_room as check_room
-from roomfit.io.remedies import Advice, advice
 from roomfit.settings import Settings
 from roomfit.table import csv_of
 from roomfit.typing import FloatArray, Progress, part
@@ -48,6 +42,8 @@ if TYPE_CHECKING:
     from roomfit.diagnostics.usable import CheckedRecordings
     from roomfit.experiment_design.design import Design
     from roomfit.findings import Finding
+    from roomfit.io.campaign import Campaign
+    from roomfit.io.remedies import Advice
     from roomfit.io.responses.sweep import SweepPlan, SweepResponse
     from roomfit.io.rooms.model import RoomSpec
     from roomfit.report.comparison import Comparison
@@ -82,6 +78,7 @@ def check_campaign_recordings(
     """
     from roomfit.diagnostics.usable import check_recordings
     from roomfit.experiment_design.symmetry import plane_findings
+    from roomfit.io.inputs import identify_arguments
     from roomfit.scene import named_pairs
 
     if out is not None:
@@ -377,7 +374,9 @@ def _whole_export(
         findings = () if own else read_material_table(result_file).findings
         beside = sorted(path.parent.glob("*.png"))
         return report_word(page, {f.stem: read_bytes(f, "picture") for f in beside}), findings
+    from roomfit.io.campaign import read_campaign
     from roomfit.io.gltf import gltf_text
+    from roomfit.io.inputs import campaign_room
 
     campaign_file = _own_campaign(result_file) if campaign_file is None else campaign_file
     room = campaign_room(read_campaign(campaign_file, to_fit=False))
@@ -472,6 +471,7 @@ def design_to_folder(
     from roomfit.experiment_design.campaign import design_arguments
     from roomfit.experiment_design.design import design
     from roomfit.experiment_design.output import design_gain, design_map, write_design
+    from roomfit.io.campaign import read_campaign
     from roomfit.io.results import read_result
     from roomfit.report.figures import png
 
@@ -506,6 +506,7 @@ def estimate_coverage_to_folder(
     """
     from roomfit.coverage.estimate import estimate_coverage
     from roomfit.coverage.output import coverage_figure, coverage_json, coverage_records
+    from roomfit.io.campaign import read_campaign
     from roomfit.report.figures import png
 
     result = estimate_coverage(read_campaign(campaign_file), out, settings, progress=progress)
@@ -563,7 +564,10 @@ def identify_to_folder(
     """
     from roomfit.identification import identify
     from roomfit.inversion.measurements import measured_scene
+    from roomfit.io.campaign import read_campaign
+    from roomfit.io.inputs import identify_arguments
     from roomfit.io.project import project_details
+    from roomfit.io.remedies import advice
     from roomfit.io.results import check_disk_room
 
     check_output_folder(out, overwrite=overwrite)  # now rather than after minutes of work
@@ -595,6 +599,7 @@ def _write_answer(
     progress: Progress | None,
 ) -> None:
     """Write result and report, and pictures beside it unless the answer is a quick one."""
+    from roomfit.forks import beside, in_this_process
     from roomfit.io.results import write_result
     from roomfit.report.figures import answer_figures, write_pictures
     from roomfit.report.html import mean_decay_figure, report_html

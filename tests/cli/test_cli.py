@@ -62,6 +62,29 @@ def test_a_check_of_a_room_loads_no_pictures_and_no_statistics(tmp_path):
     assert "can be traced" in done.stdout + done.stderr
 
 
+def test_an_export_and_a_result_that_is_read_wait_for_no_compiler(tmp_path):
+    """A table written anew takes no kernel, and no package that only a fit needs."""
+    table, out = tmp_path / "absorption.csv", tmp_path / "materials.txt"
+    table.write_text(
+        "material,band_hz,absorption,lower95,upper95,identifiable\ncarpet,500,0.3,0.25,0.36,true\n"
+    )
+    program = (
+        f"import sys; sys.path[:0] = {sys.path!r}\n"
+        "from pathlib import Path\n"
+        "from roomfit.cli import main\n"
+        f"try: main(['export', {str(table)!r}, '--format', 'catt', '--out', {str(out)!r}])\n"
+        "except SystemExit: pass\n"
+        "from roomfit.io.results import read_result\n"
+        f"print(read_result(Path({str(table)!r})).materials)\n"
+        "print('LOADED', [m for m in ('numba', 'scipy', 'matplotlib') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert "('carpet',)" in done.stdout and out.is_file()
+    assert "LOADED []" in done.stdout, done.stdout + done.stderr
+
+
 COMMANDS = ("app", "batch", "cache", "catalogue", "check", "compare", "coverage", "demo",
             "design", "export", "identify", "impedance", "init", "listen", "measure", "paper",
             "predict", "reverberation", "schema", "treat")  # fmt: skip

@@ -11,10 +11,10 @@ import pytest
 
 from changes import JUDGED, inside, known_change, mean_of, predicted_change, wrong_directions
 from roomfit.bands import Bands
-from roomfit.commands import check_campaign
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.io.campaign import read_campaign
+from roomfit.io.inputs import check_campaign
 from roomfit.logit import logit
 from roomfit.materials.catalogue import _WORDS, broad_prior_findings, catalogue, suggested_entries
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, unknown_material

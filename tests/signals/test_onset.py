@@ -67,7 +67,8 @@ def test_the_peak_of_a_click_is_found_between_samples(at_s):
 
 
 @pytest.mark.parametrize(
-    ("share", "least", "most"), [(1.0, 0.89, 5.1), (0.8, 0.89, 5.1), (0.5, 4.3, 5.5), (0.4, 6.3, 6.8)]
+    ("share", "least", "most"),
+    [(1.0, 0.89, 5.1), (0.8, 0.89, 5.1), (0.5, 4.3, 5.5), (0.4, 6.3, 6.8)],
 )
 def test_a_click_that_is_cut_off_steeply_is_found_early_by_what_it_rings(share, least, most):
     """At half and below the second side lobe of a sine over its argument lies 17.8 dB down.
