@@ -214,6 +214,30 @@ def test_what_is_missing_is_said(folder, monkeypatch, capsys, old, new, options,
     assert not (folder / "out").exists()
 
 
+def test_doubts_of_a_result_stop_changes_without_positions_too(folder, monkeypatch, capsys):
+    """A result that is seriously doubted, one that is not, and none, which cannot be doubted."""
+    result = command(monkeypatch, folder, "reverberation") / "result.json"
+    files = (folder / "campaign.toml", folder / "treatment.toml")
+    assert run_command(monkeypatch, "treat", *files, "--doubted", "--out", folder / "x") == 2
+    refused = capsys.readouterr().err
+    assert "no result that could be doubted" in refused and "--doubted" in refused
+    content = json.loads(result.read_text())
+    about = {"materials": [], "bands_hz": [], "pairs": [], "files": [], "points_m": []}
+    own = {"code": "decay-bent", "severity": "serious", "sentence": "Bent.", "evidence": {}}
+    content["findings"].append({**own, "about": about})
+    doubted = folder / "doubted.json"
+    doubted.write_text(json.dumps(content))
+    options = ("--absorption", doubted, "--edited")
+    assert run_command(monkeypatch, "treat", *files, *options, "--out", folder / "y") == 2
+    said = capsys.readouterr().err
+    assert "decay-bent" in said and "--doubted" in said
+    command(monkeypatch, folder, "treat", *options, "--doubted")
+    assert "result-doubted" in capsys.readouterr().out
+    changed = (folder / "campaign.toml", *options, "--set", "floor=0.5")
+    assert run_command(monkeypatch, "predict", *changed, "--out", folder / "z") == 2
+    command(monkeypatch, folder, "predict", *options)  # as it was fitted
+
+
 def test_a_flat_room_is_said_to_be_no_diffuse_field(folder, monkeypatch, capsys):
     """16 by 12 by 3 m: floor and ceiling are 70 % of the surface."""
     (folder / "campaign.toml").write_text(CAMPAIGN.replace("[8, 6, 3]", "[16, 12, 3]"))
