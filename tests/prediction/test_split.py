@@ -247,7 +247,8 @@ def test_treatments_sounds_and_the_workbench_need_to_be_asked_for_doubted_walls(
         with pytest.raises(InsufficientDataError, match="seriously doubted"):
             _treat_traced(campaign, file, file, table, covered, wanted, None)
         with pytest.raises(BegunError):
-            _treat_traced(campaign, file, file, table, wanted._replace(doubted=True), None)
+            heeded = wanted._replace(doubted=True)
+            _treat_traced(campaign, file, file, table, covered, heeded, None)
     refused = what_if_prepare(lambda _: None, str(tmp_path))
     assert list(refused) == ["refused"] and "displacement-detected" in refused["refused"]
     with pytest.raises(BegunError):
