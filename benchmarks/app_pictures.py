@@ -133,8 +133,8 @@ def _show(page: Any, tab: str) -> None:
     elif tab == "What if":
         page.get_by_role("combobox", name="Material").click()
         page.get_by_role("option", name="brick").click()
-        for band in ("500", "1k", "2k", "4k"):
-            page.get_by_label(f"Absorption of brick at {band} Hz").fill("0.9")
+        for band in ("500 Hz", "1 kHz", "2 kHz", "4 kHz"):
+            page.get_by_label(f"Absorption of brick at {band}").fill("0.9")
         page.get_by_text("pairs, 1 material changed").wait_for()
         page.wait_for_timeout(3000)  # the last band has been drawn, too
 

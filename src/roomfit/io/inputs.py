@@ -136,6 +136,7 @@ def _object_prior(campaign: Campaign, name: str, volume_m3: float) -> MaterialPr
                 "an object is counted and measured by floor",
                 found="count and floor_area_m2",
                 needed="one of the two",
+                hint="keep what the object's absorption was measured by",
             )
         known, law = _areas_of_one(table, bands)
     n = next((x for x in (table.floor_area_m2, table.count) if x is not None), 1.0)
@@ -228,6 +229,7 @@ def at_bands(
             where=where,
             found=f"{len(values)} values and {len(centres_hz)} centres",
             needed="one value for each centre",
+            hint="add the values that lack, or leave centres out that have none",
         )
     order = np.argsort(centres_hz)
     at = np.log(np.array(centres_hz)[order])

@@ -80,6 +80,7 @@ def pick(kind: str, index: int | None, count: int, key: str) -> int:
             f"the file has no such {kind}",
             found=f"{key} = {index}",
             needed=f"{key} = {numbers} ({kind}s are counted from 0)",
+            hint="look at the file in an editor of sound, and count from 0",
         )
     return index
 
@@ -262,6 +263,7 @@ def _kept(recorded: FloatArray, played: FloatArray, rate_hz: float) -> int:
             "recording and excitation are too long together",
             found=f"{len(recorded)} and {len(played)} samples",
             needed=f"at most {_MOST_SAMPLES}",
+            hint="cut the recording behind the decay, or play a shorter sweep",
         )
     if len(recorded) < sounding + _LEAST_DECAY_S * rate_hz:
         raise InputError(
