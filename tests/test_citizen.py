@@ -108,3 +108,16 @@ def test_every_module_of_the_methods_page_exists():
     for name in names:
         place = folder / name.replace(".", "/")
         assert place.is_dir() or place.with_suffix(".py").exists(), name
+
+
+def test_what_every_extra_needs_is_locked():
+    """The bar of a notebook is left out: it takes all of IPython, and a line stands in for it."""
+    locked = set(re.findall(r"^([a-z0-9-]+)==", text("requirements/dev.txt"), re.MULTILINE))
+    needed = {
+        re.split(r"[<>=\[;! ]", package)[0].lower()
+        for extra, packages in PROJECT["optional-dependencies"].items()
+        if extra != "notebook"
+        for package in packages
+    }
+    assert needed - locked - {"roomfit"} == set()
+    assert "sounddevice" in needed

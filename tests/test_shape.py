@@ -32,7 +32,18 @@ def allowed(limits: Limits, what: str) -> int:
     return int(limits["house"][what]) + sum(int(c.get(what, 0)) for c in added)
 
 
-@pytest.mark.parametrize("what", ("modules", "lines", "core_lines", "records", "constants"))
+def incomplete_refusals() -> int:
+    """Return how many raised `InputError` lack one of what was found, is needed, and to try."""
+    calls = [n for m in FOUND for n in ast.walk(m.tree) if isinstance(n, ast.Call)]
+    refusals = [n for n in calls if isinstance(n.func, ast.Name) and n.func.id == "InputError"]
+    given = [{k.arg for k in n.keywords} for n in refusals]
+    return sum(None not in keys and not keys >= {"found", "needed", "hint"} for keys in given)
+
+
+@pytest.mark.parametrize(
+    "what",
+    ("modules", "lines", "core_lines", "records", "constants", "incomplete_refusals"),
+)
 def test_the_house_does_not_grow(what: str) -> None:
     """Each noun, module and constant is one more that a reader has to learn.
 
@@ -44,6 +55,7 @@ def test_the_house_does_not_grow(what: str) -> None:
         "core_lines": sum(m.n_lines for m in shape.core(FOUND)),
         "records": len(shape.dataclasses(FOUND)),
         "constants": shape.n_constants(FOUND),
+        "incomplete_refusals": incomplete_refusals(),
     }
     assert sizes[what] <= allowed(tomllib.loads(LIMITS.read_text(encoding="utf-8")), what)
 

@@ -30,13 +30,8 @@ from roomfit.cache import (
     write_text_atomically,
 )
 from roomfit.errors import InputError, located
-from roomfit.forks import beside, in_this_process
-from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import files_read, read_bytes, read_text, reading_noted
 from roomfit.io.encoding import ResultFile, input_digests, path_of
-from roomfit.io.inputs import campaign_room, identify_arguments
-from roomfit.io.inputs import check_campaign as check_campaign
-from roomfit.io.inputs import check_room as check_room
 from roomfit.settings import Settings
 from roomfit.table import csv_of
 from roomfit.typing import FloatArray, Progress, part
@@ -47,6 +42,8 @@ if TYPE_CHECKING:
     from roomfit.diagnostics.usable import CheckedRecordings
     from roomfit.experiment_design.design import Design
     from roomfit.findings import Finding
+    from roomfit.io.campaign import Campaign
+    from roomfit.io.remedies import Advice
     from roomfit.io.responses.sweep import SweepPlan, SweepResponse
     from roomfit.io.rooms.model import RoomSpec
     from roomfit.report.comparison import Comparison
@@ -81,6 +78,7 @@ def check_campaign_recordings(
     """
     from roomfit.diagnostics.usable import check_recordings
     from roomfit.experiment_design.symmetry import plane_findings
+    from roomfit.io.inputs import identify_arguments
     from roomfit.scene import named_pairs
 
     if out is not None:
@@ -376,7 +374,9 @@ def _whole_export(
         findings = () if own else read_material_table(result_file).findings
         beside = sorted(path.parent.glob("*.png"))
         return report_word(page, {f.stem: read_bytes(f, "picture") for f in beside}), findings
+    from roomfit.io.campaign import read_campaign
     from roomfit.io.gltf import gltf_text
+    from roomfit.io.inputs import campaign_room
 
     campaign_file = _own_campaign(result_file) if campaign_file is None else campaign_file
     room = campaign_room(read_campaign(campaign_file, to_fit=False))
@@ -471,6 +471,7 @@ def design_to_folder(
     from roomfit.experiment_design.campaign import design_arguments
     from roomfit.experiment_design.design import design
     from roomfit.experiment_design.output import design_gain, design_map, write_design
+    from roomfit.io.campaign import read_campaign
     from roomfit.io.results import read_result
     from roomfit.report.figures import png
 
@@ -505,6 +506,7 @@ def estimate_coverage_to_folder(
     """
     from roomfit.coverage.estimate import estimate_coverage
     from roomfit.coverage.output import coverage_figure, coverage_json, coverage_records
+    from roomfit.io.campaign import read_campaign
     from roomfit.report.figures import png
 
     result = estimate_coverage(read_campaign(campaign_file), out, settings, progress=progress)
@@ -530,7 +532,7 @@ def identify_to_folder(
     overwrite: bool = False,
     keep: bool = True,
     progress: Progress | None = None,
-    answered: Callable[[Result], None] | None = None,
+    answered: Callable[[Result, Advice], None] | None = None,
 ) -> Result:
     """Identify a campaign and write result.json, tables, pictures and report into a folder.
 
@@ -548,7 +550,8 @@ def identify_to_folder(
     keep : bool
         Keep the trace in the user's cache, so that a run that was interrupted continues from it.
     progress, answered : callable, optional
-        `answered` is called with the answer before report and pictures are drawn.
+        `answered` is called with the answer, and with what its findings advise to write into the
+        campaign, before report and pictures are drawn.
 
     Raises
     ------
@@ -561,7 +564,10 @@ def identify_to_folder(
     """
     from roomfit.identification import identify
     from roomfit.inversion.measurements import measured_scene
+    from roomfit.io.campaign import read_campaign
+    from roomfit.io.inputs import identify_arguments
     from roomfit.io.project import project_details
+    from roomfit.io.remedies import advice
     from roomfit.io.results import check_disk_room
 
     check_output_folder(out, overwrite=overwrite)  # now rather than after minutes of work
@@ -573,11 +579,13 @@ def identify_to_folder(
     cache = user_cache() if keep else None
     with located(str(campaign_file)):
         answer = identify(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
+    advised = advice(answer.findings, campaign)
     if answered is not None:
-        answered(answer)
+        answered(answer, advised)
     scene = measured_scene(arguments["scene"], arguments["measurements"])
     with whole_output_folder(out, overwrite=overwrite) as folder:
-        _write_answer(folder, answer, scene, campaign_file, project, part(progress, 0.95, 1.0))
+        rest = part(progress, 0.95, 1.0)
+        _write_answer(folder, answer, scene, campaign_file, project, advised, rest)
     return answer
 
 
@@ -587,9 +595,11 @@ def _write_answer(
     scene: Scene,
     campaign_file: Path,
     project: dict[str, str],
+    advised: Advice,
     progress: Progress | None,
 ) -> None:
     """Write result and report, and pictures beside it unless the answer is a quick one."""
+    from roomfit.forks import beside, in_this_process
     from roomfit.io.results import write_result
     from roomfit.report.figures import answer_figures, write_pictures
     from roomfit.report.html import mean_decay_figure, report_html
@@ -611,6 +621,7 @@ def _write_answer(
             inputs_sha256=input_digests(inputs),
             project=project,
             figures=figures,
+            advice=advised,
         )
         write_result(folder, answer, inputs, remaining_usable(answer))
         write_text_atomically(folder / "report.html", page)

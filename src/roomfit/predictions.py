@@ -130,7 +130,7 @@ def predict_to_folder(
 
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
-    field = _prepared_field(campaign, absorption_file, wanted)
+    field = _prepared_field(campaign, absorption_file, wanted, changes)
     pairs, state, grid_m, doubted = wanted or WantedPairs()
     most_drawn = _MOST_PICTURES if grid_m is None else 0
     if field is not None:
@@ -184,7 +184,10 @@ def write_grid(folder: Path, predicted: Predicted, scene: Scene) -> None:
 
 
 def _prepared_field(
-    campaign: Campaign, absorption_file: ResultFile | None, wanted: WantedPairs | None
+    campaign: Campaign,
+    absorption_file: ResultFile | None,
+    wanted: WantedPairs | None,
+    changes: Sequence[Change],
 ) -> PreparedField | None:
     """Return a campaign as a diffuse field; None where positions and an absorption are given.
 
@@ -192,12 +195,15 @@ def _prepared_field(
     ------
     InputError
         Responses were measured and no absorption is given; a state or a choice of pairs is asked
-        for; or the campaign has no positions, and nothing that is known without.
+        for; the campaign has no positions, and nothing that is known without; or a doubted result
+        is to be taken where none is given.
+    InsufficientDataError
+        Walls are to be changed and the result is seriously doubted in a band, and may not be.
     """
     from roomfit.core import room_posterior
     from roomfit.io.results import read_result
     from roomfit.io.reverberation import diffuse_field
-    from roomfit.prediction.campaign import WantedPairs
+    from roomfit.prediction.campaign import WantedPairs, undoubted
     from roomfit.prediction.diffuse import prepare_field
     from roomfit.scene import Room, Scene, shoebox_room
 
@@ -219,11 +225,29 @@ def _prepared_field(
             found="--pairs, --state or --grid",
             needed="sources and receivers with positions, and --absorption",
         )
+    may_be_doubted = wanted is not None and wanted.doubted
+    if may_be_doubted and absorption_file is None:
+        raise InputError(
+            "decay times and priors alone have no result that could be doubted",
+            where=str(campaign.path),
+            found="--doubted",
+            needed="--absorption, a result, beside it",
+            hint="leave --doubted out: nothing is left out here",
+        )
     field, room = diffuse_field(campaign)
     with located(str(campaign.path)):
         known = None
         if absorption_file is not None:
-            known = room_posterior(read_result(absorption_file), field.priors, field.bands)
+            found = read_result(absorption_file)
+            refused = () if may_be_doubted else undoubted(found, field.bands, changes, "")[2]
+            if refused:
+                raise InsufficientDataError(
+                    "the result is seriously doubted in some of the bands",
+                    found=refused[0].sentence,
+                    needed="a result that is not, or bands in which it is not",
+                    hint="put right what the findings name; or add --doubted",
+                )
+            known = room_posterior(found, field.priors, field.bands)
         # of volume and surface alone no wall is known: one material, and no picture
         walls: Room = room or shoebox_room((1.0, 1.0, 1.0), "room")
         scene = Scene(walls, (), (), np.zeros((0, 2), np.int64), campaign.air)
@@ -251,6 +275,7 @@ def treat_to_folder(
     StoreError
         The disk refuses.
     """
+    from roomfit.prediction.changes import Change
     from roomfit.report.figures import png
     from roomfit.treatment.campaign import read_treatment, treat_arguments
     from roomfit.treatment.output import treatment_figure, write_treatment
@@ -259,7 +284,8 @@ def treat_to_folder(
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
     table = read_treatment(treatment_file)
-    field = _prepared_field(campaign, absorption_file, wanted)
+    covered = [Change(name, "factor", (1.0,)) for name in table.surfaces]
+    field = _prepared_field(campaign, absorption_file, wanted, covered)
     to_measure: tuple[str, ...] = ()
     if field is not None:
         if not campaign.has_room:
@@ -274,7 +300,13 @@ def treat_to_folder(
             answer = treat(field, **asked, progress=progress)
     elif absorption_file is not None:
         answer, doubts = _treat_traced(
-            campaign, absorption_file, treatment_file, table, wanted, part(progress, 0.0, 0.9)
+            campaign,
+            absorption_file,
+            treatment_file,
+            table,
+            covered,
+            wanted,
+            part(progress, 0, 0.9),
         )
         to_measure = _what_to_measure(campaign, absorption_file, answer, part(progress, 0.9, 1.0))
     answer = replace(answer, findings=(*doubts, *answer.findings), to_measure=to_measure)
@@ -289,20 +321,19 @@ def _treat_traced(
     absorption_file: ResultFile,
     treatment_file: Path,
     table: TreatmentTable,
+    covered: Sequence[Change],
     wanted: WantedPairs | None,
     progress: Progress | None,
 ) -> tuple[Treatment, tuple[Finding, ...]]:
     """Return a treatment by the paths of the room, and what is in doubt about its standards."""
     from roomfit.io.results import read_result
     from roomfit.prediction.campaign import WantedPairs, predict_arguments
-    from roomfit.prediction.changes import Change
     from roomfit.prediction.predict import prepare_prediction
     from roomfit.treatment.campaign import hardest_changes, treat_arguments
     from roomfit.treatment.treat import treat
 
     pairs, state, _, doubted = wanted or WantedPairs()
     found = read_result(absorption_file)
-    covered = [Change(name, "factor", (1.0,)) for name in table.surfaces]
     given = predict_arguments(campaign, found, covered, pairs, state, doubted)
     scene, known = given["scene"], given["absorption"]
     asked, doubts = treat_arguments(treatment_file, table, known, scene)

@@ -11,22 +11,21 @@ import numpy as np
 from roomfit.bands import Bands
 from roomfit.findings import About, Code, Finding
 from roomfit.materials.priors import MaterialPrior, object_area_m2, object_volumes_m3
-from roomfit.objective.coherent import FittedGeometry
-from roomfit.objective.directivity import FittedDirectivity
 from roomfit.settings import Settings
-from roomfit.signals.iso3382 import VALUE_NAMES
-from roomfit.solvers.certificate import Certificate
-from roomfit.typing import BoolArray, FloatArray
-from roomfit.uncertainty.combinations import Combination
-from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
+from roomfit.typing import VALUE_NAMES, BoolArray, FloatArray
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
-from roomfit.uncertainty.profile import Profile
-from roomfit.uncertainty.sampling import Sampled
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    # compiled, and nobody who reads a result waits for it
+    from roomfit.objective.coherent import FittedGeometry
+    from roomfit.objective.directivity import FittedDirectivity
+    from roomfit.solvers.certificate import Certificate
     from roomfit.table import Table
+    from roomfit.uncertainty.combinations import Combination
+    from roomfit.uncertainty.profile import Profile
+    from roomfit.uncertainty.sampling import Sampled
 
 Use = Literal["fit", "validate"]
 
@@ -403,6 +402,8 @@ def result_doubts(
         and (not f.about.materials or set(f.about.materials) & set(absorption.materials))
         and any(f.about.in_band(float(centre)) for centre in absorption.bands.centres_hz)
     ]
+    from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
+
     voids = list(dict.fromkeys(f.code for f in serious if f.code.voids_identifiability))
     chi2 = absorption.chi2_reduced
     misfit = np.zeros(0) if chi2 is None else chi2[chi2 > LARGEST_CHI2_REDUCED]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,10 @@ FloatArray: TypeAlias = NDArray[np.float64]
 ComplexArray: TypeAlias = NDArray[np.complex128]
 IntArray: TypeAlias = NDArray[np.integer[Any]]
 BoolArray: TypeAlias = NDArray[np.bool_]
+
+ParameterName = Literal["EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms"]
+ValueName = Literal[ParameterName, "G_dB"]
+VALUE_NAMES: tuple[ValueName, ...] = (*get_args(ParameterName), "G_dB")
 
 Progress: TypeAlias = Callable[[float], None]
 """Called with the fraction of a long job that is done, rising from 0 to 1."""

@@ -419,11 +419,17 @@ def test_it_can_be_read_and_named_everywhere(
         assert page.evaluate(_UNNAMED) == [], name
         wide = page.evaluate("document.documentElement.scrollWidth")
         assert wide <= width, f"{name} is {wide} px wide"
-    # by the keyboard alone
+    # by the keyboard alone, from the last tab to the first; and into what is to be typed
     page.get_by_role("tab", name="Report").focus()
-    page.keyboard.press("ArrowLeft")
-    page.keyboard.press("Enter")
-    page.locator('[role=tab][aria-selected="true"]', has_text="What if").wait_for()
+    for name in list(seen)[-2::-1]:
+        page.keyboard.press("ArrowLeft")
+        page.keyboard.press("Enter")
+        page.get_by_role("tab", name=name, exact=True, selected=True).wait_for()
+        if name == "Measure":
+            page.keyboard.press("Tab")
+            focused = page.evaluate("document.activeElement.closest('[role=tabpanel]') !== null")
+            assert focused, "the fields of Measure come after its tab"
+            page.get_by_role("tab", name=name, exact=True).focus()
     visit.context.close()
 
 

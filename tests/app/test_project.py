@@ -15,8 +15,6 @@ import numpy as np
 import pytest
 import soundfile
 
-pytest.importorskip("tomlkit", reason="the workbench needs the extra app")
-
 from roomfit.app import project, views
 from roomfit.app.jobs import Job, Jobs, Worker
 from roomfit.cache import write_json_atomically
@@ -25,7 +23,7 @@ from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import refuse
 from roomfit.io.campaign import read_campaign
-from roomfit.io.remedies import Edit
+from roomfit.io.edits import Edit, Preview, apply, can_undo, edited_text, preview, undo
 from roomfit.typing import FloatArray
 
 
@@ -62,7 +60,7 @@ def test_a_measured_pair_stands_in_the_campaign_once_and_without_a_common_clock(
     (measured,) = read_campaign(file, to_fit=False).measurements
     assert (measured.source, measured.receiver) == ("LS1", "hall 2")
     assert measured.response.time_zero == "direct"
-    file.write_text('measurements = [{ source = "A", receiver = "B", file = "x.wav" }]\n')
+    file.write_text('measurements = [\n{ source = "A", receiver = "B", file = "x.wav" },\n]\n')
     before = file.read_bytes()
     with pytest.raises(InputError, match="cannot edit"):
         project.name_measured(box, "LS1", "R1")
@@ -397,9 +395,9 @@ positions = "fixed"  # for now
 """
 
 
-def remedied(folder: Path, text: str, *edits: Edit) -> project.Preview:
+def remedied(folder: Path, text: str, *edits: Edit) -> Preview:
     project.campaign_file(folder).write_text(text)
-    return project.preview(folder, edits)
+    return preview(project.campaign_file(folder), edits)
 
 
 def test_a_remedy_changes_its_keys_and_keeps_comments_and_order(tmp_path: Path) -> None:
@@ -446,7 +444,7 @@ def test_rows_of_measurements_are_changed_by_their_number_and_new_ones_come_last
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 def test_ends_of_lines_stay_and_the_last_one_may_be_missing(tmp_path: Path, end: str) -> None:
     text = WRITTEN.rstrip("\n").replace("\n", end)
-    after = project.edited_text(text, [Edit(("identify",), "wall_delays", True)])
+    after = edited_text(text, [Edit(("identify",), "wall_delays", True)])
     assert after == f"{text}{end}wall_delays = true{end}"
 
 
@@ -454,10 +452,13 @@ def test_a_campaign_that_cannot_be_edited_key_by_key_is_refused_and_stays(tmp_pa
     text = WRITTEN + "[materials]\nwalls = {scattering = 0.1}\n"
     edit = Edit(("materials", "walls"), "prior", "cork-tiles")
     assert "cork-tiles" in remedied(tmp_path, text, edit).after
+    edit = Edit(("materials", "floor"), "prior", "cork-tiles")
     inline = "materials = {walls = {scattering = 0.1}}\n" + WRITTEN
-    with pytest.raises(InputError, match=r"cannot edit(?s:.*)\[materials.floor\]"):
-        remedied(tmp_path, inline, Edit(("materials", "floor"), "prior", "cork-tiles"))
-    assert project.campaign_file(tmp_path).read_text() == inline
+    assert '{prior = "cork-tiles"}' in remedied(tmp_path, inline, edit).after
+    several = 'states = [\n  {name = "empty"},\n]\n' + WRITTEN
+    with pytest.raises(InputError, match=r"cannot edit(?s:.*)\[\[states\]\]"):
+        remedied(tmp_path, several, Edit(("states", 1), "name", "full"))
+    assert project.campaign_file(tmp_path).read_text() == several
 
 
 def test_a_remedy_that_the_campaign_does_not_allow_is_refused_before_it_is_written(
@@ -471,20 +472,20 @@ def test_a_remedy_that_the_campaign_does_not_allow_is_refused_before_it_is_writt
 
 def test_a_remedy_can_be_undone_byte_by_byte_and_only_while_nobody_edits(tmp_path: Path) -> None:
     file = project.campaign_file(tmp_path)
-    assert not project.can_undo(tmp_path)
+    assert not can_undo(project.campaign_file(tmp_path))
     wanted = remedied(tmp_path, WRITTEN, Edit(("identify",), "positions", "fit"))
-    project.apply(tmp_path, wanted)
-    assert file.read_text() == wanted.after and project.can_undo(tmp_path)
-    project.undo(tmp_path)
-    assert file.read_text() == WRITTEN and not project.can_undo(tmp_path)
+    apply(project.campaign_file(tmp_path), wanted)
+    assert file.read_text() == wanted.after and can_undo(project.campaign_file(tmp_path))
+    undo(project.campaign_file(tmp_path))
+    assert file.read_text() == WRITTEN and not can_undo(project.campaign_file(tmp_path))
     assert [p.name for p in tmp_path.iterdir()] == ["campaign.toml"]
     with pytest.raises(InputError, match="nothing can be undone"):
-        project.undo(tmp_path)
-    project.apply(tmp_path, wanted)
+        undo(project.campaign_file(tmp_path))
+    apply(project.campaign_file(tmp_path), wanted)
     file.write_text(wanted.after + "# mine\n")
-    assert not project.can_undo(tmp_path)
+    assert not can_undo(project.campaign_file(tmp_path))
     with pytest.raises(InputError, match="nothing can be undone"):
-        project.undo(tmp_path)
+        undo(project.campaign_file(tmp_path))
     assert file.read_text() == wanted.after + "# mine\n"
 
 
@@ -492,7 +493,7 @@ def test_what_was_shown_is_not_written_over_what_somebody_else_has_written(tmp_p
     wanted = remedied(tmp_path, WRITTEN, Edit(("identify",), "positions", "fit"))
     project.campaign_file(tmp_path).write_text(WRITTEN + "# mine\n")
     with pytest.raises(InputError, match="has changed since"):
-        project.apply(tmp_path, wanted)
+        apply(project.campaign_file(tmp_path), wanted)
     assert project.campaign_file(tmp_path).read_text() == WRITTEN + "# mine\n"
 
 
@@ -550,7 +551,7 @@ def test_what_a_finding_advises_resolves_it(
     (entry,) = [a for a in view["advised"] if a["code"] == code.value]
     options = json.loads(json.dumps(entry["options"], allow_nan=False))
     edits = [Edit(tuple(e["table"]), e["key"], e["value"]) for e in options[0]["edits"]]
-    project.apply(folder, project.preview(folder, edits))
+    apply(project.campaign_file(folder), preview(project.campaign_file(folder), edits))
     again = views.recordings_view(nothing, str(folder), project.SHAPE)
     said = [*again["findings"], *(note for row in again["rows"] for note in row["notes"])]
     assert code.value not in [f["code"] for f in said] and not again["advised"]
@@ -566,8 +567,8 @@ def test_a_remedy_that_counts_from_old_values_is_none_of_a_campaign_that_was_cha
         Finding(Code.POSITION_INCONSISTENT, About(), "..."),
         Finding(Code.POSITION_UNCERTAINTY_INFLATED, About(), "...", {"stretch": 2.0}),
     ]
-    assert [a["code"] for a in views.advised(found, campaign)] == [f.code.value for f in found]
-    left = views.advised(found, campaign, changed=True)
+    assert [a["code"] for a in views.advice_view(found, campaign)] == [f.code.value for f in found]
+    left = views.advice_view(found, campaign, changed=True)
     assert [a["code"] for a in left] == ["position-inconsistent"]
 
 
@@ -607,7 +608,7 @@ def test_findings_of_one_code_are_one_choice_of_all_of_them_first(tmp_path: Path
         Finding(Code.TIME_ZERO_MISMATCH, About(files=[f"{name}.wav"]), "...", graded=severity)
         for name, severity in (("a", "warning"), ("b", "serious"))
     ]
-    (entry,) = views.advised(found, campaign)
+    (entry,) = views.advice_view(found, campaign)
     assert [o["words"] for o in entry["options"]] == [
         f'time_zero = "direct" for {which}' for which in ("all 2 recordings", "a.wav", "b.wav")
     ]

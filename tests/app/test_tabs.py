@@ -27,6 +27,7 @@ from roomfit.app.report_tab import ReportTab
 from roomfit.app.room_tab import RoomTab
 from roomfit.app.what_if_tab import Changes, WhatIfTab
 from roomfit.errors import InputError
+from roomfit.io.edits import can_undo
 
 ASKING = {tab.name: tab for tab in own_page.TABS if tab not in (MeasureTab, ReportTab)}
 
@@ -511,7 +512,8 @@ def test_a_remedy_that_is_left_writes_nothing(folder: Path) -> None:
         assert not tab.advice.dialog.value
 
     asyncio.run(whole())
-    assert project.campaign_file(folder).read_bytes() == before and not project.can_undo(folder)
+    file = project.campaign_file(folder)
+    assert file.read_bytes() == before and not can_undo(file)
 
 
 def test_of_several_remedies_the_one_that_was_chosen_is_shown(folder: Path) -> None:

@@ -62,6 +62,29 @@ def test_a_check_of_a_room_loads_no_pictures_and_no_statistics(tmp_path):
     assert "can be traced" in done.stdout + done.stderr
 
 
+def test_an_export_and_a_result_that_is_read_wait_for_no_compiler(tmp_path):
+    """A table written anew takes no kernel, and no package that only a fit needs."""
+    table, out = tmp_path / "absorption.csv", tmp_path / "materials.txt"
+    table.write_text(
+        "material,band_hz,absorption,lower95,upper95,identifiable\ncarpet,500,0.3,0.25,0.36,true\n"
+    )
+    program = (
+        f"import sys; sys.path[:0] = {sys.path!r}\n"
+        "from pathlib import Path\n"
+        "from roomfit.cli import main\n"
+        f"try: main(['export', {str(table)!r}, '--format', 'catt', '--out', {str(out)!r}])\n"
+        "except SystemExit: pass\n"
+        "from roomfit.io.results import read_result\n"
+        f"print(read_result(Path({str(table)!r})).materials)\n"
+        "print('LOADED', [m for m in ('numba', 'scipy', 'matplotlib') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert "('carpet',)" in done.stdout and out.is_file()
+    assert "LOADED []" in done.stdout, done.stdout + done.stderr
+
+
 COMMANDS = ("app", "batch", "cache", "catalogue", "check", "compare", "coverage", "demo",
             "design", "export", "identify", "impedance", "init", "listen", "measure", "paper",
             "predict", "reverberation", "schema", "treat")  # fmt: skip
@@ -275,6 +298,50 @@ def test_check_says_one_cause_once_and_ends_with_1(tmp_path, monkeypatch, capsys
     campaign.write_text(text)
     assert run_command(monkeypatch, "check", campaign) == 0
     assert f"then: roomfit identify {campaign} --out result\n" in capsys.readouterr().out
+
+
+def test_what_a_finding_advises_is_printed_written_and_taken_back(tmp_path, monkeypatch, capsys):
+    """The lines that are shown are those that are written, and they leave no such finding."""
+    campaign = late_campaign(tmp_path)
+    text = campaign.read_text() + "# mine\n"
+    campaign.write_text(text)
+    assert run_command(monkeypatch, "check", campaign) == 1
+    shown = capsys.readouterr().out
+    lines = ["[defaults]", "latency_s = 0.005"]
+    assert "".join(f"    {line}\n" for line in lines) in shown
+    assert f"roomfit check {campaign} --remedy CODE" in shown
+    assert run_command(monkeypatch, "check", campaign, "--remedy", "recordings-late") == 0
+    said = capsys.readouterr().out
+    assert all(line in said for line in lines) and "--undo" in said
+    assert campaign.read_text() == f"{text}\n{lines[0]}\n{lines[1]}\n"
+    assert run_command(monkeypatch, "check", campaign) == 0
+    capsys.readouterr()
+    assert run_command(monkeypatch, "check", campaign, "--undo") == 0
+    assert campaign.read_text() == text
+    capsys.readouterr()
+    assert run_command(monkeypatch, "check", campaign, "--undo") == 2
+    assert "nothing can be undone" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_what_an_answer_advises_is_written_by_its_code_and_number(tmp_path, monkeypatch, capsys):
+    """On the terminal, in the report, and in the campaign the same."""
+    campaign, out = write_campaign(tmp_path / "own"), tmp_path / "answer"
+    assert run_command(monkeypatch, "identify", campaign, "--quick", "--out", out) == 0
+    shown = capsys.readouterr().out
+    line = re.search(r"# or (position-uncertainty-assumed:2), (position_sd = \S+) for", shown)
+    assert line and line[0] in (out / "report.html").read_text()
+    assert f"--result {out} --remedy CODE" in shown
+    for wanted, words in ((line[1][:-1] + "9", "no finding advises this"), ("none", "--result")):
+        assert run_command(monkeypatch, "check", campaign, "--result", out, "--remedy", wanted) == 2
+        assert words in capsys.readouterr().err
+    before = campaign.read_text()
+    assert run_command(monkeypatch, "check", campaign, "--result", out) == 2
+    assert run_command(monkeypatch, "check", campaign, "--result", out, "--remedy", line[1]) == 0
+    written = campaign.read_text()
+    assert written.count(line[2]) == 3 and before.count(line[2]) == 0
+    assert run_command(monkeypatch, "check", campaign, "--undo") == 0
+    assert campaign.read_text() == before
 
 
 def test_a_folder_in_place_of_a_file_is_refused_with_the_file_in_it(tmp_path, monkeypatch, capsys):

@@ -231,6 +231,7 @@ def test_feet_for_metres_are_recognised_with_and_without_a_delay(delay_s):
     (found,) = causes(in_feet, files)
     assert found.code is Code.COORDINATES_SCALED
     assert "feet are read as metres" in found.sentence
+    assert found.evidence == {"factor": 0.3048, "unit": "ft"}
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
@@ -243,6 +244,7 @@ def test_another_scale_is_no_delay(factor):
     (found,) = causes(SCENE, files)
     assert found.code is Code.COORDINATES_SCALED
     assert found.evidence["factor"] == pytest.approx(factor, abs=0.02)
+    assert "unit" not in found.evidence
 
 
 @pytest.mark.parametrize("metres", [0.5, 1.0])
@@ -255,6 +257,11 @@ def test_receivers_displaced_together_are_neither_a_delay_nor_a_scale(metres):
     assert found.sentence.startswith("By the direct sounds all 4 receivers stand elsewhere")
     assert found.evidence["metres"] == pytest.approx(metres, abs=0.03)
     assert len(found.about.points_m) == 4
+    # moved by what was found, they are where they stand
+    np.testing.assert_allclose(found.evidence["shift_m"], by, atol=0.05)
+    shift_m = found.evidence["shift_m"]
+    there = {name: tuple(np.add(p, shift_m)) for name, p in RECEIVERS.items()}
+    assert causes(scene_of(SCENE.room, SOURCES, there), recordings(at=at)) == []
 
 
 def test_explanations_that_are_as_likely_are_named_beside_each_other():

@@ -107,7 +107,10 @@ def answers(phi: list[float], model: str = "coherent"):
     [
         ([3.9, 4.2, 2.0, 1.7, 2.0, 1.4], True),
         ([3.9, 1.7, 0.8, 0.9, 1.1, 0.5], False),  # one low band with reasons of its own
-        ([2.5, 2.5], False),  # too few for a common reason
+        ([2.5, 1.6], True),  # both, as of three bands two at least
+        ([4.0, 1.4], False),  # one of two, whose mean is high
+        ([4.0], False),
+        ([2.5, 1.6, 0.5], True),
     ],
 )
 def test_many_bands_that_fit_badly_cast_doubt_on_the_description(phi, doubtful):

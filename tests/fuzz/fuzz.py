@@ -171,13 +171,12 @@ def readers(folder: Path) -> dict[str, Callable[[Path], object]]:
     import numpy as np
 
     from roomfit.bands import bands_between
-    from roomfit.commands import check_room
     from roomfit.coverage.estimate import FOLDER, read_replicate
     from roomfit.impedance.campaign import read_spectrum
     from roomfit.io.campaign import read_campaign
     from roomfit.io.directivity import read_directivity
     from roomfit.io.exports import read_material_table
-    from roomfit.io.inputs import identify_arguments
+    from roomfit.io.inputs import check_room, identify_arguments
     from roomfit.io.iso3382 import read_parameters
     from roomfit.io.responses import read_response
     from roomfit.io.responses.recordings import ResponseSpec

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roomfit.commands import check_room
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.geometry.mesh import refuse
+from roomfit.io.inputs import check_room
 from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.report.text import room_text

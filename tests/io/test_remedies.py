@@ -7,9 +7,11 @@ from typing import Any
 
 import pytest
 
+from roomfit.errors import InputError
 from roomfit.findings import About, Code, Finding
 from roomfit.io.campaign import Campaign, read_campaign
-from roomfit.io.remedies import Edit, Remedy, remedies, together
+from roomfit.io.edits import Edit
+from roomfit.io.remedies import Remedy, advice, advised, chosen, remedies, together
 
 ROOM = """
 [room]
@@ -211,6 +213,101 @@ def test_what_was_excluded_is_fitted(tmp_path: Path, code: Code, key: str, value
 def test_what_stands_there_already_is_not_advised(tmp_path: Path) -> None:
     own = campaign_of(tmp_path, ROOM + '[identify]\npositions = "fit"\n')
     assert remedies(doubt(Code.POSITION_INCONSISTENT), own) == ()
+
+
+def test_coordinates_in_another_unit_are_converted_with_the_room_or_without(
+    tmp_path: Path,
+) -> None:
+    own = campaign_of(tmp_path, ROOM)
+    feet = doubt(Code.COORDINATES_SCALED, {"factor": 0.3048, "unit": "ft"})
+    both, alone = remedies(feet, own)
+    points = [
+        ("sources", "S1", "position", (0.4572, 0.3658, 0.4572)),
+        ("sources", "S2", "position", (0.4572, 0.9754, 0.4572)),
+        ("receivers", "R1", "position", (1.2192, 1.0668, 0.3658)),
+        ("receivers", "R2", "position", (1.524, 1.0668, 0.3658)),
+    ]
+    assert written((both,)) == [[("room", "unit", "ft"), *points]]
+    assert written((alone,)) == [points] and both.once and alone.once
+    metres = doubt(Code.COORDINATES_SCALED, {"factor": 1.0 / 0.3048, "unit": "m"})
+    (one,) = remedies(metres, own)  # the room is not read as feet
+    assert one.edits[0] == Edit(("sources", "S1"), "position", (4.9213, 3.937, 4.9213))
+    # a sampling rate, the temperature, or a drawing: the arrivals do not tell which
+    assert remedies(doubt(Code.COORDINATES_SCALED, {"factor": 1.04}), own) == ()
+
+
+def test_receivers_that_are_displaced_together_are_moved_and_a_single_point_is_opened(
+    tmp_path: Path,
+) -> None:
+    own = campaign_of(tmp_path, ROOM)
+    by = {"receivers": ["R1", "R2"], "metres": 0.5, "shift_m": [0.3, -0.4, 0.0]}
+    (one,) = remedies(doubt(Code.DISPLACEMENT_DETECTED, by), own)
+    assert written((one,)) == [
+        [
+            ("receivers", "R1", "position", (4.3, 3.1, 1.2)),
+            ("receivers", "R2", "position", (5.3, 3.1, 1.2)),
+        ]
+    ]
+    assert one.once and one.words == "R1, R2 moved by (+0.30, -0.40, +0.00) m"
+    alone = doubt(Code.DISPLACEMENT_DETECTED, {"source": "S2", "metres": 0.254})
+    assert written(remedies(alone, own)) == [[("sources", "S2", "position_sd", 0.25)]]
+    far = doubt(Code.DISPLACEMENT_DETECTED, {"source": "S2", "metres": 1.4})
+    assert remedies(far, own) == ()
+
+
+@pytest.mark.parametrize(
+    ("what", "expected"),
+    [
+        (
+            "all positions",
+            [("groups", "everything", "members", ("*",)),
+             ("groups", "everything", "sd", (0.0, 0.25, 0.0))],
+        ),
+        ("length", [("room", "lengths_sd", (0.1, 0.25, 0.02))]),
+        ("array", [("groups", "array", "sd", (0.05, 0.25, 0.05))]),
+        (
+            "wall",
+            [("groups", "everything", "members", ("*",)),
+             ("groups", "everything", "sd", (0.0, 0.25, 0.0)),
+             ("room", "lengths_sd", (0.1, 0.25, 0.02))],
+        ),
+    ],
+)  # fmt: skip
+def test_what_early_reflections_find_displaced_is_fitted_within_its_size(
+    tmp_path: Path, what: str, expected: list[tuple[Any, ...]]
+) -> None:
+    """24 cm with a standard deviation of 7 cm: 25 cm, along y; along the others as it was."""
+    text = ROOM.replace("[sources.S1]", "lengths_sd = [0.1, 0.05, 0.02]\n[sources.S1]")
+    own = campaign_of(tmp_path, text + '[groups.array]\nmembers = ["R*"]\nsd = 0.05\n')
+    evidence = {"what": what, "axis": "y", "metres": -0.24, "sd_m": 0.07}
+    assert written(remedies(doubt(Code.DISPLACEMENT_DETECTED, evidence), own)) == [expected]
+
+
+def test_lines_that_are_shown_are_those_that_are_written_and_choices_have_numbers(
+    tmp_path: Path,
+) -> None:
+    own = campaign_of(tmp_path, ROOM)
+    found = [doubt(Code.POSITION_UNCERTAINTY_ASSUMED, {"points": ["S1", "R1"]})]
+    code = Code.POSITION_UNCERTAINTY_ASSUMED
+    shown = advice(found, own)[code]
+    assert shown == [
+        f"# {code}:1, position_sd = 0.005 for S1, R1",
+        "[sources.S1]",
+        "position_sd = 0.005",
+        "[receivers.R1]",
+        "position_sd = 0.005",
+        f"# or {code}:2, position_sd = 0.01 for S1, R1",
+        f"# or {code}:3, position_sd = 0.02 for S1, R1",
+        f"# or {code}:4, position_sd = 0.05 for S1, R1",
+    ]
+    options = advised(found, own)
+    assert chosen(options, f"{code}:3") is options[code][2]
+    assert chosen(options, str(code)) is options[code][0]
+    for wrong in ("levels-apart", f"{code}:5", f"{code}:0", f"{code}:x"):
+        with pytest.raises(InputError, match=rf"(?s)no finding advises this.*{code}:1 to {code}:4"):
+            chosen(options, wrong)
+    own.path.unlink()
+    assert advice(found, own) == {}, "an answer is not lost with its campaign"
 
 
 @pytest.mark.parametrize("code", [Code.COORDINATES_SCALED, Code.DECAY_BENT, Code.NOT_CERTIFIED])

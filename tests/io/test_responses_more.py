@@ -355,6 +355,25 @@ def test_the_band_of_an_excitation_is_the_one_it_was_made_for(signal, low_hz, hi
     assert abs(np.log2(high / high_hz)) <= 1 / 12
 
 
+def test_a_loopback_that_rolls_off_gives_what_it_has_down_to_15_db_and_no_more():
+    """Two poles at 500 Hz: 12 dB down at 250 Hz, and beyond the band at 125 Hz, 24 dB down.
+
+    The quotient of a loopback by itself is 1 wherever it has energy: here to 0.5 dB, the width of
+    a cross-fade, and noise 60 dB below the sweep does not change that.
+    """
+    highpass = scipy.signal.butter(2, 500.0, "high", fs=RATE_HZ, output="sos")
+    rolled = scipy.signal.sosfilt(highpass, sweep())
+    low, high = band_of(rolled, RATE_HZ)
+    assert 125.0 < low < 250.0 and abs(np.log2(high / BAND_HZ[1])) <= 1 / 12
+    noise = 1e-3 * np.random.default_rng(5).normal(size=len(rolled))
+    quotient = regularised_quotient(rolled + noise, rolled, RATE_HZ, (low, high))
+    gain_db = 20.0 * np.log10(np.abs(np.fft.rfft(quotient)))
+    f = np.fft.rfftfreq(len(quotient), 1.0 / RATE_HZ)
+    own = {at: float(gain_db[(f > 0.97 * at) & (f < 1.03 * at)].mean()) for at in (250, 1000, 80)}
+    assert own[250] == pytest.approx(own[1000], abs=0.5)
+    assert own[80] < own[1000] - 40.0
+
+
 def test_a_clipped_recording_is_reported_and_the_crests_of_low_tones_are_not(tmp_path):
     """16 bits: at 15 Hz and half of full scale several samples at a crest are equal."""
     low = pyfar.signals.exponential_sweep_time(RATE_HZ, (15, 9000), sampling_rate=RATE_HZ)

@@ -16,10 +16,10 @@ from ezdxf.render.forms import cube
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roomfit.commands import check_room
 from roomfit.errors import InputError, RoomfitError
 from roomfit.findings import Code
 from roomfit.geometry.mesh import is_double_sided, surface_area_m2, triangle_areas_m2, volume_m3
+from roomfit.io.inputs import check_room
 from roomfit.io.rooms import read_mesh, read_room
 from roomfit.io.rooms.catt import area_m2, cut_parts
 from roomfit.io.rooms.model import RoomSpec

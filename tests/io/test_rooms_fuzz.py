@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from box_files import ac3d, corners, obj, planes, ply, stl
-from roomfit.commands import check_room
 from roomfit.errors import RoomfitError
+from roomfit.io.inputs import check_room
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
 
 NASTY = '0 -1 1 7 9 nan inf -inf 1e400 99999999999 0x10 x \x00 " / // . , - + \\ # kids refs f'

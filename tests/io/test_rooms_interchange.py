@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roomfit.commands import check_room
 from roomfit.errors import InputError, RoomfitError
 from roomfit.findings import Code
 from roomfit.geometry.mesh import volume_m3
 from roomfit.io.draft import likely_units
+from roomfit.io.inputs import check_room
 from roomfit.io.rooms import read_mesh, read_model, read_room
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.scene import material_areas_m2

@@ -20,7 +20,7 @@ from roomfit.io.results import read_result, write_result
 from roomfit.logit import logit
 from roomfit.materials.priors import DEFAULT_LOGIT_SD
 from roomfit.prediction.campaign import WantedPairs, predict_arguments
-from roomfit.prediction.changes import read_change
+from roomfit.prediction.changes import Change, read_change
 from roomfit.prediction.split import doubted_walls, for_another_room, open_splits
 from roomfit.predictions import _treat_traced, listen_to_folder
 from roomfit.results import absorption_posterior
@@ -241,12 +241,14 @@ def test_treatments_sounds_and_the_workbench_need_to_be_asked_for_doubted_walls(
     monkeypatch.setattr("roomfit.app.what_if.prepare_prediction", begun)
     monkeypatch.setattr("roomfit.treatment.campaign.treat_arguments", begun)
     campaign, table = read_campaign(file, to_fit=False), SimpleNamespace(surfaces={"floor": None})
+    covered = [Change("floor", "factor", (1.0,))]
     for state in ("", "turned"):
         wanted = WantedPairs("all", state)
         with pytest.raises(InsufficientDataError, match="seriously doubted"):
-            _treat_traced(campaign, file, file, table, wanted, None)
+            _treat_traced(campaign, file, file, table, covered, wanted, None)
         with pytest.raises(BegunError):
-            _treat_traced(campaign, file, file, table, wanted._replace(doubted=True), None)
+            heeded = wanted._replace(doubted=True)
+            _treat_traced(campaign, file, file, table, covered, heeded, None)
     refused = what_if_prepare(lambda _: None, str(tmp_path))
     assert list(refused) == ["refused"] and "displacement-detected" in refused["refused"]
     with pytest.raises(BegunError):

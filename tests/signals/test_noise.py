@@ -7,7 +7,7 @@ import pytest
 
 from roomfit.bands import bands_between
 from roomfit.signals.filters import filter_pressure
-from roomfit.signals.noise import estimate_noise
+from roomfit.signals.noise import decay_line, estimate_noise
 from roomfit.signals.response import ImpulseResponse
 
 BANDS = bands_between("octave", 500, 2000)
@@ -28,3 +28,21 @@ def test_the_peak_to_noise_ratio_is_that_of_the_powers_of_decay_and_noise(floor_
     response = ImpulseResponse(np.where(time_s < 0.05, 0.0, decay) + noise, RATE_HZ)
     found = estimate_noise(BANDS, response, filter_pressure(BANDS, response), 0.05)
     np.testing.assert_allclose(found.peak_to_noise_db, -floor_db, atol=3.0)
+
+
+@pytest.mark.filterwarnings("error")
+def test_sound_that_begins_late_over_digital_silence_has_a_decay_or_none_but_no_infinite_one():
+    """1 s at a time constant of 1 ms is a height of exp(1000), which no number holds."""
+    times = (np.arange(150) + 0.5) * 0.01
+    for constant_s in (0.0001, 0.001, 0.003, 0.1):
+        for begins_s in (0.0, 0.3, 1.0):
+            since_s = np.maximum(times - begins_s, 0.0)
+            blocks = np.where(times > begins_s, np.exp(-since_s / constant_s), 0.0)
+            line = decay_line(times, np.maximum(blocks, 1e-300), 1e-300, np.inf)
+            if line is None:
+                assert begins_s > 500.0 * constant_s
+            else:
+                assert np.isfinite(line).all() and begins_s < 700.0 * constant_s
+                assert line[1] == pytest.approx(constant_s, rel=1e-3)
+                expected = begins_s / constant_s
+                assert np.log(line[0]) == pytest.approx(expected, rel=2e-3, abs=1e-3)

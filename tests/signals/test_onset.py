@@ -66,6 +66,26 @@ def test_the_peak_of_a_click_is_found_between_samples(at_s):
     assert find_peak(slow, find_onset(slow)) == find_onset(slow)
 
 
+@pytest.mark.parametrize(
+    ("share", "least", "most"),
+    [(1.0, 0.89, 5.1), (0.8, 0.89, 5.1), (0.5, 4.3, 5.5), (0.4, 6.3, 6.8)],
+)
+def test_a_click_that_is_cut_off_steeply_is_found_early_by_what_it_rings(share, least, most):
+    """At half and below the second side lobe of a sine over its argument lies 17.8 dB down.
+
+    It begins to exceed 20 dB at 2.7 samples over the share; nearer to the Nyquist frequency its
+    samples decide, and those of a click midway between two.
+    """
+    f, n = np.fft.rfftfreq(4096, 1 / RATE_HZ), 4096
+    early = []
+    for at in 1000.0 + np.linspace(0.0, 1.0, 40, endpoint=False):
+        cut = np.exp(-2j * np.pi * f * at / RATE_HZ) * (f <= share * f[-1])
+        early.append(at - RATE_HZ * find_onset(ImpulseResponse(np.fft.irfft(cut, n), RATE_HZ)))
+    assert least < min(early) and max(early) < most
+    if share == 0.4:
+        assert np.median(early) == pytest.approx(2.7 / share, rel=0.05)
+
+
 def test_the_onset_moves_with_the_sound_and_not_with_the_noise():
     """Noise 34 dB below the peak: the onset moves by less than half a sample."""
     clean = find_onset(room(0.02))

@@ -67,9 +67,12 @@ def test_the_odds_of_a_target_count_both_of_its_limits(monkeypatch):
     monkeypatch.setattr(treat_module, "_rest_sd", lambda *_: sd)
     monkeypatch.setattr(treat_module, "limits_of", lambda _: (low, high))
     room = SimpleNamespace(scene=None, before=())
-    question: Any = SimpleNamespace(room=room, targets=(1, 2, 3), target=targets)
-    _, odds, drawn, joint = treat_module._outcome(question, np.zeros(0))
-    assert drawn is rows
+    monkeypatch.setattr(treat_module, "_missed", lambda *_: ())
+    nothing = np.zeros(0)
+    question: Any = SimpleNamespace(room=room, targets=(1, 2, 3), target=targets, cost=nothing)
+    found = treat_module._outcome(question, nothing, nothing, 0.5)
+    assert found.rows is rows
+    odds, joint = treat_module._of_targets(question, found.odds)
     within = norm.cdf(high, rows, sd) - norm.cdf(low, rows, sd)
     np.testing.assert_allclose(
         odds, [within[:, 0].mean(), (within[:, 1] * within[:, 3]).mean(), within[:, 2].mean()]

@@ -89,6 +89,7 @@ def test_square_metres_are_those_of_sabine_by_hand_and_what_was_measured_is_kept
     out = command(monkeypatch, folder, "treat")
     content = json.loads((out / "treatment.json").read_text())
     (first,) = content["arrangements"]
+    assert content["probability_asked"] == 0.5
     hand = by_hand_m2(144.0, 1.10, 0.8, 0.8)
     assert first["hung"][0]["area_m2"] == pytest.approx(hand, rel=0.03)
     time = first["mean"]["T30_s"]
@@ -105,8 +106,10 @@ def test_square_metres_are_those_of_sabine_by_hand_and_what_was_measured_is_kept
 def test_more_of_a_probability_takes_more_of_the_panel(folder, monkeypatch):
     (folder / "treatment.toml").write_text("probability = 0.9\n" + TREATMENT)
     out = command(monkeypatch, folder, "treat")
-    first = json.loads((out / "treatment.json").read_text())["arrangements"][0]
+    content = json.loads((out / "treatment.json").read_text())
+    first = content["arrangements"][0]
     assert first["probability"][0] == pytest.approx(0.9, abs=0.03)
+    assert content["probability_asked"] == 0.9
     assert first["hung"][0]["area_m2"] > 1.1 * by_hand_m2(144.0, 1.10, 0.8, 0.8)
 
 
@@ -209,6 +212,30 @@ def test_what_is_missing_is_said(folder, monkeypatch, capsys, old, new, options,
     assert run_command(monkeypatch, "treat", *files, *options, "--out", folder / "out") == 2
     assert words in capsys.readouterr().err
     assert not (folder / "out").exists()
+
+
+def test_doubts_of_a_result_stop_changes_without_positions_too(folder, monkeypatch, capsys):
+    """A result that is seriously doubted, one that is not, and none, which cannot be doubted."""
+    result = command(monkeypatch, folder, "reverberation") / "result.json"
+    files = (folder / "campaign.toml", folder / "treatment.toml")
+    assert run_command(monkeypatch, "treat", *files, "--doubted", "--out", folder / "x") == 2
+    refused = capsys.readouterr().err
+    assert "no result that could be doubted" in refused and "--doubted" in refused
+    content = json.loads(result.read_text())
+    about = {"materials": [], "bands_hz": [], "pairs": [], "files": [], "points_m": []}
+    own = {"code": "decay-bent", "severity": "serious", "sentence": "Bent.", "evidence": {}}
+    content["findings"].append({**own, "about": about})
+    doubted = folder / "doubted.json"
+    doubted.write_text(json.dumps(content))
+    options = ("--absorption", doubted, "--edited")
+    assert run_command(monkeypatch, "treat", *files, *options, "--out", folder / "y") == 2
+    said = capsys.readouterr().err
+    assert "decay-bent" in said and "--doubted" in said
+    command(monkeypatch, folder, "treat", *options, "--doubted")
+    assert "result-doubted" in capsys.readouterr().out
+    changed = (folder / "campaign.toml", *options, "--set", "floor=0.5")
+    assert run_command(monkeypatch, "predict", *changed, "--out", folder / "z") == 2
+    command(monkeypatch, folder, "predict", *options)  # as it was fitted
 
 
 def test_a_flat_room_is_said_to_be_no_diffuse_field(folder, monkeypatch, capsys):

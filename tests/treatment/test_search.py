@@ -15,6 +15,7 @@ from roomfit.findings import About, Code, Finding
 from roomfit.io.campaign import read_campaign
 from roomfit.prediction.campaign import predict_arguments
 from roomfit.prediction.predict import prepare_prediction
+from roomfit.treatment import treat as treatment
 from roomfit.treatment.output import treatment_sentence
 from roomfit.treatment.question import Product, Surface, Target, question_of, treated, treated_draws
 from roomfit.treatment.search import best_arrangement, excess, mean_values, numbers_of
@@ -140,6 +141,20 @@ def test_the_verdict_is_that_of_the_odds_that_are_printed(room, share, probabili
             assert float(likely) == pytest.approx(p, abs=0.51) and float(likely) < float(needed)
         assert "are met with a probability of" in said and f"{100 * probability:g} % that" in said
     assert found.is_met == ("nothing that was allowed" not in said)
+
+
+@pytest.mark.parametrize("share", [0.8, 0.5])
+def test_no_arrangement_is_predicted_twice_for_verdict_and_display(room, monkeypatch, share):
+    """Each draw of each pair is a response: the search knows an arrangement by its likeliest."""
+    counted, real = [], treatment._means_and_draws
+
+    def counting(room, absorption, draws):
+        counted.append(draws.tobytes())
+        return real(room, absorption, draws)
+
+    monkeypatch.setattr(treatment, "_means_and_draws", counting)
+    treat(room, SURFACES, products(), at_most(room, share), number=2, probability=0.8)
+    assert len(counted) > 1 and len(set(counted)) == len(counted)
 
 
 def test_what_misses_by_little_is_said_with_digits_that_show_it(room):

@@ -5,28 +5,21 @@ Everything that the workbench changes, it changes here, in the files. Comments o
 
 from __future__ import annotations
 
-import json
 import os
-import secrets
+import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-import tomlkit
-from tomlkit.items import AoT, Table
-
-from roomfit.cache import write_json_atomically, write_text_atomically
+from roomfit.cache import write_text_atomically
 from roomfit.commands import export_result
-from roomfit.errors import InputError
-from roomfit.io.campaign import FILL_IN, Campaign, blanks, read_campaign
-from roomfit.io.door import read_text
+from roomfit.errors import InputError, located
+from roomfit.io.campaign import FILL_IN, Campaign, blanks, read_campaign, read_toml
 from roomfit.io.draft import draft_campaign, matching_files
+from roomfit.io.edits import Edit, campaign_text, edited_text, read_beside, value_text
 from roomfit.io.exports import FORMATS
-from roomfit.io.remedies import Edit, value_text
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.io.responses.sweep import response_name
 from roomfit.io.rooms import READERS
@@ -39,7 +32,6 @@ RESULTS = (f"{QUICK}/result.json", f"{FULL}/result.json")
 TREATMENT_QUESTION, TREATMENT = "treatment.toml", "treatment"
 """Products and targets, and the folder of the answer."""
 LISTENED = "listened"
-_UNDO = ".roomfit-undo.json"  # the campaign before the last remedy, and the digest of it after
 RECORDINGS, DRY = "recordings", "dry"
 SHAPE = "{source}_{receiver}.wav"
 """By which recordings are named, unless the user says otherwise."""
@@ -72,46 +64,26 @@ def best_result(folder: Path) -> Path | None:
     return next((file for file in files if file.is_file()), None)
 
 
-def _text(folder: Path) -> str:
-    return read_text(campaign_file(folder), "campaign file", most="campaign_bytes")
+def _content(folder: Path) -> dict[str, Any]:
+    return read_toml(campaign_file(folder))
 
 
-def _document(folder: Path) -> tomlkit.TOMLDocument:
-    try:
-        return tomlkit.parse(_text(folder))
-    except (ValueError, RecursionError) as error:
-        raise InputError(
-            "the campaign file is not valid TOML",
-            where=str(campaign_file(folder)),
-            found=str(error)[:200],
-        ) from error
-
-
-@contextmanager
-def editing(folder: Path) -> Iterator[tomlkit.TOMLDocument]:
-    """Give the campaign file to be changed; what is not stays as it is written, and so its time.
+def _write(folder: Path, *edits: Edit) -> None:
+    """Change keys of the campaign file; where none is another, it keeps its time.
 
     Raises
     ------
     InputError
-        The file is no TOML.
+        The file is no TOML, or written in a way that cannot be edited key by key.
     StoreError
         The disk refuses.
     """
-    document = _document(folder)
-    before = tomlkit.dumps(document)
-    yield document
-    if (after := tomlkit.dumps(document)) != before:
-        write_text_atomically(campaign_file(folder), after)
-
-
-def _table(parent: Any, name: str) -> Any:
-    """Return a table of a document, made where it is missing."""
-    if name not in parent:
-        parent[name] = tomlkit.table()
-    if not isinstance(parent[name], Table | dict):
-        raise InputError("a table is needed", where=name, found=repr(parent[name])[:80])
-    return parent[name]
+    file = campaign_file(folder)
+    before = campaign_text(file)
+    with located(str(file)):
+        after = edited_text(before, edits)
+    if after != before:
+        write_text_atomically(file, after)
 
 
 def set_room(
@@ -138,21 +110,32 @@ def set_room(
         spec = RoomSpec(shoebox=(x, y, z), unit=unit)
     else:
         spec = RoomSpec(file=folder / (file or ""), unit=unit)
-    drafted = tomlkit.parse(draft_campaign(spec, {}, folder=folder))
+    drafted = draft_campaign(spec, {}, folder=folder)
     if not has_campaign(folder):
-        for key in ("sources", "receivers", "measurements"):
-            drafted.remove(key)
-        write_text_atomically(campaign_file(folder), tomlkit.dumps(drafted))
+        no = [Edit((), key, None) for key in ("sources", "receivers", "measurements")]
+        text = re.sub(r"\n{3,}", "\n\n", edited_text(drafted, no))
+        write_text_atomically(campaign_file(folder), text)
         return
-    with editing(folder) as document:
-        document["room"] = drafted["room"]
-        # what the campaign says of materials that the room does not have would be refused
-        known = document.get("materials", {})
-        new = tomlkit.table(is_super_table=True)
-        for name in drafted.get("materials", {}):
-            new[name] = known.get(name, tomlkit.table())
-        document["materials"] = new
-        document.pop("states", None)
+    new, old = tomllib.loads(drafted), _content(folder)
+    wanted, known = _leaves(new["room"], "room"), _leaves(old.get("room", {}), "room")
+    # what the campaign says of materials that the room does not have would be refused
+    gone = [n for n in old.get("materials", {}) if n not in new.get("materials", {})]
+    _write(
+        folder,
+        *[Edit(path[:-1], path[-1], value) for path, value in wanted.items()],
+        *[Edit(path[:-1], path[-1], None) for path in known if path not in wanted],
+        *[Edit(("materials",), name, None) for name in gone],
+        Edit((), "states", None),
+    )
+
+
+def _leaves(content: Mapping[str, Any], *above: str) -> dict[tuple[str, ...], Any]:
+    """Return the keys of a table and of those within it, by their paths."""
+    found: dict[tuple[str, ...], Any] = {}
+    for name, value in content.items():
+        deeper = isinstance(value, Mapping)
+        found |= _leaves(value, *above, name) if deeper else {(*above, name): value}
+    return found
 
 
 def set_surface_material(folder: Path, surface: str, material: str) -> None:
@@ -165,24 +148,18 @@ def set_surface_material(folder: Path, surface: str, material: str) -> None:
     """
     if not material.strip():
         raise InputError("a material without a name", needed="a name")
-    with editing(folder) as document:
-        _table(_table(document, "room"), "materials")[surface] = material.strip()
+    _write(folder, Edit(("room", "materials"), surface, material.strip()))
 
 
 def forget_unused_materials(folder: Path, used: Sequence[str]) -> None:
     """Leave out what a campaign says of materials that its room does not have any more."""
-    with editing(folder) as document:
-        for name in [n for n in document.get("materials", {}) if n not in used]:
-            document["materials"].remove(name)
+    known = _content(folder).get("materials", {})
+    _write(folder, *[Edit(("materials",), name, None) for name in known if name not in used])
 
 
 def set_prior(folder: Path, material: str, entry: str | None) -> None:
     """Say by the catalogue what a material is, as its prior; None: nothing is known."""
-    with editing(folder) as document:
-        own = _table(_table(document, "materials"), material)
-        own.pop("prior", None)
-        if entry:
-            own["prior"] = entry
+    _write(folder, Edit(("materials", material), "prior", entry or None))
 
 
 def set_position(folder: Path, kind: str, name: str, position_m: Sequence[float] | None) -> None:
@@ -205,12 +182,11 @@ def set_position(folder: Path, kind: str, name: str, position_m: Sequence[float]
         raise InputError(
             "a position is three numbers", where=f"{kind}.{name}", needed="x, y, z in m"
         )
-    with editing(folder) as document:
-        if position_m is None:
-            _table(document, kind).pop(name, None)
-        else:
-            point = _table(_table(document, kind), name.strip())
-            point["position"] = [round(float(x), 4) for x in position_m]
+    if position_m is None:
+        _write(folder, Edit((kind,), name, None))
+    else:
+        place = tuple(round(float(x), 4) for x in position_m)
+        _write(folder, Edit((kind, name.strip()), "position", place))
 
 
 def name_measured(folder: Path, source: str, receiver: str) -> None:
@@ -226,8 +202,7 @@ def name_measured(folder: Path, source: str, receiver: str) -> None:
     """
     if not has_campaign(folder):
         return
-    text, file = _text(folder), f"{RECORDINGS}/{response_name(source, receiver)}"
-    content = _document(folder).unwrap()
+    file, content = f"{RECORDINGS}/{response_name(source, receiver)}", _content(folder)
     rows = content.get("measurements", [])
     edits = [
         Edit((kind, name), "position", FILL_IN)
@@ -237,7 +212,7 @@ def name_measured(folder: Path, source: str, receiver: str) -> None:
     if all(row.get("file") != file for row in rows):
         row = {"source": source, "receiver": receiver, "file": file, "time_zero": "direct"}
         edits += [Edit(("measurements", len(rows) + 1), key, value) for key, value in row.items()]
-    write_text_atomically(campaign_file(folder), edited_text(text, edits))
+    _write(folder, *edits)
 
 
 def set_recordings(folder: Path, shape: str) -> None:
@@ -252,20 +227,18 @@ def set_recordings(folder: Path, shape: str) -> None:
         raise InputError("recordings lie in the project's folder", found=repr(shape))
     matching_files(folder, shape)
     if has_campaign(folder):
-        with editing(folder) as document:
-            document["recordings"] = shape
+        _write(folder, Edit((), "recordings", shape))
 
 
 def set_bands(folder: Path, from_hz: float, to_hz: float) -> None:
     """Say which bands are fitted."""
-    with editing(folder) as document:
-        own = _table(document, "identify")
-        own["from_hz"], own["to_hz"] = float(from_hz), float(to_hz)
+    limits_hz = (("from_hz", float(from_hz)), ("to_hz", float(to_hz)))
+    _write(folder, *[Edit(("identify",), key, value) for key, value in limits_hz])
 
 
 def bands(folder: Path) -> tuple[float, float]:
     """Return the lowest and the highest band that is fitted, by the campaign or by default."""
-    own = _document(folder).get("identify", {})
+    own = _content(folder).get("identify", {})
     return float(own.get("from_hz", 125.0)), float(own.get("to_hz", 4000.0))
 
 
@@ -281,7 +254,7 @@ def filled_campaign(folder: Path) -> Iterator[Campaign]:
     InputError
         See `roomfit.read_campaign`.
     """
-    content = _document(folder).unwrap()
+    content = _content(folder)
     if not blanks(content):
         yield read_campaign(campaign_file(folder), to_fit=False)
         return
@@ -294,197 +267,9 @@ def filled_campaign(folder: Path) -> Iterator[Campaign]:
         for m in rows
         if m.get("source") in content["sources"] and m.get("receiver") in content["receivers"]
     ]
-    with _read_beside(folder, tomlkit.dumps(content)) as campaign:
+    lines = [f"{value_text({key: value})[1:-1]}\n" for key, value in content.items()]
+    with read_beside(folder, "".join(lines)) as campaign:
         yield campaign
-
-
-@contextmanager
-def _read_beside(folder: Path, text: str) -> Iterator[Campaign]:
-    """Read what would be a campaign beside that of the folder, for paths are relative to it."""
-    beside = folder / f".roomfit-{secrets.token_hex(8)}.toml"
-    try:
-        write_text_atomically(beside, text)
-        yield read_campaign(beside, to_fit=False)
-    finally:
-        beside.unlink(missing_ok=True)
-
-
-@dataclass(frozen=True, slots=True)
-class Preview:
-    """What a remedy would write into a campaign."""
-
-    before: str  # the whole text
-    after: str
-    lines: tuple[tuple[str, str, str], ...]  # the table, its line as it is, and as it would be
-
-
-def preview(folder: Path, edits: Sequence[Edit]) -> Preview:
-    """Return what the campaign would be with some keys changed, and write nothing.
-
-    Raises
-    ------
-    InputError
-        The campaign cannot be edited key by key, or could not be read any more.
-    """
-    before = _text(folder)
-    content, lines = tomllib.loads(before), []
-    for edit in edits:
-        old = _part(content, edit.table).get(edit.key)
-        stated = "not stated" if old is None else f"{edit.key} = {value_text(old)}"
-        number = f", no. {edit.table[1]}" if edit.table[0] == "measurements" else ""
-        then = f"{edit.key} = {value_text(edit.value)}"
-        lines.append((f"{_heading(edit.table)}{number}", stated, then))
-    after = edited_text(before, edits)
-    with _read_beside(folder, after):
-        return Preview(before, after, tuple(lines))
-
-
-def apply(folder: Path, wanted: Preview) -> None:
-    """Write what was previewed, and keep the text that was there, so that one step can be undone.
-
-    Raises
-    ------
-    InputError
-        The campaign has changed since the preview.
-    """
-    if _text(folder) != wanted.before:
-        raise InputError(
-            "the campaign has changed since this was shown",
-            where=str(campaign_file(folder)),
-            hint="look at what is written now, and apply that",
-        )
-    kept = {"before": wanted.before, "written": sha256(wanted.after.encode()).hexdigest()}
-    write_json_atomically(folder / _UNDO, kept)
-    write_text_atomically(campaign_file(folder), wanted.after)
-
-
-def _undone(folder: Path) -> str | None:
-    """Return the text before the last remedy, None where there is none or it was edited since."""
-    if not (folder / _UNDO).is_file() or not has_campaign(folder):
-        return None
-    try:
-        kept = json.loads(read_text(folder / _UNDO, "text to be undone to"))
-        same = kept["written"] == sha256(_text(folder).encode()).hexdigest()
-        return str(kept["before"]) if same else None
-    except (InputError, ValueError, KeyError, TypeError):  # not as it was written
-        return None
-
-
-def can_undo(folder: Path) -> bool:
-    """Whether the campaign is as the last remedy left it, so that this can be taken back."""
-    return _undone(folder) is not None
-
-
-def undo(folder: Path) -> None:
-    """Write the campaign as it was before the last remedy.
-
-    Raises
-    ------
-    InputError
-        There was none, or the campaign was edited since, which would be lost.
-    """
-    before = _undone(folder)
-    if before is None:
-        raise InputError(
-            "nothing can be undone",
-            where=str(campaign_file(folder)),
-            found="no remedy, or a campaign that was edited after it",
-            hint="edit campaign.toml by hand",
-        )
-    write_text_atomically(campaign_file(folder), before)
-    (folder / _UNDO).unlink()
-
-
-def edited_text(text: str, edits: Sequence[Edit]) -> str:
-    """Return the text of a campaign with some keys changed; all else stays as it is written.
-
-    A new key stands below the last one of its table, a new table at the end.
-
-    Raises
-    ------
-    InputError
-        The text is written in a way that does not allow it, as with one inline table of all
-        materials: read again, it has not exactly these keys changed.
-
-    Examples
-    --------
-    >>> edited_text("[sources.S] # mine", [Edit(("sources", "S"), "directivity", "fit")])
-    '[sources.S] # mine\\ndirectivity = "fit"\\n'
-    """
-    document, expected = tomlkit.parse(text), tomllib.loads(text)
-    end = "\r\n" if "\r\n" in text else "\n"
-    new: dict[tuple[str | int, ...], list[str]] = {}
-    for edit in edits:
-        value = list(edit.value) if isinstance(edit.value, tuple) else edit.value
-        _part(expected, edit.table)[edit.key] = value
-        table = _found(document, edit.table)
-        line = f"{tomlkit.key(edit.key).as_string()} = {tomlkit.item(value).as_string()}"
-        if table is None:
-            new.setdefault(edit.table, [_heading(edit.table)]).append(line)
-        elif edit.key in table or not isinstance(table, Table):
-            table[edit.key] = value
-        else:
-            _add_line(table, line, end)
-    after = tomlkit.dumps(document)
-    for lines in new.values():
-        after = f"{after.rstrip()}{end}{end}{end.join(lines)}{end}"
-    try:
-        as_wanted = tomllib.loads(after) == expected
-    except ValueError:
-        as_wanted = False
-    if not as_wanted:
-        raise InputError(
-            "the campaign is written in a way that this cannot edit",
-            found=", ".join(dict.fromkeys(_heading(edit.table) for edit in edits)),
-            needed="tables such as [sources.NAME], one key a line",
-            hint="write into campaign.toml by hand: "
-            + ", ".join(f"{edit.key} = {value_text(edit.value)}" for edit in edits[:4]),
-        )
-    return after
-
-
-def _heading(table: Sequence[str | int]) -> str:
-    """Return a table as its first line names it."""
-    if table[0] == "measurements":
-        return "[[measurements]]"
-    return f"[{'.'.join(tomlkit.key(str(name)).as_string() for name in table)}]"
-
-
-def _part(content: dict[str, Any], table: Sequence[str | int]) -> dict[str, Any]:
-    """Return a table of plain content, made where it is missing."""
-    part: Any = content
-    for name, below in zip(table, (*table[1:], ""), strict=True):
-        if isinstance(name, int):
-            part += [{} for _ in range(name - len(part))]
-            part = part[name - 1]
-        else:
-            part = part.setdefault(name, [] if isinstance(below, int) else {})
-    made: dict[str, Any] = part
-    return made
-
-
-def _found(document: tomlkit.TOMLDocument, table: Sequence[str | int]) -> Any:
-    """Return a table of a document, None where it is missing."""
-    part: Any = document
-    for name in table:
-        if isinstance(name, int):
-            part = part[name - 1] if isinstance(part, AoT | list) and name <= len(part) else None
-        else:
-            part = part.get(name) if isinstance(part, dict) else None
-        if part is None:
-            return None
-    return part
-
-
-def _add_line(table: Table, line: str, end: str) -> None:
-    """Write a key below the last one of a table, above comments that lead to the next table.
-
-    tomlkit itself would write it below these.
-    """
-    own = [item for key, item in table.value.body if key is not None]
-    last = next((i for i in reversed(own) if not isinstance(i, Table | AoT)), table)
-    trail = last.trivia.trail
-    last.trivia.trail = f"{trail if trail.endswith(end) else trail + end}{line}{end}"
 
 
 def upload_place(folder: Path, kind: str, name: str) -> Path:

@@ -19,20 +19,20 @@ from roomfit.app.elements import (
     quiet_button,
     saying_errors,
 )
-from roomfit.io.remedies import Edit
+from roomfit.io import edits
 
 
 class Advice:
     """The remedies of the findings of a tab; nothing is written before it was shown."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
+        self.file = project.campaign_file(folder)
         self.place = ui.element("section").props('aria-label="Remedies"').style("width: 100%")
         self.dialog = ui.dialog().props('aria-label="What is written"')
 
     def show(self, advised: Sequence[Mapping[str, Any]]) -> None:
         """Draw a button for each code of a finding, with a choice where there is one."""
-        can_undo = project.can_undo(self.folder)
+        can_undo = edits.can_undo(self.file)
         if not emptied(self.place, (advised, can_undo)) or not (advised or can_undo):
             return
         with self.place, ui.element("div").classes("panel remedies"):
@@ -62,8 +62,10 @@ class Advice:
     def ask(self, option: Mapping[str, Any]) -> None:
         """Show the lines that a remedy writes, as they are and as they will be."""
         with saying_errors(self.place):
-            edits = [Edit(tuple(e["table"]), e["key"], e["value"]) for e in option["edits"]]
-            wanted = project.preview(self.folder, edits)
+            wanted = edits.preview(
+                self.file,
+                [edits.Edit(tuple(e["table"]), e["key"], e["value"]) for e in option["edits"]],
+            )
             self.dialog.clear()
             with self.dialog, ui.card().classes("preview"):
                 heading("What is written into campaign.toml")
@@ -75,19 +77,19 @@ class Advice:
                     quiet_button("Leave it as it is", self.dialog.close)
             self.dialog.open()
 
-    def apply(self, wanted: project.Preview) -> None:
+    def apply(self, wanted: edits.Preview) -> None:
         """Write what was shown; the page sees that the file has changed."""
         self.dialog.close()
         with saying_errors(self.place):
-            project.apply(self.folder, wanted)
+            edits.apply(self.file, wanted)
 
     def undo(self) -> None:
         """Take the last remedy back."""
         with saying_errors(self.place):
-            project.undo(self.folder)
+            edits.undo(self.file)
 
 
-def preview_html(wanted: project.Preview) -> str:
+def preview_html(wanted: edits.Preview) -> str:
     """Return the lines of a remedy, each below the one that it replaces."""
     parts = [
         f"<dt><code>{escape(table)}</code></dt>"

@@ -31,7 +31,7 @@ from roomfit.io.encoding import (
 )
 from roomfit.io.exports import read_result_content
 from roomfit.io.inputs import check_campaign
-from roomfit.io.remedies import is_file, remedies, together
+from roomfit.io.remedies import advised, changed_since, is_file
 from roomfit.io.responses import SOUND_SUFFIXES, read_response
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.responses.sweep import SweepPlan, response_from_recording, wav_bytes
@@ -189,7 +189,7 @@ def _check(root: Path, rows: dict[str, dict[str, Any]], view: dict[str, Any]) ->
     """Add what is known of each recording, and findings to the recordings that they are about."""
     campaign = read_campaign(project.campaign_file(root))
     checked = commands.check_campaign_recordings(campaign)
-    view["advised"] = advised(checked.findings, campaign)
+    view["advised"] = advice_view(checked.findings, campaign)
     view["bands_hz"] = checked.bands.centres_hz.tolist()
     by_pair = {(r["source"], r["receiver"], Path(f).name): r for f, r in rows.items()}
     for i, m in enumerate(checked.measurements):
@@ -215,16 +215,10 @@ def _check(root: Path, rows: dict[str, dict[str, Any]], view: dict[str, Any]) ->
             view["findings"].append(content)
 
 
-def advised(
+def advice_view(
     findings: Sequence[Finding], campaign: Campaign, *, changed: bool = False
 ) -> list[dict[str, Any]]:
-    """Return what findings advise to write into a campaign, those of one code together.
-
-    Parameters
-    ----------
-    changed : bool
-        Whether the campaign was changed since the findings were raised, so that what counts from
-        its values is none of it any more.
+    """Return what `roomfit.io.remedies.advised` does, for a page.
 
     Returns
     -------
@@ -232,16 +226,11 @@ def advised(
         ``code``, ``severity``, ``n``: of how many findings, and ``options``: words and edits.
     """
     shown = []
-    for code in dict.fromkeys(f.code for f in findings):
+    for code, options in advised(findings, campaign, changed=changed).items():
         own = [f for f in findings if f.code is code]
-        whole = together(own)
-        first = [] if whole is None else [whole]
-        found = [r for f in first + own for r in remedies(f, campaign)]
-        options = {r.words: asdict(r) for r in found if not (changed and r.once)}
-        if options:
-            severity = "serious" if any(f.severity == "serious" for f in own) else own[0].severity
-            entry = {"code": code.value, "severity": severity, "n": len(own)}
-            shown.append({**entry, "options": list(options.values())})
+        severity = "serious" if any(f.severity == "serious" for f in own) else own[0].severity
+        entry = {"code": code.value, "severity": severity, "n": len(own)}
+        shown.append({**entry, "options": [asdict(one) for one in options]})
     return shown
 
 
@@ -267,7 +256,7 @@ def result_view(_: Progress, folder: str, name: str) -> dict[str, Any] | None:
     """Return absorption with intervals by material, and findings, None where there is no result.
 
     ``beside`` of a finding are the materials at which it is shown; ``usable`` says what still
-    holds, where a finding voids what is identifiable; ``advised`` is what `advised` returns.
+    holds, where a finding voids what is identifiable; ``advised`` is what `advice_view` returns.
     """
     file = Path(folder) / name / "result.json"
     if not file.is_file():
@@ -281,7 +270,7 @@ def result_view(_: Progress, folder: str, name: str) -> dict[str, Any] | None:
         findings.append({**finding, "beside": own if len(own) <= _FEW else []})
     voids = any(finding["code"] in _VOIDING for finding in findings)
     keys = ("absorption", "lower95", "upper95", "identifiable", "area_m2")
-    stale = _is_stale(Path(folder), content)
+    stale = changed_since(content, project.campaign_file(Path(folder)))
     return {
         "bands_hz": content["bands_hz"],
         "materials": {m: {k: own[k] for k in keys} for m, own in materials.items()},
@@ -300,21 +289,8 @@ def _advised_by(content: Mapping[str, Any], folder: Path, stale: bool) -> list[d
     with suppress(InputError):
         campaign = read_campaign(project.campaign_file(folder), to_fit=False)
         findings = [finding_of(f, "result.json") for f in content["findings"]]
-        return advised(findings, campaign, changed=stale)
+        return advice_view(findings, campaign, changed=stale)
     return []
-
-
-def _is_stale(folder: Path, content: Mapping[str, Any]) -> bool:
-    """Whether the campaign file has changed since the result was made."""
-    from hashlib import sha256
-
-    inputs = content.get("provenance", {}).get("inputs_sha256", {})
-    digests = [d for file, d in inputs.items() if Path(file).name == "campaign.toml"]
-    try:
-        now = sha256(read_bytes(project.campaign_file(folder), "campaign")).hexdigest()
-    except InputError:
-        return True
-    return bool(digests) and now not in digests
 
 
 def identify(progress: Progress, folder: str, quick: bool) -> str:

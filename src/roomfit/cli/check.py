@@ -36,6 +36,17 @@ def add(commands: Commands) -> None:
         "--out", "Of a campaign: folder for a picture of room and positions.", type=Path
     )
     parser.add_overwrite()
+    parser.add_option(
+        "--remedy",
+        "Of a campaign: write into it what the findings of CODE advise; CODE:2 the second choice.",
+        metavar="CODE",
+    )
+    parser.add_option(
+        "--result", "With --remedy: of the findings of this answer, a folder.", type=Path
+    )
+    parser.add_argument(
+        "--undo", action="store_true", help="Of a campaign: take the last remedy back."
+    )
 
 
 def run(options: argparse.Namespace) -> None:
@@ -47,6 +58,9 @@ def run(options: argparse.Namespace) -> None:
     from roomfit.report.text import room_text
 
     room: Path = options.room
+    if options.remedy is not None or options.result is not None or options.undo:
+        _remedy(options)
+        return
     if room.suffix.lower() != ".toml" and not room.is_dir():
         if options.out is not None:
             raise InputError("a room by itself has no positions to draw", found="--out")
@@ -62,22 +76,89 @@ def run(options: argparse.Namespace) -> None:
             found="--unit or --up",
             hint="write them under [room]",
         )
+    from roomfit.io.remedies import advice
+
     campaign = read_campaign(room)
     result = check_campaign(campaign)
-    say(room_text(str(room), result))
+    advised = advice(result.findings, campaign)
+    say(room_text(str(room), result, advised))
     if not result.traceable:
         sys.exit(2)
     if campaign.spectra:
         return  # of impedances: there are no recordings to examine
     from roomfit.commands import check_campaign_recordings  # all of roomfit: not for a room
+    from roomfit.report.text import recordings_text
 
     with shown_progress("examining recordings (longer the first time, which compiles)"):
         checked = check_campaign_recordings(
             campaign, options.out, between_hz=options.bands, overwrite=options.overwrite
         )
-    say(f"\n{checked}")
+    of_recordings = advice(checked.findings, campaign)
+    say(f"\n{recordings_text(checked, of_recordings)}")
+    if advised or of_recordings:
+        say(how_to_write(room))
     if options.out is not None:
         say(f"\nroom.png is in {options.out}")
     if checked.in_doubt:
         sys.exit(_IN_DOUBT)
     say(f"\nthen: roomfit identify {shlex.quote(str(room))} --out result")
+
+
+def how_to_write(campaign: Path, result: Path | None = None) -> str:
+    """Return what writes the lines below findings, for the terminal."""
+    of_result = "" if result is None else f" --result {shlex.quote(str(result))}"
+    return (
+        f"\nLines below a finding go into {campaign.name}. To write them, with its code:\n"
+        f"  roomfit check {shlex.quote(str(campaign))}{of_result} --remedy CODE\n"
+        "and --undo in place of --remedy takes the last ones back."
+    )
+
+
+def _remedy(options: argparse.Namespace) -> None:
+    """Write what findings advise into the campaign, or take that back.
+
+    Raises
+    ------
+    InputError
+        No finding advises it, or the campaign cannot be edited.
+    """
+    from roomfit.errors import InputError
+    from roomfit.io import edits
+    from roomfit.io.campaign import read_campaign
+    from roomfit.io.encoding import finding_of
+    from roomfit.io.exports import read_result_content
+    from roomfit.io.inputs import check_campaign
+    from roomfit.io.remedies import advised, changed_since, chosen
+
+    file: Path = options.room
+    if options.undo and options.remedy is None and options.result is None:
+        edits.undo(file)
+        say(f"{file} is as it was before the last remedy")
+        return
+    if options.undo or options.remedy is None:
+        raise InputError(
+            "a remedy is written, or taken back",
+            where=str(file),
+            found="--undo beside other options" if options.undo else "--result without --remedy",
+            needed="--remedy CODE, with or without --result FOLDER; or --undo",
+            hint="roomfit check CAMPAIGN shows the codes",
+        )
+    campaign = read_campaign(file, to_fit=options.result is None)
+    if options.result is not None:
+        path = options.result / "result.json" if options.result.is_dir() else options.result
+        content, _ = read_result_content(path)
+        findings = [finding_of(one, str(path)) for one in content["findings"]]
+        found = advised(findings, campaign, changed=changed_since(content, file))
+    else:
+        from roomfit.commands import check_campaign_recordings
+
+        with shown_progress("examining recordings (longer the first time, which compiles)"):
+            checked = check_campaign_recordings(campaign, between_hz=options.bands)
+        found = advised((*check_campaign(campaign).findings, *checked.findings), campaign)
+    remedy = chosen(found, options.remedy)
+    wanted = edits.preview(file, remedy.edits)
+    edits.apply(file, wanted)
+    say(f"{remedy.words}, in {file}")
+    for table, now, then in wanted.lines:
+        say(f"  {table}\n    was  {now}\n    is   {then}")
+    say(f"\nto take it back: roomfit check {shlex.quote(str(file))} --undo")

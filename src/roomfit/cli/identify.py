@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from roomfit.cli.arguments import Commands, add_command, number_range
+from roomfit.cli.check import how_to_write
 from roomfit.cli.terminal import say
 from roomfit.report.progress import shown_progress
 
 if TYPE_CHECKING:
+    from roomfit.io.remedies import Advice
     from roomfit.results import Result
 
 
@@ -42,11 +44,13 @@ def run(options: argparse.Namespace) -> None:
 
     with ExitStack() as line:
 
-        def show(answer: Result) -> None:
+        def show(answer: Result, advised: Advice) -> None:
             line.close()  # that of the progress
             # a reader who has gone, or a full disk, is met again at the end, with all files written
             with suppress(OSError):
-                say(answer_text(answer))
+                say(answer_text(answer, advised))
+                if advised:
+                    say(how_to_write(options.campaign, options.out))
                 sys.stdout.flush()
 
         identify_to_folder(

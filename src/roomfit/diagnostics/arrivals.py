@@ -34,11 +34,11 @@ from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # Coordinates in one unit that are read in another are off by one of these factors.
 _FACTORS = {
-    0.3048: "feet are read as metres",
-    0.0254: "inches are read as metres",
-    0.01: "centimetres are read as metres",
-    0.001: "millimetres are read as metres",
-    1.0 / 0.3048: "metres are read as feet",
+    0.3048: ("ft", "feet are read as metres"),
+    0.0254: ("in", "inches are read as metres"),
+    0.01: ("cm", "centimetres are read as metres"),
+    0.001: ("mm", "millimetres are read as metres"),
+    1.0 / 0.3048: ("m", "metres are read as feet"),
 }
 _SAME_FACTOR = 0.03
 _MOST_EXCHANGED = 50
@@ -365,12 +365,12 @@ def _stretched(found: _Arrivals) -> _Explanation | None:
     if not (clear or _is_adequate(found, rest_m, 1)):
         return None
     evidence = _evidence(found, rest_m, distance_m[:, None], np.array([_SCALES]))
-    what = "the scale of the drawing, the sampling rate, or the temperature is another"
+    unit, what = "", "the scale of the drawing, the sampling rate, or the temperature is another"
     for known, reading in _FACTORS.items():
         if abs(factor / known - 1.0) < _SAME_FACTOR:
-            factor, what = known, reading
+            factor, (unit, what) = known, reading
     words = f"all positions are {factor:.4g} times as far apart"
-    return _Explanation(evidence, words, (_scaled(factor, what, found),))
+    return _Explanation(evidence, words, (_scaled(factor, unit, what, found),))
 
 
 def _receivers_displaced(found: _Arrivals) -> _Explanation | None:
@@ -409,30 +409,30 @@ def _receivers_displaced(found: _Arrivals) -> _Explanation | None:
     about = replace(
         _about(found.measurements), points_m=[(float(x), float(y), float(z)) for x, y, z in points]
     )
-    finding = Finding(
-        Code.DISPLACEMENT_DETECTED, about, text, {"receivers": sorted(names), "metres": size_m}
-    )
+    numbers = {"receivers": sorted(names), "metres": size_m, "shift_m": shift_m.tolist()}
+    finding = Finding(Code.DISPLACEMENT_DETECTED, about, text, numbers)
     return _Explanation(evidence, words, (ArrivalVerdict(finding),))
 
 
-def _scaled(factor: float, what: str, found: _Arrivals) -> ArrivalVerdict:
+def _scaled(factor: float, unit: str, what: str, found: _Arrivals) -> ArrivalVerdict:
     text = (
         f"The direct sounds of all {len(found.path_m)} files arrive as if all positions were "
         f"{factor:.4g} times as far apart: {what}. Compare the positions, the unit of the room "
         "and the files."
     )
     about = _about(found.measurements)
-    return ArrivalVerdict(Finding(Code.COORDINATES_SCALED, about, text, {"factor": factor}))
+    evidence = {"factor": factor, **({"unit": unit} if unit else {})}
+    return ArrivalVerdict(Finding(Code.COORDINATES_SCALED, about, text, evidence))
 
 
 def _other_unit(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
     """All distances are those of another unit, beside a common delay."""
     if len(found.path_m) < _FEWEST or np.ptp(found.distance_m) < 3.0 * found.tolerance_m.max():
         return ()
-    for factor, what in _FACTORS.items():
+    for factor, (unit, what) in _FACTORS.items():
         late_m = found.path_m - factor * found.distance_m
         if np.all(np.abs(late_m - np.median(late_m)) <= found.tolerance_m):
-            return (_scaled(factor, what, found),)
+            return (_scaled(factor, unit, what, found),)
     return ()
 
 

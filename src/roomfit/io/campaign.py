@@ -77,6 +77,7 @@ def read_toml(path: Path, what: str = "campaign file") -> dict[str, Any]:
             where=str(path),
             found=str(error)[:200],
             hint="a key may stand only once, text needs quotes, tables begin with [name]",
+            needed="TOML: tables, and key = value, one a line",
         ) from error
 
 
@@ -108,6 +109,7 @@ def _check_blanks(path: Path, content: dict[str, Any]) -> None:
             where=str(path),
             found=f"{FILL_IN} for {', '.join(found)}",
             needed="values, as [1.2, 3.4, 1.5] for a position: x, y, z in m",
+            hint="roomfit measure asks for positions, or write them beside each FILL IN",
         )
 
 
@@ -122,12 +124,15 @@ def _check_data(path: Path, campaign: CampaignTable) -> None:
             hint="roomfit reverberation reads decay times without positions"
             if campaign.reverberation
             else None,
+            found="neither [[measurements]] nor files that recordings names",
         )
     if all(row.use == "validate" for row in campaign.measurements):
         raise InputError(
             "every measurement is for validation and none is left to fit",
             where=str(path),
             needed='at least one measurement with use = "fit"',
+            found='use = "validate" for all of them',
+            hint="leave use out of those that are to be fitted",
         )
 
 
@@ -166,6 +171,7 @@ def _with_recordings(
                 found=f"{template}: {in_short(files) or 'no files'}",
                 needed=f"sources {in_short(list(table.sources))}, "
                 f"receivers {in_short(list(table.receivers))}",
+                hint="name them alike: LS1_MP1.wav for [sources.LS1] and [receivers.MP1]",
             )
         found += [MeasurementTable.model_validate(row) for row in new]
         names = {name for name, _ in known}
@@ -207,6 +213,7 @@ def _check_products(path: Path, campaign: CampaignTable) -> None:
                     where=f"{where}.{key}",
                     needed=f"either product = {product!r} or {key}",
                     hint=f"what is known of all its walls belongs to [products.{product}]",
+                    found=f"{key} beside product = {product!r}",
                 )
 
 
@@ -253,13 +260,20 @@ def _check_names(path: Path, campaign: CampaignTable) -> None:
                 where=where,
                 found=", ".join(kinds) or "none",
                 needed="one of file, parameters, spectrum",
+                hint="a table [[measurements]] for each file",
             )
         for kind, name, known in (
             ("source", row.source, campaign.sources),
             ("receiver", row.receiver, campaign.receivers),
         ):
             if name is None and row.parameters is None:
-                raise InputError(f"a measurement without a {kind}", where=where, needed=kind)
+                raise InputError(
+                    f"a measurement without a {kind}",
+                    where=where,
+                    needed=kind,
+                    found=f"no key {kind}",
+                    hint=f'{kind} = "NAME", as in [{kind}s.NAME]',
+                )
             if name is not None:
                 _check_defined("measurement", kind, name, known, where)
 
@@ -286,6 +300,7 @@ def _check_pairs(path: Path, campaign: CampaignTable) -> None:
                 where=f"{path}, measurements[{earlier}] and measurements[{number}]",
                 found=data,
                 hint="remove one of them" if same else "name each pair's own file or channel",
+                needed="each response once, with its own pair",
             )
 
 
@@ -533,6 +548,7 @@ def _room_spec(path: Path, room: RoomTable) -> RoomSpec:
             where=f"{path}, room",
             found=", ".join(kinds) or "none",
             needed="one of file, shoebox, polygons",
+            hint="keep the one that describes the room as it is",
         )
     folder = path.parent
     polygons = None

@@ -90,6 +90,7 @@ def limit(name: str) -> float:
                 where=f"the environment variable {_VARIABLE}",
                 found=repr(word[:80]),
                 needed=f"NAME=NUMBER above 0, separated by blanks; names: {', '.join(LIMITS)}",
+                hint='write, say, ROOMFIT_LIMITS="faces=500000"',
             )
     return changed.get(name, float(LIMITS[name][0]))
 
@@ -155,10 +156,16 @@ def read_bytes(path: Path, what: str, *, most: str = "file_bytes") -> bytes:
             f"the {what} does not exist",
             where=place,
             hint="check the path; in a campaign it is relative to the campaign file",
+            found="no such file",
+            needed="a file that can be read",
         ) from None
     except ValueError as error:  # a NUL, or what the system cannot encode, in the name
         raise InputError(
-            "this is not a name of a file", where=repr(str(path)), found=str(error)
+            "this is not a name of a file",
+            where=repr(str(path)),
+            found=str(error),
+            needed="a path as the system writes it",
+            hint="type it anew, without signs that no keyboard has",
         ) from error
     except OSError as error:
         raise StoreError(
@@ -167,7 +174,11 @@ def read_bytes(path: Path, what: str, *, most: str = "file_bytes") -> bytes:
     check_limit(most, len(content), place)
     if not content:
         raise InputError(
-            f"the {what} is empty", where=place, found="0 bytes", hint="copy or export it again"
+            f"the {what} is empty",
+            where=place,
+            found="0 bytes",
+            hint="copy or export it again",
+            needed="a file with its content",
         )
     _note(Path(path), content)
     return content
@@ -200,6 +211,7 @@ def _note(path: Path, content: bytes) -> None:
             where=str(path),
             found="another content than a moment ago",
             hint="run the command again when nothing writes into it",
+            needed="the same content until the end of the command",
         )
 
 
@@ -290,6 +302,7 @@ def read_text(path: Path, what: str, *, most: str = "text_bytes") -> str:
             where=str(path),
             needed=f"a text file, as {Path(path).suffix or 'its name'} says",
             hint="check that the file's name ends as its format demands",
+            found="bytes that are no letters",
         )
     return decoded(content)
 
@@ -415,6 +428,7 @@ def complete(what: str, needed: str) -> Iterator[None]:
             f"the {what} is incomplete",
             found=f"{type(error).__name__}: {error}"[:200],
             needed=needed,
+            hint="copy it again, or have the program that wrote it write it anew",
         ) from error
 
 
@@ -470,6 +484,7 @@ def npz_arrays(content: bytes, where: str) -> dict[str, np.ndarray[Any, Any]]:
             where=where,
             found=" ".join(f"{type(error).__name__}: {error}".split())[:200],
             needed="a file of numpy.savez that holds arrays of numbers",
+            hint="save it anew with numpy.savez, arrays of numbers alone",
         ) from error
     return arrays
 

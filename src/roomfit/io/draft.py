@@ -257,6 +257,7 @@ def recordings_in(folder: Path) -> list[str]:
             where=str(folder),
             found=in_short([f"{name} ({len(files)} files)" for name, files in filled.items()]),
             needed="--recordings 'DIR/{source}_{receiver}.wav', of one of them",
+            hint="or move the recordings into one folder",
         )
     return [f"{name}/{file}" for name, files in filled.items() for file in files]
 

@@ -42,6 +42,7 @@ def shape_of(
             found=repr(template),
             needed="{source} and {receiver} in the name of the file, as in "
             "'DIR/{source}_{receiver}.wav'",
+            hint="name what differs between the files of two pairs",
         )
     shape = re.escape(Path(template).as_posix()).replace(r"\*", "[^/]*")
     any_name = "|".join(re.escape(n) for n in sorted(one_of, key=len, reverse=True)) or "[^/]+?"

@@ -162,6 +162,7 @@ def object_areas_m2(campaign: Campaign, name: str, mesh: Mesh | None) -> ObjectA
                 "an object is measured in two ways",
                 found=" and ".join(given),
                 needed=f"one of {', '.join(ways)}",
+                hint="keep what the object's absorption was measured by",
             )
         known, law = _areas_of_one(table, campaign.bands)
         n = next((x for x in (table.floor_area_m2, table.count) if x is not None), 1.0)
@@ -316,6 +317,7 @@ def at_bands(
             where=where,
             found=f"{len(values)} values and {len(centres_hz)} centres",
             needed="one value for each centre",
+            hint="add the values that lack, or leave centres out that have none",
         )
     order = np.argsort(centres_hz)
     at = np.log(np.array(centres_hz)[order])

@@ -6,28 +6,23 @@ its sentence; each change is one key of one table.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, TypeAlias
+
+import numpy as np
 
 from roomfit.errors import InputError
 from roomfit.findings import About, Code, Finding
 from roomfit.io.campaign import Campaign, read_toml
+from roomfit.io.door import read_bytes
+from roomfit.io.edits import Edit, lines_of, stated, value_text
 from roomfit.io.file_names import in_short
 from roomfit.materials.catalogue import find_material
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.scene import Point
-
-
-@dataclass(frozen=True, slots=True)
-class Edit:
-    """One key of one table of a campaign file."""
-
-    table: tuple[str | int, ...]  # ("sources", "LS1"), or ("measurements", 3), counted from 1
-    key: str
-    value: str | int | float | bool | tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +80,7 @@ def remedies(finding: Finding, campaign: Campaign) -> tuple[Remedy, ...]:
     content = read_toml(campaign.path)
     found = []
     for one in make(finding, campaign, content):
-        left = tuple(e for e in one.edits if _stated(content, e) != _plain(e.value))
+        left = tuple(e for e in one.edits if stated(content, e) != _plain(e.value))
         if left:
             found.append(replace(one, edits=left))
     return tuple(found)
@@ -108,29 +103,100 @@ def together(findings: Sequence[Finding]) -> Finding | None:
     return replace(findings[0], about=about, sentence="", evidence={})
 
 
-def value_text(value: object) -> str:
-    """Return a value as TOML writes it.
+Advice: TypeAlias = Mapping[Code, Sequence[str]]
+"""By code, the lines that findings advise to write into a campaign, as a reader may copy them."""
+_MOST_LINES, _MOST_OPTIONS = 8, 12  # shown; all are written
 
-    Examples
-    --------
-    >>> [value_text(v) for v in ("fit", True, 0.02, (1.0, 2.0, 1.5))]
-    ['"fit"', 'true', '0.02', '[1.0, 2.0, 1.5]']
+
+def advised(
+    findings: Sequence[Finding], campaign: Campaign, *, changed: bool = False
+) -> dict[Code, tuple[Remedy, ...]]:
+    """Return what findings advise to write into a campaign, those of one code together.
+
+    Parameters
+    ----------
+    changed : bool
+        Whether the campaign was changed since the findings were raised, so that what counts from
+        its values is none of it any more.
+
+    Raises
+    ------
+    InputError
+        The campaign file cannot be read.
     """
-    return json.dumps(value, ensure_ascii=False)
+    found = {}
+    for code in dict.fromkeys(f.code for f in findings):
+        own = [f for f in findings if f.code is code]
+        whole = together(own)
+        first = [] if whole is None else [whole]
+        every = [r for f in first + own for r in remedies(f, campaign)]
+        options = {r.words: r for r in every if not (changed and r.once)}
+        if options:
+            found[code] = tuple(options.values())
+    return found
+
+
+def advice(findings: Sequence[Finding], campaign: Campaign) -> Advice:
+    """Return the lines of what findings advise, as text and report show them.
+
+    Where there is a choice, each begins with its number and its words. Nothing where the campaign
+    cannot be read any more: an answer that took minutes is not lost for that.
+    """
+    shown: dict[Code, list[str]] = {}
+    try:
+        found = advised(findings, campaign)
+    except InputError:
+        return shown
+    for code, options in found.items():
+        written = lines_of(options[0].edits)
+        lines = written[:_MOST_LINES]
+        if len(written) > _MOST_LINES:
+            lines.append(f"# and {len(written) - _MOST_LINES} lines more")
+        if options[1:]:
+            lines.insert(0, f"# {code}:1, {options[0].words}")
+            others = [f"# or {code}:{n}, {o.words}" for n, o in enumerate(options, start=1)]
+            lines += others[1:_MOST_OPTIONS]
+        if len(options) > _MOST_OPTIONS:
+            lines.append(f"# and {len(options) - _MOST_OPTIONS} others")
+        shown[code] = lines
+    return shown
+
+
+def changed_since(content: Mapping[str, Any], file: Path) -> bool:
+    """Return whether the campaign of a ``result.json`` was changed since, or cannot be read."""
+    inputs = content.get("provenance", {}).get("inputs_sha256", {})
+    digests = [d for name, d in inputs.items() if Path(name).name == file.name]
+    try:
+        now = sha256(read_bytes(file, "campaign")).hexdigest()
+    except InputError:
+        return True
+    return bool(digests) and now not in digests
+
+
+def chosen(options: Mapping[Code, Sequence[Remedy]], wanted: str) -> Remedy:
+    """Return the remedy that is named by a code, or by a code and its number as in ``CODE:2``.
+
+    Raises
+    ------
+    InputError
+        No finding advises it.
+    """
+    name, _, number = wanted.partition(":")
+    own = {code.value: found for code, found in options.items()}.get(name, ())
+    n = int(number or 1) if (number or "1").isdecimal() else 0
+    if not 0 < n <= len(own):
+        known = [f"{c}:1 to {c}:{len(o)}" if o[1:] else str(c) for c, o in options.items()]
+        raise InputError(
+            "no finding advises this",
+            where="--remedy",
+            found=wanted,
+            needed=", ".join(known) or "a finding that names what to write; there is none",
+            hint="roomfit check CAMPAIGN shows them; for those of an answer add --result FOLDER",
+        )
+    return own[n - 1]
 
 
 _Content: TypeAlias = Mapping[str, Any]
-
-
-def _stated(content: _Content, edit: Edit) -> object:
-    """Return what a file says already, None where it says nothing."""
-    part: Any = content
-    for name in (*edit.table, edit.key):
-        if isinstance(name, int):
-            part = part[name - 1] if isinstance(part, list) and name <= len(part) else None
-        else:
-            part = part.get(name) if isinstance(part, Mapping) else None
-    return part
 
 
 def _plain(value: object) -> object:
@@ -355,6 +421,81 @@ def _larger_position_sds(finding: Finding, campaign: Campaign, _: _Content) -> I
         yield Remedy(f"position_sd {scale:.1f} times as large for all positions", edits, once=True)
 
 
+def _displaced(finding: Finding, campaign: Campaign, _: _Content) -> Iterable[Remedy]:
+    """Yield receivers moved by the vector that was found, or what is open within its size.
+
+    Where one point stands, its direct sounds alone do not say, but how far off it is at least.
+    """
+    evidence = finding.evidence
+    if "shift_m" in evidence:
+        shift_m = [float(x) for x in evidence["shift_m"]]
+        own = [p for p in campaign.receivers if p.name in evidence["receivers"]]
+        moved = _moved("receivers", own, lambda x, axis: x + shift_m[axis])
+        by = ", ".join(f"{x:+.2f}" for x in shift_m)
+        if own:
+            yield Remedy(f"{in_short([p.name for p in own])} moved by ({by}) m", moved, once=True)
+        return
+    if not isinstance(evidence.get("metres"), float):
+        return
+    size_m = round(float(np.hypot(evidence["metres"], evidence.get("sd_m", 0.0))), 2)
+    ends = [(k, p.name) for k, p in _points(campaign) if p.name == evidence.get(k.rstrip("s"))]
+    if size_m > 1.0:  # to be measured again: no standard deviation may be larger
+        return
+    if ends:
+        edits = tuple(Edit(end, "position_sd", size_m) for end in ends)
+        yield Remedy(f"position_sd = {size_m:g} for {ends[0][1]}", edits)
+    elif "axis" in evidence:
+        axis = "xyz".index(evidence["axis"])
+        yield from _open_along(str(evidence["what"]), axis, size_m, campaign)
+
+
+def _open_along(what: str, axis: int, size_m: float, campaign: Campaign) -> Iterable[Remedy]:
+    """Yield the offset of positions, the length of a box, or both, fitted within a size."""
+
+    def wider(sd_m: object) -> tuple[float, ...]:
+        sds_m = np.broadcast_to(np.asarray(0.0 if sd_m is None else sd_m), 3).tolist()
+        return (*sds_m[:axis], size_m, *sds_m[axis + 1 :])
+
+    own, edits = {g.name: g.sd_m for g in campaign.groups}, []
+    if what != "length":
+        table = ("groups", what if what in own else "everything")
+        if table[1] not in own:
+            edits.append(Edit(table, "members", ("*",)))
+        edits.append(Edit(table, "sd", wider(own.get(table[1]))))
+    if what in ("length", "wall"):
+        edits.append(Edit(("room",), "lengths_sd", wider(campaign.room.lengths_sd)))
+    named = {"length": "the length", "wall": "all positions and the length"}.get(what, what)
+    yield Remedy(f"{named} along {'xyz'[axis]} fitted within {size_m:g} m", tuple(edits))
+
+
+def _other_unit(finding: Finding, campaign: Campaign, _: _Content) -> Iterable[Remedy]:
+    """Yield positions, with the room or by themselves, in the unit in which they were measured.
+
+    Positions of a campaign are in metres, whatever the unit of its room.
+    """
+    unit, factor = finding.evidence.get("unit"), finding.evidence.get("factor")
+    if unit is None or not isinstance(factor, float):  # a sampling rate, or the temperature
+        return
+    points = _points(campaign)
+    edits = tuple(e for kind, p in points for e in _moved(kind, [p], lambda x, _: factor * x))
+    room = campaign.room
+    read_in = room.unit or ("m" if room.file is None else "")
+    if read_in == ("ft" if unit == "m" else "m"):
+        both = (Edit(("room",), "unit", str(unit)), *edits)
+        yield Remedy(f"room in {unit}, positions times {factor:.4g}", both, once=True)
+    yield Remedy(f"positions times {factor:.4g}, the room as it is", edits, once=True)
+
+
+def _moved(
+    kind: str, points: Sequence[Point], how: Callable[[float, int], float]
+) -> tuple[Edit, ...]:
+    """Return points of a kind at other places, to a tenth of a millimetre."""
+    moved_m = {
+        p.name: [round(how(float(x), i), 4) for i, x in enumerate(p.position_m)] for p in points
+    }
+    return tuple(Edit((kind, name), "position", tuple(x)) for name, x in moved_m.items())
+
+
 def _free_positions(*_: object) -> Iterable[Remedy]:
     yield Remedy('positions = "fit"', (Edit(("identify",), "positions", "fit"),))
 
@@ -378,5 +519,7 @@ _REMEDIES: dict[Code, Callable[[Finding, Campaign, _Content], Iterable[Remedy]]]
     Code.POSITION_UNCERTAINTY_INFLATED: _larger_position_sds,
     Code.POSITION_INCONSISTENT: _free_positions,
     Code.REFLECTION_DELAY_DETECTED: _wall_delays,
+    Code.DISPLACEMENT_DETECTED: _displaced,
+    Code.COORDINATES_SCALED: _other_unit,
 }
 _OF_FILES = frozenset(code for code, make in _REMEDIES.items() if make in (_own_levels, _own_clock))

@@ -11,13 +11,12 @@ import shutil
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from roomfit.bands import Bands
 from roomfit.cache import nearest_existing, write_json_atomically, write_text_atomically
-from roomfit.diagnostics.remaining import what_remains
 from roomfit.errors import InputError, StoreError, located
 from roomfit.io.door import complete
 from roomfit.io.encoding import (
@@ -37,8 +36,6 @@ from roomfit.io.exports import (
 )
 from roomfit.logit import logit
 from roomfit.materials.priors import object_absorption
-from roomfit.objective.coherent import FittedGeometry
-from roomfit.response.directivity import Pattern
 from roomfit.results import (
     ComparedPair,
     ObjectAreas,
@@ -47,12 +44,15 @@ from roomfit.results import (
     certificate_distance,
     departures_jnd,
 )
-from roomfit.signals.speech import sti_of_decay
-from roomfit.solvers.certificate import Certificate
 from roomfit.table import csv_of
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.combinations import Combination, Difference
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
+
+if TYPE_CHECKING:  # compiled: reading a result does not wait for it
+    from roomfit.objective.coherent import FittedGeometry
+    from roomfit.response.directivity import Pattern
+    from roomfit.solvers.certificate import Certificate
+    from roomfit.uncertainty.combinations import Combination, Difference
 
 _LOG = logging.getLogger("roomfit")
 
@@ -205,8 +205,12 @@ def _posterior_table(posterior: Any, name: str) -> FloatArray:
 
 def _read_directivities(content: dict[str, Any]) -> dict[str, Pattern]:
     """Return the directivity of every source for which it was fitted."""
+    by_source = content.get("directivity", {})
+    if not by_source:
+        return {}
+    from roomfit.response.directivity import Pattern
+
     try:
-        by_source = content.get("directivity", {})
         return {
             name: Pattern(np.array(one["b"]), one.get("aim"), one.get("loudspeaker", ""))
             for name, one in by_source.items()
@@ -346,6 +350,8 @@ def result_content(
             "speed_of_sound_formula": "Cramer 1993 as in pyfar, or as given by the campaign",
         },
     }
+    from roomfit.diagnostics.remaining import what_remains
+
     remains = what_remains(answer)
     if remains.voids:
         content["usable"] = usable
@@ -581,6 +587,8 @@ def _geometry(geometry: FittedGeometry) -> dict[str, Any]:
 def _pair(pair: ComparedPair, bands: Bands) -> dict[str, Any]:
     sti = np.full(2, np.nan)
     if pair.decay is not None:
+        from roomfit.signals.speech import sti_of_decay
+
         curves = (pair.decay.measured_db, pair.decay.predicted_db)
         sti = np.array([sti_of_decay(bands, pair.decay.time_s, levels) for levels in curves])
     known = {"sti": dict(zip(("measured", "predicted"), numbers_or_null(sti), strict=True))}

@@ -57,6 +57,8 @@ def diffuse_field(campaign: Campaign) -> tuple[DiffuseField, Room | None]:
                 "decay times of a room of unknown size",
                 where=f"{campaign.path}, reverberation",
                 needed="volume_m3 and surface_m2, or a table [room]",
+                found="neither",
+                hint="volume_m3 = 200 and surface_m2 = 220, say, under [reverberation]",
             )
         priors = (unknown_material("room", len(bands)),)
         areas_m2 = np.full((3, 1), own.surface_m2 / 3.0)
@@ -211,6 +213,7 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands]:
             where=str(path),
             found=f"{wrong[0]:g} s" if wrong.size else "empty cells alone",
             needed="above 0 and up to 60 s",
+            hint="give seconds, not ms",
         )
     octaves = set(centres) <= set(OCTAVES_HZ)
     bands = Bands("octave" if octaves else "third-octave", np.array(centres)[known])

@@ -130,7 +130,7 @@ def predict_arguments(
         bands, doubts = common_bands(campaign.bands, absorption.bands)
     if not doubted:
         with located(str(campaign.path)):
-            bands, changes, refused = _undoubted(absorption, bands, changes, state)
+            bands, changes, refused = undoubted(absorption, bands, changes, state)
         doubts = (*doubts, *refused)
     areas = dict(zip(room.materials, material_areas_m2(room).tolist(), strict=True))
     settings = campaign.settings
@@ -173,7 +173,7 @@ def predict_arguments(
     }
 
 
-def _undoubted(
+def undoubted(
     absorption: AbsorptionPosterior, bands: Bands, changes: Sequence[Change], state: str
 ) -> tuple[Bands, Sequence[Change], tuple[Finding, ...]]:
     """Return the bands in which other walls can be predicted, changes there, and what is left out.

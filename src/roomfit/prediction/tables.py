@@ -34,6 +34,7 @@ from roomfit.prediction.decay import PairNumbers, PredictedDecay
 
 # Steps of equal probability by which noise widens every draw.
 _STEPS = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
+_RATIO = "ratio"  # of decay times
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -360,7 +361,7 @@ def _change(
         *_interval(name, old, drawn_old, np.hypot(sds[0], sds[2])),
         change,
         # no direction is said to be determined that the likeliest absorption contradicts
-        *_interval("change", change, drawn, apart_sd),
+        *_interval(_RATIO if in_ratios else "difference", change, drawn, apart_sd),
         carried,
         *ends,
     )
@@ -369,8 +370,18 @@ def _change(
 def _interval(
     name: str, likeliest: FloatArray, draws: FloatArray, rest_sd: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the quantiles of all draws, each widened by noise, of shape (n_bands,) each."""
-    wide = draws[:, None, :] + _STEPS[:, None] * rest_sd / np.std(_STEPS)
+    """Return the quantiles of all draws, each widened by noise, of shape (n_bands,) each.
+
+    Decay times, and ratios of them, are widened by factors, of the same relative variance: where
+    few modes decay that is half of the value, and a sum would reach down to a time of 0.
+    """
+    steps = _STEPS[:, None] / np.std(_STEPS)
+    if name in FIT_RANGES_DB or name == _RATIO:
+        with np.errstate(divide="ignore", invalid="ignore"):  # unknown values
+            relative = np.log1p((rest_sd / likeliest) ** 2)
+        wide = draws[:, None, :] * np.exp(steps * np.sqrt(relative))
+    else:
+        wide = draws[:, None, :] + steps * rest_sd
     low, high = np.quantile(wide.reshape(-1, rest_sd.size), (0.025, 0.975), axis=0)
     # of several answers that explain the data alike the likeliest may lie aside of most
     low, high = np.fmin(low, likeliest), np.fmax(high, likeliest)

@@ -13,7 +13,7 @@ import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from html import escape
 from importlib.metadata import version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -80,6 +80,9 @@ from roomfit.scene import Scene, wall_materials
 from roomfit.table import Cell, Table, html_of
 from roomfit.typing import BoolArray
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE
+
+if TYPE_CHECKING:
+    from roomfit.io.remedies import Advice
 
 _SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "info")
 _MOST_ENDS, _MOST_NAMES = 3, 8
@@ -364,6 +367,7 @@ def report_html(
     inputs_sha256: Mapping[str, str] | None = None,
     project: Mapping[str, str] | None = None,
     figures: Mapping[str, Figure] | None = None,
+    advice: Advice | None = None,
 ) -> str:
     """Return the report of an identification as the text of one HTML file.
 
@@ -389,6 +393,8 @@ def report_html(
     figures : mapping of str to Figure, optional
         Those of `answer_figures`, `mean_decay_figure` ("decay_times") and `room_figure` ("room"),
         where they are written as files, too.
+    advice : mapping of Code to lines, optional
+        What findings advise to write into the campaign, see `roomfit.io.remedies.advice`.
 
     Returns
     -------
@@ -429,19 +435,18 @@ def report_html(
         decay_times=_decay_times(answer, drawn if language == "en" else {}, say),
         figures=key_figures(answer, say),
         findings_count=findings_count(answer, say),
-        serious=any(f.severity == "serious" for f in answer.findings),
         summary=summary_sentences(answer),
         findings=finding_groups(answer.findings),
+        advice=advice or {},
         room=_room(scene, drawn),
         materials=material_table(scene.room),
         positions=position_table(scene),
-        plan=answer.plan,
+        answer=answer,
         absorption=_absorption(answer, drawn if language == "en" else {}, say),
         certainty=_certainty(drawn),
         prior_tables=prior_tables(answer),
         budget_tables=budget_tables(answer),
         condition_tables=condition_tables(answer),
-        reasons=answer.reasons,
         absorption_tables=absorption_tables(answer, say),
         fit_tables=(*fit_tables(answer), *source_tables(answer), *certificate_tables(answer)),
         area_tables=(*area_tables(answer, scene), *share_tables(answer)),

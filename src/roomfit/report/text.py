@@ -23,6 +23,7 @@ from roomfit.typing import BoolArray, FloatArray
 if TYPE_CHECKING:  # heavy, and no text of a room needs them
     from roomfit.diagnostics.usable import CheckedRecordings
     from roomfit.inversion.diffuse import DiffuseAbsorption
+    from roomfit.io.remedies import Advice
     from roomfit.results import ComparedPair, Result
 
 # A recording has all parameters, and these represent them; a table of room parameters has the
@@ -33,7 +34,7 @@ _LEAST_COST = 0.03  # of a standard deviation: terms that cost less are not name
 _MOST_SENTENCES = 12
 
 
-def answer_text(answer: Result) -> str:
+def answer_text(answer: Result, advice: Advice | None = None) -> str:
     """Return everything a user must know: what is void, absorption, pairs, findings."""
     parts = [
         usable_text(answer),
@@ -47,7 +48,7 @@ def answer_text(answer: Result) -> str:
         costs_text(answer),
         pairs_table(answer),
         plan_text(answer),
-        findings_text(answer.findings),
+        findings_text(answer.findings, advice),
     ]
     return "\n\n".join(p for p in parts if p)
 
@@ -335,8 +336,8 @@ def _said(use: str) -> str:
     return "fitted" if use == "fit" else "not fitted"
 
 
-def findings_text(findings: tuple[Finding, ...]) -> str:
-    """Return the findings, most serious first; one line for each code."""
+def findings_text(findings: tuple[Finding, ...], advice: Advice | None = None) -> str:
+    """Return the findings, most serious first; one line for each code, and what it advises."""
     order = {"serious": 0, "warning": 1, "info": 2}
     alike: dict[Code, list[Finding]] = {}
     for finding in sorted(findings, key=lambda f: order[f.severity]):
@@ -349,7 +350,7 @@ def findings_text(findings: tuple[Finding, ...]) -> str:
         wrapped = textwrap.wrap(
             text, 100, initial_indent="- ", subsequent_indent="  ", break_on_hyphens=False
         )
-        lines += wrapped
+        lines += [*wrapped, *(f"    {line}" for line in (advice or {}).get(code, ()))]
     return "\n".join(lines)
 
 
@@ -409,7 +410,7 @@ def entry_text(entry: CatalogueEntry) -> str:
     return text_of(Table(caption, ("octave, Hz", *_OCTAVES), rows, notes))
 
 
-def room_text(title: str, check: RoomCheck) -> str:
+def room_text(title: str, check: RoomCheck, advice: Advice | None = None) -> str:
     """Return the room's size, its materials, and what is wrong with it, ready to print."""
     about = "" if check.closed else "  (approximate: the mesh is not closed)"
     x, y, z = check.size_m
@@ -431,6 +432,7 @@ def room_text(title: str, check: RoomCheck) -> str:
         for f in doubts:
             text = f"  {f.severity:<8} {f.sentence}"
             rows += textwrap.wrap(text, 100, subsequent_indent=" " * 11, break_on_hyphens=False)
+            rows += [f"{' ' * 13}{line}" for line in (advice or {}).get(f.code, ())]
     if faults:
         rows += ["", "faults that forbid tracing", *(line for f in faults for line in _fault(f))]
     else:
@@ -477,7 +479,7 @@ def diffuse_records(found: DiffuseAbsorption) -> Table:
     return Table("", ("formula", "material", Column("band_hz"), *names), rows, form=".5f")
 
 
-def recordings_text(checked: CheckedRecordings) -> str:
+def recordings_text(checked: CheckedRecordings, advice: Advice | None = None) -> str:
     """Return a table of recordings by band before a fit, and what is wrong with them."""
     names = [f"{m.source} to {m.receiver} ({m.name})" for m in checked.measurements]
     width = max(map(len, (*names, "Schroeder frequency, Hz")), default=0)
@@ -511,7 +513,7 @@ def recordings_text(checked: CheckedRecordings) -> str:
                 f"{v:6.{digits}f}" if k else f"{'-':>6}" for v, k in zip(values, known, strict=True)
             ]
             rows.append(f"{title:<{width}}  {'':>22}  {' '.join(cells)}")
-    findings = re.sub(r"\s+in\s+result\.json\)", ")", findings_text(checked.findings))
+    findings = re.sub(r"\s+in\s+result\.json\)", ")", findings_text(checked.findings, advice))
     return "\n".join([*rows, "", findings]).strip("\n")
 
 

@@ -8,7 +8,7 @@ an error matters to a listener.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
@@ -24,6 +24,7 @@ from roomfit.signals.filters import (
 from roomfit.signals.noise import block_length_s, decay_line, estimate_noise
 from roomfit.signals.response import ImpulseResponse, check_travel, padded
 from roomfit.typing import BoolArray, FloatArray
+from roomfit.typing import ParameterName as ParameterName
 
 # Beyond this share of `ringing_s` (4 periods of an octave) lies less than 1e-4 of an impulse.
 _LEAD = 1.0 / 16.0
@@ -379,7 +380,6 @@ def _climbs(loud: FloatArray) -> bool:
     return rises >= _N_BLOCKS - 3 and bool(median[-1] > 4.0 * median[0])
 
 
-ParameterName = Literal["EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms"]
 PARAMETER_NAMES: tuple[ParameterName, ...] = get_args(ParameterName)
 
 # Levels between which each decay time is read, below the curve's beginning.

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 
@@ -19,11 +19,10 @@ from roomfit._checks import float_array
 from roomfit._numba import kernel
 from roomfit.errors import InputError
 from roomfit.findings import About, Code, Finding, Severity
-from roomfit.signals.decay import FIT_RANGES_DB, POINTS_OF_A_FIT, DecayCurve, ParameterName, jnd_of
+from roomfit.signals.decay import FIT_RANGES_DB, POINTS_OF_A_FIT, DecayCurve, jnd_of
+from roomfit.typing import VALUE_NAMES as VALUE_NAMES
 from roomfit.typing import FloatArray
-
-ValueName = Literal[ParameterName, "G_dB"]
-VALUE_NAMES: tuple[ValueName, ...] = (*get_args(ParameterName), "G_dB")
+from roomfit.typing import ValueName as ValueName
 
 _DB = 10.0 / np.log(10.0)
 # The direct sound of a source of unit power at 10 m: the level to which G refers.

@@ -272,10 +272,12 @@ def decay_line(
         return None
     chosen, net = times[start:stop][loud], blocks[start:stop][loud] - floor
     slope = float(np.polyfit(chosen, np.log(net), 1)[0])
-    if not slope < 0.0:
+    fallen = float(np.exp(slope * chosen).sum())
+    # a line that has fallen to nothing before its first block has no height at time 0: sound that
+    # begins hundreds of time constants after the onset does not decay from there
+    if not slope < 0.0 or fallen < _LEAST_ENERGY:
         return None
-    height = float(net.sum() / np.exp(slope * chosen).sum())
-    return height, -1.0 / slope
+    return float(net.sum()) / fallen, -1.0 / slope
 
 
 def _crossing_s(height: float, constant_s: float, floor: float, length_s: float) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -13,6 +13,7 @@ from roomfit.core import (
     VALUE_NAMES,
     About,
     Bands,
+    BoolArray,
     Code,
     Finding,
     FloatArray,
@@ -160,41 +161,48 @@ def treat(
             found=f"{probability:g}",
             needed="0.5 to 0.99",
         )
-    before_in_words = _before_in_words(room)
-    room = as_measured(room)
+    in_words, room = _before_in_words(room), as_measured(room)
     question = question_of(room, surfaces, products, targets)
-    n_rows = len(question.target)
-    margin = np.zeros(n_rows)
-    tried = [best_arrangement(question, margin, (), most_cost)]
+    known: dict[tuple[float, ...], _Outcome] = {}
+
+    def best(margin: FloatArray, excluded: Sequence[BoolArray] = ()) -> _Outcome:
+        # margins go to and fro between two arrangements, and an alternative may be one of them
+        found = best_arrangement(question, margin, excluded, most_cost)
+        key = tuple(found[0].tolist())
+        known[key] = known.get(key) or _outcome(question, *found, probability)
+        return known[key]
+
+    margin = np.zeros(len(question.target))
+    tried = [best(margin)]
     for _ in range(_MARGIN_ROUNDS if probability > 0.5 else 0):
-        margin = _margin(question, *tried[-1], probability)
-        tried.append(best_arrangement(question, margin, (), most_cost))
-        if np.array_equal(tried[-1][0], tried[-2][0]):
+        margin = _margin(question, tried[-1], probability)
+        tried.append(best(margin))
+        if tried[-1] is tried[-2]:
             break
-    met = [one for one in tried if not _missed(question, *one, probability)]
-    first = min(met or tried[-1:], key=lambda one: float(question.cost @ one[0]))
-    found, excluded, is_met = [first], [], bool(met)
-    while is_met and first[0].any() and len(found) < number:
-        excluded.append(found[-1][0] > 0)
-        other = best_arrangement(question, margin, excluded, most_cost)
-        if _missed(question, *other, probability) or any(
-            (other[0] > 0).tolist() == e.tolist() for e in excluded
-        ):
+    met = [one for one in tried if not one.missed]
+    first = min(met or tried[-1:], key=lambda one: one.cost)
+    found, excluded = [first], []
+    while met and first.pieces.any() and len(found) < number:
+        excluded.append(found[-1].pieces > 0)
+        other = best(margin, excluded)
+        if other.missed or any(np.array_equal(other.pieces > 0, e) for e in excluded):
             break
         found.append(other)
         if progress is not None:
             progress(len(found) / number)
-    found.sort(key=lambda one: float(question.cost @ one[0]))
-    before = _outcome(question, np.zeros(len(question.cost)))[1]
-    arrangements = tuple(_arrangement(question, p, n, probability, before) for p, n in found)
+    found.sort(key=lambda one: one.cost)
+    bare = 0.0 * question.cost
+    nothing = known.get(tuple(bare.tolist())) or _outcome(question, bare, 0.0 * margin, probability)
+    before, _ = _of_targets(question, nothing.odds)
+    arrangements = tuple(_arrangement(question, one, before) for one in found)
+    doubts = (
+        *result_doubts(room.absorption, room.scene.room.findings),
+        *_of_the_room(room, arrangements),
+        *_findings(question, arrangements, first, probability),
+    )
     return Treatment(
-        room.absorption.bands, question.targets, arrangements, is_met, room,
-        (
-            *result_doubts(room.absorption, room.scene.room.findings),
-            *_of_the_room(room, arrangements),
-            *_findings(question, arrangements, first, probability, is_met),
-        ),
-        before=before_in_words, asked=probability,
+        room.absorption.bands, question.targets, arrangements, bool(met), room, doubts,
+        before=in_words, asked=probability,
     )  # fmt: skip
 
 
@@ -247,19 +255,36 @@ def as_measured(room: ChangingRoom) -> ChangingRoom:
     return replace(room, before=tuple(before), observed=())
 
 
+class _Outcome(NamedTuple):
+    """What an arrangement does, evaluated once for search, verdict and display."""
+
+    pieces: FloatArray  # (n_candidates,), how many of each hang
+    numbers: FloatArray  # (n_rows,), the likeliest prediction
+    cost: float
+    means: _Means
+    rows: FloatArray  # (n_draws, n_rows)
+    odds: FloatArray  # as `rows`, that each draw is measured within its limits
+    missed: tuple[str, ...]  # in words
+
+
 def _outcome(
-    question: Question, pieces: FloatArray
-) -> tuple[_Means, FloatArray, FloatArray, float]:
-    """Return means, the odds of each target, draws of the rows, and the odds of all targets."""
+    question: Question, pieces: FloatArray, numbers: FloatArray, probability: float
+) -> _Outcome:
+    """Return what an arrangement does, with draws and odds of every row."""
     means, drawn = _means_and_draws(
         question.room, treated(question, pieces), treated_draws(question, pieces)
     )
     rows = rows_of(question, drawn)
     odds = _odds(question, means, rows)
-    n = len(question.targets)
-    of = np.array(question.target)
+    missed = _missed(question, numbers, odds.mean(axis=0), probability)
+    return _Outcome(pieces, numbers, float(question.cost @ pieces), means, rows, odds, missed)
+
+
+def _of_targets(question: Question, odds: FloatArray) -> tuple[FloatArray, float]:
+    """Return the odds of each target in all its bands, (n_targets,), and of all targets."""
+    of, n = np.array(question.target), len(question.targets)
     each = np.array([np.mean(np.prod(odds[:, of == t], axis=1)) for t in range(n)])
-    return means, each, rows, float(np.mean(np.prod(odds, axis=1)))
+    return each, float(np.mean(np.prod(odds, axis=1)))
 
 
 def _odds(question: Question, means: _Means, rows: FloatArray) -> FloatArray:
@@ -297,34 +322,26 @@ def _rest_sd(question: Question, means: _Means) -> FloatArray:
     return np.asarray(np.maximum(found, 1e-9))
 
 
-def _margin(
-    question: Question, pieces: FloatArray, numbers: FloatArray, probability: float
-) -> FloatArray:
+def _margin(question: Question, one: _Outcome, probability: float) -> FloatArray:
     """Return by how much each row must keep its limits to meet them with some probability.
 
     The quantile of what may be measured, beside the likeliest number: draws are not symmetric
     about it.
     """
-    means, _, rows, _ = _outcome(question, pieces)
+    rows = one.rows
     steps = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
-    wide = rows[:, None] + (steps / np.std(steps))[:, None] * _rest_sd(question, means)
+    wide = rows[:, None] + (steps / np.std(steps))[:, None] * _rest_sd(question, one.means)
     ends = np.quantile(wide.reshape(-1, rows.shape[1]), (1.0 - probability, probability), axis=0)
     low, high = limits_of(question)
-    below, above = np.nan_to_num((numbers - ends[0], ends[1] - numbers))
+    below, above = np.nan_to_num((one.numbers - ends[0], ends[1] - one.numbers))
     wide = np.maximum(
         np.where(np.isfinite(low), below, -np.inf), np.where(np.isfinite(high), above, -np.inf)
     )
     return np.asarray(wide + MET * scale_of(question))  # what the search lets pass is made up for
 
 
-def _arrangement(
-    question: Question,
-    pieces: FloatArray,
-    numbers: FloatArray,
-    probability: float,
-    before: FloatArray,
-) -> Arrangement:
-    means, odds, rows, joint = _outcome(question, pieces)
+def _arrangement(question: Question, one: _Outcome, before: FloatArray) -> Arrangement:
+    pieces, (odds, joint) = one.pieces, _of_targets(question, one.odds)
     materials = question.room.absorption.materials
     hung = []
     for c in np.flatnonzero(pieces):
@@ -333,28 +350,25 @@ def _arrangement(
         hung.append(Hung(materials[m], name, area, area / float(question.areas_m2[m])))
     return Arrangement(
         tuple(hung),
-        float(question.cost @ pieces),
-        means[0],
+        one.cost,
+        one.means[0],
         odds,
         before,
         joint,
-        _missed(question, pieces, numbers, probability),
-        _decisive(question, pieces, rows[:, np.array(question.target) == np.argmin(odds)]),
-        means[1],
+        one.missed,
+        _decisive(question, pieces, one.rows[:, np.array(question.target) == np.argmin(odds)]),
+        one.means[1],
     )
 
 
 def _missed(
-    question: Question, pieces: FloatArray, numbers: FloatArray, probability: float
+    question: Question, numbers: FloatArray, odds: FloatArray, probability: float
 ) -> tuple[str, ...]:
     """Return in words what the likeliest prediction misses, or what is less likely than asked."""
     low, high = limits_of(question)
-    nothing = np.zeros(len(numbers))
-    short, odds = excess(question, numbers, nothing) > 0.0, nothing
-    if probability > 0.5:
-        means, _, rows, _ = _outcome(question, pieces)
-        odds = _odds(question, means, rows).mean(axis=0)
-        short = odds < probability
+    short = odds < probability
+    if probability <= 0.5:
+        short = excess(question, numbers, np.zeros(len(numbers))) > 0.0
     lines = []
     for r in np.flatnonzero(short):
         target = question.targets[question.target[r]]
@@ -411,14 +425,13 @@ def _decisive(
 def _findings(
     question: Question,
     arrangements: Sequence[Arrangement],
-    first: tuple[FloatArray, FloatArray],
+    first: _Outcome,
     probability: float,
-    is_met: bool,
 ) -> tuple[Finding, ...]:
     found = []
-    if not is_met:
-        used = float((first[0] * question.piece_m2).sum())
-        missed = _missed(question, *first, probability)
+    if first.missed:
+        used = float((first.pieces * question.piece_m2).sum())
+        missed = first.missed
         likely = f" with a probability of {100.0 * probability:g} %" if probability > 0.5 else ""
         free = sum(question.free_m2.values())
         sentence = (

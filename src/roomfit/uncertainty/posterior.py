@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,8 +15,10 @@ from roomfit.errors import InputError
 from roomfit.findings import Finding
 from roomfit.logit import Z95, expit, logit
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, is_default_prior, shared_variance
-from roomfit.response.directivity import Directivity, Pattern
 from roomfit.typing import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:  # compiled, and no reader of a table needs it
+    from roomfit.response.directivity import Directivity
 
 # Logits beyond +-14 mean an absorption within a millionth of 0 or 1.
 _SMALLEST = 1e-6
@@ -153,6 +156,8 @@ def _scattering(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
 
 
 def _n_bands(directivity: Directivity) -> int | None:
+    from roomfit.response.directivity import Pattern
+
     if isinstance(directivity, Pattern):
         return None if directivity.b.ndim == 1 else len(directivity.b)
     return len(directivity.centres_hz)

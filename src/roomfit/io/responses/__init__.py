@@ -82,6 +82,7 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
             found=f"ending {path.suffix!r}",
             needed="a name that ends in .wav, .flac, .aiff, .w64, .mat, .ita, .npy, .sofa, or .txt "
             "(REW)",
+            hint="export the response as WAV, 32-bit float",
         )
     with located(str(path)):
         _refuse_foreign_keys(spec, kind)
@@ -106,6 +107,7 @@ def _excitation(spec: ResponseSpec, kind: str) -> Recording:
             where=str(spec.path),
             found=f"a {kind} file with the excitation {path.name}",
             needed="a recording as sound file, MAT, ITA or NPY, and an excitation as sound file",
+            hint="leave excitation out where the file is a response already",
         )
     content = read_bytes(path, "response file")
     with located(str(path)):
@@ -116,7 +118,10 @@ def _refuse_foreign_keys(spec: ResponseSpec, kind: str) -> None:
     """A key that this kind of file cannot obey would be silently lost."""
     if spec.excitation is None and spec.excitation_channel is not None:
         raise InputError(
-            "a channel of an excitation without the excitation", needed="excitation = a WAV file"
+            "a channel of an excitation without the excitation",
+            needed="excitation = a WAV file",
+            found="excitation_channel alone",
+            hint="name the sweep as it was played, or leave the channel out",
         )
     for key in _CHOICES:
         if getattr(spec, key) is not None and key not in _KEYS[kind]:
@@ -124,6 +129,7 @@ def _refuse_foreign_keys(spec: ResponseSpec, kind: str) -> None:
                 "a key does not belong to this kind of file",
                 found=f"{key} for a {kind} file",
                 needed=f"only {', '.join(_KEYS[kind]) or 'the path'}",
+                hint="leave it out, or check the name of the file",
             )
 
 
@@ -134,14 +140,19 @@ def _check_clock(recording: Recording, spec: ResponseSpec) -> None:
             "the sampling rate is out of range",
             found=f"{rate_hz:g} Hz",
             needed="1000 to 1000000 Hz",
+            hint="state it in Hz: 48000, not 48",
         )
     if spec.sampling_rate_hz is not None and abs(spec.sampling_rate_hz / rate_hz - 1.0) > 1e-6:
         raise InputError(
             "two sampling rates for one file",
             found=f"{rate_hz:g} Hz in the file, sampling_rate_hz = {spec.sampling_rate_hz:g}",
             needed="the same, or no sampling_rate_hz",
+            hint="leave sampling_rate_hz out: it is for files that carry none",
         )
     if not np.isfinite(recording.delay_s):
         raise InputError(
-            "the delay of the response is not a finite number", found=f"{recording.delay_s:g} s"
+            "the delay of the response is not a finite number",
+            found=f"{recording.delay_s:g} s",
+            needed="seconds",
+            hint="export the response again",
         )

@@ -80,6 +80,7 @@ def pick(kind: str, index: int | None, count: int, key: str) -> int:
             f"the file has no such {kind}",
             found=f"{key} = {index}",
             needed=f"{key} = {numbers} ({kind}s are counted from 0)",
+            hint="look at the file in an editor of sound, and count from 0",
         )
     return index
 
@@ -262,6 +263,7 @@ def _kept(recorded: FloatArray, played: FloatArray, rate_hz: float) -> int:
             "recording and excitation are too long together",
             found=f"{len(recorded)} and {len(played)} samples",
             needed=f"at most {_MOST_SAMPLES}",
+            hint="cut the recording behind the decay, or play a shorter sweep",
         )
     if len(recorded) < sounding + _LEAST_DECAY_S * rate_hz:
         raise InputError(
@@ -279,6 +281,8 @@ def band_of(excitation: FloatArray, rate_hz: float) -> tuple[float, float]:
     Its power is summed in twelfths of an octave. The band goes on, from the strongest, while
     either the power of each or its density per hertz is within 15 dB of the largest: so an
     exponential sweep (equal power in each) and a linear one (equal density) keep all they have.
+    A loopback through a chain that rolls off keeps what is 15 dB down: the quotient is right there,
+    and its noise 15 dB higher at most, which every band is judged by.
     """
     n_lines = next_fast_len(max(len(excitation), int(2.0 * rate_hz)), real=True)
     power = np.abs(np.fft.rfft(excitation, n_lines)) ** 2

@@ -111,10 +111,19 @@ def shoebox_lengths_m(spec: RoomSpec) -> tuple[float, float, float] | None:
     if unit not in METRES_PER_UNIT:
         known = ", ".join(METRES_PER_UNIT)
         raise InputError(
-            "unknown unit", where="[room] unit", found=repr(unit), needed=f"one of {known}"
+            "unknown unit",
+            where="[room] unit",
+            found=repr(unit),
+            needed=f"one of {known}",
+            hint="compare the volume that roomfit check shows",
         )
     if spec.up not in (None, "z"):
-        raise InputError("a shoebox stands with z up", found=f"up = {spec.up!r}", needed='"z"')
+        raise InputError(
+            "a shoebox stands with z up",
+            found=f"up = {spec.up!r}",
+            needed='"z"',
+            hint="leave up out, and give the height last",
+        )
     x, y, z = (float(length) * METRES_PER_UNIT[unit] for length in spec.shoebox)
     return x, y, z
 
@@ -148,7 +157,12 @@ def _model(spec: RoomSpec) -> tuple[RoomModel, str]:
         )
     if spec.space is not None:
         if suffix != ".ifc":
-            raise InputError("only a building model has spaces", found=spec.space, needed=".ifc")
+            raise InputError(
+                "only a building model has spaces",
+                found=spec.space,
+                needed=".ifc",
+                hint="leave space out",
+            )
         return read_ifc(path, spec.space), str(path)
     return READERS[suffix](path), str(path)
 

@@ -58,12 +58,25 @@ def in_metres(model: RoomModel, unit: str | None, up: str | None, where: str) ->
             where=where,
             needed=f"one of {known}: this format carries none",
             hint='add unit = "m" (or --unit m) and compare the volume that is shown',
+            found="no unit",
         )
     if chosen not in METRES_PER_UNIT:
-        raise InputError("unknown unit", where=where, found=repr(chosen), needed=f"one of {known}")
+        raise InputError(
+            "unknown unit",
+            where=where,
+            found=repr(chosen),
+            needed=f"one of {known}",
+            hint="compare the volume that roomfit check shows",
+        )
     axis = up or model.up
     if axis not in ("y", "z"):
-        raise InputError("unknown up axis", where=where, found=repr(axis), needed='"y" or "z"')
+        raise InputError(
+            "unknown up axis",
+            where=where,
+            found=repr(axis),
+            needed='"y" or "z"',
+            hint="y where the height of the room stands second",
+        )
     x, y, z = (model.vertices * METRES_PER_UNIT[chosen]).reshape(-1, 3).T
     return np.stack([x, -z, y] if axis == "y" else [x, y, z], axis=1)
 
@@ -110,6 +123,7 @@ class RoomSpec:
                 "a room has exactly one source",
                 found=f"{sum(given)} of file, shoebox and polygons",
                 needed="one of them",
+                hint="leave the others out",
             )
 
 
@@ -130,6 +144,7 @@ def finite(token: str, where: str) -> float:
             where=where,
             found=repr(token[:40]),
             needed=f"a number of size up to {_LARGEST:g}",
+            hint="export the room again, or mend this line",
         )
     return value
 
@@ -146,6 +161,7 @@ def whole(token: str, where: str) -> int:
             where=where,
             found=repr(token[:40]),
             needed=f"digits alone, {_MOST_DIGITS} at most",
+            hint="export the room again, or mend this line",
         ) from None
 
 
@@ -158,6 +174,7 @@ def check_corners(corners: Iterable[int], n_vertices: int, where: str) -> None:
                 where=where,
                 found=f"corner {corner}",
                 needed=f"0 to {n_vertices - 1}",
+                hint="export the room again; corners may be counted from 1",
             )
 
 

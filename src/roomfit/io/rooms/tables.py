@@ -51,6 +51,7 @@ def read_corners(path: Path) -> dict[str, tuple[float, float, float]]:
                     where=where,
                     found=", ".join(row)[:60],
                     needed="a number of its own in the column of numbers",
+                    hint="number the rows, each once",
                 )
             continue
         if number in corners:
@@ -69,6 +70,7 @@ def read_corners(path: Path) -> dict[str, tuple[float, float, float]]:
             where=str(path),
             found="a heading alone",
             needed="rows of number, x, y, z",
+            hint="export the sheet of corners, with its rows",
         )
     return corners
 
@@ -95,6 +97,7 @@ def read_planes(path: Path) -> dict[str, Plane]:
                 where=where,
                 found=", ".join(row)[:60],
                 needed="a number of its own in the column of numbers",
+                hint="number the rows, each once",
             )
         if number in planes:
             raise InputError(
@@ -110,6 +113,7 @@ def read_planes(path: Path) -> dict[str, Plane]:
                 where=where,
                 found=f"plane {number} with {len(corners)}",
                 needed="at least three corner numbers without a gap between them",
+                hint="name its corners in their order, or leave the row out",
             )
         area = _cell(row, heading, ("area",))
         planes[number] = Plane(
@@ -127,6 +131,7 @@ def read_planes(path: Path) -> dict[str, Plane]:
             where=str(path),
             found="a heading alone",
             needed="rows of a number and three corners or more",
+            hint="export the sheet of planes, with its rows",
         )
     return planes
 
@@ -150,6 +155,7 @@ def _rows(path: Path, needed: tuple[str, ...]) -> Iterator[tuple[str, list[str],
             where=str(path),
             found="no such row",
             needed=f"a row with the words number, {', '.join(needed)}",
+            hint="write these words above the columns",
         )
 
 
@@ -179,7 +185,13 @@ def _corners_of(row: list[str], heading: list[str]) -> tuple[str, ...]:
 def _is_double_sided(row: list[str], heading: list[str], where: str) -> bool:
     sides = _cell(row, heading, ("sides",))
     if sides is not None and _as_number(sides) not in ("1", "2"):
-        raise InputError("a plane has one side or two", where=where, found=sides, needed="1 or 2")
+        raise InputError(
+            "a plane has one side or two",
+            where=where,
+            found=sides,
+            needed="1 or 2",
+            hint="2 where sound strikes both, as of a screen",
+        )
     return _as_number(sides or "") == "2" or any("double" in cell.lower() for cell in row)
 
 
@@ -287,6 +299,7 @@ def _chosen_planes(tables: PolygonSpec) -> tuple[dict[str, Plane], list[Finding]
                     where=plane.where,
                     found=f"plane {plane.number}",
                     hint="number it differently, or drop the other one",
+                    needed="each plane once",
                 )
             planes[plane.number] = plane
     return planes, findings
