@@ -90,15 +90,24 @@ def _turning_left(outline_m: FloatArray) -> FloatArray:
             "the outline of a block is none",
             found="no area" if not len(cut.triangles) else "an outline that crosses itself",
             needed="corners x, y, z in m, in order around the block",
+            hint="list them as they are met on a walk around the seats",
         )
     # walls beside an edge are looked for on a level
     up = float(area_vector_m2(outline_m)[2])
     if abs(up) < 0.5 * cut.area_m2:
-        raise InputError("a block of seats stands upright", needed="corners on the floor")
+        raise InputError(
+            "a block of seats stands upright",
+            found=f"{abs(up):.2f} m2 of {cut.area_m2:.2f} as seen from above",
+            needed="corners on the floor",
+            hint="z is the height of the floor at each corner",
+        )
     plan = outline_m[:, :2] - np.roll(outline_m[:, :2], 1, axis=0)
     if np.linalg.norm(plan, axis=1).min() < _STEP_M:
         raise InputError(
-            "a corner of a block stands twice", needed=f"corners {_STEP_M:g} m apart, or more"
+            "a corner of a block stands twice",
+            found=f"two corners {np.linalg.norm(plan, axis=1).min():g} m apart",
+            needed=f"{_STEP_M:g} m or more between them",
+            hint="the last corner is not the first again",
         )
     return outline_m if up > 0.0 else outline_m[::-1]
 

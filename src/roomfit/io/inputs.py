@@ -177,7 +177,12 @@ def object_areas_m2(campaign: Campaign, name: str, mesh: Mesh | None) -> ObjectA
 def _blocks_m2(table: ObjectTable, mesh: Mesh | None) -> tuple[float, float]:
     """Return the area of an object's blocks of seats, and that with strips along free edges."""
     if mesh is None:
-        raise InputError("outlines of seats without a room", needed="floor_area_m2, or [room]")
+        raise InputError(
+            "outlines of seats without a room",
+            found="outlines",
+            needed="a table [room]",
+            hint="without a room give floor_area_m2, strips along free edges included",
+        )
     outlines = [np.array(o, dtype=np.float64) for o in table.outlines or ()]
     return audience_area_m2(mesh, outlines, table.edge_m)
 
@@ -206,6 +211,7 @@ def audience_findings(campaign: Campaign, room: Room) -> tuple[Finding, ...]:
                 where=f"objects.{name}",
                 found=f"outlines on faces of the material {twice[0]!r}, {seats[twice[0]]!r}",
                 needed="either the outlines, or the material",
+                hint="give the faces the material of the floor",
             )
         text = (
             f"{name}: {own:.1f} m2 of seats absorb as {whole:.1f} m2, with strips of up to "

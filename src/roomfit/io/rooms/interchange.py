@@ -100,6 +100,7 @@ def read_ifc(path: Path, space: str | None = None) -> RoomModel:
             where=str(path),
             found=", ".join(map(repr, names))[:300] if space is None else repr(space),
             needed='space = "NAME" under [room]' if space is None else ", ".join(names)[:300],
+            hint="names are those of IfcSpace",
         )
     if len(owners) != len(polygons):
         raise damaged("IFC", path, "ifcopenshell gave no answer")

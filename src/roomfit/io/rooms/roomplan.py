@@ -75,6 +75,7 @@ def read_roomplan(path: Path) -> RoomModel:
                 "this JSON file is no scan of a room",
                 found="no list of walls",
                 needed="a CapturedRoom of Apple's RoomPlan, encoded by JSONEncoder",
+                hint="export the scan anew; a drawing is given as OBJ, IFC or COLLADA",
             )
         if content.get("rooms"):
             raise InputError(
@@ -104,7 +105,11 @@ def _part(kind: str, number: int, surface: Mapping[str, Any]) -> Part:
     name = f"{kind.capitalize()}{number}"
     if surface.get("curve") is not None:
         raise InputError(
-            "a wall of the scan is curved", where=name, needed="flat ones alone", hint=_HINT
+            "a wall of the scan is curved",
+            where=name,
+            found="curve",
+            needed="flat ones",
+            hint=_HINT,
         )
     own, parent = (str(surface.get(k) or "") for k in ("identifier", "parentIdentifier"))
     return Part(name, kind, _corners(surface), own, parent)
@@ -165,11 +170,19 @@ def closed_room(
     walls = [p for p in parts if p.kind == "wall" and _length(_foot(p)) > _DISTINCT_M]
     if len(walls) < 3:
         raise InputError(
-            "the scan encloses no room", found=f"{len(walls)} walls", needed="three or more"
+            "the scan encloses no room",
+            found=f"{len(walls)} walls",
+            needed="three or more",
+            hint=_HINT,
         )
     edges, moved_m = _edges_by_walls(walls) if floor_m is None else (_by_floor(floor_m, walls), 0.0)
     if all(e.wall is None for e in edges):
-        raise InputError("no wall of the scan stands on the outline of its floor", hint=_HINT)
+        raise InputError(
+            "no wall of the scan stands on the outline of its floor",
+            found=f"{len(walls)} walls elsewhere",
+            needed="a wall on one side or more",
+            hint=_HINT,
+        )
     ground_m = float(np.median([w.corners_m[:, 2].min() for w in walls]))
     plane = _ceiling(walls, ground_m)
     polygons, used = _sides(edges, parts, ground_m, plane)
@@ -350,7 +363,12 @@ def _ceiling(walls: Sequence[Part], ground_m: float) -> FloatArray:
         tops.append(wall.corners_m[z > z.min() + _LEVEL_M])
     points = np.concatenate(tops)
     if not len(points):
-        raise InputError("the walls of the scan have no height", needed="tops above their feet")
+        raise InputError(
+            "the walls of the scan have no height",
+            found=f"{len(walls)} walls lower than {_LEVEL_M:g} m",
+            needed="tops above their feet",
+            hint=_HINT,
+        )
     level = np.array([np.median(points[:, 2]), 0.0, 0.0])
     at = np.column_stack([np.ones(len(points)), points[:, :2]])
     sloping = np.linalg.lstsq(at, points[:, 2], rcond=None)[0]
