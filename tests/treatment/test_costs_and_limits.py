@@ -52,9 +52,13 @@ def test_a_piece_costs_its_area_times_the_price_of_a_square_metre(monkeypatch):
 
 
 def test_the_odds_of_a_target_count_both_of_its_limits(monkeypatch):
-    """Of draws with a Gaussian rest, by scipy: at most, at least, and between; and all at once."""
+    """By scipy, with a Gaussian rest of draws, and of logarithms of decay times.
+
+    At most, at least (a decay time, in two rows), and between; and all at once.
+    """
     rng = np.random.default_rng(4)
-    rows, sd = rng.normal(1.0, 0.3, (64, 4)), np.array([0.2, 0.1, 0.15, 0.3])
+    rows, sd = rng.lognormal(0.0, 0.3, (64, 4)), np.array([0.2, 0.1, 0.15, 0.3])
+    times = np.array([False, True, False, True])
     low = np.array([-np.inf, 0.9, 0.8, 0.7])
     high = np.array([1.1, np.inf, 1.2, np.inf])
     targets = (0, 1, 2, 1)  # the second has two rows
@@ -66,6 +70,7 @@ def test_the_odds_of_a_target_count_both_of_its_limits(monkeypatch):
     monkeypatch.setattr(treat_module, "rows_of", lambda *_: rows)
     monkeypatch.setattr(treat_module, "_rest_sd", lambda *_: sd)
     monkeypatch.setattr(treat_module, "limits_of", lambda _: (low, high))
+    monkeypatch.setattr(treat_module, "is_time", lambda _: times)
     room = SimpleNamespace(scene=None, before=())
     monkeypatch.setattr(treat_module, "_missed", lambda *_: ())
     nothing = np.zeros(0)
@@ -74,6 +79,8 @@ def test_the_odds_of_a_target_count_both_of_its_limits(monkeypatch):
     assert found.rows is rows
     odds, joint = treat_module._of_targets(question, found.odds)
     within = norm.cdf(high, rows, sd) - norm.cdf(low, rows, sd)
+    in_logs = norm.cdf(np.log(rows), np.log(np.maximum(low, 1e-300)), sd)
+    within = np.where(times, in_logs, within)
     np.testing.assert_allclose(
         odds, [within[:, 0].mean(), (within[:, 1] * within[:, 3]).mean(), within[:, 2].mean()]
     )

@@ -34,6 +34,7 @@ from roomfit.treatment.question import (
     Question,
     Surface,
     Target,
+    is_time,
     limits_of,
     question_of,
     rows_of,
@@ -275,7 +276,7 @@ def _outcome(
         question.room, treated(question, pieces), treated_draws(question, pieces)
     )
     rows = rows_of(question, drawn)
-    odds = _odds(question, means, rows)
+    odds = _odds(question, means, numbers, rows)
     missed = _missed(question, numbers, odds.mean(axis=0), probability)
     return _Outcome(pieces, numbers, float(question.cost @ pieces), means, rows, odds, missed)
 
@@ -287,10 +288,17 @@ def _of_targets(question: Question, odds: FloatArray) -> tuple[FloatArray, float
     return each, float(np.mean(np.prod(odds, axis=1)))
 
 
-def _odds(question: Question, means: _Means, rows: FloatArray) -> FloatArray:
+def _odds(question: Question, means: _Means, numbers: FloatArray, rows: FloatArray) -> FloatArray:
     """Return the probability that each draw is measured within its limits, as `rows`."""
-    sd, (low, high) = _rest_sd(question, means), limits_of(question)
-    return np.asarray(np.nan_to_num(ndtr((high - rows) / sd) - ndtr((low - rows) / sd)))
+    sd, ends = _rest_sd(question, means, numbers), limits_of(question)
+    drawn, low, high = (_in_logs(question, x) for x in (rows, *ends))
+    return np.asarray(np.nan_to_num(ndtr((high - drawn) / sd) - ndtr((low - drawn) / sd)))
+
+
+def _in_logs(question: Question, rows: FloatArray) -> FloatArray:
+    """Return decay times as logarithms, all else as it is: on this scale the rest is a sum."""
+    times = is_time(question)
+    return np.where(times, np.log(np.maximum(rows, 1e-9)), rows)
 
 
 def _means_and_draws(
@@ -311,14 +319,19 @@ def _means_and_draws(
     return means, np.concatenate([drawn, index], axis=1)
 
 
-def _rest_sd(question: Question, means: _Means) -> FloatArray:
-    """Return of each row the spread that is not the absorption's, alike in all its bands."""
+def _rest_sd(question: Question, means: _Means, numbers: FloatArray) -> FloatArray:
+    """Return of each row the spread that is not the absorption's, alike in all its bands.
+
+    Of logarithms of decay times, as their intervals are widened: a time is never 0.
+    """
     table = named_values(*means)
     own = [
         np.broadcast_to(table[question.targets[t].parameter].sd_rest, question.weights.shape[1])
         for t in question.target
     ]
     found = (question.weights * np.nan_to_num(own)).sum(axis=1)
+    share = np.divide(found, numbers, out=np.zeros_like(found), where=numbers > 0.0)
+    found = np.where(is_time(question), np.sqrt(np.log1p(share**2)), found)
     return np.asarray(np.maximum(found, 1e-9))
 
 
@@ -330,8 +343,10 @@ def _margin(question: Question, one: _Outcome, probability: float) -> FloatArray
     """
     rows = one.rows
     steps = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
-    wide = rows[:, None] + (steps / np.std(steps))[:, None] * _rest_sd(question, one.means)
+    sd = _rest_sd(question, one.means, one.numbers)
+    wide = _in_logs(question, rows)[:, None] + (steps / np.std(steps))[:, None] * sd
     ends = np.quantile(wide.reshape(-1, rows.shape[1]), (1.0 - probability, probability), axis=0)
+    ends = np.where(is_time(question), np.exp(ends), ends)
     low, high = limits_of(question)
     below, above = np.nan_to_num((one.numbers - ends[0], ends[1] - one.numbers))
     wide = np.maximum(
