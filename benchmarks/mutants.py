@@ -9,9 +9,11 @@ Before that the same tests run once without any bug, and must pass.
 
 ``--random N --seed S`` plants N bugs at random places of the syntax tree instead: signs,
 comparisons, constants, indices, dropped statements, exchanged arguments; ``--packages`` names the
-packages of src. The tests are those that import the module, and what they notice is tried without
-the bug. Bugs that mutants.toml lists as equivalent, each with its reason, change no answer: they
-are named and not counted. The share noticed is printed by package, with its interval of 95 %
+packages of src, ``numerical`` all that decide numbers. The tests are those that execute the
+function, of a minute together, by a file that ``--executed`` names (`_executed.py` writes it), and
+where no test does, or no file is named, the files that import the module; what they notice is tried
+without the bug. Bugs that mutants.toml lists as equivalent, each with its reason, change no answer:
+they are named and not counted. The share noticed is printed by package, with its interval of 95 %
 (Clopper and Pearson).
 """
 
@@ -36,6 +38,8 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from scipy.stats import beta
+
+from _executed import Run, executing_tests, kernels_holding, name_at, watched
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SOURCE = REPOSITORY / "src"
@@ -118,19 +122,6 @@ def mutated(mutant: Mutant) -> str:
     return text[:start] + mutant.new + text[start + len(mutant.old) :]
 
 
-def _is_compiled(mutant: Mutant) -> bool:
-    """Whether a bug lies in a compiled function."""
-    text = (SOURCE / "roomfit" / mutant.path).read_text(encoding="utf-8")
-    start = text.index(mutant.old) if mutant.start is None else mutant.start
-    line = text[:start].count("\n") + 1
-    return any(
-        isinstance(node, ast.FunctionDef)
-        and node.lineno <= line <= (node.end_lineno or 0)
-        and any("kernel" in ast.unparse(d) for d in node.decorator_list)
-        for node in ast.walk(ast.parse(text))
-    )
-
-
 def run_tests(copy: str, tests: Sequence[str], log: str, marked: str) -> None:
     """Run tests of this repository against the package below `copy`; exit with pytest's status."""
     os.setsid()
@@ -205,13 +196,21 @@ def tried(mutant: Mutant | None, tests: Sequence[str], folder: Path, limit_s: fl
     if mutant is not None:
         path = copy / "roomfit" / mutant.path
         path.write_text(mutated(mutant), encoding="utf-8")
-        if _is_compiled(mutant):
-            # machine code of callers, in other files, may hold what was changed
-            for kept in copy.glob("roomfit/**/__pycache__/*.nb[ci]"):
+        text = (SOURCE / "roomfit" / mutant.path).read_text(encoding="utf-8")
+        start = text.index(mutant.old) if mutant.start is None else mutant.start
+        # machine code of callers, in other files, may hold what was changed
+        stale = kernels_holding(name_at(text, text[:start].count("\n") + 1))
+        for kept in copy.glob("roomfit/**/__pycache__/*.nb[ci]"):
+            if kept.name.split(".", 1)[1].rsplit("-", 1)[0] in stale:
                 kept.unlink()
     verdict: Verdict = "SURVIVED"
     how = ""
-    for marked in ("not slow",) if mutant is None else ("not slow", "slow"):
+    if mutant is None:
+        marks = ["not slow"]
+    else:
+        # single tests are in their order already
+        marks = [""] if all("::" in t for t in tests) else ["not slow", "slow"]
+    for marked in marks:
         run = _tested(copy, tests, folder / "log.txt", marked, limit_s)
         if run.status in (1, 2):
             verdict, how = "noticed", run.failed
@@ -386,10 +385,34 @@ def package_of(path: str) -> str:
     return path.split("/")[0].removesuffix(".py")
 
 
+# The packages that decide numbers: not those that read and write files, show or start something.
+NUMERICAL = (
+    *("air", "bands", "batch", "certified", "coverage", "diagnostics", "experiment_design"),
+    *("eyring", "geometry", "identification", "impedance", "inversion", "logit", "materials"),
+    *("measurement", "objective", "prediction", "response", "scene", "signals", "solvers"),
+    *("suh2001", "synthetic", "tracing", "treatment", "uncertainty"),
+)
+# Of tests that execute a function, by the seconds that they took when they were watched.
+_BUDGET_S = 60.0
+
+
 def random_mutants(
-    number: int, seed: int, packages: Sequence[str] = (), most_tests: int = 6
+    number: int,
+    seed: int,
+    packages: Sequence[str] = (),
+    most_tests: int = 6,
+    runs: tuple[Run, ...] = (),
 ) -> list[Mutant]:
-    """Return bugs at random places, all places of the packages equally likely."""
+    """Return bugs at random places, all places of the packages equally likely.
+
+    Their tests are the runs that execute the function, and where none does the files near it.
+    """
+
+    def tests(path: str, text: str, start: int) -> tuple[str, ...]:
+        name = name_at(text, text[:start].count("\n") + 1)
+        found = executing_tests(path, name, runs, _BUDGET_S)
+        return tuple(found) or near_tests(path, name.split(".")[0])[:most_tests]
+
     every: list[tuple[str, Place, str]] = []
     for file in sorted((SOURCE / "roomfit").rglob("*.py")):
         path = file.relative_to(SOURCE / "roomfit").as_posix()
@@ -404,7 +427,7 @@ def random_mutants(
             path,
             text[place.start : place.end],
             place.new,
-            near_tests(path, _function_at(text, place.start))[:most_tests],
+            tests(path, text, place.start),
             place.start,
         )
         for path, place, text in chosen
@@ -486,14 +509,6 @@ def near_tests(path: str, function: str = "") -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _function_at(text: str, start: int) -> str:
-    """Return the name of the function or class at the top level in which a place lies, or ""."""
-    line = text[:start].count("\n") + 1
-    kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
-    own = (n for n in ast.parse(text).body if isinstance(n, kinds))
-    return next((n.name for n in own if n.lineno <= line <= (n.end_lineno or 0)), "")
-
-
 def share(noticed: int, number: int) -> str:
     """Return a share in percent with its interval of 95 % by Clopper and Pearson."""
     if not number:
@@ -511,9 +526,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of the places, %(default)s")
     parser.add_argument("--packages", nargs="*", default=[], help="of random bugs; all")
     parser.add_argument("--most-tests", type=int, default=6, help="files a bug, %(default)s")
+    parser.add_argument("--executed", type=Path, help="what _executed.py wrote")
+    parser.add_argument("--skip", type=int, default=0, help="so many of them, tried before")
     given = parser.parse_args()
     if given.random:
-        chosen = random_mutants(given.random, given.seed, given.packages, given.most_tests)
+        packages = NUMERICAL if given.packages == ["numerical"] else given.packages
+        runs = watched(given.executed) if given.executed else ()
+        chosen = random_mutants(given.random, given.seed, packages, given.most_tests, runs)
+        chosen = chosen[given.skip :]
         tries = random_outcomes(chosen, given.limit)
     else:
         names: list[str] = given.names
