@@ -195,11 +195,11 @@ def _of_array(array: np.ndarray[Any, Any]) -> dict[str, Any]:
     }
 
 
-def numbers_of(content: Content) -> Any:
+def numbers_of(content: Content, *, whole_findings: bool = False) -> Any:
     """Return what is left without prose, findings' words and counts; None where nothing is.
 
-    Findings are left as how many there are of each severity. Text of one word stays: it says how
-    a search ended, or which model was chosen.
+    Findings are left as how many there are of each severity, or with their names and numbers. Text
+    of one word stays: it says how a search ended, or which model was chosen.
     """
     if content.kind == "csv":
         return [
@@ -207,20 +207,22 @@ def numbers_of(content: Content) -> Any:
             for row in content.value
         ]
     if content.kind in {"json", "toml"}:
-        return _numbers(content.value)
+        return _numbers(content.value, whole_findings)
     return None
 
 
-def _numbers(value: Any) -> Any:
+def _numbers(value: Any, whole_findings: bool) -> Any:
     if isinstance(value, dict):
         kept = {key: item for key, item in value.items() if key not in COUNTS}
         return {
-            key: _severities(item) if _are_findings(key, item) else _numbers(item)
+            key: _severities(item)
+            if not whole_findings and _are_findings(key, item)
+            else _numbers(item, whole_findings)
             for key, item in kept.items()
             if not _is_prose(item)
         }
     if isinstance(value, list):
-        return [_numbers(item) for item in value if not _is_prose(item)]
+        return [_numbers(item, whole_findings) for item in value if not _is_prose(item)]
     return value
 
 

@@ -123,7 +123,7 @@ def _run_case(case: Case, out: Path, environment: Mapping[str, str]) -> Path:
 
 
 def answers(case: Case, folder: Path) -> dict[str, Any]:
-    """Run a case within this process and return the numbers of its JSON files, nine digits of each.
+    """Run a case within this process and return the numbers of its JSON files, and its findings.
 
     Parameters
     ----------
@@ -134,6 +134,7 @@ def answers(case: Case, folder: Path) -> dict[str, Any]:
     Returns
     -------
     mapping of file to JSON value
+        Nine digits of every number.
     """
     from roomfit.cli import main as command_line
 
@@ -149,7 +150,8 @@ def answers(case: Case, folder: Path) -> dict[str, Any]:
     with contextlib.chdir(folder):
         case.run(folder, command)
         files = [p for p in _files(folder) if p.suffix == ".json"]
-    return {p.relative_to(folder).as_posix(): _rounded(numbers_of(read_content(p))) for p in files}
+        contents = {p.relative_to(folder).as_posix(): read_content(p) for p in files}
+    return {n: _rounded(numbers_of(c, whole_findings=True)) for n, c in contents.items()}
 
 
 def _rounded(value: Any) -> Any:

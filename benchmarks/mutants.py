@@ -276,6 +276,11 @@ _COMPARISONS = {
 }
 # The same whichever argument comes first.
 _SYMMETRIC = frozenset({"max", "min", "maximum", "minimum", "hypot", "isclose", "gcd"})
+# How a picture looks, not what it shows.
+_LOOKS = frozenset(
+    {"alpha", "capsize", "columnspacing", "elinewidth", "fontsize", "handlelength", "linewidth"}
+    | {"lw", "mew", "ms", "ncols", "pad", "rotation", "zorder"}
+)
 # Their text is read by people alone, or by type checkers.
 _NOT_PLANTED = (ast.JoinedStr, ast.Raise, ast.Assert)
 
@@ -292,7 +297,8 @@ class Place(NamedTuple):
 def places(text: str) -> list[Place]:
     """Return the bugs that can be planted in a module, in the order of its syntax tree.
 
-    Messages, annotations, decorators and what only type checkers see are left out.
+    Messages, annotations, decorators, how pictures look and what only type checkers see are left
+    out.
     """
     lines = [0]
     for line in text.split("\n"):
@@ -317,6 +323,10 @@ def places(text: str) -> list[Place]:
 
     def visit(node: ast.AST) -> None:
         if isinstance(node, _NOT_PLANTED):
+            return
+        if isinstance(node, ast.keyword) and node.arg in _LOOKS:
+            return
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "new_figure":
             return
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             return
