@@ -165,14 +165,15 @@ def name_at(text: str, line: int) -> str:
 def _mentions(*, compiled: bool = False) -> dict[str, set[str]]:
     """Return, for every name, the functions and constants of roomfit whose text has it.
 
-    Of compiled functions alone where they are asked for.
+    Of compiled functions and constants alone where they are asked for.
     """
     found: dict[str, set[str]] = {}
     for file in SOURCE.rglob("*.py"):
         path = file.relative_to(SOURCE).as_posix()
         for name, node in _defined(file.read_text(encoding="utf-8")):
             decorators = getattr(node, "decorator_list", [])
-            if compiled and not any("kernel" in ast.unparse(d) for d in decorators):
+            is_kernel = any("kernel" in ast.unparse(d) for d in decorators)
+            if compiled and isinstance(node, _DEFINITIONS) and not is_kernel:
                 continue
             for inner in ast.walk(node):
                 used = getattr(inner, "id", "") or getattr(inner, "attr", "")

@@ -35,7 +35,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from scipy.stats import beta
 
@@ -135,6 +135,7 @@ def run_tests(copy: str, tests: Sequence[str], log: str, marked: str) -> None:
     os.chdir(REPOSITORY)
     import pytest
 
+    _keep_kernels(copy)
     import roomfit
 
     if not str(roomfit.__file__).startswith(copy):
@@ -143,6 +144,24 @@ def run_tests(copy: str, tests: Sequence[str], log: str, marked: str) -> None:
     status = pytest.main([*arguments, *(f"tests/{t}" for t in tests)])
     sys.stdout.flush()
     os._exit(int(status))
+
+
+def _keep_kernels(copy: str) -> None:
+    """Let numba take kernels below `copy` for those of the unchanged source.
+
+    It asks whether a file has changed; those that hold what was changed `tried` has deleted.
+    """
+    from numba.core import caching
+
+    def stamp(locator: Any) -> object:
+        path = Path(locator._py_file)
+        if path.is_relative_to(copy):
+            path = SOURCE / path.relative_to(copy)
+        about = path.stat()
+        found: object = caching._hash_source_file(str(path), about.st_mtime, about.st_size)
+        return found
+
+    caching._SourceFileBackedLocatorMixin.get_source_stamp = stamp  # type: ignore[method-assign]
 
 
 _ENDED = "ended by signal"
