@@ -25,6 +25,14 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parents[1]
 SOURCE = REPOSITORY / "src" / "roomfit"
 
+# The packages that decide numbers: not those that read and write files, show or start something.
+NUMERICAL = (
+    *("air", "bands", "batch", "certified", "coverage", "diagnostics", "experiment_design"),
+    *("eyring", "geometry", "identification", "impedance", "inversion", "logit", "materials"),
+    *("measurement", "objective", "prediction", "response", "scene", "signals", "solvers"),
+    *("suh2001", "synthetic", "tracing", "treatment", "uncertainty"),
+)
+
 _entered: set[CodeType] = set()  # of what runs now
 
 
@@ -163,7 +171,7 @@ def name_at(text: str, line: int) -> str:
 
 @functools.cache
 def _mentions(*, compiled: bool = False) -> dict[str, set[str]]:
-    """Return, for every name, the functions and constants of roomfit whose text has it.
+    """Return, for every name, and attribute with its dot, what functions and constants have it.
 
     Of compiled functions and constants alone where they are asked for.
     """
@@ -176,8 +184,8 @@ def _mentions(*, compiled: bool = False) -> dict[str, set[str]]:
             if compiled and isinstance(node, _DEFINITIONS) and not is_kernel:
                 continue
             for inner in ast.walk(node):
-                used = getattr(inner, "id", "") or getattr(inner, "attr", "")
-                if used:
+                used = getattr(inner, "id", "") or f".{getattr(inner, 'attr', '')}"
+                if used != ".":
                     found.setdefault(used, set()).add(f"{path}:{name}")
     return found
 
@@ -216,7 +224,8 @@ def executing_tests(path: str, name: str, runs: tuple[Run, ...], budget_s: float
     chosen: list[Run] = []
     while ring and not chosen:
         chosen = [run for run in runs if not ring.isdisjoint(run.functions)]
-        short = {key.split(":")[1].split(".")[-1] for key in ring}
+        # a method is called as an attribute, all else by its name
+        short = {re.sub(r"^\w+(?=\.)", "", key.split(":")[1]) for key in ring}
         ring = {key for s in short for key in _mentions().get(s, ())} - seen
         seen |= ring
     word = re.compile(rf"\b{re.escape(name.split('.')[-1])}\b") if name else re.compile(r"(?!)")

@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 import roomfit
+from _executed import NUMERICAL
 from _golden_cases import CASES, Case
 from _golden_digests import (
     OF_ANY_MACHINE,
@@ -46,6 +47,7 @@ from _golden_digests import (
     read_content,
     renamed,
 )
+from _silent import moved, returned, sums
 
 # The command line of whichever roomfit this Python imports.
 ROOMFIT = (sys.executable, "-m", "roomfit")
@@ -123,7 +125,7 @@ def _run_case(case: Case, out: Path, environment: Mapping[str, str]) -> Path:
 
 
 def answers(case: Case, folder: Path) -> dict[str, Any]:
-    """Run a case within this process and return the numbers of its JSON files, and its findings.
+    """Run a case within this process and return the numbers of its JSON files, and silent ones.
 
     Parameters
     ----------
@@ -134,7 +136,8 @@ def answers(case: Case, folder: Path) -> dict[str, Any]:
     Returns
     -------
     mapping of file to JSON value
-        Nine digits of every number.
+        Nine digits of every number, with the findings. As "functions", what `_silent.sums` makes
+        of what functions returned.
     """
     from roomfit.cli import main as command_line
 
@@ -147,11 +150,12 @@ def answers(case: Case, folder: Path) -> dict[str, Any]:
                 if end.code:
                     raise RuntimeError(f"roomfit {' '.join(asked)} ended with {end.code}") from end
 
-    with contextlib.chdir(folder):
+    with contextlib.chdir(folder), returned(NUMERICAL) as last:
         case.run(folder, command)
         files = [p for p in _files(folder) if p.suffix == ".json"]
         contents = {p.relative_to(folder).as_posix(): read_content(p) for p in files}
-    return {n: _rounded(numbers_of(c, whole_findings=True)) for n, c in contents.items()}
+    found = {n: _rounded(numbers_of(c, whole_findings=True)) for n, c in contents.items()}
+    return {**found, "functions": sums(last)}
 
 
 def _rounded(value: Any) -> Any:
@@ -166,9 +170,10 @@ def changed(case: Case, found: Mapping[str, Any]) -> dict[str, FieldDifference]:
     """Return in which fields the answers of a case differ from those that are kept."""
     path = REFERENCE / f"{case.name}.json"
     kept = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    return {
+    silent = moved(kept.get("functions", {}), found["functions"])
+    return {f"{n}()": FieldDifference(changed=1, beyond=True) for n in silent} | {
         f"{file}: {name}": field
-        for file in sorted({*kept, *found})
+        for file in sorted({*kept, *found} - {"functions"})
         for name, field in field_differences(
             kept.get(file, {}), found.get(file, {}), tolerance=OF_ANY_MACHINE
         ).items()

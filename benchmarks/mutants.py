@@ -39,7 +39,7 @@ from typing import Any, Literal, NamedTuple
 
 from scipy.stats import beta
 
-from _executed import Run, executing_tests, kernels_holding, name_at, watched
+from _executed import NUMERICAL, Run, executing_tests, kernels_holding, name_at, watched
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SOURCE = REPOSITORY / "src"
@@ -414,13 +414,6 @@ def package_of(path: str) -> str:
     return path.split("/")[0].removesuffix(".py")
 
 
-# The packages that decide numbers: not those that read and write files, show or start something.
-NUMERICAL = (
-    *("air", "bands", "batch", "certified", "coverage", "diagnostics", "experiment_design"),
-    *("eyring", "geometry", "identification", "impedance", "inversion", "logit", "materials"),
-    *("measurement", "objective", "prediction", "response", "scene", "signals", "solvers"),
-    *("suh2001", "synthetic", "tracing", "treatment", "uncertainty"),
-)
 # Of tests that execute a function, by the seconds that they took when they were watched.
 _BUDGET_S = 60.0
 
