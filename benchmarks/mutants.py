@@ -193,12 +193,12 @@ def _tested(copy: Path, tests: Sequence[str], log: Path, marked: str, limit_s: f
     text = log.read_text(encoding="utf-8") if log.exists() else ""
     failed = [line for line in text.splitlines() if line.startswith(("FAILED", "ERROR"))]
     first = failed[0].split(" - ")[0] if failed else ""
-    # 0: all passed; 1: a test failed; 2: a test file could not be read; 5: none is marked so; a
-    # signal ends what reaches beyond an array in compiled code, and that is noticed
+    # 0: all passed; 1: a test failed; 2, and 4 for a single test: a test file could not be read; 5:
+    # none is marked so; a signal ends what reaches beyond an array in compiled code: noticed
     ended_by_signal = process.exitcode is not None and process.exitcode < 0
     if not late and ended_by_signal:
         return _Run(1, f"{_ENDED} {-(process.exitcode or 0)}", text)
-    if not late and process.exitcode not in (0, 1, 2, 5):
+    if not late and process.exitcode not in (0, 1, 2, 5, *([4] if failed else [])):
         raise SystemExit(f"pytest ended with {process.exitcode}:\n{text[-2000:]}")
     return _Run(None if late else process.exitcode, first, text)
 
@@ -231,7 +231,7 @@ def tried(mutant: Mutant | None, tests: Sequence[str], folder: Path, limit_s: fl
         marks = [""] if all("::" in t for t in tests) else ["not slow", "slow"]
     for marked in marks:
         run = _tested(copy, tests, folder / "log.txt", marked, limit_s)
-        if run.status in (1, 2):
+        if run.status in (1, 2, 4):
             verdict, how = "noticed", run.failed
             break
         if run.status is None:

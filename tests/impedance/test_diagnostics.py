@@ -108,6 +108,15 @@ def test_noise_that_is_unspecified_is_found_as_a_function_of_frequency():
     # medians of 24 numbers and more: 20 % of spread each, some of it averaged out
     assert np.all(np.abs(np.log(found[0] / truth)) < 0.6)
     assert np.sqrt(np.mean(np.log(found[0] / truth) ** 2)) < 0.3
+    # numbers that were fitted take from the residual what they explain, all but a hundredth at most
+    model = 0.5 * np.mean(problem.sd**2, axis=0)
+    n = len(fit.residual)
+    squares = {
+        effective: estimated_noise(replace(fit, effective=effective * n))[0] ** 2 + model
+        for effective in (0.0, 0.5, 1.0)
+    }
+    np.testing.assert_allclose(squares[0.5], 2.0 * squares[0.0], rtol=1e-9)
+    np.testing.assert_allclose(squares[1.0], 100.0 * squares[0.0], rtol=1e-9)
 
 
 def start_with(problem, r0):
