@@ -31,12 +31,19 @@ _MOST_ARRAYS, _MOST_NUMBERS = 2000, 10_000
 
 @contextlib.contextmanager
 def returned(packages: tuple[str, ...]) -> Iterator[dict[str, Any]]:
-    """Give a mapping that fills with what functions of some packages returned last, by name."""
+    """Give a mapping that fills with what functions of some packages returned last, by name.
+
+    What roomfit keeps by `functools.cache` is computed anew.
+    """
     last: dict[str, Any] = {}
     for package in packages:
         module = importlib.import_module(f"roomfit.{package}")
         for found in pkgutil.walk_packages(getattr(module, "__path__", ()), f"{module.__name__}."):
             importlib.import_module(found.name)
+    for module in _modules():
+        for value in vars(module).values():
+            if hasattr(value, "cache_clear"):
+                value.cache_clear()
     watched = {
         function: _watched(function, f"{module.__name__}.{name}", last)
         for module in _modules()

@@ -139,6 +139,7 @@ def answers(case: Case, folder: Path) -> dict[str, Any]:
         Nine digits of every number, with the findings. As "functions", what `_silent.sums` makes
         of what functions returned.
     """
+    from roomfit._numba import at_most_threads
     from roomfit.cli import main as command_line
 
     def command(*arguments: object) -> None:
@@ -150,7 +151,8 @@ def answers(case: Case, folder: Path) -> dict[str, Any]:
                 if end.code:
                     raise RuntimeError(f"roomfit {' '.join(asked)} ended with {end.code}") from end
 
-    with contextlib.chdir(folder), returned(NUMERICAL) as last:
+    # in one thread and process, so that the last call of a function is always the same
+    with contextlib.chdir(folder), at_most_threads(1), returned(NUMERICAL) as last:
         case.run(folder, command)
         files = [p for p in _files(folder) if p.suffix == ".json"]
         contents = {p.relative_to(folder).as_posix(): read_content(p) for p in files}
