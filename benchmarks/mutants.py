@@ -316,8 +316,8 @@ class Place(NamedTuple):
 def places(text: str) -> list[Place]:
     """Return the bugs that can be planted in a module, in the order of its syntax tree.
 
-    Messages, annotations, decorators, how pictures look and what only type checkers see are left
-    out.
+    Messages, annotations, decorators, how pictures look, whether lengths are checked and what only
+    type checkers see are left out.
     """
     lines = [0]
     for line in text.split("\n"):
@@ -343,7 +343,7 @@ def places(text: str) -> list[Place]:
     def visit(node: ast.AST) -> None:
         if isinstance(node, _NOT_PLANTED):
             return
-        if isinstance(node, ast.keyword) and node.arg in _LOOKS:
+        if isinstance(node, ast.keyword) and node.arg in {*_LOOKS, "strict"}:
             return
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "new_figure":
             return
