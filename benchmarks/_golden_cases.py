@@ -351,7 +351,7 @@ def _what_follows(folder: Path, run: RunCommand) -> None:
     )
     chosen = ("--candidates", 40, "--choose", 1, "--result", found)
     run(DESIGN, campaign, *chosen, "--out", folder / "designed")
-    run(COVERAGE, campaign, "--replicates", 2, "--snr-db", 50, "--out", folder / "covered")
+    run(COVERAGE, campaign, "--replicates", 1, "--snr-db", 50, "--out", folder / "covered")
     wanted = _written(folder / "treatment.toml", _treatment("tiles", 0.25))
     run(TREAT, campaign, wanted, "--absorption", found, "--out", folder / "treated")
 

@@ -427,3 +427,23 @@ def test_bounds_of_a_prior_hold_over_an_interval_and_are_exact_on_a_short_one():
         assert short == pytest.approx(
             second, abs=1e-5 * (abs(second) + 100.0 * p * (1 + abs(mean)))
         )
+
+
+def test_a_quadratic_below_priors_is_below_them_everywhere_and_near_where_they_bend_little():
+    """Weak priors, whose curvature is between 0 and 1, and strong ones."""
+    rng = np.random.default_rng(7)
+    touched = 0
+    for _ in range(300):
+        p, mean, a, b = rng.uniform((0.02, -3.0, 0.8, 0.0), (1.0, 3.0, 1.0, 0.2))
+        prior = np.array([[p, mean, a, b]])
+        middle = np.log(rng.uniform(b + 0.1, a - 0.1))
+        half = rng.choice([0.01, 0.1, 0.3])
+        centre, width = np.array([middle]), np.array([half])
+        value, slope, curve = priors_over(prior, centre - half, centre + half, centre, width)
+        away = np.linspace(-half, half, 101)
+        bound = value + slope * away + 0.5 * curve * away**2
+        exact = np.array([prior_at(prior[0], middle + d)[0] for d in away])
+        assert np.all(bound <= exact)
+        touched += bool(exact[50] - bound[50] <= 1e-6 * (1.0 + exact[50]))
+    # nowhere else is the least value of the interval nearer
+    assert touched > 60
