@@ -44,8 +44,9 @@ RunCommand = Callable[..., None]
 """Runs one command of roomfit: its arguments; the last one names the output folder."""
 
 # What the commands are called: the one line to change when one is renamed.
-DEMO, IDENTIFY, IMPEDANCE, PREDICT, DESIGN, COVERAGE, PAPER = (
+DEMO, IDENTIFY, IMPEDANCE, PREDICT, DESIGN, COVERAGE, PAPER, REVERBERATION, TREAT = (
     *("demo", "identify", "impedance", "predict", "design", "coverage", "paper"),
+    *("reverberation", "treat"),
 )
 
 _RATE_HZ = 16_000
@@ -74,6 +75,52 @@ _VALUES = MappingProxyType(
         ("MP2", "C80"): (10.6, 11.2),
     }
 )
+# In another state of the box, whose floor is covered: measured at a third place.
+_COVERED = """
+[[states]]
+name = "covered"
+materials = {floor = "rug"}
+[materials.rug]
+scattering = 0.0
+[objects.people]
+prior = {mean = 1.0, sd = 0.5}
+states = ["covered"]
+[[measurements]]
+source = "LS1"
+receiver = "MP3"
+file = "covered.wav"
+state = "covered"
+"""
+_DECAY_TIMES = """
+[room]
+shoebox = [8, 6, 3]
+[room.materials]
+walls = "walls"
+floor = "floor"
+ceiling = "ceiling"
+[materials.ceiling]
+absorption = 0.1
+[reverberation]
+file = "t30.csv"
+formula = "Fitzroy"
+"""
+_TREATMENT = """
+probability = 0.7
+[surfaces.CEILING]
+free_m2 = 9
+[products.panel]
+absorption = 0.9
+sd = 0.02
+piece_m2 = 0.6
+cost_per_m2 = 60
+[products.foil]
+absorption = 0.5
+piece_m2 = 1.0
+cost_per_m2 = 30
+[[targets]]
+at_most = LIMIT
+bands_hz = [1000]
+"""
 _IMPEDANCE_HZ = np.arange(200.0, 501.0, 20.0)
 _TAU_S = 0.006
 
@@ -87,13 +134,17 @@ class Case:
     run: Callable[[Path, RunCommand], None]
 
 
-def _responses(names: tuple[str, ...], b: tuple[float, ...] | None) -> Mapping[str, FloatArray]:
+def _responses(
+    names: tuple[str, ...],
+    b: tuple[float, ...] | None,
+    absorption: Mapping[str, float] = _ABSORPTION,
+) -> Mapping[str, FloatArray]:
     """Return the pressures in the box at some receivers, noise at -60 dB."""
     bands, air = bands_between("octave", 250, 4000), Air()
     truth = SyntheticBox(
         _SIZE_M,
         bands.centres_hz,
-        np.array([[_ABSORPTION[owner]] * len(bands) for owner in _OWNERS]),
+        np.array([[absorption[owner]] * len(bands) for owner in _OWNERS]),
         attenuation_per_m(air, bands),
         speed_of_sound_m_s(air),
     )
@@ -300,7 +351,40 @@ def _what_follows(folder: Path, run: RunCommand) -> None:
     )
     chosen = ("--candidates", 40, "--choose", 1, "--result", found)
     run(DESIGN, campaign, *chosen, "--out", folder / "designed")
-    run(COVERAGE, campaign, "--replicates", 2, "--snr-db", 50, "--out", folder / "coverage")
+    run(COVERAGE, campaign, "--replicates", 1, "--snr-db", 50, "--out", folder / "covered")
+    wanted = _written(folder / "treatment.toml", _treatment("tiles", 0.25))
+    run(TREAT, campaign, wanted, "--absorption", found, "--out", folder / "treated")
+
+
+def _written(path: Path, text: str) -> Path:
+    path.write_text(text)
+    return path
+
+
+def _treatment(surface: str, t30_s: float) -> str:
+    return _TREATMENT.replace("CEILING", surface).replace("LIMIT", str(t30_s))
+
+
+def _states(folder: Path, run: RunCommand) -> None:
+    campaign = _write_box(folder, identify='from_hz = 500\nto_hz = 1000\nmodel = "energy"')
+    covered = _responses(("MP3",), None, {**_ABSORPTION, "carpet": 0.7})["MP3"]
+    _write_wav(folder / "covered.wav", covered)
+    place = f"[receivers.MP3]\nposition = {list(_PLACES_M['MP3'])}\nposition_sd = 0.005\n"
+    campaign.write_text(campaign.read_text() + place + _COVERED)
+    found = _identify(run, campaign, folder) / "result.json"
+    run(
+        *(PREDICT, campaign, "--absorption", found, "--state", "covered", "--no-cache"),
+        *("--doubted", "--out", folder / "predicted"),
+    )
+
+
+def _decay_times(folder: Path, run: RunCommand) -> None:
+    campaign = _written(folder / "campaign.toml", _DECAY_TIMES)
+    (folder / "t30.csv").write_text("place,500,1000\nfront,1.12,1.08\nback,1.08,1.12\n")
+    wanted = _written(folder / "treatment.toml", _treatment("ceiling", 0.8))
+    run(REVERBERATION, campaign, "--out", folder / "found")
+    run(PREDICT, campaign, "--set", "ceiling=0.5+-0.05", "--out", folder / "predicted")
+    run(TREAT, campaign, wanted, "--out", folder / "treated")
 
 
 def _paper(folder: Path, run: RunCommand) -> None:
@@ -317,6 +401,8 @@ CASES = (
     Case("certified", "least squares with a certificate, one octave", _certified),
     Case("posterior", "samples of the posterior, one octave", _posterior),
     Case("impedance", "impedances of three materials from damped spectra", _impedance),
-    Case("follow-up", "prediction, design of a campaign and coverage after a fit", _what_follows),
+    Case("follow-up", "prediction, design, coverage and a treatment after a fit", _what_follows),
+    Case("states", "two states, objects in one of them, and its prediction", _states),
+    Case("decay-times", "mean absorption, prediction and treatment by decay times", _decay_times),
     Case("paper", "the paper's searches and certificates, two seeds", _paper),
 )

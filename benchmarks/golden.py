@@ -2,17 +2,24 @@
 
     python benchmarks/golden.py run --out DIR [--threads N] [--cases NAME ...] [--fresh-kernels]
     python benchmarks/golden.py compare DIR1 DIR2 [--tolerance]
+    python benchmarks/golden.py reference [NAME ...]
     python benchmarks/golden.py list
 
 `run` leaves in DIR the outputs (work/), their canonical contents (contents/), and digests.json: for
 every file "whole", without seconds, versions, paths and provenance, and "numbers", without prose
 and the names of findings as well. Answers are the same bit by bit for any number of threads, not
 on another processor or with other libraries: compare runs of one machine.
+
+`reference` prints what has changed since the numbers in tests/reference were written, and writes
+them anew. `tests/test_reference.py` compares with them within what other processors may change: a
+change of numbers that nobody meant is noticed, whatever it lies in.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import json
 import os
 import shutil
@@ -25,20 +32,29 @@ from pathlib import Path
 from typing import Any
 
 import roomfit
+from _executed import NUMERICAL
 from _golden_cases import CASES, Case
 from _golden_digests import (
+    OF_ANY_MACHINE,
     RENAMED,
     Content,
+    FieldDifference,
     FileDifference,
     difference,
     digests_of,
+    field_differences,
+    numbers_of,
     read_content,
     renamed,
 )
+from _silent import moved, returned, sums
 
 # The command line of whichever roomfit this Python imports.
 ROOMFIT = (sys.executable, "-m", "roomfit")
 FORMAT = "roomfit-golden"
+REFERENCE = Path(__file__).resolve().parents[1] / "tests" / "reference"
+# The cases of seconds; `demo` and `paper` take a minute and more.
+OF_SECONDS = tuple(case for case in CASES if case.name not in ("demo", "paper"))
 
 
 def run_cases(out: Path, names: Sequence[str], threads: int, *, fresh_kernels: bool) -> None:
@@ -106,6 +122,87 @@ def _run_case(case: Case, out: Path, environment: Mapping[str, str]) -> Path:
 
     case.run(folder, command)
     return folder
+
+
+def answers(case: Case, folder: Path) -> dict[str, Any]:
+    """Run a case within this process and return the numbers of its JSON files, and silent ones.
+
+    Parameters
+    ----------
+    case : Case
+    folder : Path
+        An empty folder.
+
+    Returns
+    -------
+    mapping of file to JSON value
+        Nine digits of every number, with the findings. As "functions", what `_silent.sums` makes
+        of what functions returned.
+    """
+    from roomfit._numba import at_most_threads
+    from roomfit.cli import main as command_line
+
+    def command(*arguments: object) -> None:
+        asked = [str(a.relative_to(folder)) if isinstance(a, Path) else str(a) for a in arguments]
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            try:
+                command_line(asked)
+            except SystemExit as end:
+                if end.code:
+                    raise RuntimeError(f"roomfit {' '.join(asked)} ended with {end.code}") from end
+
+    # in one thread and process, so that the last call of a function is always the same
+    with contextlib.chdir(folder), at_most_threads(1), returned(NUMERICAL) as last:
+        case.run(folder, command)
+        files = [p for p in _files(folder) if p.suffix == ".json"]
+        contents = {p.relative_to(folder).as_posix(): read_content(p) for p in files}
+    found = {n: _rounded(numbers_of(c, whole_findings=True)) for n, c in contents.items()}
+    return {**found, "functions": sums(last)}
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_rounded(item) for item in value]
+    return float(f"{value:.9g}") if isinstance(value, float) else value
+
+
+def changed(case: Case, found: Mapping[str, Any]) -> dict[str, FieldDifference]:
+    """Return in which fields the answers of a case differ from those that are kept."""
+    path = REFERENCE / f"{case.name}.json"
+    kept = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    silent = moved(kept.get("functions", {}), found["functions"])
+    return {f"{n}()": FieldDifference(changed=1, beyond=True) for n in silent} | {
+        f"{file}: {name}": field
+        for file in sorted({*kept, *found} - {"functions"})
+        for name, field in field_differences(
+            kept.get(file, {}), found.get(file, {}), tolerance=OF_ANY_MACHINE
+        ).items()
+    }
+
+
+def _renew(names: Sequence[str]) -> None:
+    """Print what has changed since the reference was written, and write it anew."""
+    REFERENCE.mkdir(exist_ok=True)
+    for case in (c for c in OF_SECONDS if not names or c.name in names):
+        with tempfile.TemporaryDirectory() as name:
+            found = answers(case, Path(name).resolve())
+        fields = changed(case, found)
+        print(f"{case.name}: {len(fields)} fields differ")
+        _print_fields(fields)
+        path = REFERENCE / f"{case.name}.json"
+        aside = path.with_suffix(".new")
+        aside.write_text(json.dumps(found, indent=0) + "\n", encoding="utf-8")
+        aside.replace(path)
+
+
+def _print_fields(fields: Mapping[str, FieldDifference]) -> None:
+    for name, f in sorted(fields.items()):
+        most = f"largest difference {f.largest:.3g}" if f.largest else ""
+        changed = f"{f.changed} values changed, added or gone" if f.changed else ""
+        verdict = "beyond tolerance" if f.beyond else "within tolerance"
+        print(f"    {name}: {', '.join(filter(None, (most, changed, verdict)))}")
 
 
 def freeze(folders: Mapping[str, Path], out: Path) -> None:
@@ -194,11 +291,7 @@ def print_differences(
             print(f"{d.case}/{d.file}: not in the {d.missing} run")
             continue
         print(f"{d.case}/{d.file}: {'NUMBERS' if d.numbers else 'whole only, numbers agree'}")
-        for name, f in sorted(d.fields.items()):
-            most = f"largest difference {f.largest:.3g}" if f.largest else ""
-            changed = f"{f.changed} values changed, added or gone" if f.changed else ""
-            verdict = "beyond tolerance" if f.beyond else "within tolerance"
-            print(f"    {name}: {', '.join(filter(None, (most, changed, verdict)))}")
+        _print_fields(d.fields)
     wrong = [d for d in differences if (d.beyond if tolerance else d.numbers)]
     words = sum(not d.numbers for d in differences)
     kind = "numbers beyond tolerance" if tolerance else "other numbers"
@@ -231,6 +324,10 @@ def main() -> int:
         help="allow 1e-9 of absorption, 1e-3 of an interval's width at its bounds, and 1e-3 of "
         "the largest number of any other field",
     )
+    anew = verbs.add_parser(
+        "reference", help="print what changed in tests/reference; write it anew"
+    )
+    anew.add_argument("cases", nargs="*", metavar="NAME", help="cases; left out: all")
     verbs.add_parser("list", help="name the cases")
     asked = parser.parse_args()
     if asked.verb == "run":
@@ -240,6 +337,9 @@ def main() -> int:
         return print_differences(
             *compare_runs(asked.first, asked.second, asked.cases), tolerance=asked.tolerance
         )
+    if asked.verb == "reference":
+        _renew(asked.cases)
+        return 0
     for case in CASES:
         print(f"{case.name:<12} {case.about}")
     return 0

@@ -9,9 +9,11 @@ Before that the same tests run once without any bug, and must pass.
 
 ``--random N --seed S`` plants N bugs at random places of the syntax tree instead: signs,
 comparisons, constants, indices, dropped statements, exchanged arguments; ``--packages`` names the
-packages of src. The tests are those that import the module, and what they notice is tried without
-the bug. Bugs that mutants.toml lists as equivalent, each with its reason, change no answer: they
-are named and not counted. The share noticed is printed by package, with its interval of 95 %
+packages of src, ``numerical`` all that decide numbers. The tests are those that execute the
+function, of a minute together, by a file that ``--executed`` names (`_executed.py` writes it), and
+where no test does, or no file is named, the files that import the module; what they notice is tried
+without the bug. Bugs that mutants.toml lists as equivalent, each with its reason, change no answer:
+they are named and not counted. The share noticed is printed by package, with its interval of 95 %
 (Clopper and Pearson).
 """
 
@@ -33,9 +35,11 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from scipy.stats import beta
+
+from _executed import NUMERICAL, Run, executing_tests, kernels_holding, name_at, watched
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SOURCE = REPOSITORY / "src"
@@ -118,19 +122,6 @@ def mutated(mutant: Mutant) -> str:
     return text[:start] + mutant.new + text[start + len(mutant.old) :]
 
 
-def _is_compiled(mutant: Mutant) -> bool:
-    """Whether a bug lies in a compiled function."""
-    text = (SOURCE / "roomfit" / mutant.path).read_text(encoding="utf-8")
-    start = text.index(mutant.old) if mutant.start is None else mutant.start
-    line = text[:start].count("\n") + 1
-    return any(
-        isinstance(node, ast.FunctionDef)
-        and node.lineno <= line <= (node.end_lineno or 0)
-        and any("kernel" in ast.unparse(d) for d in node.decorator_list)
-        for node in ast.walk(ast.parse(text))
-    )
-
-
 def run_tests(copy: str, tests: Sequence[str], log: str, marked: str) -> None:
     """Run tests of this repository against the package below `copy`; exit with pytest's status."""
     os.setsid()
@@ -144,6 +135,7 @@ def run_tests(copy: str, tests: Sequence[str], log: str, marked: str) -> None:
     os.chdir(REPOSITORY)
     import pytest
 
+    _keep_kernels(copy)
     import roomfit
 
     if not str(roomfit.__file__).startswith(copy):
@@ -152,6 +144,24 @@ def run_tests(copy: str, tests: Sequence[str], log: str, marked: str) -> None:
     status = pytest.main([*arguments, *(f"tests/{t}" for t in tests)])
     sys.stdout.flush()
     os._exit(int(status))
+
+
+def _keep_kernels(copy: str) -> None:
+    """Let numba take kernels below `copy` for those of the unchanged source.
+
+    It asks whether a file has changed; those that hold what was changed `tried` has deleted.
+    """
+    from numba.core import caching
+
+    def stamp(locator: Any) -> object:
+        path = Path(locator._py_file)
+        if path.is_relative_to(copy):
+            path = SOURCE / path.relative_to(copy)
+        about = path.stat()
+        found: object = caching._hash_source_file(str(path), about.st_mtime, about.st_size)
+        return found
+
+    caching._SourceFileBackedLocatorMixin.get_source_stamp = stamp  # type: ignore[method-assign]
 
 
 _ENDED = "ended by signal"
@@ -183,12 +193,12 @@ def _tested(copy: Path, tests: Sequence[str], log: Path, marked: str, limit_s: f
     text = log.read_text(encoding="utf-8") if log.exists() else ""
     failed = [line for line in text.splitlines() if line.startswith(("FAILED", "ERROR"))]
     first = failed[0].split(" - ")[0] if failed else ""
-    # 0: all passed; 1: a test failed; 2: a test file could not be read; 5: none is marked so; a
-    # signal ends what reaches beyond an array in compiled code, and that is noticed
+    # 0: all passed; 1: a test failed; 2, and 4 for a single test: a test file could not be read; 5:
+    # none is marked so; a signal ends what reaches beyond an array in compiled code: noticed
     ended_by_signal = process.exitcode is not None and process.exitcode < 0
     if not late and ended_by_signal:
         return _Run(1, f"{_ENDED} {-(process.exitcode or 0)}", text)
-    if not late and process.exitcode not in (0, 1, 2, 5):
+    if not late and process.exitcode not in (0, 1, 2, 5, *([4] if failed else [])):
         raise SystemExit(f"pytest ended with {process.exitcode}:\n{text[-2000:]}")
     return _Run(None if late else process.exitcode, first, text)
 
@@ -205,15 +215,23 @@ def tried(mutant: Mutant | None, tests: Sequence[str], folder: Path, limit_s: fl
     if mutant is not None:
         path = copy / "roomfit" / mutant.path
         path.write_text(mutated(mutant), encoding="utf-8")
-        if _is_compiled(mutant):
-            # machine code of callers, in other files, may hold what was changed
-            for kept in copy.glob("roomfit/**/__pycache__/*.nb[ci]"):
+        text = (SOURCE / "roomfit" / mutant.path).read_text(encoding="utf-8")
+        start = text.index(mutant.old) if mutant.start is None else mutant.start
+        # machine code of callers, in other files, may hold what was changed
+        stale = kernels_holding(name_at(text, text[:start].count("\n") + 1))
+        for kept in copy.glob("roomfit/**/__pycache__/*.nb[ci]"):
+            if kept.name.split(".", 1)[1].rsplit("-", 1)[0] in stale:
                 kept.unlink()
     verdict: Verdict = "SURVIVED"
     how = ""
-    for marked in ("not slow",) if mutant is None else ("not slow", "slow"):
+    if mutant is None:
+        marks = ["not slow"]
+    else:
+        # single tests are in their order already
+        marks = [""] if all("::" in t for t in tests) else ["not slow", "slow"]
+    for marked in marks:
         run = _tested(copy, tests, folder / "log.txt", marked, limit_s)
-        if run.status in (1, 2):
+        if run.status in (1, 2, 4):
             verdict, how = "noticed", run.failed
             break
         if run.status is None:
@@ -277,6 +295,11 @@ _COMPARISONS = {
 }
 # The same whichever argument comes first.
 _SYMMETRIC = frozenset({"max", "min", "maximum", "minimum", "hypot", "isclose", "gcd"})
+# How a picture looks, not what it shows.
+_LOOKS = frozenset(
+    {"alpha", "capsize", "columnspacing", "elinewidth", "fontsize", "handlelength", "linewidth"}
+    | {"lw", "mew", "ms", "ncols", "pad", "rotation", "zorder"}
+)
 # Their text is read by people alone, or by type checkers.
 _NOT_PLANTED = (ast.JoinedStr, ast.Raise, ast.Assert)
 
@@ -293,7 +316,8 @@ class Place(NamedTuple):
 def places(text: str) -> list[Place]:
     """Return the bugs that can be planted in a module, in the order of its syntax tree.
 
-    Messages, annotations, decorators and what only type checkers see are left out.
+    Messages, annotations, decorators, how pictures look, whether lengths are checked and what only
+    type checkers see are left out.
     """
     lines = [0]
     for line in text.split("\n"):
@@ -318,6 +342,10 @@ def places(text: str) -> list[Place]:
 
     def visit(node: ast.AST) -> None:
         if isinstance(node, _NOT_PLANTED):
+            return
+        if isinstance(node, ast.keyword) and node.arg in {*_LOOKS, "strict"}:
+            return
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "new_figure":
             return
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             return
@@ -386,10 +414,27 @@ def package_of(path: str) -> str:
     return path.split("/")[0].removesuffix(".py")
 
 
+# Of tests that execute a function, by the seconds that they took when they were watched.
+_BUDGET_S = 60.0
+
+
 def random_mutants(
-    number: int, seed: int, packages: Sequence[str] = (), most_tests: int = 6
+    number: int,
+    seed: int,
+    packages: Sequence[str] = (),
+    most_tests: int = 6,
+    runs: tuple[Run, ...] = (),
 ) -> list[Mutant]:
-    """Return bugs at random places, all places of the packages equally likely."""
+    """Return bugs at random places, all places of the packages equally likely.
+
+    Their tests are the runs that execute the function, and where none does the files near it.
+    """
+
+    def tests(path: str, text: str, start: int) -> tuple[str, ...]:
+        name = name_at(text, text[:start].count("\n") + 1)
+        found = executing_tests(path, name, runs, _BUDGET_S)
+        return tuple(found) or near_tests(path, name.split(".")[0])[:most_tests]
+
     every: list[tuple[str, Place, str]] = []
     for file in sorted((SOURCE / "roomfit").rglob("*.py")):
         path = file.relative_to(SOURCE / "roomfit").as_posix()
@@ -404,7 +449,7 @@ def random_mutants(
             path,
             text[place.start : place.end],
             place.new,
-            near_tests(path, _function_at(text, place.start))[:most_tests],
+            tests(path, text, place.start),
             place.start,
         )
         for path, place, text in chosen
@@ -486,14 +531,6 @@ def near_tests(path: str, function: str = "") -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _function_at(text: str, start: int) -> str:
-    """Return the name of the function or class at the top level in which a place lies, or ""."""
-    line = text[:start].count("\n") + 1
-    kinds = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
-    own = (n for n in ast.parse(text).body if isinstance(n, kinds))
-    return next((n.name for n in own if n.lineno <= line <= (n.end_lineno or 0)), "")
-
-
 def share(noticed: int, number: int) -> str:
     """Return a share in percent with its interval of 95 % by Clopper and Pearson."""
     if not number:
@@ -511,9 +548,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of the places, %(default)s")
     parser.add_argument("--packages", nargs="*", default=[], help="of random bugs; all")
     parser.add_argument("--most-tests", type=int, default=6, help="files a bug, %(default)s")
+    parser.add_argument("--executed", type=Path, help="what _executed.py wrote")
+    parser.add_argument("--skip", type=int, default=0, help="so many of them, tried before")
     given = parser.parse_args()
     if given.random:
-        chosen = random_mutants(given.random, given.seed, given.packages, given.most_tests)
+        packages = NUMERICAL if given.packages == ["numerical"] else given.packages
+        runs = watched(given.executed) if given.executed else ()
+        chosen = random_mutants(given.random, given.seed, packages, given.most_tests, runs)
+        chosen = chosen[given.skip :]
         tries = random_outcomes(chosen, given.limit)
     else:
         names: list[str] = given.names

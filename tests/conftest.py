@@ -32,6 +32,7 @@ LONGEST = (
     "inversion/test_identify.py",
     "test_output_folders.py",
     "suh2001/test_command.py",
+    "test_reference.py",
     "app/test_browser.py",
     "test_docs.py",
     "test_tutorials.py",

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import ast
+import os
+import subprocess
+import sys
 from collections import Counter
 
 import pytest
 from scipy.stats import binomtest
 
+from _executed import Run, executing_tests, kernels_holding, name_at, watched
 from mutants import (
     EQUIVALENT,
     MUTANTS,
@@ -81,7 +85,10 @@ def test_what_is_called_equivalent_stands_once_in_the_source_and_can_be_planted(
     assert why_equivalent(random) == EQUIVALENT[mutant] and len(EQUIVALENT[mutant].split()) > 4
     (outcome,) = random_outcomes([random])
     assert (outcome.verdict, outcome.how) == ("equivalent", EQUIVALENT[mutant])
-    elsewhere = next(p for p in places(text) if p not in same)
+    listed = {mutated(e) for e in EQUIVALENT if e.path == mutant.path}
+    elsewhere = next(
+        p for p in places(text) if text[: p.start] + p.new + text[p.end :] not in listed
+    )
     other = random._replace(
         old=text[elsewhere.start : elsewhere.end], new=elsewhere.new, start=elsewhere.start
     )
@@ -120,6 +127,9 @@ def test_a_random_bug_is_planted_where_it_is_named_and_leaves_the_source_readabl
         ("if -x < 3 and y:\n    z += 1\n", ["comparison", "comparison", "sign", "constant"]),
         ('raise E(f"{a + 1}")\n', []),
         ("x: Final[3] = max(a, b)\n", []),
+        ("p(x, y, lw=1.5)\n", ["dropped statement", "exchanged arguments"]),
+        ("f = new_figure(8.0, 2.0 * n)\n", []),
+        ("x = zip(a, b, strict=True)\n", ["exchanged arguments"]),
     ],
 )
 def test_places_of_random_bugs_are_those_of_the_syntax_tree(old, kinds):
@@ -134,6 +144,60 @@ def test_the_tests_near_a_module_are_those_that_import_it():
     assert all(name.startswith("io/") for name in near_tests("io/child.py"))
     # of a function that no test names, though some say "_measured"
     assert near_tests("tracing/reflectors.py", "_measure")[0] == "tracing/test_reflectors.py"
+
+
+def test_tests_of_a_function_are_those_that_execute_it():
+    """Files that name it first, then quick ones, then the others as far as time goes."""
+    own = frozenset({"air.py:attenuation_per_m"})
+    runs = (
+        Run("test_reference.py::test_a[b]", 50.0, own),
+        Run("solvers/test_endings.py::test_long", 40.0, own),
+        Run("solvers/test_endings.py::test_longer", 41.0, own),
+        Run("solvers/test_endings.py::test_quick", 0.1, own),
+        Run("solvers/test_endings.py::test_other", 0.1, frozenset({"air.py:Air"})),
+        Run("test_air.py::test_named", 2.0, own),
+    )
+    found = executing_tests("air.py", "attenuation_per_m", runs, 45.0)
+    order = ["test_named", "test_quick", "test_a[b]", "test_long"]
+    assert [name.split("::")[1] for name in found] == order
+    assert executing_tests("bands.py", "exact_centres_hz", runs[:0], 45.0) == []
+
+
+def test_a_kernel_is_executed_where_what_calls_it_is():
+    """No interpreter enters compiled code, and its callers' machine code holds it."""
+    path = "impedance/wave_kernels.py"
+    text = (SOURCE / "roomfit" / path).read_text(encoding="utf-8")
+    line = text[: text.index("def conjugate_admittance")].count("\n") + 2
+    assert name_at(text, line) == "conjugate_admittance"
+    calls = Run("impedance/test_fit.py::test_x", 1.0, frozenset({"impedance/wave_model.py:x"}))
+    assert executing_tests(path, "conjugate_admittance", (calls,), 9.0) == []
+    caller = calls._replace(functions=frozenset({"impedance/wave_model.py:_pressure"}))
+    assert executing_tests(path, "conjugate_admittance", (caller,), 9.0) == [caller.test]
+    assert "pressures" in kernels_holding("conjugate_admittance")
+
+
+@pytest.mark.slow
+def test_what_a_test_executes_is_written_down(tmp_path):
+    """By itself and by what is kept for it; the second test asks for what the first computed."""
+    (tmp_path / "test_it.py").write_text(
+        "from functools import cache\n"
+        "from roomfit.bands import bands_between\n"
+        "@cache\ndef kept():\n    return bands_between('octave', 500, 1000)\n"
+        "def test_a():\n    assert kept()\n"
+        "def test_b():\n    assert kept()\n"
+        "def test_c():\n    pass\n"
+    )
+    log, benchmarks = tmp_path / "executed.jsonl", REPOSITORY / "benchmarks"
+    subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "_executed", "--executed", log, "test_it.py"],
+        check=True,
+        capture_output=True,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join((str(SOURCE), str(benchmarks)))},
+    )
+    entered = {run.test.split("::")[1]: run.functions for run in watched(log)}
+    assert entered["test_a"] == entered["test_b"] >= {"bands.py:bands_between"}
+    assert entered["test_c"] == frozenset()
 
 
 def test_a_share_has_the_interval_of_clopper_and_pearson():

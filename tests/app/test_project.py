@@ -360,6 +360,28 @@ def test_what_a_hostile_file_does_ends_the_worker_and_not_its_owner(tmp_path: Pa
 
 
 @pytest.mark.slow
+def test_a_folder_that_is_called_as_a_package_is_no_package_to_a_worker(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As that of ``roomfit coverage --out coverage``, which numba takes for a program of that name.
+
+    Nor does a file of the user's run because it has the name of a library.
+    """
+    project.set_room(tmp_path, shoebox=(6.0, 5.0, 3.0))
+    (tmp_path / "coverage").mkdir()
+    (tmp_path / "numba.py").write_text("raise SystemExit(3)\n")
+    monkeypatch.chdir(tmp_path)
+
+    async def whole() -> None:
+        worker = Worker(4096)
+        await worker.ask("room_view", {"folder": str(tmp_path)}, limit_s=60.0)
+        assert worker.starts == 1
+        await worker.stop()
+
+    asyncio.run(whole())
+
+
+@pytest.mark.slow
 def test_a_worker_has_no_more_memory_than_it_may_have(tmp_path: Path) -> None:
     async def whole() -> None:
         worker = Worker(256)  # less than the libraries themselves need

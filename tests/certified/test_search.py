@@ -14,7 +14,14 @@ from certified_cases import misfit_of, random_case, reaching_black
 from roomfit.certified import search as boxes_module
 from roomfit.certified.bounds import planes_over, powers
 from roomfit.certified.certificate import certify, touching
-from roomfit.certified.convex import is_convex, minimum_over, priors_over
+from roomfit.certified.convex import (
+    is_convex,
+    least_curvature,
+    least_prior,
+    minimum_over,
+    prior_at,
+    priors_over,
+)
 from roomfit.certified.question import GlobalProblem
 from roomfit.certified.search import Incumbent, Searched, SearchSettings, examine, search, tools_for
 from roomfit.suh2001.repeat import squares_global_problem
@@ -393,3 +400,50 @@ def test_a_higher_misfit_is_no_incumbent_and_black_walls_have_no_energy() -> Non
     lowest.offer(2.0, np.ones(2))
     assert lowest.value == 1.0
     assert powers(np.array([-np.inf]), 2).tolist() == [[1.0, 0.0, 0.0]]
+
+
+def test_bounds_of_a_prior_hold_over_an_interval_and_are_exact_on_a_short_one():
+    """Of the value and of the second derivative, against 200 points of the interval each.
+
+    Derivatives at a point are those of central differences.
+    """
+    rng = np.random.default_rng(6)
+    for _ in range(200):
+        # a weight, a mean logit, and one less both bounds of the absorption
+        p, mean, a, b = rng.uniform((0.1, -3.0, 0.8, 0.0), (2.0, 3.0, 1.0, 0.2))
+        prior = np.array([p, mean, a, b])
+        lo, hi = np.sort(np.log(rng.uniform(b + 0.02, a - 0.02, 2)))
+        points = np.array([prior_at(prior, g) for g in np.linspace(lo, hi, 200)])
+        assert least_prior(prior, lo, hi) <= points[:, 0].min() + 1e-12
+        assert least_curvature(prior, lo, hi) <= points[:, 2].min()
+        value, first, second = points[100]
+        g, h = np.linspace(lo, hi, 200)[100], 1e-5
+        below, above = prior_at(prior, g - h), prior_at(prior, g + h)
+        assert first == pytest.approx((above[0] - below[0]) / (2 * h), rel=1e-5, abs=1e-6)
+        assert second == pytest.approx((above[1] - below[1]) / (2 * h), rel=1e-5, abs=1e-6)
+        assert least_prior(prior, g - 1e-10, g + 1e-10) == pytest.approx(value, rel=1e-6, abs=1e-7)
+        # a billionth, as it says, of terms that may cancel; and 1e-10 of their own slopes
+        short = least_curvature(prior, g - 1e-10, g + 1e-10)
+        assert short == pytest.approx(
+            second, abs=1e-5 * (abs(second) + 100.0 * p * (1 + abs(mean)))
+        )
+
+
+def test_a_quadratic_below_priors_is_below_them_everywhere_and_near_where_they_bend_little():
+    """Weak priors, whose curvature is between 0 and 1, and strong ones."""
+    rng = np.random.default_rng(7)
+    touched = 0
+    for _ in range(300):
+        p, mean, a, b = rng.uniform((0.02, -3.0, 0.8, 0.0), (1.0, 3.0, 1.0, 0.2))
+        prior = np.array([[p, mean, a, b]])
+        middle = np.log(rng.uniform(b + 0.1, a - 0.1))
+        half = rng.choice([0.01, 0.1, 0.3])
+        centre, width = np.array([middle]), np.array([half])
+        value, slope, curve = priors_over(prior, centre - half, centre + half, centre, width)
+        away = np.linspace(-half, half, 101)
+        bound = value + slope * away + 0.5 * curve * away**2
+        exact = np.array([prior_at(prior[0], middle + d)[0] for d in away])
+        assert np.all(bound <= exact)
+        touched += bool(exact[50] - bound[50] <= 1e-6 * (1.0 + exact[50]))
+    # nowhere else is the least value of the interval nearer
+    assert touched > 60

@@ -40,7 +40,7 @@ from roomfit.experiment_design.information import (
     material_widths,
     without_geometry,
 )
-from roomfit.experiment_design.output import design_content
+from roomfit.experiment_design.output import design_content, design_map
 from roomfit.experiment_design.prior import Unknowns, information_from_priors
 from roomfit.findings import Code
 from roomfit.inversion import expected
@@ -480,6 +480,15 @@ def test_late_images_of_one_pair_of_a_box_stand_for_those_of_all(tmp_path, monke
     # 0.8 % at most when this was written, 0.1 % in the mean
     np.testing.assert_allclose(found.widths, exact.widths, rtol=0.015)
     np.testing.assert_allclose(found.widths.mean(), exact.widths.mean(), rtol=5e-3)
+
+
+def test_a_map_of_a_design_says_from_where_it_is_seen_and_along_what(small):
+    """From above over x and y, from the side over x and z."""
+    _, _, found = small
+    plan, side = design_map(found).axes
+    said = [(a.get_title(loc="left"), a.get_ylabel()) for a in (plan, side)]
+    assert said == [("from above", "y (m)"), ("from the side", "z (m)")]
+    assert side.get_xlabel() == "x (m)"
 
 
 def test_the_command_writes_what_the_contract_says(small, tmp_path, monkeypatch, capsys):

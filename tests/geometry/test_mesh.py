@@ -446,3 +446,19 @@ def test_what_is_no_box_or_has_two_surfaces_in_a_wall_stays_as_drawn() -> None:
         triangle_surface=np.append(box.triangle_surface, box.triangle_surface[0]),
     )
     assert as_shoebox(twice) is None
+
+
+@pytest.mark.parametrize(
+    ("corners", "words"),
+    [
+        ((0, 4, 8), r"does not exist\n.*face 7, surface 'wall'\n.*corner 9\n.*1 to 8"),
+        ((0, -1, 4), r"does not exist\n.*face 7, surface 'wall'\n.*corner 0\n.*1 to 8"),
+        ((0, 4), r"fewer than three corners\n.*face 7, surface 'wall'\n.*2"),
+    ],
+)
+def test_a_face_of_a_corner_that_is_not_there_is_refused_with_its_place(corners, words):
+    """The first that is none on either side; a box has eight corners and six faces."""
+    with pytest.raises(InputError, match=words):
+        build_mesh(BOX, [*box_faces(), Face(corners, WALL)])
+    # the last corner there is, and three of them, are enough
+    build_mesh(BOX, [*box_faces()[:-1], Face((4, 5, 7), WALL), Face((4, 7, 6), WALL)])

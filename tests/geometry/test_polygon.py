@@ -107,3 +107,11 @@ def test_a_lifted_corner_is_reported_by_its_distance_from_the_plane():
 
     # to first order in h: the plane tilts by h/2 along either axis
     assert triangulate(square).off_plane_m == pytest.approx(h / 4, rel=1e-3)
+
+
+@pytest.mark.parametrize("corners", [np.ones((3, 3)), np.ones((5, 3)), np.eye(3)[[0, 1, 0]]])
+def test_a_polygon_of_one_place_or_one_line_has_no_triangles(corners):
+    """Nor a plane, by which anything would have to be divided."""
+    found = triangulate(corners)
+    assert found.triangles.shape == (0, 3) and found.off_plane_m == 0.0
+    assert found.area_m2 == pytest.approx(0.0, abs=1e-15)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,12 +12,14 @@ from images_reference import l_shaped_room
 from impedance_cases import nearest
 from roomfit.air import Air
 from roomfit.errors import InputError
-from roomfit.impedance.data import Observed, level_at, model_error
-from roomfit.impedance.diagnostics import estimated_noise
+from roomfit.geometry.mesh import mean_free_path_m
+from roomfit.impedance.data import Observed, complex_frequency_hz, level_at, model_error
+from roomfit.impedance.diagnostics import _material_impedances, estimated_noise
 from roomfit.impedance.fit import polish
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance, wave_problem
-from roomfit.impedance.laws import absorption_normal
+from roomfit.impedance.laws import absorption_normal, law_curve
 from roomfit.impedance.problem import (
+    Problem,
     Whitened,
     marginal_likelihood_error,
     robust_covariance,
@@ -108,6 +111,50 @@ def test_noise_that_is_unspecified_is_found_as_a_function_of_frequency():
     # medians of 24 numbers and more: 20 % of spread each, some of it averaged out
     assert np.all(np.abs(np.log(found[0] / truth)) < 0.6)
     assert np.sqrt(np.mean(np.log(found[0] / truth) ** 2)) < 0.3
+    # numbers that were fitted take from the residual what they explain, all but a hundredth at most
+    model = 0.5 * np.mean(problem.sd**2, axis=0)
+    n = len(fit.residual)
+    squares = {
+        effective: estimated_noise(replace(fit, effective=effective * n))[0] ** 2 + model
+        for effective in (0.0, 0.5, 1.0)
+    }
+    np.testing.assert_allclose(squares[0.5], 2.0 * squares[0.0], rtol=1e-9)
+    np.testing.assert_allclose(squares[1.0], 100.0 * squares[0.0], rtol=1e-9)
+
+
+def test_what_the_image_model_gets_wrong_of_a_law_is_alike_over_an_octave():
+    """Two octaves of 100 Hz: what each of them shifts a law's parameters by, written out.
+
+    The shifts of both octaves have nothing to do with each other; within one all frequencies err
+    alike, which the rule takes as so many fewer frequencies: to half, as sensitivities change
+    within an octave.
+    """
+    f = np.arange(200.0, 801.0, 10.0)
+    scene = box_scene()
+    observed = Observed(f, TAU_S, np.ones((6, len(f))))
+    curves = (law_curve("miki", complex_frequency_hz(observed), 343.0),) * 3
+    model = wave_model(scene, f, TAU_S)
+    problem = Problem(model, observed, np.ones((6, len(f))), curves, EXACT)
+    x = start_of(problem)
+    r0 = np.stack([c.r0(x[b]) for c, b in zip(curves, problem.layout.curves, strict=True)])
+    fit = SimpleNamespace(
+        problem=problem, x=x, r0=r0, covariance=np.zeros((x.size, x.size)), model_error=0.01
+    )
+    free_path_m = mean_free_path_m(scene.room.mesh)
+    off = 2.4 * model_error(f, free_path_m, model.speed_m_s, 0.01) * np.abs(1.0 - r0[0] ** 2)
+    slope = curves[0].slope(x[problem.layout.curves[0]])
+    inverse = np.linalg.pinv(np.concatenate([slope.real, slope.imag]))
+    shifts = np.sqrt(0.5) * inverse * np.tile(off, 2)
+    octave = np.tile(np.where(f < 400.0, 0, 1), 2) + 2 * np.repeat([0, 1], f.size)
+    shifted = np.stack([shifts[:, octave == k].sum(axis=1) for k in range(4)])
+    sd = np.sqrt(np.sum(shifted**2, axis=0))
+    (first, *_) = _material_impedances(fit)
+    at = x[problem.layout.curves[0]]
+    for i, parameter in enumerate(first.parameters):
+        reach = np.zeros(at.size)
+        reach[i] = 1.96 * sd[i]
+        wanted = np.log(curves[0].values(at + reach)[i] / curves[0].values(at - reach)[i])
+        assert np.log(parameter.upper95 / parameter.lower95) == pytest.approx(wanted, rel=0.5)
 
 
 def start_with(problem, r0):

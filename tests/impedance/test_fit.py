@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from impedance_cases import exact
 from roomfit.errors import InputError
 from roomfit.findings import Code
+from roomfit.impedance import identify
 from roomfit.impedance.data import Observed, complex_frequency_hz
-from roomfit.impedance.fit import WallModel
+from roomfit.impedance.fit import Start, WallModel
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
 from roomfit.impedance.laws import absorption_normal, impedance_of_r0, spline
 from roomfit.impedance.wave_model import Nuisances, at_rest, predicted_pressure, wave_model
@@ -254,3 +257,34 @@ def test_a_model_for_a_wall_that_is_not_there_is_refused():
         ImpedanceSettings(model_error=float("nan"))
     with pytest.raises(InputError, match="pressures and model disagree"):
         identify_impedance(box_scene(n_pairs=3), observed, rng=np.random.default_rng(1))
+
+
+@pytest.mark.parametrize(
+    ("cost", "away", "off", "counts"),
+    [
+        (1.4, 0.06, 1.0, True),
+        (1.6, 0.06, 1.0, False),  # half as much again: not worth polishing
+        (1.4, 0.04, 1.0, False),  # R0 within five hundredths is the same answer
+        (1.4, 0.06, 1.15, True),
+        (1.4, 0.06, 1.25, False),  # a reduced chi-square a fifth above the lowest
+    ],
+)
+def test_another_minimum_counts_where_it_explains_the_data_as_well_and_lies_elsewhere(
+    monkeypatch, cost, away, off, counts
+):
+    """Of fits whose residuals and R0 are written down; two starts in one minimum count once."""
+
+    def fit(r0, square):
+        # 2 or more, so that what a fit within its noise is granted does not matter
+        return SimpleNamespace(
+            r0=np.full((1, 4), r0, complex), residual=np.full(9, np.sqrt(square)), effective=0.0
+        )
+
+    def start(cost, r0):
+        return Start(np.array([r0]), np.full((1, 4), r0, complex), cost)
+
+    lowest = fit(0.5, 2.0)
+    monkeypatch.setattr(identify, "polish", lambda _problem, x: fit(x[0], 2.0 * off))
+    starts = (start(1.0, 0.5), start(1.1, 0.505), start(cost, 0.5 + away))
+    found = identify._rivals(None, starts, lowest)
+    assert [f.r0[0, 0].real for f in found] == ([0.5 + away] if counts else [])

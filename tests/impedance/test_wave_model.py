@@ -13,6 +13,7 @@ from roomfit.air import Air
 from roomfit.errors import InputError
 from roomfit.impedance.data import Observed, complex_frequency_hz, standard_deviation
 from roomfit.impedance.laws import (
+    LAWS,
     absorption_random,
     causal_curve,
     constant,
@@ -400,3 +401,16 @@ def test_a_rigid_wall_cannot_answer_before_it_is_struck_but_may_answer_late():
 def test_of_few_frequencies_each_is_free():
     curve = causal_curve(damped(200.0, 400.0, 100.0), 0.3 + 0.2j)
     np.testing.assert_array_equal(curve.r0(curve.start), np.full(3, 0.3 + 0.2j))
+
+
+@pytest.mark.parametrize("kind", LAWS)
+def test_the_start_of_a_law_is_what_its_parameters_say(kind):
+    """As far as a start a hundredth of the range off its ends allows."""
+    f = np.array([200.0, 500.0])
+    curve = law_curve(kind, complex_frequency_hz(Observed(f, 0.005, np.ones((1, 2)))), 343.0)
+    wanted = np.array([p.start for p in curve.parameters])
+    ends = np.array([(p.low, p.high) for p in curve.parameters])
+    share = (np.log(wanted) - np.log(ends[:, 0])) / np.ptp(np.log(ends), axis=1)
+    inner = (share > 0.01) & (share < 0.99)
+    assert inner.any()
+    np.testing.assert_allclose(curve.values(curve.start)[inner], wanted[inner], rtol=1e-9)

@@ -224,6 +224,19 @@ def test_the_command_prints_every_formula_with_a_room_or_volume_and_surface(
     assert ("roomfit reverberation" in capsys.readouterr().err) == room
 
 
+def test_walls_may_absorb_next_to_nothing_but_not_less():
+    """Sabine's decay by the air and by a third of a square metre of walls, and by less than air."""
+    m, room = np.full(2, 0.01), (unknown_material("room", 2),)
+    for area_m2 in (0.3, -0.3):
+        decay_s = 24.0 * np.log(10.0) * 120.0 / (C * (area_m2 + 4.0 * 120.0 * m))
+        if area_m2 > 0.0:
+            sabine = found(decay_s, room, np.full((3, 1), 40.0), m=m).mean[FORMULAS.index("Sabine")]
+            assert np.all((sabine[1] <= area_m2 / 120.0) & (area_m2 / 120.0 <= sabine[2]))
+            continue
+        with pytest.raises(InputError, match="no absorption of walls"):
+            found(decay_s, room, np.full((3, 1), 40.0), m=m)
+
+
 def test_a_decay_longer_than_air_permits_is_refused():
     with pytest.raises(InputError, match="no absorption of walls"):
         found([9.0, 9.0], (unknown_material("room", 2),), np.full((3, 1), 40.0), m=(0.01, 0.01))

@@ -26,6 +26,7 @@ from roomfit.diagnostics import source_patterns
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.identification import identify
+from roomfit.inversion import directivity
 from roomfit.inversion.bands import fitted_band
 from roomfit.inversion.coherent import CoherentFit, CoherentTask, fit_coherent, initialise
 from roomfit.inversion.directivity import (
@@ -307,6 +308,29 @@ def test_energies_alone_find_and_doubt_sources_as_well(tmp_path: Path) -> None:
     assert not doubts
     _, _, doubts = energy_answer(case_of(tmp_path, "", directional=True))
     assert [f.code for f in doubts] == [Code.SOURCE_NOT_OMNIDIRECTIONAL]
+
+
+@pytest.mark.slow
+def test_a_score_test_foretells_what_a_fit_of_the_source_gains(tmp_path, monkeypatch) -> None:
+    """Both of a source that is nearly omnidirectional, where second order is enough.
+
+    The gain to a third, which is what terms of third order leave of three bands, and the direction.
+    """
+    observed, priors, traced, start = case_of(tmp_path, "", directional=False).arguments
+    suspects = omnidirectional(observed)
+    assert suspects is not None
+    none = (None,) * len(observed.bands)
+    objective_of = energy_objectives(observed, priors, traced, start, none)
+    score = source_scorer(observed, traced, suspects)
+    for b in range(len(observed.bands)):
+        band = fitted_band(b, objective_of(b), priors, Settings())
+        found = []
+        for by_chance in (np.inf, -np.inf):  # never, and always fitted
+            monkeypatch.setattr(directivity, "_BY_CHANCE", by_chance)
+            found.append(score(b, band.objective, band.fit))
+        (gain, step), (full, fitted) = found
+        np.testing.assert_allclose(gain, full, rtol=1 / 3)
+        assert step[0] @ fitted[0] > 0.95 * np.linalg.norm(step) * np.linalg.norm(fitted)
 
 
 @pytest.mark.slow

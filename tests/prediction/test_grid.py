@@ -120,6 +120,14 @@ def test_a_map_shows_the_mean_at_mid_frequencies_where_it_is(mapped):
         assert table[ys.index(y), xs.index(x)] == pytest.approx(expected)
     assert np.isfinite(table).sum() == len(own) == table.size - 1
     assert "width of its 95 % interval (dB)" in [a.get_title() for a in figure.axes]
+    # every map has a scale beside it, and the star of the source
+    titled = [a for a in figure.axes if a.get_title()]
+    bars = [a for a in figure.axes if a.get_label() == "<colorbar>"]
+    assert len(bars) == len(titled) == len(figure.axes) / 2
+    source = next(p.position_m for p in scene.sources if p.name == "S")
+    for axes in titled:
+        (star,) = axes.lines
+        np.testing.assert_array_equal(star.get_xydata(), [source[:2]])
 
 
 @pytest.mark.parametrize(

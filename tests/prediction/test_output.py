@@ -10,7 +10,7 @@ import pytest
 from roomfit.bands import bands_between
 from roomfit.prediction.answer import decay_answer
 from roomfit.prediction.decay import PredictedDecay
-from roomfit.prediction.output import predicted_decay_figure
+from roomfit.prediction.output import parameter_lines, predicted_decay_figure
 from roomfit.prediction.tables import PredictedPair, PredictedValue, ValueChange
 
 BANDS = bands_between("octave", 500, 1000)
@@ -92,3 +92,21 @@ def test_a_sentence_says_falls_only_where_the_interval_of_the_change_does(bounds
     if "determined" in says:
         assert "0.89 s (predicted, 0.80 to 0.99), and 0." in answer.sentence
         assert "s (0.72 to 1.02) is expected after the change" in answer.sentence
+
+
+def test_changes_have_a_sign_and_the_unit_of_what_changes():
+    """A decay time in %, a share in points, and a level in dB; what it was before has none."""
+    one = np.ones(1)
+    expected = {
+        "T20_s": (1.1, "change %", "+10 +5 to +20", "1.10 1.05 to 1.20"),
+        "C80_dB": (2.0, "change dB", "+2.0 +1.9 to +2.2", "2.0 1.9 to 2.2"),
+        "D50_percent": (-3.0, "change points", "-3 -4 to +1", "-3 -4 to 1"),
+    }
+    bounds = {"T20_s": (1.05, 1.2), "C80_dB": (1.9, 2.2), "D50_percent": (-4.0, 1.0)}
+    for name, (change, label, changed, before) in expected.items():
+        rows = [change * one, bounds[name][0] * one, bounds[name][1] * one]
+        value = PredictedValue(*rows, *[np.full(1, np.nan)] * 5, ValueChange(*rows, *rows, *rows))
+        lines = parameter_lines({name: value}, is_changed=True)
+        found = {what: f"{cell.text} {cell.small[0]}" for _, what, (cell,) in lines}
+        assert (found[label], found["model before"]) == (changed, before)
+        assert "carried over" not in found  # nothing was measured

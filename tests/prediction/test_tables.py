@@ -9,7 +9,7 @@ import pytest
 
 import roomfit
 from roomfit.bands import bands_between
-from roomfit.prediction.tables import ObservedPair, with_sti
+from roomfit.prediction.tables import ObservedPair, _interval, with_sti
 from roomfit.signals.decay import echogram_decay_curve
 from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.signals.speech import speech_transmission
@@ -56,3 +56,26 @@ def test_speech_is_heard_at_the_level_that_is_predicted_of_its_own_pair():
     assert levels[0] == pytest.approx(levels[1]) and levels[0] == pytest.approx(quiet, abs=0.01)
     few = bands_between("octave", 250, 4000)
     assert with_sti(scene, few, pairs, numbers, None) == tuple(pairs)
+
+
+@pytest.mark.parametrize(
+    ("name", "least", "most"),
+    [
+        ("STI", 0.0, 1.0),
+        ("D50_percent", 0.0, 100.0),
+        ("T20_s", 0.0, np.inf),
+        ("C80_dB", -np.inf, np.inf),
+    ],
+)
+def test_an_interval_holds_its_estimate_and_ends_where_a_parameter_must(name, least, most):
+    """Of draws about both ends: noise of a standard deviation 3 widens a normal law of 4 to 5."""
+    rng = np.random.default_rng(4)
+    for middle in (0.0, 1.0, 100.0):
+        draws = middle + 4.0 * rng.standard_normal((40_000, 1))
+        low, high = _interval(name, np.array([middle]), draws, np.array([3.0]))
+        ends = middle - 1.96 * 5.0, middle + 1.96 * 5.0
+        # the quantile of 40,000 normal draws has a standard deviation of 0.013 of theirs
+        assert low == pytest.approx(np.clip(ends[0], least, most), abs=0.3)
+        assert high == pytest.approx(np.clip(ends[1], least, most), abs=0.3)
+    low, high = _interval(name, np.array([0.9]), np.full((9, 1), 0.5), np.zeros(1))
+    assert (low[0], high[0]) == (0.5, 0.9)

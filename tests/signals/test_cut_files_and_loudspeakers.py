@@ -124,6 +124,15 @@ def test_colour_is_heard_beside_what_the_room_does():
     np.testing.assert_allclose(got - got.mean(), want - want.mean(), atol=1.5)
 
 
+def test_colour_is_told_every_half_octave_up_to_045_of_the_sampling_rate():
+    """Both ends belong to it, where the highest is a whole number of steps above the lowest."""
+    highest = 0.45 * RATE_HZ
+    echo = ImpulseResponse(np.eye(1, 800).ravel(), RATE_HZ)
+    for lowest, n in ((highest / 16.0, 9), (highest / 15.9, 8), (highest, 1)):
+        nodes = source_magnitude([echo] * 3, [echo] * 3, [0.05] * 3, lowest, 0.0).frequencies_hz
+        np.testing.assert_allclose(nodes, lowest * np.sqrt(2.0) ** np.arange(n), rtol=1e-12)
+
+
 def test_chance_is_not_taken_for_colour():
     """Rooms of which the model knows nothing but the mean: what differs by chance is left alone."""
     rng = np.random.default_rng(6)

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.figure import Figure
 
 from roomfit.geometry.mesh import volume_m3
 from roomfit.response.energy import energy_rows
 from roomfit.scene import material_areas_m2
+from roomfit.suh2001.output import _contours
 from roomfit.suh2001.repeat import problem_landscape, problems_of, table2, walls_apart
 from roomfit.suh2001.room import (
     CASES,
@@ -216,6 +218,15 @@ def test_every_division_covers_the_planes_and_every_truth_its_materials() -> Non
         len(s.division.true_absorption) == len(s.division.materials)
         for s in SPECIFICATIONS.values()
     )
+
+
+def test_errors_beyond_a_scale_have_the_colours_of_its_ends() -> None:
+    """From 0.1 to 1e5 in the paper's unit, each level in the colour of its logarithm."""
+    errors = np.array([[1e-3, 1e-1], [1e5, 1e8]])
+    filled = _contours(Figure().subplots(), np.array([0.2, 0.8]), errors)
+    assert (filled.norm.vmin, filled.norm.vmax) == (0.1, 1e5)
+    assert (filled.zmin, filled.zmax) == (0.1, 1e5)
+    np.testing.assert_allclose(filled.levels, np.logspace(-1.0, 5.0, 25))
 
 
 def test_the_corridor_is_seventeen_times_as_long_as_wide() -> None:

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from roomfit.synthetic.boxes import SyntheticBox, add_noise, box_images, pressure_response
+from roomfit.synthetic.boxes import (
+    SyntheticBox,
+    add_noise,
+    box_images,
+    loudspeaker,
+    pressure_response,
+)
 
 CENTRES = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0])
 
@@ -70,3 +76,16 @@ def test_a_loudspeaker_with_levels_of_its_own_sounds_after_the_impulse_not_befor
     # the flat pulse itself begins before its peak, band-limited as it is; the colour must not
     early, late = np.sum(added[: arrival - 8] ** 2), np.sum(added[arrival + 8 :] ** 2)
     assert early < 0.05 * late
+
+
+def test_a_loudspeaker_has_the_level_of_its_curve_at_every_frequency_and_nothing_before_zero():
+    """Magnitude to rounding, from 0 Hz to half of the sampling rate; minimum phase is causal."""
+    centres, level_db = 125.0 * 2.0 ** np.arange(5), np.array([3.0, -6.0, 0.0, 4.0, -2.0])
+    f = np.linspace(0.0, 4000.0, 129)
+    spectrum = loudspeaker(centres, level_db, f)
+    wanted = np.interp(np.log2(np.maximum(f, 1.0)), np.log2(centres), level_db)
+    np.testing.assert_allclose(20.0 * np.log10(np.abs(spectrum)), wanted, atol=1e-12)
+    # of the logarithm, whose second half is that before zero
+    angle = np.unwrap(np.angle(spectrum))
+    cepstrum = np.fft.irfft(np.log(np.abs(spectrum)) + 1j * angle)
+    assert np.abs(cepstrum[129:]).max() < 1e-12 < 1e-4 < np.abs(cepstrum[1:128]).max()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roomfit.tracing.beam_clipping import ROWS, clip, sides
+from roomfit.tracing.beam_clipping import ROWS, clip, sides, without_repeats
 
 APEX = (0.0, 0.0, -2.0)
 SQUARE = np.array([[1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, -1.0, 0.0], [1.0, -1.0, 0.0]])
@@ -76,3 +76,21 @@ def test_only_the_planes_that_are_named_cut():
     below = rows_of(SQUARE - (0.0, 0.0, 0.1))
     assert clip(below, 4, planes, 0, 1, 0.0, np.zeros((ROWS, 3))) == 0
     assert clip(below, 4, planes, 0, 1, -0.2, np.zeros((ROWS, 3))) == 4
+
+
+@pytest.mark.parametrize("repeated", range(4))
+@pytest.mark.parametrize(("off_m", "stays"), [(0.0, 4), (0.9e-8, 4), (1.1e-8, 5)])
+def test_corners_that_stand_where_the_one_before_stands_are_dropped(repeated, off_m, stays):
+    """The first of both stays, with the last before the first; a hundredth of the margin apart."""
+    polygon = np.insert(SQUARE, repeated + 1, SQUARE[repeated] + (0.0, 0.0, off_m), axis=0)
+    rows = rows_of(polygon)
+    assert without_repeats(rows, 5, 1e-6) == stays
+    np.testing.assert_array_equal(rows[:stays], SQUARE if stays == 4 else polygon)
+    # by a distance that counts as one place, where that is more
+    assert without_repeats(rows_of(polygon), 5, 1e-6, 1e-4) == 4
+
+
+@pytest.mark.parametrize("times", [(2, 2), (1, 3), (4,), (1, 1, 1)])
+def test_a_polygon_of_fewer_than_three_corners_is_none(times):
+    polygon = np.repeat(SQUARE[: len(times)], times, axis=0)
+    assert without_repeats(rows_of(polygon), len(polygon), 1e-6) == (3 if len(times) == 3 else 0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roomfit.tracing.walls import _facets, facet_distance
+from roomfit.tracing.walls import _facets, after_wall, facet_distance, ray_key, uniform
 
 NONE = (0.0, 0.0, 0.0)
 UP = (0.0, 0.0, 1.0)
@@ -65,3 +65,41 @@ def test_a_triangle_is_half_of_its_parallelogram():
         )
         assert square == (0.0 <= x <= 1.0 and 0.0 <= y <= 1.0)
         assert triangle == (square and x + y <= 1.0)
+
+
+def split_mix_64(x: int) -> int:
+    """Return the finaliser of SplitMix64 (Steele, Lea and Flood 2014), in whole numbers."""
+    x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9 % 2**64
+    x = (x ^ (x >> 27)) * 0x94D049BB133111EB % 2**64
+    return x ^ (x >> 31)
+
+
+def test_draws_of_a_ray_are_split_mix_64_in_steps_of_2_to_the_minus_53():
+    """By the published finaliser and increment, from one key for each seed, source and ray."""
+    step = 0x9E3779B97F4A7C15
+    for seed, source, ray in ((0, 0, 0), (1, 2, 3), (3, 2, 1), (12345, 0, 2**40)):
+        key = split_mix_64((seed + step) % 2**64)
+        for number in (source, ray):
+            key = split_mix_64(key ^ ((number + step) % 2**64))
+        found = np.uint64(ray_key(seed, source, ray))
+        assert int(found) == key
+        for draw in (0, 1, 2, 1000):
+            bits = split_mix_64((key + (draw + 1) * step) % 2**64)
+            assert uniform(found, draw) == (bits >> 11) / 2**53
+
+
+def test_walls_scatter_as_often_as_their_coefficient_says_and_by_lamberts_law():
+    """Share s of 4000 hits within four standard deviations; the mean cosine of Lambert is 2/3."""
+    n, d, normal = 4000, (0.6, 0.0, -0.8), (0.0, 0.0, 1.0)
+    for s in (0.0, 0.3, 1.0):
+        keys = [np.uint64(ray_key(5, 0, i)) for i in range(n)]
+        out = [after_wall(d, normal, s, key, i % 7) for i, key in enumerate(keys)]
+        diffuse = np.array([is_diffuse for _, is_diffuse in out])
+        assert abs(diffuse.mean() - s) <= 4.0 * np.sqrt(s * (1.0 - s) / n)
+        away = np.array([v for v, _ in out])
+        np.testing.assert_allclose(np.linalg.norm(away, axis=1), 1.0, rtol=1e-12)
+        np.testing.assert_allclose(away[~diffuse], np.tile((0.6, 0.0, 0.8), (sum(~diffuse), 1)))
+        if s > 0.0:
+            # the cosine has the variance 1/2 - (2/3)^2, and both others have none in the mean
+            mean, sd = away[diffuse].mean(axis=0), np.sqrt([0.25, 0.25, 1.0 / 18.0] / diffuse.sum())
+            assert np.all(np.abs(mean - (0.0, 0.0, 2.0 / 3.0)) <= 4.0 * sd)

@@ -25,6 +25,7 @@ from posterior_cases import (
 from roomfit.bands import Bands
 from roomfit.diagnostics.minima import check_starts
 from roomfit.findings import Code
+from roomfit.inversion import bands
 from roomfit.inversion.bands import from_random_starts
 from roomfit.objective.parameters import Parameters, physical_values, prior_residuals
 from roomfit.solvers.least_squares import BandFit, fit_band
@@ -272,6 +273,30 @@ def test_random_starts_that_agree_change_nothing():
     assert best.vector is fit.vector and best.evaluations > fit.evaluations
     assert starts.agreeing == starts.number == 3
     assert not list(check_starts(evidence_of(starts)))
+
+
+def test_a_random_start_is_followed_where_it_led_farther_than_a_fifth_of_a_standard_deviation(
+    monkeypatch,
+):
+    """From where the usual start led, in any of the unknowns."""
+    problem = decay_case(np.random.default_rng(2), np.array([0.3, 0.5]), gain=False)
+    fit = fitted(problem)
+    sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
+    steps = np.array([[0.0, 0.0], [0.19, -0.19], [0.21, 0.0], [0.0, -0.21]])
+    ends = iter(SimpleNamespace(x=fit.vector + step * sd, evaluations=1) for step in steps)
+    followed = []
+
+    def fit_again(_problem, *, start):
+        followed.append((start - fit.vector) / sd)
+        return fit
+
+    monkeypatch.setattr(bands, "first_round", lambda _problem, _start: next(ends))
+    monkeypatch.setattr(bands, "fit_band", fit_again)
+    best, starts = from_random_starts(problem, fit, np.random.default_rng(1))
+    np.testing.assert_allclose(followed, steps[2:], atol=1e-9)
+    # the usual start, three others, and two fits
+    assert best.evaluations == fit.evaluations + 4 + 2 * fit.evaluations
+    assert starts.agreeing == starts.number == 3
 
 
 def test_a_second_fit_from_the_exchanged_absorptions_is_as_likely():

@@ -92,7 +92,7 @@ class Worker:
             self.starts += 1
             self._process = await asyncio.create_subprocess_exec(
                 sys.executable,
-                "-m",
+                "-Pm",  # a folder of the user's that is called as a package is none
                 "roomfit.app.worker",
                 str(self._most_mib),
                 stdin=asyncio.subprocess.PIPE,

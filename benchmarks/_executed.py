@@ -1,0 +1,248 @@
+"""Which functions of roomfit every test executes: a plugin of pytest, and who reads what it wrote.
+
+``pytest -p _executed --executed FILE tests`` adds a line of JSON for each test: its name, its
+seconds, and the functions that it, its fixtures and the functions that it keeps by
+`functools.cache` entered. Compiled kernels are entered by no interpreter, and constants by nobody:
+they are executed where a function is that names them. What runs in other processes is not seen.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import json
+import re
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import CodeType, FrameType
+from typing import Any, NamedTuple
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+SOURCE = REPOSITORY / "src" / "roomfit"
+
+# The packages that decide numbers: not those that read and write files, show or start something.
+NUMERICAL = (
+    *("air", "bands", "batch", "certified", "coverage", "diagnostics", "experiment_design"),
+    *("eyring", "geometry", "identification", "impedance", "inversion", "logit", "materials"),
+    *("measurement", "objective", "prediction", "response", "scene", "signals", "solvers"),
+    *("suh2001", "synthetic", "tracing", "treatment", "uncertainty"),
+)
+
+_entered: set[CodeType] = set()  # of what runs now
+
+
+def _trace(frame: FrameType, _event: str, _argument: object) -> None:
+    _entered.add(frame.f_code)
+
+
+def _kept(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return `functools.cache` of a function: each call counts as if it had run."""
+    cached = functools.lru_cache(maxsize=None)(function)
+    of_call: dict[object, set[CodeType]] = {}
+
+    @functools.wraps(function)
+    def call(*arguments: Any, **named: Any) -> Any:
+        key = (arguments, tuple(sorted(named.items())))
+        if key in of_call:
+            _entered.update(of_call[key])
+            return cached(*arguments, **named)
+        before = set(_entered)
+        _entered.clear()
+        try:
+            value = cached(*arguments, **named)
+            of_call[key] = set(_entered)
+        finally:
+            _entered.update(before)
+        return value
+
+    return call
+
+
+def names(codes: set[CodeType]) -> list[str]:
+    """Return the functions of roomfit among codes: the file below src/roomfit, and the name."""
+    found = set()
+    for code in codes:
+        if code.co_filename.startswith(str(SOURCE)):
+            path = Path(code.co_filename).relative_to(SOURCE).as_posix()
+            found.add(f"{path}:{code.co_qualname.split('.<')[0]}")
+    return sorted(found)
+
+
+class Recorder:
+    """Watches tests one after the other and writes a line for each."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.of_fixture: dict[int, set[CodeType]] = {}
+
+    @pytest.hookimpl(hookwrapper=True)
+    def pytest_fixture_setup(self, fixturedef: Any) -> Iterator[None]:
+        before = set(_entered)
+        _entered.clear()
+        yield
+        self.of_fixture[id(fixturedef)] = set(_entered)
+        _entered.update(before)
+
+    @pytest.hookimpl(hookwrapper=True)
+    def pytest_runtest_protocol(self, item: Any) -> Iterator[None]:
+        _entered.clear()
+        began = time.perf_counter()
+        yield
+        seconds = time.perf_counter() - began
+        codes = set(_entered)
+        for definitions in item._fixtureinfo.name2fixturedefs.values():
+            for fixture in definitions:
+                codes |= self.of_fixture.get(id(fixture), set())
+        line = {
+            "test": item.nodeid.removeprefix("tests/"),
+            "seconds": round(seconds, 3),
+            "functions": names(codes),
+        }
+        with self.path.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(line) + "\n")
+
+
+def pytest_addoption(parser: Any) -> None:
+    parser.addoption("--executed", help="file to which a line is added for each test")
+
+
+def pytest_configure(config: Any) -> None:
+    path = config.getoption("--executed")
+    if path:
+        # before the files of tests are read
+        functools.cache = _kept  # type: ignore[assignment]
+        config.pluginmanager.register(Recorder(Path(path)))
+        threading.settrace(_trace)
+        sys.settrace(_trace)
+
+
+def pytest_unconfigure() -> None:
+    sys.settrace(None)
+    threading.settrace(None)
+
+
+class Run(NamedTuple):
+    """A test that was watched."""
+
+    test: str  # below tests/, with the name of the test
+    seconds: float
+    functions: frozenset[str]
+
+
+@functools.cache
+def watched(path: Path) -> tuple[Run, ...]:
+    """Return the tests of a file that the plugin wrote."""
+    lines = map(json.loads, path.read_text(encoding="utf-8").splitlines())
+    runs = (Run(v["test"], v["seconds"], frozenset(v["functions"])) for v in lines)
+    return tuple({run.test: run for run in runs}.values())
+
+
+_DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
+
+
+def _defined(text: str) -> Iterator[tuple[str, ast.stmt]]:
+    """Yield the functions, methods and further statements of a module with their names."""
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.ClassDef):
+            for inner in node.body:
+                if isinstance(inner, _DEFINITIONS):
+                    yield f"{node.name}.{inner.name}", inner
+            yield node.name, node
+        elif isinstance(node, _DEFINITIONS):
+            yield node.name, node
+        else:
+            targets = node.targets if isinstance(node, ast.Assign) else [node]
+            for target in targets:
+                yield ast.unparse(getattr(target, "target", target)).split("\n")[0], node
+
+
+def name_at(text: str, line: int) -> str:
+    """Return what a line belongs to: a function, Class.method, a class or a constant; or ""."""
+    for name, node in _defined(text):
+        if node.lineno <= line <= (node.end_lineno or 0):
+            return name
+    return ""
+
+
+@functools.cache
+def _mentions(*, compiled: bool = False) -> dict[str, set[str]]:
+    """Return, for every name, and attribute with its dot, what functions and constants have it.
+
+    Of compiled functions and constants alone where they are asked for.
+    """
+    found: dict[str, set[str]] = {}
+    for file in SOURCE.rglob("*.py"):
+        path = file.relative_to(SOURCE).as_posix()
+        for name, node in _defined(file.read_text(encoding="utf-8")):
+            decorators = getattr(node, "decorator_list", [])
+            is_kernel = any("kernel" in ast.unparse(d) for d in decorators)
+            if compiled and isinstance(node, _DEFINITIONS) and not is_kernel:
+                continue
+            for inner in ast.walk(node):
+                used = getattr(inner, "id", "") or f".{getattr(inner, 'attr', '')}"
+                if used != ".":
+                    found.setdefault(used, set()).add(f"{path}:{name}")
+    return found
+
+
+def kernels_holding(name: str) -> set[str]:
+    """Return a function or constant, and the compiled functions whose machine code holds it."""
+    ring = {name}
+    seen = set(ring)
+    while ring:
+        callers = (k for n in ring for k in _mentions(compiled=True).get(n, ()))
+        ring = {key.split(":")[1] for key in callers} - seen
+        seen |= ring
+    return seen
+
+
+# Answers of small cases, seconds each.
+_KEPT = "test_reference.py"
+
+
+def executing_tests(path: str, name: str, runs: tuple[Run, ...], budget_s: float) -> list[str]:
+    """Return tests that execute a function, best first, which take no longer together.
+
+    Where none does (a kernel, a constant, a class), those of what names it, and so on. First come
+    the tests of files whose text has its name, then tests of few seconds and few other functions,
+    but before those that take long answers that are kept, which any change of a number moves.
+
+    Parameters
+    ----------
+    path, name : str
+        File below src/roomfit, and what `name_at` returns.
+    runs : tuple of Run
+    budget_s : float
+    """
+    ring = {f"{path}:{name}"}
+    seen = set(ring)
+    chosen: list[Run] = []
+    while ring and not chosen:
+        chosen = [run for run in runs if not ring.isdisjoint(run.functions)]
+        # a method is called as an attribute, all else by its name
+        short = {re.sub(r"^\w+(?=\.)", "", key.split(":")[1]) for key in ring}
+        ring = {key for s in short for key in _mentions().get(s, ())} - seen
+        seen |= ring
+    word = re.compile(rf"\b{re.escape(name.split('.')[-1])}\b") if name else re.compile(r"(?!)")
+
+    @functools.cache
+    def has_word(file: str) -> bool:
+        return bool(word.search((REPOSITORY / "tests" / file).read_text(encoding="utf-8")))
+
+    def rank(run: Run) -> tuple[int, float]:
+        file = run.test.split("::")[0]
+        effort = run.seconds * (1.0 + len(run.functions) / 100.0)
+        near = 0 if has_word(file) else 2 if file == _KEPT else 1 if effort < 1.0 else 3
+        return near, effort
+
+    found, used_s = list[str](), 0.0
+    for run in sorted(chosen, key=rank):
+        if run.test.startswith(_KEPT) or used_s + run.seconds <= budget_s:
+            found.append(run.test)
+            used_s += 0.0 if run.test.startswith(_KEPT) else run.seconds
+    return found
