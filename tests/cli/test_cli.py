@@ -419,3 +419,12 @@ def test_the_other_commands_keep_earlier_results_as_well(tmp_path, monkeypatch, 
     assert run_command(monkeypatch, command, "--out", tmp_path) == 2
     assert "exists and is not empty" in capsys.readouterr().err
     assert [p.name for p in tmp_path.iterdir()] == ["paper.json"]
+
+
+def test_no_file_of_the_user_s_folder_is_run_as_a_module(tmp_path):
+    """``python -m`` looks there first, and a stranger's folder may hold a numba.py."""
+    (tmp_path / "numba.py").write_text('raise SystemExit("run")')
+    (tmp_path / "coverage").mkdir()
+    command = [sys.executable, "-m", "roomfit", "check", "campaign.toml"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and "no such file" in done.stderr

@@ -75,6 +75,8 @@ def test_faces_without_a_material_have_none(tmp_path):
         ((-1, 0, 0, 0, 1, 0, 0, 0, 1, 2, 0.5, 0), [(4 - x, y, z) for x, y, z in POINTS]),
         # its first axis is y: mirrored about y = 0.5
         ((0, -1, 0, -1, 0, 0, 0, 0, 1, 2, 0.5, 0.3), [(x, 1 - y, z) for x, y, z in POINTS]),
+        # axes of no object: nothing is said beside the file, and nothing is mirrored
+        ((-1e30, 0, 0, 0, 1e30, 0, 0, 0, 1e30, float("inf"), 0.5, 0), POINTS),
     ],
 )
 def test_an_object_with_left_handed_axes_is_mirrored_along_the_first(tmp_path, axes, expected):

@@ -635,8 +635,9 @@ def _mesh_3ds(
         for number in numbers:
             materials[number] = decoded(name) or None
     if _AXES in chunks and len(chunks[_AXES][0]) >= 48:
-        *axes, origin = np.frombuffer(chunks[_AXES][0], "<f4", 12).reshape(4, 3).astype(np.float64)
-        if np.linalg.det(axes) < -1e-12:
+        frame = np.frombuffer(chunks[_AXES][0], "<f4", 12).reshape(4, 3).astype(np.float64)
+        *axes, origin = frame
+        if (np.abs(frame) < 1e9).all() and np.linalg.det(axes) < -1e-12:
             own = np.linalg.solve(np.transpose(axes), (points - origin).T).T * (-1.0, 1.0, 1.0)
             points = own @ axes + origin
     return points, triangles, materials
