@@ -70,13 +70,14 @@ def covered(_: Any, out: Path, *__: Any, **___: Any) -> Any:
     return SimpleNamespace(found=None)
 
 
-COMMANDS = "roomfit.commands."
 PREDICTIONS = "roomfit.predictions."
 STUBS: dict[str, dict[str, Any]] = {
     "identify": {
-        COMMANDS + "read_campaign": lambda *_: SimpleNamespace(project=None, path=Path("c.toml")),
+        "roomfit.io.campaign.read_campaign": lambda *_: SimpleNamespace(
+            project=None, path=Path("c.toml")
+        ),
         "roomfit.io.project.project_details": lambda *_: {},
-        COMMANDS + "identify_arguments": lambda *_: {**empty(), "settings": Settings()},
+        "roomfit.io.inputs.identify_arguments": lambda *_: {**empty(), "settings": Settings()},
         "roomfit.identification.identify": lambda **_: SimpleNamespace(settings=Settings()),
         "roomfit.inversion.measurements.measured_scene": nothing,
         "roomfit.report.figures.answer_figures": lambda _: {},
@@ -149,7 +150,7 @@ def run(command: str, out: Path) -> None:
         "impedance": lambda: impedance_to_folder(campaign, out, overwrite=True),
     }
     usual = {
-        COMMANDS + "read_campaign": nothing,
+        "roomfit.io.campaign.read_campaign": nothing,
         PREDICTIONS + "read_campaign": nothing,
         "roomfit.report.figures.png": word_as_bytes,
     }

@@ -57,7 +57,7 @@ from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 # T30 is read from 5 to 35 dB below the start of the decay.
 _NEEDED_DB = 36.0
-_ATTEMPTS = 8
+_ATTEMPTS = 4
 # Enough to see how far the decay falls; the rays that follow are six times as many, or more.
 _PILOT_RAYS = 10_000
 _LONGER = 1.5
@@ -289,12 +289,12 @@ def trace_room(
         doubts = (*plan.findings, *found.value.findings, *found.findings, *degenerate)
         return TracedRoom(scene, bands, binned, key, doubts)
 
-    has_pilot = planned().settings.n_rays > _PILOT_RAYS
-    for _ in range(_ATTEMPTS if has_pilot else 0):
+    n_pilots = 2 * _ATTEMPTS if planned().settings.n_rays > _PILOT_RAYS else 0
+    for _ in range(n_pilots):
         if longest_s >= _LONGEST_S or not _short_bands(traced(_PILOT_RAYS, None, None), absorption):
             break
         longest_s *= _LONGER
-    for _ in range(2 if has_pilot else _ATTEMPTS):
+    for _ in range(2 if n_pilots else _ATTEMPTS):
         room = traced(sys.maxsize, cache, progress)
         short = _short_bands(room, absorption)
         if not short or longest_s >= _LONGEST_S:
