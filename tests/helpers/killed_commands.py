@@ -78,7 +78,9 @@ STUBS: dict[str, dict[str, Any]] = {
         ),
         "roomfit.io.project.project_details": lambda *_: {},
         "roomfit.io.inputs.identify_arguments": lambda *_: {**empty(), "settings": Settings()},
-        "roomfit.identification.identify": lambda **_: SimpleNamespace(settings=Settings()),
+        "roomfit.identification.identify": lambda **_: SimpleNamespace(
+            settings=Settings(), findings=()
+        ),
         "roomfit.inversion.measurements.measured_scene": nothing,
         "roomfit.report.figures.answer_figures": lambda _: {},
         "roomfit.report.room_figure.room_figure": nothing,
