@@ -297,8 +297,7 @@ def _odds(question: Question, means: _Means, numbers: FloatArray, rows: FloatArr
 
 def _in_logs(question: Question, rows: FloatArray) -> FloatArray:
     """Return decay times as logarithms, all else as it is: on this scale the rest is a sum."""
-    times = is_time(question)
-    return np.where(times, np.log(np.maximum(rows, 1e-9)), rows)
+    return np.where(is_time(question), np.log(np.maximum(rows, 1e-9)), rows)
 
 
 def _means_and_draws(
