@@ -319,11 +319,11 @@ def test_from_a_typed_box_and_dropped_files(browser: Any, demo: Path, tmp_path: 
         # a recording that says it is longer than it is
         whole = (demo / "LS1_MP1.wav").read_bytes()
         lies = {"name": "LS9_MP9.wav", "mimeType": "audio/wav", "buffer": whole[: len(whole) // 2]}
-        page.locator("input[type=file]:visible").set_input_files(lies)
+        page.get_by_label("Recordings, dropped here or chosen:").set_input_files(lies)
         page.get_by_text(re.compile("LS9_MP9.wav: ")).wait_for()
         assert not (folder / "recordings" / "LS9_MP9.wav").exists()
         files = [str(demo / f"LS1_MP{i}.wav") for i in (1, 2)]
-        page.locator("input[type=file]:visible").set_input_files(files)
+        page.get_by_label("Recordings, dropped here or chosen:").set_input_files(files)
         page.get_by_label("LS1 x in m").wait_for()
         places = {"LS1": (1.2, 1.5, 1.1), "MP1": (4.1, 2.9, 1.2), "MP2": (2.3, 3.75, 1.45)}
         for name, position in places.items():
@@ -564,7 +564,7 @@ def test_a_response_measured_in_the_page_through_a_loop_is_that_of_the_file(
     # its row, and positions that are still to be given
     for kind, name in (("sources", "LS2"), ("receivers", "R1")):
         project.set_position(tmp_path, kind, name, (1.0, 1.0 + (name == "R1"), 1.2))
-    view = views.recordings_view(lambda _: None, str(tmp_path), project.SHAPE)
+    view = views.recordings_view(lambda _: None, str(tmp_path))
     (row,) = view["rows"]
     assert row["file"] == "recordings/LS2_R1.wav" and all(row["has_t20"])
     # the delay of the devices is no fault of the recording

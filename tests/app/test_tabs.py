@@ -58,7 +58,7 @@ def answers(name: str, folder: Path) -> tuple[dict[str, Any], dict[str, Any], st
         old = views.room_view(lambda _: None, str(folder))
         return old, {**old, "volume_m3": 777.0}, "777.0 m³"
     if name == "Measurements":
-        old = views.recordings_view(lambda _: None, str(folder), project.SHAPE)
+        old = views.recordings_view(lambda _: None, str(folder))
         finding = {"code": "x", "severity": "info", "sentence": "It is new.", "about": {}}
         return old, {**old, "findings": [finding]}, "It is new."
     if name == "Identify":
@@ -311,7 +311,7 @@ def test_a_surface_that_is_picked_shows_its_material(folder: Path) -> None:
 
 
 def test_a_position_is_stored_once_all_three_numbers_are_typed(folder: Path) -> None:
-    view = views.recordings_view(lambda _: None, str(folder), project.SHAPE)
+    view = views.recordings_view(lambda _: None, str(folder))
     lone = {"kind": "sources", "name": "LS1", "position_m": None}
 
     async def whole() -> None:
@@ -542,7 +542,7 @@ def test_of_several_remedies_the_one_that_was_chosen_is_shown(folder: Path) -> N
 
 
 def test_a_finding_without_a_remedy_has_no_button(folder: Path) -> None:
-    view = views.recordings_view(lambda _: None, str(folder), project.SHAPE)
+    view = views.recordings_view(lambda _: None, str(folder))
     doubt = {"code": "x", "severity": "warning", "sentence": "Doubt.", "about": {}}
 
     async def whole() -> None:

@@ -77,7 +77,10 @@ class PlanView(Element, component="plan_view.js"):
 
 
 class FileDrop(Element, component="file_drop.js"):
-    """A place where files are dropped or chosen; they are sent to ``/upload/PLACE/NAME``."""
+    """A place where files are dropped or chosen; they are sent to ``/upload/PLACE/NAME``.
+
+    With words in `pasted` also a text can be pasted, and is sent as the file ``pasted.csv``.
+    """
 
     def __init__(
         self,
@@ -85,9 +88,11 @@ class FileDrop(Element, component="file_drop.js"):
         place: str,
         suffixes: Iterable[str],
         on_sent: Callable[[list[str]], Any],
+        pasted: str = "",
     ) -> None:
         super().__init__()
         self._props["label"], self._props["place"] = label, place
+        self._props["pasted"] = pasted
         self._props["accept"] = ",".join(suffixes)
         self._props["multiple"] = place == "recordings"
 

@@ -9,7 +9,7 @@ import json
 import os
 import secrets
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
@@ -24,13 +24,14 @@ from roomfit.commands import export_result
 from roomfit.errors import InputError
 from roomfit.io.campaign import FILL_IN, Campaign, blanks, read_campaign
 from roomfit.io.door import read_text
-from roomfit.io.draft import draft_campaign, matching_files
+from roomfit.io.draft import draft_campaign
 from roomfit.io.exports import FORMATS
 from roomfit.io.remedies import Edit, value_text
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.io.responses.sweep import response_name
 from roomfit.io.rooms import READERS
 from roomfit.io.rooms.model import RoomSpec
+from roomfit.io.tables import TABLE_SUFFIXES
 
 CAMPAIGN = "campaign.toml"
 QUICK, FULL = "first", "result"
@@ -41,9 +42,18 @@ TREATMENT_QUESTION, TREATMENT = "treatment.toml", "treatment"
 LISTENED = "listened"
 _UNDO = ".roomfit-undo.json"  # the campaign before the last remedy, and the digest of it after
 RECORDINGS, DRY = "recordings", "dry"
-SHAPE = "{source}_{receiver}.wav"
-"""By which recordings are named, unless the user says otherwise."""
+POSITIONS, DECAY_TIMES = "positions", "decay-times"
+"""Folders of tables that were sent."""
+MEAN = "mean"
+"""The folder of what decay times alone say."""
 _LONGEST_NAME = 120
+_KNOWN: Mapping[str, Collection[str]] = {
+    "room": READERS,
+    RECORDINGS: RESPONSE_SUFFIXES,
+    DRY: RESPONSE_SUFFIXES,
+    POSITIONS: TABLE_SUFFIXES,
+    DECAY_TIMES: TABLE_SUFFIXES,
+}  # endings of what may be sent, by its place
 _ENDINGS = {
     **dict.fromkeys((*FORMATS, "excel", "gltf", "pdf", "word"), ".txt"),
     "catt": ".geo",
@@ -72,13 +82,21 @@ def best_result(folder: Path) -> Path | None:
     return next((file for file in files if file.is_file()), None)
 
 
-def _text(folder: Path) -> str:
+def campaign_text(folder: Path) -> str:
+    """Return the campaign file as it is written."""
     return read_text(campaign_file(folder), "campaign file", most="campaign_bytes")
 
 
-def _document(folder: Path) -> tomlkit.TOMLDocument:
+def campaign_document(folder: Path) -> tomlkit.TOMLDocument:
+    """Return the campaign file with its comments.
+
+    Raises
+    ------
+    InputError
+        It is no TOML.
+    """
     try:
-        return tomlkit.parse(_text(folder))
+        return tomlkit.parse(campaign_text(folder))
     except (ValueError, RecursionError) as error:
         raise InputError(
             "the campaign file is not valid TOML",
@@ -98,7 +116,7 @@ def editing(folder: Path) -> Iterator[tomlkit.TOMLDocument]:
     StoreError
         The disk refuses.
     """
-    document = _document(folder)
+    document = campaign_document(folder)
     before = tomlkit.dumps(document)
     yield document
     if (after := tomlkit.dumps(document)) != before:
@@ -226,8 +244,8 @@ def name_measured(folder: Path, source: str, receiver: str) -> None:
     """
     if not has_campaign(folder):
         return
-    text, file = _text(folder), f"{RECORDINGS}/{response_name(source, receiver)}"
-    content = _document(folder).unwrap()
+    text, file = campaign_text(folder), f"{RECORDINGS}/{response_name(source, receiver)}"
+    content = campaign_document(folder).unwrap()
     rows = content.get("measurements", [])
     edits = [
         Edit((kind, name), "position", FILL_IN)
@@ -240,22 +258,6 @@ def name_measured(folder: Path, source: str, receiver: str) -> None:
     write_text_atomically(campaign_file(folder), edited_text(text, edits))
 
 
-def set_recordings(folder: Path, shape: str) -> None:
-    """Say how recordings are named, as in ``recordings/{source}_{receiver}.wav``.
-
-    Raises
-    ------
-    InputError
-        The shape lacks {source} or {receiver}, leads out of the folder, or no file has it.
-    """
-    if Path(shape).is_absolute() or ".." in Path(shape).parts:
-        raise InputError("recordings lie in the project's folder", found=repr(shape))
-    matching_files(folder, shape)
-    if has_campaign(folder):
-        with editing(folder) as document:
-            document["recordings"] = shape
-
-
 def set_bands(folder: Path, from_hz: float, to_hz: float) -> None:
     """Say which bands are fitted."""
     with editing(folder) as document:
@@ -263,9 +265,34 @@ def set_bands(folder: Path, from_hz: float, to_hz: float) -> None:
         own["from_hz"], own["to_hz"] = float(from_hz), float(to_hz)
 
 
+def has_decay_times(folder: Path) -> bool:
+    """Whether the campaign has decay times, from which alone a mean absorption is found."""
+    return has_campaign(folder) and "reverberation" in campaign_document(folder)
+
+
+def set_decay_times(folder: Path, name: str) -> None:
+    """Take a table that was sent as the decay times of the campaign.
+
+    Raises
+    ------
+    InputError
+        There is no room yet.
+    """
+    if not has_campaign(folder):
+        raise InputError(
+            "there is no room yet",
+            found="no campaign in the folder",
+            needed="a room file or three lengths",
+            hint="give them in the tab Room, then take the table again",
+        )
+    edit = Edit(("reverberation",), "file", f"{DECAY_TIMES}/{name}")
+    text = campaign_text(folder)
+    write_text_atomically(campaign_file(folder), edited_text(text, [edit]))
+
+
 def bands(folder: Path) -> tuple[float, float]:
     """Return the lowest and the highest band that is fitted, by the campaign or by default."""
-    own = _document(folder).get("identify", {})
+    own = campaign_document(folder).get("identify", {})
     return float(own.get("from_hz", 125.0)), float(own.get("to_hz", 4000.0))
 
 
@@ -281,7 +308,7 @@ def filled_campaign(folder: Path) -> Iterator[Campaign]:
     InputError
         See `roomfit.read_campaign`.
     """
-    content = _document(folder).unwrap()
+    content = campaign_document(folder).unwrap()
     if not blanks(content):
         yield read_campaign(campaign_file(folder), to_fit=False)
         return
@@ -326,7 +353,7 @@ def preview(folder: Path, edits: Sequence[Edit]) -> Preview:
     InputError
         The campaign cannot be edited key by key, or could not be read any more.
     """
-    before = _text(folder)
+    before = campaign_text(folder)
     content, lines = tomllib.loads(before), []
     for edit in edits:
         old = _part(content, edit.table).get(edit.key)
@@ -347,7 +374,7 @@ def apply(folder: Path, wanted: Preview) -> None:
     InputError
         The campaign has changed since the preview.
     """
-    if _text(folder) != wanted.before:
+    if campaign_text(folder) != wanted.before:
         raise InputError(
             "the campaign has changed since this was shown",
             where=str(campaign_file(folder)),
@@ -364,7 +391,7 @@ def _undone(folder: Path) -> str | None:
         return None
     try:
         kept = json.loads(read_text(folder / _UNDO, "text to be undone to"))
-        same = kept["written"] == sha256(_text(folder).encode()).hexdigest()
+        same = kept["written"] == sha256(campaign_text(folder).encode()).hexdigest()
         return str(kept["before"]) if same else None
     except (InputError, ValueError, KeyError, TypeError):  # not as it was written
         return None
@@ -492,7 +519,7 @@ def upload_place(folder: Path, kind: str, name: str) -> Path:
 
     Parameters
     ----------
-    kind : {"room", "recordings", "dry"}
+    kind : {"room", "recordings", "dry", "positions", "decay-times"}
     name : str
         As the sender calls it.
 
@@ -501,16 +528,14 @@ def upload_place(folder: Path, kind: str, name: str) -> Path:
     InputError
         The name is a path, hidden, of no known format, or its place lies outside of the project.
     """
-    known = tuple(READERS) if kind == "room" else tuple(RESPONSE_SUFFIXES)
-    if kind not in ("room", RECORDINGS, DRY):
+    if kind not in _KNOWN:
         raise InputError("there is no such place for files", found=repr(kind))
     plain = name and len(name.encode()) <= _LONGEST_NAME and name.isprintable()
     if not plain or name.startswith(".") or any(c in name for c in '/\\:*?"<>|'):
         raise InputError("this is no name of a file here", found=repr(name[:200]))
-    if Path(name).suffix.lower() not in known:
-        raise InputError(
-            "the format is not known", found=repr(name), needed=f"one of {', '.join(known)}"
-        )
+    if Path(name).suffix.lower() not in _KNOWN[kind]:
+        needed = f"one of {', '.join(_KNOWN[kind])}"
+        raise InputError("the format is not known", found=repr(name), needed=needed)
     parent = folder if kind == "room" else folder / kind
     place = parent / name
     inside(folder, parent)
@@ -545,7 +570,7 @@ def served_file(folder: Path, path: str) -> Path:
     if (
         not path.isprintable()
         or len(parts) < 2
-        or parts[0] not in (QUICK, FULL, TREATMENT, LISTENED, "exports")
+        or parts[0] not in (QUICK, FULL, MEAN, TREATMENT, LISTENED, "exports")
     ):
         raise InputError("only results and exports are shown", found=repr(path[:200]))
     if any(part.startswith(".") for part in parts):

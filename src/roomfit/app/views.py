@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from roomfit import commands, predictions
-from roomfit.app import project
+from roomfit.app import project, recordings
 from roomfit.app.what_if import what_if, what_if_prepare
-from roomfit.errors import InputError, RoomfitError
+from roomfit.errors import InputError, RoomfitError, located
 from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import Mesh, triangle_areas_m2
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import read_bytes
-from roomfit.io.draft import matching_files
+from roomfit.io.draft import check_unit, read_positions
 from roomfit.io.encoding import (
     EditedFile,
     finding_content,
@@ -30,11 +30,13 @@ from roomfit.io.encoding import (
     numbers_or_null,
 )
 from roomfit.io.exports import read_result_content
+from roomfit.io.file_names import in_short
 from roomfit.io.inputs import check_campaign
 from roomfit.io.remedies import is_file, remedies, together
 from roomfit.io.responses import SOUND_SUFFIXES, read_response
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.responses.sweep import SweepPlan, response_from_recording, wav_bytes
+from roomfit.io.reverberation import read_decay_times
 from roomfit.io.rooms import read_mesh
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.prediction.campaign import WantedPairs
@@ -128,32 +130,28 @@ def _any_room(mesh: Mesh, materials: Mapping[str, str]) -> Room:
     return Room(mesh, order, np.array([order.index(n) for n in names]))
 
 
-def recordings_view(_: Progress, folder: str, shape: str) -> dict[str, Any]:
-    """Return recordings by their names, positions, and what `roomfit check` says of them.
-
-    Parameters
-    ----------
-    shape : str
-        Of the names where the campaign specifies none.
-    """
+def recordings_view(_: Progress, folder: str) -> dict[str, Any]:
+    """Return recordings by their names, positions, and what `roomfit check` says of them."""
     root = Path(folder)
     rows: dict[str, dict[str, Any]] = {}
     view: dict[str, Any] = {"bands_hz": [], "findings": [], "plan": [], "advised": []}
     known: dict[str, dict[str, Any]] = {"sources": {}, "receivers": {}}
+    view["template"] = view["decay_times"] = ""
     if project.has_campaign(root):
+        content = project.campaign_document(root).unwrap()
+        view["template"] = next(iter(recordings.templates(content)), "")
+        view["decay_times"] = str(content.get("reverberation", {}).get("file", ""))
         with project.filled_campaign(root) as campaign:
             for kind, points in (("sources", campaign.sources), ("receivers", campaign.receivers)):
                 known[kind] = {p.name: np.asarray(p.position_m).tolist() for p in points}
+                known[kind] |= {n: None for n in content.get(kind, {}) if n not in known[kind]}
             view["plan"] = _plan(campaign)
             for m in campaign.measurements:
                 file = Path(m.response.path)
                 name = file.relative_to(root).as_posix() if root in file.parents else str(file)
                 rows[name] = {"file": name, "source": m.source, "receiver": m.receiver}
-    try:
-        parsed = matching_files(root, shape)
-    except InputError:
-        parsed = {}
-    for name, (source, receiver) in parsed.items():
+    tables = recordings.table_positions(root)
+    for name, (source, receiver) in recordings.named_recordings(root, tables).items():
         rows.setdefault(name, {"file": name, "source": source, "receiver": receiver})
         known["sources"].setdefault(source, None)
         known["receivers"].setdefault(receiver, None)
@@ -163,17 +161,61 @@ def recordings_view(_: Progress, folder: str, shape: str) -> dict[str, Any]:
         for name, position in known[kind].items()
     ]
     view["rows"] = list(rows.values())
-    missing = [p["name"] for p in view["positions"] if p["position_m"] is None]
-    if rows and missing:
-        text = f"Where {', '.join(missing)} stand is not known: type x, y, z into the table."
-        unknown = {"code": "positions", "severity": "warning", "sentence": text, "about": {}}
-        view["findings"].append(unknown)
+    view["findings"] += _about_names(root, rows, view["positions"], tables)
     if rows and project.has_campaign(root):
         try:
             _check(root, rows, view)
         except RoomfitError as error:
             view["findings"].append(finding_of_error(error))
     return view
+
+
+def _about_names(
+    root: Path,
+    rows: Mapping[str, object],
+    positions: Iterable[Mapping[str, Any]],
+    tables: Mapping[str, object],
+) -> list[dict[str, Any]]:
+    """Return which positions are not known, and which names of files and tables fit nothing."""
+    missing = [p["name"] for p in positions if p["position_m"] is None]
+    unused = recordings.unused_recordings(root, rows)
+    idle = [name for name in tables if name not in [p["name"] for p in positions]]
+    texts = {
+        f"Where {in_short(missing)} stand is not known: type x, y, z into the table, or take a "
+        "table of positions.": bool(rows and missing),
+        f"Left out, names that do not fit: {in_short(unused)}.": bool(unused),
+        f"Positions that no recording names: {in_short(idle)}.": bool(idle),
+    }
+    finding = {"code": "positions", "severity": "warning", "about": {}}
+    return [{**finding, "sentence": text} for text, is_so in texts.items() if is_so]
+
+
+def name_recordings(_: Progress, folder: str, table: str = "") -> None:
+    """Name recordings, and take positions of the tables that were sent; see `recordings`.
+
+    Parameters
+    ----------
+    table : str
+        Name of the table whose positions count also where others are known already.
+
+    Raises
+    ------
+    InputError
+        A table is in another unit than the room, or the campaign cannot be edited.
+    """
+    root = Path(folder)
+    place = project.upload_place(root, project.POSITIONS, table) if table else None
+    recordings.name_recordings(root, None if place is None else read_positions(place))
+
+
+def set_template(_: Progress, folder: str, template: str) -> None:
+    """Say how recordings are named, see `recordings.set_template`."""
+    recordings.set_template(Path(folder), template)
+
+
+def take_decay_times(_: Progress, folder: str, name: str) -> None:
+    """Take a table that was sent as the decay times of the campaign."""
+    project.set_decay_times(Path(folder), name)
 
 
 def _plan(campaign: Campaign) -> list[list[float]]:
@@ -328,6 +370,15 @@ def identify(progress: Progress, folder: str, quick: bool) -> str:
     return out.name
 
 
+def reverberation(_: Progress, folder: str) -> str:
+    """Find the mean absorption from decay times alone, as ``roomfit reverberation`` does."""
+    root = Path(folder)
+    out = root / project.MEAN
+    project.inside(root, out)
+    predictions.reverberation_to_folder(project.campaign_file(root), out, overwrite=True)
+    return out.name
+
+
 def demo(progress: Progress, folder: str) -> str:
     """Write the campaign of ``roomfit demo``: a room of known absorption, measured by simulation.
 
@@ -344,8 +395,9 @@ def demo(progress: Progress, folder: str) -> str:
 
 
 def set_room(_: Progress, folder: str, **room: Any) -> None:
-    """Give the project its room, see `project.set_room`."""
+    """Give the project its room, see `project.set_room`, and what was sent before it its names."""
     project.set_room(Path(folder), **room)
+    recordings.name_recordings(Path(folder))
 
 
 def treat(progress: Progress, folder: str, doubted: bool = False) -> str:
@@ -391,6 +443,8 @@ def look_at_upload(_: Progress, folder: str, kind: str, file: str) -> None:
                 read_mesh(RoomSpec(file=path))
             except InputError:  # perhaps its unit is in doubt, which is asked for later
                 read_mesh(RoomSpec(file=path, unit="m"))
+        elif kind in (project.POSITIONS, project.DECAY_TIMES):
+            _look_at_table(Path(folder), kind, path)
         elif path.suffix.lower() in SOUND_SUFFIXES:  # of others choices are to be made first
             try:
                 read_response(ResponseSpec(path, channel=0))
@@ -400,7 +454,23 @@ def look_at_upload(_: Progress, folder: str, kind: str, file: str) -> None:
                 except InputError:
                     raise error from None
     except RoomfitError as error:
-        raise InputError(error.what, found=error.found, needed=error.needed) from None
+        # the place where it waits is nobody's business
+        is_own = error.where is not None and error.where.startswith(str(path))
+        where = str(error.where).replace(str(path), path.name) if is_own else None
+        hint = error.hint if is_own else None
+        found, needed = error.found, error.needed
+        raise InputError(error.what, where=where, found=found, needed=needed, hint=hint) from None
+
+
+def _look_at_table(root: Path, kind: str, path: Path) -> None:
+    """Refuse a table that is none, or whose positions are in another unit than the room."""
+    if kind == project.DECAY_TIMES:
+        read_decay_times(path)
+        return
+    positions = read_positions(path)
+    if project.has_campaign(root):
+        with project.filled_campaign(root) as campaign, located(str(path)):
+            check_unit(read_mesh(campaign.room)[0], positions)
 
 
 def measure(_: Progress, folder: str, file: str, plan: dict[str, Any]) -> dict[str, Any]:
@@ -481,8 +551,12 @@ TASKS: dict[str, Callable[..., Any]] = {
     for f in (
         room_view,
         recordings_view,
+        name_recordings,
+        set_template,
+        take_decay_times,
         result_view,
         identify,
+        reverberation,
         demo,
         set_room,
         treat,
