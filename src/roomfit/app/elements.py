@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from html import escape
+from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 from weakref import WeakKeyDictionary
 
 from nicegui import events, ui
@@ -136,6 +138,11 @@ class BandSlider(Element, component="band_slider.js"):
             await on_moved(float(event.args))
 
         self.on("moved", moved, throttle=0.05)
+
+
+def file_address(file: Path) -> str:
+    """Return the address of a file of a result; another one when it is written anew."""
+    return f"/files/{file.parent.name}/{quote(file.name)}?of={file.stat().st_mtime_ns}"
 
 
 def markup(content: str) -> ui.html:

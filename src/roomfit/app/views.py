@@ -15,6 +15,7 @@ import numpy as np
 
 from roomfit import commands, predictions
 from roomfit.app import project, recordings
+from roomfit.app.treatment import ask_treatment, treatment_view
 from roomfit.app.what_if import what_if, what_if_prepare
 from roomfit.errors import InputError, RoomfitError, located
 from roomfit.findings import About, Code, Finding
@@ -309,7 +310,8 @@ def result_view(_: Progress, folder: str, name: str) -> dict[str, Any] | None:
     """Return absorption with intervals by material, and findings, None where there is no result.
 
     ``beside`` of a finding are the materials at which it is shown; ``usable`` says what still
-    holds, where a finding voids what is identifiable; ``advised`` is what `advised` returns.
+    holds, where a finding voids what is identifiable; ``advised`` is what `advised` returns;
+    ``mean`` is that of decay times alone, with its interval: in each band three numbers.
     """
     file = Path(folder) / name / "result.json"
     if not file.is_file():
@@ -324,7 +326,9 @@ def result_view(_: Progress, folder: str, name: str) -> dict[str, Any] | None:
     voids = any(finding["code"] in _VOIDING for finding in findings)
     keys = ("absorption", "lower95", "upper95", "identifiable", "area_m2")
     stale = _is_stale(Path(folder), content)
+    means = content.get("combinations", []) if "reverberation" in content else []
     return {
+        "mean": [[m[key] for key in keys[:3]] for m in means],
         "bands_hz": content["bands_hz"],
         "materials": {m: {k: own[k] for k in keys} for m, own in materials.items()},
         "findings": findings,
@@ -406,13 +410,13 @@ def treat(progress: Progress, folder: str, doubted: bool = False) -> str:
     Raises
     ------
     InputError
-        There is no result yet, or no treatment.toml with products and targets.
+        There is neither a result nor a table of decay times, or no treatment.toml.
     InsufficientDataError
         The result is seriously doubted in every band, and `doubted` is false.
     """
     root = Path(folder)
     result = project.best_result(root)
-    if result is None:
+    if result is None and not project.has_decay_times(root):
         raise InputError("there is no answer yet", hint="identify first")
     out = root / project.TREATMENT
     project.inside(root, out)
@@ -559,6 +563,8 @@ TASKS: dict[str, Callable[..., Any]] = {
         reverberation,
         demo,
         set_room,
+        treatment_view,
+        ask_treatment,
         treat,
         listen,
         measure,

@@ -77,6 +77,7 @@ def treatment_content(treatment: Treatment, inputs: Iterable[Path]) -> dict[str,
         "format_version": 1,
         "bands_hz": treatment.bands.centres_hz,
         "is_met": treatment.is_met,
+        "sentence": treatment_sentence(treatment),
         "targets": [
             {
                 "parameter": t.parameter,
