@@ -5,7 +5,7 @@ export default {
       <input ref="f" type="file" :multiple="multiple" :accept="accept" @change="chosen"></label>
     <details v-if="pasted"><summary>{{ pasted }}</summary>
       <textarea v-model="text" rows="5" spellcheck="false" :aria-label="pasted"></textarea>
-      <button type="button" class="plain" :disabled="!text.trim()" @click="send([new File([text], 'pasted.csv')])">Use the pasted table</button></details>
+      <button type="button" class="plain" :disabled="!text.trim()" @click="paste">Use the pasted table</button></details>
     <div role="status" class="file-status">{{ status }}</div></div>`,
   props: { label: String, place: String, accept: String, multiple: Boolean, pasted: String },
   data: () => ({ over: false, status: "", text: "" }),
@@ -17,6 +17,9 @@ export default {
     chosen() {
       this.send([...this.$refs.f.files]);
       this.$refs.f.value = "";
+    },
+    paste() {
+      this.send([new File([this.text], "pasted.csv")]);
     },
     async send(files) {
       const [taken, refused] = [[], []];
