@@ -183,6 +183,19 @@ def test_a_finding_goes_to_the_recordings_whose_file_or_pair_it_is_about(
     assert [rows.index(row) for row in views.concerned_recordings(about, rows)] == expected
 
 
+def test_the_plan_names_the_walls_where_they_stand(box: Path) -> None:
+    """Not floor and ceiling; a box of 6 x 5 m."""
+    send(box, "LS1_MP1.wav")
+    view = views.recordings_view(nothing, str(box))
+    walls = {name: (x, y) for x, y, name in view["walls"]}
+    assert walls == {
+        "west": (0.0, 2.5),
+        "east": (6.0, 2.5),
+        "south": (3.0, 0.0),
+        "north": (3.0, 5.0),
+    }
+
+
 def write_result(folder: Path, findings: list[dict[str, object]], usable: list[str]) -> None:
     own = {"absorption": [0.3], "lower95": [0.2], "upper95": [0.4]}
     own |= {"identifiable": [True], "area_m2": 12.0}

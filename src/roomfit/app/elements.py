@@ -64,7 +64,7 @@ class PlanView(Element, component="plan_view.js"):
 
     def __init__(self, on_dropped: Callable[[str, str, float, float], Awaitable[None]]) -> None:
         super().__init__()
-        self._props["plan"] = {"edges": [], "points": []}
+        self._props["plan"] = {"edges": [], "points": [], "walls": []}
 
         async def dropped(event: events.GenericEventArguments) -> None:
             x, y = event.args["at"]
@@ -72,9 +72,14 @@ class PlanView(Element, component="plan_view.js"):
 
         self.on("dropped", dropped)
 
-    def show(self, edges: Sequence[Sequence[float]], points: Sequence[Mapping[str, Any]]) -> None:
-        """Draw edges x, y to x, y in m, and points by kind, name and position."""
-        self._props["plan"] = {"edges": list(edges), "points": list(points)}
+    def show(
+        self,
+        edges: Sequence[Sequence[float]],
+        points: Sequence[Mapping[str, Any]],
+        walls: Sequence[Sequence[Any]],
+    ) -> None:
+        """Draw edges x, y to x, y in m, points by kind, name and position, and names of walls."""
+        self._props["plan"] = {"edges": list(edges), "points": list(points), "walls": list(walls)}
         self.update()
 
 

@@ -139,7 +139,7 @@ class MeasurementsTab:
         self.used.set_text(f"{times} is used; see Identify and What if." if times else text)
         self.show_positions(view["positions"])
         self.plan.set_visibility(bool(view["plan"] and self.positions))
-        self.plan.show(view["plan"], self.positions)
+        self.plan.show(view["plan"], self.positions, view["walls"])
         if not emptied(self.recordings, (view["bands_hz"], view["rows"])):
             return
         with self.recordings:

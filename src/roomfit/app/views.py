@@ -17,6 +17,7 @@ from roomfit import commands, predictions
 from roomfit.app import project, recordings
 from roomfit.app.treatment import ask_treatment, treatment_view
 from roomfit.app.what_if import what_if, what_if_prepare
+from roomfit.core import area_vectors_m2
 from roomfit.errors import InputError, RoomfitError, located
 from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import Mesh, triangle_areas_m2
@@ -48,6 +49,7 @@ from roomfit.synthetic.boxes import demo_plan, write_measured_box
 from roomfit.typing import Progress
 
 _MOST_EDGES = 1500
+_UPRIGHT, _MOST_WALLS = 0.3, 16  # of the normal's height; of more walls names hide each other
 _NO_MATERIAL = "(no material)"
 _FEW = 3  # a finding about more recordings, or more materials, than these stands by itself
 _VOIDING = frozenset(code.value for code in Code if code.voids_identifiability)
@@ -137,7 +139,7 @@ def recordings_view(_: Progress, folder: str) -> dict[str, Any]:
     rows: dict[str, dict[str, Any]] = {}
     view: dict[str, Any] = {"bands_hz": [], "findings": [], "plan": [], "advised": []}
     known: dict[str, dict[str, Any]] = {"sources": {}, "receivers": {}}
-    view["template"] = view["decay_times"] = ""
+    view |= {"walls": [], "template": "", "decay_times": ""}
     if project.has_campaign(root):
         content = project.campaign_document(root).unwrap()
         view["template"] = next(iter(recordings.templates(content)), "")
@@ -146,7 +148,7 @@ def recordings_view(_: Progress, folder: str) -> dict[str, Any]:
             for kind, points in (("sources", campaign.sources), ("receivers", campaign.receivers)):
                 known[kind] = {p.name: np.asarray(p.position_m).tolist() for p in points}
                 known[kind] |= {n: None for n in content.get(kind, {}) if n not in known[kind]}
-            view["plan"] = _plan(campaign)
+            view["plan"], view["walls"] = _plan(campaign)
             for m in campaign.measurements:
                 file = Path(m.response.path)
                 name = file.relative_to(root).as_posix() if root in file.parents else str(file)
@@ -219,13 +221,21 @@ def take_decay_times(_: Progress, folder: str, name: str) -> None:
     project.set_decay_times(Path(folder), name)
 
 
-def _plan(campaign: Campaign) -> list[list[float]]:
-    """Return the edges of the room from above, each x, y, x, y in m."""
+def _plan(campaign: Campaign) -> tuple[list[list[float]], list[list[Any]]]:
+    """Return the edges of the room from above, each x, y, x, y in m, and x, y, name of walls."""
     mesh = read_mesh(campaign.room)[0]
     edges = outline_m(_any_room(mesh, campaign.room.materials), _MOST_EDGES)[:, :, :2]
     # an upright edge is a point from above, and two lie upon each other
     plan: list[list[float]] = np.unique(np.round(edges.reshape(-1, 4), 3), axis=0).tolist()
-    return plan
+    areas, centres_m = triangle_areas_m2(mesh), mesh.vertices_m[mesh.triangles].mean(axis=1)
+    is_wall = np.abs(area_vectors_m2(mesh)[:, 2]) < _UPRIGHT * areas
+    walls = []
+    for i, surface in enumerate(mesh.surfaces):
+        own = is_wall & (mesh.triangle_surface == i)
+        if own.any():
+            at_m = np.average(centres_m[own], axis=0, weights=areas[own])
+            walls.append([*np.round(at_m[:2], 3).tolist(), surface.name])
+    return plan, walls if len(walls) <= _MOST_WALLS else []
 
 
 def _check(root: Path, rows: dict[str, dict[str, Any]], view: dict[str, Any]) -> None:
