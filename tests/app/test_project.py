@@ -183,6 +183,19 @@ def test_a_finding_goes_to_the_recordings_whose_file_or_pair_it_is_about(
     assert [rows.index(row) for row in views.concerned_recordings(about, rows)] == expected
 
 
+def test_a_table_that_was_spoilt_in_the_folder_is_told_and_files_are_named_once(box: Path) -> None:
+    send(box, "LS1_MP1.wav")
+    (box / "positions").mkdir()
+    (box / "positions" / "p.csv").write_text("nothing")
+    row = '[[measurements]]\nsource = "A"\nreceiver = "B"\nfile = "./recordings/LS1_MP1.wav"\n'
+    points = "[sources.A]\nposition = [1, 1, 1]\n[receivers.B]\nposition = [2, 2, 2]\n"
+    file = project.campaign_file(box)
+    file.write_text(f"{file.read_text()}\n{points}{row}")
+    assert shown(box)[1] == {"LS1_MP1.wav": ("A", "B")}
+    said = views.recordings_view(nothing, str(box))["findings"]
+    assert any("p.csv" in f["sentence"] for f in said)
+
+
 def test_the_plan_names_the_walls_where_they_stand(box: Path) -> None:
     """Not floor and ceiling; a box of 6 x 5 m."""
     send(box, "LS1_MP1.wav")

@@ -7,7 +7,7 @@ and are written into the campaign, blanks where no position is known yet.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -46,11 +46,11 @@ def table_positions(folder: Path) -> dict[str, tuple[float, float, float]]:
     return found
 
 
-def named_recordings(folder: Path, positions: Positions) -> dict[str, tuple[str, str]]:
+def named_recordings(folder: Path, known: Sequence[str]) -> dict[str, tuple[str, str]]:
     """Return source and receiver by file of all recordings of a project.
 
     By the tables of its campaign, blanks or not, by the template that this states, or else by names
-    in the folder of recordings.
+    in the folder of recordings; `known` are further names of sources and receivers.
 
     Raises
     ------
@@ -59,12 +59,12 @@ def named_recordings(folder: Path, positions: Positions) -> dict[str, tuple[str,
     """
     content = _content(folder)
     rows = {
-        str(row["file"]): (str(row["source"]), str(row["receiver"]))
+        file_name(folder, Path(row["file"])): (str(row["source"]), str(row["receiver"]))
         for row in content.get("measurements", [])
         if row.keys() >= _NAMES_ALONE and not blanks(row)
     }
     placed = [name for kind in _KINDS for name in _placed(content, kind)]
-    found = _by_name(folder, templates(content), [*placed, *positions])
+    found = _by_name(folder, templates(content), [*placed, *known])
     return rows | {file: pair for file, pair in found.items() if file not in rows}
 
 
@@ -149,6 +149,12 @@ def templates(content: Mapping[str, Any]) -> list[str]:
     return [stated] if isinstance(stated, str) else list(stated)
 
 
+def file_name(folder: Path, file: Path) -> str:
+    """Return a file that a campaign names, relative to the project where it lies in it."""
+    path = folder / file
+    return path.relative_to(folder).as_posix() if folder in path.parents else str(path)
+
+
 def unused_recordings(folder: Path, named: Mapping[str, object]) -> list[str]:
     """Return the recordings that were sent and have no name that fits."""
     below = folder / project.RECORDINGS
@@ -183,8 +189,8 @@ def _is_loose(
     """Whether a measurement says nothing but names, and these may still be others."""
     if set(row) != _NAMES_ALONE or not str(row["file"]).startswith(f"{project.RECORDINGS}/"):
         return False
-    has_places = all(row[word] in placed[kind] for kind, word in _KINDS.items())
-    return row["file"] in by_template or not has_places
+    is_positioned = all(row[word] in placed[kind] for kind, word in _KINDS.items())
+    return row["file"] in by_template or not is_positioned
 
 
 def _without(text: str, loose: list[int], needed: Mapping[str, list[str]]) -> str:

@@ -32,7 +32,7 @@ _PARAMETERS = {
     "D50_percent": "D50 in %",
     "STI": "STI",
 }
-_HIDDEN = ("standard", "value", "tolerance")  # of a target: kept and told, not edited
+_HIDDEN = ("standard", "value", "tolerance")  # of a target: kept and stated, not edited
 _ODDS = {p: f"{100 * p:.0f} %" for p in (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)}
 
 
@@ -180,9 +180,9 @@ class TreatmentForm:
 
     def draw_target(self, number: int, target: dict[str, Any]) -> None:
         """Draw what is to be reached; of a standard, or about a value, as text."""
-        told = [f"{key} {target[key]}" for key in _HIDDEN if key in target]
-        if told:
-            ui.label(", ".join([str(target.get("parameter", "")), *told]).lstrip(", "))
+        stated = [f"{key} {target[key]}" for key in _HIDDEN if key in target]
+        if stated:
+            ui.label(", ".join([str(target.get("parameter", "")), *stated]).lstrip(", "))
             return
         own = target.setdefault("parameter", "T30_s")
         names = ["T30_s"] if self.room["from_times"] else list(_PARAMETERS)

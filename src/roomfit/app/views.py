@@ -150,11 +150,14 @@ def recordings_view(_: Progress, folder: str) -> dict[str, Any]:
                 known[kind] |= {n: None for n in content.get(kind, {}) if n not in known[kind]}
             view["plan"], view["walls"] = _plan(campaign)
             for m in campaign.measurements:
-                file = Path(m.response.path)
-                name = file.relative_to(root).as_posix() if root in file.parents else str(file)
+                name = recordings.file_name(root, Path(m.response.path))
                 rows[name] = {"file": name, "source": m.source, "receiver": m.receiver}
-    tables = recordings.table_positions(root)
-    for name, (source, receiver) in recordings.named_recordings(root, tables).items():
+    tables: Mapping[str, object] = {}
+    try:
+        tables = recordings.table_positions(root)
+    except RoomfitError as error:  # somebody has put it there by another way
+        view["findings"].append(finding_of_error(error))
+    for name, (source, receiver) in recordings.named_recordings(root, [*tables]).items():
         rows.setdefault(name, {"file": name, "source": source, "receiver": receiver})
         known["sources"].setdefault(source, None)
         known["receivers"].setdefault(receiver, None)
