@@ -635,6 +635,8 @@ def test_a_consultant_gets_from_files_to_a_changed_wall_by_the_page_alone(
         table.set_input_files(tmp_path / "sent" / "Positionen.csv")
         page.get_by_text("T20 is not evaluated there").first.wait_for()
         assert page.get_by_label("MP2 y in m").input_value() == "3.750"
+        on_plan = page.locator(".plan-view text").all_text_contents()
+        assert {"6.10 m", "4.70 m", "north", "west", "LS1"} <= set(on_plan)
         page.reload()  # the folder is the state
         visit.tab("Measurements")
         page.get_by_role("button", name="Set this, of recordings late").click()

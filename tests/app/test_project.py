@@ -293,7 +293,12 @@ def test_a_template_stands_in_the_campaign_and_its_rows_are_there_without_typing
     send(box, "S_1-R_1.wav", "S_1-R_2.wav")
     views.name_recordings(nothing, str(box))
     assert shown(box)[1] == {"S_1-R_1.wav": ("S", "1-R_1"), "S_1-R_2.wav": ("S", "1-R_2")}
+    for kind, name in (("sources", "S"), ("receivers", "1-R_1"), ("receivers", "1-R_2")):
+        project.set_position(box, kind, name, (1.0, 1.0, 1.0))
     views.set_template(nothing, str(box), TEMPLATE)
+    for kind, name in (("sources", "S"), ("receivers", "1-R_1"), ("receivers", "1-R_2")):
+        assert shown(box)[0][name] == [1.0, 1.0, 1.0]  # what was typed is not thrown away
+        project.set_position(box, kind, name, None)
     expected = {"S_1-R_1.wav": ("S_1", "R_1"), "S_1-R_2.wav": ("S_1", "R_2")}
     places = dict.fromkeys(("S_1", "R_1", "R_2"))
     assert shown(box) == (places, expected)

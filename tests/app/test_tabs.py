@@ -391,6 +391,8 @@ def test_while_a_change_is_evaluated_only_the_newest_waits(folder: Path) -> None
         bench.asked[-1].set_result({**new, "pairs": []})
         await asyncio.gather(*moving)
         assert len(bench.asked) == 3 and "1 material changed" in tab.note.text
+        # of one octave no speech transmission: where that is mended
+        assert "125 Hz to 8 kHz: choose them in Identify" in tab.note.text
 
     asyncio.run(whole())
 
