@@ -17,7 +17,7 @@ import soundfile
 
 pytest.importorskip("tomlkit", reason="the workbench needs the extra app")
 
-from roomfit.app import project, views
+from roomfit.app import project, recordings, views
 from roomfit.app.jobs import Job, Jobs, Worker
 from roomfit.cache import write_json_atomically
 from roomfit.commands import ExportedFiles
@@ -255,8 +255,14 @@ def test_what_remains_usable_is_shown_where_a_finding_voids_and_not_elsewhere(bo
 def send(folder: Path, *names: str) -> None:
     """Put recordings where uploads come to; they are not read here."""
     (folder / "recordings").mkdir(exist_ok=True)
-    for name in names:
-        (folder / "recordings" / name).write_bytes(b"RIFF")
+    for file in names:
+        (folder / "recordings" / file).write_bytes(b"RIFF")
+
+
+def name_sent(folder: Path, table: str = "") -> None:
+    """Do what the tab does after something was sent."""
+    known, moved = views.table_positions(nothing, str(folder), table)
+    recordings.name_recordings(folder, known, moved)
 
 
 def shown(folder: Path) -> tuple[dict[str, list[float] | None], dict[str, tuple[str, str]]]:
@@ -271,7 +277,7 @@ TEMPLATE = "recordings/{source}-{receiver}.wav"
 
 def test_names_become_sources_and_receivers_whose_places_are_asked_for(box: Path) -> None:
     send(box, "LS1_MP1.wav", "LS1_MP2.wav", "sweep.wav")
-    views.name_recordings(nothing, str(box))
+    name_sent(box)
     view = views.recordings_view(nothing, str(box))
     assert [(p["kind"], p["name"]) for p in view["positions"]] == [
         ("sources", "LS1"), ("receivers", "MP1"), ("receivers", "MP2"),
@@ -282,7 +288,7 @@ def test_names_become_sources_and_receivers_whose_places_are_asked_for(box: Path
     before = project.campaign_file(box).read_bytes()
     for wrong in ("../{source}_{receiver}.wav", "/x/{source}_{receiver}.wav", "a.wav", TEMPLATE):
         with pytest.raises(InputError):
-            views.set_template(nothing, str(box), wrong)
+            recordings.set_template(box, wrong, {})
         assert project.campaign_file(box).read_bytes() == before
 
 
@@ -291,11 +297,11 @@ def test_a_template_stands_in_the_campaign_and_its_rows_are_there_without_typing
 ) -> None:
     """Also while no position is known, and when it is taken back."""
     send(box, "S_1-R_1.wav", "S_1-R_2.wav")
-    views.name_recordings(nothing, str(box))
+    name_sent(box)
     assert shown(box)[1] == {"S_1-R_1.wav": ("S", "1-R_1"), "S_1-R_2.wav": ("S", "1-R_2")}
     for kind, name in (("sources", "S"), ("receivers", "1-R_1"), ("receivers", "1-R_2")):
         project.set_position(box, kind, name, (1.0, 1.0, 1.0))
-    views.set_template(nothing, str(box), TEMPLATE)
+    recordings.set_template(box, TEMPLATE, {})
     for kind, name in (("sources", "S"), ("receivers", "1-R_1"), ("receivers", "1-R_2")):
         assert shown(box)[0][name] == [1.0, 1.0, 1.0]  # what was typed is not thrown away
         project.set_position(box, kind, name, None)
@@ -304,21 +310,21 @@ def test_a_template_stands_in_the_campaign_and_its_rows_are_there_without_typing
     assert shown(box) == (places, expected)
     assert views.recordings_view(nothing, str(box))["template"] == TEMPLATE
     assert "measurements" not in project.campaign_document(box)
-    views.set_template(nothing, str(box), "")
+    recordings.set_template(box, "", {})
     assert shown(box)[1]["S_1-R_1.wav"] == ("S", "1-R_1")
 
 
 def test_names_with_other_separators_are_split_by_a_table_of_positions(box: Path) -> None:
     """Whichever comes first; what was measured here or written by hand is left as it is."""
     send(box, "2024 LS1 - MP1 take2.wav", "ls1-mp2.wav", "sweep.wav")
-    views.name_recordings(nothing, str(box))
+    name_sent(box)
     assert shown(box)[1]["ls1-mp2.wav"] == ("S1", "ls1-mp2")  # as init does without a table
     project.name_measured(box, "X", "Y")
     send(box, "X_Y.wav")
     (box / "positions").mkdir()
     table = box / "positions" / "Positionen.csv"
     table.write_text("Name;x [cm];y;z\nLS1;100,5;200;150\nMP1;300;200;120\nMP2;400;200;120\n")
-    views.name_recordings(nothing, str(box), table.name)
+    name_sent(box, table.name)
     places, rows = shown(box)
     assert rows == {
         "2024 LS1 - MP1 take2.wav": ("LS1", "MP1"),
@@ -330,9 +336,9 @@ def test_names_with_other_separators_are_split_by_a_table_of_positions(box: Path
     assert 'time_zero = "direct"' in project.campaign_file(box).read_text()
     # what was dragged stays when more recordings come, and goes when a table is sent again
     project.set_position(box, "receivers", "MP1", (5.0, 1.0, 1.0))
-    views.name_recordings(nothing, str(box))
+    name_sent(box)
     assert shown(box)[0]["MP1"] == [5.0, 1.0, 1.0]
-    views.name_recordings(nothing, str(box), table.name)
+    name_sent(box, table.name)
     assert shown(box)[0]["MP1"] == [3.0, 2.0, 1.2]
 
 
@@ -340,7 +346,7 @@ def test_what_was_sent_before_there_was_a_room_is_named_when_it_comes(tmp_path: 
     send(tmp_path, "LS1-MP1.wav")
     (tmp_path / "positions").mkdir()
     (tmp_path / "positions" / "p.csv").write_text("LS1,1,2,1.5\nMP1,3,2,1.2\nMP9,1,1,1\n")
-    views.name_recordings(nothing, str(tmp_path), "p.csv")
+    name_sent(tmp_path, "p.csv")
     assert shown(tmp_path) == ({"LS1": None, "MP1": None}, {"LS1-MP1.wav": ("LS1", "MP1")})
     views.set_room(nothing, str(tmp_path), shoebox=(6.0, 5.0, 3.0))
     assert shown(tmp_path)[0] == {"LS1": [1.0, 2.0, 1.5], "MP1": [3.0, 2.0, 1.2]}

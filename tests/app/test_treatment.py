@@ -52,7 +52,7 @@ def hall(tmp_path: Path) -> Path:
     (tmp_path / "decay-times").mkdir()
     table = "place\t500 Hz\t1 kHz\t2 kHz\nfront\t1,3\t1,2\t1,1\nrear\t1,4\t1,2\t1,2\n"
     (tmp_path / "decay-times" / "pasted.csv").write_text(table)
-    views.take_decay_times(nothing, str(tmp_path), "pasted.csv")
+    project.set_decay_times(tmp_path, "pasted.csv")
     return tmp_path
 
 
@@ -136,7 +136,7 @@ def test_decay_times_are_answered_as_the_command_line_answers_them(hall: Path) -
 
 def test_decay_times_without_a_room_and_a_file_that_is_none_are_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no room yet"):
-        views.take_decay_times(nothing, str(tmp_path), "pasted.csv")
+        project.set_decay_times(tmp_path, "pasted.csv")
     with pytest.raises(InputError, match="no answer yet"):
         views.treat(nothing, str(tmp_path))
     views.set_room(nothing, str(tmp_path), shoebox=[5.0, 4.0, 3.0])

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from html import escape
+from pathlib import Path
 from typing import Any, ClassVar
 
 from nicegui import ui
 
-from roomfit.app import project
+from roomfit.app import project, recordings
 from roomfit.app.elements import (
     FileDrop,
     PlanView,
@@ -24,6 +25,7 @@ from roomfit.app.elements import (
     table_html,
 )
 from roomfit.app.jobs import Bench
+from roomfit.app.recordings import Positions
 from roomfit.app.remedies import Advice
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.io.tables import TABLE_SUFFIXES
@@ -69,32 +71,37 @@ class MeasurementsTab:
                 self.plan = PlanView(self.drop)
                 text = "Drag what stands elsewhere. What has no place yet comes to "
                 ui.label(f"{text}{_HEIGHT_M} m height.").classes("soft")
-        self.recordings = ui.element("div").classes("panel")
+        self.listed = ui.element("div").classes("panel")
         self.questions = Questions(self.general)
 
     async def name_recordings(self, _: object = None) -> None:
         """Name recordings that were sent just now."""
-        await self.ask("name_recordings")
+        await self.write(recordings.name_recordings)
 
     async def use_template(self) -> None:
         """Name recordings by what is typed."""
-        await self.ask("set_template", template=self.typed.value.strip())
+        template = self.typed.value.strip()
+        await self.write(lambda folder, known, _: recordings.set_template(folder, template, known))
 
     async def take_positions(self, names: list[str]) -> None:
         """Put what the table names where it says."""
-        await self.ask("name_recordings", table=names[-1])
+        await self.write(recordings.name_recordings, names[-1])
+
+    async def write(
+        self, change: Callable[[Path, Positions, Positions], None], table: str = ""
+    ) -> None:
+        """Change the campaign by the tables of positions, and show what has become of it."""
+        with saying_errors(self.general):
+            known, moved = await self.bench.ask("table_positions", table=table)
+            change(self.bench.folder, known, moved)
+            await self.refresh()
 
     async def take_times(self, names: list[str]) -> None:
         """Have the mean absorption found from a table of decay times."""
-        await self.ask("take_decay_times", name=names[-1])
-        if project.has_decay_times(self.bench.folder):
+        with saying_errors(self.general):
+            project.set_decay_times(self.bench.folder, names[-1])
             own = {"folder": str(self.bench.folder)}
             self.bench.jobs.add("Mean absorption", "reverberation", own)
-
-    async def ask(self, task: str, **own: str) -> None:
-        """Have something written, and show what has become of it."""
-        with saying_errors(self.general):
-            await self.bench.ask(task, **own)
             await self.refresh()
 
     async def drop(self, kind: str, name: str, x: float, y: float) -> None:
@@ -140,9 +147,9 @@ class MeasurementsTab:
         self.show_positions(view["positions"])
         self.plan.set_visibility(bool(view["plan"] and self.positions))
         self.plan.show(view["plan"], self.positions, view["walls"])
-        if not emptied(self.recordings, (view["bands_hz"], view["rows"])):
+        if not emptied(self.listed, (view["bands_hz"], view["rows"])):
             return
-        with self.recordings:
+        with self.listed:
             heading("Recordings")
             if not view["rows"]:
                 ui.label("None yet.").classes("soft")

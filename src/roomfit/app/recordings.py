@@ -24,7 +24,7 @@ from roomfit.io.remedies import Edit
 
 _KINDS = {"sources": "source", "receivers": "receiver"}
 _NAMES_ALONE = {"source", "receiver", "file"}
-Positions = Mapping[str, tuple[float, float, float]]
+Positions = Mapping[str, Sequence[float]]
 
 
 def table_positions(folder: Path) -> dict[str, tuple[float, float, float]]:
@@ -68,8 +68,10 @@ def named_recordings(folder: Path, known: Sequence[str]) -> dict[str, tuple[str,
     return rows | {file: pair for file, pair in found.items() if file not in rows}
 
 
-def name_recordings(folder: Path, moved: Positions | None = None) -> None:
+def name_recordings(folder: Path, positions: Positions, moved: Positions | None = None) -> None:
     """Write sources, receivers and measurements into the campaign, as far as files say.
+
+    In the process that writes what is typed: two that did would undo each other's work.
 
     What has a position keeps it, unless it is `moved`. A measurement whose table says nothing but
     names is named anew while the position of its source or of its receiver is not known, and where
@@ -79,17 +81,16 @@ def name_recordings(folder: Path, moved: Positions | None = None) -> None:
     ----------
     folder : Path
         Without a campaign nothing is written.
-    moved : mapping of name to x, y, z in m, optional
+    positions, moved : mapping of name to x, y, z in m
 
     Raises
     ------
     InputError
-        A table of positions cannot be read, or the campaign is written in a way that does not
-        allow it.
+        The campaign is written in a way that does not allow it.
     """
     if not project.has_campaign(folder):
         return
-    content, positions = _content(folder), table_positions(folder) | dict(moved or {})
+    content, positions = _content(folder), {**positions, **(moved or {})}
     placed = {kind: _placed(content, kind) for kind in _KINDS}
     known = [*placed["sources"], *placed["receivers"], *positions]
     found = _by_name(folder, templates(content), known)
@@ -111,7 +112,7 @@ def name_recordings(folder: Path, moved: Positions | None = None) -> None:
         for name in dict.fromkeys([*filter(None, names), *own]):
             is_free = name not in placed[kind] or name in (moved or {})
             if name in positions and is_free:
-                edits.append(Edit((kind, name), "position", positions[name]))
+                edits.append(Edit((kind, name), "position", tuple(positions[name])))
             elif name not in own:
                 edits.append(Edit((kind, name), "position", FILL_IN))
     if not by_template:
@@ -123,7 +124,7 @@ def name_recordings(folder: Path, moved: Positions | None = None) -> None:
         write_text_atomically(project.campaign_file(folder), after)
 
 
-def set_template(folder: Path, template: str) -> None:
+def set_template(folder: Path, template: str, positions: Positions) -> None:
     """Say how recordings are named, as in ``recordings/{source}-{receiver}.wav``; "": by names.
 
     Raises
@@ -140,7 +141,7 @@ def set_template(folder: Path, template: str) -> None:
             document.pop("recordings", None)
             if template:
                 document["recordings"] = template
-        name_recordings(folder)
+        name_recordings(folder, positions)
 
 
 def templates(content: Mapping[str, Any]) -> list[str]:

@@ -196,32 +196,17 @@ def _about_names(
     return [{**finding, "sentence": text} for text, is_so in texts.items() if is_so]
 
 
-def name_recordings(_: Progress, folder: str, table: str = "") -> None:
-    """Name recordings, and take positions of the tables that were sent; see `recordings`.
-
-    Parameters
-    ----------
-    table : str
-        Name of the table whose positions count also where others are known already.
+def table_positions(_: Progress, folder: str, table: str = "") -> list[dict[str, Any]]:
+    """Return positions in m by name of all tables that were sent, and those of one of them.
 
     Raises
     ------
     InputError
-        A table is in another unit than the room, or the campaign cannot be edited.
+        A table cannot be read.
     """
     root = Path(folder)
     place = project.upload_place(root, project.POSITIONS, table) if table else None
-    recordings.name_recordings(root, None if place is None else read_positions(place))
-
-
-def set_template(_: Progress, folder: str, template: str) -> None:
-    """Say how recordings are named, see `recordings.set_template`."""
-    recordings.set_template(Path(folder), template)
-
-
-def take_decay_times(_: Progress, folder: str, name: str) -> None:
-    """Take a table that was sent as the decay times of the campaign."""
-    project.set_decay_times(Path(folder), name)
+    return [recordings.table_positions(root), {} if place is None else dict(read_positions(place))]
 
 
 def _plan(campaign: Campaign) -> tuple[list[list[float]], list[list[Any]]]:
@@ -414,7 +399,7 @@ def demo(progress: Progress, folder: str) -> str:
 def set_room(_: Progress, folder: str, **room: Any) -> None:
     """Give the project its room, see `project.set_room`, and what was sent before it its names."""
     project.set_room(Path(folder), **room)
-    recordings.name_recordings(Path(folder))
+    recordings.name_recordings(Path(folder), recordings.table_positions(Path(folder)))
 
 
 def treat(progress: Progress, folder: str, doubted: bool = False) -> str:
@@ -568,9 +553,7 @@ TASKS: dict[str, Callable[..., Any]] = {
     for f in (
         room_view,
         recordings_view,
-        name_recordings,
-        set_template,
-        take_decay_times,
+        table_positions,
         result_view,
         identify,
         reverberation,
