@@ -177,6 +177,13 @@ def test_bands_that_are_chosen_stay_until_the_campaign_says_others(folder: Path)
         assert await lowest() == 500.0
         project.set_bands(folder, 250.0, 4000.0)
         assert await lowest() == 250.0
+        # what is chosen while an answer is under way stays as well
+        project.set_bands(folder, 125.0, 4000.0)
+        asked, waiting = await ask(bench, tab)
+        tab.lowest.set_value(1000.0)
+        asked.set_result(copy.deepcopy(new))
+        await waiting
+        assert tab.lowest.value == 1000.0
 
     asyncio.run(chosen())
 

@@ -82,6 +82,7 @@ class IdentifyTab:
 
     async def refresh(self) -> None:
         """Show the full answer, or else the first one, or else what decay times alone say."""
+        self.show_bands()  # at once: what is chosen while the answer is read stays
         found = project.best_result(self.bench.folder)
         has_times = project.has_decay_times(self.bench.folder)
         self.times.set_visibility(has_times)
@@ -91,7 +92,6 @@ class IdentifyTab:
         view = await self.bench.ask("result_view", name=name)
         if not is_current():
             return
-        self.show_bands()
         self.stale.set_visibility(view is not None and view.pop("stale"))
         self.advice.show([] if view is None else view.pop("advised"))
         if emptied(self.answer, (name, view)):
