@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     )
     from roomfit.eyring import eyring_absorption as eyring_absorption
     from roomfit.findings import About as About, Code as Code, Finding as Finding
+    from roomfit.geometry.mesh import area_vectors_m2 as area_vectors_m2
     from roomfit.geometry.mesh import volume_m3 as volume_m3
     from roomfit.identification import identify as identify
     from roomfit.inversion.diffuse import (
@@ -182,7 +183,7 @@ _HOME = {
         "located",
         "eyring": "eyring_absorption",
         "findings": "About Code Finding",
-        "geometry.mesh": "volume_m3",
+        "geometry.mesh": "area_vectors_m2 volume_m3",
         "identification": "identify",
         "inversion.diffuse": "DiffuseField ERROR_SD LEAST_RELATIVE_SD field_posterior mean_decay",
         "inversion.expected": "ExpectedFit as_coherent expected_fit",

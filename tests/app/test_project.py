@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from roomfit.app import project, views
+from roomfit.app import project, recordings, views
 from roomfit.app.jobs import Job, Jobs, Worker
 from roomfit.cache import write_json_atomically
 from roomfit.commands import ExportedFiles
@@ -79,7 +79,7 @@ def test_files_that_devices_have_delayed_unlike_begin_where_the_geometry_says(bo
         late = np.concatenate([np.zeros(round((travel_s + delay_s) * 48_000)), h])
         soundfile.write(box / "recordings" / f"S1_{name}.wav", late, 48_000, subtype="FLOAT")
         project.name_measured(box, "S1", name)
-    view = views.recordings_view(nothing, str(box), project.SHAPE)
+    view = views.recordings_view(nothing, str(box))
     assert len(view["rows"]) == 2
     for row in view["rows"]:
         assert row["onset_ms"] == pytest.approx(row["travel_ms"], abs=0.07)
@@ -181,6 +181,32 @@ def test_a_finding_goes_to_the_recordings_whose_file_or_pair_it_is_about(
     assert [rows.index(row) for row in views.concerned_recordings(about, rows)] == expected
 
 
+def test_a_table_that_was_spoilt_in_the_folder_is_told_and_files_are_named_once(box: Path) -> None:
+    send(box, "LS1_MP1.wav")
+    (box / "positions").mkdir()
+    (box / "positions" / "p.csv").write_text("nothing")
+    row = '[[measurements]]\nsource = "A"\nreceiver = "B"\nfile = "./recordings/LS1_MP1.wav"\n'
+    points = "[sources.A]\nposition = [1, 1, 1]\n[receivers.B]\nposition = [2, 2, 2]\n"
+    file = project.campaign_file(box)
+    file.write_text(f"{file.read_text()}\n{points}{row}")
+    assert shown(box)[1] == {"LS1_MP1.wav": ("A", "B")}
+    said = views.recordings_view(nothing, str(box))["findings"]
+    assert any("p.csv" in f["sentence"] for f in said)
+
+
+def test_the_plan_names_the_walls_where_they_stand(box: Path) -> None:
+    """Not floor and ceiling; a box of 6 x 5 m."""
+    send(box, "LS1_MP1.wav")
+    view = views.recordings_view(nothing, str(box))
+    walls = {name: (x, y) for x, y, name in view["walls"]}
+    assert walls == {
+        "west": (0.0, 2.5),
+        "east": (6.0, 2.5),
+        "south": (3.0, 0.0),
+        "north": (3.0, 5.0),
+    }
+
+
 def write_result(folder: Path, findings: list[dict[str, object]], usable: list[str]) -> None:
     own = {"absorption": [0.3], "lower95": [0.2], "upper95": [0.4]}
     own |= {"identifiable": [True], "area_m2": 12.0}
@@ -224,26 +250,133 @@ def test_what_remains_usable_is_shown_where_a_finding_voids_and_not_elsewhere(bo
     assert view is not None and view["usable"] == []
 
 
+def send(folder: Path, *names: str) -> None:
+    """Put recordings where uploads come to; they are not read here."""
+    (folder / "recordings").mkdir(exist_ok=True)
+    for file in names:
+        (folder / "recordings" / file).write_bytes(b"RIFF")
+
+
+def name_sent(folder: Path, table: str = "") -> None:
+    """Do what the tab does after something was sent."""
+    known, moved = views.table_positions(nothing, str(folder), table)
+    recordings.name_recordings(folder, known, moved)
+
+
+def shown(folder: Path) -> tuple[dict[str, list[float] | None], dict[str, tuple[str, str]]]:
+    """Return what the tab shows: positions by name, and source and receiver by file."""
+    view = views.recordings_view(nothing, str(folder))
+    places = {p["name"]: p["position_m"] for p in view["positions"]}
+    return places, {r["file"].split("/")[-1]: (r["source"], r["receiver"]) for r in view["rows"]}
+
+
+TEMPLATE = "recordings/{source}-{receiver}.wav"
+
+
 def test_names_become_sources_and_receivers_whose_places_are_asked_for(box: Path) -> None:
-    (box / "recordings").mkdir()
-    for name in ("LS1_MP1.wav", "LS1_MP2.wav"):
-        (box / "recordings" / name).write_bytes(b"RIFF")
-    shape = "recordings/{source}_{receiver}.wav"
-    project.set_recordings(box, shape)
-    view = views.recordings_view(nothing, str(box), shape)
+    send(box, "LS1_MP1.wav", "LS1_MP2.wav", "sweep.wav")
+    name_sent(box)
+    view = views.recordings_view(nothing, str(box))
     assert [(p["kind"], p["name"]) for p in view["positions"]] == [
         ("sources", "LS1"), ("receivers", "MP1"), ("receivers", "MP2"),
     ]  # fmt: skip
-    assert any("LS1, MP1, MP2" in f["sentence"] for f in view["findings"])
-    for wrong in ("../{source}_{receiver}.wav", "/x/{source}_{receiver}.wav", "a.wav"):
+    said = [f["sentence"] for f in view["findings"]]
+    assert any("LS1, MP1, MP2" in sentence for sentence in said)
+    assert any("do not fit: recordings/sweep.wav" in sentence for sentence in said)
+    before = project.campaign_file(box).read_bytes()
+    for wrong in ("../{source}_{receiver}.wav", "/x/{source}_{receiver}.wav", "a.wav", TEMPLATE):
         with pytest.raises(InputError):
-            project.set_recordings(box, wrong)
+            recordings.set_template(box, wrong, {})
+        assert project.campaign_file(box).read_bytes() == before
+
+
+def test_a_template_stands_in_the_campaign_and_its_rows_are_there_without_typing_it(
+    box: Path,
+) -> None:
+    """Also while no position is known, and when it is taken back."""
+    send(box, "S_1-R_1.wav", "S_1-R_2.wav")
+    name_sent(box)
+    assert shown(box)[1] == {"S_1-R_1.wav": ("S", "1-R_1"), "S_1-R_2.wav": ("S", "1-R_2")}
+    for kind, name in (("sources", "S"), ("receivers", "1-R_1"), ("receivers", "1-R_2")):
+        project.set_position(box, kind, name, (1.0, 1.0, 1.0))
+    recordings.set_template(box, TEMPLATE, {})
+    for kind, name in (("sources", "S"), ("receivers", "1-R_1"), ("receivers", "1-R_2")):
+        assert shown(box)[0][name] == [1.0, 1.0, 1.0]  # what was typed is not thrown away
+        project.set_position(box, kind, name, None)
+    expected = {"S_1-R_1.wav": ("S_1", "R_1"), "S_1-R_2.wav": ("S_1", "R_2")}
+    places = dict.fromkeys(("S_1", "R_1", "R_2"))
+    assert shown(box) == (places, expected)
+    assert views.recordings_view(nothing, str(box))["template"] == TEMPLATE
+    assert "measurements" not in project.campaign_content(box)
+    recordings.set_template(box, "", {})
+    assert shown(box)[1]["S_1-R_1.wav"] == ("S", "1-R_1")
+
+
+def test_names_with_other_separators_are_split_by_a_table_of_positions(box: Path) -> None:
+    """Whichever comes first; what was measured here or written by hand is left as it is."""
+    send(box, "2024 LS1 - MP1 take2.wav", "ls1-mp2.wav", "sweep.wav")
+    name_sent(box)
+    assert shown(box)[1]["ls1-mp2.wav"] == ("S1", "ls1-mp2")  # as init does without a table
+    project.name_measured(box, "X", "Y")
+    send(box, "X_Y.wav")
+    (box / "positions").mkdir()
+    table = box / "positions" / "Positionen.csv"
+    table.write_text("Name;x [cm];y;z\nLS1;100,5;200;150\nMP1;300;200;120\nMP2;400;200;120\n")
+    name_sent(box, table.name)
+    places, rows = shown(box)
+    assert rows == {
+        "2024 LS1 - MP1 take2.wav": ("LS1", "MP1"),
+        "ls1-mp2.wav": ("LS1", "MP2"),
+        "X_Y.wav": ("X", "Y"),
+    }
+    assert places == {"LS1": [1.005, 2.0, 1.5], "MP1": [3.0, 2.0, 1.2], "MP2": [4.0, 2.0, 1.2],
+                      "X": None, "Y": None}  # fmt: skip
+    assert 'time_zero = "direct"' in project.campaign_file(box).read_text()
+    # what was dragged stays when more recordings come, and goes when a table is sent again
+    project.set_position(box, "receivers", "MP1", (5.0, 1.0, 1.0))
+    name_sent(box)
+    assert shown(box)[0]["MP1"] == [5.0, 1.0, 1.0]
+    name_sent(box, table.name)
+    assert shown(box)[0]["MP1"] == [3.0, 2.0, 1.2]
+
+
+def test_what_was_sent_before_there_was_a_room_is_named_when_it_comes(tmp_path: Path) -> None:
+    send(tmp_path, "LS1-MP1.wav")
+    (tmp_path / "positions").mkdir()
+    (tmp_path / "positions" / "p.csv").write_text("LS1,1,2,1.5\nMP1,3,2,1.2\nMP9,1,1,1\n")
+    name_sent(tmp_path, "p.csv")
+    assert shown(tmp_path) == ({"LS1": None, "MP1": None}, {"LS1-MP1.wav": ("LS1", "MP1")})
+    views.set_room(nothing, str(tmp_path), shoebox=(6.0, 5.0, 3.0))
+    assert shown(tmp_path)[0] == {"LS1": [1.0, 2.0, 1.5], "MP1": [3.0, 2.0, 1.2]}
+    (measured,) = read_campaign(project.campaign_file(tmp_path), to_fit=False).measurements
+    assert (measured.source, measured.receiver) == ("LS1", "MP1")
+    said = views.recordings_view(nothing, str(tmp_path))["findings"]
+    assert any("Positions that no recording names: MP9" in f["sentence"] for f in said)
+
+
+def test_a_table_that_is_looked_at_says_what_where_found_needed_try(box: Path) -> None:
+    """As the command line does, without the place where it waits; another unit is refused."""
+    waiting = box / ".roomfit-upload-1"
+    waiting.mkdir()
+    file = waiting / "p.csv"
+    for text, words in (
+        ("name,x,y,z\nLS1,1,2,3\nMP1,a,2,3\n", "where   p.csv, line 3\n  found   'MP1,a,2,3'"),
+        ("LS1,100,200,150\nMP1,300,200,120\n", "all of them in cm"),
+    ):
+        file.write_text(text)
+        with pytest.raises(InputError) as caught:
+            views.look_at_upload(nothing, str(box), "positions", f"{waiting.name}/p.csv")
+        said = str(caught.value)
+        assert words in said and "\n  try " in said and waiting.name not in said
+    file.write_text("place;500\nA;never\n")
+    with pytest.raises(InputError, match=r"p\.csv, line 2, column 2"):
+        views.look_at_upload(nothing, str(box), "decay-times", f"{waiting.name}/p.csv")
 
 
 @pytest.mark.slow
 def test_the_demo_is_checked_recording_by_recording(tmp_path: Path) -> None:
     views.demo(nothing, str(tmp_path))
-    view = views.recordings_view(nothing, str(tmp_path), "recordings/{source}_{receiver}.wav")
+    view = views.recordings_view(nothing, str(tmp_path))
     assert len(view["rows"]) == 8 and all(len(r["usable"]) == 6 for r in view["rows"])
     assert any("T20" in n["sentence"] for n in view["rows"][0]["notes"])
     json.dumps(view, allow_nan=False)
@@ -569,12 +702,12 @@ def test_what_a_finding_advises_resolves_it(
     folder = tmp_path / "project"
     shutil.copytree(measured, folder)
     spoil(folder)
-    view = views.recordings_view(nothing, str(folder), project.SHAPE)
+    view = views.recordings_view(nothing, str(folder))
     (entry,) = [a for a in view["advised"] if a["code"] == code.value]
     options = json.loads(json.dumps(entry["options"], allow_nan=False))
     edits = [Edit(tuple(e["table"]), e["key"], e["value"]) for e in options[0]["edits"]]
     apply(project.campaign_file(folder), preview(project.campaign_file(folder), edits))
-    again = views.recordings_view(nothing, str(folder), project.SHAPE)
+    again = views.recordings_view(nothing, str(folder))
     said = [*again["findings"], *(note for row in again["rows"] for note in row["notes"])]
     assert code.value not in [f["code"] for f in said] and not again["advised"]
 

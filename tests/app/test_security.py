@@ -43,6 +43,15 @@ def archive() -> bytes:
     return file.getvalue()
 
 
+def entities() -> bytes:
+    """Return a workbook whose sheet unfolds to a hundred megabytes of text."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as inside:
+        entity = b'<!DOCTYPE a [<!ENTITY b "' + b"x" * 10_000 + b'">]>'
+        inside.writestr("xl/workbook.xml", entity + b"<a>" + b"&b;" * 10_000 + b"</a>")
+    return file.getvalue()
+
+
 def hostile_files() -> dict[str, bytes]:
     """Return files by name, each not what it says it is."""
     whole = sound()
@@ -69,6 +78,12 @@ def hostile_files() -> dict[str, bytes]:
         + b"&b;" * 10_000
         + b"</COLLADA>",
         "room/archive.ifc": archive(),
+        "positions/archive.xlsx": archive(),
+        "positions/lol.xlsx": entities(),
+        "positions/none.csv": b"",
+        "positions/wide.csv": b"name,x,y,z\nLS1," + b"1" * 200_000 + b",1,1\n",
+        "positions/program.csv": b"\x7fELF\0\0\0\0",
+        "decay-times/lies.csv": b"place;500\nA;1e308\n",
     }
 
 
@@ -191,6 +206,7 @@ def test_a_file_that_is_not_what_it_says_is_refused_and_not_kept(
         *("/upload/room/a.obj%00.wav", "/upload/room/a.toml", "/upload/room/campaign.toml"),
         *("/upload/room/a.zip", "/upload/room/a", "/upload/elsewhere/a.wav"),
         *("/upload/room/a.obj.zip", "/upload/recordings/a.wav%2F..%2Fb.wav", "/upload/dry/a.zip"),
+        *("/upload/positions/a.wav", "/upload/positions/..%2Fa.csv", "/upload/decay-times/a.zip"),
         *("/upload/recordings/a.html", "/upload/recordings/a.py", f"/upload/room/{'a' * 300}.obj"),
     ],
 )

@@ -59,7 +59,7 @@ def answers(name: str, folder: Path) -> tuple[dict[str, Any], dict[str, Any], st
         old = views.room_view(lambda _: None, str(folder))
         return old, {**old, "volume_m3": 777.0}, "777.0 m³"
     if name == "Measurements":
-        old = views.recordings_view(lambda _: None, str(folder), project.SHAPE)
+        old = views.recordings_view(lambda _: None, str(folder))
         finding = {"code": "x", "severity": "info", "sentence": "It is new.", "about": {}}
         return old, {**old, "findings": [finding]}, "It is new."
     if name == "Identify":
@@ -72,6 +72,7 @@ def answers(name: str, folder: Path) -> tuple[dict[str, Any], dict[str, Any], st
         )
     room = {"bands_hz": [1000.0], "limits": [], "pairs": [], "mean": {"T20_s": _value(0.5)}}
     room["left_out"] = ""
+    room["treatment"] = views.treatment_view(lambda _: None, str(folder), [1000.0])
     old = {**room, "absorption": {"brick": [0.1]}}
     return old, {**room, "absorption": {"plaster": [0.2]}}, "Absorption of plaster"
 
@@ -177,6 +178,13 @@ def test_bands_that_are_chosen_stay_until_the_campaign_says_others(folder: Path)
         assert await lowest() == 500.0
         project.set_bands(folder, 250.0, 4000.0)
         assert await lowest() == 250.0
+        # what is chosen while an answer is under way stays as well
+        project.set_bands(folder, 125.0, 4000.0)
+        asked, waiting = await ask(bench, tab)
+        tab.lowest.set_value(1000.0)
+        asked.set_result(copy.deepcopy(new))
+        await waiting
+        assert tab.lowest.value == 1000.0
 
     asyncio.run(chosen())
 
@@ -312,7 +320,7 @@ def test_a_surface_that_is_picked_shows_its_material(folder: Path) -> None:
 
 
 def test_a_position_is_stored_once_all_three_numbers_are_typed(folder: Path) -> None:
-    view = views.recordings_view(lambda _: None, str(folder), project.SHAPE)
+    view = views.recordings_view(lambda _: None, str(folder))
     lone = {"kind": "sources", "name": "LS1", "position_m": None}
 
     async def whole() -> None:
@@ -391,6 +399,8 @@ def test_while_a_change_is_evaluated_only_the_newest_waits(folder: Path) -> None
         bench.asked[-1].set_result({**new, "pairs": []})
         await asyncio.gather(*moving)
         assert len(bench.asked) == 3 and "1 material changed" in tab.note.text
+        # of one octave no speech transmission: where that is mended
+        assert "125 Hz to 8 kHz: choose them in Identify" in tab.note.text
 
     asyncio.run(whole())
 
@@ -544,7 +554,7 @@ def test_of_several_remedies_the_one_that_was_chosen_is_shown(folder: Path) -> N
 
 
 def test_a_finding_without_a_remedy_has_no_button(folder: Path) -> None:
-    view = views.recordings_view(lambda _: None, str(folder), project.SHAPE)
+    view = views.recordings_view(lambda _: None, str(folder))
     doubt = {"code": "x", "severity": "warning", "sentence": "Doubt.", "about": {}}
 
     async def whole() -> None:

@@ -92,7 +92,8 @@ class Running:
             connection.close()
 
     def leftovers(self) -> list[Path]:
-        return list(self.folder.rglob(".roomfit-upload-*"))
+        # not below it: a folder that goes away meanwhile would be an error
+        return list(self.folder.glob(".roomfit-upload-*"))
 
 
 @contextmanager

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from html import escape
+from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 from weakref import WeakKeyDictionary
 
 from nicegui import events, ui
@@ -62,7 +64,7 @@ class PlanView(Element, component="plan_view.js"):
 
     def __init__(self, on_dropped: Callable[[str, str, float, float], Awaitable[None]]) -> None:
         super().__init__()
-        self._props["plan"] = {"edges": [], "points": []}
+        self._props["plan"] = {"edges": [], "points": [], "walls": []}
 
         async def dropped(event: events.GenericEventArguments) -> None:
             x, y = event.args["at"]
@@ -70,14 +72,22 @@ class PlanView(Element, component="plan_view.js"):
 
         self.on("dropped", dropped)
 
-    def show(self, edges: Sequence[Sequence[float]], points: Sequence[Mapping[str, Any]]) -> None:
-        """Draw edges x, y to x, y in m, and points by kind, name and position."""
-        self._props["plan"] = {"edges": list(edges), "points": list(points)}
+    def show(
+        self,
+        edges: Sequence[Sequence[float]],
+        points: Sequence[Mapping[str, Any]],
+        walls: Sequence[Sequence[Any]],
+    ) -> None:
+        """Draw edges x, y to x, y in m, points by kind, name and position, and names of walls."""
+        self._props["plan"] = {"edges": list(edges), "points": list(points), "walls": list(walls)}
         self.update()
 
 
 class FileDrop(Element, component="file_drop.js"):
-    """A place where files are dropped or chosen; they are sent to ``/upload/PLACE/NAME``."""
+    """A place where files are dropped or chosen; they are sent to ``/upload/PLACE/NAME``.
+
+    With words in `pasted` also a text can be pasted, and is sent as the file ``pasted.csv``.
+    """
 
     def __init__(
         self,
@@ -85,9 +95,11 @@ class FileDrop(Element, component="file_drop.js"):
         place: str,
         suffixes: Iterable[str],
         on_sent: Callable[[list[str]], Any],
+        pasted: str = "",
     ) -> None:
         super().__init__()
         self._props["label"], self._props["place"] = label, place
+        self._props["pasted"] = pasted
         self._props["accept"] = ",".join(suffixes)
         self._props["multiple"] = place == "recordings"
 
@@ -131,6 +143,11 @@ class BandSlider(Element, component="band_slider.js"):
             await on_moved(float(event.args))
 
         self.on("moved", moved, throttle=0.05)
+
+
+def file_address(file: Path) -> str:
+    """Return the address of a file of a result; another one when it is written anew."""
+    return f"/files/{file.parent.name}/{quote(file.name)}?of={file.stat().st_mtime_ns}"
 
 
 def markup(content: str) -> ui.html:

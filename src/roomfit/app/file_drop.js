@@ -1,11 +1,14 @@
-// Files dropped or chosen are sent one by one, each as the body of a PUT.
+// Files dropped or chosen are sent one by one, each as the body of a PUT; a pasted table goes the same way.
 export default {
   template: `<div class="file-drop" :class="{ over: over }" @dragover.prevent="over = true" @dragleave="over = false" @drop.prevent="drop">
     <label class="file-label"><span>{{ label }}</span>
       <input ref="f" type="file" :multiple="multiple" :accept="accept" @change="chosen"></label>
+    <details v-if="pasted"><summary>{{ pasted }}</summary>
+      <textarea v-model="text" rows="5" spellcheck="false" :aria-label="pasted"></textarea>
+      <button type="button" class="plain" :disabled="!text.trim()" @click="paste">Use the pasted table</button></details>
     <div role="status" class="file-status">{{ status }}</div></div>`,
-  props: { label: String, place: String, accept: String, multiple: Boolean },
-  data: () => ({ over: false, status: "" }),
+  props: { label: String, place: String, accept: String, multiple: Boolean, pasted: String },
+  data: () => ({ over: false, status: "", text: "" }),
   methods: {
     drop(e) {
       this.over = false;
@@ -15,6 +18,9 @@ export default {
       this.send([...this.$refs.f.files]);
       this.$refs.f.value = "";
     },
+    paste() {
+      this.send([new File([this.text], "pasted.csv")]);
+    },
     async send(files) {
       const [taken, refused] = [[], []];
       for (const [i, file] of files.entries()) {
@@ -22,7 +28,7 @@ export default {
         try {
           const answer = await fetch(`/upload/${this.place}/${encodeURIComponent(file.name)}`, { method: "PUT", body: file });
           if (answer.ok) taken.push(file.name);
-          else refused.push(`${file.name}: ${(await answer.text()).slice(0, 300)}`);
+          else refused.push(`${file.name}: ${(await answer.text()).slice(0, 1200)}`);
         } catch (error) {
           refused.push(`${file.name}: not sent`);
         }

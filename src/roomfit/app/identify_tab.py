@@ -27,7 +27,12 @@ from roomfit.errors import InputError
 from roomfit.report.wording import hertz
 
 _STAGES = ((0.0, "reading the files"), (1e-6, "tracing and fitting"), (0.95, "drawing"))
-_NAMES = {project.FULL: "full answer", project.QUICK: "first answer"}
+_NAMES = {
+    project.FULL: "full answer",
+    project.QUICK: "first answer",
+    project.MEAN: "mean of the room, from decay times alone",
+}
+_MEAN_FILES = ("reverberation.html", "reverberation.csv", "result.json")
 _OCTAVES = {f: hertz(f) for f in OCTAVES_HZ}
 
 
@@ -35,7 +40,7 @@ class IdentifyTab:
     """Bands, buttons that begin an identification, and the best answer that there is."""
 
     name: ClassVar[str] = "Identify"
-    files: ClassVar[tuple[str, ...]] = (project.CAMPAIGN, *project.RESULTS)
+    files: ClassVar[tuple[str, ...]] = (project.CAMPAIGN, *project.RESULTS, project.MEAN)
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
@@ -46,6 +51,7 @@ class IdentifyTab:
             ui.button("First answer, then the full one", on_click=self.start_both).props("no-caps")
             quiet_button("First answer only", lambda: self.start(quick=True))
             quiet_button("Full answer only", lambda: self.start(quick=False))
+            self.times = quiet_button("Mean absorption from the decay times", self.start_times)
         with ui.element("div") as self.stale:
             text = "The campaign has changed since this answer was made."
             findings([{"severity": "warning", "sentence": text}])
@@ -69,15 +75,23 @@ class IdentifyTab:
         self.start(quick=True)
         self.start(quick=False)
 
+    def start_times(self) -> None:
+        """Put what decay times alone say into the queue."""
+        own = {"folder": str(self.bench.folder)}
+        self.bench.jobs.add("Mean absorption", "reverberation", own)
+
     async def refresh(self) -> None:
-        """Show the full answer, or else the first one."""
+        """Show the full answer, or else the first one, or else what decay times alone say."""
+        self.show_bands()  # at once: what is chosen while the answer is read stays
         found = project.best_result(self.bench.folder)
-        name = project.FULL if found is None else found.parent.name
+        has_times = project.has_decay_times(self.bench.folder)
+        self.times.set_visibility(has_times)
+        name = project.MEAN if has_times else project.FULL
+        name = name if found is None else found.parent.name
         is_current = self.questions.put()
         view = await self.bench.ask("result_view", name=name)
         if not is_current():
             return
-        self.show_bands()
         self.stale.set_visibility(view is not None and view.pop("stale"))
         self.advice.show([] if view is None else view.pop("advised"))
         if emptied(self.answer, (name, view)):
@@ -105,6 +119,12 @@ def _octave(label: str, value_hz: float) -> ui.select:
 
 def _show_answer(name: str, view: Mapping[str, Any]) -> None:
     heading(f"Absorption: {_NAMES[name]}")
+    if view.get("mean"):
+        markup(mean_html(view))
+        links = (f'<a href="/files/{name}/{file}?save=1">{file}</a>' for file in _MEAN_FILES)
+        markup(f"<p>Download {', '.join(links)}</p>")
+        _show_page(f"/files/{name}/{_MEAN_FILES[0]}?{view['made']:.0f}")
+        return
     with ui.element("div").classes("two").style("align-items: start"):
         with ui.element("div"):
             markup(absorption_html(view))
@@ -117,8 +137,20 @@ def _show_answer(name: str, view: Mapping[str, Any]) -> None:
                 markup(usable_html(view["usable"]))
             findings([f for f in view["findings"] if not f["beside"]])
     heading("Measured against predicted, and everything else")
-    src = f"/files/{name}/report.html?{view['made']:.0f}"
-    markup(f'<iframe class="report" title="Report" src="{escape(src)}"></iframe>')
+    _show_page(f"/files/{name}/report.html?{view['made']:.0f}")
+
+
+def _show_page(address: str) -> None:
+    markup(f'<iframe class="report" title="Report" src="{escape(address)}"></iframe>')
+
+
+def mean_html(view: Mapping[str, Any]) -> str:
+    """Return the mean absorption of a room with its interval as a table."""
+    cells = [
+        f'{a:.2f}<div class="small">{low:.2f}-{high:.2f}</div>' for a, low, high in view["mean"]
+    ]
+    heads = ["", *(hertz(f) for f in view["bands_hz"])]
+    return table_html("Mean absorption of the room, 95 % interval", heads, [["room mean", *cells]])
 
 
 def usable_html(sentences: list[str]) -> str:

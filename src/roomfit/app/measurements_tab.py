@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from html import escape
+from pathlib import Path
 from typing import Any, ClassVar
 
 from nicegui import ui
 
-from roomfit.app import project
+from roomfit.app import project, recordings
 from roomfit.app.elements import (
     FileDrop,
     PlanView,
@@ -24,11 +25,14 @@ from roomfit.app.elements import (
     table_html,
 )
 from roomfit.app.jobs import Bench
+from roomfit.app.recordings import Positions
 from roomfit.app.remedies import Advice
 from roomfit.io.responses import RESPONSE_SUFFIXES
+from roomfit.io.tables import TABLE_SUFFIXES
 from roomfit.report.wording import short_hertz
 
 _UNKNOWN = "-"
+_EXAMPLE = "recordings/{source}_{receiver}.wav"
 _HEIGHT_M = 1.2  # of what is dragged before its height is known
 
 
@@ -36,21 +40,29 @@ class MeasurementsTab:
     """A place for recordings, positions as fields and on a plan, and what is known of each file."""
 
     name: ClassVar[str] = "Measurements"
-    files: ClassVar[tuple[str, ...]] = (project.CAMPAIGN, project.RECORDINGS)
+    files: ClassVar[tuple[str, ...]] = (project.CAMPAIGN, project.RECORDINGS, project.POSITIONS)
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
-        self.shape = f"{project.RECORDINGS}/{project.SHAPE}"  # of the recordings' names, as typed
+        self.template = ""  # of the recordings' names, as the campaign has it
         self.positions: list[dict[str, Any]] = []  # as the campaign has them
         self.fields: dict[tuple[str, str], list[ui.number]] = {}  # x, y, z by kind and name
         with ui.element("div").classes("panel").style("margin-bottom: 0.75rem"):
             text = "Recordings, dropped here or chosen:"
-            FileDrop(text, project.RECORDINGS, RESPONSE_SUFFIXES, self.use_shape)
-            with ui.element("div").classes("bar").style("margin-top: 0.5rem"):
-                ui.input("How they are named", value=self.shape, on_change=self.type_shape).props(
-                    "outlined dense"
-                ).style("flex: 1 1 16rem")
-                quiet_button("Use these names", self.use_shape)
+            FileDrop(text, project.RECORDINGS, RESPONSE_SUFFIXES, self.name_recordings)
+            with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
+                self.typed = ui.input("How they are named (left empty: by their names)")
+                self.typed.props(f"outlined dense placeholder='{_EXAMPLE}'")
+                self.typed.style("flex: 1 1 16rem")
+                quiet_button("Use these names", self.use_template)
+            text = "Table of positions (CSV, XLSX), dropped here or chosen:"
+            words = "or paste positions: name, x, y, z"
+            FileDrop(text, project.POSITIONS, TABLE_SUFFIXES, self.take_positions, words)
+            with ui.expansion("Only decay times are known") as self.decay_times:
+                self.used = ui.label().classes("soft")
+                text = "Table of decay times (CSV, XLSX), dropped here or chosen:"
+                words = "or paste decay times: a line of octaves in Hz, a line for each position"
+                FileDrop(text, project.DECAY_TIMES, TABLE_SUFFIXES, self.take_times, words)
         self.general = ui.element("div")
         self.advice = Advice(bench.folder)
         with ui.element("div").classes("panel two").style("margin: 0.75rem 0"):
@@ -59,17 +71,37 @@ class MeasurementsTab:
                 self.plan = PlanView(self.drop)
                 text = "Drag what stands elsewhere. What has no place yet comes to "
                 ui.label(f"{text}{_HEIGHT_M} m height.").classes("soft")
-        self.recordings = ui.element("div").classes("panel")
+        self.listed = ui.element("div").classes("panel")
         self.questions = Questions(self.general)
 
-    def type_shape(self, event: Any) -> None:
-        """Keep what is typed until it is used."""
-        self.shape = event.value
+    async def name_recordings(self, _: object = None) -> None:
+        """Name recordings that were sent just now."""
+        await self.write(recordings.name_recordings)
 
-    async def use_shape(self, _: object = None) -> None:
-        """Name recordings by what is typed; also after some were sent."""
+    async def use_template(self) -> None:
+        """Name recordings by what is typed."""
+        template = self.typed.value.strip()
+        await self.write(lambda folder, known, _: recordings.set_template(folder, template, known))
+
+    async def take_positions(self, names: list[str]) -> None:
+        """Put what the table names where it says."""
+        await self.write(recordings.name_recordings, names[-1])
+
+    async def write(
+        self, change: Callable[[Path, Positions, Positions], None], table: str = ""
+    ) -> None:
+        """Change the campaign by the tables of positions, and show what has become of it."""
         with saying_errors(self.general):
-            project.set_recordings(self.bench.folder, self.shape)
+            known, moved = await self.bench.ask("table_positions", table=table)
+            change(self.bench.folder, known, moved)
+            await self.refresh()
+
+    async def take_times(self, names: list[str]) -> None:
+        """Have the mean absorption found from a table of decay times."""
+        with saying_errors(self.general):
+            project.set_decay_times(self.bench.folder, names[-1])
+            own = {"folder": str(self.bench.folder)}
+            self.bench.jobs.add("Mean absorption", "reverberation", own)
             await self.refresh()
 
     async def drop(self, kind: str, name: str, x: float, y: float) -> None:
@@ -99,19 +131,25 @@ class MeasurementsTab:
     async def refresh(self) -> None:
         """Show positions, recordings, and what the check says of them."""
         is_current = self.questions.put()
-        view = await self.bench.ask("recordings_view", shape=self.shape)
+        view = await self.bench.ask("recordings_view")
         if not is_current():
             return
         if emptied(self.general, view["findings"]):
             with self.general:
                 findings(view["findings"])
         self.advice.show(view["advised"])
+        if view["template"] != self.template:  # what is half typed stays
+            self.template = view["template"]
+            self.typed.set_value(self.template)
+        times = view["decay_times"]
+        text = "A table of T30 in s, as from an older report, and a room; no position is needed."
+        self.used.set_text(f"{times} is used; see Identify and What if." if times else text)
         self.show_positions(view["positions"])
         self.plan.set_visibility(bool(view["plan"] and self.positions))
-        self.plan.show(view["plan"], self.positions)
-        if not emptied(self.recordings, (view["bands_hz"], view["rows"])):
+        self.plan.show(view["plan"], self.positions, view["walls"])
+        if not emptied(self.listed, (view["bands_hz"], view["rows"])):
             return
-        with self.recordings:
+        with self.listed:
             heading("Recordings")
             if not view["rows"]:
                 ui.label("None yet.").classes("soft")

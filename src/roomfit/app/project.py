@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,14 @@ from roomfit.cache import write_text_atomically
 from roomfit.commands import export_result
 from roomfit.errors import InputError, located
 from roomfit.io.campaign import FILL_IN, Campaign, blanks, read_campaign, read_toml
-from roomfit.io.draft import draft_campaign, matching_files
+from roomfit.io.draft import draft_campaign
 from roomfit.io.edits import Edit, campaign_text, edited_text, read_beside, value_text
 from roomfit.io.exports import FORMATS
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.io.responses.sweep import response_name
 from roomfit.io.rooms import READERS
 from roomfit.io.rooms.model import RoomSpec
+from roomfit.io.tables import TABLE_SUFFIXES
 
 CAMPAIGN = "campaign.toml"
 QUICK, FULL = "first", "result"
@@ -33,9 +34,18 @@ TREATMENT_QUESTION, TREATMENT = "treatment.toml", "treatment"
 """Products and targets, and the folder of the answer."""
 LISTENED = "listened"
 RECORDINGS, DRY = "recordings", "dry"
-SHAPE = "{source}_{receiver}.wav"
-"""By which recordings are named, unless the user says otherwise."""
+POSITIONS, DECAY_TIMES = "positions", "decay-times"
+"""Folders of tables that were sent."""
+MEAN = "mean"
+"""The folder of what decay times alone say."""
 _LONGEST_NAME = 120
+_KNOWN: Mapping[str, Collection[str]] = {
+    "room": READERS,
+    RECORDINGS: RESPONSE_SUFFIXES,
+    DRY: RESPONSE_SUFFIXES,
+    POSITIONS: TABLE_SUFFIXES,
+    DECAY_TIMES: TABLE_SUFFIXES,
+}  # endings of what may be sent, by its place
 _ENDINGS = {
     **dict.fromkeys((*FORMATS, "excel", "gltf", "pdf", "word"), ".txt"),
     "catt": ".geo",
@@ -64,11 +74,18 @@ def best_result(folder: Path) -> Path | None:
     return next((file for file in files if file.is_file()), None)
 
 
-def _content(folder: Path) -> dict[str, Any]:
+def campaign_content(folder: Path) -> dict[str, Any]:
+    """Return the campaign file as plain content.
+
+    Raises
+    ------
+    InputError
+        It is no TOML.
+    """
     return read_toml(campaign_file(folder))
 
 
-def _write(folder: Path, *edits: Edit) -> None:
+def edit(folder: Path, *edits: Edit) -> None:
     """Change keys of the campaign file; where none is another, it keeps its time.
 
     Raises
@@ -116,11 +133,11 @@ def set_room(
         text = re.sub(r"\n{3,}", "\n\n", edited_text(drafted, no))
         write_text_atomically(campaign_file(folder), text)
         return
-    new, old = tomllib.loads(drafted), _content(folder)
+    new, old = tomllib.loads(drafted), campaign_content(folder)
     wanted, known = _leaves(new["room"], "room"), _leaves(old.get("room", {}), "room")
     # what the campaign says of materials that the room does not have would be refused
     gone = [n for n in old.get("materials", {}) if n not in new.get("materials", {})]
-    _write(
+    edit(
         folder,
         *[Edit(path[:-1], path[-1], value) for path, value in wanted.items()],
         *[Edit(path[:-1], path[-1], None) for path in known if path not in wanted],
@@ -148,18 +165,18 @@ def set_surface_material(folder: Path, surface: str, material: str) -> None:
     """
     if not material.strip():
         raise InputError("a material without a name", needed="a name")
-    _write(folder, Edit(("room", "materials"), surface, material.strip()))
+    edit(folder, Edit(("room", "materials"), surface, material.strip()))
 
 
 def forget_unused_materials(folder: Path, used: Sequence[str]) -> None:
     """Leave out what a campaign says of materials that its room does not have any more."""
-    known = _content(folder).get("materials", {})
-    _write(folder, *[Edit(("materials",), name, None) for name in known if name not in used])
+    known = campaign_content(folder).get("materials", {})
+    edit(folder, *[Edit(("materials",), name, None) for name in known if name not in used])
 
 
 def set_prior(folder: Path, material: str, entry: str | None) -> None:
     """Say by the catalogue what a material is, as its prior; None: nothing is known."""
-    _write(folder, Edit(("materials", material), "prior", entry or None))
+    edit(folder, Edit(("materials", material), "prior", entry or None))
 
 
 def set_position(folder: Path, kind: str, name: str, position_m: Sequence[float] | None) -> None:
@@ -183,10 +200,10 @@ def set_position(folder: Path, kind: str, name: str, position_m: Sequence[float]
             "a position is three numbers", where=f"{kind}.{name}", needed="x, y, z in m"
         )
     if position_m is None:
-        _write(folder, Edit((kind,), name, None))
+        edit(folder, Edit((kind,), name, None))
     else:
         place = tuple(round(float(x), 4) for x in position_m)
-        _write(folder, Edit((kind, name.strip()), "position", place))
+        edit(folder, Edit((kind, name.strip()), "position", place))
 
 
 def name_measured(folder: Path, source: str, receiver: str) -> None:
@@ -202,7 +219,7 @@ def name_measured(folder: Path, source: str, receiver: str) -> None:
     """
     if not has_campaign(folder):
         return
-    file, content = f"{RECORDINGS}/{response_name(source, receiver)}", _content(folder)
+    file, content = f"{RECORDINGS}/{response_name(source, receiver)}", campaign_content(folder)
     rows = content.get("measurements", [])
     edits = [
         Edit((kind, name), "position", FILL_IN)
@@ -212,33 +229,41 @@ def name_measured(folder: Path, source: str, receiver: str) -> None:
     if all(row.get("file") != file for row in rows):
         row = {"source": source, "receiver": receiver, "file": file, "time_zero": "direct"}
         edits += [Edit(("measurements", len(rows) + 1), key, value) for key, value in row.items()]
-    _write(folder, *edits)
-
-
-def set_recordings(folder: Path, shape: str) -> None:
-    """Say how recordings are named, as in ``recordings/{source}_{receiver}.wav``.
-
-    Raises
-    ------
-    InputError
-        The shape lacks {source} or {receiver}, leads out of the folder, or no file has it.
-    """
-    if Path(shape).is_absolute() or ".." in Path(shape).parts:
-        raise InputError("recordings lie in the project's folder", found=repr(shape))
-    matching_files(folder, shape)
-    if has_campaign(folder):
-        _write(folder, Edit((), "recordings", shape))
+    edit(folder, *edits)
 
 
 def set_bands(folder: Path, from_hz: float, to_hz: float) -> None:
     """Say which bands are fitted."""
     limits_hz = (("from_hz", float(from_hz)), ("to_hz", float(to_hz)))
-    _write(folder, *[Edit(("identify",), key, value) for key, value in limits_hz])
+    edit(folder, *[Edit(("identify",), key, value) for key, value in limits_hz])
+
+
+def has_decay_times(folder: Path) -> bool:
+    """Whether the campaign has decay times, from which alone a mean absorption is found."""
+    return has_campaign(folder) and "reverberation" in campaign_content(folder)
+
+
+def set_decay_times(folder: Path, name: str) -> None:
+    """Take a table that was sent as the decay times of the campaign.
+
+    Raises
+    ------
+    InputError
+        There is no room yet.
+    """
+    if not has_campaign(folder):
+        raise InputError(
+            "there is no room yet",
+            found="no campaign in the folder",
+            needed="a room file or three lengths",
+            hint="give them in the tab Room, then take the table again",
+        )
+    edit(folder, Edit(("reverberation",), "file", f"{DECAY_TIMES}/{name}"))
 
 
 def bands(folder: Path) -> tuple[float, float]:
     """Return the lowest and the highest band that is fitted, by the campaign or by default."""
-    own = _content(folder).get("identify", {})
+    own = campaign_content(folder).get("identify", {})
     return float(own.get("from_hz", 125.0)), float(own.get("to_hz", 4000.0))
 
 
@@ -254,7 +279,7 @@ def filled_campaign(folder: Path) -> Iterator[Campaign]:
     InputError
         See `roomfit.read_campaign`.
     """
-    content = _content(folder)
+    content = campaign_content(folder)
     if not blanks(content):
         yield read_campaign(campaign_file(folder), to_fit=False)
         return
@@ -277,7 +302,7 @@ def upload_place(folder: Path, kind: str, name: str) -> Path:
 
     Parameters
     ----------
-    kind : {"room", "recordings", "dry"}
+    kind : {"room", "recordings", "dry", "positions", "decay-times"}
     name : str
         As the sender calls it.
 
@@ -286,16 +311,14 @@ def upload_place(folder: Path, kind: str, name: str) -> Path:
     InputError
         The name is a path, hidden, of no known format, or its place lies outside of the project.
     """
-    known = tuple(READERS) if kind == "room" else tuple(RESPONSE_SUFFIXES)
-    if kind not in ("room", RECORDINGS, DRY):
+    if kind not in _KNOWN:
         raise InputError("there is no such place for files", found=repr(kind))
     plain = name and len(name.encode()) <= _LONGEST_NAME and name.isprintable()
     if not plain or name.startswith(".") or any(c in name for c in '/\\:*?"<>|'):
         raise InputError("this is no name of a file here", found=repr(name[:200]))
-    if Path(name).suffix.lower() not in known:
-        raise InputError(
-            "the format is not known", found=repr(name), needed=f"one of {', '.join(known)}"
-        )
+    if Path(name).suffix.lower() not in _KNOWN[kind]:
+        needed = f"one of {', '.join(_KNOWN[kind])}"
+        raise InputError("the format is not known", found=repr(name), needed=needed)
     parent = folder if kind == "room" else folder / kind
     place = parent / name
     inside(folder, parent)
@@ -330,7 +353,7 @@ def served_file(folder: Path, path: str) -> Path:
     if (
         not path.isprintable()
         or len(parts) < 2
-        or parts[0] not in (QUICK, FULL, TREATMENT, LISTENED, "exports")
+        or parts[0] not in (QUICK, FULL, MEAN, TREATMENT, LISTENED, "exports")
     ):
         raise InputError("only results and exports are shown", found=repr(path[:200]))
     if any(part.startswith(".") for part in parts):

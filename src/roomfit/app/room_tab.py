@@ -183,13 +183,14 @@ class RoomStart:
         self.bench = bench
         self.then = then  # what shows the room
         self.unit: str | None = None  # of the file; None: as it says
+        self.file = ""  # that was sent last, whose unit may be in doubt
         self.place = ui.element("div").style("width: 100%")
 
     def show(self, has_campaign: bool) -> None:
         """Draw it, unless it is drawn for a project of this kind already."""
         if not emptied(self.place, has_campaign):
             return
-        self.unit = None
+        self.unit, self.file = None, ""
         with self.place:
             if has_campaign:
                 with ui.expansion("Another room").classes("panel").style("margin-bottom: 0.75rem"):
@@ -234,13 +235,16 @@ class RoomStart:
                 "Use this box", on_click=lambda: self.use(shoebox=[f.value or 0.0 for f in fields])
             ).props("no-caps")
 
-    def choose_unit(self, event: Any) -> None:
-        """Keep the unit for the next file."""
+    async def choose_unit(self, event: Any) -> None:
+        """Keep the unit for the next file, and for one that waits for it."""
         self.unit = event.value
+        if self.file:
+            await self.use(file=self.file)
 
     async def use_file(self, names: list[str]) -> None:
         """Give the project the last of the files that were sent."""
-        await self.use(file=names[-1])
+        self.file = names[-1]
+        await self.use(file=self.file)
 
     async def use(self, **room: Any) -> None:
         """Give the project a room, see `project.set_room`, and show it."""

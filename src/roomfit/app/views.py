@@ -14,14 +14,16 @@ from typing import Any
 import numpy as np
 
 from roomfit import commands, predictions
-from roomfit.app import project
+from roomfit.app import project, recordings
+from roomfit.app.treatment import ask_treatment, treatment_view
 from roomfit.app.what_if import what_if, what_if_prepare
-from roomfit.errors import InputError, RoomfitError
+from roomfit.core import area_vectors_m2
+from roomfit.errors import InputError, RoomfitError, located
 from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import Mesh, triangle_areas_m2
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import read_bytes
-from roomfit.io.draft import matching_files
+from roomfit.io.draft import check_unit, read_positions
 from roomfit.io.encoding import (
     EditedFile,
     finding_content,
@@ -30,11 +32,13 @@ from roomfit.io.encoding import (
     numbers_or_null,
 )
 from roomfit.io.exports import read_result_content
+from roomfit.io.file_names import in_short
 from roomfit.io.inputs import check_campaign
 from roomfit.io.remedies import advised, changed_since, is_file
 from roomfit.io.responses import SOUND_SUFFIXES, read_response
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.responses.sweep import SweepPlan, response_from_recording, wav_bytes
+from roomfit.io.reverberation import read_decay_times
 from roomfit.io.rooms import read_mesh
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.prediction.campaign import WantedPairs
@@ -45,6 +49,7 @@ from roomfit.synthetic.boxes import demo_plan, write_measured_box
 from roomfit.typing import Progress
 
 _MOST_EDGES = 1500
+_UPRIGHT, _MOST_WALLS = 0.3, 16  # of the normal's height; of more walls names hide each other
 _NO_MATERIAL = "(no material)"
 _FEW = 3  # a finding about more recordings, or more materials, than these stands by itself
 _VOIDING = frozenset(code.value for code in Code if code.voids_identifiability)
@@ -128,32 +133,31 @@ def _any_room(mesh: Mesh, materials: Mapping[str, str]) -> Room:
     return Room(mesh, order, np.array([order.index(n) for n in names]))
 
 
-def recordings_view(_: Progress, folder: str, shape: str) -> dict[str, Any]:
-    """Return recordings by their names, positions, and what `roomfit check` says of them.
-
-    Parameters
-    ----------
-    shape : str
-        Of the names where the campaign specifies none.
-    """
+def recordings_view(_: Progress, folder: str) -> dict[str, Any]:
+    """Return recordings by their names, positions, and what `roomfit check` says of them."""
     root = Path(folder)
     rows: dict[str, dict[str, Any]] = {}
     view: dict[str, Any] = {"bands_hz": [], "findings": [], "plan": [], "advised": []}
     known: dict[str, dict[str, Any]] = {"sources": {}, "receivers": {}}
+    view |= {"walls": [], "template": "", "decay_times": ""}
     if project.has_campaign(root):
+        content = project.campaign_content(root)
+        view["template"] = next(iter(recordings.templates(content)), "")
+        view["decay_times"] = str(content.get("reverberation", {}).get("file", ""))
         with project.filled_campaign(root) as campaign:
             for kind, points in (("sources", campaign.sources), ("receivers", campaign.receivers)):
                 known[kind] = {p.name: np.asarray(p.position_m).tolist() for p in points}
-            view["plan"] = _plan(campaign)
+                known[kind] |= {n: None for n in content.get(kind, {}) if n not in known[kind]}
+            view["plan"], view["walls"] = _plan(campaign)
             for m in campaign.measurements:
-                file = Path(m.response.path)
-                name = file.relative_to(root).as_posix() if root in file.parents else str(file)
+                name = recordings.file_name(root, Path(m.response.path))
                 rows[name] = {"file": name, "source": m.source, "receiver": m.receiver}
+    tables: Mapping[str, object] = {}
     try:
-        parsed = matching_files(root, shape)
-    except InputError:
-        parsed = {}
-    for name, (source, receiver) in parsed.items():
+        tables = recordings.table_positions(root)
+    except RoomfitError as error:  # somebody has put it there by another way
+        view["findings"].append(finding_of_error(error))
+    for name, (source, receiver) in recordings.named_recordings(root, [*tables]).items():
         rows.setdefault(name, {"file": name, "source": source, "receiver": receiver})
         known["sources"].setdefault(source, None)
         known["receivers"].setdefault(receiver, None)
@@ -163,11 +167,7 @@ def recordings_view(_: Progress, folder: str, shape: str) -> dict[str, Any]:
         for name, position in known[kind].items()
     ]
     view["rows"] = list(rows.values())
-    missing = [p["name"] for p in view["positions"] if p["position_m"] is None]
-    if rows and missing:
-        text = f"Where {', '.join(missing)} stand is not known: type x, y, z into the table."
-        unknown = {"code": "positions", "severity": "warning", "sentence": text, "about": {}}
-        view["findings"].append(unknown)
+    view["findings"] += _about_names(root, rows, view["positions"], tables)
     if rows and project.has_campaign(root):
         try:
             _check(root, rows, view)
@@ -176,13 +176,54 @@ def recordings_view(_: Progress, folder: str, shape: str) -> dict[str, Any]:
     return view
 
 
-def _plan(campaign: Campaign) -> list[list[float]]:
-    """Return the edges of the room from above, each x, y, x, y in m."""
+def _about_names(
+    root: Path,
+    rows: Mapping[str, object],
+    positions: Iterable[Mapping[str, Any]],
+    tables: Mapping[str, object],
+) -> list[dict[str, Any]]:
+    """Return which positions are not known, and which names of files and tables fit nothing."""
+    missing = [p["name"] for p in positions if p["position_m"] is None]
+    unused = recordings.unused_recordings(root, rows)
+    idle = [name for name in tables if name not in [p["name"] for p in positions]]
+    texts = {
+        f"Where {in_short(missing)} stand is not known: type x, y, z into the table, or take a "
+        "table of positions.": bool(rows and missing),
+        f"Left out, names that do not fit: {in_short(unused)}.": bool(unused),
+        f"Positions that no recording names: {in_short(idle)}.": bool(idle),
+    }
+    finding = {"code": "positions", "severity": "warning", "about": {}}
+    return [{**finding, "sentence": text} for text, is_so in texts.items() if is_so]
+
+
+def table_positions(_: Progress, folder: str, table: str = "") -> list[dict[str, Any]]:
+    """Return positions in m by name of all tables that were sent, and those of one of them.
+
+    Raises
+    ------
+    InputError
+        A table cannot be read.
+    """
+    root = Path(folder)
+    place = project.upload_place(root, project.POSITIONS, table) if table else None
+    return [recordings.table_positions(root), {} if place is None else dict(read_positions(place))]
+
+
+def _plan(campaign: Campaign) -> tuple[list[list[float]], list[list[Any]]]:
+    """Return the edges of the room from above, each x, y, x, y in m, and x, y, name of walls."""
     mesh = read_mesh(campaign.room)[0]
     edges = outline_m(_any_room(mesh, campaign.room.materials), _MOST_EDGES)[:, :, :2]
     # an upright edge is a point from above, and two lie upon each other
     plan: list[list[float]] = np.unique(np.round(edges.reshape(-1, 4), 3), axis=0).tolist()
-    return plan
+    areas, centres_m = triangle_areas_m2(mesh), mesh.vertices_m[mesh.triangles].mean(axis=1)
+    is_wall = np.abs(area_vectors_m2(mesh)[:, 2]) < _UPRIGHT * areas
+    walls = []
+    for i, surface in enumerate(mesh.surfaces):
+        own = is_wall & (mesh.triangle_surface == i)
+        if own.any():
+            at_m = np.average(centres_m[own], axis=0, weights=areas[own])
+            walls.append([*np.round(at_m[:2], 3).tolist(), surface.name])
+    return plan, walls if len(walls) <= _MOST_WALLS else []
 
 
 def _check(root: Path, rows: dict[str, dict[str, Any]], view: dict[str, Any]) -> None:
@@ -256,7 +297,8 @@ def result_view(_: Progress, folder: str, name: str) -> dict[str, Any] | None:
     """Return absorption with intervals by material, and findings, None where there is no result.
 
     ``beside`` of a finding are the materials at which it is shown; ``usable`` says what still
-    holds, where a finding voids what is identifiable; ``advised`` is what `advice_view` returns.
+    holds, where a finding voids what is identifiable; ``advised`` is what `advice_view` returns;
+    ``mean`` is that of decay times alone, with its interval: in each band three numbers.
     """
     file = Path(folder) / name / "result.json"
     if not file.is_file():
@@ -271,7 +313,9 @@ def result_view(_: Progress, folder: str, name: str) -> dict[str, Any] | None:
     voids = any(finding["code"] in _VOIDING for finding in findings)
     keys = ("absorption", "lower95", "upper95", "identifiable", "area_m2")
     stale = changed_since(content, project.campaign_file(Path(folder)))
+    means = content.get("combinations", []) if "reverberation" in content else []
     return {
+        "mean": [[m[key] for key in keys[:3]] for m in means],
         "bands_hz": content["bands_hz"],
         "materials": {m: {k: own[k] for k in keys} for m, own in materials.items()},
         "findings": findings,
@@ -304,6 +348,15 @@ def identify(progress: Progress, folder: str, quick: bool) -> str:
     return out.name
 
 
+def reverberation(_: Progress, folder: str) -> str:
+    """Find the mean absorption from decay times alone, as ``roomfit reverberation`` does."""
+    root = Path(folder)
+    out = root / project.MEAN
+    project.inside(root, out)
+    predictions.reverberation_to_folder(project.campaign_file(root), out, overwrite=True)
+    return out.name
+
+
 def demo(progress: Progress, folder: str) -> str:
     """Write the campaign of ``roomfit demo``: a room of known absorption, measured by simulation.
 
@@ -320,8 +373,9 @@ def demo(progress: Progress, folder: str) -> str:
 
 
 def set_room(_: Progress, folder: str, **room: Any) -> None:
-    """Give the project its room, see `project.set_room`."""
+    """Give the project its room, see `project.set_room`, and what was sent before it its names."""
     project.set_room(Path(folder), **room)
+    recordings.name_recordings(Path(folder), recordings.table_positions(Path(folder)))
 
 
 def treat(progress: Progress, folder: str, doubted: bool = False) -> str:
@@ -330,13 +384,13 @@ def treat(progress: Progress, folder: str, doubted: bool = False) -> str:
     Raises
     ------
     InputError
-        There is no result yet, or no treatment.toml with products and targets.
+        There is neither a result nor a table of decay times, or no treatment.toml.
     InsufficientDataError
         The result is seriously doubted in every band, and `doubted` is false.
     """
     root = Path(folder)
     result = project.best_result(root)
-    if result is None:
+    if result is None and not project.has_decay_times(root):
         raise InputError("there is no answer yet", hint="identify first")
     out = root / project.TREATMENT
     project.inside(root, out)
@@ -367,6 +421,8 @@ def look_at_upload(_: Progress, folder: str, kind: str, file: str) -> None:
                 read_mesh(RoomSpec(file=path))
             except InputError:  # perhaps its unit is in doubt, which is asked for later
                 read_mesh(RoomSpec(file=path, unit="m"))
+        elif kind in (project.POSITIONS, project.DECAY_TIMES):
+            _look_at_table(Path(folder), kind, path)
         elif path.suffix.lower() in SOUND_SUFFIXES:  # of others choices are to be made first
             try:
                 read_response(ResponseSpec(path, channel=0))
@@ -376,7 +432,23 @@ def look_at_upload(_: Progress, folder: str, kind: str, file: str) -> None:
                 except InputError:
                     raise error from None
     except RoomfitError as error:
-        raise InputError(error.what, found=error.found, needed=error.needed) from None
+        # the place where it waits is nobody's business
+        is_own = error.where is not None and error.where.startswith(str(path))
+        where = str(error.where).replace(str(path), path.name) if is_own else None
+        hint = error.hint if is_own else None
+        found, needed = error.found, error.needed
+        raise InputError(error.what, where=where, found=found, needed=needed, hint=hint) from None
+
+
+def _look_at_table(root: Path, kind: str, path: Path) -> None:
+    """Refuse a table that is none, or whose positions are in another unit than the room."""
+    if kind == project.DECAY_TIMES:
+        read_decay_times(path)
+        return
+    positions = read_positions(path)
+    if project.has_campaign(root):
+        with project.filled_campaign(root) as campaign, located(str(path)):
+            check_unit(read_mesh(campaign.room)[0], positions)
 
 
 def measure(_: Progress, folder: str, file: str, plan: dict[str, Any]) -> dict[str, Any]:
@@ -457,10 +529,14 @@ TASKS: dict[str, Callable[..., Any]] = {
     for f in (
         room_view,
         recordings_view,
+        table_positions,
         result_view,
         identify,
+        reverberation,
         demo,
         set_room,
+        treatment_view,
+        ask_treatment,
         treat,
         listen,
         measure,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from roomfit.app import project
+from roomfit.app.treatment import treatment_view
 from roomfit.errors import InputError, InsufficientDataError
 from roomfit.findings import Code
 from roomfit.io.campaign import read_campaign
@@ -77,14 +78,14 @@ def what_if_prepare(progress: Progress, folder: str, doubted: bool = False) -> d
     room = prepared(folder)
     known = room.absorption
     left_out = [f.sentence for f in known.findings if f.code is Code.RESULT_DOUBTED]
+    limits, fault, bands_hz = [], "", known.bands.centres_hz.tolist()
     try:
         limits = _limits(root / project.TREATMENT_QUESTION, room)
-    except InputError:
-        if not left_out:
-            raise
-        limits = []  # of a band that is left out; `treat` says so
+    except InputError as error:  # which the form says, where it can be put right
+        fault = str(error)
     return {
-        "bands_hz": known.bands.centres_hz.tolist(),
+        "bands_hz": bands_hz,
+        "treatment": treatment_view(progress, folder, bands_hz, fault),
         "absorption": dict(zip(known.materials, known.absorption.tolist(), strict=True)),
         "left_out": " ".join(left_out),
         "limits": limits,

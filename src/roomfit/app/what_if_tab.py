@@ -8,7 +8,6 @@ from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any, ClassVar
-from urllib.parse import quote
 
 from matplotlib.ticker import MaxNLocator
 from nicegui import ui
@@ -19,6 +18,7 @@ from roomfit.app.elements import (
     FileDrop,
     Questions,
     emptied,
+    file_address,
     heading,
     markup,
     quiet_button,
@@ -26,6 +26,7 @@ from roomfit.app.elements import (
     table_html,
 )
 from roomfit.app.jobs import Bench
+from roomfit.app.treatment_form import TreatmentForm
 from roomfit.errors import InputError
 from roomfit.io.encoding import written_content
 from roomfit.io.responses import RESPONSE_SUFFIXES
@@ -39,10 +40,10 @@ _LABELS = {
     "D50_percent": "D50 in %",
     "STI": "STI",
 }
-_STAGES = ((0.0, "tracing"), (0.8, "searching"))
 _SOUNDING = ((0.0, "tracing"), (0.6, "scaling"))
 _PREPARE_S = 900.0  # a change may need it, too, where the process was started again
 _MOST = {"D50_percent": 100.0, "STI": 1.0}
+_NO_STI = "STI takes all octaves from 125 Hz to 8 kHz: choose them in Identify. "
 _SPEECH = "125 Hz to 8 kHz together"
 _SOUND_HEADS = ("Pair", "Before", "After")
 _WIDE, _HIGH, _LEFT, _BELOW = 320.0, 190.0, 44.0, 24.0
@@ -153,15 +154,15 @@ class WhatIfTab:
             with self.pairs.classes("panel"):
                 self.numbers = markup("")
             self.sounds = Sounds(bench, self.changes)
-            self.treatment = Treatment(bench, self.changes)
+        self.treatment = TreatmentForm(bench, lambda: self.changes.doubted)
         self.both.set_visibility(False)
         self.questions = Questions(self.both)
 
     async def refresh(self) -> None:
         """Prepare the room for changes, and show what those do that are chosen already."""
         if project.best_result(self.bench.folder) is None:
-            self.note.set_text("No answer yet: identify first.")
             self.both.set_visibility(False)
+            await self.refresh_from_times()
             return
         text = "The room is traced for changes; this takes seconds, in a large room minutes."
         self.note.set_text(text)
@@ -181,17 +182,30 @@ class WhatIfTab:
         if refused:
             self.note.set_text(refused)
             self.both.set_visibility(False)
+            self.treatment.place.set_visibility(False)
             return
         self.room = found
         self.changes.take_result(found["bands_hz"], found["absorption"])
         self.both.set_visibility(True)
-        self.treatment.show()
+        self.treatment.show(found["treatment"])
         self.sounds.show()
         self.controls.show([n for n in _LABELS if n in found["mean"]])
         self.predicted = found
         self.draw()
         if self.changes.chosen:
             await self.evaluate()
+
+    async def refresh_from_times(self) -> None:
+        """Show the form alone, where decay times are all that is known; or what is to be done."""
+        has_times = project.has_decay_times(self.bench.folder)
+        text = "From decay times alone: T30 of the whole room, and what to hang for another one."
+        self.note.set_text(text if has_times else "No answer yet: identify first.")
+        self.treatment.place.set_visibility(has_times)
+        is_current = self.questions.put()
+        if has_times:
+            view = await self.bench.ask("treatment_view")
+            if is_current():
+                self.treatment.show(view)
 
     async def take_doubted(self, wanted: bool) -> None:
         """Predict also where the result is seriously doubted, or there no more."""
@@ -244,7 +258,8 @@ class WhatIfTab:
             f"{count(len(view['pairs']), 'pair')}, "
             f"{count(len(self.changes.chosen), 'material')} changed. "
             "Lines: mean over the pairs with its 95 % interval; dashed: the same as it is now; "
-            f"thin: each pair; red: limits. {self.room['left_out']}".rstrip()
+            f"thin: each pair; red: limits. {'' if 'STI' in view['mean'] else _NO_STI}"
+            f"{self.room['left_out']}".rstrip()
         )
 
     def draw_pairs(self) -> None:
@@ -378,42 +393,6 @@ class Controls:
         await self.on_changed()
 
 
-class Treatment:
-    """What to hang where: the search, and the files of its answer."""
-
-    def __init__(self, bench: Bench, changes: Changes) -> None:
-        self.bench = bench
-        self.changes = changes
-        self.place = ui.element("div").classes("panel").style("margin-top: 0.75rem")
-
-    def search(self) -> None:
-        """Put the search into the queue."""
-        own = {"folder": str(self.bench.folder), "doubted": self.changes.doubted}
-        self.bench.jobs.add("What to hang where", "treat", own, _STAGES)
-
-    def show(self) -> None:
-        """Show the answer, unless it is shown already."""
-        folder = self.bench.folder
-        out = folder / project.TREATMENT
-        found = {f: _place(f) for f in (sorted(out.iterdir()) if out.is_dir() else ())}
-        has_question = (folder / project.TREATMENT_QUESTION).is_file()
-        if not emptied(self.place, (has_question, found)):
-            return
-        with self.place:
-            heading("What to hang where")
-            if not has_question:
-                text = "Write products and targets into treatment.toml in the project's folder."
-                ui.label(text).classes("soft")
-                return
-            text = "Search for the cheapest that meets the targets"
-            quiet_button(text, self.search)
-            for file, place in found.items():
-                if file.suffix == ".png":
-                    markup(f'<img alt="{escape(file.stem)}" src="{escape(place)}" width="100%">')
-                elif not file.name.startswith("."):
-                    markup(f'<a href="{escape(place)}&save=1">{escape(file.name)}</a>')
-
-
 class Sounds:
     """What the changes sound like, as responses or by a dry recording."""
 
@@ -447,7 +426,7 @@ class Sounds:
         folder = self.bench.folder / project.DRY
         known = sorted(p.name for p in folder.iterdir()) if folder.is_dir() else []
         made = self.bench.folder / project.LISTENED / "listen.json"
-        if not emptied(self.place, (known, made.is_file() and _place(made))):
+        if not emptied(self.place, (known, made.is_file() and file_address(made))):
             return
         own = {"": "the responses themselves", **{n: n for n in known if n[0] != "."}}
         with self.place:
@@ -467,11 +446,6 @@ class Sounds:
                 markup(sounds_html(made.parent))
 
 
-def _place(file: Path) -> str:
-    """Return the address of a file of a result; another one when it is written anew."""
-    return f"/files/{file.parent.name}/{quote(file.name)}?of={file.stat().st_mtime_ns}"
-
-
 def sounds_html(folder: Path) -> str:
     """Return what `roomfit listen` has written, before and after side by side."""
     content, _ = written_content(folder / "listen.json", "sounds")
@@ -482,7 +456,7 @@ def sounds_html(folder: Path) -> str:
             what = "recording" if dry else "response"
             cells = [f"{escape(name)}, {what}"]
             for kind in ("before", "after"):
-                source = escape(_place(folder / str(own["files"][f"{dry}{kind}"])))
+                source = escape(file_address(folder / str(own["files"][f"{dry}{kind}"])))
                 label = escape(f"{name}, {what} {kind}")
                 cells.append(
                     f'<audio controls preload="none" src="{source}" aria-label="{label}"></audio>'

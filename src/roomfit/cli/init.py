@@ -39,11 +39,11 @@ def add(commands: Commands) -> None:
         "Names of recordings in FOLDER, as in 'DIR/{source}_{receiver}.wav'. Left out: all.",
     )
     parser.add_option(
-        "--positions", "Table (CSV) of name, x, y, z in m, or as its heading says.", type=Path
+        "--positions", "Table (CSV, XLSX) of name, x, y, z in m, or as its heading says.", type=Path
     )
     parser.add_option(
         "--decay-times",
-        "In place of recordings: table (CSV) of T30 in s, as from an older report.",
+        "In place of recordings: table (CSV, XLSX) of T30 in s, as from an older report.",
         type=Path,
     )
     parser.add_option("--unit", "Of the room: m, cm, mm, in or ft. Left out: guessed, or asked.")
@@ -130,8 +130,8 @@ def _hints(options: argparse.Namespace, written: dict[str, Any]) -> Iterator[str
     if options.room is None and options.shoebox is None:
         lacking["--room"] = beside(tuple(READERS), lambda path: READERS[path.suffix.lower()](path))
     if options.positions is None and options.decay_times is None:
-        times = beside((".csv",), read_decay_times)
-        points_of = [p for p in beside((".csv",), read_positions) if p not in times]
+        times = beside((".csv", ".xlsx"), read_decay_times)
+        points_of = [p for p in beside((".csv", ".xlsx"), read_positions) if p not in times]
         lacking |= {"--positions": points_of, "--decay-times": [] if points_of else times}
     words = [f"{k} {shlex.quote(str(v[0]))}" for k, v in lacking.items() if len(v) == 1]
     if words:

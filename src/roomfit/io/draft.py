@@ -19,12 +19,13 @@ import numpy as np
 from roomfit.errors import InputError, located
 from roomfit.geometry.mesh import Mesh, area_vector_m2
 from roomfit.io.campaign import FILL_IN
-from roomfit.io.door import csv_rows, read_bytes, read_text
+from roomfit.io.door import read_bytes
 from roomfit.io.encoding import one_line
 from roomfit.io.file_names import files_of_shape, in_short, shape_of
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.io.rooms import read_mesh, read_model
 from roomfit.io.rooms.model import METRES_PER_UNIT, RoomModel, RoomSpec
+from roomfit.io.tables import table_rows
 from roomfit.materials.catalogue import suggested_entries
 from roomfit.scene import is_level_by_name, material_areas, surface_materials
 from roomfit.typing import FloatArray
@@ -112,22 +113,18 @@ def likely_up(model: RoomModel) -> tuple[str, str]:
 def read_positions(path: Path) -> dict[str, tuple[float, float, float]]:
     """Return positions in m by name from a table: name, x, y, z, with or without a heading.
 
-    Separated by commas, tabs, or semicolons with decimal commas. A heading may state the unit, as
-    in ``name,x_mm,y_mm,z_mm`` or ``x [ft]``; without, they are metres.
+    Separated by commas, or by tabs or semicolons with decimal commas; or an Excel workbook. A
+    heading may state the unit, as in ``name,x_mm,y_mm,z_mm`` or ``x [ft]``; without, metres.
 
     Raises
     ------
     InputError
         The table cannot be read, or a line is not understood.
     """
-    text = read_text(path, "table of positions")
-    delimiter = next((d for d in ";\t" if d in text), ",")
+    delimiter, rows = table_rows(path, "table of positions")
     found: dict[str, tuple[float, float, float]] = {}
     factor = 1.0
-    for number, cells in csv_rows(text, str(path), delimiter):
-        cells = [c.strip() for c in cells]
-        if not any(cells) or cells[0].startswith("#"):
-            continue
+    for place, (number, cells) in enumerate(rows):
         try:
             numbers = [float(c.replace(",", ".")) for c in cells[1:4]]
         except ValueError:
@@ -147,7 +144,7 @@ def read_positions(path: Path) -> dict[str, tuple[float, float, float]]:
         if len(numbers) == 3 and np.all(np.isfinite(numbers)) and cells[0] not in found:
             x, y, z = (factor * n for n in numbers)
             found[cells[0]] = (round(x, 6), round(y, 6), round(z, 6))
-        elif found or number > 1:
+        elif found or place:
             raise InputError(
                 "a line of the table of positions is not understood",
                 where=f"{path}, line {number}",
@@ -157,7 +154,10 @@ def read_positions(path: Path) -> dict[str, tuple[float, float, float]]:
             )
         else:
             words = re.split(r"[^a-z]+", " ".join(cells[1:4]).lower())
-            factor = next((METRES_PER_UNIT[_UNITS[w]] for w in words if w in _UNITS), 1.0)
+            units = [_UNITS[w] for w in words if w in _UNITS]
+            # "x in cm" is centimetres
+            unit = next((u for u in units if u != "in"), units[0] if units else "m")
+            factor = METRES_PER_UNIT[unit]
     if not found:
         raise InputError(
             "the table of positions is empty",
@@ -367,7 +367,7 @@ def _room_lines(
         lines = [f"shoebox = [{', '.join(f'{x:g}' for x in lengths)}]", *unit]
         materials = {"walls": "walls", "floor": "floor", "ceiling": "ceiling"}
         mesh, _ = read_mesh(room)
-        _check_unit(mesh, positions or {})
+        check_unit(mesh, positions or {})
         lines += ["", "# which material is where: south, north, east and west are the walls"]
         lines += ["[room.materials]", *(f"{k} = {_quoted(v)}" for k, v in materials.items())]
         return [*lines, *_material_lines(mesh, materials)]
@@ -375,7 +375,7 @@ def _room_lines(
     spec, lines = _in_known_unit(room, model, because)
     lines = [f"file = {_quoted(_beside(folder, room.file))}", *lines]
     mesh, _ = read_mesh(spec)
-    _check_unit(mesh, positions or {})
+    check_unit(mesh, positions or {})
     bare = [s.name for s in mesh.surfaces if s.file_material is None]
     if bare:
         lines += ["", "# surfaces without a material in the file", "[room.materials]"]
@@ -383,8 +383,14 @@ def _room_lines(
     return [*lines, *_material_lines(mesh, {})]
 
 
-def _check_unit(mesh: Mesh, positions: Positions) -> None:
-    """Refuse positions most of which lie outside the room, and all of which inside in some unit."""
+def check_unit(mesh: Mesh, positions: Positions) -> None:
+    """Refuse positions most of which lie outside the room, and all of which inside in some unit.
+
+    Raises
+    ------
+    InputError
+        They do.
+    """
     points = np.array(list(positions.values())).reshape(-1, 3)
     low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
 

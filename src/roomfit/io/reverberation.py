@@ -21,9 +21,9 @@ from roomfit.inversion.diffuse import (
     field_posterior,
 )
 from roomfit.io.campaign import Campaign
-from roomfit.io.door import csv_rows, read_text
 from roomfit.io.encoding import provenance
 from roomfit.io.inputs import campaign_room, material_priors, object_areas_m2
+from roomfit.io.tables import table_rows
 from roomfit.logit import logit
 from roomfit.materials.priors import unknown_material
 from roomfit.scene import Room, triangle_material, wall_materials
@@ -169,17 +169,15 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands]:
     """Return decay times in s, shape (n_positions, n_bands), and their bands.
 
     The first line has nominal centres in Hz from the second column on, every further one a name
-    and a time for each band; empty cells are unknown. Commas, or semicolons with decimal commas.
+    and a time for each band; empty cells are unknown. Commas, or tabs or semicolons with decimal
+    commas; or an Excel workbook.
 
     Raises
     ------
     InputError
         The table cannot be read, or a cell is no time of a room.
     """
-    text = read_text(path, "table of decay times")
-    delimiter = ";" if ";" in text else ","
-    rows = [(n, [c.strip() for c in cells]) for n, cells in csv_rows(text, str(path), delimiter)]
-    rows = [(n, cells) for n, cells in rows if any(cells) and not cells[0].startswith("#")]
+    _, rows = table_rows(path, "table of decay times")
     if len(rows) < 2:
         raise InputError(
             "a table of decay times without values",

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypedDict, cast
+from typing import Any, TypedDict, cast
 
 import numpy as np
 from pydantic import ValidationError
@@ -60,7 +60,17 @@ def read_treatment(path: Path) -> TreatmentTable:
     InputError
         It is missing, not TOML, or has an unknown key or a value of the wrong kind.
     """
-    content = read_toml(path, "treatment file")
+    return checked_treatment(path, read_toml(path, "treatment file"))
+
+
+def checked_treatment(path: Path, content: Mapping[str, Any]) -> TreatmentTable:
+    """Return the content of a treatment file, checked key by key; the path is for messages.
+
+    Raises
+    ------
+    InputError
+        An unknown key, or a value of the wrong kind or out of range.
+    """
     try:
         return TreatmentTable.model_validate(content)
     except ValidationError as error:

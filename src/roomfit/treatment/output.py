@@ -78,6 +78,7 @@ def treatment_content(treatment: Treatment, inputs: Iterable[Path]) -> dict[str,
         "bands_hz": treatment.bands.centres_hz,
         "is_met": treatment.is_met,
         "probability_asked": treatment.asked,
+        "sentence": treatment_sentence(treatment),
         "targets": [
             {
                 "parameter": t.parameter,
