@@ -49,7 +49,7 @@ from roomfit.synthetic.boxes import demo_plan, write_measured_box
 from roomfit.typing import Progress
 
 _MOST_EDGES = 1500
-_UPRIGHT, _MOST_WALLS = 0.3, 16  # of the normal's height; of more walls names hide each other
+_MOST_WALLS = 16  # of more walls names hide each other
 _NO_MATERIAL = "(no material)"
 _FEW = 3  # a finding about more recordings, or more materials, than these stands by itself
 _VOIDING = frozenset(code.value for code in Code if code.voids_identifiability)
@@ -216,7 +216,7 @@ def _plan(campaign: Campaign) -> tuple[list[list[float]], list[list[Any]]]:
     # an upright edge is a point from above, and two lie upon each other
     plan: list[list[float]] = np.unique(np.round(edges.reshape(-1, 4), 3), axis=0).tolist()
     areas, centres_m = triangle_areas_m2(mesh), mesh.vertices_m[mesh.triangles].mean(axis=1)
-    is_wall = np.abs(area_vectors_m2(mesh)[:, 2]) < _UPRIGHT * areas
+    is_wall = np.abs(area_vectors_m2(mesh)[:, 2]) < 0.3 * areas  # upright, or nearly
     walls = []
     for i, surface in enumerate(mesh.surfaces):
         own = is_wall & (mesh.triangle_surface == i)

@@ -14,7 +14,6 @@ from roomfit.typing import FloatArray
 EAR_M = 0.4  # above the floor: within a block of seats, below most rails
 _SAMPLES = 9  # of the room beside an edge
 _STEP_M = 0.01
-_NEAR = 0.02  # of the way from a corner to the middle of its triangle
 # Edges that turn by less run on, and corners sharper than 120 degrees get no longer strip.
 _STRAIGHT, _SHARPEST = np.radians(10.0), np.radians(120.0)
 
@@ -79,7 +78,7 @@ def points_on(outline_m: FloatArray) -> FloatArray:
     """Return points within an outline, in the middle and near every corner, shape (n, 3)."""
     corners = outline_m[triangulate(outline_m).triangles]
     middles = corners.mean(axis=1, keepdims=True)
-    near = corners + _NEAR * (middles - corners)
+    near = corners + 0.02 * (middles - corners)  # of the way to the middle of the triangle
     return np.concatenate([middles, near], axis=1).reshape(-1, 3)
 
 
