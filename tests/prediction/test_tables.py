@@ -63,7 +63,6 @@ def test_speech_is_heard_at_the_level_that_is_predicted_of_its_own_pair():
     [
         ("STI", 0.0, 1.0),
         ("D50_percent", 0.0, 100.0),
-        ("T20_s", 0.0, np.inf),
         ("C80_dB", -np.inf, np.inf),
     ],
 )
@@ -78,4 +77,14 @@ def test_an_interval_holds_its_estimate_and_ends_where_a_parameter_must(name, le
         assert low == pytest.approx(np.clip(ends[0], least, most), abs=0.3)
         assert high == pytest.approx(np.clip(ends[1], least, most), abs=0.3)
     low, high = _interval(name, np.array([0.9]), np.full((9, 1), 0.5), np.zeros(1))
+    assert (low[0], high[0]) == (0.5, 0.9)
+
+
+def test_decay_times_are_widened_by_factors_and_never_end_at_zero():
+    """A law of .3 in logarithms and a relative rest of .4, whose logarithm has sqrt(ln 1.16)."""
+    draws = np.exp(0.3 * np.random.default_rng(4).standard_normal((40_000, 1)))
+    low, high = _interval("T20_s", np.array([1.0]), draws, np.array([0.4]))
+    sd = np.hypot(0.3, np.sqrt(np.log(1.16)))
+    np.testing.assert_allclose(np.log([low[0], high[0]]), [-1.96 * sd, 1.96 * sd], atol=0.02)
+    low, high = _interval("EDT_s", np.array([0.9]), np.full((9, 1), 0.5), np.zeros(1))
     assert (low[0], high[0]) == (0.5, 0.9)
