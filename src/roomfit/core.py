@@ -18,7 +18,10 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     # "as" says that a name is public
     from roomfit._checks import check_known as check_known, did_you_mean as did_you_mean
-    from roomfit._numba import one_blas_thread as one_blas_thread
+    from roomfit._numba import (
+        each_in_threads as each_in_threads,
+        one_blas_thread as one_blas_thread,
+    )
     from roomfit.air import (
         attenuation_per_m as attenuation_per_m,
         speed_of_sound_m_s as speed_of_sound_m_s,
@@ -173,7 +176,7 @@ _HOME = {
     name: module
     for module, names in {
         "_checks": "check_known did_you_mean",
-        "_numba": "one_blas_thread",
+        "_numba": "each_in_threads one_blas_thread",
         "air": "attenuation_per_m speed_of_sound_m_s",
         "bands": "Bands bands_between",
         "cache": "Cache cached write_json_atomically write_text_atomically",

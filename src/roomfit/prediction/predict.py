@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import logging
-import os
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -36,6 +34,7 @@ from roomfit.core import (
     cached,
     check_scene,
     draw_absorption,
+    each_in_threads,
     in_forks,
     in_this_process,
     material_areas_m2,
@@ -417,8 +416,7 @@ def numbers_at(
             room.before[i], room.few[i], absorptions, base, room.speech_db, room.latest[i]
         )
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        return tuple(pool.map(numbers, range(len(room.few))))
+    return tuple(each_in_threads(numbers, len(room.few)))
 
 
 @one_blas_thread

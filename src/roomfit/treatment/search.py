@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from scipy.optimize import Bounds, LinearConstraint, milp
 
-from roomfit.core import BoolArray, FloatArray
+from roomfit.core import BoolArray, FloatArray, each_in_threads
 from roomfit.prediction.decay import extrapolated_sti, moved
 from roomfit.prediction.diffuse import PreparedField, field_times_s, in_rows
 from roomfit.treatment.question import ChangingRoom, Question, is_time, limits_of, rows_of, treated
@@ -53,8 +51,7 @@ def mean_values(
             part[:, -1] = extrapolated_sti(room.before[i], sti, room.base_sti[i])[:, None]
         return values
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = np.ma.masked_invalid(list(pool.map(own, range(len(room.few)))))
+    found = np.ma.masked_invalid(each_in_threads(own, len(room.few)))
     return np.asarray(np.ma.filled(found.mean(axis=0), np.nan))
 
 
