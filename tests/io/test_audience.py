@@ -136,19 +136,19 @@ def test_identify_has_the_same_area_known_or_with_the_prior_of_the_catalogue(fol
 
 def test_the_area_is_told_and_so_is_that_of_seats_that_are_drawn(folder):
     room = CampaignInputs(campaign_of(folder, IDENTIFIED)).room()
-    (told,) = [f for f in room.findings if f.code is Code.AUDIENCE_AREA]
-    assert "stalls: 96.0 m2 of seats absorb as 112.5 m2" in told.sentence
+    (stated,) = [f for f in room.findings if f.code is Code.AUDIENCE_AREA]
+    assert "stalls: 96.0 m2 of seats absorb as 112.5 m2" in stated.sentence
     checked = check_campaign(campaign_of(folder, IDENTIFIED)).findings
-    assert told.sentence in [f.sentence for f in checked]
+    assert stated.sentence in [f.sentence for f in checked]
     (folder / "box.obj").write_bytes(obj())
     drawn = '[room]\nfile = "box.obj"\nunit = "m"\n[materials.plaster]\nprior = "audience-heavy"\n'
-    (told,) = [
+    (stated,) = [
         f
         for f in CampaignInputs(campaign_of(folder, drawn)).room().findings
         if f.code is Code.AUDIENCE_AREA
     ]
-    assert told.evidence == pytest.approx({"level_m2": 40.0, "upright_m2": 54.0})
-    assert "'audience-heavy'" in told.sentence
+    assert stated.evidence == pytest.approx({"level_m2": 40.0, "upright_m2": 54.0})
+    assert "'audience-heavy'" in stated.sentence
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from roomfit.app import project
-from roomfit.io.edits import Edit, edited_text, lines_of, value_text
+from roomfit.io.edits import Edit, edited_text, lines_of, value_text, without_tables
 
 NAMES = ("LS1", "R 1", "a.b", "größe", "x#y", "p=q")
 names = st.sampled_from(NAMES)
@@ -168,3 +168,10 @@ def test_rows_are_told_apart_by_their_number_and_a_key_of_none_stands_first() ->
         "[[measurements]], no. 3",
         'file = "c"',
     ]
+
+
+def test_tables_are_taken_out_with_what_is_below_them_and_comments_stay():
+    text = "# top\n[a]\nx = 1  # of x\n# of b\n[[b]]\ny = 1\n[b.c]\nz = 2\n\n[[b]]\ny = 3\n"
+    after = without_tables(text, [("b", 1), ("a",)])
+    assert after == "# top\n# of b\n[[b]]\ny = 3\n"
+    assert without_tables(text, []) == text

@@ -12,15 +12,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import tomlkit
-from tomlkit.items import AoT
-
 from roomfit.app import project
 from roomfit.cache import write_text_atomically
 from roomfit.errors import InputError
 from roomfit.io.campaign import FILL_IN, blanks
 from roomfit.io.draft import matching_files, read_positions
-from roomfit.io.edits import Edit, campaign_text, edited_text
+from roomfit.io.edits import Edit, campaign_text, edited_text, without_tables
 
 _KINDS = {"sources": "source", "receivers": "receiver"}
 _NAMES_ALONE = {"source", "receiver", "file"}
@@ -193,17 +190,12 @@ def _is_loose(
 
 def _without(text: str, loose: list[int], needed: Mapping[str, list[str]]) -> str:
     """Return a campaign without some measurements, and without blank points of theirs alone."""
-    document = tomlkit.parse(text)
-    rows = document.get("measurements")
-    if not loose or not isinstance(rows, AoT):
-        return text
-    for i in reversed(loose):
-        for kind, word in _KINDS.items():
-            name = rows[i].get(word)
-            points = document.get(kind, {})
-            if name in points and name not in needed[kind] and blanks(points[name].unwrap()):
-                del points[name]
-        del rows[i]
-    if not rows:
-        document.remove("measurements")
-    return tomlkit.dumps(document)
+    content = tomllib.loads(text)
+    rows = [content["measurements"][i] for i in loose]
+    points = [
+        (kind, name)
+        for kind, word in _KINDS.items()
+        for name in {row.get(word) for row in rows} & content.get(kind, {}).keys()
+        if name not in needed[kind] and blanks(content[kind][name])
+    ]
+    return without_tables(text, [*(("measurements", i + 1) for i in loose), *points])

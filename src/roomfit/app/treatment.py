@@ -9,10 +9,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
-
-import tomlkit
-from tomlkit.items import AoT
+from typing import Any, TypeAlias
 
 from roomfit.app import project
 from roomfit.cache import write_text_atomically
@@ -20,6 +17,7 @@ from roomfit.core import material_areas_m2
 from roomfit.errors import InputError
 from roomfit.io.campaign import read_toml
 from roomfit.io.door import read_text
+from roomfit.io.edits import Edit, edited_text, heading, without_tables
 from roomfit.io.encoding import written_content
 from roomfit.io.inputs import campaign_room
 from roomfit.io.reverberation import read_decay_times
@@ -116,14 +114,22 @@ def written_question(text: str, question: Mapping[str, Any]) -> str:
     Examples
     --------
     >>> written_question("[surfaces.a] # mine", {"surfaces": {"a": {}}, "probability": 0.8})
-    'probability = 0.8\\n\\n[surfaces.a] # mine'
+    'probability = 0.8\\n[surfaces.a] # mine'
     """
+    then = _tables(question)
     try:
-        document = tomlkit.parse(text)
-        _merge(document, question)
-        after = tomlkit.dumps(document)
+        now = _tables(tomllib.loads(text))
+        after = without_tables(text, [table for table in now if table not in then])
+        edits = [Edit(t, k, v) for t, own in then.items() for k, v in own.items()]
+        edits = [e for e in edits if now.get(e.table, {}).get(e.key) != e.value]
+        gone = [Edit(t, k, None) for t in then for k in now.get(t, {}) if k not in then[t]]
+        after = edited_text(after, [*gone, *edits])
+        # of a table without keys its first line is all
+        bare = [t for t, own in then.items() if not own and t not in now and _ends(t, then)]
+        if bare:
+            after = "".join((after.rstrip("\n"), *(f"\n\n{heading(t)}" for t in bare), "\n"))
         as_wanted = tomllib.loads(after) == question
-    except (ValueError, RecursionError):
+    except (ValueError, RecursionError, InputError):
         as_wanted = False
     if not as_wanted:
         raise InputError(
@@ -136,25 +142,22 @@ def written_question(text: str, question: Mapping[str, Any]) -> str:
     return after
 
 
-def _merge(table: Any, content: Mapping[str, Any]) -> None:
-    """Give a table of a document another content, key by key."""
-    for key in [key for key in table if key not in content]:
-        del table[key]
+_Tables: TypeAlias = dict[tuple[str | int, ...], dict[str, Any]]
+
+
+def _tables(content: Mapping[str, Any], path: tuple[str | int, ...] = ()) -> _Tables:
+    """Return what stands in each table itself; rows of tables are counted from 1."""
+    found: _Tables = {path: {}}
     for key, value in content.items():
         if isinstance(value, Mapping):
-            if key not in table:
-                above = bool(value) and all(isinstance(v, Mapping) for v in value.values())
-                table[key] = tomlkit.table(is_super_table=above)
-            _merge(table[key], value)
+            found |= _tables(value, (*path, key))
         elif isinstance(value, list) and value and isinstance(value[0], Mapping):
-            if not isinstance(table.get(key), AoT):
-                table[key] = tomlkit.aot()
-            rows = table[key]
-            while len(rows) > len(value):
-                del rows[len(rows) - 1]
-            for i, own in enumerate(value):
-                if i == len(rows):
-                    rows.append(tomlkit.table())
-                _merge(rows[i], own)
-        elif key not in table or table[key] != value:
-            table[key] = value
+            for number, row in enumerate(value, start=1):
+                found |= _tables(row, (*path, key, number))
+        else:
+            found[path][key] = value
+    return found
+
+
+def _ends(table: tuple[str | int, ...], tables: _Tables) -> bool:
+    return not any(t[: len(table)] == table for t in tables if t != table)

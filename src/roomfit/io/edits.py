@@ -11,7 +11,7 @@ import re
 import secrets
 import tomllib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import date, time
@@ -139,6 +139,20 @@ def edited_text(text: str, edits: Sequence[Edit]) -> str:
         found=", ".join(dict.fromkeys(heading(edit.table) for edit in edits)) + found,
         needed="tables such as [sources.NAME], one key a line",
         hint=f"write into campaign.toml by hand: {', '.join(lines_of(edits)[:5])}",
+    )
+
+
+def without_tables(text: str, tables: Collection[_Path]) -> str:
+    """Return a text without some tables, and what is below them; lines that are comments stay.
+
+    Examples
+    --------
+    >>> without_tables("[a]\\nx = 1\\n[[b]]\\n# mine\\n[[b]]\\ny = 2\\n", [("b", 2), ("a",)])
+    '[[b]]\\n# mine\\n'
+    """
+    return "".join(
+        _comments(one.text) if any(one.table[: len(t)] == t for t in tables) else one.text
+        for one in _statements(text)
     )
 
 
