@@ -29,7 +29,7 @@ from roomfit.app.recordings import Positions
 from roomfit.app.remedies import Advice
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.io.tables import TABLE_SUFFIXES
-from roomfit.report.wording import short_hertz
+from roomfit.report.wording import hertz
 
 _UNKNOWN = "-"
 _EXAMPLE = "recordings/{source}_{receiver}.wav"
@@ -193,9 +193,9 @@ class MeasurementsTab:
 
 def recordings_html(view: Mapping[str, Any]) -> str:
     """Return what is known of each recording as a table, with its findings beside it."""
-    bands = [short_hertz(f) for f in view["bands_hz"]]
+    bands = [hertz(f) for f in view["bands_hz"]]
     heads = ["Recording", "Source", "Receiver", "Onset (by geometry), ms"]
-    heads += [f"{b} Hz" for b in bands] + (["Findings"] if bands else [])
+    heads += [*bands, *(["Findings"] if bands else [])]
     rows = []
     for row in view["rows"]:
         cells = [escape(row["file"]), escape(row["source"]), escape(row["receiver"])]
