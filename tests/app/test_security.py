@@ -385,6 +385,19 @@ def test_connections_that_ask_nothing_keep_nobody_waiting_and_are_closed(tmp_pat
                 line.close()
 
 
+def test_the_body_of_a_refused_request_is_not_waited_for(tmp_path: Path) -> None:
+    """One byte of a million has come, without the key: the answer ends the connection."""
+    with running(tmp_path) as server:
+        head = f"PUT /upload/x HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n"
+        with socket.create_connection(("127.0.0.1", server.port), timeout=3) as line:
+            line.sendall(f"{head}Content-Length: 1000000\r\n\r\na".encode())
+            answer = b""
+            with contextlib.suppress(ConnectionError):
+                while part := line.recv(65536):
+                    answer += part
+        assert answer.startswith(b"HTTP/1.1 403")
+
+
 def test_what_has_begun_in_time_may_take_longer(tmp_path: Path) -> None:
     """A slow upload, what is asked next after a pause, and the connection of the page."""
     with running(tmp_path, limits="request_s=1") as server:

@@ -286,7 +286,8 @@ def with_nonce(
 
 async def _refuse(scope: Scope, send: Send, status: int, why: str) -> None:
     if scope["type"] == "http":
-        return await _answer(send, status, f"{why}\n".encode(), {})
+        # what is left of a refused body is not waited for
+        return await _answer(send, status, f"{why}\n".encode(), {"connection": "close"})
     if "websocket.http.response" not in scope.get("extensions", {}):
         await send({"type": "websocket.close", "code": 1008, "reason": why})
         return None
