@@ -1,6 +1,6 @@
-"""Rooms that are no boxes: errors and intervals of the partly coherent fit, energies beside it.
+"""Rooms of flat walls: errors and intervals of the partly coherent fit, energies beside it.
 
-    python benchmarks/polyhedra.py [--rooms paper slanted l-shaped] [--seeds 1 2 3]
+    python benchmarks/polyhedra.py [--rooms paper slanted l-shaped turned] [--seeds 1 2 3]
         [--position-error 0.01] [--plane-error 0] [--loudspeaker-db 3] [--no-energy]
 
 Responses come from `roomfit.synthetic.polyhedra`, which follows pressures from cell to
@@ -31,7 +31,7 @@ from simulated_rooms.measured_polyhedron import (
     write_measured_polyhedron,
 )
 
-ROOMS = ("paper", "slanted", "l-shaped")
+ROOMS = ("paper", "slanted", "l-shaped", "turned")
 
 
 @dataclass(frozen=True)

@@ -24,11 +24,12 @@ from simulated_rooms.polyhedral_rooms import (
     obj_text,
     paper_cells,
     slanted_cells,
+    turned_cells,
     with_moved_planes,
 )
 
 SAMPLING_RATE_HZ = 32_000.0
-Shape = Literal["paper", "slanted", "l-shaped"]
+Shape = Literal["paper", "slanted", "l-shaped", "turned"]
 _Place = tuple[float, float, float]
 
 # Sources and receivers at least 0.6 m from all walls, and the length of their responses: 1.3 times
@@ -48,6 +49,11 @@ _PLACES: dict[Shape, tuple[tuple[_Place, ...], tuple[_Place, ...], float]] = {
         ((1.30, 4.90, 1.15), (6.10, 1.25, 1.50)),
         ((2.70, 1.10, 1.20), (1.10, 1.70, 1.45), (4.60, 2.10, 1.05), (2.90, 3.90, 1.75)),
         0.26,
+    ),
+    "turned": (
+        ((2.589, 0.199, 1.50), (4.850, 3.583, 2.02)),
+        ((4.401, 2.861, 1.60), (2.417, 2.698, 1.85), (6.228, 1.896, 2.23), (4.560, 0.586, 1.32)),
+        0.325,
     ),
 }
 
@@ -77,14 +83,14 @@ def polyhedron_plan(shape: Shape, rng: np.random.Generator) -> PolyhedronPlan:
 
     Parameters
     ----------
-    shape : {"paper", "slanted", "l-shaped"}
-        The paper's room (622 m3, seven materials), a room of 74 m3 without right angles, or an L
-        of 97 m3 (six materials each).
+    shape : {"paper", "slanted", "l-shaped", "turned"}
+        The paper's room (622 m3, seven materials), a room of 74 m3 without right angles, an L
+        of 97 m3 (six materials each), or a box of 80 m3 with a door and a window (eight).
     """
     if shape not in _PLACES:
         raise InputError("no such room", found=repr(shape), needed=", ".join(_PLACES))
     makers = {"paper": paper_cells, "slanted": slanted_cells, "l-shaped": l_shaped_cells}
-    cells = makers[shape]()
+    cells = {**makers, "turned": turned_cells}[shape]()
     n = len(cells.materials)
     low, high = np.log(0.02 / 0.98), np.log(0.9 / 0.1)
     logit = rng.uniform(low, high, (n, 1)) + np.cumsum(rng.normal(0.0, 0.4, (n, 8)), axis=1)

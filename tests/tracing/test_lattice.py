@@ -11,10 +11,11 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from boxes_in_space import box_with_doors, room_with_doors, rotation
-from images_reference import follow, l_shaped_room, scene_of
+from images_reference import follow, scene_of
 from roomfit.geometry.mesh import area_vectors_m2
 from roomfit.materials.priors import uniform_scattering
 from roomfit.scene import Room, with_states
+from roomfit.synthetic.polyhedra import cell_images
 from roomfit.tracing import image_sources
 from roomfit.tracing.image_sources import (
     affordable_duration_s,
@@ -27,11 +28,13 @@ from roomfit.tracing.lattice import box_images, lattice_of
 from roomfit.tracing.paths import ImageSet, unfolded_normals
 from roomfit.tracing.reflectors import mirrors_of
 from roomfit.typing import FloatArray
+from simulated_rooms.polyhedral_rooms import room_of, turned_cells
 
 LENGTHS_M = (6.1, 4.7, 2.8)
 # a door from the floor up, a window, and a panel in the ceiling
 DOORS = {0: (0.2, 0.4, 0.0, 0.75), 2: (0.3, 0.7, 0.3, 0.75), 5: (0.1, 0.5, 0.6, 0.9)}
 TURNED = rotation(33.0), (12.3, -4.5, 0.7)
+TURNED_CELLS = rotation(30.0), (2.3, -1.7, 0.4)
 # shares of the lengths, so odd that no path meets an edge
 S, R = (0.2137, 0.3261, 0.4193), (0.7079, 0.6131, 0.4517)
 
@@ -80,14 +83,13 @@ def test_a_box_anywhere_has_the_images_of_a_tree_of_beams(seed: int) -> None:
     start, end = (placed(p, lengths_m, turn, by_m) for p in rng.uniform(0.08, 0.92, (2, 3)))
     room = room_with_doors(box_with_doors(lengths_m, random_doors(rng), turn, by_m))
     reach_m = 2.5 * float(np.linalg.norm(lengths_m)) + 0.0123
-    found = box_images(
-        room, start, end, 1000, reach_m, with_image_transforms=True, with_triangles=True
-    )
+    args = lattice_of(room), start, end, 1000, reach_m
+    found = box_images(room, *args, with_image_transforms=True, with_triangles=True)
     expected = polyhedron_images(
         room, start, end[None], limits_of(1000, reach_m), with_image_transforms=True
     )[0]
     assert_equal_images(found, expected, room)
-    plain = box_images(room, start, end, 1000, reach_m)
+    plain = box_images(room, *args)
     np.testing.assert_array_equal(plain.hits, found.hits)
     assert plain.triangle is None and plain.image_transform is None
 
@@ -100,7 +102,7 @@ def test_a_ball_sent_along_every_path_strikes_the_doors_that_the_path_says() -> 
     """129 paths up to order 4, followed by plain numpy: triangles, angles, and where they end."""
     room = turned_room()
     source, receiver = (placed(p, LENGTHS_M, *TURNED) for p in (S, R))
-    found = box_images(room, source, receiver, 4, 1e3, with_triangles=True)
+    found = box_images(room, lattice_of(room), source, receiver, 4, 1e3, with_triangles=True)
     vectors = area_vectors_m2(room.mesh)
     normals = vectors / np.linalg.norm(vectors, axis=1)[:, None]
     assert len(found.length_m) == 129
@@ -114,6 +116,19 @@ def test_a_ball_sent_along_every_path_strikes_the_doors_that_the_path_says() -> 
         np.testing.assert_allclose(np.abs(turned @ found.arrival[i]), ball.cosines, atol=1e-10)
 
 
+def test_a_simulator_that_mirrors_the_room_has_the_same_hits() -> None:
+    """Every path within 40 m, by another way of finding them: 3345 lengths and their doors."""
+    cells = turned_cells()
+    room = room_of(cells)
+    source, receiver = (placed(p, LENGTHS_M, *TURNED_CELLS) for p in (S, R))
+    ours = box_images(room, lattice_of(room), source, receiver, 1000, 40.0)
+    lengths, hits = cell_images(cells, source, receiver[None], 40.0)[0]
+    near = np.argsort(lengths)
+    np.testing.assert_allclose(ours.length_m, lengths[near], rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(ours.hits, hits[near])
+    assert ours.hits[:, cells.materials.index("door")].sum() > 500
+
+
 def test_a_door_is_struck_as_often_as_it_is_large() -> None:
     """Over all places of source and receiver every point of a wall is struck alike.
 
@@ -123,7 +138,7 @@ def test_a_door_is_struck_as_often_as_it_is_large() -> None:
     hits = np.zeros(len(room.materials))
     for shares in rng.uniform(0.02, 0.98, (40, 2, 3)):
         source, receiver = (placed(p, LENGTHS_M, *TURNED) for p in shares)
-        hits += box_images(room, source, receiver, 1000, 50.0).hits.sum(axis=0)
+        hits += box_images(room, lattice_of(room), source, receiver, 1000, 50.0).hits.sum(axis=0)
     for wall, name in ((0, "west"), (2, "south"), (5, "ceiling")):
         low_u, high_u, low_v, high_v = DOORS[wall]
         door, rest = (hits[room.materials.index(n)] for n in (f"door {wall}", name))
@@ -138,7 +153,7 @@ def test_a_path_through_an_edge_counts_once() -> None:
     """
     room = turned_room()
     middle, above = (placed(p, LENGTHS_M, *TURNED) for p in ((0.5, 0.5, 0.5), (0.5, 0.5, 0.25)))
-    found = box_images(room, middle, above, 1000, 25.0, with_triangles=True)
+    found = box_images(room, lattice_of(room), middle, above, 1000, 25.0, with_triangles=True)
     expected = polyhedron_images(room, middle, above[None], limits_of(1000, 25.0))[0]
     np.testing.assert_allclose(found.length_m, expected.length_m, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(found.hits.sum(axis=1), expected.hits.sum(axis=1))
@@ -174,10 +189,3 @@ def test_how_far_images_of_a_box_are_affordable_asks_for_no_tree(monkeypatch) ->
     assert 4e3 < len(trace_images(scene, 1000, longest_s, still)) <= 1e4
     assert affordable_order(scene, 8, 1.0, images=1e5) == 8
     assert affordable_order(scene, 8, 1.0, images=24.0) == 1
-
-
-def test_the_lattice_of_another_room_is_none() -> None:
-    room = l_shaped_room()
-    assert lattice_of(room) is None
-    with pytest.raises(ValueError, match="no box"):
-        box_images(room, np.ones(3), 0.5 * np.ones(3), 1, 10.0)

@@ -181,11 +181,10 @@ def _polyhedron_paths(scene: Scene, longest_m: float) -> list[UnfoldedPaths]:
     for s in np.unique(scene.pairs[:, 0]):
         own = np.flatnonzero(scene.pairs[:, 0] == s)
         found = images_of_source(
-            scene.room,
+            scene,
             reflectors,
-            scene.sources[s].position_m,
-            np.array([scene.receivers[r].position_m for r in scene.pairs[own, 1]]),
             limits_of(_ANY_ORDER, longest_m),
+            int(s),
             with_image_transforms=True,
             with_triangles=True,
         )

@@ -167,10 +167,9 @@ def plan_trace(
     reach_m = speed_of_sound_m_s(scene.air) * duration_s
     n_images = 4.0 / 3.0 * np.pi * reach_m**3 / volume_m3(scene.room.mesh)
     in_lattice = _in_lattice(scene.room, settings)
-    images_alone = (
-        in_lattice
-        and not np.any(scattering.coefficients)
-        and n_images <= min(settings.most_images, _MOST_IMAGES_OF_ALL / len(scene.pairs))
+    smooth_box = in_lattice and not np.any(scattering.coefficients)
+    images_alone = smooth_box and n_images <= min(
+        settings.most_images, _MOST_IMAGES_OF_ALL / len(scene.pairs)
     )
     fineness = TraceSettings(
         duration_s=duration_s,
@@ -199,7 +198,6 @@ def plan_trace(
         beside_images = until_s > 0.0 and not np.any(scattering.coefficients)
         fineness, few = _with_rays(scene, fineness, fraction, settings, beside_images=beside_images)
         findings += few
-    smooth_box = in_lattice and not np.any(scattering.coefficients)
     # what is left in a smooth box travels between two hard walls along paths that few rays find
     fit_until_s = until_s if smooth_box and until_s > 0.0 else np.inf
     return TracePlan(fineness, scattering, tuple(findings), far_images, fit_until_s)

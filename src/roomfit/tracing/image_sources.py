@@ -378,19 +378,9 @@ def trace_images(
     reflectors = reflectors_of(scene.room)
     limits = limits_of(order, max_length_m, budget)
     few = _check_cost(scene, reflectors, limits, budget, with_image_transforms)
-
-    def of_source(source: int) -> list[ImageSet]:
-        receivers = np.array([scene.receivers[r].position_m for s, r in scene.pairs if s == source])
-        found = images_of_source(
-            scene.room,
-            reflectors,
-            scene.sources[source].position_m,
-            receivers,
-            limits,
-            with_image_transforms=with_image_transforms,
-        )
-        return [_in_single_precision(images) for images in found]
-
+    of_source = partial(
+        images_of_source, scene, reflectors, limits, with_image_transforms=with_image_transforms
+    )
     sets: list[ImageSet | None] = [None] * len(scene.pairs)
     # kernels release the interpreter, so that sources share the processors as threads, which a few
     # thousand images of a box are not worth
@@ -399,7 +389,7 @@ def trace_images(
         for done, (source, found) in enumerate(zip(sources, of_each, strict=True)):
             own = np.flatnonzero(scene.pairs[:, 0] == source)
             for pair, images in zip(own, found, strict=True):
-                sets[pair] = images
+                sets[pair] = _in_single_precision(images)
             if progress is not None:
                 progress((done + 1) / len(sources))
     return _as_paths([s for s in sets if s is not None], scene, coefficients)
@@ -411,38 +401,33 @@ def reflectors_of(room: Room) -> Lattice | tuple[Walls, Blockers]:
 
 
 def images_of_source(
-    room: Room,
+    scene: Scene,
     reflectors: Lattice | tuple[Walls, Blockers],
-    source_m: FloatArray,
-    receivers_m: FloatArray,
     limits: Limits,
+    source: int,
     *,
     with_image_transforms: bool = False,
     with_triangles: bool = False,
 ) -> list[ImageSet]:
-    """Return the images of a source for each receiver, as `box_images` or `polyhedron_images` does.
+    """Return a source's images for each of its pairs, in their order.
 
     Parameters
     ----------
     reflectors : Lattice, or Walls and Blockers
         From `reflectors_of`.
+    source : int
+        Index in the scene.
+    with_image_transforms, with_triangles : bool
+        As of `box_images`; a tree of beams knows the triangles anyway.
     """
+    room, start = scene.room, scene.sources[source].position_m
+    receivers = np.array([scene.receivers[r].position_m for s, r in scene.pairs if s == source])
+    options = {"with_image_transforms": with_image_transforms}
     if not isinstance(reflectors, Lattice):
-        return polyhedron_images(
-            room,
-            source_m,
-            receivers_m,
-            limits,
-            with_image_transforms=with_image_transforms,
-            mirrors=reflectors,
-        )
-    boxed = partial(
-        box_images,
-        with_image_transforms=with_image_transforms,
-        with_triangles=with_triangles,
-        lattice=reflectors,
-    )
-    return [boxed(room, source_m, at, limits.order, limits.length_m) for at in receivers_m]
+        return polyhedron_images(room, start, receivers, limits, mirrors=reflectors, **options)
+    options["with_triangles"] = with_triangles
+    n, far_m = limits.order, limits.length_m
+    return [box_images(room, reflectors, start, at, n, far_m, **options) for at in receivers]
 
 
 def _check_cost(

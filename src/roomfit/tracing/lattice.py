@@ -45,6 +45,7 @@ def lattice_of(room: Room) -> Lattice | None:
 
 def box_images(
     room: Room,
+    lattice: Lattice,
     source_m: FloatArray,
     receiver_m: FloatArray,
     order: int,
@@ -52,7 +53,6 @@ def box_images(
     *,
     with_image_transforms: bool = False,
     with_triangles: bool = False,
-    lattice: Lattice | None = None,
 ) -> ImageSet:
     """Return all images up to an order and a distance.
 
@@ -63,29 +63,19 @@ def box_images(
 
     Parameters
     ----------
-    room : Room
-        A box.
+    lattice : Lattice
+        Of the room, from `lattice_of`.
     source_m, receiver_m : float array, shape (3,)
     order : int
         Most hits of a path, 0 or more.
     with_image_transforms, with_triangles : bool
         Return the product of each path's reflections, and the triangles that it strikes, as well.
-    lattice : Lattice, optional
-        From `lattice_of`, where several pairs share a room.
-
-    Raises
-    ------
-    ValueError
-        The room is no box.
 
     References
     ----------
     .. [1] J. B. Allen, D. A. Berkley, "Image method for efficiently simulating small-room
            acoustics", J. Acoust. Soc. Am. 65, 943-950 (1979).
     """
-    lattice = lattice or lattice_of(room)
-    if lattice is None:
-        raise ValueError("a lattice of a room that is no box")
     origin, axes, lengths, _ = lattice.box
     source, receiver = axes @ (source_m - origin), axes @ (receiver_m - origin)
     index, to_receiver = images_within(lengths, source, receiver, order, max_length_m)
@@ -100,25 +90,21 @@ def box_images(
     struck = []
     for wall in range(6):
         first, stop = lattice.first[wall : wall + 2]
-        if with_triangles or np.any(owner[first:stop] != owner[first]):
-            rays = index, receiver, to_receiver, lengths
-            struck.append(_struck(*rays, wall, lattice.corners_m, first, stop))
-            path, _, piece = struck[-1]
-            np.add.at(hits, (path, owner[piece]), 1)
-        else:
+        if not with_triangles and np.all(owner[first:stop] == owner[first]):
             hits[:, owner[first]] += wall_hits(index, wall).astype(np.uint16)
+            continue
+        rays = index, receiver, to_receiver, lengths
+        struck.append(_struck(*rays, wall, lattice.corners_m, first, stop))
+        np.add.at(hits, (struck[-1][0], owner[struck[-1][2]]), 1)
     images = ImageSet(distance, hits, (arrival * turned) @ axes, arrival @ axes)
     if with_image_transforms:
         product = np.einsum("ki,pk,kj->pij", axes, turned, axes)
         images = replace(images, image_transform=product)
     if with_triangles:
         path, share, piece = (np.concatenate(own) for own in zip(*struck, strict=True))
-        last = np.cumsum(np.abs(index).sum(axis=1))
-        images = replace(
-            images,
-            first_hit=np.concatenate(([0], last)),
-            triangle=lattice.triangle[piece[np.lexsort((-share, path))]],
-        )
+        first_hit = np.append(0, np.cumsum(np.abs(index).sum(axis=1)))
+        triangle = lattice.triangle[piece[np.lexsort((-share, path))]]
+        images = replace(images, first_hit=first_hit, triangle=triangle)
     return images
 
 
