@@ -19,6 +19,7 @@ from roomfit.errors import InputError
 from roomfit.synthetic.boxes import add_noise
 from roomfit.synthetic.polyhedra import Cells, SyntheticPolyhedron, pressure_responses
 from roomfit.typing import FloatArray, Progress
+from simulated_rooms.other_polyhedron import other_responses
 from simulated_rooms.polyhedral_rooms import (
     l_shaped_cells,
     obj_text,
@@ -124,6 +125,7 @@ def write_measured_polyhedron(
     delays_s: tuple[float, ...] | None = None,
     noise_db: float = -60.0,
     loudspeaker_db: float = 3.0,
+    other_order: int | None = None,
     progress: Progress | None = None,
 ) -> MeasuredPolyhedron:
     """Simulate measured responses of every pair in a room and write them as a campaign.
@@ -145,6 +147,9 @@ def write_measured_polyhedron(
         Level of the noise relative to the peak of each response.
     loudspeaker_db : float
         Standard deviation of each source's level from octave to octave.
+    other_order : int, optional
+        Up to which pyroomacoustics simulates image sources, and rays beyond, of an even loudspeaker
+        in a room of one cell; left out: the simulator of `roomfit.synthetic.polyhedra`.
 
     Raises
     ------
@@ -172,9 +177,11 @@ def write_measured_polyhedron(
         own = [r for source, r in measured_pairs(plan) if source == s]
         receivers = np.array([true_at[r] for r in own]).reshape(-1, 3)
         level_db = rng.normal(0.0, loudspeaker_db, len(bands))
-        pressures = pressure_responses(
-            synthetic, true_at[s], receivers, plan.duration_s, SAMPLING_RATE_HZ, level_db
-        )
+        where = synthetic, true_at[s], receivers, plan.duration_s, SAMPLING_RATE_HZ
+        if other_order is None:
+            pressures = pressure_responses(*where, level_db)
+        else:
+            pressures = other_responses(*where, other_order)
         for r, pressure in zip(own, pressures, strict=True):
             soundfile.write(
                 folder / f"{s}_{r}.wav",
