@@ -19,7 +19,7 @@ from roomfit.errors import InputError
 from roomfit.synthetic.boxes import add_noise
 from roomfit.synthetic.polyhedra import Cells, SyntheticPolyhedron, pressure_responses
 from roomfit.typing import FloatArray, Progress
-from simulated_rooms.other_polyhedron import other_responses
+from simulated_rooms.other_turned_box import other_responses
 from simulated_rooms.polyhedral_rooms import (
     l_shaped_cells,
     obj_text,
@@ -54,7 +54,7 @@ _PLACES: dict[Shape, tuple[tuple[_Place, ...], tuple[_Place, ...], float]] = {
     "turned": (
         ((2.589, 0.199, 1.50), (4.850, 3.583, 2.02)),
         ((4.401, 2.861, 1.60), (2.417, 2.698, 1.85), (6.228, 1.896, 2.23), (4.560, 0.586, 1.32)),
-        0.325,
+        0.45,
     ),
 }
 
@@ -125,7 +125,7 @@ def write_measured_polyhedron(
     delays_s: tuple[float, ...] | None = None,
     noise_db: float = -60.0,
     loudspeaker_db: float = 3.0,
-    other_order: int | None = None,
+    other_program: bool = False,
     progress: Progress | None = None,
 ) -> MeasuredPolyhedron:
     """Simulate measured responses of every pair in a room and write them as a campaign.
@@ -147,9 +147,8 @@ def write_measured_polyhedron(
         Level of the noise relative to the peak of each response.
     loudspeaker_db : float
         Standard deviation of each source's level from octave to octave.
-    other_order : int, optional
-        Up to which pyroomacoustics simulates image sources, and rays beyond, of an even loudspeaker
-        in a room of one cell; left out: the simulator of `roomfit.synthetic.polyhedra`.
+    other_program : bool
+        Pyroomacoustics simulates the turned box, with an even loudspeaker.
 
     Raises
     ------
@@ -178,10 +177,10 @@ def write_measured_polyhedron(
         receivers = np.array([true_at[r] for r in own]).reshape(-1, 3)
         level_db = rng.normal(0.0, loudspeaker_db, len(bands))
         where = synthetic, true_at[s], receivers, plan.duration_s, SAMPLING_RATE_HZ
-        if other_order is None:
-            pressures = pressure_responses(*where, level_db)
+        if other_program:
+            pressures = other_responses(*where)
         else:
-            pressures = other_responses(*where, other_order)
+            pressures = pressure_responses(*where, level_db)
         for r, pressure in zip(own, pressures, strict=True):
             soundfile.write(
                 folder / f"{s}_{r}.wav",

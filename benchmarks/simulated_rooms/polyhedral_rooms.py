@@ -24,6 +24,12 @@ _SLANTED = (
 )
 
 
+# The turned box: lengths, the matrix that turns it by 30 degrees, and its corner.
+TURNED_M, TURNED_AT_M = (6.1, 4.7, 2.8), np.array([2.3, -1.7, 0.4])
+_C, _S = np.cos(np.pi / 6.0), np.sin(np.pi / 6.0)
+TURNED_BY = np.array([[_C, -_S, 0.0], [_S, _C, 0.0], [0.0, 0.0, 1.0]])
+
+
 def box_cells(
     low_m: tuple[float, float, float], high_m: tuple[float, float, float]
 ) -> tuple[FloatArray, tuple[tuple[int, ...], ...]]:
@@ -104,7 +110,7 @@ def turned_cells() -> Cells:
 
     Materials, that is; both lie in the planes of their walls.
     """
-    x, y, z = 6.1, 4.7, 2.8
+    x, y, z = TURNED_M
     rectangles = (
         *(("west", (0, 0, 0), (0, 1, z)), ("west", (0, 1.9, 0), (0, y, z))),
         *(("west", (0, 1, 2.1), (0, 1.9, z)), ("door", (0, 1, 0), (0, 1.9, 2.1))),
@@ -128,9 +134,7 @@ def turned_cells() -> Cells:
         points += list(corners if ends[0, axis] > 0.0 else corners[::-1])
         own = (first, first + 1, first + 2, first + 3)
         faces.append(CellFace(0, own, materials.index(name)))
-    c, s = np.cos(np.pi / 6.0), np.sin(np.pi / 6.0)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    return Cells(np.array(points) @ turn.T + [2.3, -1.7, 0.4], tuple(faces), materials)
+    return Cells(np.array(points) @ TURNED_BY.T + TURNED_AT_M, tuple(faces), materials)
 
 
 def room_of(cells: Cells) -> Room:
