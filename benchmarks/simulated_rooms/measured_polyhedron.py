@@ -19,16 +19,18 @@ from roomfit.errors import InputError
 from roomfit.synthetic.boxes import add_noise
 from roomfit.synthetic.polyhedra import Cells, SyntheticPolyhedron, pressure_responses
 from roomfit.typing import FloatArray, Progress
+from simulated_rooms.other_turned_box import other_responses
 from simulated_rooms.polyhedral_rooms import (
     l_shaped_cells,
     obj_text,
     paper_cells,
     slanted_cells,
+    turned_cells,
     with_moved_planes,
 )
 
 SAMPLING_RATE_HZ = 32_000.0
-Shape = Literal["paper", "slanted", "l-shaped"]
+Shape = Literal["paper", "slanted", "l-shaped", "turned"]
 _Place = tuple[float, float, float]
 
 # Sources and receivers at least 0.6 m from all walls, and the length of their responses: 1.3 times
@@ -48,6 +50,11 @@ _PLACES: dict[Shape, tuple[tuple[_Place, ...], tuple[_Place, ...], float]] = {
         ((1.30, 4.90, 1.15), (6.10, 1.25, 1.50)),
         ((2.70, 1.10, 1.20), (1.10, 1.70, 1.45), (4.60, 2.10, 1.05), (2.90, 3.90, 1.75)),
         0.26,
+    ),
+    "turned": (
+        ((2.589, 0.199, 1.50), (4.850, 3.583, 2.02)),
+        ((4.401, 2.861, 1.60), (2.417, 2.698, 1.85), (6.228, 1.896, 2.23), (4.560, 0.586, 1.32)),
+        0.45,
     ),
 }
 
@@ -77,14 +84,14 @@ def polyhedron_plan(shape: Shape, rng: np.random.Generator) -> PolyhedronPlan:
 
     Parameters
     ----------
-    shape : {"paper", "slanted", "l-shaped"}
-        The paper's room (622 m3, seven materials), a room of 74 m3 without right angles, or an L
-        of 97 m3 (six materials each).
+    shape : {"paper", "slanted", "l-shaped", "turned"}
+        The paper's room (622 m3, seven materials), a room of 74 m3 without right angles, an L
+        of 97 m3 (six materials each), or a box of 80 m3 with a door and a window (eight).
     """
     if shape not in _PLACES:
         raise InputError("no such room", found=repr(shape), needed=", ".join(_PLACES))
     makers = {"paper": paper_cells, "slanted": slanted_cells, "l-shaped": l_shaped_cells}
-    cells = makers[shape]()
+    cells = {**makers, "turned": turned_cells}[shape]()
     n = len(cells.materials)
     low, high = np.log(0.02 / 0.98), np.log(0.9 / 0.1)
     logit = rng.uniform(low, high, (n, 1)) + np.cumsum(rng.normal(0.0, 0.4, (n, 8)), axis=1)
@@ -118,6 +125,7 @@ def write_measured_polyhedron(
     delays_s: tuple[float, ...] | None = None,
     noise_db: float = -60.0,
     loudspeaker_db: float = 3.0,
+    other_program: bool = False,
     progress: Progress | None = None,
 ) -> MeasuredPolyhedron:
     """Simulate measured responses of every pair in a room and write them as a campaign.
@@ -139,6 +147,8 @@ def write_measured_polyhedron(
         Level of the noise relative to the peak of each response.
     loudspeaker_db : float
         Standard deviation of each source's level from octave to octave.
+    other_program : bool
+        Pyroomacoustics simulates the turned box, with an even loudspeaker.
 
     Raises
     ------
@@ -166,9 +176,11 @@ def write_measured_polyhedron(
         own = [r for source, r in measured_pairs(plan) if source == s]
         receivers = np.array([true_at[r] for r in own]).reshape(-1, 3)
         level_db = rng.normal(0.0, loudspeaker_db, len(bands))
-        pressures = pressure_responses(
-            synthetic, true_at[s], receivers, plan.duration_s, SAMPLING_RATE_HZ, level_db
-        )
+        where = synthetic, true_at[s], receivers, plan.duration_s, SAMPLING_RATE_HZ
+        if other_program:
+            pressures = other_responses(*where)
+        else:
+            pressures = pressure_responses(*where, level_db)
         for r, pressure in zip(own, pressures, strict=True):
             soundfile.write(
                 folder / f"{s}_{r}.wav",

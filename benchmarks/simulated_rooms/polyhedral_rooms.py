@@ -1,4 +1,4 @@
-"""Rooms that are no boxes, as convex cells: the paper's, a slanted one and an L."""
+"""Rooms as convex cells: the paper's, a slanted one, an L, a turned box with door and window."""
 
 from __future__ import annotations
 
@@ -22,6 +22,12 @@ _SLANTED = (
     ((0.0, 0.0, -1.0), 0.0),
     ((0.07, 0.12, 1.0), 3.25),
 )
+
+
+# The turned box: lengths, the matrix that turns it by 30 degrees, and its corner.
+TURNED_M, TURNED_AT_M = (6.1, 4.7, 2.8), np.array([2.3, -1.7, 0.4])
+_C, _S = np.cos(np.pi / 6.0), np.sin(np.pi / 6.0)
+TURNED_BY = np.array([[_C, -_S, 0.0], [_S, _C, 0.0], [0.0, 0.0, 1.0]])
 
 
 def box_cells(
@@ -97,6 +103,38 @@ def l_shaped_cells() -> Cells:
         CellFace(1, (4, 1, 8, 11), -1, 0),
     )
     return Cells(corners, faces, names)
+
+
+def turned_cells() -> Cells:
+    """Return a box of 80 m3 off the origin, turned by 30 degrees; door and window make it eight.
+
+    Materials, that is; both lie in the planes of their walls.
+    """
+    x, y, z = TURNED_M
+    rectangles = (
+        *(("west", (0, 0, 0), (0, 1, z)), ("west", (0, 1.9, 0), (0, y, z))),
+        *(("west", (0, 1, 2.1), (0, 1.9, z)), ("door", (0, 1, 0), (0, 1.9, 2.1))),
+        ("east", (x, 0, 0), (x, y, z)),
+        *(("south", (0, 0, 0), (2, 0, z)), ("south", (4, 0, 0), (x, 0, z))),
+        *(("south", (2, 0, 0), (4, 0, 0.9)), ("south", (2, 0, 2.1), (4, 0, z))),
+        ("window", (2, 0, 0.9), (4, 0, 2.1)),
+        ("north", (0, y, 0), (x, y, z)),
+        *(("floor", (0, 0, 0), (x, y, 0)), ("ceiling", (0, 0, z), (x, y, z))),
+    )
+    materials = (*_BOX_WALLS, "door", "window")
+    points: list[FloatArray] = []
+    faces = []
+    for name, low, high in rectangles:
+        ends = np.array([low, high])
+        axis = int(np.argmin(np.ptp(ends, axis=0)))
+        corners = np.tile(ends[0], (4, 1))
+        corners[[1, 2], (axis + 1) % 3] = ends[1, (axis + 1) % 3]
+        corners[[2, 3], (axis + 2) % 3] = ends[1, (axis + 2) % 3]
+        first = len(points)
+        points += list(corners if ends[0, axis] > 0.0 else corners[::-1])
+        own = (first, first + 1, first + 2, first + 3)
+        faces.append(CellFace(0, own, materials.index(name)))
+    return Cells(np.array(points) @ TURNED_BY.T + TURNED_AT_M, tuple(faces), materials)
 
 
 def room_of(cells: Cells) -> Room:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boxes_in_space import box_with_doors
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.geometry import inside
@@ -21,6 +22,8 @@ from roomfit.geometry.mesh import (
     Surface,
     area_vectors_m2,
     as_shoebox,
+    box_of,
+    corners_m,
     edges_of,
     mean_free_path_m,
     refuse,
@@ -350,36 +353,94 @@ def test_a_box_in_millimetres_taken_for_metres_makes_one_ask_for_the_unit():
     assert "is the unit right?" in found[0].sentence
 
 
-def moved_box(by_m: float) -> Mesh:
-    box = shoebox_mesh((6.0, 4.0, 3.0))
-    return replace(box, vertices_m=box.vertices_m + by_m)
+BOX_TURN, BOX_AT = rotation(8), np.array([-3.0, 7.0, 0.4])
+DOORS = {1: (0.2, 0.5, 0.0, 0.7), 3: (0.4, 0.6, 0.3, 0.6)}
 
 
 def test_a_box_holds_the_points_that_rays_find_inside(monkeypatch):
-    """With the rays that any other mesh needs as the reference."""
-    mesh = moved_box(-1.5)
-    points = np.random.default_rng(4).uniform(-3.0, 6.0, (500, 3))
+    """With the rays that any other mesh needs as the reference; turned, with doors."""
+    mesh = box_with_doors((6.0, 4.0, 3.0), DOORS, BOX_TURN, BOX_AT)
+    points = np.random.default_rng(4).uniform(-7.0, 7.0, (500, 3)) + BOX_AT
     found = is_inside(mesh, points)
     assert 0 < np.count_nonzero(found) < 250
-    monkeypatch.setattr(inside, "is_box", lambda _: False)
+    monkeypatch.setattr(inside, "box_of", lambda _: None)
     np.testing.assert_array_equal(found, is_inside(mesh, points))
 
 
-def test_only_a_closed_box_along_the_axes_is_one():
-    box = moved_box(0.7)
-    turned = box.vertices_m @ np.array([[0.8, 0.6, 0.0], [-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
-    bent = np.array(box.vertices_m)
-    bent[-1, 2] += 0.1
-    twice = np.array(box.triangles)
+@given(st.integers(0, 2**32 - 1))
+def test_a_box_is_known_wherever_it_stands_and_however_it_is_turned(seed: int) -> None:
+    """Its corners are those that it was made of, and each triangle lies in the wall that it has."""
+    rng = np.random.default_rng(seed)
+    lengths, turn, by_m = rng.uniform(1.0, 9.0, 3), rotation(seed), rng.normal(0.0, 30.0, 3)
+    mesh = box_with_doors(lengths, DOORS, turn, by_m)
+    box = box_of(mesh)
+    assert box is not None
+    np.testing.assert_allclose(box.axes @ box.axes.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(box.axes) > 0.0
+    assert np.argmax(np.abs(box.axes[:, 2])) == 2 and box.axes[2, 2] > 0.0 and box.axes[0, 0] > 0.0
+    unit = np.indices((2, 2, 2)).reshape(3, -1).T
+    found = box.origin_m + (unit * box.lengths_m) @ box.axes
+    made = by_m + (unit * lengths) @ turn.T
+    apart = np.linalg.norm(found[:, None] - made, axis=2)
+    np.testing.assert_allclose(apart.min(axis=0), 0.0, atol=1e-10)
+    own = (corners_m(mesh) - box.origin_m) @ box.axes.T
+    for triangle, wall in zip(own, box.wall, strict=True):
+        at = box.lengths_m[wall // 2] if wall % 2 else 0.0
+        np.testing.assert_allclose(triangle[:, wall // 2], at, atol=1e-10)
+
+
+def test_a_box_along_the_axes_has_them_to_the_last_bit() -> None:
+    """So that its lattice has the bits of one that is computed without turning."""
+    box = box_of(shoebox_mesh((6.1, 4.7, 2.8)))
+    assert box is not None
+    np.testing.assert_array_equal(box.axes, np.eye(3))
+    np.testing.assert_array_equal(box.origin_m, np.zeros(3))
+    np.testing.assert_array_equal(box.lengths_m, (6.1, 4.7, 2.8))
+
+
+def test_rounded_to_a_hundredth_of_a_millimetre_a_box_is_one_and_to_a_centimetre_none() -> None:
+    mesh = box_with_doors((6.1, 4.7, 2.8), DOORS, rotation(3), BOX_AT)
+    assert box_of(replace(mesh, vertices_m=np.round(mesh.vertices_m, 5))) is not None
+    assert box_of(replace(mesh, vertices_m=np.round(mesh.vertices_m, 2))) is None
+
+
+def no_boxes() -> dict[str, Mesh]:
+    box = build_mesh(BOX, box_faces())[0]
+    slanted = box.vertices_m + np.where(box.vertices_m[:, :1] > 0.0, [[0.0, 0.0, 0.01]], 0.0)
+    curtain = np.array([[2.0, 1.0, 1.0], [2.0, 2.0, 1.0], [2.0, 1.0, 2.0]])
+    sheet = Mesh(
+        np.vstack([box.vertices_m, curtain]),
+        np.vstack([box.triangles, [[8, 9, 10]]]),
+        np.append(box.triangle_surface, 6),
+        (*box.surfaces, Surface("curtain", double_sided=True)),
+    )
+    twice, gone = np.array(box.triangles), np.arange(12) < 11
     twice[1] = twice[0]
-    assert inside.is_box(box)
-    for other in (
-        replace(box, vertices_m=turned),
-        replace(box, vertices_m=bent),
-        replace(box, triangles=twice),
-        holed_box(0.5),
-    ):
-        assert not inside.is_box(other)
+    return {
+        "slanted": replace(box, vertices_m=slanted),
+        "l-shaped": l_room(),
+        "inside out": replace(box, triangles=box.triangles[:, ::-1]),
+        "with a sheet": sheet,
+        "half a wall gone": replace(
+            box, triangles=box.triangles[gone], triangle_surface=box.triangle_surface[gone]
+        ),
+        "half a wall in place of the other": replace(box, triangles=twice),
+        "with a hole": holed_box(0.5),
+        "with furniture": replace(
+            box,
+            vertices_m=np.vstack([box.vertices_m, 0.2 * box.vertices_m + 1.0]),
+            triangles=np.vstack([box.triangles, box.triangles[:, ::-1] + 8]),
+            triangle_surface=np.tile(box.triangle_surface, 2),
+        ),
+        "flat": build_mesh(BOX, box_faces()[4:5])[0],
+    }
+
+
+@pytest.mark.parametrize("name", no_boxes())
+def test_what_is_no_box_is_none_at_the_origin_or_elsewhere(name: str) -> None:
+    mesh = no_boxes()[name]
+    assert box_of(mesh) is None and as_shoebox(mesh) is None
+    assert box_of(replace(mesh, vertices_m=mesh.vertices_m @ BOX_TURN.T + BOX_AT)) is None
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -416,36 +477,21 @@ def test_a_drawn_box_is_the_shoebox_whatever_the_order_of_its_triangles(
     np.testing.assert_array_equal(box.triangles, expected.triangles)
 
 
-def test_what_is_no_box_or_has_two_surfaces_in_a_wall_stays_as_drawn() -> None:
-    """Moved, slanted, L-shaped, inside out, with a door, a sheet in it, or half a wall gone."""
+def test_a_box_that_stands_elsewhere_or_has_two_surfaces_in_a_wall_is_no_shoebox() -> None:
+    """Its walls have no names, or positions in results would be others than those of the drawing.
+
+    `box_of` finds it all the same.
+    """
     box = build_mesh(BOX, box_faces())[0]
     assert as_shoebox(box) is not None
-    assert as_shoebox(replace(box, vertices_m=box.vertices_m + np.array([0.0, 0.01, 0.0]))) is None
-    slanted = box.vertices_m + np.where(box.vertices_m[:, :1] > 0.0, [[0.0, 0.0, 0.01]], 0.0)
-    assert as_shoebox(replace(box, vertices_m=slanted)) is None
-    assert as_shoebox(l_room()) is None
-    assert as_shoebox(replace(box, triangles=box.triangles[:, ::-1])) is None
     door = replace(box, surfaces=(*box.surfaces, Surface("door")))
     owner = np.where(np.arange(12) == 3, 6, door.triangle_surface)
-    assert as_shoebox(replace(door, triangle_surface=owner)) is None
-    curtain = np.array([[2.0, 1.0, 1.0], [2.0, 2.0, 1.0], [2.0, 1.0, 2.0]])
-    hung = Mesh(
-        np.vstack([box.vertices_m, curtain]),
-        np.vstack([box.triangles, [[8, 9, 10]]]),
-        np.append(box.triangle_surface, 6),
-        (*box.surfaces, Surface("curtain", double_sided=True)),
-    )
-    assert as_shoebox(hung) is None
-    open_box = replace(
-        box, triangles=box.triangles[:11], triangle_surface=box.triangle_surface[:11]
-    )
-    assert as_shoebox(open_box) is None
-    twice = replace(
-        box,
-        triangles=np.vstack([box.triangles, box.triangles[:1]]),
-        triangle_surface=np.append(box.triangle_surface, box.triangle_surface[0]),
-    )
-    assert as_shoebox(twice) is None
+    for other in (
+        replace(box, vertices_m=box.vertices_m + np.array([0.0, 0.01, 0.0])),
+        replace(box, vertices_m=box.vertices_m @ rotation(8).T),
+        replace(door, triangle_surface=owner),
+    ):
+        assert as_shoebox(other) is None and box_of(other) is not None
 
 
 @pytest.mark.parametrize(

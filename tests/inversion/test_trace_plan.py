@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
+from boxes_in_space import box_with_doors, room_with_doors, rotation
 from images_reference import BOX_MATERIALS, SPEED_M_S, box_room, scene_of
+from roomfit.bands import bands_between
 from roomfit.findings import Code
+from roomfit.inversion.paths import _finder
 from roomfit.inversion.trace_plan import TracePlan, plan_trace
 from roomfit.materials.priors import MaterialPrior, Scattering, uniform_scattering
+from roomfit.scene import Scene, shoebox_room
 from roomfit.scene import scene_of as named_scene
-from roomfit.scene import shoebox_room
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import SyntheticBox, box_images
+from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.tracing.walls import ray_key
@@ -84,6 +90,80 @@ def test_many_pairs_share_the_image_sources_that_fit_into_memory() -> None:
         # up to 0.37 s: 200,000 images a pair
         alone = plan_trace(scene, priors, 0.35, 0.35, Settings(), coherent=True)
         assert (alone.settings.n_rays == 0) == (n_receivers == 8)
+
+
+TURN, BY_M = rotation(30.0), np.array([2.3, -1.7, 0.4])
+DOORS = {0: (0.2, 0.35, 0.0, 0.75), 2: (0.3, 0.7, 0.3, 0.75)}
+
+
+def turned_scene(lengths_m: tuple[float, float, float] = LENGTHS_M) -> Scene:
+    """The same pair in the same box, off the origin and turned, with a door and a window."""
+    room = room_with_doors(box_with_doors(lengths_m, DOORS, TURN, BY_M))
+    return scene_of(room, [TURN @ SOURCE + BY_M], [TURN @ RECEIVER + BY_M])
+
+
+def plan_of(scene: Scene, scattering: float, longest_s: float, settings: Settings) -> TracePlan:
+    s = np.array([scattering])
+    priors = tuple(
+        MaterialPrior(name, np.zeros(1), np.ones(1), scattering=s) for name in scene.room.materials
+    )
+    return plan_trace(scene, priors, longest_s, longest_s, settings, coherent=True)
+
+
+@pytest.mark.parametrize("longest_s", [0.35, 2.0])
+@pytest.mark.parametrize("scattering", [0.0, 0.15])
+def test_a_turned_box_with_a_door_has_images_as_far_as_one_that_is_typed(
+    scattering: float, longest_s: float
+) -> None:
+    """Alone where they suffice; moved images keep the product of their reflections."""
+    typed, turned = (
+        plan_of(scene, scattering, longest_s, Settings())
+        for scene in (scene_of(box_room(LENGTHS_M), [SOURCE], [RECEIVER]), turned_scene())
+    )
+    assert (typed.settings.n_rays == 0) == (scattering == 0.0 and longest_s < 1.0)
+    for plan in (typed, turned):
+        assert plan.far_images
+        assert plan.settings.image_order == typed.settings.image_order
+        assert (plan.settings.n_rays == 0) == (typed.settings.n_rays == 0)
+    reaches = [
+        (p.settings.image_until_s or np.inf, p.fit_until_s, p.settings.duration_s)
+        for p in (typed, turned)
+    ]
+    np.testing.assert_allclose(*reaches, rtol=1e-9)
+    assert turned.settings.keep_image_transforms and not typed.settings.keep_image_transforms
+
+
+def test_a_box_of_very_many_triangles_is_traced_by_rays_after_the_first_orders() -> None:
+    """Each hit on a wall with a door would be looked up among all triangles of the wall."""
+    found = plan_of(turned_scene(), 0.0, 0.35, Settings(most_triangles_for_images=20))
+    assert found.settings.image_order == 3 and found.settings.n_rays > 0 and not found.far_images
+
+
+@pytest.mark.parametrize("longest_s", [0.2, 1.0])
+def test_images_of_moved_points_strike_the_doors_that_they_strike_there(longest_s: float) -> None:
+    """Where images are all there is, too; in a typed box no path ever leaves its wall."""
+    scene, bands = turned_scene(), bands_between("octave", 500, 500)
+    planned = plan_of(scene, 0.0, longest_s, Settings(n_rays_beside_images=100))
+    until_s = planned.settings.image_until_s or planned.settings.duration_s
+    still = uniform_scattering(scene.room.materials, 0.0)
+    paths = trace(scene, planned.settings, planned.scattering).paths
+    rest = planned, paths, np.zeros((8, 1))
+    again = _finder(SimpleNamespace(scene=scene, bands=bands, directivities={}), *rest)
+    assert again is not None
+    step = np.array([0.03, -0.02, 0.01])
+    (receiver,) = scene.receivers
+    moved = replace(scene, receivers=(replace(receiver, position_m=receiver.position_m + step),))
+    found = again(moved)[0]
+    expected = trace_images(moved, 1000, until_s, still)
+    image = found.batch < 0
+    np.testing.assert_array_equal(found.hits_specular[image], expected.hits_specular)
+    before = trace_images(scene, 1000, until_s, still)
+    n = min(len(before), len(expected))
+    assert np.any(before.hits_specular[:n] != expected.hits_specular[:n])
+    assert (
+        _finder(SimpleNamespace(scene=replace(scene, room=box_room(LENGTHS_M)), bands=bands), *rest)
+        is None
+    )
 
 
 def test_walls_that_scatter_ask_for_more_rays() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from roomfit.errors import InputError
 from roomfit.findings import Code
-from roomfit.geometry.mesh import surface_area_m2, volume_m3
+from roomfit.geometry.mesh import box_of, surface_area_m2, volume_m3
 from roomfit.io.draft import draft_campaign
 from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import RoomSpec
@@ -52,6 +52,17 @@ def test_a_scan_is_a_closed_room_with_door_and_window_of_their_own(tmp_path, flo
     }
     assert [f.code for f in findings] == [Code.ROOM_COMPLETED, Code.ENTITIES_IGNORED]
     assert "2.60 m above the floor" in findings[0].sentence and "1 table" in findings[1].sentence
+
+
+def test_a_scanned_box_with_a_door_and_a_window_is_a_box(tmp_path):
+    """Of 6.1 x 4.7 x 2.6 m, so that its image sources form a lattice."""
+    outline = ((0.0, 0.0), (6.1, 0.0), (6.1, 4.7), (0.0, 4.7))
+    for floor in (True, False):
+        room, _ = room_of(tmp_path, scan(outline, floor=floor, gap_m=0.05))
+        box = box_of(room.mesh)
+        assert {"door", "window"} < set(room.materials)
+        assert box is not None
+        np.testing.assert_allclose(box.lengths_m, (6.1, 4.7, HEIGHT_M), atol=1e-5)
 
 
 def test_the_longest_wall_lies_along_x_and_the_room_begins_at_zero(tmp_path):

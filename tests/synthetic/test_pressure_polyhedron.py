@@ -32,13 +32,19 @@ from simulated_rooms.polyhedral_rooms import (
     paper_cells,
     room_of,
     slanted_cells,
+    turned_cells,
     with_moved_planes,
 )
 
 CENTRES = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0])
 LENGTHS = (5.0, 4.0, 3.0)
-ROOMS = {"paper": paper_cells(), "slanted": slanted_cells(), "l-shaped": l_shaped_cells()}
-SHAPES: tuple[Shape, ...] = ("paper", "slanted", "l-shaped")
+ROOMS = {
+    "paper": paper_cells(),
+    "slanted": slanted_cells(),
+    "l-shaped": l_shaped_cells(),
+    "turned": turned_cells(),
+}
+SHAPES: tuple[Shape, ...] = ("paper", "slanted", "l-shaped", "turned")
 
 
 def truths() -> tuple[SyntheticBox, SyntheticPolyhedron]:
@@ -100,7 +106,7 @@ def test_another_program_has_the_same_images(name: Shape) -> None:
 
 @pytest.mark.parametrize(
     ("name", "volume", "n_materials"),
-    [("paper", 622.0, 7), ("slanted", 74.0, 6), ("l-shaped", 96.7, 6)],
+    [("paper", 622.0, 7), ("slanted", 74.0, 6), ("l-shaped", 96.7, 6), ("turned", 80.3, 8)],
 )
 def test_rooms_are_as_large_as_specified_and_close(
     name: str, volume: float, n_materials: int

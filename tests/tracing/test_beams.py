@@ -22,9 +22,9 @@ from roomfit.tracing.image_sources import (
     expected_images,
     limits_of,
     polyhedron_images,
-    shoebox_images,
     trace_images,
 )
+from roomfit.tracing.lattice import box_images, lattice_of
 from roomfit.tracing.paths import ImageSet, concatenate, select
 from roomfit.tracing.reflectors import convex_pieces, mirrors_of
 from roomfit.typing import FloatArray, IntArray
@@ -73,8 +73,8 @@ def assert_same(lengths: FloatArray, hits: IntArray, found: ImageSet) -> None:
 def test_a_box_has_the_images_of_the_lattice_to_the_last_one() -> None:
     """3347 images within 40 m, up to order 18: same places, hits and reflections."""
     source, receiver = np.array([1.23, 1.51, 1.13]), np.array([4.12, 2.97, 1.29])
-    lattice = shoebox_images(
-        *(box_room(), source, receiver, ALL_ORDERS, 40.0),
+    lattice = box_images(
+        *(box_room(), lattice_of(box_room()), source, receiver, ALL_ORDERS, 40.0),
         with_image_transforms=True,
     )
     found = tree(box_room(lattice=False), source, receiver[None], 40.0)[0]
@@ -205,8 +205,14 @@ def tree_or_lattice(
 ) -> ImageSet:
     """Return the images in the way that suits the room."""
     if room.shoebox_m is not None:
-        return shoebox_images(
-            room, source, receiver, ALL_ORDERS, reach_m, with_image_transforms=True
+        return box_images(
+            room,
+            lattice_of(room),
+            source,
+            receiver,
+            ALL_ORDERS,
+            reach_m,
+            with_image_transforms=True,
         )
     return tree(room, source, receiver[None], reach_m)[0]
 
@@ -365,7 +371,7 @@ def test_several_sources_in_threads_give_the_bits_of_one_after_the_other() -> No
 def test_points_on_symmetry_planes_and_edges_of_view_count_once() -> None:
     """Source and receiver in the middle of a box: paths run into edges and corners."""
     middle, above = np.array(BOX_M) / 2, np.array(BOX_M) * [0.5, 0.5, 0.25]
-    lattice = shoebox_images(box_room(), middle, above, ALL_ORDERS, 25.0)
+    lattice = box_images(box_room(), lattice_of(box_room()), middle, above, ALL_ORDERS, 25.0)
     found = tree(box_room(lattice=False), middle, above[None], 25.0)[0]
     assert_same(lattice.length_m, lattice.hits, found)
 

@@ -35,9 +35,9 @@ from roomfit.tracing.image_sources import (
     Budget,
     limits_of,
     polyhedron_images,
-    shoebox_images,
     trace_images,
 )
+from roomfit.tracing.lattice import box_images, lattice_of
 from roomfit.tracing.paths import ImageSet, unfolded_normals
 from roomfit.typing import FloatArray
 
@@ -59,7 +59,7 @@ def images(
     """Return the images of one pair by whichever way suits the room."""
     s, r = np.array(source), np.array(receiver)
     if room.shoebox_m is not None:
-        return shoebox_images(room, s, r, order, length_m)
+        return box_images(room, lattice_of(room), s, r, order, length_m)
     return polyhedron_images(room, s, r[None], limits_of(order, length_m))[0]
 
 

@@ -19,6 +19,7 @@ from roomfit.objective.directivity import DirectivityParameters, FittedDirectivi
 from roomfit.response.binned import bin_paths
 from roomfit.response.directivity import directivity_factors
 from roomfit.scene import (
+    Room,
     Scene,
     material_areas_m2,
     pair_names,
@@ -39,12 +40,19 @@ CLOSED = {"south": "curtain", "west": "curtain"}
 SETTINGS = TraceSettings(duration_s=0.15, n_rays=3000, image_order=2, n_batches=4)
 
 
+def any_room(materials: dict[str, str], is_box: bool) -> Room:
+    """The box, or the same with a ceiling that rises to the east."""
+    if is_box:
+        return shoebox_room(LENGTHS_M, materials)
+    mesh = shoebox_mesh(LENGTHS_M)
+    east_and_up = np.all(mesh.vertices_m[:, [0, 2]] > 0.0, axis=1)
+    raised = mesh.vertices_m + np.outer(east_and_up, [0.0, 0.0, 0.8])
+    return room_from_mesh(replace(mesh, vertices_m=raised), materials)
+
+
 def two_states(is_box: bool = True) -> Scene:
     """A room with two sources and two receivers, measured as described and with curtains."""
-    room = with_states(
-        shoebox_room(LENGTHS_M, SIX) if is_box else room_from_mesh(shoebox_mesh(LENGTHS_M), SIX),
-        {"closed": CLOSED},
-    )
+    room = with_states(any_room(SIX, is_box), {"closed": CLOSED})
     points = {"A": (1.0, 1.2, 1.5), "B": (2.0, 3.9, 1.1)}, {"M": (4.6, 3.1, 1.4), "N": (4, 1, 2)}
     scene = scene_of(room, *points, [("A", "M"), ("B", "M"), ("B", "N"), ("A", "M")])
     return replace(scene, pair_state=np.array([0, 1, 0, 1]))
@@ -52,9 +60,7 @@ def two_states(is_box: bool = True) -> Scene:
 
 def described(materials: dict[str, str], is_box: bool) -> Scene:
     """The same room and pairs, in one state that is described by itself."""
-    room = shoebox_room(LENGTHS_M, materials)
-    if not is_box:
-        room = room_from_mesh(shoebox_mesh(LENGTHS_M), materials)
+    room = any_room(materials, is_box)
     both = two_states(is_box)
     return scene_of(
         room, both.sources, both.receivers, [n[:2] for n in dict.fromkeys(pair_names(both))][:3]

@@ -15,7 +15,6 @@ from roomfit.geometry.inside import (
     dot,
     flight_m,
     interior_points,
-    is_box,
     minus,
     nearest_triangles,
     put,
@@ -26,6 +25,7 @@ from roomfit.geometry.mesh import (
     Edges,
     Mesh,
     about_points,
+    box_of,
     corners_m,
     edges_of,
     fault,
@@ -136,7 +136,7 @@ def examine(mesh: Mesh) -> tuple[bool, float | None, tuple[Finding, ...]]:
     volume = volume_m3(mesh)
     edges = edges_of(mesh)
     open_edges = unmatched(edges)
-    leak, leak_findings = (0.0, []) if is_box(mesh) else _leak(mesh)
+    leak, leak_findings = _leak(mesh) if box_of(mesh) is None else (0.0, [])
     findings = [*leak_findings, *_slivers(mesh)]
     if volume > 0.0 and not 1.0 <= volume <= 1e6:
         text = f"A volume of {volume:.3g} m3 is unusual for a room: is the unit right?"

@@ -7,12 +7,13 @@ their orientation.
 
 from __future__ import annotations
 
+import math
 from typing import TypeAlias
 
 import numpy as np
 
 from roomfit._numba import kernel
-from roomfit.geometry.mesh import Mesh, corners_m, edges_of, is_double_sided, unmatched
+from roomfit.geometry.mesh import Mesh, box_of, corners_m, is_double_sided
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 Vector: TypeAlias = tuple[float, float, float]
@@ -77,6 +78,30 @@ def triangle_at(corners_m: FloatArray, i: int) -> tuple[Vector, Vector, Vector]:
         (t[1, 0], t[1, 1], t[1, 2]),
         (t[2, 0], t[2, 1], t[2, 2]),
     )
+
+
+@kernel(allocates=False)
+def deepest(
+    corners_m: FloatArray, first: int, stop: int, normal: Vector, x: Vector, least_m: float
+) -> int:
+    """Return in which of some triangles of a plane a point of it lies deepest, or -1.
+
+    At least `least_m` from all sides, negative outside, of triangles counter-clockwise about the
+    normal, from `first` to before `stop` of an (n, 3, 3) array.
+    """
+    found = -1
+    for i in range(first, stop):
+        depth = math.inf
+        for k in range(3):
+            a, b = corner(corners_m, i, k), corner(corners_m, i, (k + 1) % 3)
+            side = minus(b, a)
+            area = dot(cross(side, minus(x, a)), normal)
+            depth = min(depth, area / math.sqrt(dot(side, side)))
+            if depth <= least_m:
+                break
+        if depth > least_m:
+            least_m, found = depth, i
+    return found
 
 
 @kernel(allocates=False)
@@ -153,23 +178,15 @@ def is_inside(mesh: Mesh, points_m: FloatArray) -> BoolArray:
     """
     walls = corners_m(mesh)[~is_double_sided(mesh)]
     points = _rows(points_m)
-    if is_box(mesh):  # the kernels take seconds to compile
-        low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
-        return np.asarray(np.all((points > low) & (points < high), axis=1))
+    box = box_of(mesh)
+    if box is not None:  # the kernels take seconds to compile
+        own = (points - box.origin_m) @ box.axes.T
+        return np.asarray(np.all((own > 0.0) & (own < box.lengths_m), axis=1))
     odd = np.zeros(len(points), dtype=np.int64)
     for direction in _DIRECTIONS:
         first, kept, cell = _shafts(walls, points, direction)
         odd += _odd_crossings(walls, points, cell, first, kept, direction)
     return np.asarray(2 * odd > _N_DIRECTIONS)
-
-
-def is_box(mesh: Mesh) -> bool:
-    """Whether a mesh is a closed box along the axes, of twelve triangles and nothing else."""
-    if len(mesh.triangles) != 12 or len(mesh.vertices_m) != 8 or is_double_sided(mesh).any():
-        return False
-    corners, ends = corners_m(mesh), (mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0))
-    in_face = np.concatenate([np.all(corners == end, axis=1) for end in ends], axis=1)
-    return bool(np.all(in_face.sum(axis=0) == 2)) and not unmatched(edges_of(mesh)).size
 
 
 def interior_points(mesh: Mesh, n: int, rng: np.random.Generator) -> FloatArray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import mapbox_earcut
 import numpy as np
@@ -302,12 +302,75 @@ def shoebox_mesh(lengths_m: ArrayLike) -> Mesh:
 WELD_TOLERANCE_M = 1e-4
 
 
+class Box(NamedTuple):
+    """A box anywhere: a point x stands ``axes @ (x - origin_m)`` from one of its corners."""
+
+    origin_m: FloatArray  # (3,), that corner
+    axes: FloatArray  # (3, 3), unit vectors along its edges from there, one a row, right-handed
+    lengths_m: FloatArray  # (3,)
+    wall: IntArray  # (n_triangles,), of each: 2 axis for the wall at 0, 2 axis + 1 for the other
+
+
+def box_of(mesh: Mesh) -> Box | None:
+    """Return the box that a mesh is, wherever it stands and however it is turned; None for no box.
+
+    Every triangle lies in one of six planes and faces out of the box, and those of a plane cover
+    it once. A door flush in a wall is part of that; a niche, a sheet or furniture is not. What a
+    box encloses is known at once, and its image sources form a lattice.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Normals out of the air.
+
+    Returns
+    -------
+    Box or None
+        The third axis is the one nearest to z, the first of the others that nearest to x.
+    """
+    vectors = area_vectors_m2(mesh)
+    if is_double_sided(mesh).any():
+        return None
+    first = _facing(vectors)
+    second = _facing(vectors - np.outer(vectors @ first, first))
+    axes = np.array([first, second, np.cross(first, second)])
+    axes = axes[np.argsort(np.abs(axes[:, 2]), kind="stable")]
+    x = axes[int(np.abs(axes[1, 0]) > np.abs(axes[0, 0]))]
+    x, z = x * np.copysign(1.0, x[0]), axes[2] * np.copysign(1.0, axes[2, 2])
+    axes = np.array([x, np.cross(z, x), z])
+    corners = corners_m(mesh) @ axes.T
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    lengths = high - low
+    planes = np.stack([low, high], axis=1).ravel()
+    heights = corners[:, :, [0, 0, 1, 1, 2, 2]] - planes
+    lies_in = np.abs(heights).max(axis=1) <= WELD_TOLERANCE_M  # (n_triangles, 6)
+    if lengths.min() < 1e-3 or not np.all(lies_in.sum(axis=1) == 1):
+        return None
+    wall = np.argmax(lies_in, axis=1)
+    outwards = np.einsum("ni,ni->n", vectors, axes[wall // 2]) * np.where(wall % 2, 1.0, -1.0)
+    whole = np.repeat(np.prod(lengths) / lengths, 2)
+    once = np.allclose(np.bincount(wall, outwards, 6), whole, rtol=1e-3)
+    if np.any(outwards < 0.0) or not once or unmatched(edges_of(mesh)).size:
+        return None
+    return Box(low @ axes, axes, lengths, wall)
+
+
+def _facing(vectors: FloatArray) -> FloatArray:
+    """Return the direction, (3,), of the walls that are parallel to the largest triangle."""
+    sizes = np.linalg.norm(vectors, axis=1)
+    largest = vectors[np.argmax(sizes)]
+    along = vectors @ largest
+    # all of them: the normal of a small triangle is as uncertain as its corners are
+    near = np.abs(along) > 0.9 * sizes * sizes.max()
+    total = np.sign(along[near]) @ vectors[near]
+    return np.asarray(total / max(np.linalg.norm(total), 1e-300))
+
+
 def as_shoebox(mesh: Mesh) -> Mesh | None:
     """Return the same box as `shoebox_mesh` orders it; None where the mesh is no such box.
 
-    It is one where every triangle lies in one of six planes, those of a box with a corner at the
-    origin and edges along the axes, the triangles of a plane cover it once, and all of them belong
-    to one surface. Image sources of a box are exact and cost little, and its lengths can be fitted.
+    It is one that `box_of` finds at the origin, edges along the axes, each wall one surface. Its
+    walls have names, and lengths that can be fitted.
 
     Parameters
     ----------
@@ -320,25 +383,15 @@ def as_shoebox(mesh: Mesh) -> Mesh | None:
         Surfaces west, east, south, north, floor and ceiling under the names that they had; the
         lengths are its last vertex.
     """
-    lengths = np.max(mesh.vertices_m, axis=0)
-    if np.abs(np.min(mesh.vertices_m, axis=0)).max() > WELD_TOLERANCE_M or lengths.min() < 1e-3:
+    box = box_of(mesh)
+    if box is None:
         return None
-    box = shoebox_mesh(lengths)
-    planes = np.stack([np.zeros(3), lengths], axis=1).ravel()  # x = 0, x = length, y = 0, ...
-    heights = corners_m(mesh)[:, :, [0, 0, 1, 1, 2, 2]] - planes
-    lies_in = np.abs(heights).max(axis=1) <= WELD_TOLERANCE_M  # (n_triangles, 6)
-    if not np.all(lies_in.sum(axis=1) == 1):
+    pairs = np.unique(np.column_stack([box.wall, mesh.triangle_surface]), axis=0)
+    off_m = np.abs(box.origin_m).max() + np.abs((box.axes - np.eye(3)) * box.lengths_m).max()
+    if off_m > WELD_TOLERANCE_M or len(pairs) != 6:
         return None
-    wall = np.argmax(lies_in, axis=1)
-    along = np.repeat(np.eye(3), 2, axis=0) * np.tile([-1.0, 1.0], 3)[:, None]
-    outwards = np.einsum("ni,ni->n", area_vectors_m2(mesh), along[wall])
-    covered = np.bincount(wall, outwards, 6)
-    whole = np.bincount(box.triangle_surface, triangle_areas_m2(box), 6)
-    pairs = np.unique(np.column_stack([wall, mesh.triangle_surface]), axis=0)
-    is_sheet = any(mesh.surfaces[s].double_sided for s in pairs[:, 1])
-    if np.any(outwards < 0.0) or not np.allclose(covered, whole, rtol=1e-3) or len(pairs) != 6:
-        return None
-    return None if is_sheet else replace(box, surfaces=tuple(mesh.surfaces[s] for s in pairs[:, 1]))
+    named = tuple(mesh.surfaces[s] for s in pairs[:, 1])
+    return replace(shoebox_mesh(np.max(mesh.vertices_m, axis=0)), surfaces=named)
 
 
 def weld(points_m: FloatArray) -> IntArray:

@@ -21,13 +21,12 @@ from roomfit.scene import Room, Scene, distances_m, triangle_material
 from roomfit.tracing.image_sources import (
     affordable_duration_s,
     expected_images,
-    images_within,
+    images_of_source,
     limits_of,
-    polyhedron_images,
-    wall_hits,
+    reflectors_of,
 )
+from roomfit.tracing.lattice import images_within, wall_hits
 from roomfit.tracing.paths import ImageSet, unfolded_normals
-from roomfit.tracing.reflectors import mirrors_of
 from roomfit.typing import ComplexArray, FloatArray, IntArray
 
 # Reflections times frequencies, of all pairs: a fit of so many takes some ten minutes on one core.
@@ -177,17 +176,17 @@ def _box_paths(
 
 def _polyhedron_paths(scene: Scene, longest_m: float) -> list[UnfoldedPaths]:
     """Return the paths of every pair, searched for once a source."""
-    mirrors = mirrors_of(scene.room)
+    reflectors = reflectors_of(scene.room)
     parts: dict[int, UnfoldedPaths] = {}
     for s in np.unique(scene.pairs[:, 0]):
         own = np.flatnonzero(scene.pairs[:, 0] == s)
-        found = polyhedron_images(
-            scene.room,
-            scene.sources[s].position_m,
-            np.array([scene.receivers[r].position_m for r in scene.pairs[own, 1]]),
+        found = images_of_source(
+            scene,
+            reflectors,
             limits_of(_ANY_ORDER, longest_m),
+            int(s),
             with_image_transforms=True,
-            mirrors=mirrors,
+            with_triangles=True,
         )
         parts.update(
             (int(i), _paths_of_images(scene.room, f)) for i, f in zip(own, found, strict=True)

@@ -17,7 +17,7 @@ import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.forks import in_forks
-from roomfit.geometry.mesh import mean_free_path_m, shoebox_mesh
+from roomfit.geometry.mesh import box_of, mean_free_path_m, shoebox_mesh
 from roomfit.inversion.fits import BandFits, Displacement
 from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths, trim_memory
@@ -230,7 +230,7 @@ def displacement_model(
     """Return what is needed to displace a fitted room; None where there is too little to go by.
 
     Too little are fewer than four responses, no band from 500 Hz, or a room of more than 60
-    triangles.
+    triangles that is no box.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def displacement_model(
     scene, bands, paths = measured.scene, measured.bands, traced.paths
     if (
         sum(m.measurement.use == "fit" for m in measured.responses) < _FEWEST_RESPONSES
-        or len(scene.room.mesh.triangles) > _MOST_TRIANGLES
+        or (len(scene.room.mesh.triangles) > _MOST_TRIANGLES and not box_of(scene.room.mesh))
         or traced.settings.image_order < 1
         or not offsets
     ):

@@ -172,10 +172,7 @@ def expected_fit(
     observed_s = decay_s * decay_range_db / 60.0
     pressures = fits_pressures(settings)
     plan = plan_trace(first, priors, decay_s, observed_s, settings, coherent=pressures)
-    # what a box's images need to be moved follows from where they stand
-    moved = plan.settings.keep_image_transforms and scene.room.shoebox_m is None
-    fineness = replace(plan.settings, keep_image_transforms=moved)
-    plan = replace(plan, settings=_with_fewer_rays(fineness, scene))
+    plan = replace(plan, settings=_with_fewer_rays(plan.settings, scene))
     coherent = pressures and (plan.far_images or settings.model == "coherent")
     geometry = _geometry(scene, priors, position_sd_m, settings)
     return ExpectedFit(

@@ -104,6 +104,9 @@ def _finder(
     """Return what finds the image sources of moved points, with the rays of the first trace."""
     settings, bands = plan.settings, measurements.bands
     until_s = settings.image_until_s
+    if not settings.n_rays:
+        until_s = until_s or settings.duration_s
+    # of a box with one surface a wall, images strike the same walls wherever the points move
     if until_s is None or measurements.scene.room.shoebox_m is not None:
         return None
     rays = select(paths, paths.batch >= 0)

@@ -16,7 +16,14 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from roomfit.forks import in_forks
-from roomfit.geometry.mesh import area_vectors_m2, corners_m, is_double_sided, plane_axes
+from roomfit.geometry.mesh import (
+    Box,
+    area_vectors_m2,
+    box_of,
+    corners_m,
+    is_double_sided,
+    plane_axes,
+)
 from roomfit.inversion.coherent import CoherentFit
 from roomfit.inversion.fits import SurfaceScore
 from roomfit.inversion.score_tests import scored
@@ -154,7 +161,8 @@ def _strikes(
     of the trace, ends at the specified ones: centimetres apart.
     """
     out = np.zeros((len(images.hits), len(surfaces), N_CELLS), dtype=images.hits.dtype)
-    order = 1 if scene.room.shoebox_m is None else _ORDER
+    box = box_of(scene.room.mesh)
+    order = 1 if box is None else _ORDER
     for o, pair in enumerate(pairs):
         source, receiver = scene.pairs[pair]
         source_m, from_m = scene.sources[source].position_m, scene.receivers[receiver].position_m
@@ -162,10 +170,10 @@ def _strikes(
         n_hits = images.hits[rows].sum(axis=1)
         rows = rows[(n_hits > 0) & (n_hits <= order)]
         to_m = from_m - images.image_to_receiver_m[rows]
-        if scene.room.shoebox_m is None:
+        if box is None:
             _strike_once(out, rows, (source_m, from_m), to_m, surfaces)
         else:
-            _strike_box(out, rows, from_m, to_m, surfaces, np.array(scene.room.shoebox_m))
+            _strike_box(out, rows, from_m, to_m, surfaces, box)
     return out
 
 
@@ -175,12 +183,15 @@ def _strike_box(
     from_m: FloatArray,
     to_m: FloatArray,
     surfaces: Sequence[PlaneSurface],
-    lengths_m: FloatArray,
+    box: Box,
 ) -> None:
     """Count where straight lines to the images cross the planes of the lattice of a box."""
-    for surface in surfaces:
-        axis = int(np.argmax(np.abs(surface.normal)))
-        is_upper = surface.normal[axis] > 0.0
+    origin_m, axes, lengths_m, _ = box
+    from_m, to_m = axes @ (from_m - origin_m), (to_m - origin_m) @ axes.T
+    for k, surface in enumerate(surfaces):
+        towards = axes @ surface.normal
+        axis = int(np.argmax(np.abs(towards)))
+        is_upper = towards[axis] > 0.0
         for plane in range(-_ORDER, _ORDER + 1):
             if (plane % 2 == 1) != is_upper:
                 continue
@@ -192,7 +203,7 @@ def _strike_box(
             folded_m = np.where(
                 cell % 2 == 0, at_m - cell * lengths_m, (cell + 1) * lengths_m - at_m
             )
-            _count(out, rows[met], surface, surfaces.index(surface), folded_m)
+            _count(out, rows[met], surface, k, folded_m @ axes + origin_m)
 
 
 def _strike_once(
@@ -213,16 +224,15 @@ def _strike_once(
         before_m = surface.offset_m - float(from_m @ surface.normal)
         share = before_m / (to_m[met] @ surface.normal - float(from_m @ surface.normal))
         at_m = from_m + share[:, None] * (to_m[met] - from_m)
-        along_m = at_m @ surface.axes.T
-        inside = np.all((along_m > surface.lower_m) & (along_m < surface.upper_m), axis=1)
-        _count(out, rows[met][inside], surface, k, at_m[inside])
+        _count(out, rows[met], surface, k, at_m)
 
 
 def _count(out: IntArray, rows: IntArray, surface: PlaneSurface, k: int, at_m: FloatArray) -> None:
-    """Add one strike of each row at its place."""
+    """Add one strike of each row at its place, if that is on the surface."""
     share = (at_m @ surface.axes.T - surface.lower_m) / (surface.upper_m - surface.lower_m)
-    cell = np.clip(np.floor(share * _CELLS), 0, np.array(_CELLS) - 1).astype(np.int64)
-    np.add.at(out[:, k], (rows, cell[:, 0] * _CELLS[1] + cell[:, 1]), 1)
+    on = np.all((share >= 0.0) & (share <= 1.0), axis=1)
+    cell = np.minimum(np.floor(share[on] * _CELLS), np.array(_CELLS) - 1).astype(np.int64)
+    np.add.at(out[:, k], (rows[on], cell[:, 0] * _CELLS[1] + cell[:, 1]), 1)
 
 
 def _slopes(term: CoherentTerm, values: Values, hits: IntArray) -> FloatArray:

@@ -12,12 +12,12 @@ import numpy as np
 from roomfit.air import speed_of_sound_m_s
 from roomfit.cache import Cache, Cached, cached
 from roomfit.findings import About, Code, Finding
-from roomfit.geometry.mesh import surface_area_m2, volume_m3
+from roomfit.geometry.mesh import box_of, surface_area_m2, volume_m3
 from roomfit.inversion.scattering import specified_scattering
 from roomfit.materials.priors import MaterialPrior, Scattering, sampling_scattering
 from roomfit.measurement import MeasuredPair
 from roomfit.response.scattering import effective_fractions, sampling_groups
-from roomfit.scene import Scene, material_areas_m2
+from roomfit.scene import Room, Scene, material_areas_m2
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.tracing.image_sources import affordable_duration_s, affordable_order
 from roomfit.tracing.paths import Paths, TraceSettings
@@ -166,16 +166,17 @@ def plan_trace(
     scattering, fraction = _sampled_scattering(scene, priors, np.array(s), duration_s, settings)
     reach_m = speed_of_sound_m_s(scene.air) * duration_s
     n_images = 4.0 / 3.0 * np.pi * reach_m**3 / volume_m3(scene.room.mesh)
-    images_alone = (
-        scene.room.shoebox_m is not None
-        and not np.any(scattering.coefficients)
-        and n_images <= min(settings.most_images, _MOST_IMAGES_OF_ALL / len(scene.pairs))
+    in_lattice = _in_lattice(scene.room, settings)
+    smooth_box = in_lattice and not np.any(scattering.coefficients)
+    images_alone = smooth_box and n_images <= min(
+        settings.most_images, _MOST_IMAGES_OF_ALL / len(scene.pairs)
     )
     fineness = TraceSettings(
         duration_s=duration_s,
         n_rays=0,
         image_order=_ANY_ORDER if images_alone else _IMAGE_ORDER,
         seed=settings.seed,
+        # what images need to be moved follows from their directions in a box along the axes
         keep_image_transforms=coherent and scene.room.shoebox_m is None,
     )
     until_s = 0.0
@@ -189,7 +190,7 @@ def plan_trace(
         )
     elif coherent and not images_alone:
         findings.append(_few_images())
-    if until_s == 0.0 and scene.room.shoebox_m is None:
+    if until_s == 0.0 and not in_lattice:
         order = affordable_order(scene, _IMAGE_ORDER, duration_s)
         fineness = replace(fineness, image_order=order)
     far_images = images_alone or until_s > 0.0
@@ -197,10 +198,15 @@ def plan_trace(
         beside_images = until_s > 0.0 and not np.any(scattering.coefficients)
         fineness, few = _with_rays(scene, fineness, fraction, settings, beside_images=beside_images)
         findings += few
-    smooth_box = scene.room.shoebox_m is not None and not np.any(scattering.coefficients)
     # what is left in a smooth box travels between two hard walls along paths that few rays find
     fit_until_s = until_s if smooth_box and until_s > 0.0 else np.inf
     return TracePlan(fineness, scattering, tuple(findings), far_images, fit_until_s)
+
+
+def _in_lattice(room: Room, settings: Settings) -> bool:
+    """Whether image sources form a lattice, and few triangles have to be looked up on a wall."""
+    few = len(room.mesh.triangles) <= settings.most_triangles_for_images
+    return room.shoebox_m is not None or (few and box_of(room.mesh) is not None)
 
 
 def _sampled_scattering(
@@ -286,7 +292,7 @@ def _images_until_s(scene: Scene, duration_s: float, settings: Settings) -> floa
     n_images = min(settings.most_coherent_images, _MOST_COHERENT_OF_ALL / len(scene.pairs))
     affordable_s = (n_images * volume * 0.75 / np.pi) ** (1.0 / 3.0) / c
     longest_s = min(duration_s, float(affordable_s))
-    if scene.room.shoebox_m is None:
+    if not _in_lattice(scene.room, settings):
         if len(scene.room.mesh.triangles) > settings.most_triangles_for_images:
             return 0.0
         longest_s = affordable_duration_s(scene, min(longest_s, _COHERENT_UNTIL_S))

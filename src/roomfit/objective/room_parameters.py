@@ -14,6 +14,7 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.forks import count_evaluation
+from roomfit.geometry.mesh import box_of
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.observation import absorption_block
 from roomfit.objective.parameters import Parameters
@@ -404,6 +405,7 @@ def value_terms(
     coarse = coarser(binned, _BINS_AS_ONE)
     attenuation = attenuation_per_m(scene.air, bands)
     direct_s = distances_m(scene) / speed_of_sound_m_s(scene.air)
+    in_lattice = box_of(scene.room.mesh) is not None
     terms: list[ValuesTerm | None] = []
     for band, centre_hz in enumerate(bands.centres_hz):
         observed = [
@@ -417,7 +419,7 @@ def value_terms(
         one = Bands(bands.kind, bands.centres_hz[band : band + 1])
         m = float(attenuation[band])
         fine_rows = rows_at(coarse, centre_hz)
-        rows = {o.pair: _lattice_rows(scene, fine_rows[o.pair], m) for o in observations}
+        rows = {o.pair: _lattice_rows(fine_rows[o.pair], m, in_lattice) for o in observations}
         terms.append(
             ValuesTerm(
                 one,
@@ -432,15 +434,15 @@ def value_terms(
     return tuple(terms)
 
 
-def _lattice_rows(scene: Scene, rows: EnergyRows, attenuation_per_m: float) -> EnergyRows:
+def _lattice_rows(rows: EnergyRows, attenuation_per_m: float, in_lattice: bool) -> EnergyRows:
     """Return rows in air; images in a box of smooth walls keep their lengths, all else has 0.
 
     To be weighed without attenuation: lengths tell only when these images arrive.
     """
     image = rows.batch < 0
     unscattered = rows.weight_per_m2 * 4.0 * np.pi * rows.length_m**2
-    lattice = scene.room.shoebox_m is not None and bool(np.all(unscattered[image] > 0.999))
-    kept = np.where(image & lattice, rows.length_m, 0.0)
+    smooth = in_lattice and bool(np.all(unscattered[image] > 0.999))
+    kept = np.where(image & smooth, rows.length_m, 0.0)
     return replace(rows_in_air(rows, attenuation_per_m), length_m=kept)
 
 

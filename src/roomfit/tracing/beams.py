@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roomfit._numba import kernel
-from roomfit.geometry.inside import Vector, along, corner, cross, dot, minus, put, row
+from roomfit.geometry.inside import Vector, along, cross, deepest, dot, minus, put, row
 from roomfit.tracing.beam_clipping import (
     ROWS,
     Shadows,
@@ -272,31 +272,14 @@ def _strikes(
             return False
         step = minus(image, target)
         target = along(target, step, max(before, 0.0) / (max(before, 0.0) + behind))
-        triangle[place - 1] = _triangle_at(walls, w, target)
-        if triangle[place - 1] < 0:
+        start, stop = walls.first_piece[w], walls.first_piece[w + 1]
+        piece = deepest(walls.piece_m, start, stop, normal, target, -walls.edge_m)
+        if piece < 0:
             return False
+        triangle[place - 1] = walls.piece_triangle[piece]
         put(points, place, target)
     put(points, 0, row(chain_m, 0))
     return True
-
-
-@kernel(allocates=False)
-def _triangle_at(walls: Walls, w: int, x: Vector) -> int:
-    """Return the triangle of a wall in which a point of its plane lies deepest, or -1."""
-    normal = row(walls.normal, w)
-    deepest, found = -walls.edge_m, -1
-    for i in range(walls.first_piece[w], walls.first_piece[w + 1]):
-        depth = math.inf
-        for k in range(3):
-            a, b = corner(walls.piece_m, i, k), corner(walls.piece_m, i, (k + 1) % 3)
-            side = minus(b, a)
-            area = dot(cross(side, minus(x, a)), normal)
-            depth = min(depth, area / math.sqrt(dot(side, side)))
-            if depth <= deepest:
-                break
-        if depth > deepest:
-            deepest, found = depth, walls.piece_triangle[i]
-    return found
 
 
 @kernel(allocates=False)

@@ -21,22 +21,18 @@ import numpy as np
 from roomfit._numba import each_in_threads
 from roomfit.air import speed_of_sound_m_s
 from roomfit.errors import InputError
-from roomfit.geometry.mesh import surface_area_m2, volume_m3
+from roomfit.geometry.mesh import mean_free_path_m, surface_area_m2, volume_m3
 from roomfit.materials.priors import Scattering, coefficients_in_order
 from roomfit.scene import Room, Scene, distances_m, object_pairs, triangle_material
 from roomfit.tracing.beams import DONE, TOO_MUCH_MEMORY, TOO_MUCH_WORK, Found, Limits, beam_tree
-from roomfit.tracing.paths import (
-    ImageSet,
-    Paths,
-)
+from roomfit.tracing.lattice import Lattice, box_images, count_of_box_images, lattice_of
+from roomfit.tracing.paths import ImageSet, Paths
 from roomfit.tracing.reflectors import Blockers, Walls, mirrors_of
 from roomfit.tracing.states import as_one_state, in_every_state
 from roomfit.typing import FloatArray, IntArray, Progress
 
 # Images of a box, all pairs together.
 _WORTH_THREADS = 1e5
-# Indices of a lattice that are in memory at a time, one slice in x at least.
-_AT_ONCE = 10_000
 # Bytes that an image and a hit take, growing and in the sets made of them.
 _BYTES = 400
 
@@ -282,7 +278,10 @@ def _budget_shares(scene: Scene, work: float, images: float) -> Callable[[int, f
     Of images within an order and a length, m; infinite where the search was given up. Sources share
     the processors.
     """
-    walls, blockers = mirrors_of(scene.room)
+    reflectors = reflectors_of(scene.room)
+    if isinstance(reflectors, Lattice):
+        return partial(_lattice_shares, scene, reflectors, work, images)
+    walls, blockers = reflectors
     # images count for their hits in the tree: a generous bound keeps it from growing
     budget = Budget(100.0 * images * _BYTES, work)
     sources = [int(s) for s in np.unique(scene.pairs[:, 0])]
@@ -309,95 +308,14 @@ def _budget_shares(scene: Scene, work: float, images: float) -> Callable[[int, f
     return largest
 
 
-def shoebox_images(
-    room: Room,
-    source_m: FloatArray,
-    receiver_m: FloatArray,
-    order: int,
-    max_length_m: float,
-    *,
-    with_image_transforms: bool = False,
-) -> ImageSet:
-    """Return all images up to an order and a distance.
-
-    Image i along an axis of length L stands at ``i L + x`` for even i and ``i L + L - x`` for odd
-    i, and its path has \\|i\\| hits on that axis, the two walls in turn: from i > 0 it comes last
-    from the far wall [1]_.
-
-    Parameters
-    ----------
-    room : Room
-        With `shoebox_m`.
-    source_m, receiver_m : float array, shape (3,)
-    order : int
-        Most hits of a path, 0 or more.
-    with_image_transforms : bool
-        Return the product of each path's reflections as well.
-
-    References
-    ----------
-    .. [1] J. B. Allen, D. A. Berkley, "Image method for efficiently simulating small-room
-           acoustics", J. Acoust. Soc. Am. 65, 943-950 (1979).
-    """
-    lengths = np.array(room.shoebox_m, dtype=np.float64)
-    index, to_receiver = images_within(lengths, source_m, receiver_m, order, max_length_m)
-    distance = np.linalg.norm(to_receiver, axis=1)
-    near = np.argsort(distance, kind="stable")
-    index, to_receiver, distance = index[near], to_receiver[near], distance[near]
-    arrival = to_receiver / distance[:, None]
-    # every hit on an axis turns that component of the direction
-    turned = np.where(index % 2 == 0, 1.0, -1.0)
-    departure = arrival * turned
-    hits = np.zeros((len(index), len(room.materials)), dtype=np.uint16)
-    for wall in range(6):
-        hits[:, room.surface_material[wall]] += wall_hits(index, wall).astype(np.uint16)
-    image_transform = turned[:, :, None] * np.eye(3) if with_image_transforms else None
-    return ImageSet(distance, hits, departure, arrival, image_transform)
-
-
-def count_of_shoebox_images(
-    lengths_m: tuple[float, float, float], order: int, max_length_m: float
-) -> float:
-    """Return an upper bound of how many images lie within an order and a distance."""
-    octahedron = (2 * order + 1) * (2 * order**2 + 2 * order + 3) / 3
-    # cells that a sphere about the receiver touches
-    reach = max_length_m + math.hypot(*lengths_m)
-    return min(octahedron, 4.0 / 3.0 * math.pi * reach**3 / math.prod(lengths_m))
-
-
-def images_within(
-    lengths: FloatArray, source: FloatArray, receiver: FloatArray, order: int, max_length_m: float
-) -> tuple[IntArray, FloatArray]:
-    """Return index (n, 3) of images within order and distance, and vector to the receiver in m.
-
-    See `shoebox_images` for what an index means. Some slices in x are taken at a time.
-    """
-    # image i is at least |i| - 1 lengths away
-    last = np.minimum(order, np.floor(max_length_m / lengths).astype(np.int64) + 1)
-    y, z = (np.arange(-n, n + 1) for n in last[1:])
-    indices, vectors = [], []
-    # of few images all slices at once
-    x = np.arange(-last[0], last[0] + 1)
-    n_at_once = max(_AT_ONCE // (y.size * z.size), 1)
-    for first in range(0, x.size, n_at_once):
-        part = x[first : first + n_at_once]
-        n_hits = np.abs(part)[:, None, None] + np.abs(y)[:, None] + np.abs(z)
-        i, j, k = np.nonzero(n_hits <= order)
-        index = np.column_stack([part[i], y[j], z[k]])
-        mirrored = np.where(index % 2 == 0, source, lengths - source)
-        to_receiver = receiver - (index * lengths + mirrored)
-        near = np.linalg.norm(to_receiver, axis=1) <= max_length_m
-        indices.append(index[near])
-        vectors.append(to_receiver[near])
-    return np.concatenate(indices), np.concatenate(vectors)
-
-
-def wall_hits(index: IntArray, wall: int) -> IntArray:
-    """Return how often each path hits a wall: 2 axis for the one at 0, 2 axis + 1 for the other."""
-    i = index[:, wall // 2]
-    # of |i| hits the wall on the image's side has the odd one
-    on_this_side = (i > 0) == (wall % 2 == 1)
-    return np.asarray((np.abs(i) + on_this_side) // 2)
+def _lattice_shares(
+    scene: Scene, lattice: Lattice, work: float, images: float, order: int, length_m: float
+) -> FloatArray:
+    """Return the same of a box, where a triangle looked up is the work."""
+    count = count_of_box_images(lattice.box.lengths_m, order, length_m)
+    count *= int(np.bincount(scene.pairs[:, 0]).max(initial=0))
+    n_hits = min(order, length_m / mean_free_path_m(scene.room.mesh))
+    return np.array([count * n_hits * len(lattice.triangle) / 6.0 / work, count / images])
 
 
 def trace_images(
@@ -415,7 +333,7 @@ def trace_images(
     Parameters
     ----------
     scene : Scene
-        A room with `shoebox_m` gets the lattice, any other a tree of beams.
+        Of a box come the images of its lattice, of any other room those of a tree of beams.
     order : int
         Most hits of a path; 0 for the direct sound alone.
     duration_s : float
@@ -457,10 +375,12 @@ def trace_images(
         )
     max_length_m = duration_s * speed_of_sound_m_s(scene.air)
     sources = [int(s) for s in np.unique(scene.pairs[:, 0])]
-    few = _check_cost(scene, order, max_length_m, budget, with_image_transforms)
-    mirrors = mirrors_of(scene.room) if scene.room.shoebox_m is None else None
+    reflectors = reflectors_of(scene.room)
     limits = limits_of(order, max_length_m, budget)
-    of_source = partial(_images_of_source, scene, mirrors, limits, with_image_transforms)
+    few = _check_cost(scene, reflectors, limits, budget, with_image_transforms)
+    of_source = partial(
+        images_of_source, scene, reflectors, limits, with_image_transforms=with_image_transforms
+    )
     sets: list[ImageSet | None] = [None] * len(scene.pairs)
     # kernels release the interpreter, so that sources share the processors as threads, which a few
     # thousand images of a box are not worth
@@ -469,46 +389,62 @@ def trace_images(
         for done, (source, found) in enumerate(zip(sources, of_each, strict=True)):
             own = np.flatnonzero(scene.pairs[:, 0] == source)
             for pair, images in zip(own, found, strict=True):
-                sets[pair] = images
+                sets[pair] = _in_single_precision(images)
             if progress is not None:
                 progress((done + 1) / len(sources))
     return _as_paths([s for s in sets if s is not None], scene, coefficients)
 
 
-def _images_of_source(
+def reflectors_of(room: Room) -> Lattice | tuple[Walls, Blockers]:
+    """Return what the images of a room are found by: its lattice where it is a box, or mirrors."""
+    return lattice_of(room) or mirrors_of(room)
+
+
+def images_of_source(
     scene: Scene,
-    mirrors: tuple[Walls, Blockers] | None,
+    reflectors: Lattice | tuple[Walls, Blockers],
     limits: Limits,
-    with_image_transforms: bool,
     source: int,
+    *,
+    with_image_transforms: bool = False,
+    with_triangles: bool = False,
 ) -> list[ImageSet]:
-    """Return a source's images for each of its pairs, in their order; a box has no `mirrors`."""
+    """Return a source's images for each of its pairs, in their order.
+
+    Parameters
+    ----------
+    reflectors : Lattice, or Walls and Blockers
+        From `reflectors_of`.
+    source : int
+        Index in the scene.
+    with_image_transforms, with_triangles : bool
+        As of `box_images`; a tree of beams knows the triangles anyway.
+    """
     room, start = scene.room, scene.sources[source].position_m
-    receivers = [scene.receivers[r].position_m for s, r in scene.pairs if s == source]
-    if mirrors is not None:
-        return polyhedron_images(
-            room,
-            start,
-            np.array(receivers),
-            limits,
-            with_image_transforms=with_image_transforms,
-            mirrors=mirrors,
-        )
-    boxed = partial(shoebox_images, room, start, with_image_transforms=with_image_transforms)
-    return [_in_single_precision(boxed(at, limits.order, limits.length_m)) for at in receivers]
+    receivers = np.array([scene.receivers[r].position_m for s, r in scene.pairs if s == source])
+    options = {"with_image_transforms": with_image_transforms}
+    if not isinstance(reflectors, Lattice):
+        return polyhedron_images(room, start, receivers, limits, mirrors=reflectors, **options)
+    options["with_triangles"] = with_triangles
+    n, far_m = limits.order, limits.length_m
+    return [box_images(room, reflectors, start, at, n, far_m, **options) for at in receivers]
 
 
 def _check_cost(
-    scene: Scene, order: int, max_length_m: float, budget: Budget, with_image_transforms: bool
+    scene: Scene,
+    reflectors: Lattice | tuple[Walls, Blockers],
+    limits: Limits,
+    budget: Budget,
+    with_image_transforms: bool,
 ) -> bool:
     """Refuse more images than the memory allows; return whether they are few, of a box."""
-    room = scene.room
-    if room.shoebox_m is not None:
-        count = count_of_shoebox_images(room.shoebox_m, order, max_length_m)
+    room, is_box = scene.room, isinstance(reflectors, Lattice)
+    if isinstance(reflectors, Lattice):
+        count = count_of_box_images(reflectors.box.lengths_m, limits.order, limits.length_m)
         # columns of the paths and of the set that they are made from
         per_image = 110.0 + 6.0 * len(room.materials) + 72.0 * with_image_transforms
     else:
-        count, per_image = _expected_cost(room, order, max_length_m)
+        count, per_image = _expected_cost(room, limits.order, limits.length_m)
     count *= len(scene.pairs)
     if count * per_image > budget.memory_bytes:
         raise InputError(
@@ -518,7 +454,7 @@ def _check_cost(
             hint="fewer pairs at a time; or lower most_images and most_coherent_images of a "
             "campaign, image_order or duration_s of a trace, and leave the rest to rays",
         )
-    return room.shoebox_m is not None and count < _WORTH_THREADS
+    return is_box and count < _WORTH_THREADS
 
 
 def _expected_cost(room: Room, order: int, max_length_m: float) -> tuple[float, float]:
@@ -573,10 +509,12 @@ def _unscattered(hits: IntArray, scattering: FloatArray) -> FloatArray:
 
 
 def _in_single_precision(images: ImageSet) -> ImageSet:
-    """Return directions as paths keep them: all sets are in memory until the last is found."""
+    """Return what paths keep, as they keep it: all sets are in memory until the last is found."""
     transform = images.image_transform
     return replace(
         images,
+        first_hit=None,
+        triangle=None,
         departure=images.departure.astype(np.float32),
         arrival=images.arrival.astype(np.float32),
         image_transform=None if transform is None else transform.astype(np.float32),

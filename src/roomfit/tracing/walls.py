@@ -21,7 +21,7 @@ import numpy as np
 
 from roomfit._numba import kernel
 from roomfit.errors import InputError
-from roomfit.geometry.inside import Vector, corner, row
+from roomfit.geometry.inside import Vector, deepest, row
 from roomfit.geometry.mesh import area_vectors_m2, corners_m, is_double_sided
 from roomfit.scene import Room, triangle_material
 from roomfit.typing import BoolArray, FloatArray, IntArray
@@ -392,24 +392,8 @@ def nearest_plane(planes: Planes, o: Vector, d: Vector) -> tuple[float, int]:
 def material_in_plane(planes: Planes, k: int, p: Vector) -> int:
     """Return the material at a point of plane k: that of the piece in which it lies deepest."""
     material = int(planes.material[k])
-    return material if material >= 0 else _piece_material(planes, k, p)
-
-
-@kernel(allocates=False)
-def _piece_material(planes: Planes, k: int, p: Vector) -> int:
-    n = row(planes.normal, k)
-    best, found = -np.inf, 0
-    for i in range(planes.first_piece[k], planes.first_piece[k + 1]):
-        depth = np.inf
-        for side in range(3):
-            a = corner(planes.piece_corners_m, i, side)
-            b = corner(planes.piece_corners_m, i, (side + 1) % 3)
-            ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-            px, py, pz = p[0] - a[0], p[1] - a[1], p[2] - a[2]
-            inside = (
-                n[0] * (ey * pz - ez * py) + n[1] * (ez * px - ex * pz) + n[2] * (ex * py - ey * px)
-            )
-            depth = min(depth, inside / math.sqrt(ex * ex + ey * ey + ez * ez))
-        if depth > best:
-            best, found = depth, int(planes.piece_material[i])
-    return found
+    if material >= 0:
+        return material
+    first, stop = planes.first_piece[k], planes.first_piece[k + 1]
+    piece = deepest(planes.piece_corners_m, first, stop, row(planes.normal, k), p, -math.inf)
+    return int(planes.piece_material[max(piece, 0)])
