@@ -36,8 +36,8 @@ LISTENED = "listened"
 RECORDINGS, DRY = "recordings", "dry"
 POSITIONS, DECAY_TIMES = "positions", "decay-times"
 """Folders of tables that were sent."""
-MEAN = "mean"
-"""The folder of what decay times alone say."""
+MEAN, MEAN_FILES = "mean", ("reverberation.html", "reverberation.csv", "result.json")
+"""The folder of what decay times alone say, and what it holds."""
 _LONGEST_NAME = 120
 _KNOWN: Mapping[str, Collection[str]] = {
     "room": READERS,
@@ -238,9 +238,20 @@ def set_bands(folder: Path, from_hz: float, to_hz: float) -> None:
     edit(folder, *[Edit(("identify",), key, value) for key, value in limits_hz])
 
 
-def has_decay_times(folder: Path) -> bool:
-    """Whether the campaign has decay times, from which alone a mean absorption is found."""
-    return has_campaign(folder) and "reverberation" in campaign_content(folder)
+def decay_times(folder: Path, *, alone: bool = False) -> Path | None:
+    """Return the table of decay times of the campaign; None without one.
+
+    Parameters
+    ----------
+    folder : Path
+    alone : bool
+        Return it only where nothing else was measured, so that no wall can be identified.
+    """
+    content = campaign_content(folder) if has_campaign(folder) else {}
+    own = content.get("reverberation")
+    if not isinstance(own, Mapping) or (alone and {"measurements", "recordings"} & set(content)):
+        return None
+    return folder / str(own.get("file", ""))
 
 
 def set_decay_times(folder: Path, name: str) -> None:

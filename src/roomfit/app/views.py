@@ -390,7 +390,7 @@ def treat(progress: Progress, folder: str, doubted: bool = False) -> str:
     """
     root = Path(folder)
     result = project.best_result(root)
-    if result is None and not project.has_decay_times(root):
+    if result is None and project.decay_times(root) is None:
         raise InputError("there is no answer yet", hint="identify first")
     out = root / project.TREATMENT
     project.inside(root, out)
