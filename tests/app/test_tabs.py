@@ -36,7 +36,7 @@ class Bench:
     """A project whose answers come when the test gives them."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.jobs, self.what_if = folder, Jobs(), self
+        self.folder, self.jobs, self.what_if, self.reader = folder, Jobs(), self, self
         self.asked: list[asyncio.Future[Any]] = []
         self.arguments: list[dict[str, Any]] = []  # of every question
 

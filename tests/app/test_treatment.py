@@ -184,7 +184,7 @@ def test_what_a_project_of_decay_times_offers_is_what_decay_times_give(hall: Pat
         """A project whose answers are those of the worker."""
 
         def __init__(self) -> None:
-            self.folder, self.what_if = hall, self
+            self.folder, self.what_if, self.reader = hall, self, self
 
         async def ask(self, task: str, own: Any = None, **more: Any) -> Any:
             return views.TASKS[task](nothing, **(own or {"folder": str(hall), **more}))
@@ -200,7 +200,7 @@ def test_what_a_project_of_decay_times_offers_is_what_decay_times_give(hall: Pat
         await report.refresh()
         texts = [str(getattr(e, "text", "")) for e in client.elements.values()]
         assert "No answer yet: identify first." in texts
-        views.reverberation(nothing, str(hall))
+        await identify.start_times()  # at once, and by no process of its own
         await report.refresh()
         shown = "".join(str(getattr(e, "content", "")) for e in client.elements.values())
         assert "/files/mean/reverberation.html?save=1" in shown and "mean/absorption" not in shown

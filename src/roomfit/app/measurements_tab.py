@@ -99,8 +99,7 @@ class MeasurementsTab:
         """Have the mean absorption found from a table of decay times."""
         with saying_errors(self.general):
             project.set_decay_times(self.bench.folder, names[-1])
-            own = {"folder": str(self.bench.folder)}
-            self.bench.jobs.add("Mean absorption", "reverberation", own)
+            await self.bench.ask("reverberation")
             await self.refresh()
 
     async def drop(self, kind: str, name: str, x: float, y: float) -> None:

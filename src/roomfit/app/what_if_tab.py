@@ -140,6 +140,7 @@ class WhatIfTab:
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
         self.changes = Changes()
+        self.worker = bench.what_if  # the process that has it ready
         self.room: dict[str, Any] = {}  # as it was prepared last
         self.predicted: dict[str, Any] | None = None  # of the changes; None: is being prepared
         self.is_busy = self.is_outdated = False  # evaluating, and what is evaluated is not the last
@@ -167,7 +168,10 @@ class WhatIfTab:
         """Prepare the room for changes, and show what those do that are chosen already."""
         self.predicted = None
         is_current = self.questions.put()
+        # without paths to trace there is nothing that takes long: no process of its own
+        self.worker = self.bench.reader
         if project.best_result(self.bench.folder) is not None:
+            self.worker = self.bench.what_if
             text = "The room is traced for changes; this takes seconds, in a large room minutes."
         elif project.decay_times(self.bench.folder) is not None:
             text = "The decay times are read."
@@ -180,7 +184,7 @@ class WhatIfTab:
         self.note.set_text(text)
         own = {"folder": str(self.bench.folder), "doubted": self.changes.doubted}
         try:
-            found = await self.bench.what_if.ask("what_if_prepare", own, limit_s=_PREPARE_S)
+            found = await self.worker.ask("what_if_prepare", own, limit_s=_PREPARE_S)
         except InputError:
             self.note.set_text("The room could not be prepared.")
             raise
@@ -232,7 +236,7 @@ class WhatIfTab:
                         "doubted": self.changes.doubted,
                     }
                     is_current = self.questions.since()
-                    found = await self.bench.what_if.ask("what_if", own, limit_s=_PREPARE_S)
+                    found = await self.worker.ask("what_if", own, limit_s=_PREPARE_S)
                     if self.both.is_deleted:  # the page was closed meanwhile
                         return
                     if is_current():  # the room is still the one that was asked about
