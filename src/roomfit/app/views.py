@@ -419,8 +419,9 @@ def look_at_upload(_: Progress, folder: str, kind: str, file: str) -> None:
         if kind == "room":
             try:
                 read_mesh(RoomSpec(file=path))
-            except InputError:  # perhaps its unit is in doubt, which is asked for later
-                read_mesh(RoomSpec(file=path, unit="m"))
+            except InputError as error:  # its unit, or which room, is perhaps asked for later
+                if not (error.needed or "").startswith("space ="):
+                    read_mesh(RoomSpec(file=path, unit="m"))
         elif kind in (project.POSITIONS, project.DECAY_TIMES):
             _look_at_table(Path(folder), kind, path)
         elif path.suffix.lower() in SOUND_SUFFIXES:  # of others choices are to be made first
