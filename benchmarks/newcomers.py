@@ -118,7 +118,7 @@ def consultant(folder: Path, *, fit: bool) -> None:
     said = clock.run(folder, "init", ".")
     words = _advised(said, "perhaps")
     said = clock.run(folder, *words)
-    if "--unit, one of" in said:
+    if "(--unit), one of" in said:
         said = clock.run(folder, *words, "--unit", "cm")
     said = " ".join(clock.run(folder, "check", "campaign.toml").split())
     latency = re.findall(r"set (latency_s = [\d.]+)", said)[0]

@@ -130,6 +130,28 @@ def test_files_that_devices_have_delayed_unlike_begin_where_the_geometry_says(bo
         assert row["onset_ms"] == pytest.approx(row["travel_ms"], abs=0.07)
 
 
+def test_what_is_about_all_recordings_stands_once_and_what_is_missing_too(box: Path) -> None:
+    """Four files that begin 5 ms late; before their places are known nothing else is said."""
+    rng, t = np.random.default_rng(1), np.arange(24_000) / 48_000.0
+    project.set_position(box, "sources", "S1", (1.0, 1.0, 1.2))
+    (box / "recordings").mkdir()
+    places = {f"R{i}": (1.5 + i, 2.0 + 0.3 * i, 1.3) for i in range(4)}
+    for name, (x, y, _) in places.items():
+        travel_s = float(np.linalg.norm([x - 1.0, y - 1.0, 0.1])) / 343.2
+        h = np.concatenate([[1.0], 0.1 * rng.normal(size=len(t)) * np.exp(-t / 0.04)])
+        late = np.concatenate([np.zeros(round((travel_s + 0.005) * 48_000)), h])
+        soundfile.write(box / "recordings" / f"S1_{name}.wav", late, 48_000, subtype="FLOAT")
+    recordings.name_recordings(box, {})
+    view = views.recordings_view(nothing, str(box))
+    assert [f["code"] for f in view["findings"]] == ["positions"]
+    for name, place in places.items():
+        project.set_position(box, "receivers", name, place)
+    view = views.recordings_view(nothing, str(box))
+    notes = [note["code"] for row in view["rows"] for note in row["notes"]]
+    assert [f["code"] for f in view["findings"]].count("recordings-late") == 1
+    assert len(view["rows"]) == 4 and "recordings-late" not in notes
+
+
 def test_editing_keeps_comments_and_what_the_page_does_not_know(box: Path) -> None:
     file = project.campaign_file(box)
     file.write_text(file.read_text() + "\n# mine\n[air]\ntemperature_c = 21.5 # measured\n")

@@ -115,9 +115,13 @@ class RoomTab:
         for i, line in enumerate(self.lines):
             line.props["aria-pressed"] = "true" if i == self.chosen else "false"
         material = {} if own is None else materials.get(own["material"], {})
-        if emptied(self.details, (own, list(materials), material)) and own:
+        if emptied(self.details, (own, list(materials), material)):
             with self.details:
-                self.show_details(own, list(materials), material)
+                if own is not None:
+                    self.show_details(own, list(materials), material)
+                    return
+                text = "Choose a surface, here or in the picture, to say what it is made of."
+                ui.label(text).classes("soft").style("margin-top: 0.5rem")
 
     def surface_line(self, number: int, surface: dict[str, Any], colour: str) -> ui.element:
         """Draw a surface as a line of the list, a button."""

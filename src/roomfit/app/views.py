@@ -51,6 +51,7 @@ from roomfit.typing import Progress
 _MOST_EDGES = 1500
 _MOST_WALLS = 16  # of more walls names hide each other
 _NO_MATERIAL = "(no material)"
+_IN_WALLS = ("door", "window", "opening")  # of a scan, whose names would lie upon the wall's
 _FEW = 3  # a finding about more recordings, or more materials, than these stands by itself
 _VOIDING = frozenset(code.value for code in Code if code.voids_identifiability)
 
@@ -168,7 +169,9 @@ def recordings_view(_: Progress, folder: str) -> dict[str, Any]:
     ]
     view["rows"] = list(rows.values())
     view["findings"] += _about_names(root, rows, view["positions"], tables)
-    if rows and project.has_campaign(root):
+    # without a place of each nothing can be examined, and that is said already
+    is_placed = all(p["position_m"] is not None for p in view["positions"])
+    if rows and is_placed and project.has_campaign(root):
         try:
             _check(root, rows, view)
         except RoomfitError as error:
@@ -220,7 +223,7 @@ def _plan(campaign: Campaign) -> tuple[list[list[float]], list[list[Any]]]:
     walls = []
     for i, surface in enumerate(mesh.surfaces):
         own = is_wall & (mesh.triangle_surface == i)
-        if own.any():
+        if own.any() and surface.group not in _IN_WALLS:
             at_m = np.average(centres_m[own], axis=0, weights=areas[own])
             walls.append([*np.round(at_m[:2], 3).tolist(), surface.name])
     return plan, walls if len(walls) <= _MOST_WALLS else []
@@ -250,8 +253,8 @@ def _check(root: Path, rows: dict[str, dict[str, Any]], view: dict[str, Any]) ->
     for finding in checked.findings:
         content = finding_content(finding)
         own = concerned_recordings(finding.about, examined)
-        for row in own:
-            row["notes"].append(content)
+        for row in own if len(own) <= _FEW or len(own) < len(examined) else ():
+            row["notes"].append(content)  # what is about all of them stands once, above
         if not own or len(own) > _FEW:
             view["findings"].append(content)
 

@@ -471,7 +471,7 @@ def _in_known_unit(room: RoomSpec, model: RoomModel, because: str) -> tuple[Room
                 "the unit of the room file is in doubt",
                 where=str(room.file),
                 found=f"a room of {size}, and no unit in the file",
-                needed=f"--unit, one of {', '.join(units or METRES_PER_UNIT)}",
+                needed=f"a unit (--unit), one of {', '.join(units or METRES_PER_UNIT)}",
                 hint=either or "no unit makes a usual room of it: look at the drawing",
             )
         ((unit, why),) = units.items()

@@ -99,7 +99,9 @@ def read_ifc(path: Path, space: str | None = None) -> RoomModel:
             "the building model has several spaces" if space is None else "there is no such space",
             where=str(path),
             found=", ".join(map(repr, names))[:300] if space is None else repr(space),
-            needed='space = "NAME" under [room]' if space is None else ", ".join(names)[:300],
+            needed='space = "NAME" under [room], or --space'
+            if space is None
+            else ", ".join(names)[:300],
             hint="names are those of IfcSpace",
         )
     if len(owners) != len(polygons):

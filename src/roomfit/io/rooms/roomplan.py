@@ -120,7 +120,9 @@ def _chosen(content: Any, space: str | None) -> Any:
         raise InputError(
             "the scan has several rooms" if space is None else "the scan has no such room",
             found=", ".join(map(repr, names))[:300] if space is None else repr(space),
-            needed='space = "NAME" under [room]' if space is None else ", ".join(names)[:300],
+            needed='space = "NAME" under [room], or --space'
+            if space is None
+            else ", ".join(names)[:300],
             hint="names are the labels of RoomPlan, counted where rooms have the same",
         )
     return known[space]
