@@ -29,6 +29,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from newcomers import treatment_text
 from roomfit.synthetic.boxes import demo_plan, write_measured_box
 
 _EVERY_S = 0.05
@@ -44,21 +45,6 @@ class Run(NamedTuple):
     digest: str
 
 
-TREATMENT = """\
-[surfaces.brick]
-[surfaces.panelling]
-
-[products."wool panel"]
-catalogue = "mineral-wool-50-mm"
-
-[[targets]]
-parameter = "T30_s"
-at_most = 0.7
-bands_hz = [500, 1000]
-mean_of_bands = true
-"""
-
-
 def words_of(job: str, campaign: Path, folder: Path, *, quick: bool) -> list[str]:
     """Return the command of a job, without where it writes and its number of threads."""
     if job == "identify":
@@ -66,7 +52,8 @@ def words_of(job: str, campaign: Path, folder: Path, *, quick: bool) -> list[str
     found = ["--absorption", str(folder / "fit" / "result.json")]
     if job == "predict":
         return ["predict", str(campaign), *found, "--no-cache", "--set", "brick=curtain"]
-    (folder / "treatment.toml").write_text(TREATMENT, encoding="utf-8")
+    text = treatment_text(["brick", "panelling"], 0.7, [500, 1000])
+    (folder / "treatment.toml").write_text(text, encoding="utf-8")
     return ["treat", str(campaign), str(folder / "treatment.toml"), *found]
 
 

@@ -24,6 +24,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -38,18 +39,15 @@ QUADS = {
     "floor": (0, 2, 3, 1), "ceiling": (4, 5, 7, 6),
 }  # fmt: skip
 
-TREATMENT = """\
-[surfaces.ceiling]
 
-[products."wool panel"]
-catalogue = "mineral-wool-50-mm"
-
-[[targets]]
-parameter = "T30_s"
-at_most = 1.0
-bands_hz = [500, 2000]
-mean_of_bands = true
-"""
+def treatment_text(surfaces: Sequence[str], at_most_s: float, bands_hz: Sequence[int]) -> str:
+    """Return a treatment file: wool on surfaces for a T30 that is the mean of bands."""
+    return "\n".join([
+        *(f"[surfaces.{name}]" for name in surfaces),
+        '[products."wool panel"]\ncatalogue = "mineral-wool-50-mm"\n[[targets]]',
+        f'parameter = "T30_s"\nat_most = {at_most_s}\nbands_hz = {list(bands_hz)}',
+        "mean_of_bands = true\n",
+    ])  # fmt: skip
 
 
 def late_responses() -> dict[tuple[str, str], np.ndarray]:
@@ -120,7 +118,7 @@ def consultant(folder: Path, *, fit: bool) -> None:
     said = clock.run(folder, "init", ".")
     words = _advised(said, "perhaps")
     said = clock.run(folder, *words)
-    if "--unit, one of" in said:
+    if "(--unit), one of" in said:
         said = clock.run(folder, *words, "--unit", "cm")
     said = " ".join(clock.run(folder, "check", "campaign.toml").split())
     latency = re.findall(r"set (latency_s = [\d.]+)", said)[0]
@@ -177,7 +175,7 @@ def owner(folder: Path) -> None:
     said = clock.run(folder, *_advised(said, "perhaps"))
     print(clock.run(folder, *_advised(said, "then"), "--out", "mean").split("\n\n")[0])
     clock.tell(f"report: {(folder / 'mean' / 'reverberation.html').stat().st_size} bytes")
-    (folder / "treatment.toml").write_text(TREATMENT)
+    (folder / "treatment.toml").write_text(treatment_text(["ceiling"], 1.0, [500, 2000]))
     said = clock.run(folder, "treat", "campaign.toml", "treatment.toml", "--out", "treated")
     clock.tell(f"answer: {said.splitlines()[0]}")
 

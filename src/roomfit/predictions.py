@@ -130,7 +130,7 @@ def predict_to_folder(
 
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
-    field = _prepared_field(campaign, absorption_file, wanted, changes)
+    field = prepared_field(campaign, absorption_file, wanted, changes)
     pairs, state, grid_m, doubted = wanted or WantedPairs()
     most_drawn = _MOST_PICTURES if grid_m is None else 0
     if field is not None:
@@ -183,11 +183,11 @@ def write_grid(folder: Path, predicted: Predicted, scene: Scene) -> None:
         write_bytes_atomically(folder / f"grid_{number:02d}_{in_file_name(source)}.png", picture)
 
 
-def _prepared_field(
+def prepared_field(
     campaign: Campaign,
-    absorption_file: ResultFile | None,
-    wanted: WantedPairs | None,
-    changes: Sequence[Change],
+    absorption_file: ResultFile | None = None,
+    wanted: WantedPairs | None = None,
+    changes: Sequence[Change] = (),
 ) -> PreparedField | None:
     """Return a campaign as a diffuse field; None where positions and an absorption are given.
 
@@ -285,7 +285,7 @@ def treat_to_folder(
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
     table = read_treatment(treatment_file)
     covered = [Change(name, "factor", (1.0,)) for name in table.surfaces]
-    field = _prepared_field(campaign, absorption_file, wanted, covered)
+    field = prepared_field(campaign, absorption_file, wanted, covered)
     to_measure: tuple[str, ...] = ()
     if field is not None:
         if not campaign.has_room:

@@ -114,6 +114,47 @@ def test_a_piece_of_work_that_fails_is_no_work_that_is_done(
     assert (cancelled.state, cancelled.answer, cancelled.fraction) == ("cancelled", None, 0.4)
 
 
+def test_work_finds_a_process_that_has_begun_and_none_is_left_at_the_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """One ahead of each piece of work, a new one only when all is done, and never two."""
+    said: list[str] = []
+
+    class Worker:
+        def __init__(self) -> None:
+            self.name = f"{len([s for s in said if s.startswith('new')]) + 1}"
+            said.append(f"new {self.name}")
+
+        async def initialise(self) -> None:
+            said.append(f"begun {self.name}")
+
+        async def ask(self, task: str, *_: object, **__: object) -> None:
+            said.append(f"{task} by {self.name}")
+
+        async def stop(self) -> None:
+            said.append(f"end {self.name}")
+
+    monkeypatch.setattr(jobs_module, "Worker", Worker)
+
+    async def whole() -> None:
+        jobs = Jobs()
+        jobs.prepare()
+        jobs.prepare()
+        await asyncio.sleep(0)
+        for names in (("a", "b"), ("c",)):
+            for name in names:
+                jobs.add(name, name, {})
+            for _ in range(20):
+                await asyncio.sleep(0)
+        await jobs.stop()
+
+    asyncio.run(whole())
+    assert said == [
+        *("new 1", "begun 1", "a by 1", "end 1", "new 2", "b by 2", "end 2"),
+        *("new 3", "begun 3", "c by 3", "end 3", "new 4", "begun 4", "end 4"),
+    ]
+
+
 def test_a_link_that_leads_out_of_the_project_is_served_by_no_name(tmp_path: Path) -> None:
     outside = tmp_path / "secret.html"
     outside.write_text("secret")

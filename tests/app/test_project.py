@@ -8,6 +8,7 @@ import os
 import shutil
 import struct
 import time
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -23,8 +24,11 @@ from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding
 from roomfit.geometry.mesh import refuse
 from roomfit.io.campaign import read_campaign
+from roomfit.io.draft import draft_campaign
 from roomfit.io.edits import Edit, Preview, apply, can_undo, edited_text, preview, undo
+from roomfit.io.rooms.model import RoomSpec
 from roomfit.typing import FloatArray
+from scans import HEIGHT_M, furniture, scan, scan_usdz
 
 
 def nothing(_: float) -> None:
@@ -45,6 +49,47 @@ def test_a_typed_box_is_a_campaign_that_the_command_line_reads(box: Path) -> Non
     assert view["traceable"] and view["volume_m3"] == pytest.approx(90.0)
     assert len(view["faces"]) == 12 and len(view["edges"]) == 12
     json.dumps(view, allow_nan=False)
+
+
+@pytest.mark.parametrize("name", ["room.json", "room.usdz"])
+def test_a_scan_that_is_sent_is_the_room_of_the_command(tmp_path: Path, name: str) -> None:
+    """Looked at as it waits, then taken, with what it knows of beds and sofas."""
+    if name.endswith("usdz"):
+        pytest.importorskip("pxr")
+    things = [furniture("bed", (2.0, 3.0), (1.4, 0.4, 2.0))]
+    sent = scan_usdz() if name.endswith("usdz") else json.dumps({**scan(), "objects": things})
+    (tmp_path / name).write_bytes(sent if isinstance(sent, bytes) else sent.encode())
+    views.look_at_upload(nothing, str(tmp_path), "room", name)
+    views.set_room(nothing, str(tmp_path), file=name, unit=None, space="")
+    content = project.campaign_content(tmp_path)
+    drafted = draft_campaign(RoomSpec(file=tmp_path / name), {}, folder=tmp_path)
+    keys = ("room", "materials", "objects")
+    assert [content.get(k) for k in keys] == [tomllib.loads(drafted).get(k) for k in keys]
+    assert views.room_view(nothing, str(tmp_path))["traceable"]
+    if name.endswith("usdz"):
+        return
+    # of decay times it absorbs as its entry says; another room has no outlines of this one
+    views.set_room(nothing, str(tmp_path), file=name, unit=None, space="")
+    assert project.campaign_content(tmp_path)["objects"] == content["objects"]
+    project.set_decay_times(tmp_path, "t.csv")
+    bed = project.campaign_content(tmp_path)["objects"]["bed"]
+    assert bed["absorption_area_m2"] == "seats-heavy-empty" and "prior" not in bed
+    views.set_room(nothing, str(tmp_path), file=name, unit=None, space="")
+    assert project.campaign_content(tmp_path)["objects"]["bed"] == bed
+    views.set_room(nothing, str(tmp_path), shoebox=[5.0, 4.0, 3.0])
+    assert "bed" not in project.campaign_content(tmp_path).get("objects", {})
+
+
+def test_of_a_scan_of_several_rooms_one_is_named(tmp_path: Path) -> None:
+    box = [(0, 0), (4, 0), (4, 3), (0, 3)]
+    rooms = [scan(), {**scan(box), "sections": [{"label": "kitchen"}]}]
+    (tmp_path / "flat.json").write_text(json.dumps({"rooms": rooms}))
+    views.look_at_upload(nothing, str(tmp_path), "room", "flat.json")
+    with pytest.raises(InputError, match="'livingRoom', 'kitchen'"):
+        views.set_room(nothing, str(tmp_path), file="flat.json", unit=None, space="")
+    views.set_room(nothing, str(tmp_path), file="flat.json", unit=None, space="kitchen")
+    view = views.room_view(nothing, str(tmp_path))
+    assert view["volume_m3"] == pytest.approx(12.0 * HEIGHT_M, rel=1e-5)
 
 
 def test_a_measured_pair_stands_in_the_campaign_once_and_without_a_common_clock(box: Path) -> None:
@@ -83,6 +128,28 @@ def test_files_that_devices_have_delayed_unlike_begin_where_the_geometry_says(bo
     assert len(view["rows"]) == 2
     for row in view["rows"]:
         assert row["onset_ms"] == pytest.approx(row["travel_ms"], abs=0.07)
+
+
+def test_what_is_about_all_recordings_stands_once_and_what_is_missing_too(box: Path) -> None:
+    """Four files that begin 5 ms late; before their places are known nothing else is said."""
+    rng, t = np.random.default_rng(1), np.arange(24_000) / 48_000.0
+    project.set_position(box, "sources", "S1", (1.0, 1.0, 1.2))
+    (box / "recordings").mkdir()
+    places = {f"R{i}": (1.5 + i, 2.0 + 0.3 * i, 1.3) for i in range(4)}
+    for name, (x, y, _) in places.items():
+        travel_s = float(np.linalg.norm([x - 1.0, y - 1.0, 0.1])) / 343.2
+        h = np.concatenate([[1.0], 0.1 * rng.normal(size=len(t)) * np.exp(-t / 0.04)])
+        late = np.concatenate([np.zeros(round((travel_s + 0.005) * 48_000)), h])
+        soundfile.write(box / "recordings" / f"S1_{name}.wav", late, 48_000, subtype="FLOAT")
+    recordings.name_recordings(box, {})
+    view = views.recordings_view(nothing, str(box))
+    assert [f["code"] for f in view["findings"]] == ["positions"]
+    for name, place in places.items():
+        project.set_position(box, "receivers", name, place)
+    view = views.recordings_view(nothing, str(box))
+    notes = [note["code"] for row in view["rows"] for note in row["notes"]]
+    assert [f["code"] for f in view["findings"]].count("recordings-late") == 1
+    assert len(view["rows"]) == 4 and "recordings-late" not in notes
 
 
 def test_editing_keeps_comments_and_what_the_page_does_not_know(box: Path) -> None:

@@ -36,7 +36,7 @@ class Bench:
     """A project whose answers come when the test gives them."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.jobs, self.what_if = folder, Jobs(), self
+        self.folder, self.jobs, self.what_if, self.reader = folder, Jobs(), self, self
         self.asked: list[asyncio.Future[Any]] = []
         self.arguments: list[dict[str, Any]] = []  # of every question
 
@@ -71,7 +71,7 @@ def answers(name: str, folder: Path) -> tuple[dict[str, Any], dict[str, Any], st
             "new",
         )
     room = {"bands_hz": [1000.0], "limits": [], "pairs": [], "mean": {"T20_s": _value(0.5)}}
-    room["left_out"] = ""
+    room |= {"left_out": "", "findings": []}
     room["treatment"] = views.treatment_view(lambda _: None, str(folder), [1000.0])
     old = {**room, "absorption": {"brick": [0.1]}}
     return old, {**room, "absorption": {"plaster": [0.2]}}, "Absorption of plaster"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import copy
+import os
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,11 @@ from nicegui import Client, ui
 from nicegui.page import page
 
 from roomfit.app import project, views
+from roomfit.app.identify_tab import IdentifyTab
+from roomfit.app.report_tab import ReportTab
 from roomfit.app.treatment import written_question
 from roomfit.app.treatment_form import TreatmentForm
+from roomfit.app.what_if_tab import WhatIfTab
 from roomfit.errors import InputError
 from roomfit.treatment.campaign import read_treatment
 
@@ -132,6 +136,89 @@ def test_decay_times_are_answered_as_the_command_line_answers_them(hall: Path) -
     project.set_room(hall, shoebox=(13.0, 8.0, 4.0))
     again = views.result_view(nothing, str(hall), project.MEAN)
     assert again is not None and again["stale"]
+
+
+def test_other_walls_from_decay_times_are_those_of_the_command(hall: Path, tmp_path: Path) -> None:
+    """T30 with its intervals, before and after; another table of the same name is read anew."""
+    from roomfit.prediction.changes import read_change
+    from roomfit.predictions import predict_to_folder
+
+    (tmp_path / "out").mkdir()
+    view = views.what_if_prepare(nothing, str(hall))
+    assert view["bands_hz"] == [500.0, 1000.0, 2000.0] and set(view["mean"]) == {"T30_s"}
+    assert view["pairs"] == [] and view["treatment"]["from_times"] and not view["left_out"]
+    changes = ["walls=x2,x1,x1", "ceiling=mineral-wool-50-mm"]
+    for texts in ([], changes):
+        own = views.what_if(nothing, str(hall), texts)
+        found = predict_to_folder(
+            project.campaign_file(hall), None, tmp_path / "out", [read_change(t) for t in texts],
+            overwrite=True,
+        )  # fmt: skip
+        t30, shown = found.mean["T30_s"], own["mean"]["T30_s"]
+        for key in ("predicted", "lower95", "upper95"):
+            assert shown[key] == pytest.approx(getattr(t30, key).tolist(), rel=1e-12)
+        assert [f["sentence"] for f in own["findings"]] == [f.sentence for f in found.findings]
+    # of the mean of what was measured, 1.35 s, and shorter where more is absorbed
+    assert shown["before"][0] == pytest.approx(1.35) and shown["predicted"][0] < 1.0
+    table = hall / "decay-times" / "pasted.csv"
+    table.write_text(table.read_text().replace("1,3", "2,3").replace("1,4", "2,4"))
+    os.utime(table, (1.0, 1.0))
+    again = views.what_if_prepare(nothing, str(hall))["mean"]["T30_s"]["predicted"]
+    assert again[0] == pytest.approx(2.35)
+
+
+def test_a_volume_and_a_surface_have_one_slider_and_nothing_to_cover(tmp_path: Path) -> None:
+    (tmp_path / "t30.csv").write_text("place,500\nall,1.3\n")
+    text = '[reverberation]\nfile = "t30.csv"\nvolume_m3 = 384\nsurface_m2 = 352\n'
+    project.campaign_file(tmp_path).write_text(text)
+    view = views.what_if_prepare(nothing, str(tmp_path))
+    assert list(view["absorption"]) == ["room"] and view["treatment"] is None
+    after = views.what_if(nothing, str(tmp_path), ["room=x2"])["mean"]["T30_s"]
+    assert after["before"][0] == pytest.approx(1.3) and after["predicted"][0] < 0.7
+
+
+def test_what_a_project_of_decay_times_offers_is_what_decay_times_give(hall: Path) -> None:
+    """No identification that cannot be; with a recording named, that too."""
+
+    class Answers:
+        """A project whose answers are those of the worker."""
+
+        def __init__(self) -> None:
+            self.folder, self.what_if, self.reader = hall, self, self
+
+        async def ask(self, task: str, own: Any = None, **more: Any) -> Any:
+            return views.TASKS[task](nothing, **(own or {"folder": str(hall), **more}))
+
+    async def whole() -> None:
+        client = Client(page("/"))
+        with client:
+            tabs = [kind(Answers()) for kind in (IdentifyTab, WhatIfTab, ReportTab)]  # type: ignore
+        identify, what_if, report = tabs
+        await identify.refresh()
+        assert identify.times.visible and identify.times_alone.visible
+        assert not identify.of_walls.visible
+        await report.refresh()
+        texts = [str(getattr(e, "text", "")) for e in client.elements.values()]
+        assert "No answer yet: identify first." in texts
+        await identify.start_times()  # at once, and by no process of its own
+        await report.refresh()
+        shown = "".join(str(getattr(e, "content", "")) for e in client.elements.values())
+        assert "/files/mean/reverberation.html?save=1" in shown and "mean/absorption" not in shown
+        await what_if.refresh()
+        assert what_if.both.visible and what_if.pictures["T30_s"].visible
+        assert not (what_if.pictures["T20_s"].visible or what_if.pairs.visible)
+        assert not what_if.sounds.place.visible and what_if.treatment.place.visible
+        before = what_if.pictures["T30_s"].content
+        await what_if.controls.slide(0, 0.6)
+        assert what_if.changes.written()[0].startswith("walls=x")
+        assert what_if.pictures["T30_s"].content != before and "1 material" in what_if.note.text
+        texts = [str(getattr(e, "content", "")) for e in client.elements.values()]
+        assert any("by their priors alone" in text for text in texts)
+        project.name_measured(hall, "S", "R")
+        await identify.refresh()
+        assert identify.of_walls.visible and not identify.times_alone.visible
+
+    asyncio.run(whole())
 
 
 def test_decay_times_without_a_room_and_a_file_that_is_none_are_told(tmp_path: Path) -> None:

@@ -91,7 +91,7 @@ STUBS: dict[str, dict[str, Any]] = {
         "roomfit.report.figures.write_pictures": writes("absorption.png"),
     },
     "predict": {
-        PREDICTIONS + "_prepared_field": nothing,
+        PREDICTIONS + "prepared_field": nothing,
         "roomfit.io.results.read_result": nothing,
         "roomfit.prediction.campaign.predict_arguments": lambda *_: {
             "scene": SimpleNamespace(pairs=())

@@ -104,6 +104,41 @@ def scan(
     }
 
 
+def furniture(
+    kind: str, middle: Sequence[float], size: Sequence[float], turned_deg: float = 25.0
+) -> dict[str, Any]:
+    """Return a piece that stands on the floor of `scan`: length, height and depth in m."""
+    frame = placed(turned_deg, (-1.3, 0.7), -1.45)
+    own = np.eye(4)
+    # its own y upwards, its depth towards -y of the room
+    own[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+    own[:3, 3] = [middle[0], middle[1], size[1] / 2.0]
+    matrix = (frame @ own).T.ravel().tolist()
+    return {"category": {kind: {}}, "dimensions": list(size), "transform": matrix}
+
+
+def attic(tops: Sequence[tuple[float, float]] = ((3.0, 4.0),), walls: str = "13") -> dict[str, Any]:
+    """Return a room of 8 x 6 m whose walls end at 2.2 m, but for gables of 6 m along y.
+
+    Corners of the gables are given by place along the wall and height in m, and by which walls have
+    them. A window of 2 x 1.8 m is in the middle of the second wall, from 1 m on.
+    """
+    frame, low, high = placed(25.0, (-1.3, 0.7), -1.45), 2.2, max(z for _, z in tops)
+    corners = [(0, 0), (8, 0), (8, 6), (0, 6)]
+    content = scan(corners)
+    for i in range(4):
+        own = high if str(i) in walls else low
+        shape = upright(corners[i], corners[(i + 1) % 4], 0.0, own, frame)
+        outline: list[Any] = []
+        if str(i) in walls:
+            line = [(0.0, 0.0), (6.0, 0.0), (6.0, low), *reversed(tops), (0.0, low)]
+            outline = [[x - 3.0, z - high / 2.0, 0.0] for x, z in line]
+        content["walls"][i] = surface(i, "wall", shape, polygonCorners=outline)
+    window = upright((8, 2.0), (8, 4.0), 1.0, 2.8, frame)
+    parent = {"parentIdentifier": "wall-1"}
+    return {**content, "doors": [], "windows": [surface(0, "window", window, **parent)]}
+
+
 def scan_json(**changes: Any) -> bytes:
     """Return such a scan as Swift's JSONEncoder writes it."""
     return json.dumps(scan(**changes)).encode()
@@ -145,6 +180,12 @@ def scan_usdz(*, thick_m: float = 0.16, names: str = "{}{}", meshes: bool = Fals
                     cube.CreateSizeAttr(1.0)
                     cube.AddTransformOp().Set(Gf.Matrix4d(matrix.T.tolist()))
         UsdGeom.Cube.Define(stage, "/Room/Object_grp/Table0")
+        own = furniture("sofa", (4.0, 0.45), (2.0, 0.8, 0.9))
+        matrix = 100.0 * np.array(own["transform"]).reshape(4, 4).T @ np.diag([2.0, 0.8, 0.9, 1.0])
+        matrix[3] = [0, 0, 0, 1]
+        sofa = UsdGeom.Cube.Define(stage, "/Room/Object_grp/Sofa0")
+        sofa.CreateSizeAttr(1.0)
+        sofa.AddTransformOp().Set(Gf.Matrix4d(matrix.T.tolist()))
         stage.Save()
         UsdUtils.CreateNewUsdzPackage(str(file), str(Path(folder, "scan.usdz")))
         return Path(folder, "scan.usdz").read_bytes()

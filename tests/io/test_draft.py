@@ -131,7 +131,7 @@ def test_a_unit_in_doubt_is_refused_with_the_rooms_that_it_would_be(tmp_path):
     with pytest.raises(InputError, match="unit of the room file is in doubt") as caught:
         draft_campaign(RoomSpec(file=tmp_path / "room.obj"), {}, folder=tmp_path)
     assert "m: the room is then 14.4 x 11.5 x 9.25 m; ft:" in str(caught.value.hint)
-    assert caught.value.needed == "--unit, one of m, ft"
+    assert caught.value.needed == "a unit (--unit), one of m, ft"
 
 
 @pytest.mark.parametrize("names", [True, False])

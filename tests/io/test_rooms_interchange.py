@@ -297,7 +297,7 @@ def test_of_several_spaces_one_must_be_named(tmp_path):
     room, _ = read_room(RoomSpec(file=file, space="room 1"))
     assert volume_m3(room.mesh) == pytest.approx(90.0)
     assert room.mesh.vertices_m[:, 0].min() == pytest.approx(16.0)
-    with pytest.raises(InputError, match="only a building model has spaces"):
+    with pytest.raises(InputError, match="only a building model and a scan"):
         read_model(RoomSpec(file=written(tmp_path, "a.dae", b"x"), space="room 1"))
 
 

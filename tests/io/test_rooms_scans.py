@@ -3,20 +3,36 @@
 from __future__ import annotations
 
 import json
+import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from roomfit.commands import draft_to_folder
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.geometry.mesh import box_of, surface_area_m2, volume_m3
+from roomfit.io.campaign import read_campaign
 from roomfit.io.draft import draft_campaign
+from roomfit.io.inputs import object_areas_m2
 from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import RoomSpec
+from roomfit.predictions import reverberation_to_folder
 from roomfit.scene import Room, material_areas_m2
-from scans import ELL, HEIGHT_M, placed, scan, scan_usdz, surface, upright
+from scans import (
+    ELL,
+    HEIGHT_M,
+    attic,
+    furniture,
+    placed,
+    scan,
+    scan_usdz,
+    surface,
+    upright,
+)
 
 AREA_M2, AROUND_M = 25.0, 22.0
 
@@ -162,12 +178,163 @@ def test_a_window_is_put_into_the_nearest_wall_where_its_parent_is_not_said(tmp_
     assert any("Window0" in f.sentence for f in findings)
 
 
+@pytest.mark.parametrize(
+    ("tops", "n", "section_m2", "slope_m"),
+    [
+        # two slopes that meet in a ridge, 1.8 m higher; and one that ends at a collar
+        ([(3.0, 4.0)], 2, 6 * 2.2 + 0.5 * 6 * 1.8, 2 * np.hypot(3, 1.8)),
+        ([(2.0, 3.4), (4.0, 3.4)], 3, 6 * 2.2 + 4 * 1.2, 2 * np.hypot(2, 1.2) + 2),
+    ],
+)
+def test_walls_with_gables_carry_planes_that_meet_along_lines(
+    tmp_path, tops, n, section_m2, slope_m
+):
+    """A prism of 8 m, whichever way the scan lies; a window across the ridge is cut once."""
+    content = attic(tops)
+    room, findings = room_of(tmp_path, content)
+    assert volume_m3(room.mesh) == pytest.approx(8 * section_m2, rel=1e-6)
+    own = areas(room)
+    assert own["ceiling"] == pytest.approx(8 * slope_m, rel=1e-6)
+    assert own["window"] == pytest.approx(3.6, rel=1e-5)
+    walls = 2 * 8 * 2.2 + 2 * section_m2 - 3.6
+    assert own["wall"] == pytest.approx(walls, rel=1e-5)
+    ceilings = {s.name for s in room.mesh.surfaces if s.name.startswith("Ceiling")}
+    assert ceilings == {f"Ceiling{i}" for i in range(n)}
+    assert f"A ceiling of {n} planes between gables was put 2.20 to" in findings[0].sentence
+
+
+def test_gables_that_are_off_by_centimetres_close_as_well(tmp_path):
+    """One ridge end 5 cm higher than the other: no plane, but triangles."""
+    content = attic()
+    content["walls"][3]["polygonCorners"][3][1] += 0.05
+    room, _ = room_of(tmp_path, content)
+    assert volume_m3(room.mesh) == pytest.approx(8 * (6 * 2.2 + 0.5 * 6 * 1.8), rel=0.01)
+
+
+def test_a_curved_wall_is_the_chords_of_the_outline_of_the_floor(tmp_path):
+    """A half circle of 2 m about the middle of one end, in twelve chords."""
+    turns = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 13)
+    arc = [(6 + 2 * np.cos(t), 2 + 2 * np.sin(t)) for t in turns]
+    content = scan([(0, 0), *arc, (0, 4)])
+    frame = placed(25.0, (-1.3, 0.7), -1.45)
+    bent = surface(1, "wall", upright((6, 0), (6, 4), 0.0, HEIGHT_M, frame), curve={"radius": 2.0})
+    content["walls"] = [content["walls"][0], bent, *content["walls"][13:]]
+    room, findings = room_of(tmp_path, content)
+    floor_m2 = 6 * 4 + 12 * 0.5 * 2**2 * np.sin(np.pi / 12)
+    assert volume_m3(room.mesh) == pytest.approx(HEIGHT_M * floor_m2, rel=1e-6)
+    by_name = {s.name for s in room.mesh.surfaces}
+    assert by_name == {
+        "Wall0",
+        "Wall1",
+        "Wall2",
+        "Wall3",
+        "Door0",
+        "Window0",
+        "Floor0",
+        "Ceiling",
+    }
+    assert [f for f in findings if f.severity == "warning"] == []
+
+
+def test_one_room_of_a_structure_is_chosen_by_its_label_or_identifier(tmp_path):
+    """As spaces of a building model; a lone one needs no name."""
+    box = [(0, 0), (4, 0), (4, 3), (0, 3)]
+    rooms = [{**scan(), "identifier": "A1"}, {**scan(box, skip=()), "identifier": "B2"}]
+    rooms.append({**scan(), "sections": [{"label": "kitchen"}], "identifier": "C3"})
+    (tmp_path / "flat.json").write_text(json.dumps({"rooms": rooms, "walls": []}))
+
+    def floor_m2(space: str | None) -> float:
+        room, _ = read_room(RoomSpec(file=tmp_path / "flat.json", space=space))
+        return areas(room)["floor"]
+
+    assert floor_m2("livingRoom") == pytest.approx(AREA_M2, rel=1e-5)
+    assert floor_m2("livingRoom 2") == floor_m2("B2") == pytest.approx(12.0, rel=1e-5)
+    assert floor_m2("kitchen") == pytest.approx(AREA_M2, rel=1e-5)
+    with pytest.raises(InputError, match=r"'livingRoom', 'livingRoom 2', 'kitchen'(.|\n)*space ="):
+        floor_m2(None)
+    with pytest.raises(InputError, match=r"no such room(.|\n)*'bath'(.|\n)*kitchen"):
+        floor_m2("bath")
+    text = draft_campaign(
+        RoomSpec(file=tmp_path / "flat.json", space="kitchen"), {}, folder=tmp_path
+    )
+    assert tomllib.loads(text)["room"] == {"file": "flat.json", "space": "kitchen", "unit": "m"}
+    (tmp_path / "flat.json").write_text(json.dumps({"rooms": rooms[:1]}))
+    assert floor_m2(None) == floor_m2("livingRoom")
+    room, _ = room_of(tmp_path, scan())
+    assert areas(room)["floor"] == floor_m2(None)
+    with pytest.raises(InputError, match="only a building model and a scan"):
+        read_room(RoomSpec(file=tmp_path / "room.obj", space="kitchen"))
+
+
+def furnished(**changes: Any) -> dict[str, Any]:
+    """Return a scan with a sofa at the wall y = 0, a bed in the open and two chairs."""
+    things = [
+        furniture("sofa", (4.0, 0.45), (2.0, 0.8, 0.9)),
+        furniture("bed", (2.0, 3.0), (1.4, 0.4, 2.0)),
+        *(furniture("chair", (x, 1.5), (0.5, 0.9, 0.5)) for x in (1.0, 5.0)),
+        *scan()["objects"],
+    ]
+    return {**scan(), "objects": things, **changes}
+
+
+def test_init_writes_what_a_scan_has_of_beds_and_sofas_as_objects(tmp_path):
+    """Areas by hand, with strips along free edges; chairs are comments, tables are left out."""
+    (tmp_path / "room.json").write_text(json.dumps(furnished()))
+    spec = RoomSpec(file=tmp_path / "room.json")
+    text = draft_campaign(spec, {}, folder=tmp_path)
+    objects = tomllib.loads(text)["objects"]
+    assert set(objects) == {"sofa", "bed"}
+    assert '# [objects."chair"]  # 2 by the scan\n# floor_area_m2 = 0.50\n' in text
+    assert objects["sofa"]["prior"] == "seats-medium-empty" and objects["bed"]["edge_m"] == 0.25
+    ring = np.array(objects["sofa"]["outlines"][0])
+    np.testing.assert_allclose(ring.min(axis=0), [3.0, 0.0, 0.0], atol=0.01)
+    np.testing.assert_allclose(ring.max(axis=0), [5.0, 0.9, 0.0], atol=0.01)
+    # the sofa has a wall behind it
+    sofa, bed = (2.0 + 2 * 0.5) * (0.9 + 0.5), (1.4 + 2 * 0.25) * (2.0 + 2 * 0.25)
+    for kind, area in (("sofa", sofa), ("bed", bed)):
+        stated = re.search(rf'objects."{kind}"].*\n.*\n.*: ([\d.]+) m2', text)[1]  # type: ignore[index]
+        assert float(stated) == pytest.approx(area, abs=0.05)
+    # the campaign counts them as that
+    points = "[sources.S]\nposition = [1, 1, 1]\n[receivers.R]\nposition = [3, 1.5, 1.2]\n"
+    own = text[: text.index("[sources.")] + points
+    file = tmp_path / "campaign.toml"
+    file.write_text(own)
+    campaign, (room, _) = read_campaign(file, to_fit=False), read_room(spec)
+    mean = object_areas_m2(campaign, "sofa", room.mesh)["prior_m2"][0]  # type: ignore[index]
+    known = own.replace('prior = "seats-medium', 'absorption_area_m2 = "seats-medium')
+    file.write_text(
+        known.replace("outlines = ", f"floor_area_m2 = {sofa} # ", 1).replace("edge_m = 0.5", "")
+    )
+    by_hand = object_areas_m2(read_campaign(file, to_fit=False), "sofa", room.mesh)
+    np.testing.assert_allclose(mean, by_hand["absorption_area_m2"], rtol=0.02)
+
+
+def test_furniture_that_the_scan_has_in_a_wall_counts_by_its_floor_area(tmp_path):
+    content = furnished(objects=[furniture("sofa", (4.0, 0.1), (2.0, 0.8, 0.9))])
+    (tmp_path / "room.json").write_text(json.dumps(content))
+    text = draft_campaign(RoomSpec(file=tmp_path / "room.json"), {}, folder=tmp_path)
+    sofa = tomllib.loads(text)["objects"]["sofa"]
+    assert sofa == {"floor_area_m2": 1.8, "prior": "seats-medium-empty"}
+
+
+def test_decay_times_take_furniture_as_its_entry_says(tmp_path):
+    """A prior would be refused: one datum a band tells no sofa from the walls."""
+    (tmp_path / "room.json").write_text(json.dumps(furnished()))
+    (tmp_path / "t30.csv").write_text("place,500\nmiddle,0.6\n")
+    spec, table = RoomSpec(file=tmp_path / "room.json"), tmp_path / "t30.csv"
+    text = draft_to_folder(tmp_path, spec, decay_times=table)
+    assert tomllib.loads(text)["objects"]["bed"]["absorption_area_m2"] == "seats-heavy-empty"
+    with_bed = reverberation_to_folder(tmp_path / "campaign.toml").mean[1, 0, 0]
+    (tmp_path / "campaign.toml").write_text(re.sub(r"(?s)\[objects.*?\n\n", "\n", text))
+    assert with_bed < reverberation_to_folder(tmp_path / "campaign.toml").mean[1, 0, 0] - 0.02
+
+
 def changed(**changes: Any) -> dict[str, Any]:
     return {**scan(), **changes}
 
 
 def curved() -> dict[str, Any]:
-    content = scan()
+    content = scan(floor=False)
     content["walls"][2]["curve"] = {"radius": 3.0}
     return content
 
@@ -183,9 +350,11 @@ def low_wall() -> dict[str, Any]:
     [
         (scan(gap_m=0.4, floor=False), r"do not meet(.|\n)*0.5\d m to the nearest(.|\n)*iOS 17"),
         (scan(skip=[3], floor=False), r"do not meet"),
-        (curved(), r"is curved(.|\n)*Wall2"),
+        (curved(), r"is curved(.|\n)*Wall2(.|\n)*iOS 17"),
+        (attic(walls="1"), r"no ceiling(.|\n)*planes that meet along lines between gables"),
+        (attic([(1.0, 3.0), (3.0, 2.2), (5.0, 3.0)], "1"), "no ceiling"),
         (low_wall(), r"no ceiling(.|\n)*above the floor"),
-        (changed(rooms=[{}, {}]), r"several rooms(.|\n)*2 rooms"),
+        ({"rooms": [scan(), scan()]}, r"several rooms(.|\n)*'livingRoom', 'livingRoom 2'"),
         (changed(floors=scan()["floors"] * 2), "several floors"),
         (changed(walls=scan()["walls"][:2]), r"encloses no room(.|\n)*2 walls"),
         (changed(walls=scan(np.array(ELL) + 9.0)["walls"]), "no wall of the scan stands on"),
@@ -221,7 +390,11 @@ def test_a_scan_as_a_scene_is_the_room_of_its_json(tmp_path, names, meshes, thic
     expected, _ = room_of(tmp_path, scan(floor=False))
     assert areas(room) == pytest.approx(areas(expected), rel=1e-5)
     assert volume_m3(room.mesh) == pytest.approx(AREA_M2 * HEIGHT_M, rel=1e-5)
-    assert any("1 table" in f.sentence for f in findings)
+    assert any("1 sofa, 1 table" in f.sentence for f in findings)
+    text = draft_campaign(RoomSpec(file=file), {}, folder=tmp_path)
+    ring = np.array(tomllib.loads(text)["objects"]["sofa"]["outlines"][0])
+    np.testing.assert_allclose(np.sort(ring[:, 0]), [3.0, 3.0, 5.0, 5.0], atol=0.011)
+    np.testing.assert_allclose(np.sort(ring[:, 1]), [0.0, 0.0, 0.9, 0.9], atol=0.011)
 
 
 def test_a_scene_that_is_no_scan_or_leads_elsewhere_is_refused(tmp_path):

@@ -150,6 +150,14 @@ def test_two_responses_tell_no_colour():
     assert not np.any(source_magnitude(two, two[::-1], [0.1] * 2, 62.5, 0.0).level_db)
 
 
+def test_of_frequencies_that_no_file_holds_no_colour_is_told():
+    """Half of the rate is 8 kHz: from 16 kHz on there is no power to be compared, 0 of 0."""
+    echo = ImpulseResponse(np.eye(1, 800).ravel(), RATE_HZ)
+    with np.errstate(all="raise"):
+        found = source_magnitude([echo] * 3, [echo] * 3, [0.05] * 3, RATE_HZ, 0.0)
+    assert found.level_db.tolist() == [0.0]
+
+
 def test_different_rates_are_refused():
     a, b = (ImpulseResponse(np.ones(100), rate) for rate in (8000.0, 16_000.0))
     with pytest.raises(InputError, match="sampling rate"):

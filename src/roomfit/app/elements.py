@@ -247,7 +247,6 @@ def saying_errors(page: Element) -> Iterator[None]:
                 timeout=0,
                 close_button="Close",
                 classes="soft-break",
-                color="#8f1b17",
             )
 
 

@@ -32,7 +32,11 @@ _NAMES = {
     project.QUICK: "first answer",
     project.MEAN: "mean of the room, from decay times alone",
 }
-_MEAN_FILES = ("reverberation.html", "reverberation.csv", "result.json")
+_TIMES_ALONE = (
+    "Decay times give the mean absorption of the room in each of their bands, with its interval, "
+    "and of no wall by itself: that takes recordings and positions, see Measurements. "
+    "What other walls would do is in What if."
+)
 _OCTAVES = {f: hertz(f) for f in OCTAVES_HZ}
 
 
@@ -46,12 +50,15 @@ class IdentifyTab:
         self.bench = bench
         self.campaign_bands = (0.0, 0.0)  # as the campaign had them when it was read last
         with ui.element("div").classes("bar panel"):
-            self.lowest = _octave("Lowest octave", 125.0)
-            self.highest = _octave("Highest octave", 4000.0)
-            ui.button("First answer, then the full one", on_click=self.start_both).props("no-caps")
-            quiet_button("First answer only", lambda: self.start(quick=True))
-            quiet_button("Full answer only", lambda: self.start(quick=False))
+            with ui.element("div").classes("bar") as self.of_walls:
+                self.lowest = _octave("Lowest octave", 125.0)
+                self.highest = _octave("Highest octave", 4000.0)
+                text = "First answer, then the full one"
+                ui.button(text, on_click=self.start_both).props("no-caps")
+                quiet_button("First answer only", lambda: self.start(quick=True))
+                quiet_button("Full answer only", lambda: self.start(quick=False))
             self.times = quiet_button("Mean absorption from the decay times", self.start_times)
+            self.times_alone = ui.label(_TIMES_ALONE).classes("soft").style("flex: 1 1 20rem")
         with ui.element("div") as self.stale:
             text = "The campaign has changed since this answer was made."
             findings([{"severity": "warning", "sentence": text}])
@@ -75,17 +82,21 @@ class IdentifyTab:
         self.start(quick=True)
         self.start(quick=False)
 
-    def start_times(self) -> None:
-        """Put what decay times alone say into the queue."""
-        own = {"folder": str(self.bench.folder)}
-        self.bench.jobs.add("Mean absorption", "reverberation", own)
+    async def start_times(self) -> None:
+        """Find what decay times alone say, at once: it takes a tenth of a second."""
+        with saying_errors(self.answer):
+            await self.bench.ask("reverberation")
+            await self.refresh()
 
     async def refresh(self) -> None:
         """Show the full answer, or else the first one, or else what decay times alone say."""
         self.show_bands()  # at once: what is chosen while the answer is read stays
         found = project.best_result(self.bench.folder)
-        has_times = project.has_decay_times(self.bench.folder)
+        has_times = project.decay_times(self.bench.folder) is not None
+        is_all = project.decay_times(self.bench.folder, alone=True) is not None
         self.times.set_visibility(has_times)
+        self.times_alone.set_visibility(is_all)
+        self.of_walls.set_visibility(not is_all)
         name = project.MEAN if has_times else project.FULL
         name = name if found is None else found.parent.name
         is_current = self.questions.put()
@@ -121,9 +132,7 @@ def _show_answer(name: str, view: Mapping[str, Any]) -> None:
     heading(f"Absorption: {_NAMES[name]}")
     if view.get("mean"):
         markup(mean_html(view))
-        links = (f'<a href="/files/{name}/{file}?save=1">{file}</a>' for file in _MEAN_FILES)
-        markup(f"<p>Download {', '.join(links)}</p>")
-        _show_page(f"/files/{name}/{_MEAN_FILES[0]}?{view['made']:.0f}")
+        _show_page(f"/files/{name}/{project.MEAN_FILES[0]}?{view['made']:.0f}")
         return
     with ui.element("div").classes("two").style("align-items: start"):
         with ui.element("div"):

@@ -104,6 +104,11 @@ class Worker:
             )
         return self._process
 
+    async def initialise(self) -> None:
+        """Wait until a process has imported all that its tasks need, or failed to."""
+        with contextlib.suppress(InputError):
+            await self.ask("echo", {"text": ""}, limit_s=READING_S)
+
     async def stop(self) -> None:
         """End the process and all that it has started, within a second."""
         process, self._process = self._process, None
@@ -173,6 +178,8 @@ class Jobs:
 
     listed: list[Job] = field(default_factory=list)
     _running: asyncio.Task[None] | None = None
+    _ready: Worker | None = None  # for the next piece, its imports done
+    _preparing: asyncio.Task[None] | None = None  # None: nothing is prepared
     _numbers: itertools.count[int] = field(default_factory=lambda: itertools.count(1))
 
     def add(
@@ -200,10 +207,21 @@ class Jobs:
             waiting = next((j for j in self.listed if j.state == "waiting"), None)
             if waiting is not None:
                 self._running = asyncio.create_task(self._carry_out(waiting))
+            elif self._preparing is not None:
+                self.prepare()
+
+    def prepare(self) -> None:
+        """Start the process of the next piece, whose imports take longer than much of the work.
+
+        From now on another is started whenever all work is done.
+        """
+        if self._ready is None:
+            self._ready = Worker()
+            self._preparing = asyncio.create_task(self._ready.initialise())
 
     async def _carry_out(self, job: Job) -> None:
         # a process for each: what it took of memory is free again
-        worker = Worker()
+        worker, self._ready = self._ready or Worker(), None
         job.state, job.began_s = "running", time.monotonic()
 
         def note(fraction: float) -> None:
@@ -233,8 +251,11 @@ class Jobs:
         """End all work."""
         for job in [j for j in self.listed if j.state == "waiting"]:
             await self.cancel(job)
+        self._preparing = None
         for job in [j for j in self.listed if j.state == "running"]:
             await self.cancel(job)
+        if self._ready is not None:
+            await self._ready.stop()
 
 
 @dataclass(slots=True)
@@ -255,6 +276,11 @@ class Bench:
         """Return what changes whenever one of these files or folders does, whoever changes it."""
         paths = [self.folder / name for name in names]
         return tuple(p.stat().st_mtime_ns if p.exists() else 0 for p in paths)
+
+    async def start(self) -> None:
+        """Start what reads, and then, while somebody looks and types, what the first work needs."""
+        await self.reader.initialise()
+        self.jobs.prepare()
 
     async def stop(self) -> None:
         """End all processes."""

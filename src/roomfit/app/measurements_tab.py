@@ -59,7 +59,6 @@ class MeasurementsTab:
             words = "or paste positions: name, x, y, z"
             FileDrop(text, project.POSITIONS, TABLE_SUFFIXES, self.take_positions, words)
             with ui.expansion("Only decay times are known") as self.decay_times:
-                self.used = ui.label().classes("soft")
                 text = "Table of decay times (CSV, XLSX), dropped here or chosen:"
                 words = "or paste decay times: a line of octaves in Hz, a line for each position"
                 FileDrop(text, project.DECAY_TIMES, TABLE_SUFFIXES, self.take_times, words)
@@ -67,7 +66,7 @@ class MeasurementsTab:
         self.advice = Advice(bench.folder)
         with ui.element("div").classes("panel two").style("margin: 0.75rem 0"):
             self.table = ui.element("div")
-            with ui.element("div"):
+            with ui.element("div") as self.from_above:
                 self.plan = PlanView(self.drop)
                 text = "Drag what stands elsewhere. What has no place yet comes to "
                 ui.label(f"{text}{_HEIGHT_M} m height.").classes("soft")
@@ -100,8 +99,7 @@ class MeasurementsTab:
         """Have the mean absorption found from a table of decay times."""
         with saying_errors(self.general):
             project.set_decay_times(self.bench.folder, names[-1])
-            own = {"folder": str(self.bench.folder)}
-            self.bench.jobs.add("Mean absorption", "reverberation", own)
+            await self.bench.ask("reverberation")
             await self.refresh()
 
     async def drop(self, kind: str, name: str, x: float, y: float) -> None:
@@ -143,9 +141,10 @@ class MeasurementsTab:
             self.typed.set_value(self.template)
         times = view["decay_times"]
         text = "A table of T30 in s, as from an older report, and a room; no position is needed."
-        self.used.set_text(f"{times} is used; see Identify and What if." if times else text)
+        text = f"{times} is used; see Identify and What if." if times else text
+        self.decay_times.props["caption"] = text
         self.show_positions(view["positions"])
-        self.plan.set_visibility(bool(view["plan"] and self.positions))
+        self.from_above.set_visibility(bool(view["plan"] and self.positions))
         self.plan.show(view["plan"], self.positions, view["walls"])
         if not emptied(self.listed, (view["bands_hz"], view["rows"])):
             return

@@ -54,11 +54,14 @@ export default {
     },
     shown() {
       const { low, high } = this.ends;
-      let waiting = 0; // what has no position yet stands in a row along the lower wall
+      // what has no position yet stands in rows along the lower wall, names beside each other
+      const wide = high[0] - low[0], step = Math.max(wide / 12, 56 * this.unit);
+      const inRow = Math.max(1, Math.floor(wide / step) - 1);
+      let waiting = 0;
+      const queue = () => [low[0] + step * (0.5 + (waiting % inRow)), low[1] + this.unit * (32 + 18 * Math.floor(waiting++ / inRow))];
       return this.plan.points.map((p) => {
         const held = this.drag && this.drag.kind === p.kind && this.drag.name === p.name;
-        const step = (high[0] - low[0]) / 12;
-        const at = held ? this.drag.at : p.position_m || [low[0] + step * ++waiting, low[1]];
+        const at = held ? this.drag.at : p.position_m || queue();
         const text = held ? `${p.name} ${at[0].toFixed(2)}, ${at[1].toFixed(2)}` : p.position_m ? p.name : `${p.name}?`;
         return { ...p, at, text };
       });

@@ -36,8 +36,8 @@ LISTENED = "listened"
 RECORDINGS, DRY = "recordings", "dry"
 POSITIONS, DECAY_TIMES = "positions", "decay-times"
 """Folders of tables that were sent."""
-MEAN = "mean"
-"""The folder of what decay times alone say."""
+MEAN, MEAN_FILES = "mean", ("reverberation.html", "reverberation.csv", "result.json")
+"""The folder of what decay times alone say, and what it holds."""
 _LONGEST_NAME = 120
 _KNOWN: Mapping[str, Collection[str]] = {
     "room": READERS,
@@ -108,6 +108,7 @@ def set_room(
     file: str | None = None,
     shoebox: Sequence[float] | None = None,
     unit: str | None = None,
+    space: str | None = None,
 ) -> None:
     """Give a project its room, as `roomfit init` does; sources, receivers and recordings stay.
 
@@ -116,6 +117,8 @@ def set_room(
     file : str, optional
         In the folder; or else
     shoebox : three lengths in m, optional
+    space : str, optional
+        Which room of a file that has several.
 
     Raises
     ------
@@ -126,7 +129,7 @@ def set_room(
         x, y, z = (float(length) for length in shoebox)
         spec = RoomSpec(shoebox=(x, y, z), unit=unit)
     else:
-        spec = RoomSpec(file=folder / (file or ""), unit=unit)
+        spec = RoomSpec(file=folder / (file or ""), unit=unit, space=space or None)
     drafted = draft_campaign(spec, {}, folder=folder)
     if not has_campaign(folder):
         no = [Edit((), key, None) for key in ("sources", "receivers", "measurements")]
@@ -136,13 +139,19 @@ def set_room(
     new, old = tomllib.loads(drafted), campaign_content(folder)
     wanted, known = _leaves(new["room"], "room"), _leaves(old.get("room", {}), "room")
     # what the campaign says of materials that the room does not have would be refused
-    gone = [n for n in old.get("materials", {}) if n not in new.get("materials", {})]
+    gone = [("materials", n) for n in old.get("materials", {}) if n not in new.get("materials", {})]
+    objects = old.get("objects", {})
+    gone += [("objects", n) for n, table in objects.items() if "outlines" in table]
+    kept = {n for n in objects if ("objects", n) not in gone}
+    stands = {n: table for n, table in new.get("objects", {}).items() if n not in kept}
     edit(
         folder,
         *[Edit(path[:-1], path[-1], value) for path, value in wanted.items()],
         *[Edit(path[:-1], path[-1], None) for path in known if path not in wanted],
-        *[Edit(("materials",), name, None) for name in gone],
+        *[Edit((kind,), name, None) for kind, name in gone],
+        *[Edit(path[:-1], path[-1], x) for path, x in _leaves(stands, "objects").items()],
         Edit((), "states", None),
+        *(_known_objects(stands) if decay_times(folder, alone=True) else ()),
     )
 
 
@@ -238,9 +247,20 @@ def set_bands(folder: Path, from_hz: float, to_hz: float) -> None:
     edit(folder, *[Edit(("identify",), key, value) for key, value in limits_hz])
 
 
-def has_decay_times(folder: Path) -> bool:
-    """Whether the campaign has decay times, from which alone a mean absorption is found."""
-    return has_campaign(folder) and "reverberation" in campaign_content(folder)
+def decay_times(folder: Path, *, alone: bool = False) -> Path | None:
+    """Return the table of decay times of the campaign; None without one.
+
+    Parameters
+    ----------
+    folder : Path
+    alone : bool
+        Return it only where nothing else was measured, so that no wall can be identified.
+    """
+    content = campaign_content(folder) if has_campaign(folder) else {}
+    own = content.get("reverberation")
+    if not isinstance(own, Mapping) or (alone and {"measurements", "recordings"} & set(content)):
+        return None
+    return folder / str(own.get("file", ""))
 
 
 def set_decay_times(folder: Path, name: str) -> None:
@@ -258,7 +278,17 @@ def set_decay_times(folder: Path, name: str) -> None:
             needed="a room file or three lengths",
             hint="give them in the tab Room, then take the table again",
         )
-    edit(folder, Edit(("reverberation",), "file", f"{DECAY_TIMES}/{name}"))
+    known = _known_objects(campaign_content(folder).get("objects", {}))
+    edit(folder, Edit(("reverberation",), "file", f"{DECAY_TIMES}/{name}"), *known)
+
+
+def _known_objects(objects: Mapping[str, Mapping[str, Any]]) -> list[Edit]:
+    """Return what makes objects absorb as their entries say, which decay times cannot find out."""
+    found = [(n, t["prior"]) for n, t in objects.items() if isinstance(t.get("prior"), str)]
+    return [
+        *[Edit(("objects", n), "absorption_area_m2", entry) for n, entry in found],
+        *[Edit(("objects", n), "prior", None) for n, _ in found],
+    ]
 
 
 def bands(folder: Path) -> tuple[float, float]:

@@ -29,14 +29,19 @@ _WHOLE = {
     "word": "The report as a Word file",
     "excel": "All of it as an Excel workbook",
 }
-_FILES = ("report.html", "absorption.csv", "result.json")
+_FILES = ("report.html", "absorption.csv", *project.MEAN_FILES)
+_HEADINGS = {
+    project.FULL: "The report",
+    project.QUICK: "The report of the first answer",
+    project.MEAN: "What the decay times say",
+}
 
 
 class ReportTab:
     """The files of the best answer, and exports that are made when they are asked for."""
 
     name: ClassVar[str] = "Report"
-    files: ClassVar[tuple[str, ...]] = project.RESULTS
+    files: ClassVar[tuple[str, ...]] = (*project.RESULTS, project.MEAN)
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
@@ -57,7 +62,8 @@ class ReportTab:
 
     async def refresh(self) -> None:
         """Show the files of the best answer."""
-        found = project.best_result(self.bench.folder)
+        mean = self.bench.folder / project.MEAN / project.MEAN_FILES[-1]
+        found = project.best_result(self.bench.folder) or (mean if mean.is_file() else None)
         if emptied(self.answer, found and (found, found.stat().st_mtime_ns)):
             self.exported.clear()  # of the answer before
             with self.answer:
@@ -73,17 +79,24 @@ class ReportTab:
             ui.label("No answer yet: identify first.").classes("soft")
             return
         folder = found.parent.name
-        heading("The report" if folder == project.FULL else "The report of the first answer")
+        heading(_HEADINGS[folder])
         names = [n for n in _FILES if (found.parent / n).is_file()]
+        pages = [n for n in names if n.endswith(".html")]
         markup(
             "<ul>"
             + "".join(
                 f'<li><a href="/files/{folder}/{n}?save=1" download>Download {n}</a></li>'
                 for n in names
             )
-            + f'<li><a href="/files/{folder}/report.html" target="_blank" rel="noopener">'
-            "Open the report in a tab of its own</a></li></ul>"
+            + "".join(
+                f'<li><a href="/files/{folder}/{n}" target="_blank" rel="noopener">'
+                "Open the report in a tab of its own</a></li>"
+                for n in pages
+            )
+            + "</ul>"
         )
+        if folder == project.MEAN:  # of no wall, so that there is nothing for other programs
+            return
         self.show_buttons(_WHOLE)
         heading("Materials for other programs")
         self.show_buttons(_PROGRAMS)

@@ -115,9 +115,13 @@ class RoomTab:
         for i, line in enumerate(self.lines):
             line.props["aria-pressed"] = "true" if i == self.chosen else "false"
         material = {} if own is None else materials.get(own["material"], {})
-        if emptied(self.details, (own, list(materials), material)) and own:
+        if emptied(self.details, (own, list(materials), material)):
             with self.details:
-                self.show_details(own, list(materials), material)
+                if own is not None:
+                    self.show_details(own, list(materials), material)
+                    return
+                text = "Choose a surface, here or in the picture, to say what it is made of."
+                ui.label(text).classes("soft").style("margin-top: 0.5rem")
 
     def surface_line(self, number: int, surface: dict[str, Any], colour: str) -> ui.element:
         """Draw a surface as a line of the list, a button."""
@@ -183,6 +187,7 @@ class RoomStart:
         self.bench = bench
         self.then = then  # what shows the room
         self.unit: str | None = None  # of the file; None: as it says
+        self.space = ""  # which room of it
         self.file = ""  # that was sent last, whose unit may be in doubt
         self.place = ui.element("div").style("width: 100%")
 
@@ -190,7 +195,7 @@ class RoomStart:
         """Draw it, unless it is drawn for a project of this kind already."""
         if not emptied(self.place, has_campaign):
             return
-        self.unit, self.file = None, ""
+        self.unit, self.space, self.file = None, "", ""
         with self.place:
             if has_campaign:
                 with ui.expansion("Another room").classes("panel").style("margin-bottom: 0.75rem"):
@@ -215,12 +220,16 @@ class RoomStart:
     def from_file(self) -> None:
         """Draw a place for a room file, and its unit."""
         FileDrop("Room file, dropped here or chosen:", "room", READERS, self.use_file)
-        ui.select(
-            {None: "as the file says", **{u: u for u in METRES_PER_UNIT}},
-            value=None,
-            label="Unit",
-            on_change=self.choose_unit,
-        ).props("outlined dense").style("width: 11rem; margin: 0.5rem 0")
+        with ui.element("div").classes("bar").style("margin: 0.5rem 0"):
+            ui.select(
+                {None: "as the file says", **{u: u for u in METRES_PER_UNIT}},
+                value=None,
+                label="Unit",
+                on_change=self.choose_unit,
+            ).props("outlined dense").style("width: 11rem")
+            name = ui.input("Which room, of several").props("outlined dense")
+            for event in ("blur", "keydown.enter"):
+                name.on(event, lambda: self.choose_space(name.value))
 
     def from_lengths(self) -> None:
         """Draw three fields for the lengths of a box."""
@@ -241,6 +250,13 @@ class RoomStart:
         if self.file:
             await self.use(file=self.file)
 
+    async def choose_space(self, name: str) -> None:
+        """Keep the name of a room for the next file, and for one that waits for it."""
+        if name.strip() != self.space:
+            self.space = name.strip()
+            if self.file:
+                await self.use(file=self.file)
+
     async def use_file(self, names: list[str]) -> None:
         """Give the project the last of the files that were sent."""
         self.file = names[-1]
@@ -249,7 +265,8 @@ class RoomStart:
     async def use(self, **room: Any) -> None:
         """Give the project a room, see `project.set_room`, and show it."""
         with saying_errors(self.place):
-            await self.bench.ask("set_room", unit=self.unit, **room)
+            own = {"unit": self.unit, "space": self.space, **room}
+            await self.bench.ask("set_room", **own)
             await self.then()
 
     def demo(self) -> None:

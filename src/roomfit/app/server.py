@@ -44,8 +44,9 @@ def application(bench: Bench, door: Door) -> Guard:
 
     @asynccontextmanager
     async def living(_: FastAPI) -> AsyncIterator[None]:
-        await bench.reader.started()
+        starting = asyncio.create_task(bench.start())
         yield
+        starting.cancel()
         await bench.stop()
 
     app = FastAPI(docs_url=None, redoc_url=None, openapi_url=None, lifespan=living)

@@ -51,6 +51,7 @@ from roomfit.typing import Progress
 _MOST_EDGES = 1500
 _MOST_WALLS = 16  # of more walls names hide each other
 _NO_MATERIAL = "(no material)"
+_IN_WALLS = ("door", "window", "opening")  # of a scan, whose names would lie upon the wall's
 _FEW = 3  # a finding about more recordings, or more materials, than these stands by itself
 _VOIDING = frozenset(code.value for code in Code if code.voids_identifiability)
 
@@ -168,7 +169,9 @@ def recordings_view(_: Progress, folder: str) -> dict[str, Any]:
     ]
     view["rows"] = list(rows.values())
     view["findings"] += _about_names(root, rows, view["positions"], tables)
-    if rows and project.has_campaign(root):
+    # without a place of each nothing can be examined, and that is said already
+    is_placed = all(p["position_m"] is not None for p in view["positions"])
+    if rows and is_placed and project.has_campaign(root):
         try:
             _check(root, rows, view)
         except RoomfitError as error:
@@ -220,7 +223,7 @@ def _plan(campaign: Campaign) -> tuple[list[list[float]], list[list[Any]]]:
     walls = []
     for i, surface in enumerate(mesh.surfaces):
         own = is_wall & (mesh.triangle_surface == i)
-        if own.any():
+        if own.any() and surface.group not in _IN_WALLS:
             at_m = np.average(centres_m[own], axis=0, weights=areas[own])
             walls.append([*np.round(at_m[:2], 3).tolist(), surface.name])
     return plan, walls if len(walls) <= _MOST_WALLS else []
@@ -250,8 +253,8 @@ def _check(root: Path, rows: dict[str, dict[str, Any]], view: dict[str, Any]) ->
     for finding in checked.findings:
         content = finding_content(finding)
         own = concerned_recordings(finding.about, examined)
-        for row in own:
-            row["notes"].append(content)
+        for row in own if len(own) <= _FEW or len(own) < len(examined) else ():
+            row["notes"].append(content)  # what is about all of them stands once, above
         if not own or len(own) > _FEW:
             view["findings"].append(content)
 
@@ -390,7 +393,7 @@ def treat(progress: Progress, folder: str, doubted: bool = False) -> str:
     """
     root = Path(folder)
     result = project.best_result(root)
-    if result is None and not project.has_decay_times(root):
+    if result is None and project.decay_times(root) is None:
         raise InputError("there is no answer yet", hint="identify first")
     out = root / project.TREATMENT
     project.inside(root, out)
@@ -419,8 +422,9 @@ def look_at_upload(_: Progress, folder: str, kind: str, file: str) -> None:
         if kind == "room":
             try:
                 read_mesh(RoomSpec(file=path))
-            except InputError:  # perhaps its unit is in doubt, which is asked for later
-                read_mesh(RoomSpec(file=path, unit="m"))
+            except InputError as error:  # its unit, or which room, is perhaps asked for later
+                if not (error.needed or "").startswith("space ="):
+                    read_mesh(RoomSpec(file=path, unit="m"))
         elif kind in (project.POSITIONS, project.DECAY_TIMES):
             _look_at_table(Path(folder), kind, path)
         elif path.suffix.lower() in SOUND_SUFFIXES:  # of others choices are to be made first

@@ -1,4 +1,7 @@
-"""A room that is ready for changes, kept by the worker from one move of a slider to the next."""
+"""A room that is ready for changes, kept by the worker from one move of a slider to the next.
+
+Of a room that was identified its paths; of one of which decay times alone are known, its formula.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +12,17 @@ from typing import Any
 
 import numpy as np
 
+from roomfit import predictions
 from roomfit.app import project
 from roomfit.app.treatment import treatment_view
 from roomfit.errors import InputError, InsufficientDataError
 from roomfit.findings import Code
-from roomfit.io.campaign import read_campaign
-from roomfit.io.encoding import numbers_or_null
+from roomfit.io.campaign import Campaign, read_campaign
+from roomfit.io.encoding import finding_content, numbers_or_null
 from roomfit.io.results import read_result
 from roomfit.prediction.campaign import predict_arguments
 from roomfit.prediction.changes import Change, read_change
+from roomfit.prediction.diffuse import NAME, PreparedField, predict_field
 from roomfit.prediction.predict import (
     PreparedRoom,
     predict_change,
@@ -30,50 +35,39 @@ from roomfit.treatment.question import USUAL_HZ
 from roomfit.typing import Progress
 
 SHOWN = ("T20_s", "EDT_s", "C80_dB", "D50_percent", "STI")
-"""Parameters that are shown, as far as they are predicted."""
+"""Parameters that are shown, as far as they are predicted; from decay times alone T30."""
 _SHOWN_WITH = {"T30_s": "T20_s"}  # limits of the one stand in the picture of the other
 _LEAST_FACTOR = 0.5  # decays are followed as long as with so much of each material's absorption
-_ready: dict[str, tuple[tuple[float, ...], PreparedRoom]] = {}
+_OF_CHANGES = (Code.MATERIALS_CHANGED, Code.CHANGE_PRIOR_DOMINATED)
+_ready: dict[str, tuple[tuple[float, ...], PreparedRoom | PreparedField]] = {}
 
 
 def what_if_prepare(progress: Progress, folder: str, doubted: bool = False) -> dict[str, Any]:
-    """Trace the room for changes; return materials, their absorption and the room as it is.
+    """Make a room ready for changes; return materials, their absorption and the room as it is.
 
-    Bands in which the result is seriously doubted are left out, unless `doubted`; where these are
-    all of them, the answer is why, alone.
+    Without a result it is taken for a diffuse field, by its decay times. Bands in which a result
+    is seriously doubted are left out, unless `doubted`; where these are all of them, the answer
+    is why, alone.
 
     Raises
     ------
     InputError
-        There is no result yet.
+        There is neither a result nor a table of decay times.
     """
     root = Path(folder)
-    result = project.best_result(root)
-    if result is None:
+    file, result = project.campaign_file(root), project.best_result(root)
+    known_by = result or project.decay_times(root)
+    if known_by is None:
         raise InputError("there is no answer yet", hint="identify first")
-    file = project.campaign_file(root)
-    stamp = (result.stat().st_mtime, file.stat().st_mtime, float(doubted))
+    stamp = (known_by.stat().st_mtime, file.stat().st_mtime, float(doubted))
     if folder not in _ready or _ready[folder][0] != stamp:
         _ready.clear()
-        campaign = read_campaign(file, to_fit=False)
-        found = read_result(result)
-        harder = _harder(found.materials)
         try:
-            arguments = predict_arguments(campaign, found, harder, doubted=doubted)
+            campaign = read_campaign(file, to_fit=False, decay_times=result is None)
+            field = None if result else predictions.prepared_field(campaign)
+            room = field or _traced(progress, campaign, known_by, doubted)
         except InsufficientDataError as error:
             return {"refused": f"{error.what[0].upper()}{error.what[1:]}: {error.found}."}
-        known = arguments["absorption"]
-        room = prepare_prediction(
-            arguments["scene"],
-            known,
-            (_harder(known.materials),),
-            arguments["measurements"],
-            speech_db=arguments["speech_db"],
-            settings=arguments["settings"],
-            progress=progress,
-        )
-        # what a slider leaves as it was found is then known at its first move
-        predict_change(room, [Change(known.materials[0], "factor", (1.0,))])
         _ready[folder] = (stamp, room)
     room = prepared(folder)
     known = room.absorption
@@ -85,7 +79,11 @@ def what_if_prepare(progress: Progress, folder: str, doubted: bool = False) -> d
         fault = str(error)
     return {
         "bands_hz": bands_hz,
-        "treatment": treatment_view(progress, folder, bands_hz, fault),
+        "treatment": (
+            treatment_view(progress, folder, bands_hz if result else (), fault)
+            if "room" in project.campaign_content(root)
+            else None  # of volume and surface alone nothing can be covered
+        ),
         "absorption": dict(zip(known.materials, known.absorption.tolist(), strict=True)),
         "left_out": " ".join(left_out),
         "limits": limits,
@@ -93,12 +91,32 @@ def what_if_prepare(progress: Progress, folder: str, doubted: bool = False) -> d
     }
 
 
+def _traced(progress: Progress, campaign: Campaign, result: Path, doubted: bool) -> PreparedRoom:
+    """Return the room of a result, traced for changes."""
+    found = read_result(result)
+    harder = _harder(found.materials)
+    arguments = predict_arguments(campaign, found, harder, doubted=doubted)
+    known = arguments["absorption"]
+    room = prepare_prediction(
+        arguments["scene"],
+        known,
+        (_harder(known.materials),),
+        arguments["measurements"],
+        speech_db=arguments["speech_db"],
+        settings=arguments["settings"],
+        progress=progress,
+    )
+    # what a slider leaves as it was found is then known at its first move
+    predict_change(room, [Change(known.materials[0], "factor", (1.0,))])
+    return room
+
+
 def _harder(materials: Sequence[str]) -> list[Change]:
     return [Change(name, "factor", (_LEAST_FACTOR,)) for name in materials]
 
 
-def prepared(folder: str) -> PreparedRoom:
-    """Return the room that `what_if_prepare` has traced last.
+def prepared(folder: str) -> PreparedRoom | PreparedField:
+    """Return the room that `what_if_prepare` has made ready last.
 
     Raises
     ------
@@ -118,15 +136,20 @@ def what_if(
     Raises
     ------
     InputError
-        There is no result, or a change cannot be made.
+        Nothing is known of the room, or a change cannot be made.
     """
     if folder not in _ready:  # the process was ended meanwhile and started again
         what_if_prepare(progress, folder, doubted)
-    # nothing measured stands beside: means are over all pairs in every band
-    room = replace(prepared(folder), observed=())
-    own = [read_change(text) for text in changes]
-    predicted = predict_change(room, own, compare_pairs=False)
+    room, own = prepared(folder), [read_change(text) for text in changes]
+    if isinstance(room, PreparedField):
+        predicted = predict_field(room, own)
+        said = predicted.findings
+    else:
+        # nothing measured stands beside: means are over all pairs in every band
+        predicted = predict_change(replace(room, observed=()), own, compare_pairs=False)
+        said = tuple(f for f in predicted.findings if f.code in _OF_CHANGES)
     return {
+        "findings": [finding_content(f) for f in said],
         "mean": _values(predicted.mean, predicted.sti),
         "pairs": [
             {
@@ -140,14 +163,15 @@ def what_if(
     }
 
 
-def _limits(file: Path, room: PreparedRoom) -> list[dict[str, Any]]:
+def _limits(file: Path, room: PreparedRoom | PreparedField) -> list[dict[str, Any]]:
     """Return the limits of a treatment file, each with the bands in which it holds."""
     if not file.is_file():
         return []
     asked = treat_arguments(file, read_treatment(file), room.absorption, room.scene)[0]
+    shown_with = {} if isinstance(room, PreparedField) else _SHOWN_WITH
     return [
         {
-            "parameter": _SHOWN_WITH.get(t.parameter, t.parameter),
+            "parameter": shown_with.get(t.parameter, t.parameter),
             "value": float(value),
             "bands_hz": list(t.bands_hz or USUAL_HZ),
         }
@@ -161,7 +185,8 @@ def _values(
     table: Mapping[ValueName, PredictedValue], sti: PredictedValue | None
 ) -> dict[str, dict[str, list[float | None]]]:
     named = named_values(table, sti)
-    return {name: _value(named[name]) for name in SHOWN if name in named}
+    shown = SHOWN if SHOWN[0] in named else (NAME,)
+    return {name: _value(named[name]) for name in shown if name in named}
 
 
 def _value(value: PredictedValue) -> dict[str, list[float | None]]:

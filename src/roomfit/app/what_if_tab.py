@@ -19,6 +19,7 @@ from roomfit.app.elements import (
     Questions,
     emptied,
     file_address,
+    findings,
     heading,
     markup,
     quiet_button,
@@ -33,7 +34,9 @@ from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.materials.catalogue import catalogue
 from roomfit.report.wording import count, hertz, short_hertz
 
+_TIMES = "T30_s"  # what decay times alone give
 _LABELS = {
+    _TIMES: "T30 in s",
     "T20_s": "T20 in s",
     "EDT_s": "EDT in s",
     "C80_dB": "C80 in dB",
@@ -127,6 +130,7 @@ class WhatIfTab:
     files: ClassVar[tuple[str, ...]] = (
         project.CAMPAIGN,
         *project.RESULTS,
+        project.DECAY_TIMES,
         project.TREATMENT_QUESTION,
         project.TREATMENT,
         project.LISTENED,
@@ -136,6 +140,7 @@ class WhatIfTab:
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
         self.changes = Changes()
+        self.worker = bench.what_if  # the process that has it ready
         self.room: dict[str, Any] = {}  # as it was prepared last
         self.predicted: dict[str, Any] | None = None  # of the changes; None: is being prepared
         self.is_busy = self.is_outdated = False  # evaluating, and what is evaluated is not the last
@@ -149,6 +154,7 @@ class WhatIfTab:
             self.controls = Controls(self.changes, self.evaluate, self.draw)
             with ui.element("div").classes("charts").style("margin: 0.75rem 0"):
                 self.pictures = {name: markup("").classes("panel") for name in _LABELS}
+            self.said = ui.element("div")
             text = "Every pair in numbers"
             self.pairs = ui.expansion(text, on_value_change=lambda: self.draw_pairs())
             with self.pairs.classes("panel"):
@@ -160,17 +166,25 @@ class WhatIfTab:
 
     async def refresh(self) -> None:
         """Prepare the room for changes, and show what those do that are chosen already."""
-        if project.best_result(self.bench.folder) is None:
-            self.both.set_visibility(False)
-            await self.refresh_from_times()
-            return
-        text = "The room is traced for changes; this takes seconds, in a large room minutes."
-        self.note.set_text(text)
         self.predicted = None
         is_current = self.questions.put()
+        # without paths to trace there is nothing that takes long: no process of its own
+        self.worker = self.bench.reader
+        if project.best_result(self.bench.folder) is not None:
+            self.worker = self.bench.what_if
+            text = "The room is traced for changes; this takes seconds, in a large room minutes."
+        elif project.decay_times(self.bench.folder) is not None:
+            text = "The decay times are read."
+        else:
+            text = "No answer yet: identify first, or give decay times in Measurements."
+            self.note.set_text(text)
+            self.both.set_visibility(False)
+            self.treatment.place.set_visibility(False)
+            return
+        self.note.set_text(text)
         own = {"folder": str(self.bench.folder), "doubted": self.changes.doubted}
         try:
-            found = await self.bench.what_if.ask("what_if_prepare", own, limit_s=_PREPARE_S)
+            found = await self.worker.ask("what_if_prepare", own, limit_s=_PREPARE_S)
         except InputError:
             self.note.set_text("The room could not be prepared.")
             raise
@@ -187,25 +201,17 @@ class WhatIfTab:
         self.room = found
         self.changes.take_result(found["bands_hz"], found["absorption"])
         self.both.set_visibility(True)
-        self.treatment.show(found["treatment"])
+        self.treatment.place.set_visibility(found["treatment"] is not None)
+        if found["treatment"] is not None:
+            self.treatment.show(found["treatment"])
+        for of_pairs in (self.pairs, self.sounds.place):
+            of_pairs.set_visibility(_TIMES not in found["mean"])
         self.sounds.show()
         self.controls.show([n for n in _LABELS if n in found["mean"]])
         self.predicted = found
         self.draw()
         if self.changes.chosen:
             await self.evaluate()
-
-    async def refresh_from_times(self) -> None:
-        """Show the form alone, where decay times are all that is known; or what is to be done."""
-        has_times = project.has_decay_times(self.bench.folder)
-        text = "From decay times alone: T30 of the whole room, and what to hang for another one."
-        self.note.set_text(text if has_times else "No answer yet: identify first.")
-        self.treatment.place.set_visibility(has_times)
-        is_current = self.questions.put()
-        if has_times:
-            view = await self.bench.ask("treatment_view")
-            if is_current():
-                self.treatment.show(view)
 
     async def take_doubted(self, wanted: bool) -> None:
         """Predict also where the result is seriously doubted, or there no more."""
@@ -230,7 +236,7 @@ class WhatIfTab:
                         "doubted": self.changes.doubted,
                     }
                     is_current = self.questions.since()
-                    found = await self.bench.what_if.ask("what_if", own, limit_s=_PREPARE_S)
+                    found = await self.worker.ask("what_if", own, limit_s=_PREPARE_S)
                     if self.both.is_deleted:  # the page was closed meanwhile
                         return
                     if is_current():  # the room is still the one that was asked about
@@ -254,9 +260,18 @@ class WhatIfTab:
                     limits.append({"value": typed, "bands_hz": bands_hz})
                 picture.set_content(chart_svg(view, name, bands_hz, limits))
         self.draw_pairs()
+        if emptied(self.said, view["findings"]):
+            with self.said:
+                findings(view["findings"])
+        changed = f"{count(len(self.changes.chosen), 'material')} changed. "
+        if _TIMES in view["mean"]:
+            text = (
+                f"From decay times alone, {changed}Line: T30 of the room with its 95 % interval; "
+            )
+            self.note.set_text(f"{text}dashed: as it is now; red: limits.")
+            return
         self.note.set_text(
-            f"{count(len(view['pairs']), 'pair')}, "
-            f"{count(len(self.changes.chosen), 'material')} changed. "
+            f"{count(len(view['pairs']), 'pair')}, {changed}"
             "Lines: mean over the pairs with its 95 % interval; dashed: the same as it is now; "
             f"thin: each pair; red: limits. {'' if 'STI' in view['mean'] else _NO_STI}"
             f"{self.room['left_out']}".rstrip()
@@ -327,7 +342,7 @@ class Controls:
     def draw_aims(self, parameters: Sequence[str]) -> None:
         """Draw a field for the target of each parameter."""
         with self.aims:
-            heading("Targets")
+            heading("Targets, as lines in the pictures")
             with ui.element("div").classes("bar"):
                 for name in parameters:
                     ui.number(
@@ -586,7 +601,8 @@ def chart_svg(
     parts += [axes.limit(limit, bands_hz) for limit in limits]
     means = ", ".join("unknown" if v is None else f"{v:.2f}" for v in mean["predicted"])
     lines = ", ".join(f"{limit['value']:.2f}" for limit in limits) or "none"
-    spoken = escape(f"{label}, mean over the pairs by band: {means}; limits: {lines}")
+    of = "" if name == _TIMES else ", mean over the pairs"
+    spoken = escape(f"{label}{of} by band: {means}; limits: {lines}")
     return (
         f"<h2>{escape(label)}</h2>"
         f'<svg viewBox="0 0 {_WIDE:.0f} {_HIGH:.0f}" role="img" font-size="13" fill="currentColor" '

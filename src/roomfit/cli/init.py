@@ -35,6 +35,9 @@ def add(commands: Commands) -> None:
         metavar=("X", "Y", "Z"),
     )
     parser.add_option(
+        "--space", "Which room of a building model (.ifc) or a scan (.json) of several."
+    )
+    parser.add_option(
         "--recordings",
         "Names of recordings in FOLDER, as in 'DIR/{source}_{receiver}.wav'. Left out: all.",
     )
@@ -65,11 +68,13 @@ def run(options: argparse.Namespace) -> None:
     because = ""
     unit: str | None = options.unit
     if options.room is not None and unit is None and sys.stdin.isatty():
-        unit, because = _asked(options.room)
+        unit, because = _asked(options.room, options.space)
     room = None
     if options.room is not None or options.shoebox is not None:
         lengths = None if options.shoebox is None else tuple(options.shoebox)
-        room = RoomSpec(file=options.room, shoebox=lengths, unit=unit, up=options.up)
+        room = RoomSpec(
+            file=options.room, shoebox=lengths, unit=unit, up=options.up, space=options.space
+        )
     text = draft_to_folder(
         options.folder,
         room,
@@ -135,7 +140,8 @@ def _hints(options: argparse.Namespace, written: dict[str, Any]) -> Iterator[str
         lacking |= {"--positions": points_of, "--decay-times": [] if points_of else times}
     words = [f"{k} {shlex.quote(str(v[0]))}" for k, v in lacking.items() if len(v) == 1]
     if words:
-        given = {k: getattr(options, k) for k in ("room", "shoebox", "recordings", "unit", "up")}
+        keys = ("room", "space", "shoebox", "recordings", "unit", "up")
+        given = {k: getattr(options, k) for k in keys}
         parts = [str(folder)]
         for key, value in given.items():
             if value is not None:
@@ -144,11 +150,11 @@ def _hints(options: argparse.Namespace, written: dict[str, Any]) -> Iterator[str
         yield f"perhaps: roomfit init {shlex.join(parts)} {' '.join(words)} --overwrite"
 
 
-def _asked(room: Path) -> tuple[str | None, str]:
+def _asked(room: Path, space: str | None) -> tuple[str | None, str]:
     """Ask for the unit where it is in doubt."""
     from roomfit.io.draft import likely_units
 
-    units = likely_units(room)
+    units = likely_units(room, space)
     if len(units) < 2:
         return None, ""
     for unit, why in units.items():

@@ -328,7 +328,8 @@ def _on_piece(corners: Any, pieces: list[tuple[Any, tuple[str, str, str]]]) -> t
 def _usdz(content: bytes, _: int, place: list[str]) -> tuple[dict[str, Any], list[Any]]:
     """Return the points of each wall, door, window and opening of a scan by RoomPlan, m, z up.
 
-    They are known by names, as Wall0 or Door_0; whatever else ends in a number is a thing.
+    They are known by names, as Wall0 or Door_0; whatever else ends in a number is a thing, of the
+    group "thing".
     """
     os.environ["PXR_WORK_THREAD_LIMIT"] = "1"  # each thread takes addresses, which are limited
     import numpy as np
@@ -346,7 +347,6 @@ def _usdz(content: bytes, _: int, place: list[str]) -> tuple[dict[str, Any], lis
             if not (layer.anonymous or layer.realPath.startswith(str(file))):
                 raise ValueError("it leads to other files")
         found: dict[tuple[str, str, str], list[Any]] = {}
-        things: set[tuple[str, str]] = set()
         for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
             if not prim.IsA(UsdGeom.Gprim):
                 continue
@@ -356,15 +356,15 @@ def _usdz(content: bytes, _: int, place: list[str]) -> tuple[dict[str, Any], lis
                 named = (f"{kind.capitalize()}{number}", kind, "")
                 found.setdefault(named, []).append(_points(prim))
             elif kind not in ("", "floor", "ceiling"):
-                things.add((kind, number))
+                found.setdefault((f"{kind}{number}", "thing", ""), []).append(_points(prim))
         metres, up = UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)
-    if not found:
+    if all(group == "thing" for _, group, _ in found):
         raise ValueError("nothing in it is named Wall0: no scan by RoomPlan; export it as GLB")
     polygons: _Rooms = []
     for named, parts in found.items():
         x, y, z = metres * np.concatenate(parts).T
         polygons.append((np.stack([x, -z, y] if up == "Y" else [x, y, z], axis=1), named))
-    return _outline(polygons, things=Counter(kind for kind, _ in things))
+    return _outline(polygons)
 
 
 def _numbered(prim: Any) -> tuple[str, str]:

@@ -53,7 +53,7 @@ LIMITS: Mapping[str, tuple[float, str]] = {
     "constants": (10000, "constants of one .geo file"),
     "statement_letters": (20000, "letters of one statement of a .geo file"),
     "part_pairs": (20000, "pairs of parts of one plane of a .geo file, over all planes"),
-    "scan_parts": (500, "walls, doors, windows and corners of the floor of one scan"),
+    "scan_parts": (500, "walls, doors, windows, furniture and corners of the floor of one scan"),
     "reading_s": (
         20,
         "seconds of processor time for one file of SOFA, MAT 7.3, COLLADA, IFC, USDZ or SKP",

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from roomfit.errors import InputError, located
+from roomfit.geometry.audience import audience_area_m2
 from roomfit.geometry.mesh import Mesh, area_vector_m2
 from roomfit.io.campaign import FILL_IN
 from roomfit.io.door import read_bytes
@@ -24,7 +25,7 @@ from roomfit.io.encoding import one_line
 from roomfit.io.file_names import files_of_shape, in_short, shape_of
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.io.rooms import read_mesh, read_model
-from roomfit.io.rooms.model import METRES_PER_UNIT, RoomModel, RoomSpec
+from roomfit.io.rooms.model import METRES_PER_UNIT, RoomModel, RoomSpec, Thing
 from roomfit.io.tables import table_rows
 from roomfit.materials.catalogue import suggested_entries
 from roomfit.scene import is_level_by_name, material_areas, surface_materials
@@ -51,7 +52,7 @@ _DEFAULTS = (
 Positions = Mapping[str, Sequence[float]]
 
 
-def likely_units(room: Path) -> dict[str, str]:
+def likely_units(room: Path, space: str | None = None) -> dict[str, str]:
     """Return each unit that a room file may be in, with the reason in words, the stated one alone.
 
     A format or a header that states its unit decides; else it is by size, and more than one unit,
@@ -62,7 +63,7 @@ def likely_units(room: Path) -> dict[str, str]:
     InputError
         The file cannot be read, or is of no known format.
     """
-    model, _ = read_model(RoomSpec(file=room))
+    model, _ = read_model(RoomSpec(file=room, space=space))
     if model.unit is not None:
         return {model.unit: "by the format of the file"}
     head = read_bytes(room, "room file")[:_HEADER_BYTES].decode("ascii", errors="replace")
@@ -312,7 +313,7 @@ def draft_campaign(
             "#   roomfit predict campaign.toml --set MATERIAL=0.6 --out predicted",
             "",
             "[room]",
-            *_room_lines(room, folder, because),
+            *_room_lines(room, folder, because, is_known=True),
             "",
             "[reverberation]",
             f"file = {_quoted(_beside(folder, decay_times))}",
@@ -357,7 +358,12 @@ def _project_lines(folder: Path) -> list[str]:
 
 
 def _room_lines(
-    room: RoomSpec | None, folder: Path, because: str, positions: Positions | None = None
+    room: RoomSpec | None,
+    folder: Path,
+    because: str,
+    positions: Positions | None = None,
+    *,
+    is_known: bool = False,
 ) -> list[str]:
     if room is None:
         return [f'shoebox = "{FILL_IN}"  # lengths along x, y, z in m; or file = "room.obj"']
@@ -373,14 +379,58 @@ def _room_lines(
         return [*lines, *_material_lines(mesh, materials)]
     model, _ = read_model(room)
     spec, lines = _in_known_unit(room, model, because)
-    lines = [f"file = {_quoted(_beside(folder, room.file))}", *lines]
+    space = [] if room.space is None else [f"space = {_quoted(room.space)}"]
+    lines = [f"file = {_quoted(_beside(folder, room.file))}", *space, *lines]
     mesh, _ = read_mesh(spec)
     check_unit(mesh, positions or {})
     bare = [s.name for s in mesh.surfaces if s.file_material is None]
     if bare:
         lines += ["", "# surfaces without a material in the file", "[room.materials]"]
         lines += [f'{_quoted(name)} = "{FILL_IN}"' for name in dict.fromkeys(bare)]
-    return [*lines, *_material_lines(mesh, {})]
+    is_turned = (spec.unit, spec.up) != (model.unit, model.up)
+    things = [] if is_turned else _thing_lines(model.things, mesh, is_known=is_known)
+    return [*lines, *_material_lines(mesh, {}), *things]
+
+
+# By which entry of seats a piece absorbs as far as anybody knows: no table has beds.
+_AS_SEATS = {"sofa": "seats-medium-empty", "bed": "seats-heavy-empty", "chair": "seats-light-empty"}
+_EDGE_PER_HEIGHT = 0.625  # the strip of 0.5 m along seats stands for sides 0.8 m high
+
+
+def _thing_lines(things: Sequence[Thing], mesh: Mesh, *, is_known: bool) -> list[str]:
+    """Return tables of what stands in a room and absorbs; of chairs only as comments."""
+    lines: list[str] = []
+    for kind, entry in _AS_SEATS.items():
+        own = [t for t in things if t.kind == kind and len(t.outline_m)]
+        if not own:
+            continue
+        table = [
+            f"[objects.{_quoted(kind)}]  # {len(own)} by the scan",
+            *_area_lines(kind, own, mesh),
+            f'{"absorption_area_m2" if is_known else "prior"} = "{entry}"  # or other seats-...',
+        ]
+        if kind == "chair":
+            table = [f"# {line}" for line in ("where they are upholstered:", *table)]
+        lines += table
+    first = "# What stands in the room absorbs in its volume; here as upholstered seats do."
+    return ["", first, *lines] if lines else []
+
+
+def _area_lines(kind: str, things: Sequence[Thing], mesh: Mesh) -> list[str]:
+    """Return the keys that say how large things of a kind are: outlines, or the floor below."""
+    floor_m2 = sum(float(np.linalg.norm(area_vector_m2(t.outline_m))) for t in things)
+    below = [f"floor_area_m2 = {floor_m2:.2f}"]
+    if kind == "chair":  # strips are of blocks, and would be nine tenths of a chair
+        return below
+    height_m = float(np.mean([t.height_m for t in things]))
+    edge_m = min(round(_EDGE_PER_HEIGHT * height_m, 2), 0.5)
+    try:
+        _, area_m2 = audience_area_m2(mesh, [t.outline_m for t in things], edge_m)
+    except InputError:  # one stands in a wall, as a scan may have it
+        return below
+    rings = [[[round(float(x), 2) for x in p] for p in t.outline_m] for t in things]
+    edge = f"edge_m = {edge_m:g}  # sides of {height_m:.2f} m: {area_m2:.1f} m2 with them"
+    return [f"outlines = {rings}", edge]
 
 
 def check_unit(mesh: Mesh, positions: Positions) -> None:
@@ -413,7 +463,7 @@ def check_unit(mesh: Mesh, positions: Positions) -> None:
 def _in_known_unit(room: RoomSpec, model: RoomModel, because: str) -> tuple[RoomSpec, list[str]]:
     lines, unit, up = [], room.unit, room.up
     if unit is None:
-        units = likely_units(Path(room.file or ""))
+        units = likely_units(Path(room.file or ""), room.space)
         if len(units) != 1:
             size = " x ".join(f"{x:.4g}" for x in np.ptp(model.vertices, axis=0))
             either = "; ".join(f"{u}: {why}" for u, why in units.items())
@@ -421,7 +471,7 @@ def _in_known_unit(room: RoomSpec, model: RoomModel, because: str) -> tuple[Room
                 "the unit of the room file is in doubt",
                 where=str(room.file),
                 found=f"a room of {size}, and no unit in the file",
-                needed=f"--unit, one of {', '.join(units or METRES_PER_UNIT)}",
+                needed=f"a unit (--unit), one of {', '.join(units or METRES_PER_UNIT)}",
                 hint=either or "no unit makes a usual room of it: look at the drawing",
             )
         ((unit, why),) = units.items()

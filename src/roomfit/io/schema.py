@@ -74,7 +74,7 @@ class RoomTable(Table):
     """OBJ, AC3D (.ac), PLY, 3DS, STL, GLB, CATT-Acoustic (.geo), DXF, COLLADA (.dae), IFC,
     SketchUp (.skp), or a scan by Apple's RoomPlan (.json, .usdz)."""
     space: str | None = None
-    """Of a building model (IFC): name of the space that is the room, where it has several."""
+    """Of a building model (IFC) or a scan (JSON): name of the room, where it has several."""
     shoebox: tuple[float, float, float] | None = None
     """Three lengths along x, y and z of a box with one corner at the origin."""
     polygons: PolygonTable | None = None

@@ -47,8 +47,8 @@ def source_magnitude(
 
     Power is summed over the responses and over an octave about each frequency, half an octave
     apart, and then divided: the room's part cancels. The level is shrunk towards zero by as much as
-    the responses disagree on it; it is zero for fewer than three responses, and where its rms is
-    below 1 dB.
+    the responses disagree on it; it is zero for fewer than three responses, where its rms is below
+    1 dB, and where all that is asked for lies above half of the sampling rate.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def source_magnitude(
         )
     octaves = float(np.log2(_HIGHEST * rates.pop() / lowest_hz))
     nodes = lowest_hz * 2.0 ** np.arange(0.0, max(octaves, 0.0) + 1e-9, _STEP_OCTAVES)
-    if len(measured) < _FEWEST:
+    if len(measured) < _FEWEST or measured[0].sampling_rate_hz < 2.0 * lowest_hz:
         return SourceMagnitude(nodes, np.zeros(nodes.size))
     observed, expected = (_powers(all_of, until_s, nodes) for all_of in (measured, reference))
     level = _decibel(observed.sum(axis=0) / expected.sum(axis=0))

@@ -156,14 +156,15 @@ def _model(spec: RoomSpec) -> tuple[RoomModel, str]:
             hint=f"did you mean {like}?" if like else "export the room as OBJ",
         )
     if spec.space is not None:
-        if suffix != ".ifc":
+        of_several = {".ifc": read_ifc, ".json": read_roomplan}
+        if suffix not in of_several:
             raise InputError(
-                "only a building model has spaces",
+                "only a building model and a scan have spaces",
                 found=spec.space,
-                needed=".ifc",
+                needed="a file of .ifc or .json",
                 hint="leave space out",
             )
-        return read_ifc(path, spec.space), str(path)
+        return of_several[suffix](path, spec.space), str(path)
     return READERS[suffix](path), str(path)
 
 

@@ -23,7 +23,7 @@ from roomfit.io.rooms.model import (
     finite,
     joined,
 )
-from roomfit.io.rooms.roomplan import closed_room, part_of
+from roomfit.io.rooms.roomplan import closed_room, part_of, thing_of
 from roomfit.typing import FloatArray
 
 _STEP_M = 1e-3  # from a face into the air
@@ -99,7 +99,9 @@ def read_ifc(path: Path, space: str | None = None) -> RoomModel:
             "the building model has several spaces" if space is None else "there is no such space",
             where=str(path),
             found=", ".join(map(repr, names))[:300] if space is None else repr(space),
-            needed='space = "NAME" under [room]' if space is None else ", ".join(names)[:300],
+            needed='space = "NAME" under [room], or --space'
+            if space is None
+            else ", ".join(names)[:300],
             hint="names are those of IfcSpace",
         )
     if len(owners) != len(polygons):
@@ -128,9 +130,9 @@ def read_usdz(path: Path) -> RoomModel:
     InputError
         usd-core is not installed; no USDZ file, damaged, no scan, or one that does not close.
     """
-    head, shapes = _polygons(path, "usdz", "usd-core", "usd")
-    parts = [part_of(surface.name, surface.group or "", points) for points, surface in shapes]
-    things = {str(kind): int(n) for kind, n in dict(head["things"]).items()}
+    _, shapes = _polygons(path, "usdz", "usd-core", "usd")
+    parts = [part_of(s.name, s.group or "", points) for points, s in shapes if s.group != "thing"]
+    things = [thing_of(s.name, points) for points, s in shapes if s.group == "thing"]
     with located(str(path)):
         return closed_room(parts, None, things)
 

@@ -7,6 +7,7 @@ import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,14 @@ from roomfit.typing import FloatArray
 METRES_PER_UNIT = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "ft": 0.3048, "in": 0.0254}
 
 
+class Thing(NamedTuple):
+    """What stands in a room and is no wall of it, as a bed."""
+
+    kind: str
+    outline_m: FloatArray  # (n_corners, 3): on the floor; none where that is not known
+    height_m: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RoomModel:
     """The polygons of a file."""
@@ -29,6 +38,7 @@ class RoomModel:
     unit: str | None = None  # unit that the format prescribes, None where it prescribes none
     # Axis that points up by the format's standard or habit, where the caller says nothing
     up: str = "z"
+    things: tuple[Thing, ...] = ()  # in the axes of the vertices
 
 
 Polygon = tuple[FloatArray, Surface]  # corners of shape (n_corners, 3), and whose they are
@@ -114,7 +124,7 @@ class RoomSpec:
     materials: Mapping[str, str] = field(default_factory=dict)
     # Standard deviations of a box's lengths in m, which then are fitted
     lengths_sd: tuple[float, float, float] | None = None
-    space: str | None = None  # of a building model (IFC) that has several
+    space: str | None = None  # of a building model (IFC) or a scan (JSON) that has several
 
     def __post_init__(self) -> None:
         given = [self.file is not None, self.shoebox is not None, self.polygons is not None]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,9 +17,9 @@ import numpy as np
 
 from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding, Severity
-from roomfit.geometry.mesh import Surface, place
+from roomfit.geometry.mesh import Surface, place, triangulate
 from roomfit.io.door import check_limit, complete, json_content, read_text
-from roomfit.io.rooms.model import Polygon, RoomModel, counted, joined
+from roomfit.io.rooms.model import Polygon, RoomModel, Thing, counted, joined
 from roomfit.typing import FloatArray
 
 # Ends of walls nearer than this are one corner, and what is that near to a wall's plane is in it.
@@ -31,6 +31,7 @@ _RIM_M = 0.05
 _DISTINCT_M = 0.01
 _PARALLEL = 0.966  # cosine of 15 degrees
 _MOST_KINDS = 20
+_MOST_GABLES = 6
 _KINDS = {"wall": "walls", "door": "doors", "window": "windows", "opening": "openings"}
 _HINT = "close the room in a drawing program, and give it as OBJ or COLLADA"
 
@@ -43,6 +44,7 @@ class Part(NamedTuple):
     corners_m: FloatArray  # (n_corners, 3), z up
     own: str = ""  # identifier
     parent: str = ""  # identifier of the wall it is in, "" where that is not said
+    is_curved: bool = False  # its corners are the ends of its arc
 
 
 class _Edge(NamedTuple):
@@ -51,38 +53,39 @@ class _Edge(NamedTuple):
     start_m: FloatArray  # (2,)
     end_m: FloatArray
     wall: Part | None
+    tops_m: tuple[float, float] = (np.nan, np.nan)  # heights of the ceiling over both ends
 
 
-def read_roomplan(path: Path) -> RoomModel:
+def read_roomplan(path: Path, space: str | None = None) -> RoomModel:
     """Read a ``CapturedRoom`` of RoomPlan as Swift's JSONEncoder writes it [1]_: m, z up.
 
     Surfaces are Wall0, Door0, Window0, Opening0, ..., Floor0 and Ceiling; their materials and
     groups wall, door, window, opening, floor and ceiling. See `closed_room`.
 
+    Parameters
+    ----------
+    path : Path
+    space : str, optional
+        Which room of a ``CapturedStructure``: the label of its first section, with a number from
+        the second of a label on, as "bedroom 2"; or its identifier.
+
     Raises
     ------
     InputError
-        No such scan, one of several rooms or floors, with curved walls, or one that does not close.
+        No such scan or room, one of several floors, or one that does not close.
 
     References
     ----------
     .. [1] Apple Inc., "RoomPlan: CapturedRoom", developer documentation (2022 to 2025).
     """
     with located(str(path)):
-        content = json_content(read_text(path, "room file"), "room file")
+        content = _chosen(json_content(read_text(path, "room file"), "room file"), space)
         if not isinstance(content, dict) or not isinstance(content.get("walls"), list):
             raise InputError(
                 "this JSON file is no scan of a room",
                 found="no list of walls",
                 needed="a CapturedRoom of Apple's RoomPlan, encoded by JSONEncoder",
                 hint="export the scan anew; a drawing is given as OBJ, IFC or COLLADA",
-            )
-        if content.get("rooms"):
-            raise InputError(
-                "the scan has several rooms",
-                found=f"{len(content['rooms'])} rooms in one CapturedStructure",
-                needed="one CapturedRoom",
-                hint="export each room by itself",
             )
         with complete("scan", "dimensions and transform of each surface, as RoomPlan has them"):
             parts = [
@@ -91,28 +94,55 @@ def read_roomplan(path: Path) -> RoomModel:
                 for i, surface in enumerate(content.get(key) or ())
             ]
             floors = [_corners(f) for f in content.get("floors") or () if f.get("polygonCorners")]
-            things = Counter(_category(thing) for thing in content.get("objects") or ())
+            things = [_thing(thing) for thing in content.get("objects") or ()]
         if len(floors) > 1:
             raise InputError(
                 "the scan has several floors", found=f"{len(floors)}", needed="one", hint=_HINT
             )
-        return closed_room(
-            parts, floors[0] if floors else None, dict(things.most_common(_MOST_KINDS))
+        return closed_room(parts, floors[0] if floors else None, things)
+
+
+def _chosen(content: Any, space: str | None) -> Any:
+    """Return the one room of a structure that is asked for; a lone room where none is."""
+    if not isinstance(content, dict):
+        return content
+    names: dict[str, Any] = {}
+    with complete("scan", "a list of rooms, each with its sections, as RoomPlan has them"):
+        times: Counter[str] = Counter()
+        for room in content.get("rooms") or [content]:
+            label = str(((room.get("sections") or [{}])[0]).get("label") or "room")
+            times[label] += 1
+            names[f"{label} {times[label]}" if times[label] > 1 else label] = room
+        known = {**{str(room.get("identifier")): room for room in names.values()}, **names}
+    if space is None and len(names) == 1:
+        return next(iter(names.values()))
+    if space not in known:
+        raise InputError(
+            "the scan has several rooms" if space is None else "the scan has no such room",
+            found=", ".join(map(repr, names))[:300] if space is None else repr(space),
+            needed='space = "NAME" under [room], or --space'
+            if space is None
+            else ", ".join(names)[:300],
+            hint="names are the labels of RoomPlan, counted where rooms have the same",
         )
+    return known[space]
 
 
 def _part(kind: str, number: int, surface: Mapping[str, Any]) -> Part:
-    name = f"{kind.capitalize()}{number}"
-    if surface.get("curve") is not None:
-        raise InputError(
-            "a wall of the scan is curved",
-            where=name,
-            found="curve",
-            needed="flat ones",
-            hint=_HINT,
-        )
     own, parent = (str(surface.get(k) or "") for k in ("identifier", "parentIdentifier"))
-    return Part(name, kind, _corners(surface), own, parent)
+    is_curved = surface.get("curve") is not None
+    name = f"{kind.capitalize()}{number}"
+    return Part(name, kind, _corners(surface), own, parent, is_curved)
+
+
+def _thing(thing: Mapping[str, Any]) -> Thing:
+    """Return a piece of furniture; Swift writes a case as the only key of a mapping."""
+    kind = str(next(iter(thing["category"])) if thing["category"] else "object")[:40]
+    if thing.get("transform") is None:
+        return Thing(kind, np.zeros((0, 3)), 0.0)
+    x, y, z = (float(length) / 2.0 for length in thing["dimensions"])
+    base = [(-x, -y, -z), (x, -y, -z), (x, -y, z), (-x, -y, z)]
+    return Thing(kind, _placed(base, thing["transform"]), 2.0 * y)
 
 
 def _corners(surface: Mapping[str, Any]) -> FloatArray:
@@ -122,8 +152,13 @@ def _corners(surface: Mapping[str, Any]) -> FloatArray:
         width, height, _ = (float(x) / 2.0 for x in surface["dimensions"])
         outline = [(-width, -height, 0), (width, -height, 0), (width, height, 0)]
         outline.append((-width, height, 0))
+    return _placed(outline, surface["transform"])
+
+
+def _placed(outline: Sequence[Sequence[float]], transform: Any) -> FloatArray:
+    """Return points, shape (n, 3), of something's own axes in those of the scan, with z up."""
     # written column by column
-    matrix = np.array(surface["transform"], dtype=np.float64).reshape(4, 4).T
+    matrix = np.array(transform, dtype=np.float64).reshape(4, 4).T
     own = np.array(outline, dtype=np.float64).reshape(-1, 3)
     with np.errstate(over="ignore", invalid="ignore"):
         x, y, z = matrix[:3, :3] @ own.T + matrix[:3, 3:]
@@ -133,13 +168,8 @@ def _corners(surface: Mapping[str, Any]) -> FloatArray:
     return found
 
 
-def _category(thing: Mapping[str, Any]) -> str:
-    """Return what an object is: Swift writes a case as the only key of a mapping."""
-    return str(next(iter(thing["category"])) if thing["category"] else "object")[:40]
-
-
 def closed_room(
-    parts: Sequence[Part], floor_m: FloatArray | None, objects: Mapping[str, int]
+    parts: Sequence[Part], floor_m: FloatArray | None, things: Sequence[Thing]
 ) -> RoomModel:
     """Return a closed room of what a scan has found: m, z up.
 
@@ -149,23 +179,23 @@ def closed_room(
         Walls, and what is in them.
     floor_m : float array, shape (n_corners, 3), or None
         The outline of the floor; None: where walls meet, whose ends may be 0.3 m apart. A side of
-        it without a wall is an opening, with a finding.
-    objects : mapping of str to int
-        How many things of a kind stand there. They are left out, with a finding.
+        it without a wall is an opening, with a finding, unless a curved wall is there.
+    things : sequence of Thing
+        What stands there. It is no wall of the room, and counted in a finding.
 
     Returns
     -------
     RoomModel
         The longest wall lies along x, the lowest x, y and z are 0: a scan's own origin is where it
         happened to begin. The ceiling is the plane, level or sloping, from which no wall's top is
-        farther than 0.1 m.
+        farther than 0.1 m; else planes that meet along lines from gable to gable.
 
     Raises
     ------
     InputError
-        Walls do not meet, or their tops lie on no plane.
+        Walls do not meet, or their tops carry neither; or a wall is curved and nothing says how.
     """
-    n_parts = len(parts) + (0 if floor_m is None else len(floor_m))
+    n_parts = len(parts) + (0 if floor_m is None else len(floor_m)) + len(things)
     check_limit("scan_parts", n_parts, "the scan")
     walls = [p for p in parts if p.kind == "wall" and _length(_foot(p)) > _DISTINCT_M]
     if len(walls) < 3:
@@ -184,27 +214,30 @@ def closed_room(
             hint=_HINT,
         )
     ground_m = float(np.median([w.corners_m[:, 2].min() for w in walls]))
-    plane = _ceiling(walls, ground_m)
-    polygons, used = _sides(edges, parts, ground_m, plane)
+    longest = max(edges, key=lambda e: _length(np.stack([e.start_m, e.end_m])))
+    edges, ceiling = _covered(edges, walls, ground_m)
+    polygons, used = _sides(edges, parts, ground_m)
     around = np.array([e.start_m for e in edges])
     floor = np.column_stack([around, np.full(len(around), ground_m)])
-    above = np.column_stack([around, _height(plane, around)])
     polygons.append((floor[::-1], Surface("Floor0", "floor", "floor")))
-    polygons.append((above, Surface("Ceiling", "ceiling", "ceiling")))
+    polygons += ceiling
     idle = [p.name for p in parts if p.name not in used]
     vertices, faces = joined(polygons)
-    longest = max(edges, key=lambda e: _length(np.stack([e.start_m, e.end_m])))
     run = np.array([[*longest.start_m, ground_m], [*longest.end_m, ground_m]])
-    *room, start, end = _at_home(np.concatenate([vertices, run]), longest)
+    bases = [t.outline_m * [1.0, 1.0, 0.0] + [0.0, 0.0, ground_m] for t in things]
+    room, (start, end), *stand = _at_home(longest, vertices, run, *bases)
     lies = (
         f"x runs along {longest.wall.name if longest.wall else 'the longest side'}, from "
         f"{place(start)} to {place(end)}: give positions in these axes."
     )
+    heights_m = np.array([e.tops_m for e in edges]) - ground_m
+    n_planes = len({surface.name for _, surface in ceiling})
     findings = (
-        _completed(edges, moved_m, _height(plane, around) - ground_m, lies),
-        *_left_out(idle, objects),
+        _completed(edges, moved_m, heights_m, n_planes, lies),
+        *_left_out(idle, Counter(t.kind for t in things)),
     )
-    return RoomModel(np.array(room), faces, findings, "m", "z")
+    placed = tuple(t._replace(outline_m=at) for t, at in zip(things, stand, strict=True))
+    return RoomModel(room, faces, findings, "m", "z", placed)
 
 
 def part_of(name: str, kind: str, points_m: FloatArray) -> Part:
@@ -234,6 +267,19 @@ def part_of(name: str, kind: str, points_m: FloatArray) -> Part:
     return Part(name, kind, np.column_stack([plan, rim[:, 1]]))
 
 
+def thing_of(name: str, points_m: FloatArray) -> Thing:
+    """Return a piece of furniture from the points of its shapes, shape (n_points, 3), by its name.
+
+    Its outline is their convex hull as seen from above.
+    """
+    from scipy.spatial import ConvexHull  # heavy, and JSON needs none
+
+    kind, base = name.rstrip("0123456789_").lower(), np.zeros((0, 3))
+    if (np.linalg.svd(points_m[:, :2] - points_m[:, :2].mean(axis=0))[1] > _DISTINCT_M).all():
+        base = points_m[ConvexHull(points_m[:, :2]).vertices]
+    return Thing(kind[:40], base, float(np.ptp(points_m[:, 2])))
+
+
 def _foot(part: Part) -> FloatArray:
     """Return the two ends of what stands upright as seen from above, shape (2, 2)."""
     plan = part.corners_m[:, :2]
@@ -248,6 +294,14 @@ def _length(ends: FloatArray) -> float:
 
 def _edges_by_walls(walls: Sequence[Part]) -> tuple[list[_Edge], float]:
     """Return the sides of a floor whose corners are those of walls, and the widest gap closed."""
+    if bent := [w.name for w in walls if w.is_curved]:
+        raise InputError(
+            "a wall of the scan is curved, and nothing says along which line",
+            where=", ".join(bent),
+            found="no outline of the floor",
+            needed="an outline, whose corners follow the curve",
+            hint="scan with iOS 17 or later, which exports it, or " + _HINT,
+        )
     feet = np.array([_foot(w) for w in walls])
     order = _loop(walls, feet)
     ends = [feet[i][::-1] if back else feet[i] for i, back in order]
@@ -317,9 +371,25 @@ def _by_floor(floor_m: FloatArray, walls: Sequence[Part]) -> list[_Edge]:
     plan = plan[np.linalg.norm(plan - np.roll(plan, 1, axis=0), axis=1) > _DISTINCT_M]
     if len(plan) < 3:
         raise InputError("the floor of the scan has no area", needed="three corners or more")
+    flat, bent = [w for w in walls if not w.is_curved], [w for w in walls if w.is_curved]
     return _turning_left(
-        [_Edge(a, b, _over(a, b, walls)) for a, b in zip(plan, np.roll(plan, -1, 0), strict=True)]
+        [
+            _Edge(a, b, _over(a, b, flat) or _around(a, b, bent))
+            for a, b in zip(plan, np.roll(plan, -1, 0), strict=True)
+        ]
     )
+
+
+def _around(start: FloatArray, end: FloatArray, bent: Sequence[Part]) -> Part | None:
+    """Return the curved wall of whose arc an edge may be a chord: in the circle over its ends."""
+    middle = 0.5 * (start + end)
+
+    def off(part: Part) -> float:
+        foot = _foot(part)
+        return float(np.linalg.norm(middle - foot.mean(axis=0))) - 0.5 * _length(foot)
+
+    nearest = min(bent, key=off, default=None)
+    return nearest if nearest is not None and off(nearest) <= _MEETS_M else None
 
 
 def _over(start: FloatArray, end: FloatArray, parts: Sequence[Part]) -> Part | None:
@@ -355,6 +425,108 @@ def _turning_left(edges: list[_Edge]) -> list[_Edge]:
     return [_Edge(e.end_m, e.start_m, e.wall) for e in reversed(edges)]
 
 
+def _covered(
+    edges: Sequence[_Edge], walls: Sequence[Part], ground_m: float
+) -> tuple[list[_Edge], list[Polygon]]:
+    """Return the sides of a floor with the heights over their ends, and what closes them above."""
+    try:
+        plane = _ceiling(walls, ground_m)
+    except InputError:
+        found = _gabled(edges, ground_m)
+        if found is None:
+            raise
+        return found
+    starts = np.array([e.start_m for e in edges])
+    corners = np.column_stack([starts, plane[0] + starts @ plane[1:]])
+    owners = [e.wall for e in edges]
+    return _crowned(corners, owners), [(corners, Surface("Ceiling", "ceiling", "ceiling"))]
+
+
+def _crowned(corners_m: FloatArray, owners: Sequence[Part | None]) -> list[_Edge]:
+    """Return sides from the corners of the ceiling, shape (n, 3), and whose wall follows each."""
+    after = np.roll(corners_m, -1, axis=0)
+    return [
+        _Edge(a[:2], b[:2], wall, (float(a[2]), float(b[2])))
+        for a, b, wall in zip(corners_m, after, owners, strict=True)
+    ]
+
+
+def _gabled(edges: Sequence[_Edge], ground_m: float) -> tuple[list[_Edge], list[Polygon]] | None:
+    """Return sides cut at their gables and planes from gable to gable; None where none close it."""
+    corners, owners, gables = _profile(edges)
+    ways = _folded(corners, range(len(corners)), gables) if len(corners) else []
+    if len(ways) != 1 or (corners[:, 2] - ground_m).min() <= _LEVEL_M:
+        return None
+    polygons: list[Polygon] = []
+    for i, ring in enumerate(sorted(ways[0])):
+        own, surface = corners[list(ring)], Surface(f"Ceiling{i}", "ceiling", "ceiling")
+        # corners of a scan are off their plane by centimetres, which triangles are not
+        polygons += [(own[three], surface) for three in triangulate(own).triangles]
+    return _crowned(corners, owners), polygons
+
+
+def _profile(edges: Sequence[_Edge]) -> tuple[FloatArray, list[Part | None], frozenset[int]]:
+    """Return the line on which a ceiling rests: its corners, whose wall follows each, and gables.
+
+    Corners of the floor have the height at which the walls beside them end; gables are corners
+    within a wall, by their numbers. No corners where walls that meet end at two heights.
+    """
+    corners: list[FloatArray] = []
+    owners: list[Part | None] = []
+    gables: list[int] = []
+    starts: list[int] = []
+    ends: list[list[float]] = [[] for _ in edges]  # heights of walls at each corner of the floor
+    for k, edge in enumerate(edges):
+        starts.append(len(corners))
+        corners.append(np.array([*edge.start_m, np.nan]))
+        owners.append(edge.wall)
+        if edge.wall is None:
+            continue
+        along, _ = _beside(edge.start_m, edge.end_m, edge.wall.corners_m[:, :2])
+        z, length = edge.wall.corners_m[:, 2], _length(np.stack([edge.start_m, edge.end_m]))
+        top = [i for i in np.argsort(along) if z[i] > z.min() + _LEVEL_M]
+        for corner, at in ((k, 0.0), ((k + 1) % len(edges), length)) if top else ():
+            ends[corner].append(float(np.interp(at, along[top], z[top])))
+        for i in top:
+            if _MEETS_M < along[i] < length - _MEETS_M:
+                gables.append(len(corners))
+                plan = edge.start_m + along[i] / length * (edge.end_m - edge.start_m)
+                corners.append(np.array([*plan, z[i]]))
+                owners.append(edge.wall)
+    for number, heights in zip(starts, ends, strict=True):
+        if not heights or np.ptp(heights) > _LEVEL_M:
+            return np.zeros((0, 3)), [], frozenset()
+        corners[number][2] = np.mean(heights)
+    return np.array(corners), owners, frozenset(gables)
+
+
+def _folded(
+    corners_m: FloatArray, ring: Sequence[int], gables: frozenset[int]
+) -> list[frozenset[tuple[int, ...]]]:
+    """Return the ways to fold a ceiling into the fewest planes along lines from gable to gable.
+
+    A plane has all of its corners within 0.1 m. Several ways mean that a ceiling would be guessed.
+    """
+    own = corners_m[list(ring)]
+    at = np.column_stack([np.ones(len(own)), own[:, :2]])
+    off_m = own[:, 2] - at @ np.linalg.lstsq(at, own[:, 2], rcond=None)[0]
+    x, y = own[:, :2].T
+    if x @ np.roll(y, -1) - y @ np.roll(x, -1) <= 0.0:  # the line leaves the room
+        return []
+    if np.abs(off_m).max() <= _LEVEL_M:
+        k = int(np.argmin(ring))  # the same plane has the same name, whichever line was first
+        return [frozenset({(*ring[k:], *ring[:k])})]
+    found: set[frozenset[tuple[int, ...]]] = set()
+    free = [i for i, corner in enumerate(ring) if corner in gables]
+    for i, j in combinations(free[:_MOST_GABLES], 2):
+        if 1 < j - i < len(ring) - 1:
+            left, right = ring[i : j + 1], [*ring[j:], *ring[: i + 1]]
+            ones = _folded(corners_m, left, gables)
+            found |= {a | b for a in ones for b in _folded(corners_m, right, gables)}
+    fewest = min(map(len, found), default=0)
+    return [way for way in found if len(way) == fewest]
+
+
 def _ceiling(walls: Sequence[Part], ground_m: float) -> FloatArray:
     """Return the plane z = c + p x + q y of the ceiling as (c, p, q): level where that will do."""
     tops = []
@@ -378,23 +550,19 @@ def _ceiling(walls: Sequence[Part], ground_m: float) -> FloatArray:
             return plane
     low, high = points[:, 2].min() - ground_m, points[:, 2].max() - ground_m
     raise InputError(
-        "a scan has no ceiling, and the tops of its walls carry no flat one",
+        "a scan has no ceiling, and the tops of its walls carry none",
         found=f"tops {low:.2f} to {high:.2f} m above the floor, up to {off_m:.2f} m off a plane",
-        needed=f"all within {_LEVEL_M:g} m of one plane, level or sloping",
+        needed=f"all within {_LEVEL_M:g} m of one plane, level or sloping, or of planes that meet "
+        "along lines between gables, of walls that end alike in the corners",
         hint=_HINT,
     )
-
-
-def _height(plane: FloatArray, plan: FloatArray) -> FloatArray:
-    """Return the height of the ceiling over points, shape (n, 2)."""
-    return np.asarray(plane[0] + plan @ plane[1:])
 
 
 _Hole = tuple[Part, FloatArray]  # what is in a wall: from and to along it, from and to in height
 
 
 def _sides(
-    edges: Sequence[_Edge], parts: Sequence[Part], ground_m: float, plane: FloatArray
+    edges: Sequence[_Edge], parts: Sequence[Part], ground_m: float
 ) -> tuple[list[Polygon], set[str]]:
     """Return the polygons of all walls and of what is in them, and the names of those in use."""
     holes: dict[int, list[_Hole]] = {i: [] for i in range(len(edges))}
@@ -406,33 +574,34 @@ def _sides(
             kept = [e.wall is not None and e.wall.own == part.parent for e in edges]
             own = [length if keep else 0.0 for length, keep in zip(own, kept, strict=True)]
         best = int(np.argmax(own))
-        hole = _hole(edges[best], part, ground_m, plane) if own[best] > 0.0 else None
-        if hole is not None:
-            holes[best].append((part, hole))
+        # a wall with a gable has two sides, and a window may be in both
+        for i, edge in enumerate(edges):
+            is_there = i == best or (edge.wall is not None and edge.wall is edges[best].wall)
+            hole = _hole(edge, part, ground_m) if is_there and own[i] > 0.0 else None
+            if hole is not None:
+                holes[i].append((part, hole))
     polygons: list[Polygon] = []
     for i, edge in enumerate(edges):
-        polygons += _pieces(edge, holes[i], f"Gap{i}", ground_m, plane)
+        polygons += _pieces(edge, holes[i], f"Gap{i}", ground_m)
     # an opening may take a whole wall
     walls = {e.wall.name for e in edges if e.wall is not None}
     return polygons, walls | {surface.name for _, surface in polygons}
 
 
-def _hole(edge: _Edge, part: Part, ground_m: float, plane: FloatArray) -> FloatArray | None:
+def _hole(edge: _Edge, part: Part, ground_m: float) -> FloatArray | None:
     """Return where in a wall something is: from and to along it and in height, shape (4,)."""
     along, _ = _beside(edge.start_m, edge.end_m, part.corners_m[:, :2])
     length = _length(np.stack([edge.start_m, edge.end_m]))
-    top = float(_height(plane, np.stack([edge.start_m, edge.end_m])).min())
     z = part.corners_m[:, 2]
     found = np.array([along.min(), along.max(), z.min(), z.max()])
+    top = float(np.interp(found[:2], [0.0, length], edge.tops_m).min())
     for k, (low, high) in enumerate([(0.0, length)] * 2 + [(ground_m, top)] * 2):
         value = min(max(found[k], low), high)
         found[k] = low if value - low < _RIM_M else high if high - value < _RIM_M else value
     return found if min(found[1] - found[0], found[3] - found[2]) >= _RIM_M else None
 
 
-def _pieces(
-    edge: _Edge, holes: Sequence[_Hole], unnamed: str, ground_m: float, plane: FloatArray
-) -> list[Polygon]:
+def _pieces(edge: _Edge, holes: Sequence[_Hole], unnamed: str, ground_m: float) -> list[Polygon]:
     """Return a wall in columns, cut at the rims of what is in it; where two overlap, the first."""
     wall = (
         Surface(unnamed, "opening", "opening")
@@ -445,7 +614,7 @@ def _pieces(
     cuts = np.unique([0.0, length, *(x for _, hole in holes for x in hole[:2])])
     for left, right in pairwise(cuts):
         plan = edge.start_m + np.outer([left, right], way)
-        tops = _height(plane, plan)
+        tops = np.interp([left, right], [0.0, length], edge.tops_m)
         here = [h for h in holes if h[1][0] <= left and right <= h[1][1]]
         # a sloping top is met by the last piece of a column alone
         rims = np.unique([ground_m, *(z for _, hole in here for z in hole[2:])])
@@ -461,19 +630,23 @@ def _pieces(
     return found
 
 
-def _at_home(vertices_m: FloatArray, longest: _Edge) -> FloatArray:
-    """Return vertices with the longest side of the floor along x and the lowest of each at 0."""
+def _at_home(longest: _Edge, vertices_m: FloatArray, *more_m: FloatArray) -> list[FloatArray]:
+    """Return points with the longest side of the floor along x, the lowest of all vertices at 0."""
     c, s = (longest.end_m - longest.start_m) / _length(np.stack([longest.start_m, longest.end_m]))
-    turned = vertices_m @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    origin = (vertices_m @ turn).min(axis=0)
     # corners of a scan are known to centimetres
-    return np.asarray(np.round(turned - turned.min(axis=0), 6) + 0.0)
+    return [np.asarray(np.round(x @ turn - origin, 6) + 0.0) for x in (vertices_m, *more_m)]
 
 
-def _completed(edges: Sequence[_Edge], moved_m: float, heights_m: FloatArray, lies: str) -> Finding:
+def _completed(
+    edges: Sequence[_Edge], moved_m: float, heights_m: FloatArray, n_planes: int, lies: str
+) -> Finding:
     """Return what was put in, and how the axes lie."""
     low, high = float(heights_m.min()), float(heights_m.max())
     tall = f"{low:.2f}" if high - low < _DISTINCT_M else f"{low:.2f} to {high:.2f}"
-    text = f"A flat ceiling was put {tall} m above the floor, on the walls' tops: a scan has none. "
+    flat = "A flat ceiling" if n_planes == 1 else f"A ceiling of {n_planes} planes between gables"
+    text = f"{flat} was put {tall} m above the floor, on the walls' tops: a scan has none. "
     if moved_m > _DISTINCT_M:
         text += f"Ends of walls up to {moved_m:.2f} m apart were joined. "
     gaps_m = [_length(np.stack([e.start_m, e.end_m])) for e in edges if e.wall is None]
@@ -487,7 +660,7 @@ def _completed(edges: Sequence[_Edge], moved_m: float, heights_m: FloatArray, li
     return Finding(Code.ROOM_COMPLETED, About(), text + lies, evidence, graded=grade)
 
 
-def _left_out(idle: Sequence[str], objects: Mapping[str, int]) -> list[Finding]:
+def _left_out(idle: Sequence[str], objects: Counter[str]) -> list[Finding]:
     """Return what of a scan is not in the room."""
     found = []
     code = Code.ENTITIES_IGNORED
@@ -496,8 +669,10 @@ def _left_out(idle: Sequence[str], objects: Mapping[str, int]) -> list[Finding]:
         found.append(Finding(code, About(), text, {"parts": list(idle)}, graded="warning"))
     if objects:
         text = (
-            f"What stands in the scanned room is left out: {counted(objects)}. State what it "
-            "absorbs under [objects]; a piece whose shadow matters belongs into the room's file."
+            f"What stands in the scanned room is no wall of it: {counted(objects)}. It absorbs as "
+            "[objects] say, to which `roomfit init` writes beds and sofas; a piece whose shadow "
+            "matters belongs into the room's file."
         )
-        found.append(Finding(code, About(), text, dict(objects), graded="info"))
+        kinds = dict(objects.most_common(_MOST_KINDS))
+        found.append(Finding(code, About(), text, kinds, graded="info"))
     return found
