@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,8 +14,7 @@ from matplotlib.figure import Figure
 from roomfit.geometry.mesh import volume_m3
 from roomfit.response.energy import energy_rows
 from roomfit.scene import material_areas_m2
-from roomfit.suh2001.independent import IndependentRow
-from roomfit.suh2001.output import _contours, _independent_figure
+from roomfit.suh2001.output import _contours
 from roomfit.suh2001.repeat import problem_landscape, problems_of, table2, walls_apart
 from roomfit.suh2001.room import (
     CASES,
@@ -229,32 +227,6 @@ def test_errors_beyond_a_scale_have_the_colours_of_its_ends() -> None:
     assert (filled.norm.vmin, filled.norm.vmax) == (0.1, 1e5)
     assert (filled.zmin, filled.zmax) == (0.1, 1e5)
     np.testing.assert_allclose(filled.levels, np.logspace(-1.0, 5.0, 25))
-
-
-def test_errors_with_other_rays_stand_at_their_numbers_beside_the_paper_s_18_000() -> None:
-    """A line a number of materials in each of two panels; the label touches no line's number."""
-    rows = [
-        IndependentRow(rays, materials, pairs, 1, 1.0, 0.01 * pairs * materials * 1e3 / rays, 1, 1)
-        for rays in (1_000, 300_000)
-        for materials in DIVISIONS
-        for pairs in (1, 3)
-    ]
-    figure = _independent_figure(SimpleNamespace(independent=rows))
-    figure.draw_without_rendering()
-    for pairs, axes in zip((1, 3), figure.axes, strict=True):
-        *lines, paper = axes.get_lines()
-        for materials, line in zip(DIVISIONS, lines, strict=True):
-            assert line.get_label() == f"{materials} materials"
-            assert line.get_xdata().tolist() == [1_000, 300_000]
-            np.testing.assert_allclose(
-                line.get_ydata(), [0.01 * pairs * materials, 1e-4 * pairs * materials / 3.0]
-            )
-        assert set(paper.get_xdata()) == {18_000}
-        (label,) = axes.texts
-        box = label.get_window_extent().transformed(axes.transData.inverted())
-        assert 18_000 < box.x0 < 20_000 and box.x1 < 40_000
-        low, high = axes.get_ylim()
-        assert low < box.y0 and box.y1 < high
 
 
 def test_a_descent_walks_in_steps_of_two_hundredths_from_inside_the_box() -> None:
