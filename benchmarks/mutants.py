@@ -345,7 +345,7 @@ def places(text: str) -> list[Place]:
             return
         if isinstance(node, ast.keyword) and node.arg in {*_LOOKS, "strict"}:
             return
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "new_figure":
+        if isinstance(node, ast.Call) and ast.unparse(node.func).lstrip("_") == "new_figure":
             return
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             return

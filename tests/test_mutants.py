@@ -129,6 +129,7 @@ def test_a_random_bug_is_planted_where_it_is_named_and_leaves_the_source_readabl
         ("x: Final[3] = max(a, b)\n", []),
         ("p(x, y, lw=1.5)\n", ["dropped statement", "exchanged arguments"]),
         ("f = new_figure(8.0, 2.0 * n)\n", []),
+        ("f = _new_figure(8.0, 2.0 * n)\n", []),
         ("x = zip(a, b, strict=True)\n", ["exchanged arguments"]),
     ],
 )
