@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 import roomfit
 from roomfit._numba import at_most_threads
 from roomfit.errors import InputError
+from roomfit.experiment_design import design as design_module
 from roomfit.experiment_design.campaign import design_arguments
 from roomfit.experiment_design.candidates import (
     Region,
@@ -264,6 +265,10 @@ def test_a_grid_is_centred_and_evenly_spaced():
     assert len(positions) == 5 * 4
     np.testing.assert_allclose(np.unique(positions[:, 0]), [1.0, 2.0, 3.0, 4.0, 5.0])
     np.testing.assert_allclose(np.unique(positions[:, 1]), [1.0, 2.0, 3.0, 4.0])
+    part = Region(np.array([2.0, 2.0, 1.0]), np.array([4.0, 3.1, 1.5]), 1.0)
+    inner = grid_positions(room, part, 0.5)
+    for axis, at in enumerate(([2.0, 2.5, 3.0, 3.5, 4.0], [2.05, 2.55, 3.05], [1.0, 1.5])):
+        np.testing.assert_allclose(np.unique(inner[:, axis]), at)
     with pytest.raises(InputError, match="too little space"):
         grid_positions(room, region._replace(wall_distance_m=2.0), 1.0)
     with pytest.raises(InputError, match="too little space"):
@@ -411,6 +416,23 @@ def test_objects_are_designed_for_in_square_metres_and_walls_alone_are_averaged(
         content["assumed"]["absorption_area_m2"]["people"], found.absorption[own]
     )
     assert "people, m2" in str(found)
+
+
+def test_an_interval_of_an_object_ends_where_all_energy_is_taken(monkeypatch):
+    """At a share of 1 its area has no end; half a width beyond is cut, and as much below."""
+    room = roomfit.scene.with_objects(
+        roomfit.shoebox_room((6.0, 5.0, 3.0), "felt"), {"people": None}
+    )
+    scene = roomfit.scene_of(room, {"S": (1, 1, 1)}, {"R": (4, 3, 2)})
+    given, middle = np.array([[0.4], [0.5]]), np.array([[0.3], [0.9]])
+    monkeypatch.setattr(design_module, "information_of", lambda *_: None)
+    monkeypatch.setattr(design_module, "interval_widths", lambda *_: None)
+    monkeypatch.setattr(design_module, "material_widths", lambda *_: given)
+    known = SimpleNamespace(unknowns=None, typical=middle)
+    (widths,) = design_module._widths(scene, known, None, [], ())
+    # the share of half a metre, by area over 4 V: 1 - exp(-A / (8 V)) at 0.8 and at 1 - 5e-10
+    area_m2 = -8.0 * 90.0 * (np.log(5e-10) - np.log(0.2))
+    np.testing.assert_allclose(widths, [[0.4], [area_m2]], rtol=1e-6)
 
 
 def test_where_objects_alone_are_unknown_random_designs_are_in_square_metres_as_well(tmp_path):

@@ -331,6 +331,7 @@ def test_clocks_and_levels_of_recordings_are_taken_as_the_campaign_specifies_the
     without = read["nuisances"]
     assert without.gain == "known" and without.delay_sd_s == 2e-5
     assert [f.code for f in doubts] == [Code.TIME_ZERO_MISMATCH] * 5
+    assert all("later than the geometry says" in f.sentence for f in doubts)
 
 
 def test_a_result_shows_itself_as_text_table_and_figure(finished):
