@@ -187,6 +187,7 @@ def test_what_a_test_executes_is_written_down(tmp_path):
         "def test_a():\n    assert kept()\n"
         "def test_b():\n    assert kept()\n"
         "def test_c():\n    pass\n"
+        "def test_d():\n    kept.cache_clear()\n"
     )
     log, benchmarks = tmp_path / "executed.jsonl", REPOSITORY / "benchmarks"
     subprocess.run(
@@ -198,7 +199,7 @@ def test_what_a_test_executes_is_written_down(tmp_path):
     )
     entered = {run.test.split("::")[1]: run.functions for run in watched(log)}
     assert entered["test_a"] == entered["test_b"] >= {"bands.py:bands_between"}
-    assert entered["test_c"] == frozenset()
+    assert entered["test_c"] == entered["test_d"] == frozenset()
 
 
 def test_a_share_has_the_interval_of_clopper_and_pearson():
