@@ -364,6 +364,9 @@ def test_which_way_a_chain_bends_is_said():
     ):  # fmt: skip
         (finding,) = codes_of(alone)
         assert words in finding.sentence
+    # of several the clearest, here by 20 standard deviations beside 5
+    (finding,) = codes_of((POWER, Score(0.4, 0.02, 500.0), Score(5.0, 0.5, 500.0)))
+    assert "overdriven" in finding.sentence
     (finding,) = codes_of()
     assert finding.evidence["exponent"] == 1.1 and finding.evidence["exponent_sd"] == 0.02
     # directivities that were fitted leave powers and losses, and no window, unsaid
