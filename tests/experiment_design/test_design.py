@@ -41,7 +41,7 @@ from roomfit.experiment_design.information import (
     material_widths,
     without_geometry,
 )
-from roomfit.experiment_design.output import design_content, design_map
+from roomfit.experiment_design.output import design_content, design_gain, design_map
 from roomfit.experiment_design.prior import Unknowns, information_from_priors
 from roomfit.findings import Code
 from roomfit.inversion import expected
@@ -511,6 +511,34 @@ def test_a_map_of_a_design_says_from_where_it_is_seen_and_along_what(small):
     said = [(a.get_title(loc="left"), a.get_ylabel()) for a in (plan, side)]
     assert said == [("from above", "y (m)"), ("from the side", "z (m)")]
     assert side.get_xlabel() == "x (m)"
+
+
+def test_the_gain_of_a_design_stands_beside_the_range_of_random_ones():
+    """Of ten random designs the median and the quantiles by numpy; one that ended early counts."""
+    widths = np.array(
+        [[[0.6, 0.4], [9.0, 9.0]], [[0.5, 0.3], [9.0, 9.0]], [[0.3, 0.1], [9.0, 9.0]]]
+    )
+    random = np.linspace(0.3, 0.6, 30).reshape(10, 3)
+    random[4, 2] = np.nan
+    made = SimpleNamespace(
+        chosen=(0, 1), widths=widths, compared=np.array([True, False]), random_means=random,
+        after_fit=True, n_fixed=0,
+    )  # fmt: skip
+    (axes,) = design_gain(made).axes
+    median, own = axes.get_lines()
+    np.testing.assert_allclose(own.get_xydata(), [(0, 0.5), (1, 0.4), (2, 0.2)])
+    np.testing.assert_allclose(median.get_xydata()[:, 1], np.nanmedian(random, axis=0))
+    area = axes.collections[0].get_paths()[0].vertices
+    for step in range(3):
+        at = area[area[:, 0] == step, 1]
+        known = random[np.isfinite(random[:, step]), step]
+        np.testing.assert_allclose((at.min(), at.max()), np.quantile(known, (0.05, 0.95)))
+    assert axes.get_xlabel().endswith("beside what is known")
+    assert axes.get_xlim()[0] == axes.get_ylim()[0] == 0.0
+    made.after_fit, made.random_means = False, random[:0]
+    (alone,) = design_gain(made).axes
+    assert [line.get_label() for line in alone.get_lines()] == ["chosen"]
+    assert alone.get_xlabel() == "measured pairs of source and receiver"
 
 
 def test_the_command_writes_what_the_contract_says(small, tmp_path, monkeypatch, capsys):
