@@ -296,6 +296,18 @@ def test_walls_that_scatter_and_odd_rooms_are_simulated_otherwise(tmp_path):
     plan = planned(tmp_path, text)
     synthetic = draw_synthetic_room(plan, np.random.default_rng(9))
     assert synthesis_of(plan, synthetic) == "images and scattered noise of a box"
+    pairs, brief = (("LS1", "MP1"), ("LS1", "MP2")), replace(plan, length_s=0.06)
+    rng, rate_hz = np.random.default_rng(1), 16_000.0
+    _, sound = synthetic_sound(brief, synthetic, pairs, rate_hz, rng)
+    (source,) = synthetic.sources
+    at = {p.name: p.position_m for p in synthetic.receivers}
+    assert sound.keys() == set(pairs)
+    for (_, receiver), pressure in sound.items():
+        # the direct sound is that of its own receiver, and what is scattered comes behind it
+        away_s = np.linalg.norm(at[receiver] - source.position_m) / 343.2
+        first_s = np.argmax(np.abs(pressure) > 0.3 * np.abs(pressure).max()) / rate_hz
+        assert first_s == pytest.approx(away_s, abs=3e-4)
+        assert np.sum(pressure[int(1.2 * away_s * rate_hz) :] ** 2) > 0.0
     unboxed = replace(plan, room=replace(plan.room, shoebox_m=None))
     assert synthesis_of(unboxed, synthetic) == TRACED
 
