@@ -60,6 +60,7 @@ def _kept(function: Callable[..., Any]) -> Callable[..., Any]:
             _entered.update(before)
         return value
 
+    call.cache_clear = cached.cache_clear  # type: ignore[attr-defined]
     return call
 
 

@@ -297,8 +297,8 @@ _COMPARISONS = {
 _SYMMETRIC = frozenset({"max", "min", "maximum", "minimum", "hypot", "isclose", "gcd"})
 # How a picture looks, not what it shows.
 _LOOKS = frozenset(
-    {"alpha", "capsize", "columnspacing", "elinewidth", "fontsize", "handlelength", "linewidth"}
-    | {"lw", "mew", "ms", "ncols", "pad", "rotation", "zorder"}
+    {"alpha", "bbox_to_anchor", "capsize", "color", "columnspacing", "elinewidth", "fontsize"}
+    | {"handlelength", "linewidth", "lw", "mew", "ms", "ncols", "pad", "rotation", "zorder"}
 )
 # Their text is read by people alone, or by type checkers.
 _NOT_PLANTED = (ast.JoinedStr, ast.Raise, ast.Assert)
@@ -345,7 +345,7 @@ def places(text: str) -> list[Place]:
             return
         if isinstance(node, ast.keyword) and node.arg in {*_LOOKS, "strict"}:
             return
-        if isinstance(node, ast.Call) and ast.unparse(node.func) == "new_figure":
+        if isinstance(node, ast.Call) and ast.unparse(node.func).lstrip("_") == "new_figure":
             return
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
             return

@@ -28,7 +28,7 @@ from roomfit.coverage.estimate import (
     replicate_path,
     write_replicate,
 )
-from roomfit.coverage.output import coverage_json
+from roomfit.coverage.output import coverage_figure, coverage_json, verdict
 from roomfit.coverage.simulate import (
     BOX,
     CONVEX,
@@ -42,6 +42,7 @@ from roomfit.coverage.simulate import (
 )
 from roomfit.coverage.statistics import (
     CoverageSample,
+    Proportion,
     coverage_at,
     coverage_rows,
     grouped_proportion,
@@ -295,6 +296,18 @@ def test_walls_that_scatter_and_odd_rooms_are_simulated_otherwise(tmp_path):
     plan = planned(tmp_path, text)
     synthetic = draw_synthetic_room(plan, np.random.default_rng(9))
     assert synthesis_of(plan, synthetic) == "images and scattered noise of a box"
+    pairs, brief = (("LS1", "MP1"), ("LS1", "MP2")), replace(plan, length_s=0.06)
+    rng, rate_hz = np.random.default_rng(1), 16_000.0
+    _, sound = synthetic_sound(brief, synthetic, pairs, rate_hz, rng)
+    (source,) = synthetic.sources
+    at = {p.name: p.position_m for p in synthetic.receivers}
+    assert sound.keys() == set(pairs)
+    for (_, receiver), pressure in sound.items():
+        # the direct sound is that of its own receiver, and what is scattered comes behind it
+        away_s = np.linalg.norm(at[receiver] - source.position_m) / 343.2
+        first_s = np.argmax(np.abs(pressure) > 0.3 * np.abs(pressure).max()) / rate_hz
+        assert first_s == pytest.approx(away_s, abs=3e-4)
+        assert np.sum(pressure[int(1.2 * away_s * rate_hz) :] ** 2) > 0.0
     unboxed = replace(plan, room=replace(plan.room, shoebox_m=None))
     assert synthesis_of(unboxed, synthetic) == TRACED
 
@@ -505,6 +518,63 @@ def test_an_estimate_of_coverage_shows_itself(monkeypatch):
     rows = result.to_dataframe()
     assert [row[0] for row in rows] == [500.0, 1000.0, "all"]
     assert rows[-1][2] == together.holds.value
+
+
+def test_a_picture_of_coverage_holds_shares_with_their_own_intervals():
+    """Over the nominal level, and in every band; intervals left, wrong certainty right of it."""
+    found = sample_of(np.random.default_rng(1), 1.0, n=20)
+    left, right = coverage_figure(found).axes
+    nominal, own = left.get_lines()
+    assert [tuple(x) for x in nominal.get_xydata()] == [(0, 0), (100, 100)]
+    levels = 0.01 * own.get_xdata()
+    wanted = coverage_at(found, levels)
+    assert (levels[0], levels[-1], len(levels)) == (0.05, 0.99, 21)
+    np.testing.assert_allclose(own.get_ydata(), [100.0 * p.value for p in wanted])
+    band = left.collections[0].get_paths()[0].vertices
+    for level, p in zip(levels, wanted, strict=True):
+        at = band[np.isclose(band[:, 0], 100.0 * level), 1]
+        assert (at.min(), at.max()) == pytest.approx((100.0 * p.low, 100.0 * p.high))
+    rows = coverage_rows(found)[:-1]
+    assert [t.get_text() for t in right.get_xticklabels()] == ["500", "1000"]
+    for bars, name, shift in zip(
+        right.containers, ("holds", "outside"), (-0.08, 0.08), strict=True
+    ):
+        points, _, (reach,) = bars.lines
+        shares = [getattr(row, name) for row in rows]
+        np.testing.assert_allclose(points.get_xdata(), np.arange(2) + shift)
+        np.testing.assert_allclose(points.get_ydata(), [100.0 * s.value for s in shares])
+        for (low, high), share in zip(reach.get_segments(), shares, strict=True):
+            assert (low[1], high[1]) == pytest.approx((100.0 * share.low, 100.0 * share.high))
+    upright = right.transData.inverted()
+    aims = sorted(
+        tuple(patch.get_window_extent().transformed(upright).intervaly) for patch in right.patches
+    )
+    np.testing.assert_allclose(aims, [(0.0, 5.0), (90.0, 98.0)], atol=1e-9)
+    limits = left.get_xlim(), left.get_ylim(), right.get_xlim(), right.get_ylim()
+    assert limits == ((0, 100), (0, 101), (-0.5, 1.5), (-2, 102))
+
+
+@pytest.mark.parametrize(
+    ("holds", "outside", "words"),
+    [
+        ((90, 0.9, 0.95), (1, 0.0, 0.2), "cannot distinguish from 95 %. Of what is called "
+         "identifiable 5 % lies outside."),
+        ((90, 0.85, 0.949), (1, 0.0, 0.2), "90 % of 95 % intervals hold the true value: they are "
+         "too narrow for this campaign. Do not rely on them."),
+        ((99, 0.951, 0.999), (1, 0.0, 0.2), "wider than they need be"),
+        ((97, 0.95, 0.999), (1, 0.0, 0.2), "cannot distinguish"),
+        ((90, 0.9, 0.96), (4, 0.051, 0.4), "20 % lies outside: more than the 5 % that"),
+        ((90, 0.9, 0.96), (4, 0.05, 0.4), "20 % lies outside."),
+    ],
+)  # fmt: skip
+def test_the_verdict_is_by_whether_the_interval_of_a_share_holds_its_aim(holds, outside, words):
+    aside = Proportion(outside[0], 20, *outside[1:])
+    row = SimpleNamespace(holds=Proportion(holds[0], 100, *holds[1:]), outside=aside)
+    assert words in verdict(row)
+    nothing = SimpleNamespace(holds=row.holds, outside=Proportion(0, 0, 0.0, 1.0))
+    assert verdict(nothing).endswith("Nothing is called identifiable.")
+    none = SimpleNamespace(holds=nothing.outside, outside=nothing.outside)
+    assert verdict(none) == "No absorption was fitted: nothing can be said of intervals."
 
 
 def test_a_damaged_replicate_is_refused_and_not_counted(tmp_path):

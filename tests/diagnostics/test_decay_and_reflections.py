@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,13 @@ from posterior_cases import Linear, linear_case
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.diagnostics import convergence
-from roomfit.diagnostics.decay import _resampled, certain_misses, decay_misses
+from roomfit.diagnostics.decay import (
+    DecayMiss,
+    _resampled,
+    certain_misses,
+    decay_finding,
+    decay_misses,
+)
 from roomfit.diagnostics.reflections import (
     _weights,
     isolated_reflections,
@@ -23,7 +30,7 @@ from roomfit.diagnostics.verdict import voided
 from roomfit.findings import Code
 from roomfit.inversion.measurements import collect_measurements
 from roomfit.inversion.paths import redirected, traced_paths
-from roomfit.materials.priors import complete_priors
+from roomfit.materials.priors import MaterialPrior, complete_priors
 from roomfit.objective.directivity import FittedDirectivity
 from roomfit.objective.windows import WINDOW_DECAYS, windows_decay_s
 from roomfit.response.binned import rows_at
@@ -103,6 +110,38 @@ def test_early_decay_is_judged_by_the_early_decay_of_the_fitted_windows() -> Non
     ]
     found = decay_misses(OCTAVES, pairs, [True] * len(OCTAVES), as_fitted)
     assert [m.band for m in found] == [2, 3, 4, 5]
+
+
+@pytest.mark.parametrize(
+    ("miss", "known", "tried", "words"),
+    [
+        (2.4, False, {}, "Predicted too long: a material, furniture or an opening that absorbs is "
+         "missing. No absorption"),
+        (2.4, True, {}, "is missing, or the absorption specified of felt is too low."),
+        (-2.4, True, {}, "Predicted too short: the absorption specified of felt is too high."),
+        (-2.4, False, {}, "Predicted too short: early reflections ask for more absorption"),
+        (2.4, False, {0.1: -2.5, 0.3: 1.9, 0.6: -1.95}, "With a scattering of 0.3 on all walls "
+         "the same absorption reproduces it."),
+        (2.4, False, {0.1: -2.5, 0.3: 2.0}, "The same absorption with a scattering of 0.1, 0.3 "
+         "does not reproduce it."),
+    ],
+)  # fmt: skip
+def test_a_decay_that_is_missed_is_said_with_what_would_explain_it(miss, known, tried, words):
+    """Two just noticeable differences, as what counts as missed at all."""
+    a = np.full(6, 0.5) if known else None
+    prior = MaterialPrior("felt", np.zeros(6), np.ones(6), known=a, specified=known)
+    misses = (DecayMiss(2, {"T20_s": (miss, 0.5), "EDT_s": (0.5 * miss, 0.3)}, 4),)
+    mean, eyring = np.arange(6) / 10.0, np.arange(6) / 20.0
+    scattered = {s: np.array([jnd]) for s, jnd in tried.items()}
+    measured = SimpleNamespace(bands=OCTAVES)
+    finding = decay_finding(measured, (prior,), misses, mean, eyring, scattered)
+    assert words in finding.sentence
+    other = "too short" if miss > 0.0 else "too long"
+    assert other not in finding.sentence
+    sizes = f"500 Hz (T20 {5 * miss:+.0f} %, EDT {2.5 * miss:+.0f} %; mean absorption 0.20, by "
+    assert f"{sizes}Eyring from the measured decay 0.10)" in finding.sentence
+    assert finding.evidence["jnd"] == [{"T20_s": miss, "EDT_s": 0.5 * miss}]
+    assert finding.evidence["mean_absorption_by_eyring"] == [0.1]
 
 
 def test_windows_of_an_exponential_decay_have_its_reverberation_time() -> None:

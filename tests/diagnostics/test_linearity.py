@@ -12,20 +12,24 @@ from scipy.signal import butter, sosfilt
 from scipy.special import stdtrit
 
 import roomfit
-from roomfit.diagnostics import copies, noise_gate, noise_tail
+from roomfit.diagnostics import copies, fixed_absorption, linearity, noise_gate, noise_tail
 from roomfit.diagnostics.noise_tail import band_passed
 from roomfit.findings import Code, Finding
 from roomfit.inversion.coherent import fit_coherent, initialise
+from roomfit.inversion.fits import CoherentTests
 from roomfit.inversion.measurements import collect_measurements, counted_once
 from roomfit.inversion.paths import traced_paths
 from roomfit.inversion.score_tests import (
+    ChainScores,
     FittedWindows,
+    FreedAbsorption,
+    Score,
     chain_slopes,
     common,
     scored,
 )
 from roomfit.inversion.solve import coherent_task
-from roomfit.materials.priors import unknown_material
+from roomfit.materials.priors import MaterialPrior, unknown_material
 from roomfit.objective.parameters import Block, Parameters
 from roomfit.objective.problem import Objective
 from roomfit.signals.filters import window_energies
@@ -294,6 +298,136 @@ def test_a_fixed_absorption_that_is_wrong_is_contradicted_and_a_right_one_is_not
     (finding,) = found_in(41, known=true + 0.2 if true < 0.6 else true - 0.2)
     assert finding.code is Code.FIXED_ABSORPTION_CONTRADICTED
     assert finding.evidence["material"] == plan.materials[-1]
+
+
+# A power, a loss and a window, by value, standard deviation and degrees of freedom: here the power
+# is clear (5 sd, 12.5 units of log-likelihood) and alone so.
+NONE, POWER = Score(0.0, 0.02, 500.0), Score(0.1, 0.02, 500.0)
+ALONE = (POWER, NONE, NONE)
+
+
+def codes_of(alone=ALONE, beside=(), freed=(), directed=()):
+    """Return what is said of a chain beside absorptions that are fixed, here at 0.5."""
+    known = MaterialPrior("felt", np.zeros(2), np.ones(2), known=np.full(2, 0.5))
+    tests = CoherentTests(
+        chain=ChainScores(alone, 20.0, (0, 1), beside), freed_absorptions=tuple(freed)
+    )
+    seen = evidence(
+        fits=SimpleNamespace(tests=tests, directivities=directed),
+        measured=SimpleNamespace(bands=BANDS),
+        priors=(known,),
+    )
+    return [f for check in (linearity.check, fixed_absorption.check) for f in check(seen)]
+
+
+def gained(total: float) -> FreedAbsorption:
+    return FreedAbsorption(0, {0: 0.7 * total, 1: 0.3 * total}, {0: 0.31, 1: 0.32})
+
+
+@pytest.mark.parametrize(
+    ("size", "entry", "is_found"),
+    [
+        (0.041, 0, True),  # an exponent nearer to 1 than 0.04 does no harm
+        (-0.041, 0, True),
+        (0.039, 0, False),
+        (0.051, 1, True),
+        (0.049, 1, False),
+        (-0.2, 1, False),  # nothing saturates by a gain
+        (1.1, 2, True),  # of a decay of 20 per second
+        (0.9, 2, False),
+    ],
+)
+def test_what_is_bent_by_less_than_intervals_allow_for_is_not_told(size, entry, is_found):
+    alone = [NONE, NONE, NONE]
+    alone[entry] = Score(size, 0.05 * abs(size), 500.0)  # 20 sd
+    found = [f.code for f in codes_of(tuple(alone))]
+    assert found == [Code.LEVELS_NOT_LINEAR if entry < 2 else Code.DECAY_BENT] * is_found
+
+
+def test_a_chain_is_clear_at_a_chance_of_a_thousandth_for_all_three():
+    """Either side of the two-sided quantile of Student's t at 1e-3 / 3, with 9 of freedom."""
+    limit = float(stdtrit(9.0, 1.0 - 1e-3 / 6.0))
+    for factor, n in ((1.01, 1), (0.99, 0)):
+        assert len(codes_of((Score(factor * limit, 1.0, 9.0), NONE, NONE))) == n
+
+
+def test_which_way_a_chain_bends_is_said():
+    for alone, words in (
+        ((POWER, NONE, NONE), "power 1.10 +- 0.02 of the pressure, in all bands and over all "
+         "distances alike: an expander or gate"),
+        ((Score(-0.1, 0.02, 500.0), NONE, NONE), "power 0.90 +- 0.02"),
+        ((NONE, POWER, NONE), "by 0.10 +- 0.02 at the peak, in all bands and over all distances "
+         "alike: a limiter or an overdriven input"),
+        ((NONE, NONE, Score(5.0, 0.5, 500.0)), "decays too fast for its early reflections, by "
+         "5.0 +- 0.5 of energy per second"),
+        ((NONE, NONE, Score(-5.0, 0.5, 500.0)), "decays too slowly"),
+    ):  # fmt: skip
+        (finding,) = codes_of(alone)
+        assert words in finding.sentence
+    # of several the clearest, here by 20 standard deviations beside 5
+    (finding,) = codes_of((POWER, Score(0.4, 0.02, 500.0), Score(5.0, 0.5, 500.0)))
+    assert "overdriven" in finding.sentence
+    (finding,) = codes_of()
+    assert finding.evidence["exponent"] == 1.1 and finding.evidence["exponent_sd"] == 0.02
+    # directivities that were fitted leave powers and losses, and no window, unsaid
+    assert codes_of(directed=("fitted",)) == []
+    assert len(codes_of((NONE, NONE, Score(5.0, 0.5, 500.0)), directed=("fitted",))) == 1
+
+
+@pytest.mark.parametrize(
+    ("by_walls", "beside", "said"),
+    [
+        # freed, the wall gains 20 for two unknowns; the chain 12.5 for one, and nothing beside it
+        (20.0, NONE, {Code.FIXED_ABSORPTION_CONTRADICTED}),
+        # 12.5 - 1 + 2 = 13.5 = 15.5 - 2: undecided, and both are named
+        (15.4, NONE, {Code.LEVELS_NOT_LINEAR, Code.FIXED_ABSORPTION_CONTRADICTED}),
+        (15.6, NONE, {Code.FIXED_ABSORPTION_CONTRADICTED}),
+        # beside the freed wall the chain is as clear as before: both are wrong
+        (20.0, POWER, {Code.LEVELS_NOT_LINEAR, Code.FIXED_ABSORPTION_CONTRADICTED}),
+    ],
+)
+def test_a_chain_is_not_named_where_a_wrong_fixed_absorption_explains_it(by_walls, beside, said):
+    found = codes_of(beside=(beside, NONE, NONE), freed=(gained(by_walls),))
+    assert {f.code for f in found} == said
+
+
+@pytest.mark.parametrize(
+    ("chain", "by_walls", "beside_gain", "is_contradicted"),
+    [
+        # the chain gains 50, the wall 20, and after the chain nothing is left for the wall
+        (50.0, 20.0, 30.0, False),
+        # 2 * 6.8 and 2 * 7.0 are either side of chi-square's 13.8 (2 of freedom, 1e-3)
+        (50.0, 20.0, 36.8, False),
+        (50.0, 20.0, 37.0, True),
+        # the chain must be likelier by 2 units, less one an unknown: 20 - 2 + 2 + 1 = 21
+        (21.1, 20.0, 1.2, False),
+        (20.9, 20.0, 1.0, True),
+    ],
+)
+def test_a_fixed_absorption_is_not_contradicted_where_a_bent_chain_explains_it(
+    chain, by_walls, beside_gain, is_contradicted
+):
+    alone = Score(1.0, (2.0 * chain) ** -0.5, 500.0)
+    beside = Score(1.0, (2.0 * beside_gain) ** -0.5, 500.0)
+    found = codes_of((alone, NONE, NONE), (beside, NONE, NONE), (gained(by_walls),))
+    codes = [f.code for f in found]
+    assert (Code.FIXED_ABSORPTION_CONTRADICTED in codes) is is_contradicted
+    # with nothing known of the chain beside the wall, the wall is contradicted
+    alone_known = [f.code for f in codes_of((alone, NONE, NONE), (), (gained(by_walls),))]
+    assert Code.FIXED_ABSORPTION_CONTRADICTED in alone_known
+
+
+def test_a_fixed_absorption_is_contradicted_by_what_it_gains_in_all_bands():
+    """Chi-square at 1e-5 with two of freedom is 2 ln 1e5 = 23.03; bands of less than 2 are left."""
+    quiet = (NONE, NONE, NONE)
+    assert codes_of(quiet, freed=(gained(11.5),)) == []
+    (finding,) = codes_of(quiet, freed=(gained(11.6),))
+    assert finding.evidence["bands_hz"] == [1000.0, 2000.0]
+    assert "0.50 fixed, about 0.31 likelier" in finding.sentence
+    freed = FreedAbsorption(0, {0: 18.0, 1: 1.9}, {0: 0.31, 1: 0.32})
+    (finding,) = codes_of(quiet, freed=(freed,))
+    assert finding.evidence["bands_hz"] == [1000.0]
+    assert finding.evidence["log_likelihood_gain"] == [18.0]
 
 
 def test_copies_are_counted_once_in_one_place_and_void_the_answer_in_two():

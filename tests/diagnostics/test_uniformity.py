@@ -184,6 +184,12 @@ def test_the_finding_names_places_and_voids_their_material_alone():
     assert finding.about.materials == ("floor",)
     assert finding.about.bands_hz == (500.0, 1000.0)
     assert all(z == pytest.approx(0.0) for _, _, z in finding.about.points_m)
+    # 0.6 is given back on average, and more and less of it by some cells
+    (floor,) = (s for s in scores if s.name == "floor")
+    row = max(floor.returned, key=np.ptp)
+    least, most = (1.0 - 0.6 * np.exp(x) for x in (row.max(), row.min()))
+    assert f"about {least:.2f} near" in finding.sentence and 0.0 < least < 0.4
+    assert f"about {most:.2f} near" in finding.sentence and 0.4 < most < 1.0
     largest = max(s.evidence for s in scores)
     for gain, is_named in ((largest + 2.0, True), (largest + 6.0, False)):
         freed = FreedAbsorption(1, {0: 0.5 * gain, 1: 0.5 * gain}, {0: 0.2, 1: 0.2})

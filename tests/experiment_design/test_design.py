@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 import roomfit
 from roomfit._numba import at_most_threads
 from roomfit.errors import InputError
+from roomfit.experiment_design import design as design_module
 from roomfit.experiment_design.campaign import design_arguments
 from roomfit.experiment_design.candidates import (
     Region,
@@ -40,7 +41,7 @@ from roomfit.experiment_design.information import (
     material_widths,
     without_geometry,
 )
-from roomfit.experiment_design.output import design_content, design_map
+from roomfit.experiment_design.output import design_content, design_gain, design_map
 from roomfit.experiment_design.prior import Unknowns, information_from_priors
 from roomfit.findings import Code
 from roomfit.inversion import expected
@@ -264,6 +265,10 @@ def test_a_grid_is_centred_and_evenly_spaced():
     assert len(positions) == 5 * 4
     np.testing.assert_allclose(np.unique(positions[:, 0]), [1.0, 2.0, 3.0, 4.0, 5.0])
     np.testing.assert_allclose(np.unique(positions[:, 1]), [1.0, 2.0, 3.0, 4.0])
+    part = Region(np.array([2.0, 2.0, 1.0]), np.array([4.0, 3.1, 1.5]), 1.0)
+    inner = grid_positions(room, part, 0.5)
+    for axis, at in enumerate(([2.0, 2.5, 3.0, 3.5, 4.0], [2.05, 2.55, 3.05], [1.0, 1.5])):
+        np.testing.assert_allclose(np.unique(inner[:, axis]), at)
     with pytest.raises(InputError, match="too little space"):
         grid_positions(room, region._replace(wall_distance_m=2.0), 1.0)
     with pytest.raises(InputError, match="too little space"):
@@ -413,6 +418,23 @@ def test_objects_are_designed_for_in_square_metres_and_walls_alone_are_averaged(
     assert "people, m2" in str(found)
 
 
+def test_an_interval_of_an_object_ends_where_all_energy_is_taken(monkeypatch):
+    """At a share of 1 its area has no end; half a width beyond is cut, and as much below."""
+    room = roomfit.scene.with_objects(
+        roomfit.shoebox_room((6.0, 5.0, 3.0), "felt"), {"people": None}
+    )
+    scene = roomfit.scene_of(room, {"S": (1, 1, 1)}, {"R": (4, 3, 2)})
+    given, middle = np.array([[0.4], [0.5]]), np.array([[0.3], [0.9]])
+    monkeypatch.setattr(design_module, "information_of", lambda *_: None)
+    monkeypatch.setattr(design_module, "interval_widths", lambda *_: None)
+    monkeypatch.setattr(design_module, "material_widths", lambda *_: given)
+    known = SimpleNamespace(unknowns=None, typical=middle)
+    (widths,) = design_module._widths(scene, known, None, [], ())
+    # the share of half a metre, by area over 4 V: 1 - exp(-A / (8 V)) at 0.8 and at 1 - 5e-10
+    area_m2 = -8.0 * 90.0 * (np.log(5e-10) - np.log(0.2))
+    np.testing.assert_allclose(widths, [[0.4], [area_m2]], rtol=1e-6)
+
+
 def test_where_objects_alone_are_unknown_random_designs_are_in_square_metres_as_well(tmp_path):
     """Before the first pair all designs have the same width, in the unit of the chosen one."""
     given = ("scattering = 0.0", "scattering = 0.0\nabsorption = 0.45")
@@ -489,6 +511,34 @@ def test_a_map_of_a_design_says_from_where_it_is_seen_and_along_what(small):
     said = [(a.get_title(loc="left"), a.get_ylabel()) for a in (plan, side)]
     assert said == [("from above", "y (m)"), ("from the side", "z (m)")]
     assert side.get_xlabel() == "x (m)"
+
+
+def test_the_gain_of_a_design_stands_beside_the_range_of_random_ones():
+    """Of ten random designs the median and the quantiles by numpy; one that ended early counts."""
+    widths = np.array(
+        [[[0.6, 0.4], [9.0, 9.0]], [[0.5, 0.3], [9.0, 9.0]], [[0.3, 0.1], [9.0, 9.0]]]
+    )
+    random = np.linspace(0.3, 0.6, 30).reshape(10, 3)
+    random[4, 2] = np.nan
+    made = SimpleNamespace(
+        chosen=(0, 1), widths=widths, compared=np.array([True, False]), random_means=random,
+        after_fit=True, n_fixed=0,
+    )  # fmt: skip
+    (axes,) = design_gain(made).axes
+    median, own = axes.get_lines()
+    np.testing.assert_allclose(own.get_xydata(), [(0, 0.5), (1, 0.4), (2, 0.2)])
+    np.testing.assert_allclose(median.get_xydata()[:, 1], np.nanmedian(random, axis=0))
+    area = axes.collections[0].get_paths()[0].vertices
+    for step in range(3):
+        at = area[area[:, 0] == step, 1]
+        known = random[np.isfinite(random[:, step]), step]
+        np.testing.assert_allclose((at.min(), at.max()), np.quantile(known, (0.05, 0.95)))
+    assert axes.get_xlabel().endswith("beside what is known")
+    assert axes.get_xlim()[0] == axes.get_ylim()[0] == 0.0
+    made.after_fit, made.random_means = False, random[:0]
+    (alone,) = design_gain(made).axes
+    assert [line.get_label() for line in alone.get_lines()] == ["chosen"]
+    assert alone.get_xlabel() == "measured pairs of source and receiver"
 
 
 def test_the_command_writes_what_the_contract_says(small, tmp_path, monkeypatch, capsys):

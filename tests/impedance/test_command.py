@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from roomfit.impedance.campaign import (
 from roomfit.impedance.data import Observed, damped_noise, damped_spectrum
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
 from roomfit.impedance.laws import r0_of_impedance
+from roomfit.impedance.output import spectra_figure, walls_figure
 from roomfit.impedance.wave_model import Nuisances, at_rest, predicted_pressure, wave_model
 from roomfit.io.campaign import read_campaign
 from roomfit.signals.response import ImpulseResponse
@@ -329,6 +331,7 @@ def test_clocks_and_levels_of_recordings_are_taken_as_the_campaign_specifies_the
     without = read["nuisances"]
     assert without.gain == "known" and without.delay_sd_s == 2e-5
     assert [f.code for f in doubts] == [Code.TIME_ZERO_MISMATCH] * 5
+    assert all("later than the geometry says" in f.sentence for f in doubts)
 
 
 def test_a_result_shows_itself_as_text_table_and_figure(finished):
@@ -341,6 +344,72 @@ def test_a_result_shows_itself_as_text_table_and_figure(finished):
     assert len(answer.plot().subfigs) == 3
     with pytest.raises(InputError, match="did you mean 'wool'"):
         answer.plot("wol")
+
+
+def test_a_picture_of_a_wall_holds_what_was_found_between_its_limits(finished):
+    """|R0| between the roots of what the limits of absorption leave; the phase in degrees."""
+    _, answer, _ = finished
+    wall = replace(answer.materials[0], impedance_shown=answer.materials[0].identified)
+    (part,) = walls_figure(answer, [wall]).subfigs
+    size, angle, absorption, z = part.axes
+    band, (line,) = size.collections[0].get_paths()[0].vertices, size.get_lines()
+    np.testing.assert_array_equal(line.get_data(), (F_HZ, np.abs(wall.r0)))
+    kept = (1.0 - wall.absorption_normal_upper95, 1.0 - wall.absorption_normal_lower95)
+    np.testing.assert_allclose(sorted(set(band[:, 1])), sorted({*np.sqrt(kept).ravel()}))
+    turned = np.unwrap(np.deg2rad(angle.get_lines()[0].get_ydata()))
+    np.testing.assert_allclose(np.exp(1j * turned), wall.r0 / np.abs(wall.r0), atol=1e-12)
+    # far from 0 the phase turns by what lies across R0, over its size
+    reach = 0.5 * (wall.r0_upper95 - wall.r0_lower95)
+    unit = 1j * wall.r0 / np.abs(wall.r0)
+    off = np.degrees(np.hypot(reach.real * unit.real, reach.imag * unit.imag) / np.abs(wall.r0))
+    ends = angle.collections[0].get_paths()[0].vertices
+    phase = angle.get_lines()[0].get_ydata()
+    np.testing.assert_allclose(
+        sorted(set(ends[:, 1])), sorted({*(phase - off), *(phase + off)}), rtol=1e-9
+    )
+    for axes, names in (
+        (absorption, {"normal incidence": "absorption_normal", "random incidence":
+                      "absorption_random"}),
+        (z, {"real part": "z_real", "imaginary part": "z_imag"}),
+    ):  # fmt: skip
+        assert [t.get_text() for t in axes.get_legend().get_texts()] == list(names)
+        for line, shade in zip(axes.get_lines(), axes.collections, strict=True):
+            name = names[line.get_label()]
+            np.testing.assert_array_equal(line.get_ydata(), wall.columns()[name])
+            limits = [wall.columns()[name + end] for end in ("_lower95", "_upper95")]
+            drawn = shade.get_paths()
+            if np.isfinite(limits).all():
+                (shape,) = drawn
+                np.testing.assert_allclose(
+                    sorted(set(shape.vertices[:, 1])), sorted({*np.ravel(limits)})
+                )
+    assert size.get_ylim() == absorption.get_ylim() == (-0.02, 1.02)
+    assert {axes.get_xlim() for axes in part.axes} == {(F_HZ[0], F_HZ[-1])}
+    hidden = replace(wall, impedance_shown=np.zeros(F_HZ.size, dtype=bool))
+    (said,) = walls_figure(answer, [hidden]).subfigs[0].axes[3].texts
+    assert "interval wider than 20 %" in said.get_text() and said.get_position() == (0.5, 0.5)
+
+
+def test_a_picture_of_spectra_holds_levels_below_the_loudest(finished):
+    """Three of the pairs in two columns, and no fourth panel."""
+    _, answer, _ = finished
+    figure = spectra_figure(answer, range(1, 4))
+    shown = [axes for axes in figure.axes if axes.get_visible()]
+    assert len(figure.axes) == 4 and len(shown) == 3
+    loudest = np.abs(answer.measured).max()
+    for axes, i in zip(shown, (1, 2, 3), strict=True):
+        assert axes.get_title() == " to ".join(answer.pairs[i])
+        difference = answer.measured[i] - answer.predicted[i]
+        for line, values in zip(
+            axes.get_lines(),
+            (answer.measured[i], answer.predicted[i], difference, answer.expected_rms[i]),
+            strict=True,
+        ):
+            np.testing.assert_array_equal(line.get_xdata(), F_HZ)
+            np.testing.assert_allclose(line.get_ydata(), 20 * np.log10(np.abs(values) / loudest))
+        assert axes.get_xlim() == (F_HZ[0], F_HZ[-1]) and axes.get_ylim() == (-80.0, 5.0)
+    labels = ["measured", "predicted", "difference", "difference expected (rms)"]
+    assert [t.get_text() for t in figure.legends[0].get_texts()] == labels
 
 
 def test_a_data_frame_without_pandas_says_what_to_install(finished, monkeypatch):

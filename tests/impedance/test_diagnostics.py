@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +13,7 @@ from impedance_cases import nearest
 from roomfit.air import Air
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import mean_free_path_m
+from roomfit.impedance import diagnostics
 from roomfit.impedance.data import Observed, complex_frequency_hz, level_at, model_error
 from roomfit.impedance.diagnostics import _material_impedances, estimated_noise
 from roomfit.impedance.fit import polish
@@ -296,3 +297,59 @@ def test_a_room_that_is_not_convex_gives_back_its_walls():
     # as A10 of docs/impedance.md, with a third of its data
     off = rms_by_material(np.array([m.r0 for m in answer.materials]) - r0, f)
     assert off.max() <= 0.03
+
+
+SPECIFIED = Nuisances(position_sd_m=0.001, speed_sd=0.001, gain="known")
+
+
+@dataclass
+class Freed:
+    """What a likely cause asks of a problem."""
+
+    nuisances: Nuisances
+    observed: SimpleNamespace
+    model: SimpleNamespace
+
+
+@pytest.mark.parametrize(
+    ("octaves", "freed", "n_receivers", "cause"),
+    [
+        # below 2.5 nothing is bad, and of the others none may be above 1.6
+        ((2.6, 1.5), {}, 2, "low frequency: only below 200 Hz"),
+        ((2.4, 1.5), {}, 2, "walls that do not react locally"),
+        ((2.6, 1.7), {}, 2, "walls that do not react locally"),
+        ((9.0, 9.0), {"geometry": 1.5}, 2, "positions or the speed of sound: the residual falls "
+         "from 20.0 to 1.5 with them free"),
+        # a tenth is enough, a little more is not
+        ((9.0, 9.0), {"geometry": 1.9}, 2, "positions or the speed of sound"),
+        ((9.0, 9.0), {"geometry": 2.1, "gain": 1.5}, 2, "the gain: the residual falls"),
+        ((9.0, 9.0), {"both": 1.5}, 2, "positions and the gain: the residual"),
+        ((9.0, 9.0), {"spectrum": 3.9}, 2, "sources whose spectra are not flat"),
+        ((9.0, 9.0), {"spectrum": 4.1}, 2, "walls that do not react locally"),
+        ((9.0, 9.0), {"spectrum": 3.9}, 1, "walls that do not react locally"),
+    ],
+)  # fmt: skip
+def test_the_likely_cause_is_what_makes_the_model_fit(
+    monkeypatch, octaves, freed, n_receivers, cause
+):
+    """Free positions, gains, both, and spectra where each source was measured twice."""
+
+    def chi2(fit):
+        now = fit.problem.nuisances
+        geometry = now.position_sd_m == 0.02 and now.speed_sd == 0.01
+        if now.gain == "spectrum":
+            return freed.get("spectrum", 20.0) if geometry else 20.0
+        name = {(True, "known"): "geometry", (False, "source"): "gain", (True, "source"): "both"}
+        return freed.get(name.get((geometry, now.gain)), 20.0)
+
+    pairs = np.array([(s, r) for s in (0, 1) for r in range(n_receivers)])
+    model = SimpleNamespace(scene=SimpleNamespace(pairs=pairs))
+    problem = Freed(SPECIFIED, SimpleNamespace(has_phase=True), model)
+    monkeypatch.setattr(diagnostics, "reduced_chi2", chi2)
+    monkeypatch.setattr(diagnostics, "refit", lambda problem: SimpleNamespace(problem=problem))
+    monkeypatch.setattr(diagnostics, "_fits", lambda fit: chi2(fit) <= 1.6)
+    monkeypatch.setattr(
+        diagnostics, "_chi2_by_octave", lambda _: list(zip((200.0, 400.0), octaves, strict=True))
+    )
+    said = diagnostics._likely_cause(SimpleNamespace(problem=problem))
+    assert said.startswith(cause)

@@ -10,6 +10,7 @@ import pytest
 from impedance_cases import exact
 from roomfit.errors import InputError
 from roomfit.findings import Code
+from roomfit.impedance import fit as fits
 from roomfit.impedance import identify
 from roomfit.impedance.data import Observed, complex_frequency_hz
 from roomfit.impedance.fit import Start, WallModel
@@ -288,3 +289,19 @@ def test_another_minimum_counts_where_it_explains_the_data_as_well_and_lies_else
     starts = (start(1.0, 0.5), start(1.1, 0.505), start(cost, 0.5 + away))
     found = identify._rivals(None, starts, lowest)
     assert [f.r0[0, 0].real for f in found] == ([0.5 + away] if counts else [])
+
+
+def test_a_constant_stands_for_a_spline_by_the_mean_square_that_it_leaves():
+    """In deviations of the spline, 0.1 * 0.2 here, and of what a law may be off by, together."""
+    f, r0 = np.array([200.0, 300.0, 400.0]), np.array([0.8, 0.8 + 0.06j, 0.74])
+    problem = SimpleNamespace(
+        layout=SimpleNamespace(curves=[slice(0, 1)]),
+        curves=[SimpleNamespace(slope=lambda _: np.full((3, 1), 0.1 + 0.0j))],
+        observed=SimpleNamespace(frequency_hz=f),
+    )
+    fit = SimpleNamespace(problem=problem, x=np.zeros(1), covariance=np.array([[0.04]]), r0=[r0])
+    rng = np.random.default_rng(1)
+    curve, misfit = fits._nearest_law(fit, 0, ["constant"], WallModel("auto"), rng)
+    off = np.abs(r0 - r0.mean()) ** 2
+    assert misfit == pytest.approx(np.mean(off) / (0.02**2 + fits._LAW_ERROR**2))
+    np.testing.assert_allclose(curve.r0(curve.start), np.full(3, r0.mean()), rtol=1e-9)

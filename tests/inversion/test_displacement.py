@@ -160,6 +160,10 @@ def test_derivatives_are_those_of_finite_differences(monkeypatch):
     monkeypatch.setattr(whole, "located", keep)
     fitted(specified(simulated(500)[0]), 500)
     outline = kept[0]
+    for own, term in zip(outline.bands, displaced_terms(outline, np.zeros(6)), strict=True):
+        # where nothing has moved: what was measured, within what interference makes of it
+        windows = np.log(Objective(own.parameters, (term,)).expected(own.start) / term.measured())
+        assert abs(np.median(windows)) < 0.5 and np.quantile(np.abs(windows), 0.9) < 2.0
     shift_m = 0.05 * np.eye(len(outline.offsets))[0]
     for own, term in zip(outline.bands, displaced_terms(outline, shift_m), strict=True):
         objective = Objective(own.parameters, (term,))
@@ -276,6 +280,77 @@ def test_a_displacement_without_a_top_is_stated_without_a_deviation():
     found = named_by(lambda m, _=False: 200.0 * float(m[0] > 0.42))
     assert "about 0.5 m" in found.sentence
     assert "+-" not in found.sentence
+
+
+def box_of_three_offsets(moved_m=(0.0, 0.0, 0.0)):
+    """Return an outline of a box in which all points, its length or a receiver may be off in x."""
+    scene = roomfit.scene_of(
+        roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster"), {"S": (1, 1, 1)}, {"R": (4, 3, 1)}
+    )
+    names = frozenset({"S"}), frozenset({"R"})
+    offsets = (
+        whole_displacement.Offset("all", 0, 0.01, False, *names),
+        whole_displacement.Offset("", 0, 0.03, False),
+        whole_displacement.Offset("R", 0, 0.01, False, frozenset(), names[1]),
+        whole_displacement.Offset("all", 1, 0.01, False, *names),
+    )
+    moved = np.array([*moved_m, 0.0])
+    return SimpleNamespace(offsets=offsets, moved_m=moved, measured=SimpleNamespace(scene=scene))
+
+
+@pytest.mark.parametrize(
+    ("top", "kind", "size_m", "farther"),
+    [
+        ((0.5, 0.0, 0.0, 0.0), "all", 0.5, (0.5, -0.5)),
+        ((0.0, -0.65, 0.0, 0.0), "length", -0.65, (0.0, -0.65)),
+        ((0.0, 0.0, 0.4, 0.0), "R", 0.4, (0.0, 0.0)),
+        # a wall at the origin that stands farther off: a longer box whose points have moved as far
+        ((0.43, 0.43, 0.0, 0.0), "wall", 0.43, (0.43, 0.0)),
+    ],
+)
+def test_the_likeliest_way_to_move_is_named_with_its_size_and_the_walls_that_are_farther(
+    top, kind, size_m, farther
+):
+    """By a normal law about each; the other axis keeps what it was fitted to."""
+    outline, middle = box_of_three_offsets(), np.array(top)
+    inverse = np.diag([1 / 0.02**2, 1 / 0.02**2, 1 / 0.02**2, 1 / 0.05**2])
+
+    def worth(at, _roughly=False):
+        off = at - middle - [0.0, 0.0, 0.0, 0.03]
+        return 300.0 - 0.5 * float(off @ inverse @ off)
+
+    inside = np.array([0.0, 0.0, 0.0, 0.03])
+    found = whole_displacement._named(outline, worth, inside, middle)
+    assert found is not None and found.kind == kind and found.axis == 0
+    assert found.size_m == pytest.approx(size_m, abs=2e-3)
+    sd_m = 0.02 / np.sqrt(2.0) if kind == "wall" else 0.02
+    assert found.sd_m == pytest.approx(sd_m, rel=1e-3)
+    ends = list(found.farther_m.values())
+    np.testing.assert_allclose([x for x, _ in ends], farther, atol=2e-3)
+    np.testing.assert_allclose([s for _, s in ends], [0.02, 0.02 * np.sqrt(2.0)], atol=1e-3)
+
+
+def test_what_gains_too_little_or_is_within_the_specified_is_not_named():
+    """10 units of log-likelihood beside the prior's, and 3.5 deviations of what is specified."""
+    outline = box_of_three_offsets()
+    far, limit_m = np.array([0.5, 0.0, 0.0, 0.0]), 3.5 * np.hypot(0.01, 0.035)
+    prior = whole_displacement._log_prior(outline.offsets[0], 0.5)
+    assert prior == pytest.approx(-2.5 * np.log1p(0.25 * 0.25 / (0.01**2 + 0.035**2)))
+
+    def named(top_m, gain):
+        """A top of so much gain over where nothing has moved."""
+        return whole_displacement._named(
+            outline,
+            lambda at, _=False: (
+                gain * (1.0 - float(np.sum((at - [top_m, 0, 0, 0]) ** 2)) / top_m**2)
+            ),
+            np.zeros(4),
+            far,
+        )
+
+    assert named(0.5, 10.1 - prior) is not None and named(0.5, 9.9 - prior) is None
+    assert named(1.02 * limit_m, 60.0) is not None and named(0.98 * limit_m, 60.0) is None
+    assert whole_displacement._named(outline, lambda *_: -np.inf, np.zeros(4), far) is None
 
 
 def normal_law(covariance, mean):

@@ -525,3 +525,25 @@ def test_smoothness_over_bands_keeps_what_is_held_and_tied(tmp_path, few_rays):
         assert np.all(np.isfinite(array))
         np.testing.assert_array_equal(array[row["tiles"]], array[row["walls"]])
     assert np.all(answer.upper95[row["walls"]] > answer.lower95[row["walls"]])
+
+
+def test_what_voids_the_answer_is_said_before_the_minutes_that_a_fit_may_last(monkeypatch, caplog):
+    """Of two findings the one that calls nothing identifiable; the other stands in the answer."""
+    void = Finding(Code.LEVELS_NOT_LINEAR, About(bands_hz=[500]), "Levels are bent.")
+    other = Finding(Code.FIRST_ANSWER, About(), "It is a first one.")
+    assert void.code.voids_identifiability and not other.code.voids_identifiability
+    monkeypatch.setattr("roomfit.identification.examine", lambda *_: (other, void))
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("roomfit.identification.complete_priors", stop)
+    scene = roomfit.scene_of(
+        roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster"), {"S": (1.5, 1.2, 1.5)}, {"R": (4, 3.5, 1)}
+    )
+    measured = roomfit.MeasuredValues("S", "R", [1000.0], {"T20_s": [0.8]})
+    with pytest.raises(KeyboardInterrupt):
+        roomfit.identify(scene, [measured], bands=roomfit.bands_between("octave", 1000, 1000))
+    said = [r.getMessage() for r in caplog.records if r.levelname == "WARNING"]
+    assert said[0].endswith("Levels are bent.") and "stop it with Ctrl-C" in said[1]
+    assert len(said) == 2

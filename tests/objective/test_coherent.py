@@ -12,6 +12,7 @@ from coherent_cases import (
     objective_of,
     small_geometry,
     small_paths,
+    small_scene,
     small_term,
     with_data,
 )
@@ -19,7 +20,7 @@ from roomfit.bands import Bands
 from roomfit.inversion.sequential import cavity_prior
 from roomfit.inversion.systematics import inflated_by_adjacent_bands
 from roomfit.materials.priors import unknown_material
-from roomfit.objective.coherent import cut_at, with_coherence
+from roomfit.objective.coherent import cut_at, moved_scene, with_coherence
 from roomfit.objective.parameters import (
     GEOMETRY,
     Block,
@@ -245,3 +246,33 @@ def test_bins_are_cut_at_the_last_edge_that_is_not_after_the_time(end_s, n):
     four = BinnedPaths(edges_s, tuple(first_rows(rows, 4) for rows in binned.rows))
     assert cut_at(four, end_s).edges_s.tolist() == edges_s[: n + 1].tolist()
     assert all(rows.n_windows == n for rows in cut_at(four, end_s).rows)
+
+
+def test_a_scene_moves_to_the_fitted_positions_and_keeps_what_is_known():
+    """Steps are free numbers times standard deviations; a coordinate of none, and one unfitted,
+    stay, and so does whatever comes behind the positions."""
+    scene = small_scene()
+    geometry = small_geometry()
+    n = 3 * (len(scene.sources) + len(scene.receivers))
+    sd = np.array(geometry.sd)
+    sd[1], fitted = 0.0, np.array(geometry.fitted)
+    fitted[2] = False
+    moved_by = replace(geometry, sd=sd, fitted=fitted)
+    free = np.flatnonzero(fitted & (sd > 0.0))
+    numbers = 0.5 + np.arange(free.size)
+    found, origin = moved_scene(scene, moved_by, numbers)
+    expected = np.zeros(sd.size)
+    expected[free] = numbers
+    expected[n:] = 0.0
+    np.testing.assert_array_equal(origin, expected)
+    for points, moved, first in (
+        (scene.sources, found.sources, 0),
+        (scene.receivers, found.receivers, 3 * len(scene.sources)),
+    ):
+        for i, (before, after) in enumerate(zip(points, moved, strict=True)):
+            own = slice(first + 3 * i, first + 3 * i + 3)
+            np.testing.assert_allclose(
+                after.position_m, before.position_m + sd[own] * expected[own], rtol=1e-12
+            )
+            assert after.name == before.name
+    assert np.any(expected[:n]) and np.any(fitted[n:])

@@ -8,10 +8,16 @@ import numpy as np
 import pytest
 
 from coherent_cases import objective_of, small_geometry, small_paths, small_term
-from roomfit.inversion.directivity import band_information, cavity_priors, moved_start
+from roomfit.inversion.directivity import (
+    band_information,
+    cavity_priors,
+    moved_start,
+    with_fitted_sources,
+)
 from roomfit.objective.coherent import CoherentTerm, with_coherence
 from roomfit.objective.directivity import (
     BandDirectivities,
+    DirectivityParameters,
     UnknownDirectivities,
     directed,
     directivity_block,
@@ -246,3 +252,22 @@ def test_a_start_keeps_its_b_under_another_prior() -> None:
     np.testing.assert_allclose(
         new.mean + new.root @ moved[2:], old.mean + old.root @ fit.vector[2:]
     )
+
+
+def test_sources_that_were_tested_join_those_whose_directivity_is_fitted():
+    """Numbers of the second follow those of the first; a scene's source is one of either."""
+    aim = np.array([0.0, 1.0, 0.0])
+    first = DirectivityParameters(
+        ("A",), np.array([0, -1, -1, -1]), np.full((1, 3), 0.1), np.array([0.5]), (aim, *3 * [None])
+    )
+    tested = DirectivityParameters(
+        ("B", "C"), np.array([-1, 0, -1, 1]), np.full((2, 3), 0.2), np.array([0.6, 0.7])
+    )
+    both = with_fitted_sources(first, tested)
+    assert both.sources == ("A", "B", "C") and both.aims is first.aims
+    assert both.of_source.tolist() == [0, 1, -1, 2]
+    assert both.mean.tolist() == [[0.1] * 3, [0.2] * 3, [0.2] * 3]
+    assert both.sd.tolist() == [0.5, 0.6, 0.7]
+    alone = with_fitted_sources(None, tested)
+    assert alone.of_source.tolist() == [-1, 0, -1, 1] and alone.aims == (None,) * 4
+    assert alone.sources == ("B", "C")

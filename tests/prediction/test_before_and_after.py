@@ -97,6 +97,31 @@ def test_the_picture_has_a_panel_for_every_parameter_and_for_sti(compared):
     assert len(titles) == 9
 
 
+def test_the_picture_holds_means_before_and_after_beside_each_other_in_every_band(compared):
+    """Measured, model before, model after, carried over, a sixth of a band apart."""
+    figure = change_figure(compared)
+    panels = {axes.get_title(): axes for axes in figure.axes if axes.get_visible()}
+    assert [t.get_text() for t in panels["STI"].get_xticklabels()] == ["125 to 8000"]
+    axes, v = panels["T20 s"], compared.mean["T20_s"]
+    assert [t.get_text() for t in axes.get_xticklabels()][3] == "1000"
+    assert axes.get_xlim() == (-0.6, 6.6)
+    c = v.change
+    wanted = {
+        "measured before": (v.measured, v.measured, v.measured),
+        "model before": (c.before, c.before_lower95, c.before_upper95),
+        "model after": (v.predicted, v.lower95, v.upper95),
+        "measured before, carried over": (c.carried, c.carried_lower95, c.carried_upper95),
+    }
+    for i, (line, bars) in enumerate(zip(axes.get_lines(), axes.collections, strict=True)):
+        middle, low, high = wanted.pop(line.get_label())
+        np.testing.assert_allclose(line.get_xdata(), np.arange(7) + 0.16 * i - 0.24)
+        np.testing.assert_array_equal(line.get_ydata(), middle)
+        ends = np.array(bars.get_segments())
+        np.testing.assert_allclose(ends[:, :, 0], line.get_xdata()[:, None] + np.zeros(2))
+        np.testing.assert_allclose(ends[:, :, 1], np.stack((low, high), axis=1))
+    assert not wanted
+
+
 def test_without_a_change_the_page_says_predicted_and_measured():
     page = predicted_page(foreseen([]))
     assert "before" not in re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL)

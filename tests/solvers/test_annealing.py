@@ -9,6 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roomfit.objective.parameters import Block, Parameters, physical_values, start_vector
+from roomfit.solvers.least_squares import (
+    _from_unit,
+    _to_unit,
+    annealing_solver,
+    simplex_solver,
+)
 from roomfit.solvers.search import (
     accepts,
     anneal,
@@ -105,3 +112,45 @@ def test_a_hot_walk_goes_up_and_down_and_a_cold_one_only_down() -> None:
     )
     assert np.all(np.diff(cold) <= 1e-6)
     assert np.count_nonzero(np.diff(hot) > 0.0) >= 5
+
+
+def test_the_paper_s_searches_find_absorptions_within_their_bounds_and_gains():
+    """As least squares do: logits of an absorption in its own bounds, logarithms of gains.
+
+    A known absorption is left out of the box, and a start in a corner stays in it.
+    """
+    ones = np.ones(3)
+    absorption = Block(
+        "absorption", ("a", "b", "c"), "logit", 0.3 * ones, np.array([True, False, True]),
+        0.0 * ones, ones, np.array([0.1, 0.0, 0.2]), np.array([0.5, 1.0, 0.9]),
+    )  # fmt: skip
+    one = np.ones(1)
+    gain = Block("gain", ("s",), "log", 2.0 * one, one > 0, 0.0 * one, one, -one, one)
+    parameters = Parameters((absorption, gain))
+    found = np.array([0.2, 0.8, 5.0])  # of a, c and the gain
+
+    def residuals(vector):
+        """Twice each difference from what is found, and a slope that no search asks for."""
+        values = physical_values(parameters, vector)[0]
+        x = np.append(values["absorption"][[0, 2]], np.log(values["gain"]))
+        return 2.0 * (x - [0.2, 0.8, np.log(5.0)]), np.zeros((3, 3))
+
+    start = start_vector(parameters)
+    for solver in (simplex_solver(parameters),
+                   annealing_solver(parameters, np.random.default_rng(1))):  # fmt: skip
+        end = solver(residuals, start)
+        values = physical_values(parameters, end.x)[0]
+        np.testing.assert_allclose(np.append(values["absorption"][[0, 2]], values["gain"]), found,
+                                   rtol=0.01)  # fmt: skip
+        assert values["absorption"][1] == 0.3
+        r, _ = residuals(end.x)
+        assert end.cost == pytest.approx(0.5 * float(r @ r)) and end.evaluations > 10
+    np.testing.assert_allclose(
+        _to_unit(parameters, start), [(0.3 - 0.1) / 0.4, (0.3 - 0.2) / 0.7, 0.5]
+    )
+    # gains within a factor of e**3
+    for corner, factor in ((0.0, np.exp(-3.0)), (1.0, np.exp(3.0))):
+        ends = physical_values(parameters, _from_unit(parameters, np.array([0.5, 0.5, corner])))[0]
+        assert ends["gain"][0] == pytest.approx(2.0 * factor)
+    far = np.array([0.0, 0.0, np.log(2.0) + 9.0])
+    assert _to_unit(parameters, far)[2] == 1.0

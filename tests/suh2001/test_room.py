@@ -40,7 +40,7 @@ from roomfit.suh2001.room import (
     whole_windows_s,
     window_energies,
 )
-from roomfit.suh2001.searches import fit_least_squares
+from roomfit.suh2001.searches import descend, fit_least_squares
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
 
@@ -227,6 +227,22 @@ def test_errors_beyond_a_scale_have_the_colours_of_its_ends() -> None:
     assert (filled.norm.vmin, filled.norm.vmax) == (0.1, 1e5)
     assert (filled.zmin, filled.zmax) == (0.1, 1e5)
     np.testing.assert_allclose(filled.levels, np.logspace(-1.0, 5.0, 25))
+
+
+def test_a_descent_walks_in_steps_of_two_hundredths_from_inside_the_box() -> None:
+    """Down a slope without a foot to the wall: a longer step could leap over a ridge."""
+    points: list[FloatArray] = []
+
+    def falling(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        points.append(np.array(x))
+        return 1000.0 - x, -np.eye(1)
+
+    end, least = descend(falling, np.zeros(1))
+    walked = np.concatenate(points)
+    assert walked[0] == 1e-3  # where a wall at absorption 0 has a slope
+    # 1000 / (1 + 1000 / 0.02), but for the last, which the wall cuts
+    np.testing.assert_allclose(np.diff(walked)[:-1], 0.02, rtol=3e-5)
+    assert end == 1.0 and least == 999.0**2
 
 
 def test_the_corridor_is_seventeen_times_as_long_as_wide() -> None:

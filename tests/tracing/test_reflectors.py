@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from roomfit.tracing.reflectors import _measure, convex_pieces
+from roomfit.tracing.reflectors import _measure, convex_outline, convex_pieces
 
 
 def square(x: float, y: float) -> np.ndarray:
@@ -66,3 +66,23 @@ def test_a_piece_is_measured_by_every_one_of_its_corners(turned):
     _measure(flat, own, 5, box, area, 1)
     np.testing.assert_array_equal(box, [*corners.min(axis=0), *corners.max(axis=0)])
     np.testing.assert_allclose(area, [7.0, area_m2(corners), 7.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize(("n", "is_hull"), [(12, True), (13, False)])
+def test_an_outline_of_up_to_twelve_corners_is_the_hull_and_beyond_a_rectangle_about_it(n, is_hull):
+    """A polygon of n sides on a tilted plane, its middle and doubles added."""
+    turn = 2.0 * np.pi * np.arange(n) / n + 0.1
+    u, v = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0])
+    normal, middle = np.cross(u, v), np.array([1.0, 2.0, 3.0])
+    ring = middle + np.outer(np.cos(turn), u) + np.outer(np.sin(turn), v)
+    found = convex_outline(np.concatenate((ring, middle[None], ring[:3])), normal)
+    assert len(found) == (n if is_hull else 4)
+    np.testing.assert_allclose((found - middle) @ normal, 0.0, atol=1e-12)
+    edges = np.roll(found, -1, axis=0) - found
+    # counter-clockwise: all lies left of every edge
+    left = np.cross(normal, edges)
+    inside = np.einsum("ek,epk->ep", left, ring - found[:, None])
+    assert inside.min() > -1e-12
+    if is_hull:
+        area = 0.5 * np.cross(found - middle, np.roll(found, -1, axis=0) - middle).sum(axis=0)
+        assert area @ normal == pytest.approx(0.5 * n * np.sin(2.0 * np.pi / n))

@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgb
 
 import roomfit
 from roomfit.bands import bands_between
 from roomfit.prediction.tables import PredictedValue, ValueChange
+from roomfit.report.room_figure import COLOURS, projection
 from roomfit.treatment.output import treatment_figure, treatment_sentence
 from roomfit.treatment.question import Target
 from roomfit.treatment.treat import Arrangement, Hung, Treatment
@@ -58,6 +60,30 @@ def test_intervals_stand_at_their_bands_from_the_lower_to_the_upper_limit(treatm
     # half as much again as the highest number drawn, from zero
     assert axes.get_ylim() == pytest.approx((0.0, 1.5 * 1.4))
     assert [t.get_text() for t in axes.get_xticklabels()] == ["500", "1000"]
+
+
+def test_covered_surfaces_have_colours_that_are_paler_the_less_is_covered(treatment):
+    """Of 0.4 of the ceiling 0.58 of the colour; it is turned away, and so drawn twice: through."""
+    axes = treatment_figure(treatment).axes[0]
+    handles = axes.get_legend().legend_handles
+    texts = [t.get_text() for t in axes.get_legend().get_texts()]
+    assert texts == ["ceiling: 12.5 m² panel (40 %)", "as it is"]
+    full = np.array(to_rgb(COLOURS[0]))
+    pale = np.array(handles[0].get_facecolor()[:3])
+    np.testing.assert_allclose(pale, 1.0 - 0.58 * (1.0 - full), atol=1 / 255)
+    walls, front = (c for c in axes.collections if isinstance(c, PolyCollection))
+    shown = {tuple(np.round(c[:3], 3)) for c in walls.get_facecolor()}
+    assert shown == {tuple(np.round(to_rgb("#EEEEEE"), 3))}
+    np.testing.assert_allclose(front.get_facecolor()[0], (*pale, 0.35), atol=1e-6)
+    assert len(front.get_paths()) == 2  # both triangles of the ceiling
+    flat = treatment.room.scene.room.mesh.vertices_m @ projection()[:2].T
+    assert axes.get_xlim() == (flat[:, 0].min(), flat[:, 0].max())
+    assert axes.get_ylim() == (flat[:, 1].min(), flat[:, 1].max())
+    high = treatment.room.scene.room.mesh.vertices_m[:, 2] == 3.0
+    corners = np.concatenate([path.vertices for path in front.get_paths()])
+    np.testing.assert_allclose(
+        np.unique(np.round(corners, 9), axis=0), np.unique(np.round(flat[high], 9), axis=0)
+    )
 
 
 def test_the_sentence_says_what_hangs_where_and_how_likely_it_is_enough(treatment):

@@ -101,6 +101,16 @@ def test_what_cannot_be_met_is_said_and_what_misses_least_is_shown(room):
     assert own <= least * 1.01
 
 
+def test_where_none_is_as_likely_as_asked_the_likeliest_is_shown_not_the_cheapest(room):
+    """Even odds can be had for less: that arrangement was tried first, and is not the answer."""
+    targets = at_most(room, 0.6)
+    even, sure = (treat(room, SURFACES, products(), targets, number=1, probability=p)
+                  for p in (0.5, 0.99))  # fmt: skip
+    assert even.is_met and not sure.is_met
+    (first,), (shown,) = even.arrangements, sure.arrangements
+    assert shown.cost > first.cost and shown.joint > first.joint
+
+
 def test_several_arrangements_use_different_sets_and_rise_in_cost(room):
     found = treat(room, SURFACES, products(), at_most(room, 0.85), number=3)
     sets = [frozenset((h.surface, h.product) for h in a.hung) for a in found.arrangements]

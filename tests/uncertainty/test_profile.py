@@ -299,6 +299,28 @@ def test_a_random_start_is_followed_where_it_led_farther_than_a_fifth_of_a_stand
     assert starts.agreeing == starts.number == 3
 
 
+@pytest.mark.parametrize(("less", "is_told"), [(1.9, True), (2.1, False)])
+def test_another_minimum_is_told_where_it_is_less_likely_by_up_to_two(monkeypatch, less, is_told):
+    """In log-likelihood; it lies three standard deviations from the usual one."""
+    problem = decay_case(np.random.default_rng(2), np.array([0.3, 0.5]), gain=False)
+    fit = fitted(problem)
+    sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
+    far = fit.vector + 3.0 * sd
+    worth = [-0.5 * float(p @ p) for p in
+             (prior_residuals(problem.parameters, v)[0] for v in (fit.vector, far))]  # fmt: skip
+    other = replace(fit, vector=far, log_likelihood=fit.log_likelihood - less + worth[0] - worth[1])
+    ends = iter((fit.vector, far, fit.vector, fit.vector))
+    monkeypatch.setattr(
+        bands, "first_round", lambda *_: SimpleNamespace(x=next(ends), evaluations=1)
+    )
+    monkeypatch.setattr(bands, "fit_band", lambda *_, **__: other)
+    _, starts = from_random_starts(problem, fit, np.random.default_rng(1))
+    assert starts.agreeing == 2
+    assert (starts.other is not None) is is_told
+    if is_told:
+        assert starts.loss == pytest.approx(less)
+
+
 def test_a_second_fit_from_the_exchanged_absorptions_is_as_likely():
     problem = exchangeable_case()
     fit = fitted(problem)

@@ -70,13 +70,13 @@ def check(evidence: Evidence) -> Iterator[Finding]:
         )
         yield Finding(Code.DECAY_BENT, about, text, numbers)
         return
-    kind = "compressor or limiter" if power.value < 0.0 else "expander or gate"
+    kind = "a compressor or limiter" if power.value < 0.0 else "an expander or gate"
     said = f"as by the power {1.0 + power.value:.2f} +- {power.sd:.2f} of the pressure"
     if clearest == 1:
-        kind = "limiter or an overdriven input"
+        kind = "a limiter or an overdriven input"
         said = f"where they are loud, by {loss.value:.2f} +- {loss.sd:.2f} at the peak"
     text = (
-        f"Levels are bent {said}, in all bands and over all distances alike: a {kind} is "
+        f"Levels are bent {said}, in all bands and over all distances alike: {kind} is "
         "in the chain, the files were processed, or a source that was taken for "
         "omnidirectional is none. Measure again without it; no material is called "
         "identifiable."

@@ -78,8 +78,6 @@ _MOST_CAUGHT = 4e6
 _FEWEST_RAYS = 2_000
 # Of a pair: a window late in the decay has a thousand or more.
 _LATE_IMAGES = 100_000
-# The part of the time that tracing takes.
-_TRACING = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
