@@ -41,6 +41,7 @@ AREAS = {
     "speech transmission",
     "responses after a change",
     "air",
+    "boxes with doors",
     "scans and seats",
     "scattering weights",
     "seeds",

@@ -404,6 +404,24 @@ def test_rounded_to_a_hundredth_of_a_millimetre_a_box_is_one_and_to_a_centimetre
     assert box_of(replace(mesh, vertices_m=np.round(mesh.vertices_m, 2))) is None
 
 
+def panelled_box() -> Mesh:
+    """The box, its ceiling turned to the west, with a square 0.2 m before that and closed sides."""
+    hole = holed_box(0.5)
+    low = hole.vertices_m[8:12] - np.array([0.0, 0.0, 0.2])
+    sides = [(8 + i, 8 + (i + 1) % 4, 12 + (i + 1) % 4, 12 + i) for i in range(4)]
+    added = [
+        (12, 13, 14),
+        (12, 14, 15),
+        *(t for a, b, c, d in sides for t in ((a, b, c), (a, c, d))),
+    ]
+    return Mesh(
+        np.vstack([hole.vertices_m, low])[:, [2, 1, 0]] * [-1.0, 1.0, 1.0] + [3.0, 0.0, 0.0],
+        np.vstack([hole.triangles, added]),
+        np.append(hole.triangle_surface, 10 * [0]),
+        hole.surfaces,
+    )
+
+
 def no_boxes() -> dict[str, Mesh]:
     box = build_mesh(BOX, box_faces())[0]
     slanted = box.vertices_m + np.where(box.vertices_m[:, :1] > 0.0, [[0.0, 0.0, 0.01]], 0.0)
@@ -426,6 +444,7 @@ def no_boxes() -> dict[str, Mesh]:
         ),
         "half a wall in place of the other": replace(box, triangles=twice),
         "with a hole": holed_box(0.5),
+        "with a panel": panelled_box(),
         "with furniture": replace(
             box,
             vertices_m=np.vstack([box.vertices_m, 0.2 * box.vertices_m + 1.0]),
