@@ -21,6 +21,7 @@ from roomfit.diagnostics.decay import (
     decay_misses,
 )
 from roomfit.diagnostics.reflections import (
+    WallReflectance,
     _weights,
     isolated_reflections,
     reflection_findings,
@@ -257,6 +258,34 @@ def test_a_floor_that_the_fit_has_far_too_hard_is_named_and_no_other(measured_bo
 
 
 @pytest.mark.slow
+def returned(absorption: float, sd: float, band: int, *, known: bool) -> WallReflectance:
+    return WallReflectance("floor", "carpet", band, 5, absorption, sd, known)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_reflections_contradict_a_fit_where_both_intervals_lie_apart(known) -> None:
+    """Fitted .3 (.2 to .4): 1.96 deviations of .1 reach .4 from .596 downwards, .2 from .004 up."""
+    fitted = tuple(np.full((1, 2), x) for x in (0.3, 0.2, 0.4))
+    bands = bands_between("octave", 500, 1000)
+    for absorption, is_named in ((0.59, False), (0.602, True), (0.01, False), (-0.002, True)):
+        seen = [returned(absorption, 0.1, 0, known=known), returned(0.3, 0.1, 1, known=known)]
+        found = list(reflection_findings(seen, bands, ["carpet"], fitted))
+        assert bool(found) is is_named
+    both = [returned(0.7, 0.05, 0, known=known), returned(0.9, 0.1, 1, known=known)]
+    (finding,) = reflection_findings(both, bands, ["carpet"], fitted)
+    assert (
+        "from floor (carpet) that stand alone contradict the fitted absorption: 500 Hz 0.70 (0.60 "
+        "to 0.80, 5 of them) against 0.30 (0.20 to 0.40); 1000 Hz 0.90 (0.70 to 1.00, 5 of them)"
+    ) in finding.sentence
+    assert finding.severity == ("serious" if known else "warning")
+    # 10 log10(0.3 / 0.7) and 10 log10(0.1 / 0.7)
+    assert ("radiates -3.7, -8.5 dB towards this wall" in finding.sentence) is not known
+    assert ("not called identifiable there" in finding.sentence) is known
+    assert finding.evidence["reflections_lower_upper_fitted_lower_upper"][0] == pytest.approx(
+        [0.7, 0.602, 0.798, 0.3, 0.2, 0.4]
+    )
+
+
 def test_a_miss_within_the_answers_own_uncertainty_is_none(measured_box) -> None:
     """Absorption .7 of the true one is missed for sure where it is fixed, not where it is unknown:
     with a standard deviation of 2 in the logit."""

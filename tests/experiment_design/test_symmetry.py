@@ -10,7 +10,7 @@ from roomfit.bands import bands_between
 from roomfit.commands import check_campaign_recordings
 from roomfit.experiment_design.candidates import DesignOptions
 from roomfit.experiment_design.design import design
-from roomfit.experiment_design.symmetry import plane_findings
+from roomfit.experiment_design.symmetry import _moved_off, plane_findings
 from roomfit.findings import Code
 from roomfit.inversion.symmetry import mirror_planes
 from roomfit.io.campaign import read_campaign
@@ -51,6 +51,28 @@ def test_pairs_at_half_height_are_told_what_floor_and_ceiling_lose():
     assert evidence["half_width_moved"] < 0.9 * evidence["half_width"]
     assert "z = 1.40 m" in finding.sentence and "M 0.56 m off the plane" in finding.sentence
     assert not found(scene((1.4, 1.4 + evidence["by_m"])))
+
+
+def test_the_fewer_of_sources_and_receivers_are_moved_where_they_are_clear_of_walls():
+    """By two fifths of the way to the wall, 0.56 m; the others stay."""
+    middle_m, up = np.array([3.2, 2.6, 1.4]), np.array([0.0, 0.0, 1.0])
+    room = shoebox_room(SIZE_M, {side: side for side in SIDES})
+    one, many = {"S": (1.0, 1.0, 1.4)}, {f"R{i}": (4.0, 1.0 + i, 1.4) for i in range(3)}
+    for own, name in ((scene_of(room, one, many), "S"), (scene_of(room, many, one), "S")):
+        moved, names, by_m = _moved_off(own, middle_m, up)
+        assert names == [name] and by_m == pytest.approx(0.56)
+        for kind in ("sources", "receivers"):
+            pairs = zip(getattr(own, kind), getattr(moved, kind), strict=True)
+            for before, after in pairs:
+                step_m = after.position_m - before.position_m
+                np.testing.assert_allclose(step_m, 0.56 * up * (before.name == name), atol=1e-12)
+    # 20 cm below the ceiling there is only the way down, and 15 cm off a wall none
+    low = scene_of(room, {"S": (1.0, 1.0, 2.6)}, many)
+    moved, _, _ = _moved_off(low, middle_m, up)
+    np.testing.assert_allclose(moved.sources[0].position_m[2], 2.6 - 0.56)
+    flat = shoebox_room((6.4, 5.2, 1.2), {side: side for side in SIDES})
+    low = scene_of(flat, {"S": (1.0, 0.15, 0.6)}, {"R": (4.0, 1.0, 0.6), "Q": (4.0, 2.0, 0.6)})
+    assert _moved_off(low, np.array([3.2, 2.6, 0.6]), up) is None
 
 
 @pytest.mark.parametrize(

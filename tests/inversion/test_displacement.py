@@ -358,7 +358,7 @@ def test_what_gains_too_little_or_is_within_the_specified_is_not_named():
         return whole_displacement._named(
             outline,
             lambda at, _=False: (
-                gain * (1.0 - float(np.sum((at - [top_m, 0, 0, 0]) ** 2)) / top_m**2)
+                gain * (1.0 - float(np.sum((at - [top_m, 0, 0, 0]) ** 2)) / top_m**2) - 7.0
             ),
             np.zeros(4),
             far,
