@@ -333,6 +333,9 @@ def test_from_a_typed_box_and_dropped_files(browser: Any, demo: Path, tmp_path: 
             # who writes to the campaign meanwhile takes nothing away from what is half typed
             if name == "LS1":
                 page.get_by_label("MP1 x in m").fill("4.1")
+                # two who write at once undo each other's work: the page has written
+                while "[1.2, 1.5, 1.1]" not in (folder / "campaign.toml").read_text():
+                    page.wait_for_timeout(20)
                 project.set_position(folder, "receivers", "MP2", (2.3, 3.75, 1.4))
                 expect(page.get_by_label("MP2 z in m")).to_have_value("1.400", timeout=60_000)
                 expect(page.get_by_label("MP1 x in m")).to_have_value("4.100")
@@ -610,6 +613,43 @@ def test_a_browser_that_changes_the_sound_is_refused_and_one_that_does_not_is_be
         page.get_by_text("does not say whether echo cancelling, noise suppression").wait_for()
         page.get_by_text("resamples from 8000 to").wait_for()
         assert visit.foreign == [] and visit.errors == []
+        visit.context.close()
+
+
+def test_a_dropped_scan_of_several_rooms_is_the_room_that_is_named(
+    browser: Any, tmp_path: Path
+) -> None:
+    """Under gables, and then one with a sofa; what is refused can be read."""
+    import json
+
+    from scans import attic, furniture, scan
+
+    sofa = furniture("sofa", (4.0, 0.45), (2.0, 0.8, 0.9))
+    rooms = [{**attic(), "sections": [{"label": "attic"}]}, {**scan(), "objects": [sofa]}]
+    sent = tmp_path / "flat.json"
+    sent.write_text(json.dumps({"rooms": rooms}))
+    folder = tmp_path / "project"
+    with running(folder) as server:
+        visit = Visit(browser, server, 390, "dark")
+        page = visit.page
+        page.get_by_label("Room file, dropped here or chosen:").set_input_files(sent)
+        page.get_by_text("'attic', 'livingRoom'").wait_for()
+        page.wait_for_timeout(500)  # colours pass slowly into each other
+        assert page.evaluate(_CONTRAST) == []
+        page.get_by_role("button", name="Close").click()
+        name = page.get_by_label("Which room, of several")
+        name.fill("attic")
+        name.press("Enter")
+        page.get_by_text("148.8 m³").wait_for()
+        page.get_by_text("A ceiling of 2 planes between gables").wait_for()
+        page.get_by_role("button", name="Another room").press("Enter")
+        page.get_by_label("Room file, dropped here or chosen:").set_input_files(sent)
+        page.get_by_text("'attic', 'livingRoom'").wait_for()
+        name.fill("livingRoom")
+        name.press("Enter")
+        page.get_by_text("65.0 m³").wait_for()
+        assert "[objects.sofa]" in (folder / "campaign.toml").read_text()
+        assert not visit.foreign and visit.errors == []
         visit.context.close()
 
 

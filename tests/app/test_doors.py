@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import sys
+from argparse import Namespace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,6 +15,7 @@ from roomfit.app import jobs as jobs_module
 from roomfit.app.jobs import Jobs
 from roomfit.app.project import served_file
 from roomfit.app.security import Door, Guard, new_door, refusal
+from roomfit.cli.app import run
 from roomfit.errors import InputError
 
 DOOR = new_door("127.0.0.1", 8321, 2**20)
@@ -153,6 +157,36 @@ def test_work_finds_a_process_that_has_begun_and_none_is_left_at_the_end(
         *("new 1", "begun 1", "a by 1", "end 1", "new 2", "b by 2", "end 2"),
         *("new 3", "begun 3", "c by 3", "end 3", "new 4", "begun 4", "end 4"),
     ]
+
+
+def test_what_reads_begins_before_the_page_is_imported_and_ends_with_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Its imports take as long as the page's; without the page's packages nothing is left."""
+    said: list[str] = []
+
+    class Worker:
+        def __init__(self, most_mib: int) -> None:
+            self.name = "reader" if most_mib else "other"
+
+        async def started(self) -> None:
+            said.append(f"{self.name} started")
+
+        async def stop(self) -> None:
+            said.append(f"{self.name} stopped")
+
+    async def serve(bench: jobs_module.Bench, **_: object) -> None:
+        said.append(f"page of {bench.folder.name}")
+
+    monkeypatch.setattr(jobs_module, "Worker", Worker)
+    options = Namespace(folder=tmp_path, host="127.0.0.1", port=0, no_browser=True)
+    monkeypatch.setitem(sys.modules, "roomfit.app.server", SimpleNamespace(serve=serve))
+    run(options)
+    monkeypatch.setitem(sys.modules, "roomfit.app.server", None)
+    with pytest.raises(InputError, match="the extra app"):
+        run(options)
+    page, ends = f"page of {tmp_path.name}", "reader stopped"
+    assert said == ["reader started", page, ends, "reader started", ends]
 
 
 def test_a_link_that_leads_out_of_the_project_is_served_by_no_name(tmp_path: Path) -> None:

@@ -220,8 +220,8 @@ class _Punctual(H11Protocol):
             self._late = None
 
 
-def serve(
-    folder: Path,
+async def serve(
+    bench: Bench,
     *,
     host: str = "127.0.0.1",
     port: int | None = None,
@@ -232,8 +232,8 @@ def serve(
 
     Parameters
     ----------
-    folder : Path
-        Made where it is missing.
+    bench : Bench
+        Its folder is made where it is missing.
     host : str
         Address to listen at. Any other than this machine's own is reachable by others.
     port : int, optional
@@ -247,6 +247,7 @@ def serve(
     InputError
         The folder is a file, or the port is taken.
     """
+    folder = bench.folder
     if folder.exists() and not folder.is_dir():
         raise InputError("a project is a folder", where=str(folder), found="a file")
     folder.mkdir(parents=True, exist_ok=True)
@@ -256,7 +257,7 @@ def serve(
     shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
     address = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/?token={door.token}"
     config = uvicorn.Config(
-        application(Bench(folder.resolve()), door),
+        application(bench, door),
         log_level="warning",
         http=_Punctual,
         h11_max_incomplete_event_size=_HEADER_BYTES,
@@ -271,7 +272,7 @@ def serve(
     if open_browser:
         with contextlib.suppress(webbrowser.Error):
             webbrowser.open(address)
-    uvicorn.Server(config).run(sockets=[listening])
+    await uvicorn.Server(config).serve(sockets=[listening])
 
 
 def _socket(host: str, port: int | None) -> socket.socket:

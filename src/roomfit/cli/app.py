@@ -34,23 +34,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    import sys
-
-    from roomfit.errors import InputError
-
-    try:
-        from roomfit.app.server import serve
-    except ModuleNotFoundError as error:
-        raise InputError(
-            "the workbench needs packages that are not installed",
-            found=f"no module {error.name!r}",
-            needed="the extra app",
-            hint="pip install 'roomfit[app]'",
-        ) from error
-
-    def tell(text: str) -> None:
-        say(text)
-        sys.stdout.flush()
+    import asyncio
 
     if options.host not in _OWN:
         warn(
@@ -58,10 +42,38 @@ def run(options: argparse.Namespace) -> None:
             "with its token reads and changes this project, and can have this machine compute; "
             "what is sent is not encrypted."
         )
-    serve(
-        options.folder,
-        host=options.host,
-        port=options.port,
-        open_browser=not options.no_browser,
-        say=tell,
-    )
+    asyncio.run(_serve(options))
+
+
+async def _serve(options: argparse.Namespace) -> None:
+    """Serve the project; what reads its files imports its libraries while the page does."""
+    import sys
+
+    from roomfit.app.jobs import Bench
+    from roomfit.errors import InputError
+
+    def tell(text: str) -> None:
+        say(text)
+        sys.stdout.flush()
+
+    bench = Bench(options.folder.resolve())
+    await bench.reader.started()
+    try:
+        from roomfit.app.server import serve
+
+        await serve(
+            bench,
+            host=options.host,
+            port=options.port,
+            open_browser=not options.no_browser,
+            say=tell,
+        )
+    except ModuleNotFoundError as error:
+        raise InputError(
+            "the workbench needs packages that are not installed",
+            found=f"no module {error.name!r}",
+            needed="the extra app",
+            hint="pip install 'roomfit[app]'",
+        ) from error
+    finally:
+        await bench.stop()
