@@ -1,7 +1,7 @@
 """Known changes of measured rooms: what is said of each wall, and of a room whose walls changed.
 
     python benchmarks/known_changes.py DATA [--room r3vival together dechorate] [--step DEGREES]
-        [--rings 150 200] [--scattering S] [--seed SEED] [--product-sd SD] [--out DIR] [--moved]
+        [--rings 150 200] [--scattering S [S]] [--seed SEED] [--product-sd SD] [--out DIR] [--moved]
 
 DATA holds `r3vival` (one room in three states of its wall panels, Amengual Gari and others) and
 `dechorate_states` (one room in two, Di Carlo et al. 2021). Neither comes with roomfit.
@@ -159,19 +159,21 @@ def dechorate(data: Path, state: str) -> Case:
     return scene, measurements, {p.name: UnknownDirectivity() for p in points["src"]}
 
 
-def material_prior(name: str, scattering: float | None, product_sd: float) -> MaterialPrior:
-    """Return the broad prior of a wall; panels turned to one side are of one product."""
-    prior = unknown_material(name, len(BANDS))
+def material_prior(name: str, scattering: list[float] | None, product_sd: float) -> MaterialPrior:
+    """Return the broad prior of a wall; panels turned to one side are of one product.
+
+    `scattering` is that of panels turned to a side and, last, that of all else.
+    """
+    prior, side = unknown_material(name, len(BANDS)), name.partition(", ")[2]
     if scattering is not None:
-        prior = replace(prior, scattering=np.full(len(BANDS), scattering))
-    side = name.partition(", ")[2]
+        prior = replace(prior, scattering=np.full(len(BANDS), scattering[0 if side else -1]))
     return replace(prior, product=side, product_sd=product_sd) if side and product_sd else prior
 
 
 def fitted(
     name: str,
     case: Case,
-    scattering: float | None,
+    scattering: list[float] | None,
     settings: roomfit.Settings,
     product_sd: float = 0.0,
 ) -> Result:
@@ -646,7 +648,8 @@ def main() -> None:
     parser.add_argument("--product-sd", type=float, default=0.3, help="for together, in logit")
     parser.add_argument("--step", type=int, default=30, help="degrees between loudspeakers")
     parser.add_argument("--rings", nargs="+", default=["150", "200"], help="distances in cm")
-    parser.add_argument("--scattering", type=float, help="of all walls; left out: chosen")
+    about = "of all walls, or of panels and of all else; left out: chosen"
+    parser.add_argument("--scattering", type=float, nargs="+", help=about)
     parser.add_argument("--seed", type=int, default=1, help="of the rays")
     parser.add_argument("--model", choices=["auto", "energy", "coherent"], default="auto")
     parser.add_argument("--moved", action="store_true", help="nothing but wrong descriptions")
