@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boxes_in_space import rotation
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
 from roomfit.errors import InputError
@@ -555,6 +556,28 @@ def test_pressures_in_a_smooth_box_give_what_is_measured_there():
     by_energies, by_pressures = np.sqrt(np.mean(np.square(errors), axis=0))
     assert by_pressures < 0.25 * by_energies
     assert by_pressures < 0.05
+
+
+def test_in_a_box_that_stands_elsewhere_images_add_as_pressures_too():
+    """The same paths, of the same room turned and moved; not where its ceiling slopes."""
+    scene, bands, binned, truth = smooth_box()
+    turn, by_m = rotation(33.0), np.array([7.0, -3.0, 0.5])
+    mesh = scene.room.mesh
+    points = [
+        tuple(replace(p, position_m=turn @ p.position_m + by_m) for p in own)
+        for own in (scene.sources, scene.receivers)
+    ]
+    (term,) = box_terms(scene, bands, binned, truth)
+    slope = np.zeros_like(mesh.vertices_m)
+    slope[[5, 7], 2] = 0.1
+    for raised_m, kept in ((0.0, 1.0), (slope, 0.0)):
+        placed = replace(mesh, vertices_m=(mesh.vertices_m + raised_m) @ turn.T + by_m)
+        room = replace(scene.room, mesh=placed, shoebox_m=None)
+        moved = replace(scene, room=room, sources=points[0], receivers=points[1])
+        (other,) = box_terms(moved, bands, binned, truth)
+        for a, b in zip(term.rows, other.rows, strict=True):
+            assert a.length_m.max() > 50.0
+            np.testing.assert_array_equal(b.length_m, kept * a.length_m)
 
 
 def smooth_box():

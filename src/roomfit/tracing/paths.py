@@ -182,7 +182,7 @@ class ImageSet:
     departure: FloatArray  # (n_paths, 3), unit vectors away from the source
     arrival: FloatArray  # (n_paths, 3), unit vectors in which sound travels on arrival
     image_transform: FloatArray | None = None  # (n_paths, 3, 3), see `Paths`, on request
-    # The hits of each path in their order, path after path, not for boxes: path i has the entries
+    # The hits of each path in their order, path after path, on request: path i has the entries
     # ``first_hit[i]:first_hit[i + 1]`` of `triangle`, which are triangles of the mesh
     first_hit: IntArray | None = None  # (n_paths + 1,)
     triangle: IntArray | None = None  # (n_hits,)
