@@ -23,6 +23,7 @@ from roomfit.app.treatment import written_question
 from roomfit.app.treatment_form import TreatmentForm
 from roomfit.app.what_if_tab import WhatIfTab
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.treatment.campaign import read_treatment
 
 WRITTEN = """# of the client
@@ -157,7 +158,14 @@ def test_other_walls_from_decay_times_are_those_of_the_command(hall: Path, tmp_p
         t30, shown = found.mean["T30_s"], own["mean"]["T30_s"]
         for key in ("predicted", "lower95", "upper95"):
             assert shown[key] == pytest.approx(getattr(t30, key).tolist(), rel=1e-12)
-        assert [f["sentence"] for f in own["findings"]] == [f.sentence for f in found.findings]
+        said = [f.sentence for f in found.findings]
+        # what was changed is what the sliders say
+        expected = [s.partition(". ")[2] if s.startswith("Predicted with") else s for s in said]
+        assert [f["sentence"] for f in own["findings"]] == expected
+    assert expected[-1].startswith("Measured values") and "At 95 % the mean of T30" in expected[-1]
+    (doubt, *_) = [f for f in found.findings if f.code is Code.CHANGE_PRIOR_DOMINATED]
+    assert doubt.sentence.endswith("or measure responses with positions, which tell walls apart.")
+    assert "roomfit design" not in doubt.sentence
     # of the mean of what was measured, 1.35 s, and shorter where more is absorbed
     assert shown["before"][0] == pytest.approx(1.35) and shown["predicted"][0] < 1.0
     table = hall / "decay-times" / "pasted.csv"

@@ -270,7 +270,7 @@ def predict_field(room: PreparedField, changes: Sequence[Change] = ()) -> Predic
     if changes:
         areas_m2 = room.field.areas_m2.sum(axis=0)
         names = [c.material for c in changes]
-        doubts += prior_dominated(known, room.draws, names, areas_m2, rng)
+        doubts += prior_dominated(known, room.draws, names, areas_m2, rng, from_times=True)
     lower, upper = known.lower95.copy(), known.upper95.copy()
     at = [known.materials.index(c.material) for c in changes]
     lower[at], upper[at] = np.quantile(drawn[:, at], (0.025, 0.975), axis=0)

@@ -161,6 +161,10 @@ def for_another_state(
 _WIDE_RATIO = 3.0
 _LARGE_SHARE = 0.05
 _LEFT_OF_PRIOR = 0.5
+_MORE_PAIRS = (
+    "and identify again; or measure more pairs, which `roomfit design` with --result names."
+)
+_WITH_POSITIONS = "or measure responses with positions, which tell walls apart."
 
 
 def prior_dominated(
@@ -169,6 +173,8 @@ def prior_dominated(
     changed: Sequence[str],
     areas_m2: FloatArray,
     rng: np.random.Generator,
+    *,
+    from_times: bool = False,
 ) -> tuple[Finding, ...]:
     """Return a finding for each changed material of whose weight in the room the data say little.
 
@@ -185,6 +191,8 @@ def prior_dominated(
         Materials that are exchanged, or of which there is more or less afterwards.
     areas_m2 : float array, shape (n_materials,)
         In the room before.
+    from_times : bool
+        Whether decay times are all that was measured, which no further pair adds to.
     """
     shares = _band_shares(areas_m2, draws)
     low, high = np.quantile(shares, (0.025, 0.975), axis=0)
@@ -202,7 +210,8 @@ def prior_dominated(
         if at.size:
             of_prior = None if before is None else before[:, i]
             own = found[i], low[i], high[i]
-            findings.append(_prior_dominated(name, posterior.bands, at, own, of_prior))
+            more = _WITH_POSITIONS if from_times else _MORE_PAIRS
+            findings.append(_prior_dominated(name, posterior.bands, at, own, of_prior, more))
     return tuple(findings)
 
 
@@ -212,6 +221,7 @@ def _prior_dominated(
     at: IntArray,
     shares: tuple[FloatArray, FloatArray, FloatArray],
     before: FloatArray | None,
+    more: str,
 ) -> Finding:
     """Return the finding of one material in the bands `at`.
 
@@ -221,6 +231,8 @@ def _prior_dominated(
         The most likely share, and its 95 % bounds.
     before : float array, shape (2, n_bands), or None
         Bounds before anything was measured.
+    more : str
+        What else would tell, in words.
     """
     found, low, high = shares
     b = int(at[np.argmax(high[at] - low[at])])
@@ -237,8 +249,7 @@ def _prior_dominated(
         f"the absorption of the room is {_percents(low[b], high[b])} at "
         f"{centres_hz[b]:g} Hz{known}. State what is known of it: "
         f'[materials."{name}"] prior = '
-        f"{entries}, or a mean and a standard deviation, and identify again; or "
-        "measure more pairs, which `roomfit design` with --result names.",
+        f"{entries}, or a mean and a standard deviation, {more}",
         {
             "material": name,
             "bands_hz": centres_hz[at].tolist(),
