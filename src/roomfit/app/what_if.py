@@ -167,7 +167,7 @@ def _shown(finding: Finding) -> dict[str, Any]:
     """Return a finding for the page, whose sliders say already what was changed."""
     content = finding_content(finding)
     if finding.code is Code.MATERIALS_CHANGED:
-        content["sentence"] = finding.sentence.partition(". ")[2] or finding.sentence
+        content["sentence"] = finding.sentence[max(finding.sentence.find("At 95 %"), 0) :]
     return content
 
 
