@@ -101,10 +101,13 @@ def computed(project: Path) -> None:
     """Print what a change takes by itself, and whether its intervals are those of all draws."""
     from roomfit.app import what_if
     from roomfit.prediction.changes import Change
+    from roomfit.prediction.diffuse import PreparedField
     from roomfit.prediction.predict import predict_change
 
     what_if.what_if_prepare(lambda _: None, str(project))
     room = what_if.prepared(str(project))
+    if isinstance(room, PreparedField):
+        raise SystemExit("a project of recordings is needed: decay times alone weigh no draws")
     n = len(room.absorption.bands)
     wall_s, own_s, same = [], [], True
     for i in range(20):
