@@ -607,9 +607,8 @@ def _write_answer(
     from roomfit.report.usable import remaining_usable
 
     inputs = tuple(files_read())
-    figures = {**answer_figures(answer), "room": room_figure(scene)}
-    if (decays := mean_decay_figure(answer)) is not None:
-        figures["decay_times"] = decays
+    shown = {"room": room_figure(scene), "decay_times": mean_decay_figure(answer)}
+    figures = answer_figures(answer, **shown)
     drawing = partial(write_pictures, folder, answer, in_this_process(progress), figures)
     _LOG.info("drawing")
     with beside(drawing) if not answer.settings.quick else nullcontext() as drawn:

@@ -34,13 +34,7 @@ from matplotlib.transforms import IdentityTransform
 
 from roomfit.cache import write_bytes_atomically
 from roomfit.logit import expit
-from roomfit.report.wording import (
-    decay_time_key,
-    number,
-    parameter,
-    short_hertz,
-    shortened,
-)
+from roomfit.report.wording import decay_time_key, number, parameter, short_hertz, shortened
 from roomfit.results import ComparedPair, Decay, Result
 from roomfit.typing import FloatArray, Progress
 from roomfit.uncertainty.gaussian import WIDEST_IDENTIFIABLE
@@ -91,8 +85,8 @@ def write_pictures(
             progress(i / len(answer.pairs))
 
 
-def answer_figures(answer: Result) -> dict[str, Figure]:
-    """Return what the report and files show alike, by the name of the file.
+def answer_figures(answer: Result, **more: Figure | None) -> dict[str, Figure]:
+    """Return what the report and files show alike, by the name of the file, with `more` of it.
 
     "decays" are those of all pairs, of which each picture and each choice in the report shows one.
     """
@@ -108,6 +102,7 @@ def answer_figures(answer: Result) -> dict[str, Figure]:
     pairs = [pair for pair in answer.pairs if has_curves(pair)]
     if pairs:
         found["decays"] = decay_figure(answer, *pairs)
+    found |= {name: figure for name, figure in more.items() if figure is not None}
     for figure in found.values():
         figure.set_dpi(72)  # all in its place as by `svg`, whoever draws first
         FigureCanvasSVG(figure).figure.draw_without_rendering()
