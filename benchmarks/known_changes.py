@@ -655,6 +655,8 @@ def main() -> None:
     parser.add_argument("--moved", action="store_true", help="nothing but wrong descriptions")
     parser.add_argument("--out", type=Path, help="folder for pictures")
     asked = parser.parse_args()
+    if len(asked.scattering or ()) > 2:
+        parser.error("--scattering: one coefficient, or two")
     if asked.data is None:
         print("no folder of measurements given: nothing to do")
         return

@@ -290,9 +290,9 @@ def test_a_space_without_boundaries_has_floor_walls_and_ceiling(tmp_path):
 @pytest.mark.slow
 def test_of_several_spaces_one_must_be_named(tmp_path):
     file = written(tmp_path, "a.ifc", ifc_house(spaces=2).encode())
-    with pytest.raises(InputError, match=r"several spaces(.|\n)*'room 0', 'room 1'"):
+    with pytest.raises(InputError, match=r"several rooms(.|\n)*'room 0', 'room 1'"):
         read_model(RoomSpec(file=file))
-    with pytest.raises(InputError, match="no such space"):
+    with pytest.raises(InputError, match="no such room"):
         read_model(RoomSpec(file=file, space="room 2"))
     room, _ = read_room(RoomSpec(file=file, space="room 1"))
     assert volume_m3(room.mesh) == pytest.approx(90.0)

@@ -40,7 +40,7 @@ from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.responses.sweep import SweepPlan, response_from_recording, wav_bytes
 from roomfit.io.reverberation import read_decay_times
 from roomfit.io.rooms import read_mesh
-from roomfit.io.rooms.model import RoomSpec
+from roomfit.io.rooms.model import RoomSpec, UnchosenSpaceError
 from roomfit.prediction.campaign import WantedPairs
 from roomfit.prediction.changes import read_change
 from roomfit.report.room_figure import MOST_FACES, material_colour, outline_m
@@ -422,9 +422,10 @@ def look_at_upload(_: Progress, folder: str, kind: str, file: str) -> None:
         if kind == "room":
             try:
                 read_mesh(RoomSpec(file=path))
-            except InputError as error:  # its unit, or which room, is perhaps asked for later
-                if not (error.needed or "").startswith("space ="):
-                    read_mesh(RoomSpec(file=path, unit="m"))
+            except UnchosenSpaceError:
+                pass  # it is asked for later
+            except InputError:  # perhaps its unit is in doubt, which is asked for later
+                read_mesh(RoomSpec(file=path, unit="m"))
         elif kind in (project.POSITIONS, project.DECAY_TIMES):
             _look_at_table(Path(folder), kind, path)
         elif path.suffix.lower() in SOUND_SUFFIXES:  # of others choices are to be made first

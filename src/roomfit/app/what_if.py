@@ -16,7 +16,7 @@ from roomfit import predictions
 from roomfit.app import project
 from roomfit.app.treatment import treatment_view
 from roomfit.errors import InputError, InsufficientDataError
-from roomfit.findings import Code, Finding
+from roomfit.findings import Code
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.encoding import finding_content, numbers_or_null
 from roomfit.io.results import read_result
@@ -149,7 +149,7 @@ def what_if(
         predicted = predict_change(replace(room, observed=()), own, compare_pairs=False)
         said = tuple(f for f in predicted.findings if f.code in _OF_CHANGES)
     return {
-        "findings": [_shown(f) for f in said],
+        "findings": [finding_content(f) for f in said],
         "mean": _values(predicted.mean, predicted.sti),
         "pairs": [
             {
@@ -161,14 +161,6 @@ def what_if(
         ],
         "seconds": predicted.seconds,
     }
-
-
-def _shown(finding: Finding) -> dict[str, Any]:
-    """Return a finding for the page, whose sliders say already what was changed."""
-    content = finding_content(finding)
-    if finding.code is Code.MATERIALS_CHANGED:
-        content["sentence"] = finding.sentence[max(finding.sentence.find("At 95 %"), 0) :]
-    return content
 
 
 def _limits(file: Path, room: PreparedRoom | PreparedField) -> list[dict[str, Any]]:

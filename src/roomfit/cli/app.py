@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Coroutine
 from pathlib import Path
+from typing import Any
 
 from roomfit.cli.arguments import Commands, add_command, whole_number
 from roomfit.cli.terminal import say, warn
@@ -50,7 +52,6 @@ async def _serve(options: argparse.Namespace) -> None:
     import sys
 
     from roomfit.app.jobs import Bench
-    from roomfit.errors import InputError
 
     def tell(text: str) -> None:
         say(text)
@@ -59,8 +60,7 @@ async def _serve(options: argparse.Namespace) -> None:
     bench = Bench(options.folder.resolve())
     await bench.reader.started()
     try:
-        from roomfit.app.server import serve
-
+        serve = _page()
         await serve(
             bench,
             host=options.host,
@@ -68,6 +68,16 @@ async def _serve(options: argparse.Namespace) -> None:
             open_browser=not options.no_browser,
             say=tell,
         )
+    finally:
+        await bench.stop()
+
+
+def _page() -> Callable[..., Coroutine[Any, Any, None]]:
+    """Return what serves a project."""
+    from roomfit.errors import InputError
+
+    try:
+        from roomfit.app.server import serve
     except ModuleNotFoundError as error:
         raise InputError(
             "the workbench needs packages that are not installed",
@@ -75,5 +85,4 @@ async def _serve(options: argparse.Namespace) -> None:
             needed="the extra app",
             hint="pip install 'roomfit[app]'",
         ) from error
-    finally:
-        await bench.stop()
+    return serve

@@ -243,7 +243,7 @@ def displacement_model(
     scene, bands, paths = measured.scene, measured.bands, traced.paths
     if (
         sum(m.measurement.use == "fit" for m in measured.responses) < _FEWEST_RESPONSES
-        or (len(scene.room.mesh.triangles) > _MOST_TRIANGLES and not box_of(scene.room.mesh))
+        or (len(scene.room.mesh.triangles) > _MOST_TRIANGLES and box_of(scene.room.mesh) is None)
         or traced.settings.image_order < 1
         or not offsets
     ):

@@ -22,6 +22,7 @@ from roomfit.io.rooms.model import (
     damaged,
     finite,
     joined,
+    unknown_space,
 )
 from roomfit.io.rooms.roomplan import closed_room, part_of, thing_of
 from roomfit.typing import FloatArray
@@ -95,15 +96,9 @@ def read_ifc(path: Path, space: str | None = None) -> RoomModel:
     owners = [str(name) for name in head["spaces"]]
     names = list(dict.fromkeys(owners))
     if space not in names if space is not None else len(names) > 1:
-        raise InputError(
-            "the building model has several spaces" if space is None else "there is no such space",
-            where=str(path),
-            found=", ".join(map(repr, names))[:300] if space is None else repr(space),
-            needed='space = "NAME" under [room], or --space'
-            if space is None
-            else ", ".join(names)[:300],
-            hint="names are those of IfcSpace",
-        )
+        with located(str(path)):
+            hint = "names are those of IfcSpace"
+            raise unknown_space("the building model", names, space, hint=hint)
     if len(owners) != len(polygons):
         raise damaged("IFC", path, "ifcopenshell gave no answer")
     chosen = space or names[0]

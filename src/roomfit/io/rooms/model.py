@@ -105,6 +105,20 @@ class PolygonSpec:
     sides: Mapping[str, int] = field(default_factory=dict)
 
 
+class UnchosenSpaceError(InputError):
+    """A file has several rooms, and nobody says which of them is meant."""
+
+
+def unknown_space(whole: str, names: Iterable[str], space: str | None, *, hint: str) -> InputError:
+    """Return the error of a file with rooms of these names, where `space` is none of them."""
+    listed = ", ".join(map(repr, names))[:300]
+    if space is not None:
+        what = f"{whole} has no such room"
+        return InputError(what, found=repr(space), needed=listed, hint=hint)
+    needed = 'space = "NAME" under [room], or --space'
+    return UnchosenSpaceError(f"{whole} has several rooms", found=listed, needed=needed, hint=hint)
+
+
 @dataclass(frozen=True, slots=True)
 class RoomSpec:
     """Which room to read, and how to understand it. One of the first three is given."""

@@ -19,7 +19,7 @@ from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding, Severity
 from roomfit.geometry.mesh import Surface, place, triangulate
 from roomfit.io.door import check_limit, complete, json_content, read_text
-from roomfit.io.rooms.model import Polygon, RoomModel, Thing, counted, joined
+from roomfit.io.rooms.model import Polygon, RoomModel, Thing, counted, joined, unknown_space
 from roomfit.typing import FloatArray
 
 # Ends of walls nearer than this are one corner, and what is that near to a wall's plane is in it.
@@ -117,14 +117,8 @@ def _chosen(content: Any, space: str | None) -> Any:
     if space is None and len(names) == 1:
         return next(iter(names.values()))
     if space not in known:
-        raise InputError(
-            "the scan has several rooms" if space is None else "the scan has no such room",
-            found=", ".join(map(repr, names))[:300] if space is None else repr(space),
-            needed='space = "NAME" under [room], or --space'
-            if space is None
-            else ", ".join(names)[:300],
-            hint="names are the labels of RoomPlan, counted where rooms have the same",
-        )
+        hint = "names are the labels of RoomPlan, counted where rooms have the same"
+        raise unknown_space("the scan", names, space, hint=hint)
     return known[space]
 
 
