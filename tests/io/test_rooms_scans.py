@@ -432,3 +432,9 @@ def test_without_the_library_a_scene_is_refused_and_the_json_named(tmp_path, mon
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     with pytest.raises(InputError, match=r"(?s)usd-core, which is not.*roomfit\[usd\].*JSON"):
         read_room(RoomSpec(file=tmp_path / "room.usdz"))
+
+
+@pytest.mark.parametrize("room", [{"shoebox": (6.0, 5.0, 3.0)}, {"file": Path("room.obj")}])
+def test_which_room_of_several_is_refused_where_there_is_one_alone(room: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=r"only a building model and a scan(.|\n)*leave space out"):
+        RoomSpec(**room, space="kitchen")

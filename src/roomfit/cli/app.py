@@ -60,8 +60,7 @@ async def _serve(options: argparse.Namespace) -> None:
     bench = Bench(options.folder.resolve())
     await bench.reader.started()
     try:
-        serve = _page()
-        await serve(
+        await _page()(
             bench,
             host=options.host,
             port=options.port,

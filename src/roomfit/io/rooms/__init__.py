@@ -156,15 +156,8 @@ def _model(spec: RoomSpec) -> tuple[RoomModel, str]:
             hint=f"did you mean {like}?" if like else "export the room as OBJ",
         )
     if spec.space is not None:
-        of_several = {".ifc": read_ifc, ".json": read_roomplan}
-        if suffix not in of_several:
-            raise InputError(
-                "only a building model and a scan have spaces",
-                found=spec.space,
-                needed="a file of .ifc or .json",
-                hint="leave space out",
-            )
-        return of_several[suffix](path, spec.space), str(path)
+        read = read_ifc if suffix == ".ifc" else read_roomplan
+        return read(path, spec.space), str(path)
     return READERS[suffix](path), str(path)
 
 

@@ -17,6 +17,7 @@ from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface
 from roomfit.typing import FloatArray
 
+OF_SEVERAL = (".ifc", ".json")  # files that may have several rooms
 METRES_PER_UNIT = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "ft": 0.3048, "in": 0.0254}
 
 
@@ -148,6 +149,13 @@ class RoomSpec:
                 found=f"{sum(given)} of file, shoebox and polygons",
                 needed="one of them",
                 hint="leave the others out",
+            )
+        if self.space is not None and Path(self.file or "").suffix.lower() not in OF_SEVERAL:
+            raise InputError(
+                "only a building model and a scan have spaces",
+                found=self.space,
+                needed=f"a file of {' or '.join(OF_SEVERAL)}",
+                hint="leave space out",
             )
 
 
