@@ -158,9 +158,12 @@ def test_other_walls_from_decay_times_are_those_of_the_command(hall: Path, tmp_p
         t30, shown = found.mean["T30_s"], own["mean"]["T30_s"]
         for key in ("predicted", "lower95", "upper95"):
             assert shown[key] == pytest.approx(getattr(t30, key).tolist(), rel=1e-12)
-        said = [f.sentence for f in found.findings]
+        changed = Code.MATERIALS_CHANGED
+        said = [f.sentence for f in found.findings if f.code is not changed]
         assert [f["sentence"] for f in own["findings"]] == said
-    assert "At 95 % the mean of T30" in said[-1]
+        whole = [f.sentence for f in found.findings if f.code is changed]
+        assert len(whole) == bool(texts) == ("the mean of T30" in own["directions"])
+        assert all(sentence.endswith(f" {own['directions']}") for sentence in whole)
     (doubt, *_) = [f for f in found.findings if f.code is Code.CHANGE_PRIOR_DOMINATED]
     assert doubt.sentence.endswith("or measure responses with positions, which tell walls apart.")
     assert "roomfit design" not in doubt.sentence

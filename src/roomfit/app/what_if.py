@@ -25,6 +25,7 @@ from roomfit.prediction.changes import Change, read_change
 from roomfit.prediction.diffuse import NAME, PreparedField, predict_field
 from roomfit.prediction.predict import (
     PreparedRoom,
+    change_directions,
     predict_change,
     prepare_prediction,
 )
@@ -38,7 +39,6 @@ SHOWN = ("T20_s", "EDT_s", "C80_dB", "D50_percent", "STI")
 """Parameters that are shown, as far as they are predicted; from decay times alone T30."""
 _SHOWN_WITH = {"T30_s": "T20_s"}  # limits of the one stand in the picture of the other
 _LEAST_FACTOR = 0.5  # decays are followed as long as with so much of each material's absorption
-_OF_CHANGES = (Code.MATERIALS_CHANGED, Code.CHANGE_PRIOR_DOMINATED)
 _ready: dict[str, tuple[tuple[float, ...], PreparedRoom | PreparedField]] = {}
 
 
@@ -147,9 +147,11 @@ def what_if(
     else:
         # nothing measured stands beside: means are over all pairs in every band
         predicted = predict_change(replace(room, observed=()), own, compare_pairs=False)
-        said = tuple(f for f in predicted.findings if f.code in _OF_CHANGES)
+        said = tuple(f for f in predicted.findings if f.code is Code.CHANGE_PRIOR_DOMINATED)
     return {
-        "findings": [finding_content(f) for f in said],
+        "findings": [finding_content(f) for f in said if f.code is not Code.MATERIALS_CHANGED],
+        # what was changed is what the sliders say
+        "directions": change_directions(predicted.bands, predicted.mean)[1],
         "mean": _values(predicted.mean, predicted.sti),
         "pairs": [
             {

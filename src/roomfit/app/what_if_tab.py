@@ -260,9 +260,10 @@ class WhatIfTab:
                     limits.append({"value": typed, "bands_hz": bands_hz})
                 picture.set_content(chart_svg(view, name, bands_hz, limits))
         self.draw_pairs()
-        if emptied(self.said, view["findings"]):
+        directions = [{"severity": "info", "sentence": view["directions"]}]
+        if emptied(self.said, (view["findings"], directions)):
             with self.said:
-                findings(view["findings"])
+                findings([*view["findings"], *(directions if view["directions"] else ())])
         changed = f"{count(len(self.changes.chosen), 'material')} changed. "
         if _TIMES in view["mean"]:
             text = (

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Coroutine
 from pathlib import Path
-from typing import Any
 
 from roomfit.cli.arguments import Commands, add_command, whole_number
 from roomfit.cli.terminal import say, warn
@@ -52,6 +50,7 @@ async def _serve(options: argparse.Namespace) -> None:
     import sys
 
     from roomfit.app.jobs import Bench
+    from roomfit.errors import InputError
 
     def tell(text: str) -> None:
         say(text)
@@ -60,7 +59,16 @@ async def _serve(options: argparse.Namespace) -> None:
     bench = Bench(options.folder.resolve())
     await bench.reader.started()
     try:
-        await _page()(
+        try:
+            from roomfit.app.server import serve
+        except ModuleNotFoundError as error:
+            raise InputError(
+                "the workbench needs packages that are not installed",
+                found=f"no module {error.name!r}",
+                needed="the extra app",
+                hint="pip install 'roomfit[app]'",
+            ) from error
+        await serve(
             bench,
             host=options.host,
             port=options.port,
@@ -69,19 +77,3 @@ async def _serve(options: argparse.Namespace) -> None:
         )
     finally:
         await bench.stop()
-
-
-def _page() -> Callable[..., Coroutine[Any, Any, None]]:
-    """Return what serves a project."""
-    from roomfit.errors import InputError
-
-    try:
-        from roomfit.app.server import serve
-    except ModuleNotFoundError as error:
-        raise InputError(
-            "the workbench needs packages that are not installed",
-            found=f"no module {error.name!r}",
-            needed="the extra app",
-            hint="pip install 'roomfit[app]'",
-        ) from error
-    return serve

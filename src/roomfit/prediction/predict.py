@@ -577,6 +577,17 @@ def change_findings(
     sentence = f"Predicted with {', '.join(change_text(c) for c in changes)}."
     if is_measured:
         sentence += " Measured values beside it are those of the room as it was measured."
+    directions, in_words = change_directions(bands, means)
+    sentence = f"{sentence} {in_words}".rstrip()
+    evidence = {"changes": [change_text(c) for c in changes], "directions": directions}
+    about = About(materials=[c.material for c in changes])
+    return (Finding(Code.MATERIALS_CHANGED, about, sentence, evidence),)
+
+
+def change_directions(
+    bands: Bands, means: Mapping[ValueName, PredictedValue]
+) -> tuple[dict[str, dict[str, list[float]]], str]:
+    """Return in which bands, Hz, means rise, fall or are not determined, and the same in words."""
     directions: dict[str, dict[str, list[float]]] = {}
     for names in _SUMMARY:
         known = [n for n in names if n in means and np.isfinite(means[n].predicted).any()]
@@ -588,11 +599,7 @@ def change_findings(
         + ", ".join(f"{way} at {', '.join(f'{f:g}' for f in at)} Hz" for way, at in ways.items())
         for name, ways in directions.items()
     ]
-    if phrases:
-        sentence += f" At 95 % the mean of {'; of '.join(phrases)}."
-    evidence = {"changes": [change_text(c) for c in changes], "directions": directions}
-    about = About(materials=[c.material for c in changes])
-    return (Finding(Code.MATERIALS_CHANGED, about, sentence, evidence),)
+    return directions, f"At 95 % the mean of {'; of '.join(phrases)}." if phrases else ""
 
 
 def _directions(bands: Bands, change: ValueChange, name: ValueName) -> dict[str, list[float]]:
