@@ -71,7 +71,7 @@ def answers(name: str, folder: Path) -> tuple[dict[str, Any], dict[str, Any], st
             "new",
         )
     room = {"bands_hz": [1000.0], "limits": [], "pairs": [], "mean": {"T20_s": _value(0.5)}}
-    room |= {"left_out": "", "findings": []}
+    room |= {"left_out": "", "findings": [], "directions": ""}
     room["treatment"] = views.treatment_view(lambda _: None, str(folder), [1000.0])
     old = {**room, "absorption": {"brick": [0.1]}}
     return old, {**room, "absorption": {"plaster": [0.2]}}, "Absorption of plaster"
