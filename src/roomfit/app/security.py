@@ -286,8 +286,9 @@ def with_nonce(
 
 async def _refuse(scope: Scope, send: Send, status: int, why: str) -> None:
     if scope["type"] == "http":
-        # what is left of a refused body is not waited for
-        return await _answer(send, status, f"{why}\n".encode(), {"connection": "close"})
+        # a stranger's body is not waited for; the user's browser sends all of it before it reads
+        end = {} if status == 413 else {"connection": "close"}
+        return await _answer(send, status, f"{why}\n".encode(), end)
     if "websocket.http.response" not in scope.get("extensions", {}):
         await send({"type": "websocket.close", "code": 1008, "reason": why})
         return None

@@ -97,8 +97,7 @@ def read_ifc(path: Path, space: str | None = None) -> RoomModel:
     names = list(dict.fromkeys(owners))
     if space not in names if space is not None else len(names) > 1:
         with located(str(path)):
-            hint = "names are those of IfcSpace"
-            raise unknown_space("the building model", names, space, hint=hint)
+            raise unknown_space("the building model", names, space, hint="those of each IfcSpace")
     if len(owners) != len(polygons):
         raise damaged("IFC", path, "ifcopenshell gave no answer")
     chosen = space or names[0]
