@@ -82,7 +82,7 @@ STUBS: dict[str, dict[str, Any]] = {
             settings=Settings(), findings=()
         ),
         "roomfit.inversion.measurements.measured_scene": nothing,
-        "roomfit.report.figures.answer_figures": lambda _: {},
+        "roomfit.report.figures.answer_figures": lambda *_, **__: {},
         "roomfit.report.room_figure.room_figure": nothing,
         "roomfit.report.html.mean_decay_figure": nothing,
         "roomfit.report.html.report_html": word,
