@@ -56,20 +56,16 @@ def float_array(
     try:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise InputError(
-            f"{name} is not an array of numbers", found=str(error), needed="finite numbers"
-        ) from error
+        what = f"{name} is not an array of numbers"
+        hint = "give rows of equal length, with numbers alone"
+        raise InputError(what, found=str(error), needed="finite numbers", hint=hint) from error
     check_shape(name, array, shape)
     bad = np.argwhere(~(np.isfinite(array) & (array >= low) & (array <= high)))
     # not `size`: a single number has no axis, so no index
     if len(bad):
         index = tuple(int(i) for i in bad[0])
-        place = f" at index {list(index)}" if index else ""
-        raise InputError(
-            f"{name} is out of range",
-            found=f"{array[index]:g}{place}",
-            needed=f"{low:g} to {high:g} {unit}".strip(),
-        )
+        place = f"index {list(index)}" if index else None
+        raise _out_of_range(name, float(array[index]), low, high, unit, place)
     return read_only(array)
 
 
@@ -91,22 +87,16 @@ def int_array(
     """
     source = np.asarray(values)
     if source.size and not np.issubdtype(source.dtype, np.integer):
-        raise InputError(
-            f"{name} must be whole numbers",
-            found=f"values of type {source.dtype}",
-            needed="an array of integers",
-            hint="round them, and convert them with .astype(int)",
-        )
+        what = f"{name} must be whole numbers"
+        needed, hint = "an array of integers", "round them, and convert them with .astype(int)"
+        raise InputError(what, found=f"values of type {source.dtype}", needed=needed, hint=hint)
     check_shape(name, source, shape)
     info = np.iinfo(dtype)
     low = int(info.min) if low is None else low
     high = int(info.max) if high is None else high
     if source.size and (int(source.min()) < low or int(source.max()) > high):
-        raise InputError(
-            f"{name} is out of range",
-            found=f"{int(source.min())} to {int(source.max())}",
-            needed=f"{low} to {high}",
-        )
+        first = source.min() if int(source.min()) < low else source.max()
+        raise _out_of_range(name, int(first), low, high)
     return read_only(np.array(source, dtype=dtype))
 
 
@@ -124,9 +114,9 @@ def check_shape(name: str, array: np.ndarray[Any, Any], shape: tuple[int | None,
     )
     if not fits:
         wanted = ", ".join("any" if n is None else str(n) for n in shape)
-        raise InputError(
-            f"{name} has the wrong shape", found=f"{array.shape}", needed=f"({wanted})"
-        )
+        what = f"{name} has the wrong shape"
+        hint = "transpose it, or give as many values along each axis as are needed"
+        raise InputError(what, found=f"{array.shape}", needed=f"({wanted})", hint=hint)
 
 
 def check_range(
@@ -134,33 +124,37 @@ def check_range(
 ) -> None:
     """Refuse a number outside of a closed range, or NaN."""
     if not low <= value <= high:
-        raise InputError(
-            f"{name} is out of range",
-            where=where,
-            found=f"{value:g} {unit}".rstrip(),
-            needed=f"{low:g} to {high:g} {unit}".rstrip(),
-        )
+        raise _out_of_range(name, value, low, high, unit, where)
+
+
+def _out_of_range(
+    name: str, value: float, low: float, high: float, unit: str = "", where: str | None = None
+) -> InputError:
+    """Return the error of a number outside of a closed range, with what may have been meant."""
+    upper = f"to {high:g}" if high < np.inf else "or more"
+    needed = "a finite number" if np.isinf([low, high]).all() else f"{low:g} {upper} {unit}"
+    hint = f"the nearest that is accepted: {min(max(value, low), high):g} {unit}".rstrip()
+    if not np.isfinite(value):
+        hint = "replace it by a finite number"
+    elif low <= -value <= high:
+        hint = f"is {-value:g} meant, without the sign?"
+    elif high == 1.0 < value <= 100.0:
+        hint = "if this is a percentage, divide by 100"
+    what = f"{name} is out of range"
+    return InputError(
+        what, where=where, found=f"{value:g} {unit}".rstrip(), needed=needed.rstrip(), hint=hint
+    )
 
 
 def unique_names(kind: str, names: Iterable[str]) -> tuple[str, ...]:
     """Return the names as a tuple; refuse an empty, a repeated or an unprintable one."""
     names = tuple(names)
     for i, name in enumerate(names):
-        if not name:
-            raise InputError(
-                f"{kind} without a name",
-                where=f"number {i + 1}",
-                found=repr(name),
-                needed="one letter or more",
-                hint="name it after what is seen there",
-            )
-        check_name(kind, name)
+        check_name(kind, name, None if name else f"number {i + 1}")
         if name in names[:i]:
-            raise InputError(
-                f"two {kind}s have the same name",
-                found=repr(name),
-                needed=f"every {kind} under its own name",
-            )
+            what = f"two {kind}s have the same name"
+            needed, hint = f"every {kind} under its own name", "rename one of them, or leave it out"
+            raise InputError(what, found=repr(name), needed=needed, hint=hint)
     return names
 
 
@@ -168,15 +162,18 @@ _STEERING = {"Cc", "Cs", "Zl", "Zp"}  # of Unicode: controls, surrogates, ends o
 _TURNING = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"  # the direction of writing
 
 
-def check_name(kind: str, name: str) -> None:
-    """Refuse letters in a name that steer terminals, end lines or turn the direction of writing."""
+def check_name(kind: str, name: str, where: str | None = None) -> None:
+    """Refuse no name, and letters that steer terminals, end lines or turn the way of writing."""
+    if not name:
+        what, hint = f"a {kind} without a name", "name it after what is seen there"
+        needed = "one letter or more"
+        raise InputError(what, where=where, found=repr(name), needed=needed, hint=hint)
     bad = next((c for c in name if unicodedata.category(c) in _STEERING or c in _TURNING), None)
     if bad is not None:
-        raise InputError(
-            f"the name of a {kind} has a control character",
-            found=f"U+{ord(bad):04X} in {name!a}",
-            needed="letters that can be printed in one line",
-        )
+        what = f"the name of a {kind} has a control character"
+        needed = "letters that can be printed in one line"
+        hint = "type the name anew, without what was pasted with it"
+        raise InputError(what, found=f"U+{ord(bad):04X} in {name!a}", needed=needed, hint=hint)
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
@@ -211,17 +208,13 @@ def check_known(
     else_needed : str
         What is needed where no name is known at all.
     else_try : str, optional
-        What to try where no known name comes near.
+        What to try where no known name comes near, instead of one of those listed.
     """
     known = tuple(known)
     if name not in known:
-        raise InputError(
-            what,
-            where=where,
-            found=repr(name),
-            needed=f"one of {', '.join(known)}" if known else else_needed,
-            hint=did_you_mean(name, known) or else_try,
-        )
+        needed = f"one of {', '.join(known)}" if known else else_needed
+        hint = did_you_mean(str(name), known) or else_try or "write it as it is listed there"
+        raise InputError(what, where=where, found=repr(name), needed=needed, hint=hint)
 
 
 # What reading damaged bytes as an archive of arrays, and its entries as JSON, can raise.

@@ -7,9 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from roomfit._checks import check_range
+from roomfit._checks import check_known, check_range
 from roomfit.bands import Bands
-from roomfit.errors import InputError
 from roomfit.typing import FloatArray
 
 AttenuationLaw = Literal["iso9613", "none"]
@@ -38,13 +37,8 @@ class Air:
         check_range("atmospheric pressure", self.pressure_kpa, 50.0, 120.0, "kPa", "air")
         if self.speed_of_sound_m_s is not None:
             check_range("speed of sound", self.speed_of_sound_m_s, 250.0, 450.0, "m/s", "air")
-        if self.attenuation not in ("iso9613", "none"):
-            raise InputError(
-                "unknown law of air attenuation",
-                where="air",
-                found=repr(self.attenuation),
-                needed='"iso9613" or "none"',
-            )
+        laws = ("iso9613", "none")
+        check_known("unknown law of air attenuation", self.attenuation, laws, where="air")
 
 
 def speed_of_sound_m_s(air: Air) -> float:

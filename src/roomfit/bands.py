@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit._checks import float_array, read_only
+from roomfit._checks import check_known, float_array, read_only
 from roomfit.errors import InputError
 from roomfit.typing import FloatArray
 
@@ -34,15 +34,13 @@ class Bands:
     exact_centres_hz: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.kind not in _STEPS_PER_OCTAVE:
-            raise InputError(
-                "unknown kind of band", found=repr(self.kind), needed="octave or third-octave"
-            )
+        check_known("unknown kind of band", self.kind, _STEPS_PER_OCTAVE)
         centres = float_array("band centre", self.centres_hz, (None,), low=1.0, high=1e5, unit="Hz")
         if centres.size == 0 or np.any(np.diff(centres) <= 0.0):
-            raise InputError(
-                "band centres must rise and there must be at least one", found=str(centres.tolist())
-            )
+            what = "band centres must rise and there must be at least one"
+            needed = "one or more, each above the one before"
+            hint = "sort them, each once, as in 125, 250, 500"
+            raise InputError(what, found=str(centres.tolist()), needed=needed, hint=hint)
         object.__setattr__(self, "centres_hz", centres)
         # raises where one is no centre of that kind
         exact = read_only(exact_centres_hz(self.kind, centres))
@@ -78,11 +76,10 @@ def bands_between(kind: BandKind, from_hz: float, to_hz: float) -> Bands:
     table = OCTAVES_HZ if kind == "octave" else THIRD_OCTAVES_HZ
     chosen = [f for f in table if from_hz <= f <= to_hz]
     if not chosen:
-        raise InputError(
-            "no standard band lies in the requested range",
-            found=f"{from_hz:g} to {to_hz:g} Hz",
-            needed=f"a range that contains one of {', '.join(f'{f:g}' for f in table)} Hz",
-        )
+        what = "no standard band lies in the requested range"
+        needed = f"a range that contains one of {', '.join(f'{f:g}' for f in table)} Hz"
+        hint = f"widen it, as {table[0]:g} to {table[-1]:g} Hz"
+        raise InputError(what, found=f"{from_hz:g} to {to_hz:g} Hz", needed=needed, hint=hint)
     return Bands(kind, np.array(chosen))
 
 
@@ -103,6 +100,7 @@ def exact_centres_hz(kind: BandKind, nominal_hz: ArrayLike) -> FloatArray:
             f"not a centre frequency of {kind} bands",
             found=f"{nominal[int(np.argmax(off))]:g} Hz",
             needed="nominal centres of IEC 61260-1 (125, 250, 500, ... for octaves)",
+            hint="use the nominal centre, as 63 Hz and not 60 Hz",
         )
     return np.asarray(exact)
 

@@ -96,11 +96,10 @@ def campaign_paths(patterns: Sequence[str | Path]) -> tuple[Path, ...]:
         is_pattern = glob.has_magic(text) and not Path(text).exists()
         matches = sorted(glob.glob(text, recursive=True)) if is_pattern else [text]  # noqa: PTH207 -- may be absolute
         if not matches:
-            raise InputError(
-                "no campaign file is called so",
-                found=repr(text),
-                hint="put the pattern in quotation marks, relative to this folder",
-            )
+            what = "no campaign file is called so"
+            needed = "a pattern that matches a file, relative to this folder"
+            hint = 'put the pattern in quotation marks, as "rooms/*/campaign.toml"'
+            raise InputError(what, found=repr(text), needed=needed, hint=hint)
         found += [Path(m).absolute() for m in matches]
     return tuple(dict.fromkeys(found))
 
@@ -140,11 +139,9 @@ def shard_of(tasks: Sequence[RoomTask], shard: tuple[int, int]) -> tuple[RoomTas
     """
     i, n = shard
     if not 1 <= i <= n:
-        raise InputError(
-            "the shard is out of range",
-            found=f"{i}/{n}",
-            needed="i/n with 1 <= i <= n: 3/10 is the third of ten jobs",
-        )
+        what = "the shard is out of range"
+        needed = "i/n with 1 <= i <= n: 3/10 is the third of ten jobs"
+        raise InputError(what, found=f"{i}/{n}", needed=needed, hint=f"--shard 1/{max(n, 1)}")
     return tuple(tasks[i - 1 :: n])
 
 

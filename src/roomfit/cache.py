@@ -219,12 +219,10 @@ def check_output_folder(path: Path, *, overwrite: bool = False) -> None:
     except OSError as error:
         raise _cannot_be_made(path, error) from error
     if filled and not overwrite:
-        raise InputError(
-            "the output folder exists and is not empty",
-            where=str(path),
-            needed="a new or an empty folder, so that no earlier result is lost",
-            hint="choose another folder, or add --overwrite",
-        )
+        what = "the output folder exists and is not empty"
+        needed = "a new or an empty folder, so that no earlier result is lost"
+        hint = "choose another folder, or add --overwrite"
+        raise InputError(what, where=str(path), found="files in it", needed=needed, hint=hint)
     if not os.access(nearest, os.W_OK | os.X_OK):
         raise StoreError(
             "the output folder cannot be written to",
@@ -243,7 +241,8 @@ def _nearest_folder(path: Path) -> Path:
         raise InputError(
             "the output folder is a file" if nearest == path else "the output folder is in a file",
             where=str(path),
-            found=None if nearest == path else f"{nearest} is a file",
+            found=f"{nearest} is a file",
+            needed="a folder, or a name that is free",
             hint="choose another name",
         )
     return nearest

@@ -135,7 +135,13 @@ def draft_to_folder(
     from roomfit.io.reverberation import read_decay_times
 
     if not folder.is_dir() and decay_times is None:
-        raise InputError("there is no such folder of recordings", where=str(folder))
+        raise InputError(
+            "there is no such folder of recordings",
+            where=str(folder),
+            found="no folder of this name",
+            needed="a folder with recordings, or --decay-times",
+            hint="make the folder, and put the recordings into it",
+        )
     if folder.exists():
         _check_place(folder / "campaign.toml", overwrite)
     if decay_times is not None:
@@ -413,23 +419,20 @@ def _own_campaign(result_file: ResultFile) -> Path:
 
 
 def _check_place(out: Path, overwrite: bool) -> None:
-    if out.is_dir():
-        raise InputError(
-            "one file is written, and a folder is in its place",
-            where=str(out),
-            hint=f"write --out {out / 'materials.txt'}",
-        )
     if out.exists() and not out.is_file():
+        inner = out.is_dir()
         raise InputError(
             "one file is written, and something else is in its place",
             where=str(out),
-            found="a device, a pipe or a socket, which would be replaced",
+            found="a folder" if inner else "a device, a pipe or a socket, which would be replaced",
             needed="a new name",
+            hint=f"write --out {out / 'materials.txt'}" if inner else "choose another name",
         )
     if out.exists() and not overwrite:
         raise InputError(
             "the file to write exists",
             where=str(out),
+            found="a file of this name",
             needed="a new name, so that nothing is lost",
             hint="choose another name, or add --overwrite",
         )
@@ -437,7 +440,9 @@ def _check_place(out: Path, overwrite: bool) -> None:
         raise InputError(
             "the folder of the file to write does not exist",
             where=str(out.parent),
-            hint="make it first",
+            found="no such folder",
+            needed="a folder that is there",
+            hint="make it first, or name another one",
         )
 
 

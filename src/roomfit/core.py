@@ -17,7 +17,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     # "as" says that a name is public
-    from roomfit._checks import check_known as check_known, did_you_mean as did_you_mean
+    from roomfit._checks import (
+        check_known as check_known,
+        check_name as check_name,
+        check_range as check_range,
+        did_you_mean as did_you_mean,
+    )
     from roomfit._numba import (
         each_in_threads as each_in_threads,
         one_blas_thread as one_blas_thread,
@@ -175,7 +180,7 @@ if TYPE_CHECKING:
 _HOME = {
     name: module
     for module, names in {
-        "_checks": "check_known did_you_mean",
+        "_checks": "check_known check_name check_range did_you_mean",
         "_numba": "each_in_threads one_blas_thread",
         "air": "attenuation_per_m speed_of_sound_m_s",
         "bands": "Bands bands_between",

@@ -203,8 +203,8 @@ def _check_objects(scene: Scene, priors: tuple[MaterialPrior, ...]) -> None:
                 "an object of the room and its absorption area do not belong together",
                 where=f"objects.{name}",
                 found=f"stated for {stated:g} m3" if name in volumes else "no area of it",
-                needed=f"roomfit.materials.priors.object_prior for {volume:g} m3 among the "
-                "materials, and roomfit.scene.with_objects of the room",
+                needed=f"an area for {volume:g} m3 and the object in the room",
+                hint="pass object_prior of materials.priors, and with_objects of the room",
             )
 
 

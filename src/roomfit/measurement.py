@@ -11,7 +11,7 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit._checks import float_array
+from roomfit._checks import check_known, float_array
 from roomfit.errors import InputError
 from roomfit.findings import Finding
 from roomfit.signals.decay import DecayCurve, RoomParameters
@@ -83,25 +83,24 @@ class Measurement:
                     "a signal with another sampling rate than the one that is given",
                     where=where,
                     found=f"{own_hz:g} and {rate_hz:g} Hz",
+                    needed="one of the two, or the same twice",
                     hint="leave sampling_rate_hz out: the signal has its own",
                 )
             samples, rate_hz = np.squeeze(samples.time), own_hz
         if rate_hz is None:
             raise InputError(
-                "a measurement without a sampling rate", where=where, needed="sampling_rate_hz"
+                "a measurement without a sampling rate",
+                where=where,
+                found="samples without a rate",
+                needed="sampling_rate_hz in Hz",
+                hint="give sampling_rate_hz, or a Signal of pyfar",
             )
         for key, value, known in (
             ("time_zero", self.time_zero, LATENCY_SD_S),
             ("level", self.level, ("per-source", "per-file", "absolute")),
             ("use", self.use, ("fit", "validate")),
         ):
-            if value not in known:
-                raise InputError(
-                    f"unknown {key} of a measurement",
-                    where=where,
-                    found=repr(value),
-                    needed=", ".join(map(repr, known)),
-                )
+            check_known(f"unknown {key} of a measurement", value, known, where=where)
         pressure = float_array(f"samples of {where}", samples, (None,))
         object.__setattr__(self, "samples", pressure)
         object.__setattr__(self, "sampling_rate_hz", float(rate_hz))

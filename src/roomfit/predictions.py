@@ -70,7 +70,9 @@ def reverberation_to_folder(
         raise InputError(
             "a campaign without decay times",
             where=str(campaign_file),
+            found="no such table",
             needed="a table [reverberation]",
+            hint="add it, or predict from a result: --absorption result.json",
         )
     found = diffuse_absorption(
         field.decay_s, field.bands, field.priors, field.areas_m2, field.volume_m3,
@@ -215,6 +217,7 @@ def prepared_field(
         raise InputError(
             "the absorption of the room is not given",
             where=str(campaign.path),
+            found="recordings or tables, and no result",
             needed="a result of what the campaign has measured",
             hint="roomfit identify first, then --absorption result.json",
         )
@@ -224,6 +227,7 @@ def prepared_field(
             where=str(campaign.path),
             found="--pairs, --state or --grid",
             needed="sources and receivers with positions, and --absorption",
+            hint="leave --pairs, --state and --grid out",
         )
     may_be_doubted = wanted is not None and wanted.doubted
     if may_be_doubted and absorption_file is None:
@@ -294,6 +298,7 @@ def treat_to_folder(
                 where=str(campaign_file),
                 found="volume and surface alone",
                 needed="a table [room], so that there are surfaces to hang something on",
+                hint="add [room] with shoebox or file",
             )
         asked, doubts = treat_arguments(treatment_file, table, field.absorption, field.scene)
         with located(str(treatment_file)):
@@ -491,5 +496,6 @@ def _dry_pressure(file: Path, measured: Sequence[Measurement]) -> FloatArray:
             where=str(file),
             found=f"{dry.sampling_rate_hz:g} Hz",
             needed=f"{measured[0].response.sampling_rate_hz:g} Hz",
+            hint="resample the dry recording",
         )
     return dry.pressure

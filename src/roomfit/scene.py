@@ -14,7 +14,14 @@ from fnmatch import fnmatchcase
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit._checks import check_known, did_you_mean, float_array, int_array, unique_names
+from roomfit._checks import (
+    check_known,
+    check_name,
+    did_you_mean,
+    float_array,
+    int_array,
+    unique_names,
+)
 from roomfit.air import Air
 from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding
@@ -84,13 +91,15 @@ class Room:
                 raise InputError(
                     "only a box has lengths whose standard deviation can be specified",
                     where="[room] lengths_sd",
+                    found="another room than a box",
                     needed="[room] shoebox",
                     hint="leave it out; a wall that stands elsewhere is looked for all the same",
                 )
             float_array("lengths_sd", self.lengths_sd_m, (3,), low=0.0, high=1.0, unit="m")
         object.__setattr__(self, "materials", unique_names("material", self.materials))
         if not self.materials:
-            raise InputError("a room without materials", needed="at least one material")
+            needed, hint = "at least one material", "give every surface a material"
+            raise InputError("a room without materials", found="none", needed=needed, hint=hint)
         n_surfaces, last = len(self.mesh.surfaces), len(wall_materials(self)) - 1
 
         def checked(owner: IntArray) -> IntArray:
@@ -157,11 +166,11 @@ def with_states(room: Room, states: Mapping[str, Mapping[str, str]]) -> Room:
     """
     unique_names("state", states)
     if room.objects:
-        raise InputError("states are given after objects", needed="with_objects as the last step")
+        what, needed = "states are given after objects", "with_objects as the last step"
+        n_objects = f"{len(room.objects)} objects"
+        raise InputError(what, found=n_objects, needed=needed, hint="call with_states first")
     names, found = list(room.materials), []
     for state, materials in states.items():
-        if not state:
-            raise InputError("a state without a name", needed="a name for each state")
         with located(f"states.{state}"):
             _check_keys(room.mesh.surfaces, materials, "materials")
         own = []
@@ -337,19 +346,9 @@ def _check_keys(
     names = [n for s in surfaces for n in (s.name, s.group, s.file_material) if n]
     known = list(dict.fromkeys(names))
     for key, material in materials.items():
-        if not material:
-            raise InputError("a material without a name", where=f"{where} {key!r}", needed="a name")
-        if key in known:
-            continue
-        listing = ", ".join(repr(name) for name in known[:_SHOWN])
-        more = f" and {len(known) - _SHOWN} more" if len(known) > _SHOWN else ""
-        raise InputError(
-            "a material is given to a surface that does not exist",
-            where=where,
-            found=repr(key),
-            needed=f"a surface, group or material of the file: {listing}{more}",
-            hint=did_you_mean(key, known),
-        )
+        check_name("material", material, f"{where} {key!r}")
+        what = "a material is given to a surface that does not exist"
+        check_known(what, key, known, where=where)
 
 
 @dataclass(frozen=True, slots=True)
@@ -476,11 +475,9 @@ class PointGroup:
         where = f"groups.{self.name}.sd"
         float_array(where, self.sd_m, shape, low=0.0, high=1.0, unit="m")
         if not self.members:
-            raise InputError(
-                "a group without members",
-                where=f"groups.{self.name}.members",
-                needed="at least one name",
-            )
+            where, hint = f"groups.{self.name}.members", "name sources or receivers"
+            what, needed = "a group without members", "at least one name"
+            raise InputError(what, where=where, found="none", needed=needed, hint=hint)
 
 
 def check_groups(members: Mapping[str, Sequence[str]], names: Sequence[str]) -> None:
@@ -623,7 +620,8 @@ def scene_of(
             check_known(what, name, known, where="pairs")
         indices.append((named.index(source), received.index(receiver)))
     if not indices:
-        raise InputError("a scene without pairs", needed="at least one source and one receiver")
+        needed, hint = "a source and a receiver", "give scene_of one of each"
+        raise InputError("a scene without pairs", found="none", needed=needed, hint=hint)
     return Scene(room, emitters, listeners, np.array(indices), Air() if air is None else air)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args
 
+from roomfit._checks import check_known
 from roomfit.errors import InputError
 
 Method = Literal["auto", "simplex", "annealing", "least-squares", "certified", "posterior"]
@@ -100,13 +101,7 @@ class Settings:
             ("model", self.model, get_args(Model)),
             ("positions", self.positions, get_args(Positions)),
         ):
-            if value not in known:
-                raise InputError(
-                    "unknown setting",
-                    where=f"settings.{key}",
-                    found=repr(value),
-                    needed=", ".join(map(repr, known)),
-                )
+            check_known("unknown setting", value, known, where=f"settings.{key}")
         for key, (low, high, why) in SETTING_LIMITS.items():
             value = getattr(self, key)
             if value is not None and not low <= value <= high:

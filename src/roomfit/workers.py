@@ -101,7 +101,9 @@ def worker_pool(n_workers: int) -> Iterator[Executor]:
 
 def _check_workers(n_workers: int) -> None:
     if n_workers < 1:
-        raise InputError("number of workers is out of range", found=str(n_workers), needed="1 up")
+        what = "number of workers is out of range"
+        hint = "leave workers out, or give the number of cores"
+        raise InputError(what, found=str(n_workers), needed="1 or more", hint=hint)
 
 
 def _become_worker() -> None:
@@ -409,12 +411,9 @@ def _distributed() -> Any:
     try:
         import distributed
     except ImportError as error:
-        raise InputError(
-            "a cluster needs a package that is not installed",
-            found=str(error),
-            needed="dask.distributed",
-            hint="pip install 'roomfit[cluster]'",
-        ) from error
+        what = "a cluster needs a package that is not installed"
+        hint = "pip install 'roomfit[cluster]'"
+        raise InputError(what, found=str(error), needed="dask.distributed", hint=hint) from error
     return distributed
 
 
@@ -437,6 +436,8 @@ def _check_alike(client: Any, scheduler: str | None) -> None:
         raise InputError(
             "the scheduler has no workers",
             where=str(scheduler),
+            found="none within the time it was waited for",
+            needed="one worker or more",
             hint="start one on every machine: dask worker ADDRESS --nthreads 1 --nworkers N",
         ) from None
     try:

@@ -113,7 +113,7 @@ def one_message(text: str) -> str:
         ("[identify]", AIR, r"campaign.toml, air(?s:.*)150"),
         # the room
         (SHOEBOX, f'{SHOEBOX}\nunit = "yard"', r"unknown unit(?s:.*)'yard'(?s:.*)mm"),
-        (SHOEBOX, "shoebox = [3.9, -3.1, 2.5]", r"length of the box(?s:.*)shoebox\n(?s:.*)-3.1"),
+        (SHOEBOX, "shoebox = [3.9, -3.1, 2.5]", r"shoebox, index \[1\](?s:.*)is 3.1 meant"),
         (SHOEBOX, 'file = "room.obj"', r"the room file does not exist(?s:.*)room.obj"),
         # positions
         (SOURCE, "position = [1.0, 1.2, 11.0]", r"'LS1' stands outside the room(?s:.*)ceiling"),

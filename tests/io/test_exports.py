@@ -523,7 +523,7 @@ def test_the_command_writes_and_keeps_what_is_there(tmp_path, monkeypatch, capsy
     assert b"L <40 40" in out.read_bytes()
     for wanted, place, words in (
         ("ease", tmp_path / "a", "no such format"),
-        ("csv", tmp_path, "a folder is in its place"),
+        ("csv", tmp_path, "something else is in its place"),
         ("csv", tmp_path / "no" / "a.csv", "does not exist"),
         ("raven", tmp_path, "not empty"),
     ):

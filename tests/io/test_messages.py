@@ -5,9 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roomfit._checks import int_array, unique_names
+from roomfit._checks import float_array, int_array, unique_names
+from roomfit.air import Air
+from roomfit.bands import Bands, bands_between
+from roomfit.batch import shard_of
 from roomfit.errors import InputError, located
 from roomfit.geometry.build import build_mesh
+from roomfit.impedance.campaign import read_spectrum
 from roomfit.io.campaign import read_campaign
 from roomfit.io.draft import read_positions
 from roomfit.io.exports import read_material_table as read_table
@@ -16,6 +20,12 @@ from roomfit.io.responses import ResponseSpec, read_response
 from roomfit.io.reverberation import read_decay_times
 from roomfit.io.rooms import read_model
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
+from roomfit.measurement import Measurement
+from roomfit.prediction.changes import read_change
+from roomfit.scene import scene_of, shoebox_room, with_states
+from roomfit.settings import Settings
+from roomfit.signals.iso3382 import MeasuredValues
+from roomfit.tracing.paths import TraceSettings
 
 PLY = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
 AC = "AC3Db\nOBJECT world\nkids 1\nOBJECT poly\nnumvert 1\n0 0 0\nnumsurf 1\nSURF 0x0\n"
@@ -169,3 +179,59 @@ def test_what_to_try_of_the_place_gives_way_to_that_of_the_error():
     with pytest.raises(InputError) as caught, located(hint="look there"):
         raise InputError("wrong", hint="better")
     assert (caught.value.where, caught.value.hint) == (None, "better")
+
+
+def _spectrum(**arrays):
+    return lambda folder: (
+        np.savez(folder / "s.npz", **arrays),
+        read_spectrum(folder / "s.npz"),
+    )
+
+
+BOX = shoebox_room((5, 4, 3), {"walls": "plaster"})
+# What is asked for, what was found and what to try, each as words of the message.
+CURES = [
+    (lambda _: Air(humidity_percent=-40.0), "-40 %", "is 40 meant, without the sign?"),
+    (lambda _: Air(temperature_c=293.0), "293 degrees C", "nearest that is accepted: 50 degrees"),
+    (lambda _: Air(attenuation="iso9631"), "'iso9631'", "did you mean 'iso9613'?"),
+    (lambda _: float_array("absorption", [0.1, 35.0], (2,), low=0, high=1), "35", "divide by 100"),
+    (lambda _: float_array("delay", [np.nan], (1,)), "nan", "replace it by a finite number"),
+    (lambda _: float_array("table", np.ones((2, 3)), (3, 2)), "(2, 3)", "transpose it"),
+    (lambda _: float_array("rows", [[1.0], [1.0, 2.0]], (2, 2)), "inhomogeneous", "equal length"),
+    (lambda _: unique_names("source", ["S", "S"]), "'S'", "rename one of them"),
+    (lambda _: unique_names("source", ["S\u2028"]), "U+2028", "type the name anew"),
+    (lambda _: bands_between("octave", 10.0, 20.0), "10 to 20 Hz", "widen it, as 31.5 to"),
+    (lambda _: Bands("octave", np.array([60.0])), "60 Hz", "63 Hz and not 60 Hz"),
+    (lambda _: Bands("octave", np.array([500.0, 250.0])), "[500.0, 250.0]", "sort them"),
+    (lambda _: Settings(method="posteriori"), "'posteriori'", "did you mean 'posterior'?"),
+    (lambda _: Measurement("S", "R", np.ones(9), None), "without a rate", "give sampling_rate_hz"),
+    (lambda _: with_states(BOX, {"closed": {"north": ""}}), "''", "name it after what is seen"),
+    (lambda _: scene_of(BOX, {"S": (1, 1, 1)}, {}), "none", "give scene_of one of each"),
+    (lambda _: read_change("floor"), "'floor'", "floor=0.3"),
+    (
+        lambda _: TraceSettings(duration_s=1.0, n_rays=10, estimator="rays"),
+        "'rays'",
+        "as it is listed",
+    ),
+    (lambda _: shard_of((), (3, 2)), "3/2", "--shard 1/2"),
+    (_spectrum(f=[100.0], tau=0.1), "f, tau", "store one of the two"),
+    (_spectrum(f=[100.0], tau=0.1, p=np.ones(1)), "float64", "under the name magnitude"),
+    (_spectrum(f=[100.0], tau=[0.1, 0.2], magnitude=[1.0]), "(2,)", "one spectrum a file"),
+]
+
+
+@pytest.mark.parametrize(("ask", "found", "cure"), CURES)
+def test_a_refusal_shows_what_it_met_what_it_takes_and_a_cure(tmp_path, ask, found, cure):
+    with pytest.raises(InputError) as refused:
+        ask(tmp_path)
+    error = refused.value
+    assert found in (error.found or ""), str(error)
+    assert error.needed, str(error)
+    assert cure in (error.hint or ""), str(error)
+    assert f"  try     {error.hint}" in str(error)
+
+
+def test_a_spread_of_a_parameter_without_values_is_not_called_unknown():
+    with pytest.raises(InputError, match="a spread without its value") as refused:
+        MeasuredValues("S", "R", np.array([500.0]), {}, {"T30_s": np.ones(1)})
+    assert refused.value.found == "'T30_s'"

@@ -72,7 +72,9 @@ class IdentifyTab:
         folder = self.bench.folder
         with saying_errors(self.answer):
             if not project.has_campaign(folder):
-                raise InputError("there is no project yet", hint="begin with the room")
+                what = "there is no project yet"
+                needed, hint = "a room", "begin with the room"
+                raise InputError(what, found="no campaign in the folder", needed=needed, hint=hint)
             project.set_bands(folder, self.lowest.value, self.highest.value)
             label = "First answer" if quick else "Full answer"
             self.bench.jobs.add(label, "identify", {"folder": str(folder), "quick": quick}, _STAGES)

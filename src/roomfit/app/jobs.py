@@ -53,7 +53,10 @@ class Worker:
             except TimeoutError:
                 await self.stop()
                 raise InputError(
-                    "this took too long and was stopped", needed=f"at most {limit_s:g} s"
+                    "this took too long and was stopped",
+                    found=f"more than {limit_s:g} s",
+                    needed=f"at most {limit_s:g} s",
+                    hint="send a smaller file, or give it to roomfit check",
                 ) from None
             except asyncio.CancelledError:
                 await self.stop()
@@ -63,10 +66,10 @@ class Worker:
         self, task: str, arguments: dict[str, Any], progress: Callable[[float], None] | None
     ) -> Any:
         process = await self.started()
-        if process.stdin is None or process.stdout is None:
-            raise InputError("the process has no ears")
         request = json.dumps({"task": task, "arguments": arguments})
         try:
+            if process.stdin is None or process.stdout is None:
+                raise BrokenPipeError
             process.stdin.write(f"{request}\n".encode())
             await process.stdin.drain()
             while line := await process.stdout.readline():
@@ -82,7 +85,8 @@ class Worker:
         await self.stop()
         raise InputError(
             "the process that did this has ended",
-            found="it ran out of memory, or a library failed on the file",
+            found="its end: it ran out of memory, or a library failed on the file",
+            needed="an answer",
             hint="take the file out again; nothing else is lost",
         )
 

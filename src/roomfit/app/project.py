@@ -15,6 +15,7 @@ from typing import Any
 
 from roomfit.cache import write_text_atomically
 from roomfit.commands import export_result
+from roomfit.core import check_known, check_name
 from roomfit.errors import InputError, located
 from roomfit.io.campaign import FILL_IN, Campaign, blanks, read_campaign, read_toml
 from roomfit.io.draft import draft_campaign
@@ -172,8 +173,7 @@ def set_surface_material(folder: Path, surface: str, material: str) -> None:
     InputError
         The name is empty.
     """
-    if not material.strip():
-        raise InputError("a material without a name", needed="a name")
+    check_name("material", material.strip())
     edit(folder, Edit(("room", "materials"), surface, material.strip()))
 
 
@@ -201,12 +201,18 @@ def set_position(folder: Path, kind: str, name: str, position_m: Sequence[float]
         Not three finite numbers, or a name that is none.
     """
     if kind not in ("sources", "receivers") or not name.strip():
-        raise InputError("a position needs a kind and a name", found=f"{kind} {name!r}")
+        what = "a position needs a kind and a name"
+        needed = "sources or receivers, and a name of one letter or more"
+        raise InputError(what, found=f"{kind} {name!r}", needed=needed, hint="name it, as S1 or R1")
     if position_m is not None and (
         len(position_m) != 3 or not all(abs(float(x)) < 1e6 for x in position_m)
     ):
         raise InputError(
-            "a position is three numbers", where=f"{kind}.{name}", needed="x, y, z in m"
+            "a position is three numbers",
+            where=f"{kind}.{name}",
+            found=str(list(position_m))[:80],
+            needed="x, y, z in m",
+            hint="measure from the origin of the room file, in m",
         )
     if position_m is None:
         edit(folder, Edit((kind,), name, None))
@@ -272,12 +278,10 @@ def set_decay_times(folder: Path, name: str) -> None:
         There is no room yet.
     """
     if not has_campaign(folder):
-        raise InputError(
-            "there is no room yet",
-            found="no campaign in the folder",
-            needed="a room file or three lengths",
-            hint="give them in the tab Room, then take the table again",
-        )
+        what = "there is no room yet"
+        needed = "a room file or three lengths"
+        hint = "give them in the tab Room, then take the table again"
+        raise InputError(what, found="no campaign in the folder", needed=needed, hint=hint)
     known = _known_objects(campaign_content(folder).get("objects", {}))
     edit(folder, Edit(("reverberation",), "file", f"{DECAY_TIMES}/{name}"), *known)
 
@@ -341,19 +345,23 @@ def upload_place(folder: Path, kind: str, name: str) -> Path:
     InputError
         The name is a path, hidden, of no known format, or its place lies outside of the project.
     """
-    if kind not in _KNOWN:
-        raise InputError("there is no such place for files", found=repr(kind))
+    check_known("there is no such place for files", kind, _KNOWN)
     plain = name and len(name.encode()) <= _LONGEST_NAME and name.isprintable()
     if not plain or name.startswith(".") or any(c in name for c in '/\\:*?"<>|'):
-        raise InputError("this is no name of a file here", found=repr(name[:200]))
-    if Path(name).suffix.lower() not in _KNOWN[kind]:
-        needed = f"one of {', '.join(_KNOWN[kind])}"
-        raise InputError("the format is not known", found=repr(name), needed=needed)
+        raise InputError(
+            "this is no name of a file here",
+            found=repr(name[:200]),
+            needed=f'at most {_LONGEST_NAME} bytes, no dot first, none of /\\:*?"<>|',
+            hint="rename the file, as R1.wav",
+        )
+    check_known("the format is not known", Path(name).suffix.lower(), _KNOWN[kind], where=name)
     parent = folder if kind == "room" else folder / kind
     place = parent / name
     inside(folder, parent)
     if place.is_symlink() or (place.exists() and not place.is_file()):
-        raise InputError("a link or a folder has this name", where=str(place))
+        what = "a link or a folder has this name"
+        needed, hint = "a name that is free, or that of a file", "rename the file that is sent"
+        raise InputError(what, where=str(place), found=repr(name), needed=needed, hint=hint)
     return place
 
 
@@ -367,8 +375,18 @@ def inside(folder: Path, path: Path) -> Path:
     """
     real, root = Path(os.path.realpath(path)), Path(os.path.realpath(folder))
     if real != root and root not in real.parents:
-        raise InputError("this leads out of the project", where=str(path))
+        raise InputError(
+            "this leads out of the project",
+            where=str(path),
+            found="a link, or .., to a place outside",
+            needed="a file within the project",
+            hint="copy what the link points to into the project",
+        )
     return real
+
+
+# Folders of results and of what is written from them
+_SHOWN = (QUICK, FULL, MEAN, TREATMENT, LISTENED, "exports")
 
 
 def served_file(folder: Path, path: str) -> Path:
@@ -380,18 +398,34 @@ def served_file(folder: Path, path: str) -> Path:
         There is no such file, or it is none of those.
     """
     parts = Path(path).parts
-    if (
-        not path.isprintable()
-        or len(parts) < 2
-        or parts[0] not in (QUICK, FULL, MEAN, TREATMENT, LISTENED, "exports")
-    ):
-        raise InputError("only results and exports are shown", found=repr(path[:200]))
-    if any(part.startswith(".") for part in parts):
-        raise InputError("hidden files are not shown", found=repr(path[:200]))
-    real = inside(folder, folder / path)
-    if not real.is_file():
-        raise InputError("there is no such file", found=repr(path[:200]))
-    return real
+    plain = path.isprintable() and not any(part.startswith(".") for part in parts)
+    if plain and len(parts) > 1 and parts[0] in _SHOWN:
+        real = inside(folder, folder / path)
+        if real.is_file():
+            return real
+    what = "no file of this name is shown"
+    needed = f"a file that is not hidden, in {', '.join(_SHOWN)}"
+    hint = "reload the page: the file may have been written anew since"
+    raise InputError(what, found=repr(path[:200]), needed=needed, hint=hint)
+
+
+def answer_file(folder: Path, *, or_decay_times: bool = False) -> Path:
+    """Return the best result, or the table of decay times where that does as well.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    found = best_result(folder) or (decay_times(folder) if or_decay_times else None)
+    if found is None:
+        raise InputError(
+            "there is no answer yet",
+            found="no result" + (" and no table of decay times" if or_decay_times else ""),
+            needed="a first or a full answer",
+            hint='press "First answer only" under Identify',
+        )
+    return found
 
 
 def export(folder: Path, wanted: str) -> list[str]:
@@ -402,11 +436,8 @@ def export(folder: Path, wanted: str) -> list[str]:
     InputError
         There is no result, or no such format.
     """
-    result = best_result(folder)
-    if result is None:
-        raise InputError("there is no result yet", hint="identify first")
-    if wanted not in _ENDINGS:
-        raise InputError("no such format", found=repr(wanted), needed=", ".join(EXPORTS))
+    result = answer_file(folder)
+    check_known("no such format", wanted, _ENDINGS)
     exports = folder / "exports"
     exports.mkdir(exist_ok=True)
     named = {"raven": "raven", "pdf": "report.pdf", "word": "report.docx"}

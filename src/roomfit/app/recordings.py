@@ -131,7 +131,10 @@ def set_template(folder: Path, template: str, positions: Positions) -> None:
     """
     if template:
         if Path(template).is_absolute() or ".." in Path(template).parts:
-            raise InputError("recordings lie in the project's folder", found=repr(template))
+            what = "recordings lie in the project's folder"
+            needed = "a path without .. below the project"
+            hint = "write recordings/{source}-{receiver}.wav"
+            raise InputError(what, found=repr(template), needed=needed, hint=hint)
         matching_files(folder, template)
     if project.has_campaign(folder):
         project.edit(folder, Edit((), "recordings", template or None))

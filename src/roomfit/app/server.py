@@ -130,11 +130,10 @@ def _asked(folder: Path, request: Request) -> tuple[SweepPlan, str, str]:
         plan = SweepPlan(rate_hz, seconds, silence_s, int(asked["repetitions"]))
         source, receiver, again = asked["source"], asked["receiver"], asked["again"] == "true"
     except (KeyError, ValueError, OverflowError) as error:
-        raise InputError(
-            "a measurement is four numbers and two names",
-            found=str(error)[:80],
-            needed="rate_hz, seconds, silence_s, repetitions, source and receiver",
-        ) from None
+        what = "a measurement is four numbers and two names"
+        needed = "rate_hz, seconds, silence_s, repetitions, source and receiver"
+        hint = "reload the page, and start the measurement from it"
+        raise InputError(what, found=str(error)[:80], needed=needed, hint=hint) from None
     place = project.upload_place(folder, project.RECORDINGS, response_name(source, receiver))
     check_not_measured(place, again=again)
     return plan, source, receiver
@@ -249,7 +248,9 @@ async def serve(
     """
     folder = bench.folder
     if folder.exists() and not folder.is_dir():
-        raise InputError("a project is a folder", where=str(folder), found="a file")
+        what = "a project is a folder"
+        needed, hint = "a folder, or a name that is free", "name the folder in which the file lies"
+        raise InputError(what, where=str(folder), found="a file", needed=needed, hint=hint)
     folder.mkdir(parents=True, exist_ok=True)
     listening = _socket(host, port)
     port = int(listening.getsockname()[1])
@@ -289,4 +290,7 @@ def _socket(host: str, port: int | None) -> socket.socket:
             why = error.strerror or str(error)
             continue
         return own
-    raise InputError("the address cannot be listened at", where=f"{host}, port {port}", found=why)
+    what = "the address cannot be listened at"
+    needed = "a port that is free, and an address of this machine"
+    hint = "add --port 0, which takes a free one"
+    raise InputError(what, where=f"{host}, port {port}", found=why, needed=needed, hint=hint)

@@ -370,7 +370,9 @@ def demo(progress: Progress, folder: str) -> str:
     """
     root = Path(folder)
     if project.has_campaign(root):
-        raise InputError("the folder has a campaign already", where=str(root))
+        what = "the folder has a campaign already"
+        needed, hint = "a folder without a campaign", "start roomfit app in a new folder"
+        raise InputError(what, where=str(root), found="campaign.toml", needed=needed, hint=hint)
     write_measured_box(demo_plan(), root, np.random.default_rng(1), progress)
     return "campaign.toml"
 
@@ -393,8 +395,7 @@ def treat(progress: Progress, folder: str, doubted: bool = False) -> str:
     """
     root = Path(folder)
     result = project.best_result(root)
-    if result is None and project.decay_times(root) is None:
-        raise InputError("there is no answer yet", hint="identify first")
+    project.answer_file(root, or_decay_times=True)
     out = root / project.TREATMENT
     project.inside(root, out)
     answer = predictions.treat_to_folder(
@@ -475,7 +476,9 @@ def measure(_: Progress, folder: str, file: str, plan: dict[str, Any]) -> dict[s
     try:
         recorded = np.frombuffer(read_bytes(path.with_name("recorded"), "recording"), "<f4")
     except RoomfitError as error:  # without the place, which is nobody's business
-        raise InputError(error.what, found=error.found, hint="measure again") from None
+        raise InputError(
+            error.what, found=error.found, needed=error.needed, hint="measure again"
+        ) from None
     measured = response_from_recording(SweepPlan(**plan), recorded.astype(np.float64))
     path.write_bytes(wav_bytes(measured.response))
     return measured.content()
@@ -501,9 +504,11 @@ def listen(
         There is no result yet, no change, or the recording has another sampling rate.
     """
     root = Path(folder)
-    result = project.best_result(root)
-    if result is None or not changes:
-        raise InputError("there is nothing to compare yet", hint="identify, then change a wall")
+    result = project.answer_file(root)
+    if not changes:
+        what = "there is nothing to compare yet"
+        needed = "one change or more"
+        raise InputError(what, found="no change", needed=needed, hint="change a wall under What if")
     out = root / project.LISTENED
     project.inside(root, out)
     predictions.listen_to_folder(

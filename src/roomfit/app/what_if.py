@@ -56,9 +56,7 @@ def what_if_prepare(progress: Progress, folder: str, doubted: bool = False) -> d
     """
     root = Path(folder)
     file, result = project.campaign_file(root), project.best_result(root)
-    known_by = result or project.decay_times(root)
-    if known_by is None:
-        raise InputError("there is no answer yet", hint="identify first")
+    known_by = project.answer_file(root, or_decay_times=True)
     stamp = (known_by.stat().st_mtime, file.stat().st_mtime, float(doubted))
     if folder not in _ready or _ready[folder][0] != stamp:
         _ready.clear()
@@ -124,7 +122,9 @@ def prepared(folder: str) -> PreparedRoom | PreparedField:
         It is another one.
     """
     if folder not in _ready:
-        raise InputError("the room is not prepared yet")
+        what = "the room is not prepared yet"
+        needed, hint = "what_if_prepare of this project", "open What if again"
+        raise InputError(what, found="a room of another project, or none", needed=needed, hint=hint)
     return _ready[folder][1]
 
 

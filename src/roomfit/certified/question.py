@@ -83,15 +83,14 @@ def _energy_blocks(parameters: Parameters) -> tuple[Block, Block]:
     """Return the blocks of absorptions and gains, and refuse what has no bounds."""
     blocks = {b.name: b for b in parameters.blocks}
     if set(blocks) != {"absorption", "gain"} or parameters.joint is not None:
-        raise InputError(
-            "only energies under absorption and gains can be certified",
-            found=", ".join(blocks),
-            hint='fit with method = "certified" and model = "energy"',
-        )
+        what = "only energies under absorption and gains can be certified"
+        hint = 'fit with method = "certified" and model = "energy"'
+        raise InputError(what, found=", ".join(blocks), needed="absorptions and gains", hint=hint)
     if not _independent(parameters):
         raise InputError(
             "no bounds of a prior that materials share",
             found="materials of one product",
+            needed="materials with priors of their own",
             hint='leave out the product, or use method = "least-squares"',
         )
     return blocks["absorption"], blocks["gain"]

@@ -208,7 +208,9 @@ def _parsed(arguments: list[str]) -> argparse.Namespace:
         sys.exit(2)
     name = arguments[0]
     if name in _RENAMED:
-        raise InputError(f"the command {name!r} is now called {_RENAMED[name]!r}")
+        what = f"the command {name!r} is now called {_RENAMED[name]!r}"
+        needed = _RENAMED[name]
+        raise InputError(what, found=name, needed=needed, hint=f"roomfit {_RENAMED[name]} ...")
     if name.startswith("-"):
         parser.refuse_unknown_options(arguments)
         return parser.parse_args(arguments)

@@ -24,11 +24,11 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
+    from roomfit._checks import check_range
     from roomfit.cache import Cache, cache_files, limited, make_room, user_cache
-    from roomfit.errors import InputError
 
-    if options.limit is not None and not 0.0 <= options.limit <= 1e6:
-        raise InputError("the limit is out of range", found=f"{options.limit:g} GB", needed="0 on")
+    if options.limit is not None:
+        check_range("the limit", options.limit, 0.0, 1e6, "GB", "--limit")
     cache = user_cache()
     if cache is None:
         say("no cache: ROOMFIT_CACHE is off, or this user has no home")

@@ -62,20 +62,21 @@ def run(options: argparse.Namespace) -> None:
         _remedy(options)
         return
     if room.suffix.lower() != ".toml" and not room.is_dir():
-        if options.out is not None:
-            raise InputError("a room by itself has no positions to draw", found="--out")
-        if options.bands is not None:
-            raise InputError("a room by itself has no bands", found="--bands")
+        if options.out is not None or options.bands is not None:
+            raise InputError(
+                "a room by itself has no positions to draw, and no bands",
+                where=str(room),
+                found="--out" if options.out is not None else "--bands",
+                needed="a campaign.toml",
+                hint="roomfit init --room ROOM makes one; or leave the option out",
+            )
         result = check_room(RoomSpec(file=room, unit=options.unit, up=options.up))
         say(room_text(str(room), result))
         sys.exit(0 if result.traceable else 2)
     if options.unit is not None or options.up is not None:
-        raise InputError(
-            "a campaign itself specifies the unit and the axes of its room",
-            where=str(room),
-            found="--unit or --up",
-            hint="write them under [room]",
-        )
+        what = "a campaign itself specifies the unit and the axes of its room"
+        needed, hint = "neither of them beside a campaign", "write them under [room]"
+        raise InputError(what, where=str(room), found="--unit or --up", needed=needed, hint=hint)
     from roomfit.io.remedies import advice
 
     campaign = read_campaign(room)

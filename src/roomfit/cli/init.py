@@ -64,7 +64,9 @@ def run(options: argparse.Namespace) -> None:
     from roomfit.report.wording import count
 
     if options.room is not None and options.shoebox is not None:
-        raise InputError("two rooms for one campaign", needed="either --room or --shoebox")
+        what = "two rooms for one campaign"
+        hint = "leave --shoebox out where a file has the room"
+        raise InputError(what, found="--room and --shoebox", needed="one of the two", hint=hint)
     because = ""
     unit: str | None = options.unit
     if options.room is not None and unit is None and sys.stdin.isatty():

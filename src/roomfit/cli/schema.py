@@ -21,10 +21,9 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> None:
     import json
 
-    from roomfit.errors import InputError
+    from roomfit._checks import check_known
     from roomfit.io.schema import campaign_schema, treatment_schema
 
     schemas = {"campaign": campaign_schema, "treatment": treatment_schema}
-    if options.of not in schemas:
-        raise InputError("no schema of this name", found=options.of, needed=", ".join(schemas))
+    check_known("no schema of this name", options.of, schemas)
     say(json.dumps(schemas[options.of](), indent=2))

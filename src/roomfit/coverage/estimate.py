@@ -199,12 +199,10 @@ def _replicate(content: dict[str, Any], path: Path) -> Replicate:
 
 
 def _damaged(path: Path, why: str) -> InputError:
-    return InputError(
-        "a replicate is damaged",
-        where=str(path),
-        found=why,
-        hint="remove it; it will be simulated again",
-    )
+    what = "a replicate is damaged"
+    needed = "a replicate as roomfit coverage has written it"
+    hint = "remove it; it will be simulated again"
+    return InputError(what, where=str(path), found=why, needed=needed, hint=hint)
 
 
 # Keeps these draws apart from those of other tasks with the same seed.

@@ -127,7 +127,9 @@ def coverage_plan(campaign: Campaign, settings: CoverageSettings) -> CoveragePla
         raise InputError(
             "the coverage of damped spectra cannot be estimated",
             where=str(campaign.path),
+            found=f"{len(campaign.spectra)} damped spectra",
             needed="impulse responses (file) or room parameters",
+            hint="leave out the [[measurements]] with spectrum",
         )
     fitted = replace(
         campaign,
@@ -375,6 +377,7 @@ def _b(plan: CoveragePlan, name: str, rng: np.random.Generator) -> FloatArray | 
             where=f"{plan.campaign.path}, sources.{name}.directivity",
             found=f"loudspeaker {unknown.loudspeaker}",
             needed='directivity = "fit", a file, or {aim, b}',
+            hint="give each source a directivity of its own",
         )
     mean = np.zeros(3) if unknown.mean is None else unknown.mean
     sd = DEFAULT_B_SD if unknown.sd is None else unknown.sd

@@ -78,7 +78,9 @@ class DesignOptions:
             ("draws", self.n_draws),
         ):
             if number is not None and number < 1:
-                raise InputError(f"the number of {name} is below 1", found=str(number), needed="1")
+                what = f"the number of {name} is below 1"
+                hint = "leave it out, or write 1 or more"
+                raise InputError(what, found=str(number), needed="1 or more", hint=hint)
         if self.criterion is not None:
             check_known("unknown criterion", self.criterion, get_args(Criterion))
         check_known("unknown level", self.level, get_args(Level))
@@ -122,6 +124,7 @@ def region_of(
             "a region ends below its beginning",
             found=f"from {low.tolist()} to {high.tolist()} m",
             needed="the lower corner first",
+            hint="exchange its two corners, or name a higher range of heights",
         )
     return Region(low, high, wall_distance_m)
 
@@ -262,7 +265,9 @@ def design_candidates(
         if not points:
             raise InputError(
                 f"there is no candidate for a {kind}",
+                found="none",
                 needed=f"[{kind}s.NAME] with a position, or positions in [design]",
+                hint=f"add [{kind}s.NAME] with position = [x, y, z]",
             )
         check_points(existing.room, points, ())
     # existing points come first, so that their indices are those of the existing scene

@@ -183,6 +183,7 @@ def possible_design(rules: Rules, n: int) -> list[int]:
     raise InputError(
         "the rules leave no position for another measurement",
         found=f"{most} of {n}",
+        needed=f"{n} positions that keep the rules",
         hint="choose fewer, give more candidates, or lower the least distances in [design]",
     )
 

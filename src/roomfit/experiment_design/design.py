@@ -289,6 +289,7 @@ def _prior_information(
             "the absorption is of other bands than those to be fitted",
             found=", ".join(f"{f:g}" for f in own.centres_hz) + " Hz",
             needed=", ".join(f"{f:g}" for f in bands.centres_hz) + " Hz",
+            hint="use a result of these bands, or set from_hz and to_hz to its own",
         )
     return information_from_fit(complete_priors(names, materials, own), absorption)
 

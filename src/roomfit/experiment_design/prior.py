@@ -146,6 +146,7 @@ def _unknowns(
         raise InputError(
             "no absorption is left to be found",
             found="every material's absorption is given",
+            needed="one material at least whose absorption is fitted",
             hint="remove absorption = [...] where it is not sure",
         )
     return Unknowns(

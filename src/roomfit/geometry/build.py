@@ -126,6 +126,7 @@ def _check_faces(faces: Sequence[Face], n_vertices: int) -> None:
                 "a face has fewer than three corners",
                 where=f"face {number}, surface {face.surface.name!r}",
                 found=f"{len(face.corners)}",
+                needed="three or more",
                 hint="the file may be damaged: export it again",
             )
         for corner in face.corners:
@@ -135,6 +136,7 @@ def _check_faces(faces: Sequence[Face], n_vertices: int) -> None:
                     where=f"face {number}, surface {face.surface.name!r}",
                     found=f"corner {corner + 1}",
                     needed=f"1 to {n_vertices}",
+                    hint="export the room again: the list of corners is too short",
                 )
 
 

@@ -120,7 +120,9 @@ class Mesh:
         vertices = float_array("vertices", self.vertices_m, (None, 3), low=-1e6, high=1e6, unit="m")
         triangles = int_array("triangles", self.triangles, (None, 3), low=0, high=len(vertices) - 1)
         if len(triangles) == 0:
-            raise InputError("a mesh without faces", needed="at least one triangle")
+            what = "a mesh without faces"
+            hint = "export the room with its surfaces, not lines or points alone"
+            raise InputError(what, found="no triangle", needed="at least one triangle", hint=hint)
         owner = int_array(
             "surface of each triangle",
             self.triangle_surface,

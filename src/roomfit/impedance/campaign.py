@@ -125,6 +125,7 @@ def impedance_arguments(campaign: Campaign) -> tuple[ImpedanceArguments, tuple[F
         raise InputError(
             "the campaign holds no pressures",
             where=str(campaign.path),
+            found="no response and no spectrum to fit",
             needed="impulse responses (file) or damped spectra (spectrum)",
             hint="room parameters do not determine impedances",
         )
@@ -178,6 +179,7 @@ def _scene(
                 where=f"{campaign.path}, sources.{source.name}.directivity",
                 found=repr(directivity),
                 needed='"omni"; a directivity is refused so that no result pretends to obey it',
+                hint="leave out directivity, and fit where the source radiates alike",
             )
     if campaign.impedance.positions == "fixed":
         sources, receivers = (
@@ -234,25 +236,35 @@ def read_spectrum(path: Path) -> Observed:
                 "a spectrum needs pressures or magnitudes",
                 found=", ".join(sorted(arrays)) or "nothing",
                 needed="p (complex), or magnitude",
+                hint="store one of the two, with numpy.savez",
             )
         for name, meaning in (("f", "f (Hz)"), ("tau", "tau (s), the window's time constant")):
             if name not in arrays:
-                raise InputError(
-                    "a spectrum lacks an array", found=", ".join(sorted(arrays)), needed=meaning
-                )
+                what = "a spectrum lacks an array"
+                hint = "store it in the file, with numpy.savez(file, f=..., tau=...)"
+                raise InputError(what, found=", ".join(sorted(arrays)), needed=meaning, hint=hint)
         for name in ("f", "tau", "noise", "magnitude"):
             if name in arrays and arrays[name].dtype.kind not in "iuf":
                 raise InputError(
-                    f"{name} holds no real numbers", found=f"an array of type {arrays[name].dtype}"
+                    f"{name} holds no real numbers",
+                    found=f"an array of type {arrays[name].dtype}",
+                    needed="an array of integers or floats",
+                    hint=f"store {name}.astype(float)",
                 )
         if np.size(arrays["tau"]) != 1:
-            raise InputError("tau is not one number", found=f"{np.shape(arrays['tau'])}")
+            raise InputError(
+                "tau is not one number",
+                found=f"{np.shape(arrays['tau'])}",
+                needed="one number (s)",
+                hint="store one spectrum a file, each with its tau",
+            )
         pressure = np.asarray(arrays["p" if has_phase else "magnitude"])
         if has_phase and pressure.dtype.kind != "c":
             raise InputError(
                 "pressures without phase",
                 found=f"an array of type {pressure.dtype}",
                 needed="p of complex numbers, or magnitude in its stead",
+                hint="store them under the name magnitude",
             )
         noise = arrays.get("noise")
         if noise is not None:
@@ -272,11 +284,9 @@ def _grid(
     table = campaign.impedance
     where = f"{campaign.path}, impedance"
     if table.from_hz >= table.to_hz and not read:
-        raise InputError(
-            "the lowest frequency lies above the highest",
-            where=where,
-            found=f"from_hz = {table.from_hz:g}, to_hz = {table.to_hz:g}",
-        )
+        found = f"from_hz = {table.from_hz:g}, to_hz = {table.to_hz:g}"
+        what, needed = "the lowest frequency lies above the highest", "from_hz below to_hz"
+        raise InputError(what, where=where, found=found, needed=needed, hint="exchange the two")
     if not read:
         n = (table.to_hz - table.from_hz) / table.step_hz
         if n > _MOST_FREQUENCIES:
@@ -301,6 +311,7 @@ def _grid(
                 found=f"{len(other.frequency_hz)} frequencies, tau {other.tau_s:g} s",
                 needed=f"as in {spectra[0].path.name}: {len(first.frequency_hz)} frequencies, "
                 f"tau {first.tau_s:g} s",
+                hint="compute them alike, or put them into campaigns of their own",
             )
     f = first.frequency_hz
     own = f[(f >= table.from_hz) & (f <= table.to_hz)]
@@ -310,6 +321,7 @@ def _grid(
             where=where,
             found=f"{f[0]:g} to {f[-1]:g} Hz",
             needed=f"{table.from_hz:g} to {table.to_hz:g} Hz",
+            hint="set from_hz and to_hz to the range of the spectra",
         )
     return own, first.tau_s
 
@@ -382,17 +394,16 @@ def _wall_model(table: MaterialTable) -> WallModel:
     start: complex = 0.8
     for name, value in specified.items():
         if name != "r0":
-            raise InputError(
-                "unknown key of impedance_start",
-                found=repr(name),
-                needed=f'r0 for impedance = "{kind}": a number, or [real, imaginary]',
-            )
+            what = "unknown key of impedance_start"
+            needed = f'r0 for impedance = "{kind}": a number, or [real, imaginary]'
+            raise InputError(what, found=repr(name), needed=needed, hint=f"leave {name} out")
         parts = [float(v) for v in value] if isinstance(value, list) else [float(value), 0.0]
         if len(parts) != 2:
             raise InputError(
                 "r0 of impedance_start is not a complex number",
                 found=repr(value),
                 needed="a number, or [real, imaginary]",
+                hint="write r0 = 0.8, or r0 = [0.8, 0.1]",
             )
         start = complex(*parts)
     return WallModel(kind, start)
@@ -411,11 +422,10 @@ def _parameter(
             f"start and bounds of {name} are out of order",
             found=repr(value),
             needed=f"a number above 0 ({usual.unit}), or [start, lowest, highest]",
+            hint=f"write {name} = [start, lowest, highest]",
         )
     if numbers[1] == numbers[2]:
-        raise InputError(
-            f"bounds of {name} leave nothing to find",
-            found=repr(value),
-            needed="a lowest below the highest",
-        )
+        what = f"bounds of {name} leave nothing to find"
+        hint = "raise the highest, or lower the lowest"
+        raise InputError(what, found=repr(value), needed="a lowest below the highest", hint=hint)
     return Parameter(name, usual.unit, *numbers)

@@ -71,6 +71,7 @@ class Observed:
                 if len(f)
                 else "none of them",
                 needed="each above the one before, at least one",
+                hint="sort them, each once, and the pressures with them",
             )
         check_range("the time constant of the exponential window", self.tau_s, 1e-4, 10.0, "s")
         p = np.array(self.pressure, dtype=np.complex128)
@@ -79,21 +80,30 @@ class Observed:
                 "pressures and frequencies disagree",
                 found=f"pressures of shape {p.shape}, {len(f)} frequencies",
                 needed=f"shape (pairs, {len(f)})",
+                hint="give one row a pair, one column a frequency",
             )
         if not np.isfinite(p).all():
             pair, at = np.argwhere(~np.isfinite(p))[0]
             raise InputError(
                 "pressures are not finite everywhere",
                 found=f"{p[pair, at]} of pair {pair} at {f[at]:g} Hz",
+                needed="finite numbers",
+                hint="leave out this frequency in every pair",
             )
         if not np.abs(p).max(initial=0.0) <= _LOUDEST:
             raise InputError(
                 "sound pressure exceeds the largest plausible value",
                 found=f"{np.abs(p).max():.3g}",
                 needed=f"at most {_LOUDEST:g} in whatever unit, so that squares stay finite",
+                hint="divide all pressures by the same number",
             )
         if not p.any():
-            raise InputError("pressures are 0 everywhere", needed="what was measured, not silence")
+            raise InputError(
+                "pressures are 0 everywhere",
+                found="0 of all pairs",
+                needed="what was measured, not silence",
+                hint="look whether the channel that was recorded is the microphone",
+            )
         object.__setattr__(self, "frequency_hz", f)
         object.__setattr__(self, "pressure", read_only(p))
         if self.noise is not None:
@@ -183,6 +193,7 @@ def damped_spectrum(
             "the highest frequency is too near to half of the sampling rate",
             found=f"{frequency_hz[-1]:g} Hz at {response.sampling_rate_hz:g} Hz",
             needed=f"at most {0.4 * response.sampling_rate_hz:g} Hz",
+            hint="lower to_hz",
         )
     own = (t >= direct_s - _EARLY_S) & (t <= direct_s + _WINDOW * tau_s)
     return _transformed(response.pressure[own], t[own], frequency_hz, tau_s)

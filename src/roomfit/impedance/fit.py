@@ -290,6 +290,7 @@ class WallModel:
                 "a wall cannot reflect more than it receives",
                 found=f"a start of |R0| = {abs(self.start_r0):.4g}",
                 needed="|R0| <= 1",
+                hint="start from 0.8, or from what is known of the wall",
             )
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
 

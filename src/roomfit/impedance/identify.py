@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roomfit._checks import check_known
+from roomfit._checks import check_known, check_range
 from roomfit._numba import one_blas_thread
-from roomfit.errors import InputError
 from roomfit.geometry.mesh import mean_free_path_m
 from roomfit.impedance.data import (
     MODEL_ERROR,
@@ -85,8 +84,8 @@ class ImpedanceSettings:
     def __post_init__(self) -> None:
         for name in ("random_starts", "model_error"):
             value = getattr(self, name)
-            if value is not None and not value >= 0:
-                raise InputError(f"{name} is out of range", found=f"{value:g}", needed="0 or more")
+            if value is not None:
+                check_range(name, value, 0.0, np.inf)
 
 
 @one_blas_thread

@@ -82,11 +82,13 @@ class Problem:
                 "pressures and model disagree",
                 found=f"{n_pairs} pairs at {n_f} frequencies",
                 needed=f"{len(scene.pairs)} pairs at {len(self.model.frequency_hz)}",
+                hint="make the model of the pairs and frequencies that were measured",
             )
         if has_free_spectra(self.nuisances) and not self.observed.has_phase:
             raise InputError(
                 "an unknown spectrum of the source needs pressures with phase",
                 found="levels",
+                needed="pressures with phase, or no unknown spectrum",
                 hint="take one gain a source instead",
             )
         object.__setattr__(self, "sd", read_only(np.array(self.sd, dtype=np.float64)))

@@ -144,6 +144,9 @@ def unfolded_paths(scene: Scene, longest_m: float) -> UnfoldedPaths:
         raise InputError(
             "a source stands where a receiver is",
             where=f"{scene.sources[source].name} and {scene.receivers[receiver].name}",
+            found="less than a micrometre apart",
+            needed="two places",
+            hint="correct one of the two positions",
         )
     if scene.room.shoebox_m is None:
         return _joined(_polyhedron_paths(scene, longest_m))

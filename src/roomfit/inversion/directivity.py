@@ -423,6 +423,7 @@ def _check_fittable(measurements: Measurements, settings: Settings, source: str)
             where=where,
             found=f"method = {settings.method!r}",
             needed='method = "auto", "least-squares" or "posterior", or a specified directivity',
+            hint="leave method out",
         )
     if measurements.values:
         raise InputError(

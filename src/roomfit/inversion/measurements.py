@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roomfit._checks import nearest
+from roomfit._checks import check_known
 from roomfit.air import speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import InputError
@@ -124,9 +124,9 @@ def collect_measurements(
     responses = [m for m in measurements if isinstance(m, Measurement)]
     tabulated = [m for m in measurements if isinstance(m, MeasuredValues)]
     if not measurements:
-        raise InputError(
-            "nothing was measured", needed="at least one impulse response or room parameter"
-        )
+        needed = "at least one impulse response or room parameter"
+        hint = "give a Measurement, or MeasuredValues of a table"
+        raise InputError("nothing was measured", found="no measurement", needed=needed, hint=hint)
     fitted, doubts = _joined(tabulated, "fit")
     kept, more_doubts = _joined(tabulated, "validate")
     own = measured_scene(scene, [*responses, *fitted, *kept])
@@ -159,14 +159,8 @@ def measured_scene(scene: Scene, measured: Sequence[Measurement | MeasuredValues
         for kind, name, known in zip(
             ("source", "receiver", "state"), m.pair_name, known_names, strict=True
         ):
-            if name not in known:
-                guess = nearest(name, known)
-                raise InputError(
-                    f"a measurement names a {kind} that the scene does not have",
-                    found=repr(name),
-                    needed=f"one of {', '.join(known)}" if known else f"a {kind} in the scene",
-                    hint=f"did you mean {guess!r}?" if guess else None,
-                )
+            what = f"a measurement names a {kind} that the scene does not have"
+            check_known(what, name, known, else_needed=f"a {kind} in the scene")
     wanted = list(dict.fromkeys(m.pair_name for m in measured))
     used_sources, used_receivers = ({pair[i] for pair in wanted} for i in (0, 1))
     sources = tuple(s for s in scene.sources if s.name in used_sources)

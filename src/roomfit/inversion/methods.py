@@ -119,6 +119,7 @@ def check_certifiable(
             "a certificate exists for materials whose priors are independent only",
             where="identify.method",
             found=f"{product.name} is of the product {product.product!r}",
+            needed="materials without product",
             hint='leave out the product, or use method = "least-squares"',
         )
     found = []

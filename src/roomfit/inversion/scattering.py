@@ -272,6 +272,7 @@ def chosen_scattering(
             where="materials",
             found='scattering = "fit" and room parameters only',
             needed="impulse responses, or scattering as a number",
+            hint="write scattering = 0.1, or add recordings",
         )
     fit, specified = trial
     common = int(np.count_nonzero(fitted)) > _MAX_SEPARATE

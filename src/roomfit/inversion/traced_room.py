@@ -212,7 +212,8 @@ def _band_term(room: TracedRoom, band: int, names: Sequence[ValueName]) -> Value
     )
     (term,) = value_terms(room.scene, one, as_measured, room.binned, names=names)
     if term is None:
-        raise InputError("no name of a room parameter", needed=", ".join(VALUE_NAMES))
+        needed, hint = f"one or more of {', '.join(VALUE_NAMES)}", f"{VALUE_NAMES[0]}, for example"
+        raise InputError("no name of a room parameter", found="none", needed=needed, hint=hint)
     return term
 
 
@@ -234,13 +235,16 @@ def _read(
 def check_scene(scene: Scene) -> None:
     """Refuse a scene without pairs, of several states, or with a position in a wall or outside."""
     if not len(scene.pairs):
-        raise InputError("the scene has no pair to predict", needed="a source and a receiver")
+        what = "the scene has no pair to predict"
+        hint = "give scene_of a source and a receiver"
+        raise InputError(what, found="no pair", needed="a source and a receiver", hint=hint)
     check_points(scene.room, scene.sources, scene.receivers)
     if np.unique(pair_states(scene)).size > 1:
         raise InputError(
             "a prediction is of one state of the room",
             found="pairs in several states",
-            needed="a scene whose pair_state is the same everywhere; predict each state by itself",
+            needed="a scene whose pair_state is the same everywhere",
+            hint="predict each state with a scene of its own",
         )
 
 

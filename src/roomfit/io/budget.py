@@ -163,6 +163,7 @@ def _chosen(centres_hz: FloatArray, bands_hz: Sequence[float]) -> IntArray:
             "a band of the budget was not fitted",
             found=", ".join(f"{f:g}" for f in sorted(unknown)),
             needed=", ".join(f"{f:g}" for f in centres_hz),
+            hint="name fitted bands, or leave bands_hz out",
         )
     wanted = np.isin(centres_hz, bands_hz or (500.0, 1000.0))
     return np.flatnonzero(wanted if wanted.any() else np.ones_like(wanted))

@@ -49,6 +49,7 @@ def read_directivity(
                 "a magnitude of the directivity is out of range",
                 found=f"{np.max(magnitude):g}",
                 needed=f"less than {_LARGEST:g}",
+                hint="divide by the magnitude at the front: the level does not matter",
             )
         directions = _directions(sofa, magnitude.shape[0])
         energy = np.empty((len(directions), len(bands)))
@@ -74,6 +75,7 @@ def _spectra(sofa: Variables, data_type: str) -> tuple[FloatArray, FloatArray]:
                 where="Data.SamplingRate",
                 found=f"{single_hz:g} Hz",
                 needed="more than 0 Hz",
+                hint="store Data.SamplingRate in Hz, as 48000",
             )
         step_s = 1.0 / single_hz
         own = np.asarray(np.fft.rfftfreq(samples.shape[1], step_s), dtype=np.float64)
@@ -86,12 +88,15 @@ def _spectra(sofa: Variables, data_type: str) -> tuple[FloatArray, FloatArray]:
             "the SOFA file holds no directivity",
             found=f"data type {data_type!r}",
             needed="data type TF with its frequencies, or FIR with a sampling rate",
+            hint="convert it to FreeFieldDirectivityTF, or give another file",
         )
     magnitude = np.hypot(_one_measurement(real), _one_measurement(imaginary))
     if frequencies.size != magnitude.shape[1]:
         raise InputError(
             "the SOFA file has another number of frequencies than of values",
             found=f"{frequencies.size} and {magnitude.shape[1]}",
+            needed=f"{magnitude.shape[1]} frequencies N, one a value",
+            hint="write the file again, with N along the values",
         )
     return np.asarray(frequencies.reshape(-1)), np.asarray(magnitude)
 
@@ -100,11 +105,9 @@ def _one_measurement(data: FloatArray) -> FloatArray:
     """Return data as (n_receivers, n): one measurement, or one receiver at many positions."""
     if 1 in data.shape[:2]:
         return data.reshape(-1, data.shape[2])
-    raise InputError(
-        "the SOFA file is no directivity of one source",
-        found=f"data of shape {data.shape}",
-        needed="one measurement by many receivers",
-    )
+    what = "the SOFA file is no directivity of one source"
+    needed, hint = "one measurement by many receivers", "keep a single measurement of the source"
+    raise InputError(what, found=f"data of shape {data.shape}", needed=needed, hint=hint)
 
 
 def _directions(sofa: Variables, n: int) -> FloatArray:
@@ -113,7 +116,9 @@ def _directions(sofa: Variables, n: int) -> FloatArray:
     if positions is None:
         raise InputError(
             "the SOFA file does not say where its receivers stood",
+            found="no such positions",
             needed=f"ReceiverPosition of {n} receivers",
+            hint="write ReceiverPosition, one row for each receiver",
         )
     # receivers are specified relative to the listener
     source, listener = (_cartesian(sofa, f"{end}Position", 1) for end in ("Source", "Listener"))
@@ -157,13 +162,10 @@ def _is_spherical(sofa: Variables, name: str) -> bool:
     if kind is None and view is not None:  # an Up shares the type of the View
         kind = view.attributes.get("Type")
     if kind not in (None, "cartesian", "spherical"):
-        raise InputError(
-            "the SOFA file has coordinates of another type",
-            where=name,
-            found=f"Type {kind!r}",
-            needed="cartesian or spherical",
-            hint="directions on a grid instead of coefficients of spherical harmonics",
-        )
+        what = "the SOFA file has coordinates of another type"
+        needed = "cartesian or spherical"
+        hint = "directions on a grid instead of coefficients of spherical harmonics"
+        raise InputError(what, where=name, found=f"Type {kind!r}", needed=needed, hint=hint)
     return kind == "spherical"
 
 
@@ -174,12 +176,10 @@ def _check_units(units: str, spherical: bool, name: str) -> None:
     found = [names.get(word, word) for word in words]
     expected = ["degree", "degree", "metre"] if spherical else ["metre"] * len(found)
     if found != expected:
-        raise InputError(
-            "the SOFA file has coordinates in other units",
-            where=name,
-            found=repr(units),
-            needed="degree, degree, metre" if spherical else "metre",
-        )
+        what = "the SOFA file has coordinates in other units"
+        needed = "degree, degree, metre" if spherical else "metre"
+        hint = f"convert them, and set the attribute Units of {name}"
+        raise InputError(what, where=name, found=repr(units), needed=needed, hint=hint)
 
 
 def _nearest(

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roomfit._checks import did_you_mean
+from roomfit._checks import check_known
 from roomfit.cache import CONTENT_DIGEST, content_digest
 from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding, code_of
@@ -96,14 +96,8 @@ def check_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> No
     names = sorted(known)
     unknown = next((key for key in table if key not in names), None)
     if unknown is not None:
-        raise InputError(
-            "unknown key in a file of roomfit",
-            where=where,
-            found=repr(unknown),
-            needed=f"one of {', '.join(names)}",
-            hint=did_you_mean(unknown, names)
-            or "read it with the version of roomfit that wrote it, which `provenance` names",
-        )
+        hint = "read it with the version of roomfit that wrote it, which `provenance` names"
+        check_known("unknown key in a file of roomfit", unknown, names, where=where, else_try=hint)
 
 
 def numbers_or_null(values: FloatArray) -> list[float | None]:

@@ -289,6 +289,7 @@ def _check_format(content: Any) -> None:
     if not isinstance(content, dict) or content.get("format") != "roomfit-result":
         raise InputError(
             "this is no result of roomfit",
+            found="another format" if isinstance(content, dict) else "no table",
             needed='"format": "roomfit-result" in the file',
             hint="give a result.json that roomfit identify has written",
         )
@@ -370,14 +371,13 @@ def _from_csv(text: str) -> MaterialTable:
             "the table of absorption lacks columns or rows",
             found=", ".join(header)[:200] or "nothing",
             needed=", ".join(_COLUMNS),
+            hint="give absorption.csv as roomfit identify has written it",
         )
     short = next((cells for cells in lines if len(cells) < len(header)), None)
     if short is not None:
-        raise InputError(
-            "a row of the table of absorption is too short",
-            found=",".join(short)[:80],
-            needed=f"{len(header)} cells",
-        )
+        what = "a row of the table of absorption is too short"
+        hint = "fill the row up, or remove it"
+        raise InputError(what, found=",".join(short)[:80], needed=f"{len(header)} cells", hint=hint)
     rows = [dict(zip(header, cells, strict=False)) for cells in lines]
     place: dict[tuple[str, float], tuple[list[float], bool]] = {}
     for number, row in enumerate(rows, start=1):
@@ -391,6 +391,7 @@ def _from_csv(text: str) -> MaterialTable:
             "the table of absorption is not complete",
             found=f"{len(rows)} rows, {len(names)} materials, {len(centres)} bands",
             needed="each material in each band once",
+            hint="remove the rows given twice, and add what is missing",
         )
     absorption, lower, upper = np.array(
         [[place[m, f][0] for f in centres] for m in names]
@@ -411,6 +412,7 @@ def _number_in(row: dict[str, str], column: str, number: int) -> float:
             where=f"column {column} of row {number} below the heading",
             found=repr(row[column][:40]),
             needed="a number with a decimal point",
+            hint="replace it by a number, with a point and without a unit",
         ) from None
 
 

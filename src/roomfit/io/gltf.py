@@ -46,6 +46,7 @@ def gltf_text(room: Room, table: MaterialTable) -> str:
             "the result and the room have no material in common",
             found=f"{', '.join(table.names)} and {', '.join(room.materials)}",
             needed="the campaign that the result was identified from",
+            hint="give the campaign of this result, as --campaign",
         )
     owner = triangle_material(room)
     used = [i for i in range(len(room.materials)) if np.any(owner == i)]

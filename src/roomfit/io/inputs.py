@@ -11,6 +11,7 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
+from roomfit._checks import check_known
 from roomfit.bands import Bands, bands_between
 from roomfit.errors import InputError, located
 from roomfit.findings import About, Code, Finding
@@ -177,12 +178,9 @@ def object_areas_m2(campaign: Campaign, name: str, mesh: Mesh | None) -> ObjectA
 def _blocks_m2(table: ObjectTable, mesh: Mesh | None) -> tuple[float, float]:
     """Return the area of an object's blocks of seats, and that with strips along free edges."""
     if mesh is None:
-        raise InputError(
-            "outlines of seats without a room",
-            found="outlines",
-            needed="a table [room]",
-            hint="without a room give floor_area_m2, strips along free edges included",
-        )
+        what = "outlines of seats without a room"
+        hint = "without a room give floor_area_m2, strips along free edges included"
+        raise InputError(what, found="outlines", needed="a table [room]", hint=hint)
     outlines = [np.array(o, dtype=np.float64) for o in table.outlines or ()]
     return audience_area_m2(mesh, outlines, table.edge_m)
 
@@ -395,14 +393,9 @@ def _check_names(campaign: Campaign, found: MeasuredValues, where: str) -> None:
         ("source", found.source, [s.name for s in campaign.sources]),
         ("receiver", found.receiver, [r.name for r in campaign.receivers]),
     ):
-        if name not in known:
-            raise InputError(
-                f"a table of room parameters names a {kind} that the campaign does not define",
-                where=where,
-                found=repr(name),
-                needed=f"one of {', '.join(known)}",
-                hint=f"add [{kind}s.{name}], or choose rows with source and receiver",
-            )
+        what = f"a table of room parameters names a {kind} that the campaign does not define"
+        hint = f"add [{kind}s.{name}], or choose rows with source and receiver"
+        check_known(what, name, known, where=where, else_try=hint)
 
 
 class IdentifyArguments(TypedDict):

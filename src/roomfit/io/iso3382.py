@@ -89,6 +89,7 @@ def read_parameters(
             where=str(path),
             found=", ".join(" to ".join(pair) for pair in rows),
             needed=f"source {source or 'any'}, receiver {receiver or 'any'}",
+            hint="write source and receiver as the table has them, or add the line",
         )
     found: list[MeasuredValues] = []
     findings: list[Finding] = []
@@ -115,6 +116,7 @@ def _rows_by_pair(path: Path) -> tuple[FloatArray, dict[tuple[str, str], list[_R
             where=str(path),
             found=f"{len(lines)} line{'' if len(lines) == 1 else 's'}",
             needed="a line source,receiver,parameter,125,250,... and lines of values",
+            hint="export the parameters of every pair, one a line",
         )
     centres_hz = _centres_hz(lines[0][1], f"{path}, line {lines[0][0]}")
     rows: dict[tuple[str, str], list[_Row]] = {}
@@ -127,12 +129,10 @@ def _rows_by_pair(path: Path) -> tuple[FloatArray, dict[tuple[str, str], list[_R
 def _centres_hz(cells: list[str], where: str) -> FloatArray:
     head = tuple(c.strip().lower() for c in cells[:3])
     if head != _HEAD:
-        raise InputError(
-            "a table of room parameters begins otherwise",
-            where=where,
-            found=",".join(cells)[:80],
-            needed="source,receiver,parameter,125,250,...",
-        )
+        what = "a table of room parameters begins otherwise"
+        needed = "source,receiver,parameter,125,250,..."
+        hint = "name the first three columns so, and the others by their bands"
+        raise InputError(what, where=where, found=",".join(cells)[:80], needed=needed, hint=hint)
     centres: list[float] = []
     for column, cell in enumerate(cells[3:], start=4):
         centre = _number(cell, f"{where}, column {column}", "a centre frequency in Hz")
@@ -142,6 +142,7 @@ def _centres_hz(cells: list[str], where: str) -> FloatArray:
                 where=f"{where}, column {column}",
                 found=cell.strip() or "an empty cell",
                 needed="nominal centres in Hz, low to high",
+                hint="write the bands in rising order, each once",
             )
         centres.append(centre)
     if not centres:
@@ -150,6 +151,7 @@ def _centres_hz(cells: list[str], where: str) -> FloatArray:
             where=where,
             found=",".join(cells)[:80],
             needed="centre frequencies from the fourth column on",
+            hint="add a column for each band, as 500",
         )
     return np.array(centres)
 
@@ -171,6 +173,7 @@ def _row(cells: list[str], centres_hz: FloatArray, where: str) -> tuple[tuple[st
             where=where,
             found=",".join(cells)[:80],
             needed="source,receiver,parameter first, as the campaign names them",
+            hint="write S,R,T30,0.9,... for T30 from S to R",
         )
     name, is_spread = _name(parameter, where)
     values: FloatArray = np.full(centres_hz.size, np.nan)
@@ -179,9 +182,9 @@ def _row(cells: list[str], centres_hz: FloatArray, where: str) -> tuple[tuple[st
         at += f"{centres_hz[band]:g} Hz)"
         values[band] = _number(cell, at, "a number, or an empty cell where it is unknown")
         if is_spread and values[band] < 0.0:
-            raise InputError(
-                "a standard deviation below zero", where=at, found=cell.strip(), needed="0 or more"
-            )
+            what = "a standard deviation below zero"
+            hint = "leave the cell empty where it is unknown"
+            raise InputError(what, where=at, found=cell.strip(), needed="0 or more", hint=hint)
         if not is_spread and not math.isnan(values[band]):
             check_possible(name, float(values[band]), at)
     return (source, receiver), (name, is_spread, values)
@@ -197,7 +200,7 @@ def _name(parameter: str, where: str) -> tuple[ValueName, bool]:
             where=where,
             found=repr(parameter),
             needed=f"{', '.join(NAMES)}, or one of them with {_SPREAD}",
-            hint=f"did you mean {near}?" if near else None,
+            hint=f"did you mean {near}?" if near else "leave the line out, or begin it with #",
         )
     return known[bare.upper()], bare != parameter
 
@@ -211,7 +214,9 @@ def _number(cell: str, where: str, needed: str) -> float:
     except ValueError:
         value = math.inf
     if not math.isfinite(value):
-        raise InputError("not a number", where=where, found=repr(cell.strip()[:40]), needed=needed)
+        what = "not a number"
+        hint = "leave the cell empty where nothing is known"
+        raise InputError(what, where=where, found=repr(cell.strip()[:40]), needed=needed, hint=hint)
     return value
 
 
@@ -235,5 +240,6 @@ def _pair(
                 where=f"{where}, {pair[0]} to {pair[1]}",
                 found=f"{symbol}{_SPREAD}",
                 needed=f"a line {symbol} of the same pair",
+                hint=f"add the line, or leave {symbol}{_SPREAD} out",
             )
     return joined_values(tuple(MeasuredValues(*pair, centres_hz, v, s) for v, s in tables))

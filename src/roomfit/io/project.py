@@ -37,6 +37,7 @@ def project_details(own: ProjectTable, folder: Path) -> dict[str, str]:
                 where="project.logo",
                 found=str(folder / own.logo),
                 needed="a PNG or JPEG file",
+                hint="save it as PNG",
             )
         said["logo"] = f"data:image/{kind};base64,{b64encode(content).decode()}"
     return {key: value for key, value in said.items() if value}

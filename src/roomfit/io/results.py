@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -168,39 +168,42 @@ def read_result(file: ResultFile) -> AbsorptionPosterior:
         )
 
 
+@contextmanager
+def _of_numbers(where: str, needed: str) -> Iterator[None]:
+    """Refuse a part of a result that is no table of numbers, as one that was edited may be."""
+    try:
+        yield
+    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"{where} of the result: no table of numbers",
+            where=where,
+            found=f"{type(error).__name__}: {error}",
+            needed=needed,
+            hint="give result.json as roomfit identify wrote it, or identify again",
+        ) from error
+
+
 def _read_objects(
     content: dict[str, Any], n_bands: int
 ) -> tuple[dict[str, float], tuple[FloatArray, FloatArray, FloatArray]]:
     """Return the volume of each object's room, and the absorption of its area with both bounds."""
     found = content.get("objects", {})
-    try:
+    with _of_numbers(
+        "objects", "by object: room_volume_m3, absorption_area_m2, lower95_m2 and upper95_m2"
+    ):
         volumes_m3 = {name: float(one["room_volume_m3"]) for name, one in found.items()}
         keys = ("absorption_area_m2", "lower95_m2", "upper95_m2")
         areas = [
             [object_absorption(np.array(one[k], float), volumes_m3[n]) for n, one in found.items()]
             for k in keys
         ]
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            "the objects of the result are no table of numbers",
-            where="objects",
-            found=f"{type(error).__name__}: {error}",
-            needed="by object: room_volume_m3, absorption_area_m2, lower95_m2 and upper95_m2",
-        ) from error
     value, low, high = (np.array(own).reshape(-1, n_bands) for own in areas)
     return volumes_m3, (value, low, high)
 
 
 def _posterior_table(posterior: Any, name: str) -> FloatArray:
-    try:
+    with _of_numbers("posterior", "logit_covariance: for each band a matrix over the materials"):
         return np.array(posterior[name], dtype=np.float64)
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(
-            "the posterior of the result is incomplete",
-            where="posterior",
-            found=f"{type(error).__name__}: {error}",
-            needed="logit_covariance: for each band a matrix over the materials",
-        ) from error
 
 
 def _read_directivities(content: dict[str, Any]) -> dict[str, Pattern]:
@@ -210,18 +213,11 @@ def _read_directivities(content: dict[str, Any]) -> dict[str, Pattern]:
         return {}
     from roomfit.response.directivity import Pattern
 
-    try:
+    with _of_numbers("directivity", "by source: b, three numbers for each band"):
         return {
             name: Pattern(np.array(one["b"]), one.get("aim"), one.get("loudspeaker", ""))
             for name, one in by_source.items()
         }
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            "the directivity of the result is no table of numbers",
-            where="directivity",
-            found=f"{type(error).__name__}: {error}",
-            needed="by source: b, three numbers for each band",
-        ) from error
 
 
 def _read_states(content: dict[str, Any]) -> tuple[str, ...] | None:
@@ -242,20 +238,15 @@ def _read_areas(
 
 def _read_departures(content: dict[str, Any], bands: Bands) -> FloatArray | None:
     """Return the departures of the fitted pairs, None where the file has no pairs."""
-    try:
+    with _of_numbers(
+        "pairs", "parameters with jnd, one number or null for each band, of every pair"
+    ):
         tables = [
             {name: c["jnd"] for name, c in pair["parameters"].items()}
             for pair in content.get("pairs", ())
             if pair["use"] == "fit"
         ]
         return departures_jnd(tables, bands) if tables else None
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            "the pairs of the result are no tables of numbers",
-            where="pairs",
-            found=f"{type(error).__name__}: {error}",
-            needed="parameters with jnd, one number or null for each band, of every pair",
-        ) from error
 
 
 def _read_scattering(
@@ -265,14 +256,8 @@ def _read_scattering(
     rows = [content.get("materials", {}).get(name, {}).get("scattering") for name in names]
     if not rows or any(row is None for row in rows):
         return None
-    try:
+    with _of_numbers("materials", "scattering: one number for each band"):
         return np.concatenate((np.array(rows, dtype=np.float64), of_objects))
-    except (TypeError, ValueError) as error:
-        raise InputError(
-            "the scattering of the result is no table of numbers",
-            where="materials",
-            needed="one number per band",
-        ) from error
 
 
 def write_result(

@@ -238,12 +238,9 @@ def find_material(name: str) -> CatalogueEntry:
         if entry.name == wanted:
             return entry
     hint = _similar(wanted)
-    raise InputError(
-        "the catalogue has no such material",
-        found=repr(name),
-        needed=f"one of the {len(catalogue().entries)} names that `roomfit catalogue` lists",
-        hint=hint,
-    )
+    what = "the catalogue has no such material"
+    needed = f"one of the {len(catalogue().entries)} names that `roomfit catalogue` lists"
+    raise InputError(what, found=repr(name), needed=needed, hint=hint)
 
 
 def _similar(wanted: str) -> str | None:
@@ -598,13 +595,10 @@ def _stated_prior(
 def _check_within(values: FloatArray, lower: float, upper: float, where: str) -> None:
     bad = np.flatnonzero((values < lower) | (values > upper))
     if bad.size:
-        raise InputError(
-            "a given absorption lies outside of its own bounds",
-            where=where,
-            found=f"{values[bad[0]]:g}",
-            needed=f"{lower:g} to {upper:g}",
-            hint="remove bounds: an absorption that is given is fixed",
-        )
+        what = "a given absorption lies outside of its own bounds"
+        needed = f"{lower:g} to {upper:g}"
+        hint = "remove bounds: an absorption that is given is fixed"
+        raise InputError(what, where=where, found=f"{values[bad[0]]:g}", needed=needed, hint=hint)
 
 
 def _per_band(values: ArrayLike, n: int, where: str) -> FloatArray:
@@ -612,10 +606,8 @@ def _per_band(values: ArrayLike, n: int, where: str) -> FloatArray:
     if array.size == 1:
         return np.full(n, array[0])
     if array.size != n:
-        raise InputError(
-            "a list has not one value per fitted band",
-            where=where,
-            found=f"{array.size} values",
-            needed=f"{n} values, or a single number for all bands",
-        )
+        what = "a list has not one value per fitted band"
+        needed = f"{n} values, or a single number for all bands"
+        hint = "{centres_hz = [...], values = [...]} fits any bands"
+        raise InputError(what, where=where, found=f"{array.size} values", needed=needed, hint=hint)
     return array

@@ -64,6 +64,7 @@ class MaterialPrior:
                 where=f"{where}.bounds",
                 found=f"{self.lower:g} and {self.upper:g}",
                 needed="0 <= lower < upper <= 1",
+                hint=f"write bounds = [0.0, 1.0] under [{where}], or leave them out",
             )
         n = len(self.prior_logit_mean)
         for name in ("prior_logit_mean", "prior_logit_sd"):
@@ -302,7 +303,9 @@ def object_prior(
         raise InputError(
             "an object needs a known absorption area or a prior of it",
             where=where,
+            found=("none of the two" if prior_m2 is None else "both"),
             needed="either absorption_area_m2 or prior",
+            hint="keep the one of the two that is known",
         )
 
     def per_band(key: str, values: ArrayLike, low: float) -> FloatArray:
@@ -379,7 +382,8 @@ def complete_priors(
     if len(by_name) != len(priors):
         names = [k.name for k in priors]
         twice = next(n for n in names if names.count(n) > 1)
-        raise InputError("two priors of one material", found=repr(twice), needed="one each")
+        what = "two priors of one material"
+        raise InputError(what, found=repr(twice), needed="one each", hint="leave one of them out")
     for k in priors:
         check_known(
             "a prior of a material that the room does not have",
@@ -394,6 +398,7 @@ def complete_priors(
                 where=f"materials.{k.name}",
                 found=f"{k.prior_logit_mean.size} values",
                 needed=f"{len(bands)}, of the bands that are fitted",
+                hint="make the priors for the bands that are fitted",
             )
     found = tuple(by_name.get(m, unknown_material(m, len(bands))) for m in materials)
     _check_ties(found)
@@ -427,6 +432,7 @@ def _check_product(name: str, members: list[MaterialPrior]) -> None:
             raise InputError(
                 "an absorption at its bound says nothing of other walls of a product",
                 where=f"materials.{k.name}.absorption",
+                found=f"{k.known}",
                 needed=f"{k.lower:g} < absorption < {k.upper:g}",
                 hint="leave out its product",
             )
@@ -476,6 +482,7 @@ def _check_tie(prior: MaterialPrior) -> None:
             where=f"materials.{prior.name}",
             found=f"tied to {prior.tied_to!r}, product {prior.product!r}",
             needed="either: equal to one wall, or like all walls of a product",
+            hint="leave out same_absorption_as, or product",
         )
     if prior.tied_to == prior.name or prior.known is not None:
         own = prior.tied_to == prior.name
@@ -484,6 +491,7 @@ def _check_tie(prior: MaterialPrior) -> None:
             where=f"materials.{prior.name}",
             found=f"tied to {prior.tied_to!r}" + ("" if own else " and absorption given"),
             needed="another material's name" if own else "either a tie or a given absorption",
+            hint="leave out same_absorption_as, or the other",
         )
 
 
@@ -536,6 +544,7 @@ def coefficients_in_order(scattering: Scattering, materials: tuple[str, ...]) ->
             "scattering and room name different materials",
             found=", ".join(scattering.materials),
             needed=", ".join(materials),
+            hint="give the scattering of each material of the room, in any order",
         )
     order = [scattering.materials.index(m) for m in materials]
     return np.array(scattering.coefficients[..., order])

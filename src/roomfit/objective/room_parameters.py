@@ -10,6 +10,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from scipy import fft
 
+from roomfit._checks import check_range
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import InputError
@@ -96,14 +97,12 @@ class ValuesTerm(DataTerm):
     _shared: dict[bytes, FloatArray] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.model_error_jnd <= 100.0:
-            raise InputError(
-                "model error out of range",
-                found=f"{self.model_error_jnd:g}",
-                needed="0 to 100 just noticeable differences",
-            )
+        unit = "just noticeable differences"
+        check_range("the model error", self.model_error_jnd, 0.0, 100.0, unit)
         if not self.observations:
-            raise InputError("no measured room parameter in a band")
+            what = "no measured room parameter in a band"
+            needed = "one value or more"
+            raise InputError(what, found="none", needed=needed, hint="leave the band out")
 
     def measured(self) -> FloatArray:
         """Return the measured values, pair after pair, shape (n_values,)."""

@@ -22,8 +22,8 @@ from roomfit.core import (
     Measurement,
     Scene,
     Settings,
+    check_known,
     common_bands,
-    did_you_mean,
     located,
     material_areas_m2,
     named_pairs,
@@ -152,17 +152,20 @@ def predict_arguments(
         known = for_another_state(known, by_state, settings.n_draws, settings.seed)
     for kind, points in (("source", campaign.sources), ("receiver", campaign.receivers)):
         if not points:
-            raise InputError(
-                f"the campaign defines no {kind}",
-                where=str(campaign.path),
-                needed=f"[{kind}s.NAME] with a position",
-            )
+            what, where = f"the campaign defines no {kind}", str(campaign.path)
+            hint = f"add [{kind}s.NAME] with position = [x, y, z]"
+            raise InputError(what, where=where, found="none", needed="one or more", hint=hint)
     measurements = tuple(m for m in inputs.measurements() if m.state == state)
     scene = _at_state(inputs.scene(room), campaign, state)
     if pair_choice(pairs) == "campaign":
         scene = named_pairs(scene, {m.pair_name[:2] for m in measurements})
         if not len(scene.pairs):
-            raise InputError("the campaign has measured no pair", hint="predict all pairs instead")
+            raise InputError(
+                "the campaign has measured no pair",
+                found="no measurement in this state",
+                needed="one pair or more",
+                hint="predict all pairs instead: --pairs all",
+            )
     return {
         "scene": scene,
         "absorption": replace(known, findings=(*doubts, *known.findings, *dominated)),
@@ -225,14 +228,8 @@ def _at_state(scene: Scene, campaign: Campaign, state: str) -> Scene:
     if not state:
         return scene
     names = list(campaign.states)
-    if state not in names:
-        raise InputError(
-            "the campaign does not define this state of the room",
-            where=str(campaign.path),
-            found=repr(state),
-            needed=f"one of {', '.join(names)}" if names else "a table [[states]]",
-            hint=did_you_mean(state, names),
-        )
+    what = "the campaign does not define this state of the room"
+    check_known(what, state, names, where=str(campaign.path), else_needed="a table [[states]]")
     return replace(scene, pair_state=np.full(len(scene.pairs), 1 + names.index(state)))
 
 
@@ -244,8 +241,5 @@ def pair_choice(text: str) -> PairChoice:
     InputError
         It is neither "all" nor "campaign".
     """
-    if text == "all":
-        return "all"
-    if text == "campaign":
-        return "campaign"
-    raise InputError("unknown choice of pairs", found=repr(text), needed='"all" or "campaign"')
+    check_known("unknown choice of pairs", text, ("all", "campaign"))
+    return "campaign" if text == "campaign" else "all"

@@ -18,7 +18,7 @@ from roomfit.core import (
     FloatArray,
     InputError,
     catalogue_prior,
-    did_you_mean,
+    check_known,
     located,
     logit_normal,
     object_absorption,
@@ -55,7 +55,13 @@ class Change:
                 where=self.material,
                 found=f"{', '.join(f'{sd:g}' for sd in self.sds)} for {len(self.values)} values",
                 needed="none, or as many as there are values, 0 or larger",
+                hint="leave the standard deviations out, or give one a value",
             )
+
+
+def _not_written(text: str) -> InputError:
+    what, hint = "a change is not written as it must be", "write floor=0.3, say, or floor=x1.5"
+    return InputError(what, found=repr(text), needed=_NEEDED, hint=hint)
 
 
 def read_change(text: str) -> Change:
@@ -73,16 +79,16 @@ def read_change(text: str) -> Change:
     """
     material, sign, specified = (part.strip() for part in text.partition("="))
     if not (material and sign and specified):
-        raise InputError("a change is not written as it must be", found=repr(text), needed=_NEEDED)
+        raise _not_written(text)
     found = [_VALUE.match(part.replace(" ", "")) for part in specified.split(",")]
     matches = [m for m in found if m is not None]
     if not matches and _LIKE_NUMBERS.fullmatch(specified):
-        raise InputError("a change is not written as it must be", found=repr(text), needed=_NEEDED)
+        raise _not_written(text)
     if not matches:
         return Change(material, "catalogue", entry=specified)
     factors = {m[1] for m in matches}
     if len(matches) != len(found) or len(factors) != 1:
-        raise InputError("a change is not written as it must be", found=repr(text), needed=_NEEDED)
+        raise _not_written(text)
     values = tuple(float(m[2]) for m in matches)
     sds = tuple(float(m[3] or 0.0) for m in matches)
     return Change(material, "factor" if factors == {"x"} else "value", values, sds)
@@ -132,7 +138,13 @@ def changed_draws(
         where = change_text(change)
         index = _index_of(change.material, posterior.materials, where)
         if change.material in visited:
-            raise InputError("a material is changed twice", where=where)
+            raise InputError(
+                "a material is changed twice",
+                where=where,
+                found=repr(change.material),
+                needed="each material once",
+                hint="keep the last of the two",
+            )
         visited.add(change.material)
         # one number a draw for all bands: a material is thicker, or hung closer, at all frequencies
         z = rng.standard_normal(len(draws))
@@ -156,6 +168,7 @@ def changed_draws(
                             "an object is changed to an entry of the catalogue",
                             found=change.entry,
                             needed="its equivalent absorption area in m2, 0 where it is not there",
+                            hint=f"write {change.material}=0, or its area in m2",
                         )
                     mean, sd = catalogue_prior(change.entry, posterior.bands)
                 elif change.material in posterior.objects:
@@ -172,14 +185,8 @@ def changed_draws(
 
 
 def _index_of(material: str, materials: tuple[str, ...], where: str) -> int:
-    if material not in materials:
-        raise InputError(
-            "a change names a material that the room does not have",
-            where=where,
-            found=repr(material),
-            needed=f"one of {', '.join(materials)}",
-            hint=did_you_mean(material, materials),
-        )
+    what = "a change names a material that the room does not have"
+    check_known(what, material, materials, where=where)
     return materials.index(material)
 
 
@@ -191,6 +198,7 @@ def values_per_band(change: Change, bands: Bands, high: float) -> tuple[FloatArr
             "a change has not one value per predicted band",
             found=f"{values.size} values",
             needed=f"1 or {len(bands)}: {', '.join(f'{f:g}' for f in bands.centres_hz)} Hz",
+            hint="write one value for all bands",
         )
     if not (np.all(values >= 0.0) and np.all(values <= high)):
         is_area = 1.0 < high < np.inf

@@ -65,6 +65,7 @@ def grid_scene(scene: Scene, height_m: float, spacing_m: float) -> Scene:
             "a grid needs a height and a spacing",
             found=f"{height_m:g} m and {spacing_m:g} m",
             needed="both above 0, as 1.2,0.5",
+            hint="--grid 1.2,0.5 is 1.2 m above the floor, a point every 0.5 m",
         )
     vertices = scene.room.mesh.vertices_m
     low, high = vertices.min(axis=0), vertices.max(axis=0)

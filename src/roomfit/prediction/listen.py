@@ -126,7 +126,8 @@ def listen(
     settings = Settings() if settings is None else settings
     absorption.check_materials(scene.room.materials)
     if not measurements:
-        raise InputError("no measured response to change", needed="[[measurements]] with a file")
+        needed, hint = "[[measurements]] with a file", "roomfit predict needs no recordings"
+        raise InputError("no measured response to change", found="none", needed=needed, hint=hint)
     rng = np.random.default_rng(settings.seed)
     old = absorption.absorption
     new, _, findings = changed_draws(absorption, draw_absorption(absorption, 2, rng), changes, rng)
@@ -137,6 +138,7 @@ def listen(
             "the absorption before the change is not known",
             found=", ".join(unknown),
             needed="a material of the result: there is no ratio of after to before",
+            hint="change a material that the result determines",
         )
     observed, doubts = observe(scene, measurements, absorption.bands)
     times = [m.parameters.of("T30_s") for m in observed]

@@ -445,6 +445,7 @@ def change_figure(predicted: Predicted) -> Figure:
             "a picture of a change needs the room before and after it",
             found="a prediction of one state",
             needed="changes of materials whose absorption was found",
+            hint="predict with --set MATERIAL=VALUE",
         )
     shown = [(c, n, label) for n, label, _ in _SHOWN for c, m in compared if m == n]
     shown = [row for row in shown if np.isfinite(row[0].change).any()]

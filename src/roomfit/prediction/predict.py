@@ -405,6 +405,7 @@ def numbers_at(
     if not room.before:
         raise InputError(
             "what would be changed is not known before the change",
+            found="a material of which nothing is known",
             needed="an absorption of every material of the room",
             hint="predict the change with roomfit.predict",
         )
@@ -551,6 +552,7 @@ def _check(
                 "a measurement of a pair that is not predicted",
                 found=" to ".join(m.pair_name[:2]) + (f" ({m.state})" if m.state else ""),
                 needed="a pair of the scene, in its state of the room",
+                hint="leave it out, or add the pair to the scene",
             )
 
 

@@ -122,6 +122,7 @@ def compare_results(first: AbsorptionPosterior, second: AbsorptionPosterior) -> 
                 f"the two results have no {what} in common",
                 found=" and ".join(", ".join(x) for x in own),
                 needed="the same names in both campaigns" if what == "material" else "one band",
+                hint="compare two results of one room, fitted in a common band",
             )
     a, b = (_chosen(x, names, centres) for x in (first, second))
     difference, p_value, given = _differences(a, b)

@@ -49,12 +49,9 @@ def report_word(page: str, pictures: Mapping[str, bytes]) -> bytes:
         library: Any = import_module("docx")
         parser: Any = import_module("lxml.html")
     except ImportError as error:
-        raise InputError(
-            "a Word file needs python-docx",
-            found=str(error),
-            needed="the package python-docx",
-            hint="pip install roomfit[word]; or write --format pdf",
-        ) from error
+        what = "a Word file needs python-docx"
+        needed, hint = "the package python-docx", "pip install roomfit[word]; or write --format pdf"
+        raise InputError(what, found=str(error), needed=needed, hint=hint) from error
     book = library.Document()
     millimetre = library.shared.Mm
     (section,) = book.sections
@@ -191,6 +188,7 @@ def _append_picture(book: Any, content: bytes, title: str, width_mm: int) -> Non
             "a picture of the report is damaged",
             where=title[:80],
             found=f"{len(content)} bytes that are no PNG",
+            needed="a whole PNG",
             hint="identify again, or remove the picture beside the report",
         ) from error
     shown._inline.docPr.set("descr", title)

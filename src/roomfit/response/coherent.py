@@ -475,7 +475,9 @@ def band_grid(bands: Bands, first_s: float, last_s: float) -> BandGrid:
            minimal oversampling ratio", IEEE Trans. Med. Imaging 24, 799-808 (2005).
     """
     if len(bands) != 1:
-        raise InputError("a grid belongs to one band", found=f"{len(bands)} bands")
+        what = "a grid belongs to one band"
+        hint = "make one grid for each band"
+        raise InputError(what, found=f"{len(bands)} bands", needed="one band", hint=hint)
     top_hz = float(bands.upper_hz[0] ** 2 / bands.exact_centres_hz[0])
     rate_hz = 0.5 * _SAMPLES_PER_PERIOD * top_hz
     padding_s = _PADDING_PERIODS / (top_hz - float(bands.exact_centres_hz[0]))

@@ -470,9 +470,9 @@ def measured_directivity(
     length = np.linalg.norm(points, axis=1)
     values = float_array("energy", energy, (len(points), len(centres_hz)), low=0.0)
     if len(points) < 6 or not np.all(length > 0.0):
-        raise InputError(
-            "too few directions for a directivity", found=str(len(points)), needed="6 or more"
-        )
+        what = "too few directions for a directivity"
+        hint = "measure at least front, back, left, right, top and bottom"
+        raise InputError(what, found=str(len(points)), needed="6 or more", hint=hint)
     points, first = np.unique(np.round(points / length[:, None], 6), axis=0, return_index=True)
     polar = np.linspace(0.0, np.pi, round(180.0 / _STEP_DEG) + 1)
     azimuth = np.linspace(0.0, 2.0 * np.pi, round(360.0 / _STEP_DEG) + 1)
@@ -481,7 +481,9 @@ def measured_directivity(
     if np.min(np.max(grid @ points.T, axis=1)) < 0.5:
         raise InputError(
             "the directions of a directivity leave a hole wider than 60 degrees",
+            found="a hole",
             needed="directions all around the loudspeaker",
+            hint="add directions in the hole",
         )
     neighbours = min(_NEIGHBOURS, len(points))
     # linear radial functions in space: as smooth as few directions permit, exact at each of them
@@ -491,7 +493,12 @@ def measured_directivity(
     factor = np.maximum(smooth(grid), 0.0).T.reshape(-1, polar.size, azimuth.size)
     mean = sphere_mean(factor)
     if not np.all(mean > 0.0):
-        raise InputError("a directivity has a band without energy")
+        raise InputError(
+            "a directivity has a band without energy",
+            found="energy 0 in a band",
+            needed="energy above 0 in every band",
+            hint="leave the band out",
+        )
     return MeasuredDirectivity(centres_hz, factor / mean[:, None, None], axes)
 
 
@@ -552,9 +559,9 @@ def unit_vector(aim: ArrayLike) -> FloatArray:
     axis = float_array("aim", aim, (3,), low=-1e6, high=1e6)
     length = float(np.linalg.norm(axis))
     if length == 0.0:
-        raise InputError(
-            "the aim vector of a source has zero length", found="0, 0, 0", needed="a direction"
-        )
+        what = "the aim vector of a source has zero length"
+        hint = "write aim = [1, 0, 0] for a loudspeaker that faces x"
+        raise InputError(what, found="0, 0, 0", needed="a direction", hint=hint)
     return np.asarray(axis / length)
 
 

@@ -14,7 +14,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from roomfit._checks import check_shape, float_array, read_only
+from roomfit._checks import check_range, check_shape, float_array, read_only
 from roomfit._numba import in_threads, kernel
 from roomfit.errors import InputError
 from roomfit.tracing.paths import Paths, losses
@@ -111,15 +111,12 @@ def energy_rows(
     >>> np.diff(rows.offsets).tolist()  # the direct sound, and six reflections
     [1, 6]
     """
-    if not 0 <= pair < paths.n_pairs:
-        raise InputError(
-            "no such pair of source and receiver",
-            found=str(pair),
-            needed=f"0 to {paths.n_pairs - 1}",
-        )
+    check_range("the number of the pair of source and receiver", pair, 0, paths.n_pairs - 1)
     edges = float_array("window edges", edges_s, (None,), unit="s")
     if edges.size < 2 or np.any(np.diff(edges) <= 0.0):
-        raise InputError("window edges must rise and there must be at least two")
+        what = "window edges must rise and there must be at least two"
+        needed, hint = "two or more, each above the one before, in s", "sort them, each once"
+        raise InputError(what, found=str(edges.tolist())[:80], needed=needed, hint=hint)
     own = np.flatnonzero(paths.pair == pair) if own is None else own
     window = np.searchsorted(edges, paths.length_m[own] / speed_of_sound_m_s, side="right") - 1
     kept = (window >= 0) & (window < edges.size - 1)
@@ -226,11 +223,9 @@ def reweighed_rows(rows: EnergyRows, factors: FloatArray) -> EnergyRows:
         The rows are merged paths.
     """
     if rows.path is None:
-        raise InputError(
-            "rows that are no single paths cannot be reweighed",
-            needed="rows as `energy_rows` makes them",
-            hint="reweigh before merging equal rows",
-        )
+        what = "rows that are no single paths cannot be reweighed"
+        needed, hint = "rows as `energy_rows` makes them", "reweigh before merging equal rows"
+        raise InputError(what, found="merged rows", needed=needed, hint=hint)
     return replace(rows, weight_per_m2=rows.weight_per_m2 * factors[rows.path])
 
 

@@ -77,6 +77,7 @@ def _check_drawn(paths: Paths, scattering: Scattering) -> None:
             "scattering and paths name different materials",
             found=", ".join(scattering.materials),
             needed=", ".join(paths.materials),
+            hint="use the scattering that the paths were traced with",
         )
     traced, wanted = paths.sampling_scattering, scattering.coefficients
     undrawn = (traced != wanted) & ((traced == 0.0) | (traced == 1.0))

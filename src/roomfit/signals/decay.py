@@ -13,6 +13,7 @@ from typing import get_args
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 
+from roomfit._checks import check_known
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import About, Code, Finding
@@ -281,15 +282,11 @@ def jnd_of(parameter: str, values: FloatArray) -> FloatArray:
     >>> float(jnd_of("EDT_s", np.array(2.0)))
     0.1
     """
+    what = "no just noticeable difference is known for this parameter"
+    check_known(what, parameter, (*_RELATIVE, *_ABSOLUTE))
     if parameter in _RELATIVE:
         return np.asarray(_RELATIVE[parameter] * np.asarray(values))
-    if parameter in _ABSOLUTE:
-        return np.full(np.shape(values), _ABSOLUTE[parameter])
-    raise InputError(
-        "no just noticeable difference is known for this parameter",
-        found=repr(parameter),
-        needed=", ".join((*_RELATIVE, *_ABSOLUTE)),
-    )
+    return np.full(np.shape(values), _ABSOLUTE[parameter])
 
 
 _PLAUSIBILITY_LEAST_RANGE_DB = 15.0

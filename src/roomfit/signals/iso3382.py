@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from roomfit._checks import float_array
+from roomfit._checks import check_known, float_array
 from roomfit._numba import kernel
 from roomfit.errors import InputError
 from roomfit.findings import About, Code, Finding, Severity
@@ -62,7 +62,9 @@ def value_gradients(
     """
     total = float(curve.energy_left[band, 0])
     if not total > 0.0:
-        raise InputError("an echogram without energy has no room parameters")
+        what = "an echogram without energy has no room parameters"
+        hint = "leave the band out, or trace more rays"
+        raise InputError(what, found=f"energy 0 in band {band}", needed="energy above 0", hint=hint)
     values = np.empty(len(names))
     by_left = np.zeros((len(names), len(curve.time_s)))
     left = curve.energy_left[band]
@@ -351,20 +353,17 @@ class MeasuredValues:
         for name in ("values", "spread"):
             table = {}
             for key, row in getattr(self, name).items():
-                if key not in VALUE_NAMES or key not in self.values:
-                    raise InputError(
-                        "unknown room parameter",
-                        where=f"{self.source} to {self.receiver}",
-                        found=repr(key),
-                        needed=", ".join(VALUE_NAMES),
-                    )
+                where = f"{self.source} to {self.receiver}"
+                check_known("unknown room parameter", key, VALUE_NAMES, where=where)
+                check_known("a spread without its value", key, self.values, where=where)
                 array = np.array(row, dtype=np.float64)
                 if array.shape != centres.shape:
                     raise InputError(
                         f"{key} has not one value a band",
-                        where=f"{self.source} to {self.receiver}",
+                        where=where,
                         found=f"{array.size} values",
-                        needed=f"{centres.size}",
+                        needed=f"{centres.size}, one for each of centres_hz",
+                        hint="give nan for what was not measured",
                     )
                 array.setflags(write=False)
                 table[key] = array
@@ -526,13 +525,9 @@ def _decay_contradictions(known: dict[ValueName, float], at: str) -> list[str]:
 
 
 def _contradiction(at: str, found: str, needed: str) -> InputError:
-    return InputError(
-        "room parameters that contradict each other",
-        where=at,
-        found=found,
-        needed=needed,
-        hint="check units and rows; leave a cell empty where the value is not sure",
-    )
+    what = "room parameters that contradict each other"
+    hint = "check units and rows; leave a cell empty where the value is not sure"
+    return InputError(what, where=at, found=found, needed=needed, hint=hint)
 
 
 def _short(name: str) -> str:

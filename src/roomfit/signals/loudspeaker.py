@@ -75,6 +75,7 @@ def source_magnitude(
             "responses of a source differ in sampling rate, or there is none",
             found=f"{len(measured)} responses, rates {sorted(rates)}",
             needed="one or more, of one rate",
+            hint="leave out responses of other rates, or resample them",
         )
     octaves = float(np.log2(_HIGHEST * rates.pop() / lowest_hz))
     nodes = lowest_hz * 2.0 ** np.arange(0.0, max(octaves, 0.0) + 1e-9, _STEP_OCTAVES)

@@ -221,7 +221,9 @@ def _spectrum(
     last = int(np.flatnonzero(left)[-1]) if is_cut else len(left) - 1
     time_s = curve.time_s[: last + 1]
     if not left[0] > 0.0:
-        raise InputError("a response without energy has no modulation transfer")
+        what = "a response without energy has no modulation transfer"
+        needed = "energy above 0"
+        raise InputError(what, found="energy 0", needed=needed, hint="leave the response out")
     omega = 2.0 * np.pi * MODULATIONS_HZ[:, None]
     phase = np.exp(-1j * omega * 0.5 * (time_s[1:] + time_s[:-1]))
     end = np.exp(-1j * omega[:, 0] * time_s[-1])
@@ -339,6 +341,7 @@ def _by_band(
             "a speech transmission index needs seven octaves and 14 modulation frequencies",
             found=f"a transfer of shape {m.shape}",
             needed="(..., 7, 14)",
+            hint="take it from modulation_transfer of bands from 125 Hz to 8 kHz",
         )
     if levels_db is not None:
         m = m * _speech_shares(levels_db)[0][..., None]

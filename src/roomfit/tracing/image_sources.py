@@ -120,12 +120,14 @@ def _refuse(found: Found) -> None:
         raise InputError(
             "too many image sources for the memory",
             found=f"more than {len(found.receiver)} images of one source",
+            needed=f"at most {len(found.receiver)}",
             hint="lower image_order or duration_s and leave the rest to rays",
         )
     if found.ending == TOO_MUCH_WORK:
         raise InputError(
             "too many image sources to look for",
             found=f"{found.work:.3g} walls tested against beams, and the search was not complete",
+            needed="a search that ends",
             hint="lower image_order or duration_s and leave the rest to rays",
         )
 
@@ -372,6 +374,9 @@ def trace_images(
         raise InputError(
             "a source stands where a receiver is",
             where=f"{scene.sources[source].name} and {scene.receivers[receiver].name}",
+            found="less than a micrometre apart",
+            needed="two places",
+            hint="correct one of the two positions",
         )
     max_length_m = duration_s * speed_of_sound_m_s(scene.air)
     sources = [int(s) for s in np.unique(scene.pairs[:, 0])]

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from roomfit._checks import check_shape
+from roomfit._checks import check_known, check_range, check_shape
 from roomfit.errors import InputError
 from roomfit.materials.priors import OBJECT_STEP_M
 from roomfit.typing import BoolArray, FloatArray, IntArray
@@ -149,6 +149,7 @@ def concatenate(parts: Sequence[Paths]) -> Paths:
             raise InputError(
                 "paths of different scenes cannot be joined",
                 found=f"materials {first.materials} and {other.materials}",
+                needed="the same materials, pairs and scattering in all parts",
                 hint="trace all parts with the same room, pairs and scattering",
             )
 
@@ -251,22 +252,6 @@ class TraceSettings:
         if self.image_until_s is not None:
             limits = (*limits, ("image_until_s", self.image_until_s, 0.0, 100.0))
         for name, value, low, high in limits:
-            if not low <= value <= high:
-                raise InputError(
-                    "trace setting is out of range",
-                    where=name,
-                    found=f"{value:g}",
-                    needed=f"{low:g} to {high:g}",
-                )
-        if self.directions not in ("sobol", "fibonacci"):
-            raise InputError(
-                "unknown set of directions",
-                found=repr(self.directions),
-                needed='"sobol" or "fibonacci"',
-            )
-        if self.estimator not in ("spheres", "rain"):
-            raise InputError(
-                "unknown estimator of rays at receivers",
-                found=repr(self.estimator),
-                needed='"spheres" or "rain"',
-            )
+            check_range(name, value, low, high, where="trace settings")
+        check_known("unknown set of directions", self.directions, ("sobol", "fibonacci"))
+        check_known("unknown estimator of rays at receivers", self.estimator, ("spheres", "rain"))

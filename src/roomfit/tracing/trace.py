@@ -84,11 +84,9 @@ def trace(
     [3.61, 4.69, 4.69, 5.0, 5.39, 6.71, 7.28]
     """
     if settings.image_order < 0 and settings.n_rays == 0:
-        raise InputError(
-            "nothing to trace",
-            found="image_order -1 and n_rays 0",
-            needed="image_order of 0 or more, or rays",
-        )
+        what = "nothing to trace"
+        needed, hint = "image_order of 0 or more, or rays", "set n_rays = 20000, or image_order = 3"
+        raise InputError(what, found="image_order -1 and n_rays 0", needed=needed, hint=hint)
     if scene.room.states:
         single, of_parts = as_one_state(scene, scattering)
         found = trace(single, settings, of_parts, progress)

@@ -162,7 +162,12 @@ def facets_of(room: Room) -> tuple[Facets, FloatArray]:
     vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     solid = np.flatnonzero(np.linalg.norm(vectors, axis=1) > 0.0)
     if not solid.size:
-        raise InputError("the room has no surface", found="triangles without area only")
+        raise InputError(
+            "the room has no surface",
+            found="triangles without area only",
+            needed="a triangle with an area",
+            hint="export the room again, with surfaces that have an area",
+        )
     corners = corners[solid]
     owner = triangle_material(room)[solid]
     sheet = is_double_sided(room.mesh)[solid]

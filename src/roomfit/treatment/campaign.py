@@ -19,7 +19,7 @@ from roomfit.core import (
     Room,
     Scene,
     catalogue_prior,
-    did_you_mean,
+    check_known,
     jnd_of,
     located,
 )
@@ -75,12 +75,9 @@ def checked_treatment(path: Path, content: Mapping[str, Any]) -> TreatmentTable:
         return TreatmentTable.model_validate(content)
     except ValidationError as error:
         found = explained(path, error, TreatmentTable)
+        what = found.what.replace("campaign file", "treatment file")
         raise InputError(
-            found.what.replace("campaign file", "treatment file"),
-            where=found.where,
-            found=found.found,
-            needed=found.needed,
-            hint=found.hint,
+            what, where=found.where, found=found.found, needed=found.needed, hint=found.hint
         ) from None
 
 
@@ -164,19 +161,15 @@ def _product(name: str, table: HungTable, known: AbsorptionPosterior) -> Product
             "a product has not one absorption",
             found=", ".join(given) or "none of the three",
             needed="one of absorption, catalogue and material",
+            hint="keep what is known best, and leave the others out",
         )
     material = ""
     if table.catalogue is not None:
         mean, sd = catalogue_prior(table.catalogue, bands)
     elif table.material is not None:
         material = table.material
-        if material not in known.materials:
-            raise InputError(
-                "a product is of a material that the room does not have",
-                found=repr(material),
-                needed=f"one of {', '.join(known.materials)}",
-                hint=did_you_mean(material, known.materials),
-            )
+        what = "a product is of a material that the room does not have"
+        check_known(what, material, known.materials)
         mean = known.absorption[known.materials.index(material)]
         sd = np.zeros(len(bands))
     else:
@@ -207,6 +200,7 @@ def _target(table: TargetTable, room: Room) -> tuple[Target, tuple[Finding, ...]
                 "a target is a standard and has limits of its own",
                 found=", ".join(sorted(own)),
                 needed="one of the two: a second table [[targets]] holds as well",
+                hint="write the limits below a [[targets]] of their own",
             )
         return standard_target(table.standard, room)
     name = target_name(table.parameter)

@@ -53,6 +53,7 @@ def forbidden_area_m2(room: Room, material: str, polygons: Sequence[FloatArray])
                 "two forbidden areas overlap",
                 found=f"{common:.3g} m2 are in polygon {i} and in polygon {j}",
                 needed="each piece of the surface once",
+                hint="join the two into one polygon",
             )
     return float(sum(map(_area_m2, polygons)))
 
@@ -65,6 +66,7 @@ def _check(polygon: FloatArray, triangles: FloatArray, number: int) -> None:
             where=f"polygon {number}",
             found="edges that cross, or no area",
             needed="corners in the order in which they lie around it",
+            hint="list the corners along its edge",
         )
     inside = _common_m2(polygon, triangles, signed=False)
     if inside < (1.0 - _ROUNDING) * area:
@@ -73,6 +75,7 @@ def _check(polygon: FloatArray, triangles: FloatArray, number: int) -> None:
             where=f"polygon {number}",
             found=f"{inside:.3g} of its {area:.3g} m2 do",
             needed=f"corners on one wall of the material, within {100 * _OFF_PLANE_M:g} cm",
+            hint="take the corners from the room, in m",
         )
 
 

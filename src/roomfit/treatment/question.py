@@ -16,7 +16,7 @@ from roomfit.core import (
     InputError,
     Scene,
     ValueName,
-    did_you_mean,
+    check_known,
     logit_normal,
     material_areas_m2,
     pair_states,
@@ -42,15 +42,8 @@ def target_name(name: str) -> TargetName:
     InputError
         No parameter is called so.
     """
-    for known in TARGET_NAMES:
-        if name == known:
-            return known
-    raise InputError(
-        "a target names an unknown parameter",
-        found=repr(name),
-        needed=f"one of {', '.join(TARGET_NAMES)}",
-        hint=did_you_mean(name, TARGET_NAMES),
-    )
+    check_known("a target names an unknown parameter", name, TARGET_NAMES)
+    return next(known for known in TARGET_NAMES if known == name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +92,7 @@ class Target:
                 "a target of the speech transmission index is in bands",
                 found=f"{', '.join(f'{f:g}' for f in self.bands_hz)} Hz",
                 needed="no bands: it is of all octaves from 125 Hz to 8 kHz together",
+                hint="leave bands_hz out",
             )
         if not self.low <= self.high or not np.isfinite([self.low, self.high]).any():
             raise InputError(
@@ -106,6 +100,7 @@ class Target:
                 where=self.parameter,
                 found=f"from {self.low:g} to {self.high:g}",
                 needed="at_most, at_least, or a value with a tolerance",
+                hint="write at_most = 0.6, say, or value and tolerance",
             )
 
     def __str__(self) -> str:
@@ -169,7 +164,9 @@ def question_of(
         raise InputError(
             "a target is of a parameter that decay times alone do not determine",
             where=str(others[0]),
+            found="decay times alone",
             needed="T30_s, or sources and receivers with their positions and a result of identify",
+            hint="set T30_s as the target, or identify the room first",
         )
     columns, free = columns_of(room.scene, surfaces, products)
     piece = np.array([products[p].piece_m2 for _, p, _ in columns])
@@ -180,7 +177,8 @@ def question_of(
         of_row += [t] * len(rows)
         weights += list(rows)
     if not weights:
-        raise InputError("no target is given", needed="[[targets]] in the treatment file")
+        hint = "add [[targets]] to treatment.toml"
+        raise InputError("no target is given", found="none", needed="one target or more", hint=hint)
     return Question(
         room, tuple(products), tuple(targets), tuple(m for m, _, _ in columns),
         tuple(p for _, p, _ in columns), piece, np.array([n for _, _, n in columns]), cost, areas,
@@ -227,6 +225,7 @@ def columns_of(
             "no product fits on any surface",
             found=f"{len(surfaces)} surfaces, {len(products)} products",
             needed="a product no deeper than the surface allows, and a piece that fits in",
+            hint="raise depth_m of a surface, or lower piece_m2 of a product",
         )
     return columns, free
 
@@ -237,13 +236,7 @@ def _areas_m2(scene: Scene) -> FloatArray:
 
 
 def _index(kind: str, name: str, known: Sequence[str]) -> int:
-    if name not in known:
-        raise InputError(
-            f"{kind} of the treatment is not known",
-            found=repr(name),
-            needed=f"one of {', '.join(known)}",
-            hint=did_you_mean(name, known),
-        )
+    check_known(f"{kind} of the treatment is not known", name, known)
     return known.index(name)
 
 
@@ -260,12 +253,10 @@ def row_weights(target: Target, bands: Bands) -> FloatArray:
     if target.parameter == "STI":
         missing_text = sti_missing(bands)
         if missing_text:
-            raise InputError(
-                "a target is of the speech transmission index, which is not predicted here",
-                where=str(target),
-                found=missing_text,
-                hint="fit to 8 kHz (to_hz = 8000), or set C50_dB or D50_percent as a target",
-            )
+            what = "a target is of the speech transmission index, which is not predicted here"
+            needed = "octaves from 125 Hz to 8 kHz"
+            hint = "fit to 8 kHz (to_hz = 8000), or set C50_dB or D50_percent as a target"
+            raise InputError(what, where=str(target), found=missing_text, needed=needed, hint=hint)
         weights = np.zeros((1, len(bands)))
         weights[0, speech_bands(bands)] = 1.0 / 7.0
         return weights

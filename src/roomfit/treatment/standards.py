@@ -9,7 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from roomfit.core import About, Code, Finding, InputError, Room, did_you_mean, volume_m3
+from roomfit.core import (
+    About,
+    Code,
+    Finding,
+    InputError,
+    Room,
+    check_known,
+    volume_m3,
+)
 from roomfit.treatment.question import Target
 
 _SABINE_S_PER_M = 0.16  # T = 0.16 V / A, as DIN EN 12354-6 and the sources have it
@@ -34,13 +42,7 @@ def standard_target(name: str, room: Room) -> tuple[Target, tuple[Finding, ...]]
         There is no such entry, or it does not speak of rooms of this volume.
     """
     known = standards()
-    if name not in known:
-        raise InputError(
-            "no standard of this name",
-            found=repr(name),
-            needed=f"one of {', '.join(known)}",
-            hint=did_you_mean(name, tuple(known)),
-        )
+    check_known("no standard of this name", name, known)
     entry, volume = known[name], volume_m3(room.mesh)
     least, most = entry.get("volume_m3", (0.0, np.inf))
     if not least <= volume <= most:

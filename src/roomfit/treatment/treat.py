@@ -17,9 +17,9 @@ from roomfit.core import (
     Code,
     Finding,
     FloatArray,
-    InputError,
     Progress,
     ValueName,
+    check_range,
     one_blas_thread,
     pair_names,
     result_doubts,
@@ -156,12 +156,7 @@ def treat(
     with interference, the number of rays and the error that `predict` grants its model. Of pairs
     that were measured before, what was measured is carried over.
     """
-    if not 0.5 <= probability <= 0.99:
-        raise InputError(
-            "the probability of meeting a target is out of range",
-            found=f"{probability:g}",
-            needed="0.5 to 0.99",
-        )
+    check_range("the probability of meeting a target", probability, 0.5, 0.99)
     in_words, room = _before_in_words(room), as_measured(room)
     question = question_of(room, surfaces, products, targets)
     known: dict[tuple[float, ...], _Outcome] = {}

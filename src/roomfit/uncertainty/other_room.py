@@ -152,11 +152,9 @@ def _in_volumes(known: AbsorptionPosterior, volumes_m3: Mapping[str, float]) -> 
     for name, own in volumes_m3.items():
         before = known.objects.get(name)
         if name in known.materials and before is None:
-            raise InputError(
-                "an object has the name of a wall in the result",
-                found=repr(name),
-                needed="an object of the result, or absorption_area_m2 in the campaign",
-            )
+            what = "an object has the name of a wall in the result"
+            needed = "an object of the result, or absorption_area_m2 in the campaign"
+            raise InputError(what, found=repr(name), needed=needed, hint="rename the object")
         if before is None or before == own:
             continue
         at = known.materials.index(name)

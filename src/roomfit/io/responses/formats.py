@@ -93,12 +93,9 @@ def _variables(content: bytes) -> Variables:
             return mat73_arrays(content)
         return mat5_arrays(content)
     except ValueError as error:
-        raise InputError(
-            "this is not a MAT file that can be read",
-            found=str(error),
-            needed="a MATLAB file of version 5 to 7.3",
-            hint="in MATLAB: save(file, '-v7')",
-        ) from error
+        what = "this is not a MAT file that can be read"
+        needed, hint = "a MATLAB file of version 5 to 7.3", "in MATLAB: save(file, '-v7')"
+        raise InputError(what, found=str(error), needed=needed, hint=hint) from error
 
 
 def _responses(variables: Variables, spec: ResponseSpec) -> FloatArray:
@@ -108,23 +105,24 @@ def _responses(variables: Variables, spec: ResponseSpec) -> FloatArray:
             "which variable of the MAT file holds the responses?",
             found=_listed(variables),
             needed="variable = one of these names",
+            hint=f"variable = {next(iter(variables))!r}"
+            if variables
+            else "save the responses into it",
         )
     if spec.variable not in variables:
         raise InputError(
             "the MAT file has no such variable",
-            found=f"variable = {spec.variable!r}; the file holds {_listed(variables)}",
-            hint=did_you_mean(spec.variable, variables),
+            found=f"variable = {spec.variable!r}",
+            needed=f"one of {_listed(variables)}",
+            hint=did_you_mean(spec.variable, variables) or "write variable = as the file has it",
         )
     values = variables[spec.variable]
     if isinstance(values, str) or values.ndim != 2 or values.size == 0:
         nested = values in ("a structure", "a cell array") if isinstance(values, str) else False
-        raise InputError(
-            "the variable of the MAT file holds no responses",
-            where=spec.variable,
-            found=_kind(values),
-            needed="an array of real numbers, one response a column",
-            hint="in MATLAB, save what lies in it as a variable of its own" if nested else None,
-        )
+        what = "the variable of the MAT file holds no responses"
+        needed = "an array of real numbers, one response a column"
+        hint = "in MATLAB, save what lies in it as a variable of its own" if nested else None
+        raise InputError(what, where=spec.variable, found=_kind(values), needed=needed, hint=hint)
     with located(spec.variable):
         return _columns(values)
 
@@ -150,8 +148,11 @@ def _sampling_rate_hz(variables: Variables, spec: ResponseSpec) -> float:
         single = [name for name, v in variables.items() if not isinstance(v, str) and v.size == 1]
         raise InputError(
             "the sampling rate of the MAT file is missing",
+            found="neither of the two",
             needed="sampling_rate_variable (a name) or sampling_rate_hz (a number)",
-            hint=f"single numbers in the file: {', '.join(single)}" if single else None,
+            hint=f"single numbers in the file: {', '.join(single)}"
+            if single
+            else "sampling_rate_hz = 48000, say",
         )
     values = variables.get(spec.sampling_rate_variable)
     if values is None or isinstance(values, str) or values.size != 1:
@@ -159,6 +160,7 @@ def _sampling_rate_hz(variables: Variables, spec: ResponseSpec) -> float:
             "the MAT file has no such sampling rate",
             found=f"sampling_rate_variable = {spec.sampling_rate_variable!r}",
             needed=f"one number; the file holds {_listed(variables)}",
+            hint="give sampling_rate_hz instead, a number in Hz",
         )
     return float(values.reshape(-1)[0])
 
@@ -351,6 +353,8 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
     if "ir is the min phase version" in notes:
         raise InputError(
             "a minimum-phase response has lost its arrival times",
+            found='"IR is the min phase version" in its header',
+            needed="the response as it was measured",
             hint="export the response itself, not its minimum-phase version",
         )
     rate_hz = _rate_hz(numbers["interval_s"])
@@ -416,6 +420,7 @@ def _header(lines: list[str]) -> tuple[dict[str, float], str, int]:
         if key not in numbers:
             raise InputError(
                 "the header of the REW file is not complete",
+                found="a header without it",
                 needed=f'a line "... // {label}"',
                 hint="the file may be cut off: export it again from REW",
             )
@@ -456,11 +461,9 @@ def _number(text: str, line: int) -> float:
 
 def _rate_hz(interval_s: float) -> float:
     if not 1e-6 <= interval_s <= 1e-3:
-        raise InputError(
-            "the sample interval of the REW file is out of range",
-            found=f"{interval_s:g} s",
-            needed="0.000001 to 0.001 s",
-        )
+        what = "the sample interval of the REW file is out of range"
+        hint = "export the impulse response from REW again"
+        raise InputError(what, found=f"{interval_s:g} s", needed="0.000001 to 0.001 s", hint=hint)
     rate_hz = 1.0 / interval_s
     whole = round(rate_hz)
     return float(whole) if abs(rate_hz - whole) < 1e-6 * rate_hz else rate_hz
@@ -555,6 +558,7 @@ def _decoded(spec: ResponseSpec, content: bytes, kind: str) -> tuple[FloatArray,
                     "this encoding of a sound file is not read",
                     found=file.subtype,
                     needed="PCM of 16, 24 or 32 bits, or floating point",
+                    hint="export it as WAV with 24 bits",
                 )
             channel = pick("channel", spec.channel, file.channels, "channel")
             if 8 * file.frames * file.channels > unpacked_limit_bytes(len(content)):
@@ -583,7 +587,10 @@ def read_npy(spec: ResponseSpec, content: bytes) -> Recording:
     """
     if spec.sampling_rate_hz is None:
         raise InputError(
-            "the sampling rate of the NPY file is missing", needed="sampling_rate_hz (a number)"
+            "the sampling rate of the NPY file is missing",
+            found="no rate: an NPY file carries none",
+            needed="a number in Hz beside the file",
+            hint="add sampling_rate_hz = 48000, or what it was recorded at",
         )
     try:
         values = np.atleast_1d(npy_array(io.BytesIO(content), len(content)))
@@ -594,6 +601,7 @@ def read_npy(spec: ResponseSpec, content: bytes) -> Recording:
             "this is not an NPY file that can be read",
             found=" ".join(str(error).split())[:200],
             needed="a file of numpy.save with real numbers, one response a column",
+            hint="write it with numpy.save(file, samples), samples of floats",
         ) from error
     columns = _columns(values.astype(np.float64).reshape(len(values), -1))
     channel = pick("response", spec.channel, columns.shape[1], "channel")
@@ -623,17 +631,14 @@ def _data_chunk(content: bytes) -> tuple[int, int]:
     raise InputError(
         "the WAV file holds no samples",
         found=f"{len(content)} bytes without a data chunk",
+        needed='a chunk "data" with the samples',
         hint="the file may be cut off: copy or export it again",
     )
 
 
 def _cut_off(found: str, needed: str) -> InputError:
-    return InputError(
-        "the sound file is cut off",
-        found=found,
-        needed=needed,
-        hint="copy or export the file again",
-    )
+    what = "the sound file is cut off"
+    return InputError(what, found=found, needed=needed, hint="copy or export the file again")
 
 
 def _not_readable(kind: str, found: str) -> InputError:

@@ -149,6 +149,7 @@ def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:
             "the SOFA file holds no impulse responses",
             found=f"data type {data_type!r}",
             needed="data type FIR with a sampling rate",
+            hint="export the impulse responses (FIR) into a SOFA file",
         )
     measurement = pick("measurement", spec.measurement, responses.shape[0], "measurement")
     receiver = pick("receiver", spec.receiver_index, responses.shape[1], "receiver_index")
@@ -184,6 +185,7 @@ def read_sofa_variables(content: bytes) -> tuple[Variables, str]:
             "this is not a SOFA file that can be read",
             found="an HDF5 file without the attribute SOFAConventions",
             needed=needed,
+            hint="write it with a SOFA library, which adds the attribute",
         )
     for name, variable in variables.items():
         # netCDF allows packed numbers; AES69 knows none
@@ -193,6 +195,7 @@ def read_sofa_variables(content: bytes) -> tuple[Variables, str]:
                 where=name,
                 found="an attribute scale_factor or add_offset",
                 needed="plain numbers, as AES69 has it",
+                hint="write the variable unpacked, as float64",
             )
     return variables, str(attributes.get("DataType", "unknown"))
 
@@ -218,11 +221,9 @@ def sofa_data(sofa: Variables, name: str) -> FloatArray | None:
         values = values.transpose([axes.index(axis) for axis in _AXES])
     if values.ndim == 4:
         if values.shape[3] != 1:
-            raise InputError(
-                "the SOFA file holds several emitters at once",
-                found=f"{values.shape[3]} emitters",
-                needed="one emitter a file",
-            )
+            what = "the SOFA file holds several emitters at once"
+            needed, hint = "one emitter a file", "write one SOFA file for each emitter"
+            raise InputError(what, found=f"{values.shape[3]} emitters", needed=needed, hint=hint)
         values = values[:, :, :, 0]
     return values
 

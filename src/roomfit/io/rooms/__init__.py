@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit._checks import nearest
+from roomfit._checks import check_known, nearest
 from roomfit.errors import InputError, located
 from roomfit.findings import Finding
 from roomfit.geometry.build import build_mesh, oriented
@@ -108,22 +108,12 @@ def shoebox_lengths_m(spec: RoomSpec) -> tuple[float, float, float] | None:
     if spec.shoebox is None:
         return None
     unit = spec.unit or "m"
-    if unit not in METRES_PER_UNIT:
-        known = ", ".join(METRES_PER_UNIT)
-        raise InputError(
-            "unknown unit",
-            where="[room] unit",
-            found=repr(unit),
-            needed=f"one of {known}",
-            hint="compare the volume that roomfit check shows",
-        )
+    compare = "compare the volume that roomfit check shows"
+    check_known("unknown unit", unit, METRES_PER_UNIT, where="[room] unit", else_try=compare)
     if spec.up not in (None, "z"):
-        raise InputError(
-            "a shoebox stands with z up",
-            found=f"up = {spec.up!r}",
-            needed='"z"',
-            hint="leave up out, and give the height last",
-        )
+        what = "a shoebox stands with z up"
+        hint = "leave up out, and give the height last"
+        raise InputError(what, found=f"up = {spec.up!r}", needed='"z"', hint=hint)
     x, y, z = (float(length) * METRES_PER_UNIT[unit] for length in spec.shoebox)
     return x, y, z
 
@@ -148,13 +138,10 @@ def _model(spec: RoomSpec) -> tuple[RoomModel, str]:
     suffix = path.suffix.lower()
     if suffix not in READERS:
         like = nearest(suffix, READERS)
-        raise InputError(
-            "a room file of unknown format",
-            where=str(path),
-            found=repr(path.suffix),
-            needed=f"one of {', '.join(READERS)}",
-            hint=f"did you mean {like}?" if like else "export the room as OBJ",
-        )
+        what = "a room file of unknown format"
+        needed = f"one of {', '.join(READERS)}"
+        hint = f"did you mean {like}?" if like else "export the room as OBJ"
+        raise InputError(what, where=str(path), found=repr(path.suffix), needed=needed, hint=hint)
     if spec.space is not None:
         read = read_ifc if suffix == ".ifc" else read_roomplan
         return read(path, spec.space), str(path)

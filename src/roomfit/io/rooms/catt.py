@@ -27,7 +27,7 @@ from roomfit.io.rooms.catt_language import (
     read_files,
     value_of,
 )
-from roomfit.io.rooms.model import Polygon, RoomModel, joined, whole
+from roomfit.io.rooms.model import Polygon, RoomModel, joined, malformed, whole
 from roomfit.typing import FloatArray
 
 _MOST_STEPS = 10_000
@@ -63,11 +63,12 @@ def _check_images(shared: Shared) -> None:
         image = number + source.file.mirror[0]
         other = shared.corners.get(image) or images.get(image)
         if other is not None:
-            raise InputError(
+            raise malformed(
                 "a corner and the mirror image of another have the same number",
-                where=other.where,
-                found=f"{image}, the image of corner {number}",
-                hint="let MIRROR add a larger number",
+                other.where,
+                f"{image}, the image of corner {number}",
+                f"another number than {image}",
+                "let MIRROR add a larger number",
             )
         images[image] = source
 
@@ -102,11 +103,12 @@ def _obey_directives(file: GeoFile) -> None:
         file.shared.mirrors.add(file.mirror[0])
     if shift:
         if "object" not in file.directives:
-            raise InputError(
+            raise malformed(
                 "TRANSLATE without OBJECT",
-                where=file.directives["translate"].where,
-                found="no line OBJECT in the file",
-                needed="a line OBJECT: TRANSLATE moves objects alone",
+                file.directives["translate"].where,
+                "no line OBJECT in the file",
+                "a line OBJECT",
+                "add the line OBJECT, or remove TRANSLATE: it moves objects alone",
             )
         file.shift = (shift[0], shift[1], shift[2])
 
@@ -114,12 +116,8 @@ def _obey_directives(file: GeoFile) -> None:
 def _integer(value: float, file: GeoFile, word: str) -> int:
     if value != int(value) or value < 0:
         where = file.directives[word].where
-        raise InputError(
-            "a whole number was expected",
-            where=where,
-            found=f"{value:g}",
-            needed=f"a whole number of 0 or more after {word.upper()}",
-        )
+        needed = f"a whole number of 0 or more after {word.upper()}"
+        raise malformed("a whole number was expected", where, f"{value:g}", needed)
     return int(value)
 
 
@@ -139,13 +137,9 @@ def _add_corners(file: GeoFile, line: Line) -> None:
 
 def _add(shared: Shared, number: int, source: CornerSource) -> None:
     if number in shared.corners:
-        raise InputError(
-            "a corner number is given twice",
-            where=source.where,
-            found=str(number),
-            hint=f"the first one: {shared.corners[number].where}; OFFSETCO keeps included files "
-            "apart",
-        )
+        needed = f"a number of its own: {shared.corners[number].where} has it"
+        hint = "OFFSETCO keeps the corners of included files apart"
+        raise malformed("a corner number is given twice", source.where, str(number), needed, hint)
     shared.corners[number] = source
     check_limit("corners", len(shared.corners), source.where)
 
@@ -162,11 +156,12 @@ def _add_loop(file: GeoFile, line: Line) -> None:
     number, start, stop, step = (value_of(arguments[k], file, line.where) for k in (0, 2, 3, 4))
     steps = (stop - start) / step if step else -1.0
     if number != int(number) or number < 0 or not 0.0 <= steps + 1e-9 <= _MOST_STEPS:
-        raise InputError(
+        raise malformed(
             "a loop that does not end, or has no step",
-            where=line.where,
-            found=f"corners from {number:g}, {start:g} to {stop:g} by {step:g}",
-            needed=f"a whole number first, and at most {_MOST_STEPS} steps from start to stop",
+            line.where,
+            f"corners from {number:g}, {start:g} to {stop:g} by {step:g}",
+            f"a whole number first, and at most {_MOST_STEPS} steps from start to stop",
+            "let step lead from start to stop, as in loop(1,a,0,90,10,...)",
         )
     for k in range(int(steps + 1e-9) + 1):
         running = (arguments[1].lower(), start + k * step)
@@ -482,12 +477,10 @@ def read_catt(path: Path) -> RoomModel:
             check_limit("part_pairs", n_pairs, plane.where)
             polygons += _polygons(plane, file.shared, materials)
     if not polygons:
-        raise InputError(
-            "the room file has no planes",
-            where=str(path),
-            needed="PLANES, and below it [number name / corners / material]",
-            hint="the file may be cut short: export it again",
-        )
+        what = "the room file has no planes"
+        needed = "PLANES, and below it [number name / corners / material]"
+        hint = "the file may be cut short: export it again"
+        raise malformed(what, str(path), "no line below PLANES", needed, hint)
     vertices, faces = joined(_sheets(polygons))
     # CATT-Acoustic's normals point into the air, roomfit's out of it
     turned = tuple(Face(face.corners[::-1], face.surface) for face in faces)
@@ -513,12 +506,10 @@ def _planes(file: GeoFile, used: dict[int, str]) -> list[GeoPlane]:
                 planes.append(image)
     for plane in planes:
         if plane.number in used:
-            raise InputError(
-                "a plane number is given twice",
-                where=plane.where,
-                found=str(plane.number),
-                hint=f"the first one: {used[plane.number]}; OFFSETPL keeps included files apart",
-            )
+            what = "a plane number is given twice"
+            needed = f"a number of its own: {used[plane.number]} has it"
+            hint = "OFFSETPL keeps the planes of included files apart"
+            raise malformed(what, plane.where, str(plane.number), needed, hint)
         used[plane.number] = plane.where
     return planes
 
@@ -548,22 +539,24 @@ def _polygons(plane: GeoPlane, shared: Shared, materials: dict[str, str]) -> lis
     left = cut_parts(shapes)
     for part, pieces in zip(plane.parts, left, strict=True):
         if not pieces:
-            raise InputError(
+            raise malformed(
                 "a part of a plane is hidden by the parts before it",
-                where=plane.where,
-                found=f"{part.name!r} of plane {plane.number}",
-                hint="put the smaller part first",
+                plane.where,
+                f"{part.name!r} of plane {plane.number}",
+                "parts of which each shows",
+                "put the smaller part first",
             )
         surface = _surface(plane, part, materials)
         polygons += [(piece, surface) for piece in pieces]
     whole = area_m2([outline])
     covered = area_m2([piece for pieces in left for piece in pieces])
     if not abs(covered - whole) <= _UNCOVERED * whole:
-        raise InputError(
+        raise malformed(
             "the parts of a plane do not make up the plane",
-            where=plane.where,
-            found=f"{covered:.4g} m2 of parts in plane {plane.number} of {whole:.4g} m2",
-            hint="give the rest a part of its own, as in (wall / 1 2 3 4 / brick)",
+            plane.where,
+            f"{covered:.4g} m2 of parts in plane {plane.number} of {whole:.4g} m2",
+            "parts that cover the plane",
+            "give the rest a part of its own, as in (wall / 1 2 3 4 / brick)",
         )
     return polygons
 
@@ -594,7 +587,12 @@ def _materials(files: list[GeoFile]) -> tuple[dict[str, str], tuple[Finding, ...
         visited, end = {name}, stands_for[name]
         while end.lower() in stands_for:
             if end.lower() in visited:
-                raise InputError("materials that replace each other", found=f"{name}, {end}")
+                raise InputError(
+                    "materials that replace each other",
+                    found=f"{name}, {end}",
+                    needed="each name led to a material of its own",
+                    hint=f"give coefficients in a line ABS {name} = <...>",
+                )
             visited.add(end.lower())
             end = stands_for[end.lower()]
         followed[name] = spelling.get(end.lower(), end)

@@ -24,7 +24,7 @@ from pathlib import Path
 from roomfit.errors import InputError
 from roomfit.io.door import check_limit, read_text
 from roomfit.io.file_names import in_short
-from roomfit.io.rooms.model import finite, whole
+from roomfit.io.rooms.model import finite, malformed, whole
 
 _TOKEN = re.compile(
     r"\s*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|([-+*/(),]))", re.ASCII
@@ -75,12 +75,9 @@ def value_of(
             arguments = arguments[0].elts
         numbers = [a.value for a in arguments if isinstance(a, ast.Constant)]
         if len(numbers) != len(arguments) or len(numbers) != count:
-            raise InputError(
-                f"{_name(call.func)}() needs {count} corner number{'s' if count > 1 else ''}",
-                where=where,
-                found=text,
-                needed=f"whole numbers, {count} of them, between the brackets",
-            )
+            what = f"{_name(call.func)}() needs {count} corner number{'s' if count > 1 else ''}"
+            needed = f"whole numbers, {count} of them, between the brackets"
+            raise malformed(what, where, text, needed)
         return [own_corner(file, whole(str(number), where), where) for number in numbers]
 
     def value(node: ast.expr) -> float:
@@ -111,12 +108,9 @@ def value_of(
             raise _too_long(where) from None
         raise _not_understood(text, where) from None
     except (ZeroDivisionError, ValueError, OverflowError) as error:
-        raise InputError(
-            "an expression has no value",
-            where=where,
-            found=f"{text!r}: {error}",
-            needed="a finite number",
-        ) from None
+        what = "an expression has no value"
+        hint = "look for a division by zero or the root of a negative number"
+        raise malformed(what, where, f"{text!r}: {error}", "a finite number", hint) from None
 
 
 def _in_python(text: str, where: str) -> str:
@@ -143,22 +137,19 @@ def _name(node: ast.expr) -> str:
 
 
 def _too_long(where: str) -> InputError:
-    return InputError(
-        "an expression is too long, or has too many brackets",
-        where=where,
-        found="more than can be worked out",
-        needed="a shorter one",
-        hint="give parts of it names, as constants of their own",
-    )
+    what = "an expression is too long, or has too many brackets"
+    hint = "give parts of it names, as constants of their own"
+    return malformed(what, where, "more than can be worked out", "a shorter one", hint)
 
 
 def _not_understood(text: str, where: str) -> InputError:
-    return InputError(
+    return malformed(
         "an expression of the .geo file is not understood",
-        where=where,
-        found=repr(text.strip()[:80]),
-        needed="numbers, constants, + - * / and brackets, sin, cos, tan, asin, acos, atan, sqrt, "
+        where,
+        repr(text.strip()[:80]),
+        "numbers, constants, + - * / and brackets, sin, cos, tan, asin, acos, atan, sqrt, "
         "abs, x(), y(), z(), lock()",
+        "let CATT-Acoustic export the room with everything worked out",
     )
 
 
@@ -179,11 +170,12 @@ def lock_on_plane(
     )
     size = math.sqrt(sum(n * n for n in normal))
     if abs(normal[axis]) <= 1e-9 * size or size == 0.0:
-        raise InputError(
+        raise malformed(
             "lock() has no solution",
-            where=where,
-            found=f"the plane of its three corners runs along {_AXES[axis]}",
-            needed="three corners that are not on one line, of a plane that is not parallel to it",
+            where,
+            f"the plane of its three corners runs along {_AXES[axis]}",
+            "three corners that are not on one line, of a plane that is not parallel to it",
+            "lock another coordinate, or choose other corners",
         )
     i, j = (k for k in range(3) if k != axis)
     shift = normal[i] * (point[i] - a[i]) + normal[j] * (point[j] - a[j])
@@ -268,9 +260,9 @@ def _gather(path: Path, above: tuple[Path, ...], files: list[GeoFile], shared: S
     file = _sorted(GeoFile(path, shared))
     files.append(file)
     if len(files) > _MOST_FILES:
-        raise InputError(
-            "too many files are included", where=str(path), needed=f"at most {_MOST_FILES}"
-        )
+        what = "too many files are included"
+        hint = f"include {_MOST_FILES - 1} files, or export the room as one file"
+        raise malformed(what, str(path), f"{len(files)}", f"at most {_MOST_FILES}", hint)
     for line in file.includes:
         inner = _included(line, path.parent)
         if inner.resolve() in (*above, path.resolve()):
@@ -317,13 +309,10 @@ def _sorted(file: GeoFile) -> GeoFile:
         if text:
             section = _sort(file, section, word, Line(text, where))
     if plane:
-        raise InputError(
-            "a plane is not closed",
-            where=began,
-            found=" ".join(plane)[:60],
-            needed="[number name / corners / material]",
-            hint="the file may be cut short: export it again",
-        )
+        what = "a plane is not closed"
+        needed = "[number name / corners / material]"
+        hint = "the file may be cut short: export it again"
+        raise InputError(what, where=began, found=" ".join(plane)[:60], needed=needed, hint=hint)
     return file
 
 
@@ -357,10 +346,10 @@ def _sort(file: GeoFile, section: str, word: str, line: Line) -> str:
         if word in file.directives:
             raise line.error("a statement occurs twice in one file", found=word)
         if file.corners or file.planes:
-            raise InputError(
+            raise line.error(
                 f"{word.upper()} is below corners or planes",
-                where=line.where,
                 needed="a place above CORNERS",
+                hint="move the line up",
             )
         file.directives[word] = line
     elif section == "corners" and (line.text[0].isdigit() or word == "loop"):
@@ -388,12 +377,9 @@ def constant(file: GeoFile, name: str, where: str) -> float:
     shared = file.shared
     if name not in file.local and name not in shared.constants:
         known = sorted({*file.local, *shared.constants})
-        raise InputError(
-            "a constant is not defined",
-            where=where,
-            found=name,
-            needed=f"one of {in_short(known)}" if known else "a definition: there is none",
-        )
+        needed = f"one of {in_short(known)}" if known else "a definition: there is none"
+        hint = f"write GLOBAL {name} = and its value above CORNERS"
+        raise malformed("a constant is not defined", where, name, needed, hint)
     owner, line = (file, file.local[name]) if name in file.local else shared.constants[name]
     # once: constants that double each other would be worked out 2 ** n times
     if line not in shared.values:
@@ -412,12 +398,10 @@ def own_corner(file: GeoFile, number: int, where: str) -> Point:
         return x, y, z
     source = file.shared.corners.get(number + file.offset)
     if source is None or source.file is not file:
-        raise InputError(
-            "an object that TRANSLATE moves refers to a corner outside it",
-            where=where,
-            found=f"corner {number}",
-            needed="corners of its own file, and not their mirror images",
-        )
+        what = "an object that TRANSLATE moves refers to a corner outside it"
+        needed = "corners of its own file, and not their mirror images"
+        hint = "give the corner in the file of the object, or remove TRANSLATE"
+        raise malformed(what, where, f"corner {number}", needed, hint)
     return x - file.shift[0], y - file.shift[1], z - file.shift[2]
 
 
@@ -426,11 +410,12 @@ def _evaluating(shared: Shared, what: str, where: str) -> Iterator[None]:
     """Refuse circles and endless chains."""
     way = shared.under_way
     if what in way or len(way) > _NUMBERS_DEEPEST:
-        raise InputError(
+        raise malformed(
             "numbers of the .geo file go in a circle, or refer to each other too often",
-            where=where,
-            found=" -> ".join([*way[-4:], what]),
-            needed=f"a chain of {_NUMBERS_DEEPEST} at most that ends in a number",
+            where,
+            " -> ".join([*way[-4:], what]),
+            f"a chain of {_NUMBERS_DEEPEST} at most that ends in a number",
+            f"write a number in place of {what}",
         )
     way.append(what)
     try:
@@ -445,12 +430,9 @@ def corner_of(shared: Shared, number: int, where: str) -> Point:
     if source is None:
         original = _original(shared, number)
         if original is None:
-            raise InputError(
-                "no corner has this number",
-                where=where,
-                found=str(number),
-                needed=f"one of {in_short([str(n) for n in shared.corners])}",
-            )
+            needed = f"one of {in_short([str(n) for n in shared.corners])}"
+            hint = f"add a corner {number} below CORNERS, or name another one"
+            raise malformed("no corner has this number", where, str(number), needed, hint)
         x, y, z = corner_of(shared, original, where)
         return -x, y, z
     if source.point is None:
@@ -477,12 +459,10 @@ def _worked_out(source: CornerSource) -> Point:
     point = [0.0, 0.0, 0.0]
     locked = [k for k in range(3) if re.search(r"(?i)\block\s*\(", source.expressions[k])]
     if len(locked) > 1:
-        raise InputError(
-            "a corner has more than one lock()",
-            where=source.where,
-            found=f"{len(locked)} of them",
-            needed="one at most: two coordinates fix the third on a plane",
-        )
+        what = "a corner has more than one lock()"
+        needed = "one at most: two coordinates fix the third on a plane"
+        hint = "write numbers or x(), y(), z() for the others"
+        raise malformed(what, source.where, f"{len(locked)} of them", needed, hint)
     for axis in (0, 1, 2):
         if axis not in locked:
             point[axis] = value(axis)

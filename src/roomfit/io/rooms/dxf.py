@@ -100,6 +100,8 @@ def _opened(path: Path) -> Any:
         raise InputError(
             "DXF files are read by ezdxf, which is not installed",
             where=str(path),
+            found="a DXF file, and no ezdxf",
+            needed="the package ezdxf",
             hint="pip install roomfit[cad]",
         ) from None
     read_bytes(path, "room file", most="text_bytes")
@@ -122,7 +124,13 @@ def _taken_apart(
     `counts` goes on from block to block: twenty that each insert ten of the next would never end.
     """
     if depth > _DEEPEST:
-        raise InputError("blocks are inserted into each other", where=str(path), found=block)
+        raise InputError(
+            "blocks are inserted into each other",
+            where=str(path),
+            found=f"block {block!r}, at depth {depth}",
+            needed=f"blocks within blocks, at most {_DEEPEST} deep",
+            hint="explode the blocks in the drawing program",
+        )
     for entity in entities:
         counts["entities"] += 1
         check_limit("entities", counts["entities"], str(path))
@@ -134,12 +142,10 @@ def _taken_apart(
         name = str(entity.dxf.name)
         definition = entity.block()
         if definition is None or definition.block.is_xref:
-            raise InputError(
-                "a block of the drawing is not in the file",
-                where=str(path),
-                found=name,
-                hint="bind external references before the export",
-            )
+            what = "a block of the drawing is not in the file"
+            needed = "every block that is inserted"
+            hint = "bind external references before the export"
+            raise InputError(what, where=str(path), found=name, needed=needed, hint=hint)
         inserts = entity.multi_insert() if entity.mcount > 1 else (entity,)
         for insert in inserts:
             counts["inserts"] += 1
@@ -156,23 +162,18 @@ def _exploded(insert: Any, where: str) -> list[Any]:
 
     entities = list(insert.virtual_entities(skipped_entity_callback=note))
     if lost:
-        raise InputError(
-            "a block of the drawing cannot be taken apart",
-            where=where,
-            found=lost[0],
-            hint="explode it in the drawing program",
-        )
+        what = "a block of the drawing cannot be taken apart"
+        needed = "blocks of entities that can be exploded"
+        hint = "explode it in the drawing program"
+        raise InputError(what, where=where, found=lost[0], needed=needed, hint=hint)
     return entities
 
 
 def _unreadable(where: str, found: str) -> InputError:
-    return InputError(
-        "a surface of the drawing cannot be read",
-        where=where,
-        found=found,
-        needed="3DFACE, polyface or MESH entities, or closed polylines with straight edges",
-        hint="explode it, or turn it into a mesh, before the export",
-    )
+    what = "a surface of the drawing cannot be read"
+    needed = "3DFACE, polyface or MESH entities, or closed polylines with straight edges"
+    hint = "explode it, or turn it into a mesh, before the export"
+    return InputError(what, where=where, found=found, needed=needed, hint=hint)
 
 
 def _polygons(entity: Any, kind: str, where: str) -> list[list[Any]] | None:

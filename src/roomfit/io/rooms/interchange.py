@@ -197,6 +197,8 @@ def _polygons(path: Path, kind: str, library: str, extra: str) -> tuple[Any, lis
             raise InputError(
                 f"{path.suffix} files are read by {library}, which is not installed",
                 where=str(path),
+                found=f"a {path.suffix} file, and no {library}",
+                needed=f"the package {library}",
                 hint=f"pip install roomfit[{extra}]{_INSTEAD.get(kind, '')}",
             ) from None
         raise damaged(_NAMES[kind], path, str(error)[:300]) from error

@@ -30,6 +30,7 @@ from roomfit.io.rooms.model import (
     check_corners,
     damaged,
     finite,
+    malformed,
     no_faces,
     whole,
 )
@@ -83,11 +84,8 @@ class _Lines:
             raise _cut_short(self.path)
         if len(words) < least or (first is not None and words[0] != first):
             needed = f"{first!r} and {least - 1} values" if first else f"{least} values"
-            raise InputError(
-                "an AC3D line is not as it must be",
-                where=self.where,
-                found=" ".join(words)[:60],
-                needed=needed,
+            raise malformed(
+                "an AC3D line is not as it must be", self.where, " ".join(words)[:60], needed
             )
         return words
 
@@ -119,12 +117,9 @@ def read_ac3d(path: Path) -> RoomModel:
     lines = _Lines(path)
     first = lines.words()
     if not "".join(first[:1]).startswith("AC3D"):
-        raise InputError(
-            "this is no AC3D file",
-            where=str(path),
-            found=repr(" ".join(first)[:40]),
-            needed='"AC3D" at the start of the first line',
-        )
+        needed = '"AC3D" at the start of the first line'
+        hint = "export the room as AC3D, or rename the file after its own format"
+        raise malformed("this is no AC3D file", str(path), repr(" ".join(first)[:40]), needed, hint)
     materials: list[str] = []
     done: list[_Object] = []
     while words := lines.words():
@@ -189,12 +184,8 @@ def _read_surf(lines: _Lines) -> _Surf:
         material = whole(words[1], lines.where)
         words = lines.needed("refs", 2)
     elif words[0] != "refs":
-        raise InputError(
-            "an AC3D surface without refs",
-            where=lines.where,
-            found=" ".join(words)[:60],
-            needed='"refs" and the number of its corners',
-        )
+        needed = '"refs" and the number of its corners'
+        raise malformed("an AC3D surface without refs", lines.where, " ".join(words)[:60], needed)
     rows = range(_count(words, lines))
     corners = tuple(whole(lines.needed(None, 1)[0], lines.where) for _ in rows)
     if flags & _TYPE_BITS != _POLYGON:
@@ -204,8 +195,8 @@ def _read_surf(lines: _Lines) -> _Surf:
 
 def _floats(words: list[str], n: int, lines: _Lines) -> list[float]:
     if len(words) < n + 1:
-        raise InputError(
-            "numbers are missing", where=lines.where, found=f"{len(words) - 1}", needed=f"{n}"
+        raise malformed(
+            "numbers are missing", lines.where, f"{len(words) - 1} of them", f"{n} numbers"
         )
     return [finite(word, lines.where) for word in words[1 : n + 1]]
 
@@ -213,11 +204,8 @@ def _floats(words: list[str], n: int, lines: _Lines) -> list[float]:
 def _count(words: list[str], lines: _Lines) -> int:
     count = whole(words[1] if len(words) > 1 else "", lines.where)
     if not 0 <= count <= _LARGEST_COUNT:
-        raise InputError(
-            "a count is out of range",
-            where=lines.where,
-            found=str(count),
-            needed=f"0 to {_LARGEST_COUNT}",
+        raise malformed(
+            "a count is out of range", lines.where, str(count), f"0 to {_LARGEST_COUNT}"
         )
     return count
 
@@ -240,12 +228,8 @@ def _collect(path: Path, materials: list[str], objects: list[_Object]) -> RoomMo
             where = f"{path}, object {this.name!r}"
             check_corners(corners, len(own), where)
             if not -1 <= number < len(materials):
-                raise InputError(
-                    "a face names a material that does not exist",
-                    where=where,
-                    found=f"material {number}",
-                    needed=f"0 to {len(materials) - 1}",
-                )
+                what = "a face names a material that does not exist"
+                raise malformed(what, where, f"material {number}", f"0 to {len(materials) - 1}")
             material = materials[number] if number >= 0 else None
             name = this.name or material or "unnamed"
             surface = Surface(name, None, material, sheets_meant and two_sided)
@@ -288,11 +272,8 @@ def read_obj(path: Path) -> RoomModel:
         match words[0]:
             case "v":
                 if len(words) < 4:
-                    raise InputError(
-                        "a vertex needs three coordinates",
-                        where=where,
-                        found=" ".join(words),
-                        needed="v x y z",
+                    raise malformed(
+                        "a vertex needs three coordinates", where, " ".join(words), "v x y z"
                     )
                 x, y, z = (finite(word, where) for word in words[1:4])
                 vertices.append((x, y, z))
@@ -316,13 +297,9 @@ def read_obj(path: Path) -> RoomModel:
     for face, line in zip(faces, lines, strict=True):
         for corner in face.corners:
             if not 0 <= corner < n:
-                raise InputError(
-                    "a face names a corner that does not exist",
-                    where=f"{path}, line {line}",
-                    found=f"corner {corner + 1}",
-                    needed=f"1 to {n}, or -1 to -{n} counted back",
-                    hint="the file may be cut short: export it again",
-                )
+                what = "a face names a corner that does not exist"
+                needed = f"1 to {n}, or -1 to -{n} counted back"
+                raise malformed(what, f"{path}, line {line}", f"corner {corner + 1}", needed)
     return RoomModel(np.array(vertices).reshape(-1, 3), tuple(faces))
 
 
@@ -346,12 +323,8 @@ def _statements(text: str) -> Iterator[tuple[int, list[str], str]]:
 def _corners(words: list[str], n_vertices: int, where: str) -> tuple[int, ...]:
     """Return the corners of a face, from 0; the file counts from 1, or back from the latest."""
     if len(words) < 4:
-        raise InputError(
-            "a face has fewer than three corners",
-            where=where,
-            found=" ".join(words),
-            needed="at least three",
-            hint="the file may be cut short: export it again",
+        raise malformed(
+            "a face has fewer than three corners", where, " ".join(words), "at least three"
         )
     corners = []
     for word in words[1:]:
@@ -438,23 +411,17 @@ def read_ply(path: Path) -> RoomModel:
 def _layer(names: list[str], number: int, path: Path) -> Surface | None:
     """Return the surface of a layer, None for -1."""
     if not -1 <= number < len(names):
-        raise InputError(
-            "a face names a layer that does not exist",
-            where=str(path),
-            found=f"layer {number}",
-            needed=f"0 to {len(names) - 1}",
-        )
+        what = "a face names a layer that does not exist"
+        hint = "export it from I-Simpa again: its layers stand before its faces"
+        raise malformed(what, str(path), f"layer {number}", f"0 to {len(names) - 1}", hint)
     return Surface(names[number], None, names[number]) if number >= 0 else None
 
 
 def _coordinate(row: dict[str, list[float]], axis: str, where: str) -> float:
     if not row.get(axis):
-        raise InputError(
-            "a vertex needs three coordinates",
-            where=where,
-            found=f"no {axis}, but {', '.join(row) or 'nothing'}",
-            needed="x, y and z",
-        )
+        what = "a vertex needs three coordinates"
+        needed, hint = "x, y and z", "export the vertices with the properties x, y and z"
+        raise malformed(what, where, f"no {axis}, but {', '.join(row) or 'nothing'}", needed, hint)
     return finite(str(row[axis][0]), where)
 
 
@@ -464,11 +431,12 @@ def _header(path: Path, content: bytes) -> tuple[str, list[_Element], bytes]:
     check_limit("header_bytes", len(head) if found else 0, str(path))
     lines = head.decode("latin-1").splitlines()
     if not found or not lines or lines[0].strip() != "ply":
-        raise InputError(
+        raise malformed(
             "this is no PLY file",
-            where=str(path),
-            found=repr(lines[0][:40] if lines else ""),
-            needed='"ply" first and "end_header" later',
+            str(path),
+            repr(lines[0][:40] if lines else ""),
+            '"ply" first and "end_header" later',
+            "export the room as PLY, or rename the file after its own format",
         )
     order, elements = None, list[_Element]()
     for number, line in enumerate(lines, start=1):
@@ -482,26 +450,27 @@ def _header(path: Path, content: bytes) -> tuple[str, list[_Element], bytes]:
                 code, count_code = _code(kind, where), _code(count, where)
                 if count_code in "fd" or (name in (*_CORNERS, _LAYER_NAME) and code in "fd"):
                     wanted = ", ".join(k for k, c in _CODES.items() if c not in "fd")
-                    what = "a PLY list needs whole numbers"
-                    raise InputError(what, where=where, found=line, needed=f"one of {wanted}")
+                    what, needed = "a PLY list needs whole numbers", f"one of {wanted}"
+                    hint = "export it as PLY with lists of uchar and int"
+                    raise malformed(what, where, line, needed, hint)
                 elements[-1].properties.append((name, code, count_code))
             case ["property", kind, name] if elements:
                 elements[-1].properties.append((name, _code(kind, where), ""))
     if order is None:
-        raise InputError(
+        raise malformed(
             "a PLY file of unknown format",
-            where=str(path),
-            found=next((w for w in lines if w.startswith("format")), "no line format")[:60],
-            needed=f"one of {', '.join(_ORDERS)}",
+            str(path),
+            next((w for w in lines if w.startswith("format")), "no line format")[:60],
+            f"one of {', '.join(_ORDERS)}",
+            "export it as ASCII PLY, version 1.0",
         )
     return order, elements, rest[rest.find(b"\n") + 1 :]
 
 
 def _code(kind: str, where: str) -> str:
     if kind not in _CODES:
-        raise InputError(
-            "unknown PLY type", where=where, found=repr(kind), needed=f"one of {', '.join(_CODES)}"
-        )
+        hint = "export it as ASCII PLY with coordinates of type float"
+        raise malformed("unknown PLY type", where, repr(kind), f"one of {', '.join(_CODES)}", hint)
     return _CODES[kind]
 
 
@@ -554,12 +523,9 @@ def read_3ds(path: Path) -> RoomModel:
     """
     content = read_bytes(path, "room file", most="text_bytes")
     if len(content) < _CHUNK.size or content[:2] != b"MM":
-        raise InputError(
-            "this is no 3DS file",
-            where=str(path),
-            found=repr(content[:2]),
-            needed='"MM" at its beginning',
-        )
+        what = "this is no 3DS file"
+        hint = "export the room as 3DS, or rename the file after its own format"
+        raise malformed(what, str(path), repr(content[:2]), '"MM" at its beginning', hint)
     _, length = _CHUNK.unpack_from(content)
     if length > len(content):
         raise _cut_short(path)

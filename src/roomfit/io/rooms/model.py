@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from roomfit._checks import check_known
 from roomfit.errors import InputError
 from roomfit.findings import Finding
 from roomfit.geometry.build import Face
@@ -71,23 +72,12 @@ def in_metres(model: RoomModel, unit: str | None, up: str | None, where: str) ->
             hint='add unit = "m" (or --unit m) and compare the volume that is shown',
             found="no unit",
         )
-    if chosen not in METRES_PER_UNIT:
-        raise InputError(
-            "unknown unit",
-            where=where,
-            found=repr(chosen),
-            needed=f"one of {known}",
-            hint="compare the volume that roomfit check shows",
-        )
+    compare = "compare the volume that roomfit check shows"
+    check_known("unknown unit", chosen, METRES_PER_UNIT, where=where, else_try=compare)
     axis = up or model.up
     if axis not in ("y", "z"):
-        raise InputError(
-            "unknown up axis",
-            where=where,
-            found=repr(axis),
-            needed='"y" or "z"',
-            hint="y where the height of the room stands second",
-        )
+        needed, hint = '"y" or "z"', "y where the height of the room stands second"
+        raise InputError("unknown up axis", where=where, found=repr(axis), needed=needed, hint=hint)
     x, y, z = (model.vertices * METRES_PER_UNIT[chosen]).reshape(-1, 3).T
     return np.stack([x, -z, y] if axis == "y" else [x, y, z], axis=1)
 
@@ -151,17 +141,25 @@ class RoomSpec:
                 hint="leave the others out",
             )
         if self.space is not None and Path(self.file or "").suffix.lower() not in OF_SEVERAL:
-            raise InputError(
-                "only a building model and a scan have spaces",
-                found=self.space,
-                needed=f"a file of {' or '.join(OF_SEVERAL)}",
-                hint="leave space out",
-            )
+            what = "only a building model and a scan have spaces"
+            needed = f"a file of {' or '.join(OF_SEVERAL)}"
+            raise InputError(what, found=self.space, needed=needed, hint="leave space out")
 
 
 # Far above any room in any unit, far below where squares overflow.
 _LARGEST = 1e9
 _MOST_DIGITS = 18
+
+
+def malformed(
+    what: str,
+    where: str,
+    found: str,
+    needed: str,
+    hint: str = "export the room again, or mend this line",
+) -> InputError:
+    """Return the error of what stands in the file of a room, in the words of its format."""
+    return InputError(what, where=where, found=found, needed=needed, hint=hint)
 
 
 def finite(token: str, where: str) -> float:
@@ -171,13 +169,8 @@ def finite(token: str, where: str) -> float:
     except ValueError:
         value = math.nan
     if not abs(value) <= _LARGEST:
-        raise InputError(
-            "a coordinate is not a finite number",
-            where=where,
-            found=repr(token[:40]),
-            needed=f"a number of size up to {_LARGEST:g}",
-            hint="export the room again, or mend this line",
-        )
+        what = "a coordinate is not a finite number"
+        raise malformed(what, where, repr(token[:40]), f"a number of size up to {_LARGEST:g}")
     return value
 
 
@@ -188,37 +181,24 @@ def whole(token: str, where: str) -> int:
             raise ValueError
         return int(token)
     except ValueError:
-        raise InputError(
-            "a whole number was expected",
-            where=where,
-            found=repr(token[:40]),
-            needed=f"digits alone, {_MOST_DIGITS} at most",
-            hint="export the room again, or mend this line",
-        ) from None
+        needed = f"digits alone, {_MOST_DIGITS} at most"
+        raise malformed("a whole number was expected", where, repr(token[:40]), needed) from None
 
 
 def check_corners(corners: Iterable[int], n_vertices: int, where: str) -> None:
     """Refuse a face with a corner that is not there; corners count from 0."""
     for corner in corners:
         if not 0 <= corner < n_vertices:
-            raise InputError(
-                "a face names a corner that does not exist",
-                where=where,
-                found=f"corner {corner}",
-                needed=f"0 to {n_vertices - 1}",
-                hint="export the room again; corners may be counted from 1",
-            )
+            what = "a face names a corner that does not exist"
+            hint = "export the room again; corners may be counted from 1"
+            raise malformed(what, where, f"corner {corner}", f"0 to {n_vertices - 1}", hint)
 
 
 def damaged(kind: str, path: Path, found: str) -> InputError:
     """Return the error of a file in which a library of others gets lost."""
-    return InputError(
-        f"this {kind} file cannot be read",
-        where=str(path),
-        found=found,
-        needed=f"a whole {kind} file",
-        hint="the file may be damaged or cut short: export it again",
-    )
+    what = f"this {kind} file cannot be read"
+    hint = "the file may be damaged or cut short: export it again"
+    return InputError(what, where=str(path), found=found, needed=f"a whole {kind} file", hint=hint)
 
 
 def no_faces(

@@ -193,12 +193,8 @@ def closed_room(
     check_limit("scan_parts", n_parts, "the scan")
     walls = [p for p in parts if p.kind == "wall" and _length(_foot(p)) > _DISTINCT_M]
     if len(walls) < 3:
-        raise InputError(
-            "the scan encloses no room",
-            found=f"{len(walls)} walls",
-            needed="three or more",
-            hint=_HINT,
-        )
+        what = "the scan encloses no room"
+        raise InputError(what, found=f"{len(walls)} walls", needed="three or more", hint=_HINT)
     edges, moved_m = _edges_by_walls(walls) if floor_m is None else (_by_floor(floor_m, walls), 0.0)
     if all(e.wall is None for e in edges):
         raise InputError(
@@ -364,7 +360,12 @@ def _by_floor(floor_m: FloatArray, walls: Sequence[Part]) -> list[_Edge]:
     plan = floor_m[:, :2]
     plan = plan[np.linalg.norm(plan - np.roll(plan, 1, axis=0), axis=1) > _DISTINCT_M]
     if len(plan) < 3:
-        raise InputError("the floor of the scan has no area", needed="three corners or more")
+        raise InputError(
+            "the floor of the scan has no area",
+            found=f"{len(plan)} corners that are apart",
+            needed="three corners or more",
+            hint=_HINT,
+        )
     flat, bent = [w for w in walls if not w.is_curved], [w for w in walls if w.is_curved]
     return _turning_left(
         [
