@@ -24,7 +24,7 @@ from roomfit.io.reverberation import diffuse_field
 from roomfit.logit import expit, logit
 from roomfit.materials.catalogue import material_prior
 from roomfit.materials.priors import unknown_material
-from roomfit.prediction.diffuse import prepare_field
+from roomfit.prediction.diffuse import field_values, prepare_field
 from roomfit.scene import Scene, shoebox_room
 from roomfit.treatment.question import Product, Surface, Target
 from roomfit.treatment.treat import treat
@@ -273,10 +273,50 @@ def test_an_error_that_formulas_share_stays_and_no_change_adds_none():
         np.array([[0.9], [0.92], [0.88], [0.9]]),
     )  # fmt: skip
     own = prepare_field(field, Scene(room, (), (), np.zeros((0, 2), np.int64), Air()))
-    drawn = field.times_s(own.draws) * np.exp(own.errors[0])
+    drawn = field.times_s(own.draws) * np.exp(own.error)
     relative = np.std(np.log(drawn / 0.9))
     assert relative == pytest.approx(own.scatter[0], rel=0.15)
     assert relative < 0.02
+
+
+def test_more_absorption_never_lengthens_a_decay_and_less_never_shortens_it(folder):
+    """In every draw, though by how much is uncertain by a factor of about two."""
+    room = prepared(folder)
+    at, found = room.absorption.materials.index("ceiling"), room.absorption.absorption
+
+    def ratio(factor: float) -> np.ndarray:
+        drawn = room.draws.copy()
+        drawn[:, at] *= factor
+        before_s, after_s = (field_values(room, found, d)[1] for d in (room.draws, drawn))
+        return after_s / before_s
+
+    assert np.array_equal(ratio(1.0), np.ones(room.draws.shape[::2]))
+    assert ratio(3.0).max() < 1.0 < ratio(0.3).min()
+    said = np.log(room.field.times_s(room.draws * np.where(at == np.arange(3), 3.0, 1.0)[:, None]))
+    said = np.log(ratio(3.0)) / (said - np.log(room.field.times_s(room.draws)))
+    low, middle, high = np.quantile(said, (0.025, 0.5, 0.975))
+    assert low < 0.6 and middle == pytest.approx(1.0, abs=0.05) and 1.4 < high < 3.0
+
+
+def test_what_a_change_does_is_surer_the_larger_it_is_and_less_sure_in_flat_and_uneven_rooms():
+    """Factors on the formula's change of the logarithm of the time, at 2 standard deviations."""
+    walls, audience = np.array([[30.0], [36.0], [60.0]]), np.zeros(1)
+    priors, octave = (unknown_material("room", 1),), roomfit.bands_between("octave", 1000, 1000)
+    usual, flat = (
+        DiffuseField("Eyring", octave, priors, areas, 90.0, 344.0, audience)
+        for areas in (walls, walls * [[1.0], [1.0], [5.0]])
+    )
+
+    def factor(field: DiffuseField, difference: float, apart: float, z: float) -> float:
+        return float(field.effect(np.array(difference), np.array(apart), np.array(z))) / difference
+
+    assert factor(usual, -0.3, 0.5, 0.0) == 1.0
+    more, less = factor(usual, -0.3, 0.5, 2.0), factor(usual, -0.3, 0.5, -2.0)
+    assert 1.0 < more < 2.0 and less < 1.0 / more
+    assert factor(usual, -1.0, 0.5, 2.0) < more < factor(usual, -0.3, 1.0, 2.0)
+    assert factor(usual, -0.3, 9.0, 2.0) == factor(usual, -0.3, 1.0, 2.0)
+    assert more < factor(flat, -0.3, 0.5, 2.0)
+    assert factor(usual, 0.3, 0.5, 2.0) == more
 
 
 def test_the_page_begins_with_the_sentence_that_is_printed_and_shows_a_covered_ceiling(
@@ -285,8 +325,8 @@ def test_the_page_begins_with_the_sentence_that_is_printed_and_shows_a_covered_c
     """The ceiling is turned away from the viewer: its two triangles are drawn in front."""
     out = command(monkeypatch, folder, "treat")
     sentence = capsys.readouterr().out.splitlines()[0]
-    assert " m² panel on ceiling: T30 at mid frequencies is 1.10 s (measured)" in sentence
-    assert "is expected after the change; whether it falls is not determined." in sentence
+    assert " m² panel on ceiling: T30 at mid frequencies falls from 1.10 s (measured)" in sentence
+    assert " to 0.80 s (0." in sentence
     page = (out / "treatment.html").read_text()
     assert f'<p class="lead">{sentence}</p>' in page
     assert page.index("<svg") < page.index('<ul class="figures">') < page.index("<table")
@@ -303,9 +343,9 @@ def test_a_prediction_of_a_change_begins_with_what_was_measured_and_what_is_then
 ):
     out = command(monkeypatch, folder, "predict", "--set", "ceiling=0.6")
     first = capsys.readouterr().out.splitlines()[0]
-    assert first.startswith("With ceiling=0.6: T30 at mid frequencies is 1.10 s (measured)")
+    assert first.startswith("With ceiling=0.6: T30 at mid frequencies falls from 1.10 s (measured)")
     content = json.loads((out / "predicted.json").read_text())
     time = content["mean"]["T30_s"]
-    said = f"and {np.mean(time['carried']):.2f} s ({np.mean(time['carried_lower95']):.2f} to "
+    said = f"to {np.mean(time['carried']):.2f} s ({np.mean(time['carried_lower95']):.2f} to "
     assert said in first
     assert (out / "change.png").read_bytes()[:4] == b"\x89PNG"

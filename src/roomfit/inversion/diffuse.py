@@ -30,9 +30,12 @@ LEAST_RELATIVE_SD = 0.05
 # Of the time of rays in a box beside Eyring's, in units of Fitzroy's distance from it: mean,
 # standard deviation (docs/decisions/0052).
 ERROR_MEAN, ERROR_SD = 0.5, 0.6
-# In the same units the standard deviation of what a change of walls adds, and how it rises with
-# the share of the surface across one axis: rooms that are flat keep a field of their own.
-_ANEW, _ANEW_FLAT, _FLAT_FROM = 0.3, 2.0, 0.5
+# A change of walls alters the logarithm of a time by the formula's difference times a positive
+# factor. The spread of the factor's logarithm falls with the difference and rises with that
+# distance, up to 1, and with the share of the surface across one axis, since flat rooms keep a
+# field of their own. Below the formula's difference it is larger, by the last of these.
+_EFFECT_SD, _EFFECT_SD_APART, _EFFECT_SD_FLAT, _FLAT_FROM = 0.25, 0.3, 2.75, 0.5
+_LESS_THAN_SAID = 2.2
 _ROUNDS = 50
 _DONE = 1e-9
 _MEASURES = tuple(f for f in FORMULAS if f != "Sabine")
@@ -306,10 +309,26 @@ class DiffuseField:
         across = self.areas_m2.sum(axis=1)
         return float(across.max() / across.sum())
 
-    @property
-    def error_of_change(self) -> float:
-        """Standard deviation of what a change adds, in units of the error of the formula."""
-        return _ANEW + _ANEW_FLAT * max(self.flatness - _FLAT_FROM, 0.0)
+    def effect(self, difference: FloatArray, apart: FloatArray, normal: FloatArray) -> FloatArray:
+        """Return by how much a change of walls may alter the logarithm of the time.
+
+        Shapes that fit each other.
+
+        Parameters
+        ----------
+        difference : float array
+            What the formula says of a change to more absorption, or to less.
+        apart : float array
+            Unit of `formula_error`, before or after the change, whichever is larger.
+        normal : float array
+            Standard normal numbers.
+        """
+        sd = _EFFECT_SD + _EFFECT_SD_APART * np.minimum(apart, 1.0)
+        flat = _EFFECT_SD_FLAT * max(self.flatness - _FLAT_FROM, 0.0)
+        sd = sd * np.exp(-np.abs(difference)) + flat
+        return np.asarray(
+            difference * np.exp(sd * np.where(normal < 0.0, _LESS_THAN_SAID, 1.0) * normal)
+        )
 
     def formula_error(self, absorption: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return mean and unit of the error of the formula, in logarithms of times.

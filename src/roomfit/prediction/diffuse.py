@@ -46,8 +46,6 @@ NAME: ValueName = "T30_s"
 _STEPS = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
 # Draws cost nothing without paths, and a probability of 0.9 is then known to 0.01.
 _LEAST_DRAWS = 1000
-# Of the logarithm of a time: from so large a change on its error is in full what was measured.
-_WHOLE_CHANGE = 0.1
 # Share of the surface across one axis: a room of 3 by 3 by 1 has 0.6, a cube 0.33.
 _FLAT = 0.6
 
@@ -64,9 +62,10 @@ class PreparedField:
     measured_s: FloatArray  # (n_bands,), NaN where nothing was measured
     measured_sd_s: FloatArray  # (n_bands,), as `roomfit reverberation` states it
     scatter: FloatArray  # (n_bands,), relative sd of a mean over as many positions; 0: unknown
-    # (2, n_draws, n_bands), of the logarithm of the time: the error that stays when walls change,
-    # and a standard normal number for the one that a change adds
-    errors: FloatArray
+    # (n_draws, n_bands), of the logarithm of the time: the error that stays when walls change
+    error: FloatArray
+    # (2, n_draws, n_bands), standard normal: of what more absorption does, and what less does
+    effects: FloatArray
     seed: int
     findings: tuple[Finding, ...]
 
@@ -99,11 +98,10 @@ def prepare_field(
     -----
     The logarithm of a measured time is that of the formula's at a draw of the absorption, plus an
     error that stays when walls change, plus the scatter of the mean over positions. Both are drawn
-    under the condition that they add up to the departure of the measured time. A change adds an
-    error with a standard deviation of `DiffuseField.error_of_change` times the distance between
-    formulas (`DiffuseField.formula_error`), the larger of both states, in full where the formula's
-    time changes by 10 % or more. The scatter is that between the positions, and at least that of
-    ISO 3382-2:2008, annex A, for T30 of as many.
+    under the condition that they add up to the departure of the measured time. A change alters that
+    logarithm by the formula's difference times a positive factor (`DiffuseField.effect`): more
+    absorption never lengthens the decay. The scatter is that between the positions, and at least
+    that of ISO 3382-2:2008, annex A, for T30 of as many.
     """
     settings = Settings() if settings is None else settings
     n_draws, rng = max(settings.n_draws, _LEAST_DRAWS), np.random.default_rng(settings.seed)
@@ -113,7 +111,7 @@ def prepare_field(
     n_bands = len(field.bands)
     measured, sd, scatter = np.full(n_bands, np.nan), np.zeros(n_bands), np.zeros(n_bands)
     # in every band the same errors of the room, and a scatter of its own
-    own, anew = (np.tile(rng.standard_normal((len(draws), 1)), n_bands) for _ in range(2))
+    own, *effects = (np.tile(rng.standard_normal((len(draws), 1)), n_bands) for _ in range(3))
     mean, unit = field.formula_error(draws)
     sd_log = np.hypot(LEAST_RELATIVE_SD, ERROR_SD * unit)
     error = mean + sd_log * own
@@ -126,8 +124,8 @@ def prepare_field(
         off = np.log(measured / field.times_s(draws)) - (error + n)
         error += off * sd_log**2 / (sd_log**2 + scatter**2)
     return PreparedField(
-        scene, field, known, draws, rng, measured, sd, scatter, np.stack([error, anew]),
-        settings.seed, (_source(field), *_shape(field)),
+        scene, field, known, draws, rng, measured, sd, scatter, error,
+        np.stack(effects), settings.seed, (_source(field), *_shape(field)),
     )  # fmt: skip
 
 
@@ -184,12 +182,14 @@ def field_times_s(room: PreparedField, absorption: FloatArray) -> FloatArray:
 
 def _drawn_s(room: PreparedField, draws: FloatArray) -> FloatArray:
     """Return the times that draws of absorption give, shape (n_draws, n_bands)."""
-    error, anew = room.errors
-    before, after = (np.log(room.field.times_s(d)) for d in (room.draws, draws))
-    units = [room.field.formula_error(d)[1] for d in (room.draws, draws)]
-    size = np.minimum(abs(after - before) / _WHOLE_CHANGE, 1.0)
-    added = room.field.error_of_change * np.max(units, axis=0) * size * anew
-    return np.asarray(np.exp(after + error + added))
+    more = np.maximum(room.draws, draws)
+    before, most, after = (np.log(room.field.times_s(d)) for d in (room.draws, more, draws))
+    apart = np.max([room.field.formula_error(d)[1] for d in (room.draws, draws)], axis=0)
+    less, longer = (
+        room.field.effect(difference, apart, normal)
+        for difference, normal in zip((most - before, after - most), room.effects, strict=True)
+    )
+    return np.asarray(np.exp(before + room.error + less + longer))
 
 
 def field_values(
