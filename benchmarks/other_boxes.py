@@ -3,7 +3,7 @@
     python benchmarks/other_boxes.py [--seeds 1 2 3 4 5] [--pairs 8] [--position-error 0.01]
         [--unfitted] [--energy] [--no-delays] [--c-error 0] [--delay-ms 0] [--top-hz 4000]
         [--third-octaves] [--strength 0] [--directivity omni] [--posterior] [--quick]
-        [--smoothness SD] [--objects A]
+        [--smoothness SD] [--objects A] [--kept]
 
 What is run and timed is `roomfit identify` on campaign files, without writing its folder.
 
@@ -17,7 +17,9 @@ what the campaign tells of it. --posterior identifies every box a second time wi
 the first answer beside the full one, and how much wider its intervals are. --smoothness
 tells by how much logit absorption changes from octave to octave; it does by 0.4 there. --objects
 puts an absorption of A m2 into every room, in the octaves of 500 and 1000 Hz: the campaigns are
-fitted without a word of it, and with its prior of mean and standard deviation A. The null
+fitted without a word of it, and with its prior of mean and standard deviation A. --kept fits every
+second response and predicts the others: errors of room parameters in just noticeable differences,
+beside the mean of the fitted responses; the scattering is that of the campaign, none. The null
 model gives all walls of a room the area mean of the fitted answer.
 """
 
@@ -36,6 +38,7 @@ from roomfit.findings import Code
 from roomfit.identification import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.results import Result
+from roomfit.signals.decay import in_jnd
 
 # Findings of nearly every one of these rooms: their decays are short, some bands low.
 QUIET = {Code.DECAY_RANGE_TOO_SMALL, Code.BELOW_SCHROEDER_FREQUENCY}
@@ -134,6 +137,35 @@ def _show_directivity(done: list[Outcome]) -> None:
     )
 
 
+def keep_every_second(campaign: Path) -> None:
+    """Keep every second measurement of a campaign for validation."""
+    head, *measurements = campaign.read_text().split("[[measurements]]\n")
+    for i in range(1, len(measurements), 2):
+        measurements[i] = 'use = "validate"\n' + measurements[i]
+    campaign.write_text("[[measurements]]\n".join([head, *measurements]))
+
+
+def show_kept(done: list[Outcome]) -> None:
+    """Print errors of responses that were not fitted, in just noticeable differences, by band."""
+    print(
+        f"kept, mean |JND|{'':<12}" + " ".join(f"{f:6g}" for f in done[0].answer.bands.centres_hz)
+    )
+    pairs = [p for o in done for p in o.answer.pairs if p.use == "validate"]
+    for name in pairs[0].parameters:
+        own = [p.parameters[name] for p in pairs]
+        off = np.array([c.jnd for c in own])
+        null = np.array([in_jnd(name, c.measured, c.null) for c in own])
+        known = np.isfinite(off) & np.isfinite(null)
+        for label, error in ((name, off), ("  mean of the others", null)):
+            means = np.where(known, np.abs(error), 0.0).sum(axis=0) / np.maximum(
+                known.sum(axis=0), 1
+            )
+            cells = " ".join(f"{m:6.2f}" for m in means)
+            print(f"{label:<28}{cells}  all {np.abs(error[known]).mean():.2f}")
+    added = [o.answer.by_pressures for o in done if o.answer.by_pressures is not None]
+    print(f"by pressures: {sum(int(a.sum()) for a in added)} of {sum(a.size for a in added)} bands")
+
+
 def one_for_all(o: Outcome) -> np.ndarray:
     """Return the room's own mean for every wall, shape (n_materials, n_bands)."""
     share = o.answer.areas_m2 / o.answer.areas_m2.sum()
@@ -161,6 +193,7 @@ def main() -> None:
     parser.add_argument("--posterior", action="store_true", help="sampled intervals beside")
     parser.add_argument("--quick", action="store_true", help="first answers beside")
     parser.add_argument("--objects", type=float, default=0.0, help="m2 in every room")
+    parser.add_argument("--kept", action="store_true", help="every second response is predicted")
     arguments = parser.parse_args()
     more = 'positions = "fixed"\n' if arguments.unfitted else ""
     more += "wall_delays = false\n" if arguments.no_delays else ""
@@ -184,6 +217,8 @@ def main() -> None:
                 strength=arguments.strength,
                 specified=arguments.directivity,
             )
+            if arguments.kept:
+                keep_every_second(box.campaign)
             done.append(outcome(box, arguments.third_octaves, more))
             if arguments.quick:
                 first.append(outcome(box, False, "", quick=True))
@@ -203,6 +238,8 @@ def main() -> None:
         if sampled:
             _show_samples(sampled[-1])
     show(done)
+    if arguments.kept:
+        show_kept(done)
     for name, others in (
         ("sampled", sampled),
         ("first answers", first),

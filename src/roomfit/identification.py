@@ -423,7 +423,7 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
         trace=traced_with(evidence.traced),
         state_means=_state_means(evidence),
     )
-    return with_objects_apart(whole, priors)
+    return with_objects_apart(replace(whole, by_pressures=evidence.by_pressures), priors)
 
 
 def _state_means(evidence: Evidence) -> dict[str, FloatArray]:

@@ -123,6 +123,8 @@ class Result:
     # by band, means over groups of materials that the data determine, the whole room first
     combinations: tuple[tuple[Combination, ...], ...] = ()
     models: tuple[str, ...] = ()  # by band, "energy", "coherent", "values", or "prior" alone
+    # (n_bands,), where decays are predicted by pressures of image sources; None: nowhere
+    by_pressures: BoolArray | None = None
     scattering: FloatArray | None = None  # (n_materials, n_bands): specified, assumed or fitted
     geometry: FittedGeometry | None = None  # None where arrival times were not fitted
     directivities: tuple[FittedDirectivity, ...] = ()  # of the sources for which it was fitted
@@ -307,6 +309,7 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
         prior_logit_sd=sd,
         prior_logit_covariance=answer.logit_prior_covariance,
         scattering=answer.scattering,
+        by_pressures=answer.by_pressures,
         directivities={n: p for d in answer.directivities for n, p in d.patterns().items()},
         prior_specified=answer.prior_specified,
         chi2_reduced=answer.chi2_reduced,

@@ -15,6 +15,7 @@ from roomfit.io.results import read_result, write_result
 from roomfit.objective.room_parameters import model_sd
 from roomfit.prediction.decay import PairNumbers, PredictedDecay
 from roomfit.prediction.misfit import with_misfit
+from roomfit.prediction.split import for_another_room
 from roomfit.results import absorption_posterior
 from roomfit.signals.decay import jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES
@@ -83,6 +84,21 @@ def test_departures_as_expected_widen_little_and_smaller_ones_not_at_all():
     np.testing.assert_allclose(model, MODEL_JND)
 
 
+def test_about_pressures_fitted_pairs_that_depart_less_make_the_noise_less_too():
+    """Six pairs and the one that theory stands for: a variance of a third where none departs."""
+    known = np.array([True])
+    one = with_misfit(numbers(), np.zeros((N_PAIRS, N, 1)), known)[1]
+    np.testing.assert_allclose(one.noise_sd[:, 0] / UNIT, NOISE_JND / np.sqrt(N_PAIRS))
+    given = tuple(replace(n, common_noise=0.5 * n.noise_sd**2) for n in numbers())
+    for departures in (0.0, 4.0):
+        rows = departures * np.array([1.0, -1.0] * 3)[:, None, None] * np.ones((1, N, 1))
+        own = with_misfit(given, rows, known)[0]
+        assert np.all(own.common_noise < own.noise_sd**2)
+        unknown = with_misfit(given, rows, ~known)[0]
+        assert np.all(own.noise_sd <= unknown.noise_sd)
+        assert np.all((own.noise_sd < unknown.noise_sd) == (departures == 0.0))
+
+
 def test_what_was_not_measured_widens_nothing():
     departures = np.full((N_PAIRS, N, 1), np.nan)
     departures[:, 0] = 9.0
@@ -116,6 +132,33 @@ def test_departures_of_fitted_pairs_go_through_the_file(tmp_path):
     del content["pairs"]
     file.write_text(json.dumps(content))
     assert read_result(EditedFile(file)).fitted_jnd is None
+
+
+def test_in_which_bands_pressures_are_added_goes_through_the_file_and_not_into_another_room(
+    tmp_path,
+):
+    answer = answer_of(scene_of())
+    answer = replace(answer, combinations=((),) * len(answer.bands))
+    n = len(answer.bands)
+    for number, flags in enumerate((None, np.zeros(n, dtype=bool), np.arange(n) == 1)):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        write_result(folder, replace(answer, by_pressures=flags), ())
+        found = read_result(folder / "result.json")
+        if flags is None or not flags.any():
+            assert found.by_pressures is None
+            continue
+        assert found.by_pressures.tolist() == flags.tolist()
+        areas = dict(zip(found.materials, found.areas_m2.tolist(), strict=True))
+        assert for_another_room(found, areas, 100, 1)[0].by_pressures is found.by_pressures
+        larger = {name: 2.0 * area for name, area in areas.items()}
+        assert for_another_room(found, larger, 100, 1)[0].by_pressures is None
+        file = folder / "result.json"
+        content = json.loads(file.read_text())
+        content["fit"]["by_pressures"] = [0.5]
+        file.write_text(json.dumps(content))
+        with pytest.raises(InputError, match="by_pressures"):
+            read_result(EditedFile(file))
 
 
 def test_one_outlier_among_many_pairs_does_not_widen_all_by_itself():

@@ -193,7 +193,7 @@ def test_a_record_shows_the_worst_seed_and_counts_only_what_is_within_0_005(
 @pytest.mark.slow
 def test_a_failing_task_is_reported_and_the_rest_dropped() -> None:
     """The error itself comes through, from a process as well."""
-    with pytest.raises(InputError, match="is out of range"), worker_pool(2) as pool:
+    with pytest.raises(InputError, match="trace setting"), worker_pool(2) as pool:
         in_pool(pool, [partial(measurement_part, -1, 0)])
     with pytest.raises(InputError, match="number of workers"), worker_pool(0):
         pass

@@ -8,7 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_in_words
 from roomfit.diagnostics.evidence import Evidence, Law
 from roomfit.findings import About, Code, Finding
@@ -21,7 +20,7 @@ from roomfit.materials.priors import MaterialPrior, Scattering
 from roomfit.response.binned import BinnedPaths
 from roomfit.response.energy import EnergyRows
 from roomfit.results import ComparedPair
-from roomfit.scene import distances_m, material_areas_m2, pair_names
+from roomfit.scene import material_areas_m2, pair_names
 from roomfit.settings import Settings
 from roomfit.signals.decay import room_parameters
 from roomfit.tracing.paths import TraceSettings
@@ -93,7 +92,7 @@ def decay_misses(
     smooth walls on a few flutter echoes. EDT counts over three pairs and more: near a source the
     direct sound makes it as short as it likes, which the theory of its scatter leaves out.
 
-    Predictions add energies. Between smooth, parallel walls pressures do not add so: the right
+    Between smooth, parallel walls pressures do not add as energies do: by energies the right
     absorption may miss the decay by half there. A band that was fitted by pressures is therefore
     missed only where its own windows, as fitted, miss the same part of their decay, too.
 
@@ -181,12 +180,8 @@ def fitted_decay_times_s(
     """
     scene, all_bands, own = measurements.scene, measurements.bands, list(chosen)
     bands = Bands(all_bands.kind, all_bands.centres_hz[own])
-    attenuation = attenuation_per_m(scene.air, bands)
-    direct_s = distances_m(scene) / speed_of_sound_m_s(scene.air)
     found = [
-        room_parameters(
-            predicted_curve(bands, binned, i, absorption[:, own], attenuation, float(direct_s[i]))
-        )
+        room_parameters(predicted_curve(scene, bands, binned, i, absorption[:, own]))
         for i in _drawn_pairs(measurements)
     ]
     return {

@@ -13,7 +13,7 @@ from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import Measurement
 from roomfit.results import ComparedPair
 from roomfit.settings import Settings
-from roomfit.typing import FloatArray
+from roomfit.typing import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +68,7 @@ class Evidence(Recorded):
     traced: TracedPaths
     fits: BandFits
     pairs: tuple[ComparedPair, ...]  # measured against predicted
+    by_pressures: BoolArray  # (n_bands,), where these follow from pressures of image sources
     absorption: FloatArray  # (n_materials, n_bands)
     lower95: FloatArray  # (n_materials, n_bands)
     upper95: FloatArray  # (n_materials, n_bands)

@@ -6,15 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from roomfit.air import attenuation_per_m
+from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.inversion.measurements import Measurements
 from roomfit.measurement import MeasuredPair, Use
 from roomfit.objective.observation import spread_over_time
 from roomfit.objective.room_parameters import predicted_values
-from roomfit.response.binned import BinnedPaths, pair_energies
+from roomfit.response.binned import BinnedPaths, pair_energies, rows_at
+from roomfit.response.coherent import energy_of_pressures, root_energies
+from roomfit.response.energy import power_table, window_of_rows
 from roomfit.results import Compared, ComparedPair, Decay
-from roomfit.scene import pair_names
+from roomfit.scene import Scene, distances_m, pair_names
 from roomfit.signals.decay import (
     PARAMETER_NAMES,
     DecayCurve,
@@ -24,7 +26,7 @@ from roomfit.signals.decay import (
     room_parameters,
 )
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
-from roomfit.typing import FloatArray
+from roomfit.typing import BoolArray, FloatArray
 
 
 def compared_values(
@@ -69,17 +71,21 @@ _PICTURE_STEP_S = 2e-3
 
 
 def compare_all(
-    measurements: Measurements, binned: BinnedPaths, absorption: FloatArray
+    measurements: Measurements,
+    binned: BinnedPaths,
+    absorption: FloatArray,
+    by_pressures: BoolArray | None = None,
 ) -> tuple[ComparedPair, ...]:
     """Return measured against predicted for every response, then for every table's pairs.
 
     Parameters
     ----------
     absorption : float array, shape (n_materials, n_bands)
+    by_pressures : bool array, shape (n_bands,), optional
+        Of responses, in which bands the pressures of image sources are added; left out: in none.
     """
     scene, bands = measurements.scene, measurements.bands
-    attenuation = attenuation_per_m(scene.air, bands)
-    observed = compare_pairs(bands, binned, measurements.responses, absorption, attenuation)
+    observed = compare_pairs(scene, bands, binned, measurements.responses, absorption, by_pressures)
     tabulated = (*measurements.values, *measurements.kept_values)
     if not tabulated:
         return observed
@@ -97,25 +103,56 @@ def compare_all(
     )
 
 
+def explained_by_pressures(
+    measurements: Measurements, binned: BinnedPaths, absorption: FloatArray, candidates: BoolArray
+) -> BoolArray:
+    """Return in which bands pressures explain the values of fitted responses better than energies.
+
+    By the mean error in just noticeable differences, over all room parameters and pairs; the walls
+    are the same for both.
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials, n_bands)
+    candidates : bool array, shape (n_bands,)
+        Bands in which pressures of image sources were fitted.
+    """
+    fitted = tuple(m for m in measurements.responses if m.measurement.use == "fit")
+    if not candidates.any() or not fitted:
+        return np.zeros(len(candidates), dtype=np.bool_)
+    off = []
+    for added in (candidates, None):
+        pairs = compare_pairs(
+            measurements.scene, measurements.bands, binned, fitted, absorption, added
+        )
+        off.append(np.abs([[c.jnd for c in p.parameters.values()] for p in pairs]))
+    known = np.isfinite(off).all(axis=0)
+    by_pressures, by_energies = (np.where(known, x, 0.0).sum(axis=(0, 1)) for x in off)
+    return np.asarray(candidates & (by_pressures < by_energies))
+
+
 def compare_pairs(
+    scene: Scene,
     bands: Bands,
     binned: BinnedPaths,
     measured: tuple[MeasuredPair, ...],
     absorption: FloatArray,
-    attenuation_per_m: FloatArray,
+    by_pressures: BoolArray | None = None,
 ) -> tuple[ComparedPair, ...]:
     """Return measured against predicted for every measurement, fitted or kept for validation.
 
     Parameters
     ----------
     absorption : float array, shape (n_materials, n_bands)
-    attenuation_per_m : float array, shape (n_bands,)
+    by_pressures : bool array, shape (n_bands,), optional
+        As of `compare_all`.
     """
     out = []
     for m in measured:
-        curve = predicted_curve(bands, binned, m.pair, absorption, attenuation_per_m, m.direct_s)
         # the same reduction on both sides
-        curve = reduced_alike(curve, m.curve)
+        curve = reduced_alike(
+            predicted_curve(scene, bands, binned, m.pair, absorption, by_pressures), m.curve
+        )
         predicted = room_parameters(curve)
         others = [
             o.parameters
@@ -135,16 +172,63 @@ def compare_pairs(
 
 
 def predicted_curve(
+    scene: Scene,
     bands: Bands,
     binned: BinnedPaths,
     pair: int,
     absorption: FloatArray,
-    attenuation_per_m: FloatArray,
-    direct_s: float,
+    by_pressures: BoolArray | None = None,
 ) -> DecayCurve:
-    """Return the decay curves that the paths of a pair predict, smeared as the filters would."""
-    energy = pair_energies(binned, bands, pair, absorption, attenuation_per_m)
-    return echogram_decay_curve(bands, spread_over_time(bands, energy), binned.edges_s, direct_s)
+    """Return the decay curves that the paths of a pair predict, smeared as the filters would.
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials, n_bands)
+    by_pressures : bool array, shape (n_bands,), optional
+        In which bands the pressures of image sources are added; left out: in none.
+    """
+    energy = pair_energies(binned, bands, pair, absorption, attenuation_per_m(scene.air, bands))
+    energy = spread_over_time(bands, energy)
+    if by_pressures is not None and by_pressures.any():
+        added = interference(scene, bands, binned, pair, absorption, by_pressures)
+        energy = np.maximum(energy + added, 0.0)
+    direct_s = float(distances_m(scene)[pair]) / speed_of_sound_m_s(scene.air)
+    return echogram_decay_curve(bands, energy, binned.edges_s, direct_s)
+
+
+def interference(
+    scene: Scene,
+    bands: Bands,
+    binned: BinnedPaths,
+    pair: int,
+    absorption: FloatArray,
+    chosen: BoolArray,
+) -> FloatArray:
+    """Return what the pressures of image sources add to their energies, shape (n_bands, n_bins).
+
+    In the unit of path energies, over time as the filters show them; less than 0 where pressures
+    cancel, and 0 in a band that is not chosen. Images arrive when their lengths say, and walls turn
+    no phase. Rays, which stand for what has no image, add energies alone.
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials, n_bands)
+    chosen : bool array, shape (n_bands,)
+    """
+    edges_s, found = binned.edges_s, np.zeros((len(bands), binned.edges_s.size - 1))
+    speed_m_s, air_per_m = speed_of_sound_m_s(scene.air), attenuation_per_m(scene.air, bands)
+    for band in np.flatnonzero(chosen):
+        one = Bands(bands.kind, bands.centres_hz[band : band + 1])
+        rows = rows_at(binned, bands.centres_hz[band])[pair]
+        image = np.flatnonzero(rows.batch < 0).astype(np.int32)
+        length_m = rows.length_m[image]
+        weight = rows.weight_per_m2[image] * np.exp(-air_per_m[band] * length_m)
+        powers = power_table(np.sqrt(1.0 - absorption[:, band])[None], rows.max_hits)[0]
+        roots = root_energies(weight, image, rows.hits, powers)
+        together = energy_of_pressures(length_m / speed_m_s, roots, edges_s, one)
+        alone = np.bincount(window_of_rows(rows)[image], roots**2, edges_s.size - 1).astype(float)
+        found[band] = together - spread_over_time(one, alone[None])[0]
+    return found
 
 
 def _decay(measured: DecayCurve, predicted: DecayCurve) -> Decay:

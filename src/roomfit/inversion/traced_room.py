@@ -52,7 +52,7 @@ from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName, valu
 from roomfit.signals.speech import modulation_gradients
 from roomfit.tracing.paths import Paths
 from roomfit.tracing.trace import trace
-from roomfit.typing import FloatArray, Progress
+from roomfit.typing import BoolArray, FloatArray, Progress
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 # T30 is read from 5 to 35 dB below the start of the decay.
@@ -76,6 +76,7 @@ class TracedRoom:
     binned: BinnedPaths
     key: tuple[object, ...]  # what, besides scene and bands, decided the paths: for caches
     findings: tuple[Finding, ...]
+    by_pressures: BoolArray  # (n_bands,), where decays add the pressures of image sources
 
     @property
     def edges_s(self) -> FloatArray:
@@ -134,10 +135,10 @@ class TracedRoom:
         NaN where the paths do not follow the decay far enough, names in the order of `VALUE_NAMES`.
         """
         own = self.of_pair(pair)
-        air = attenuation_per_m(self.scene.air, self.bands)
-        direct_s = float(own.direct_s[0])
-        curve = predicted_curve(self.bands, own.binned, 0, absorption, air, direct_s)
+        curve = predicted_curve(own.scene, self.bands, own.binned, 0, absorption, self.by_pressures)
         strength = predicted_values(own.scene, self.bands, own.binned, absorption, ("G_dB",))[0]
+        for band in np.flatnonzero(self.by_pressures).tolist():
+            strength[0, band] = value_gradients(curve, band, ("G_dB",), derivative=False)[0][0]
         return curve, np.vstack([room_parameters(curve).values, strength])
 
     def echogram(self, pair: int, absorption: FloatArray) -> FloatArray:
@@ -275,11 +276,23 @@ def trace_room(
     settings = Settings() if settings is None else settings
     bands, directivities = known.bands, known.directivities or {}
     absorption = known.absorption if absorption is None else absorption
-    priors = _scattering_priors(known)
+    priors, added = _scattering_priors(known), known.by_pressures
+    added = np.zeros(len(bands), dtype=np.bool_) if added is None else added
     longest_s = max(measured_decay_s, float(scene_decay_s(scene, bands, absorption).max()))
 
+    beside_images = settings
+    if settings.n_rays_beside_images is None:
+        # so many as without images: a fit ends before what is late, a decay does not
+        n_rays = LEAST_RAYS if settings.n_rays is None else settings.n_rays
+        beside_images = replace(settings, n_rays_beside_images=n_rays)
+
     def planned() -> TracePlan:
-        return plan_trace(scene, priors, min(longest_s, _LONGEST_S), 0.0, settings)
+        own = scene, priors, min(longest_s, _LONGEST_S), 0.0
+        if added.any():
+            plan = plan_trace(*own, beside_images, coherent=True)
+            if plan.far_images:
+                return plan
+        return plan_trace(*own, settings)
 
     def traced(n_rays: int, cache: Cache | None, progress: Progress | None) -> TracedRoom:
         plan = planned()
@@ -289,9 +302,10 @@ def trace_room(
         scattering = specified_scattering(priors, plan.scattering.coefficients, len(bands))
         factors, degenerate = band_factors(directivities, scene, bands, paths, scattering)
         binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
-        key = (plan.settings, scattering, known_directivities(directivities, scene.sources))
+        patterns = known_directivities(directivities, scene.sources)
+        key = (plan.settings, scattering, patterns, added.tolist())
         doubts = (*plan.findings, *found.value.findings, *found.findings, *degenerate)
-        return TracedRoom(scene, bands, binned, key, doubts)
+        return TracedRoom(scene, bands, binned, key, doubts, added & plan.far_images)
 
     n_pilots = 2 * _ATTEMPTS if planned().settings.n_rays > _PILOT_RAYS else 0
     for _ in range(n_pilots):
@@ -361,11 +375,10 @@ def _scattering_priors(known: AbsorptionPosterior) -> tuple[MaterialPrior, ...]:
 
 def _short_bands(room: TracedRoom, absorption: FloatArray) -> Sequence[int]:
     """Return the bands in which the decay of some pair is not followed far enough."""
-    air = attenuation_per_m(room.scene.air, room.bands)
     usable_db = np.array(
         [
-            predicted_curve(room.bands, room.binned, i, absorption, air, float(t)).usable_db
-            for i, t in enumerate(room.direct_s)
+            predicted_curve(room.scene, room.bands, room.binned, i, absorption).usable_db
+            for i in range(len(room.scene.pairs))
         ]
     )
     return [int(j) for j in np.flatnonzero(usable_db.min(axis=0) < _NEEDED_DB)]

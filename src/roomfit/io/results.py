@@ -154,6 +154,7 @@ def read_result(file: ResultFile) -> AbsorptionPosterior:
             prior_logit_covariance=together,
             scattering=_read_scattering(content, table.names, np.zeros_like(of_objects[0])),
             directivities=_read_directivities(content),
+            by_pressures=content.get("fit", {}).get("by_pressures"),
             chi2_reduced=content.get("fit", {}).get("phi"),
             prior_specified=None if flags is None else np.array(flags, dtype=np.bool_),
             draws=_posterior_table(posterior, "draws") if "draws" in (posterior or {}) else None,
@@ -385,12 +386,14 @@ def _sd_without(answer: Result) -> dict[str, Any]:
 
 def _fit(answer: Result) -> dict[str, Any]:
     """How the answer was found, how well it fits, and how its intervals were made."""
+    added = answer.by_pressures
     return {
         "method": answer.method,
         "model": answer.model,
         "cost": answer.cost,
         "models": answer.models,
         "phi": answer.chi2_reduced,
+        **({"by_pressures": added} if added is not None and added.any() else {}),
         "evaluations": answer.evaluations,
         "converged": answer.converged,
         "seconds": round(answer.seconds, 3),

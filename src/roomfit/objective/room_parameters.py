@@ -28,7 +28,7 @@ from roomfit.objective.windows import (
     spread_squared_energy,
 )
 from roomfit.response.binned import BinnedPaths, regrouped, rows_at
-from roomfit.response.coherent import root_energies
+from roomfit.response.coherent import energy_of_pressures, root_energies
 from roomfit.response.directivity import weigh_parts
 from roomfit.response.energy import (
     EnergyRows,
@@ -42,8 +42,6 @@ from roomfit.response.energy import (
 from roomfit.scene import Scene, distances_m, pair_names
 from roomfit.signals.decay import DecayCurve, echogram_decay_curve, jnd_of
 from roomfit.signals.filters import (
-    energy_bandwidth_hz,
-    frequency_response,
     statistical_bandwidth_hz,
 )
 from roomfit.signals.iso3382 import (
@@ -340,16 +338,7 @@ def curve_by_pressures(
     powers = power_table(np.sqrt(1.0 - absorption)[None], rows.max_hits)[0]
     own = image.astype(np.int32)
     root = root_energies(rows.weight_per_m2[own], own, rows.hits, powers)
-    bands, bin_s = term.bands, float(edges[1] - edges[0])
-    # sixteen samples a period: phases within a tenth of a radian
-    n = int(np.ceil(16.0 * bin_s * float(term.bands.exact_centres_hz[0])))
-    size = fft.next_fast_len(2 * n * (edges.size - 1), real=True)
-    place = np.clip(np.round((at_s - edges[0]) / bin_s * n), 0, size - 1).astype(np.int64)
-    shape = frequency_response(bands, fft.rfftfreq(size, bin_s / n))[0]
-    spectrum = fft.rfft(np.bincount(place, root, size)) * shape
-    pressure = fft.irfft(spectrum, size)[: n * (edges.size - 1)]
-    together = np.sum(pressure.reshape(-1, n) ** 2, axis=1)
-    together *= n / (2.0 * energy_bandwidth_hz(bands)[0] * bin_s)
+    together = energy_of_pressures(at_s, root, edges, term.bands)
     alone = np.bincount(window_of_rows(rows)[image], root**2, edges.size - 1)
     rest = spread_energy(term.spreading, np.maximum(energy - alone, 0.0))
     return echogram_decay_curve(term.bands, rest + together, edges, observed.direct_s)

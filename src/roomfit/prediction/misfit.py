@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from roomfit.core import VALUE_NAMES, FloatArray, jnd_of, model_sd
+from roomfit.core import VALUE_NAMES, BoolArray, FloatArray, jnd_of, model_sd
 from roomfit.prediction.decay import PairNumbers
 
 # Of the inverse chi-square prior of a variance about what theory expects of it: so many pairs that
@@ -19,28 +19,33 @@ _CLIPPED_AT = 6.0
 
 
 def with_misfit(
-    numbers: tuple[PairNumbers, ...], fitted_jnd: FloatArray | None
+    numbers: tuple[PairNumbers, ...],
+    fitted_jnd: FloatArray | None,
+    by_pressures: BoolArray | None = None,
 ) -> tuple[PairNumbers, ...]:
     """Return the numbers of all pairs with the variance that the fitted pairs' departures need.
 
     Departures of fitted pairs from their own predictions have a mean and a scatter about it. Where
     their squares exceed what is expected, the excess is expected of pairs that were not fitted,
     too: of the scatter in the noise of every pair, of the mean in the error of the model, which all
-    pairs share.
+    pairs share. Pressures know how reflections interfere: what is left of that noise where they
+    are added, the scatter of fitted pairs tells as well.
 
     Parameters
     ----------
     fitted_jnd : float array, shape (n_pairs, n_names, n_bands), or None
         Predicted minus measured of the fitted pairs in just noticeable differences, names in the
         order of `VALUE_NAMES`, NaN where unknown.
+    by_pressures : bool array, shape (n_bands,), optional
+        Bands of both whose values follow from pressures; left out: none.
 
     Notes
     -----
     With the variance V that is expected of n departures of which k are free, and the sum of their
-    squares Q, the variance taken is ``V max(1, (v + Q / V) / (v + k))``: the mean of its posterior
-    under an inverse chi-square prior of v degrees of freedom about V [1]_. V is the mean noise of
-    the predicted pairs for the scatter, and its nth part with the error that the model is granted
-    for the mean.
+    squares Q, the variance taken is ``V max(1, (v + Q / V) / (v + k))``, for the scatter about
+    pressures also where this is less than V: the mean of its posterior under an inverse chi-square
+    prior of v degrees of freedom about V [1]_. V is the mean noise of the predicted pairs for the
+    scatter, and its nth part with the error that the model is granted for the mean.
 
     References
     ----------
@@ -58,7 +63,8 @@ def with_misfit(
     departures = _clipped(fitted_jnd)
     middle = _mean(departures)
     squares = np.nansum((departures - middle) ** 2, axis=0)
-    scatter = _scale(squares, noise, np.maximum(n - 1, 0))
+    least = np.zeros(n.shape[-1]) if by_pressures is None else by_pressures
+    scatter = _scale(squares, noise, np.maximum(n - 1, 0), least=np.where(least, 0.0, 1.0))
     common = _scale(middle**2, scatter * noise / np.maximum(n, 1) + model, np.minimum(n, 1))
     # of the mean only what the model is to blame for: noise averages out
     common = 1.0 + (common - 1.0) * (scatter * noise / np.maximum(n, 1) + model) / model
@@ -76,8 +82,12 @@ def with_misfit(
 
 
 def _widened(numbers: PairNumbers, scatter: FloatArray, common: FloatArray) -> PairNumbers:
-    noise_sd = numbers.noise_sd * np.sqrt(scatter)
-    return replace(numbers, noise_sd=noise_sd, model_scale=np.sqrt(common))
+    return replace(
+        numbers,
+        noise_sd=numbers.noise_sd * np.sqrt(scatter),
+        common_noise=numbers.common_noise * np.minimum(scatter, 1.0),
+        model_scale=np.sqrt(common),
+    )
 
 
 def _clipped(departures: FloatArray) -> FloatArray:
@@ -89,10 +99,12 @@ def _clipped(departures: FloatArray) -> FloatArray:
     return np.clip(departures, median - reach, median + reach)
 
 
-def _scale(squares: FloatArray, expected: FloatArray, n_free: FloatArray) -> FloatArray:
-    """Return by how much a variance exceeds what is expected of it, 1 or larger."""
+def _scale(
+    squares: FloatArray, expected: FloatArray, n_free: FloatArray, least: FloatArray | float = 1.0
+) -> FloatArray:
+    """Return by how much a variance exceeds what is expected of it, `least` or larger."""
     ratio = np.divide(squares, expected, out=np.zeros_like(squares), where=expected > 0.0)
-    return np.maximum((_PRIOR_PAIRS + ratio) / (_PRIOR_PAIRS + n_free), 1.0)
+    return np.maximum((_PRIOR_PAIRS + ratio) / (_PRIOR_PAIRS + n_free), least)
 
 
 def _mean(values: FloatArray) -> FloatArray:

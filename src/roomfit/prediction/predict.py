@@ -381,7 +381,8 @@ def _exact_numbers(
         return one.value, one.findings
 
     numbers, findings = zip(*in_forks(of_pair, range(len(scene.pairs))), strict=True)
-    return with_misfit(numbers, room.absorption.fitted_jnd), tuple(
+    added = room.traced.by_pressures
+    return with_misfit(numbers, room.absorption.fitted_jnd, added), tuple(
         f for own in findings for f in own
     )
 

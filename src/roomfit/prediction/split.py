@@ -130,6 +130,8 @@ def for_another_room(
     is_other = np.abs(there - own) > _SAME_AREA * np.maximum(there, own)
     if not is_other.any():
         return posterior, ()
+    # that its pressures add was seen in the room that was measured
+    posterior = replace(posterior, by_pressures=None)
     rng = np.random.default_rng(seed)
     draws = draw_absorption(posterior, n_draws, rng)
     changed = [name for name, other in zip(posterior.materials, is_other, strict=True) if other]

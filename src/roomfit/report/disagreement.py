@@ -127,10 +127,12 @@ def _band(
         doubt = "early reflections, directivity or scattering are not as the model has them"
         return size, _reasons(answer, band, [doubt]), _trust(answer, band)
     if _by_pressures(answer, band):
+        added = answer.by_pressures is not None and bool(answer.by_pressures[band])
+        until = "the last of the decay" if added else "the prediction"
         return (
             size,
-            "the prediction adds energies, the fit added pressures: between smooth, parallel "
-            "walls these decay differently",
+            f"{until} adds energies, the fit added pressures: between smooth, parallel walls these "
+            "decay differently",
             "None by itself: the fitted windows agree, and no check found their decay missed. "
             "Predicted decay times of this room are off by as much.",
         )

@@ -556,6 +556,35 @@ def coherent_response(
     return CoherentResponse(energy, 0.5 * slopes[:, :n_materials], by_times)
 
 
+def energy_of_pressures(
+    at_s: FloatArray, roots: FloatArray, edges_s: FloatArray, band: Bands
+) -> FloatArray:
+    """Return the energy of the sum of filtered pulses in windows end to end, shape (n_windows,).
+
+    Parameters
+    ----------
+    at_s, roots : float arrays, shape (n,)
+        When each pulse arrives, and its height: the root of its energy.
+    edges_s : float array, shape (n_windows + 1,)
+    band : Bands
+        One.
+    """
+    n = len(at_s)
+    pulses = ImagePaths(
+        (),
+        np.array([0, n]),
+        roots**2,
+        np.zeros((n, 0), dtype=np.uint16),
+        np.pad(at_s[:, None], ((0, 0), (0, 2))),  # from any direction, at one metre a second
+        np.zeros((n, 9), dtype=np.float32),
+        np.ones(n),
+        np.arange(n, dtype=np.int32),
+    )
+    still, none = Times(np.zeros((1, 6)), 1.0, np.zeros(1), np.zeros(0)), np.zeros(0)
+    grid = band_grid(band, float(edges_s[0]), float(edges_s[-1]))
+    return coherent_response(pulses, none, still, grid, (edges_s,), derivative=False).energy
+
+
 def _pressures(
     paths: ImagePaths,
     observations: slice,

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError
@@ -117,8 +119,7 @@ def room_posterior(
     n, mean, sd = len(names), absorption.prior_logit_mean, absorption.prior_logit_sd
     has_prior = mean is not None and sd is not None
     before, draws = absorption.prior_logit_covariance, absorption.draws
-    misfit, specified = absorption.chi2_reduced, absorption.prior_specified
-    if specified is not None:
+    if (specified := absorption.prior_specified) is not None:
         stated = [specified[theirs[own.index(i)]] if i in own else True for i in range(n)]
         specified = np.array(stated, dtype=np.bool_)
     sources, findings = _sources_as_found(absorption, directivities or {}, at)
@@ -135,13 +136,19 @@ def room_posterior(
         scattering=_scattering(priors, matched(absorption.scattering, np.full(shape, np.nan))),
         directivities=sources,
         prior_specified=specified,
-        chi2_reduced=None if misfit is None else misfit[at],
+        chi2_reduced=_in_bands(absorption.chi2_reduced, at),
+        by_pressures=_in_bands(absorption.by_pressures, at),
         draws=None if draws is None else np.stack([matched(drawn, fixed) for drawn in draws]),
-        fitted_jnd=None if absorption.fitted_jnd is None else absorption.fitted_jnd[:, :, at],
+        fitted_jnd=_in_bands(absorption.fitted_jnd, at),
         findings=findings,
         result_findings=absorption.result_findings,
         objects=object_volumes_m3(priors),
     )
+
+
+def _in_bands(values: NDArray[Any] | None, at: list[int]) -> NDArray[Any] | None:
+    """Return values of some bands, the last axis of theirs."""
+    return None if values is None else values[..., at]
 
 
 def _in_volumes(known: AbsorptionPosterior, volumes_m3: Mapping[str, float]) -> AbsorptionPosterior:

@@ -42,6 +42,8 @@ class AbsorptionPosterior:
     prior_logit_covariance: FloatArray | None = None
     # (n_materials, n_bands), with which absorption was found; a row of NaN where unspecified
     scattering: FloatArray | None = None
+    # (n_bands,), where decays of that room follow from pressures of image sources; None: nowhere
+    by_pressures: BoolArray | None = None
     # by source, those that are not omnidirectional, in these bands
     directivities: Mapping[str, Directivity] | None = None
     chi2_reduced: FloatArray | None = None  # (n_bands,), of the fit that found the absorption
@@ -79,6 +81,9 @@ class AbsorptionPosterior:
         if self.chi2_reduced is not None:
             misfit = float_array("reduced chi-square", self.chi2_reduced, (m,), low=0.0)
             object.__setattr__(self, "chi2_reduced", misfit)
+        if self.by_pressures is not None:
+            flags = bool_array("by_pressures", self.by_pressures, (m,))
+            object.__setattr__(self, "by_pressures", flags)
         if self.prior_specified is not None:
             flags = bool_array("prior_specified", self.prior_specified, (n,))
             object.__setattr__(self, "prior_specified", flags)
