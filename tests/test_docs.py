@@ -50,7 +50,9 @@ def page(name: str) -> str:
 
 
 def named(path: Path) -> str:
-    return path.relative_to(ROOT).as_posix()
+    # the package may be a copy elsewhere, as one with a planted bug is
+    above = SOURCE.parents[1] if path.is_relative_to(SOURCE) else ROOT
+    return path.relative_to(above).as_posix()
 
 
 def code_blocks(path: Path, language: str) -> list[str]:

@@ -9,6 +9,7 @@ import pytest
 
 import roomfit
 from roomfit.bands import bands_between
+from roomfit.inversion import coherent, directivity
 from roomfit.inversion.sequential import CoherentOptions
 from roomfit.inversion.solve import coherent_task
 from roomfit.response.directivity import UnknownDirectivity
@@ -74,3 +75,33 @@ def test_what_contradicts_an_omnidirectional_source_is_fitted_to_responses_alone
     monkeypatch.setattr("roomfit.inversion.solve.value_terms", lambda *_: [None, None])
     task = task_of(Settings(method=method), values=values)
     assert task.fits_contradicted is fits and task.others == ((), ())
+
+
+def test_evidence_is_compared_where_a_band_was_fitted_both_ways(monkeypatch):
+    """Not in bands without data, nor in those that were fitted by energies alone."""
+    monkeypatch.setattr(coherent, "log_evidences", lambda own, fit: (own, fit))
+    state = SimpleNamespace(bands=(1.0, None, 2.0, 3.0))
+    found = coherent._log_evidences(state, (None, None, 5.0, 6.0))
+    np.testing.assert_array_equal(found, [[np.nan] * 2, [np.nan] * 2, [2.0, 5.0], [3.0, 6.0]])
+
+
+def test_directivities_of_energies_are_those_of_the_files_that_are_fitted(monkeypatch):
+    """Band by band, each with its own windows; a band without data has none, and no fit."""
+    measured = SimpleNamespace(scene="scene", bands=BANDS, responses=("one", "two", "three"))
+    traced = SimpleNamespace(paths="paths", binned="binned")
+    given = {
+        "row_bases": lambda *arguments: arguments,
+        "energy_terms": lambda *_: [None, ("term", "parameters")],
+        "fitted_in_band": lambda responses, band: responses[: band + 1],
+        "directed_band": lambda *arguments: arguments,
+        "energy_objective": lambda *arguments: arguments,
+        "fit_band": lambda objective: ("fit", *objective),
+        "directivities_under_cavity_priors": lambda *arguments: arguments,
+    }
+    for name, function in given.items():
+        monkeypatch.setattr(directivity, name, function)
+    made = directivity.directed_energies(measured, (), traced, np.zeros(2), "unknown")
+    bases = ("unknown", "scene", "paths", "binned")
+    own = ("unknown", "scene", bases, "term", ("one", "two"))
+    assert made == ("unknown", BANDS, [None, own], [None, ("fit", "term", "parameters", own)])
+    assert directivity.directed_energies(measured, (), traced, np.zeros(2), None) == (None, None)

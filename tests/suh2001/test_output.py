@@ -144,6 +144,9 @@ def test_contours_have_the_minima_of_grid_and_descents_at_their_places(result, f
     assert "21 x 21: 6 minima that are none" in coarse.get_title()
     assert fine.get_title() == "201 x 201: one valley, true minima: 1"
     assert bar.get_ylabel() == "error (unit of the paper)"
+    for axes in (*four[:3], coarse, fine):
+        assert (axes.get_xlim(), axes.get_ylim()) == ((0.0, 1.0), (0.0, 1.0))
+    assert coarse.get_ylabel() == "absorption of walls" and not fine.get_ylabel()
     for axes, name in ((four[2], "case3"), (coarse, "ill_defined"), (fine, "ill_defined")):
         shape = result.landscapes[name]
         at = {line.get_label(): np.transpose(line.get_data()) for line in axes.get_lines()}
@@ -184,6 +187,8 @@ def test_evaluations_and_rates_of_success_stand_over_the_number_of_materials(res
     lines, bars = left.get_lines(), right.containers
     assert left.get_yscale() == "log"
     assert left.get_xlabel() == right.get_xlabel() == "number of materials"
+    assert left.get_ylabel() == "evaluations of the error (median)"
+    assert right.get_ylabel() == "searches that found the truth (%)"
     named = [t.get_text() for t in figures["methods"].legends[0].get_texts()]
     assert named == [method.label for method in METHODS.values()]
     for (method, about), line, own in zip(METHODS.items(), lines, bars, strict=True):
@@ -204,6 +209,8 @@ def test_errors_with_other_rays_stand_at_their_numbers_beside_the_paper_s_18_000
     """A line a number of materials in each of two panels; the label stands right of its line."""
     panels = figures["independent_rays"].axes
     assert [axes.get_title()[:9] for axes in panels] == ["one pair ", "three pai"]
+    assert [axes.get_ylabel() for axes in panels] == ["rms error of the found absorption", ""]
+    assert {axes.get_xlabel() for axes in panels} == {"rays of the model for each source"}
     for pairs, axes in zip((1, 3), panels, strict=True):
         *lines, paper = axes.get_lines()
         for materials, line in zip(DIVISIONS, lines, strict=True):
