@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -105,3 +106,45 @@ def test_directivities_of_energies_are_those_of_the_files_that_are_fitted(monkey
     own = ("unknown", "scene", bases, "term", ("one", "two"))
     assert made == ("unknown", BANDS, [None, own], [None, ("fit", "term", "parameters", own)])
     assert directivity.directed_energies(measured, (), traced, np.zeros(2), None) == (None, None)
+
+
+@pytest.mark.parametrize(
+    ("positions", "mean", "moved"),
+    [("fit", "there", True), ("fixed", "there", False), ("fit", None, False)],
+)
+def test_paths_are_traced_anew_from_where_low_bands_have_found_the_positions(
+    monkeypatch, positions, mean, moved
+):
+    """Where positions are fitted and some band has determined them."""
+    options = SimpleNamespace(late_end_s=0.5, model="auto", positions=positions, quick=False)
+    task = SimpleNamespace(
+        settings=options, measured=(), directivity_parameters="some", scene="scene", bands=BANDS
+    )
+    own = tuple(SimpleNamespace(coherent=SimpleNamespace(geometry="geometry")) for _ in range(2))
+    found = None if mean is None else SimpleNamespace(mean=mean)
+    given = {
+        "cut_at": lambda binned, end_s: (binned, end_s),
+        "rebuild": lambda state: replace(state, bands=own),
+        "release": lambda state: state,
+        "forward_pass": lambda low, *_: [None, SimpleNamespace(found=found)],
+        "current_absorption": lambda *_: "absorption",
+        "moved_scene": lambda *asked: (asked, "origin"),
+        "_vectors": lambda _: ("first",),
+    }
+    for name, function in given.items():
+        monkeypatch.setattr(coherent, name, function)
+    traced = SimpleNamespace(
+        again=lambda place: ("moved paths", "moved weights", place),
+        paths="paths",
+        factors="weights",
+        binned="binned",
+    )
+    state = coherent.initialise(task, traced)
+    at = (state.paths, state.weights, state.binned, state.origin)
+    place = ("scene", "geometry", mean)
+    assert at == (
+        ("moved paths", "moved weights", (place, 0.5), "origin")
+        if moved
+        else ("paths", "weights", ("binned", 0.5), None)
+    )
+    assert state.first == (("first",) if positions == "fit" else ())
