@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +10,7 @@ import pytest
 
 import roomfit
 from roomfit.bands import bands_between
-from roomfit.inversion import coherent, directivity
+from roomfit.inversion import coherent, directivity, solve
 from roomfit.inversion.sequential import CoherentOptions
 from roomfit.inversion.solve import coherent_task
 from roomfit.response.directivity import UnknownDirectivity
@@ -126,7 +126,7 @@ def test_paths_are_traced_anew_from_where_low_bands_have_found_the_positions(
         "cut_at": lambda binned, end_s: (binned, end_s),
         "rebuild": lambda state: replace(state, bands=own),
         "release": lambda state: state,
-        "forward_pass": lambda low, *_: [None, SimpleNamespace(found=found)],
+        "forward_pass": lambda *_: [None, SimpleNamespace(found=found)],
         "current_absorption": lambda *_: "absorption",
         "moved_scene": lambda *asked: (asked, "origin"),
         "_vectors": lambda _: ("first",),
@@ -148,3 +148,56 @@ def test_paths_are_traced_anew_from_where_low_bands_have_found_the_positions(
         else ("paths", "weights", ("binned", 0.5), None)
     )
     assert state.first == (("first",) if positions == "fit" else ())
+
+
+@dataclass
+class Traced:
+    far_images: bool
+    again: object = "again"
+
+
+@pytest.mark.parametrize(
+    ("given", "chosen"),
+    [
+        # by how much pressures are likelier at 250 Hz and at 1 kHz
+        ({"gains": (3.0, 1.0)}, "auto"),
+        ({"gains": (-3.0, 1.0)}, "auto"),
+        ({"gains": (3.0, -1.9)}, "auto"),
+        ({"gains": (3.0, -2.0)}, "energy"),
+        ({"gains": (-1.0, -1.0)}, "energy"),
+        ({"gains": (3.0, -5.0), "scale": 1.1}, "auto"),
+        ({"gains": (-3.0, -5.0), "scale": 1.1}, "energy"),
+        ({"gains": (3.0, -5.0), "model": "coherent"}, "coherent"),
+        ({"gains": (3.0, -5.0), "is_coherent": False}, "auto"),
+        ({"gains": (3.0, -5.0), "far": False}, "auto"),
+        ({"gains": (3.0, -5.0), "without": (1, "data")}, "auto"),
+        ({"gains": (3.0, 5.0), "without": (3, "fit")}, "energy"),
+        ({"gains": (3.0, -5.0), "bands_hz": (1000, 4000)}, "auto"),
+    ],
+)
+def test_few_responses_choose_energies_where_they_contradict_pressures(monkeypatch, given, chosen):
+    """Two bands decide, where the settings leave it open and there is anything to go by."""
+    bands = bands_between("octave", *given.get("bands_hz", (125, 4000)))
+    missing, what = given.get("without", (None, None))
+    n = len(bands)
+    state = SimpleNamespace(
+        bands=[None if what == "data" and b == missing else b for b in range(n)]
+    )
+    fits = [None if what == "fit" and b == missing else b for b in range(n)]
+    scale = given.get("scale", 1.0)
+    functions = {
+        "is_coherent": lambda *_: given.get("is_coherent", True),
+        "_few": lambda _, chosen: np.flatnonzero(chosen).tolist(),
+        "traced_paths": lambda *_: Traced(given.get("far", True)),
+        "coherent_task": lambda few, *_: SimpleNamespace(few=few, settings="settings"),
+        "initialise": lambda task, traced: (task.few, traced.again),
+        "with_sources_examined": lambda found, _: state if found == ([1, 3], None) else found,
+        "forward_pass": lambda *_: fits,
+        "log_evidences": lambda own, _: (7.0, 7.0 + given["gains"][{1: 0, 3: 1}[own]]),
+        "contradicted_position_sd_scale": lambda *_: scale,
+    }
+    for name, function in functions.items():
+        monkeypatch.setattr(solve, name, function)
+    measured = SimpleNamespace(bands=bands, responses=())
+    settings = Settings(model=given.get("model", "auto"))
+    assert solve.chosen_model(measured, (), np.zeros(n), settings) == chosen
