@@ -10,6 +10,7 @@ import pytest
 
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.search import Fit
+from roomfit.suh2001 import repeat
 from roomfit.suh2001.independent import IndependentRow
 from roomfit.suh2001.output import _figures, _tables, paper_json, paper_text
 from roomfit.suh2001.repeat import METHODS, CaseResponse, PaperResult, Record, Table2
@@ -279,3 +280,48 @@ def test_paper_json_has_the_numbers_under_their_names(result):
         r for r in content["identified"] if (r["problem"], r["method"]) == ("case1", "simplex")
     )
     assert (own["successes"], own["seeds"], own["found_within"]) == (10, 50, 0.005)
+
+
+def test_progress_of_the_repetition_rises_from_part_to_part_to_the_whole(monkeypatch):
+    """Other rays, landscapes, searches and certificates, each with its share; in this process."""
+    problem = SimpleNamespace(
+        squares=SimpleNamespace(
+            measured=np.ones(2), rows=SimpleNamespace(materials=("a", "b"))
+        ),
+        true_absorption=TRUTH,
+    )  # fmt: skip
+    done: list[float] = []
+
+    def independent(_pool, progress):
+        progress(0.5)
+        progress(1.0)
+
+    def records(_pool, _seeds, problems, progress):
+        assert list(problems) == ["case1", "ill_defined"]
+        progress(0.5)
+        progress(1.0)
+
+    given = {
+        "trace_paper_room": lambda _: "paths",
+        "problems_of": lambda _: {"case1": problem, "ill_defined": problem},
+        "_independent": independent,
+        "problem_landscape": lambda _: "landscape",
+        "_records": records,
+        "walls_apart_problem": lambda *_, **__: problem,
+        "squares_global_problem": lambda _: "global problem",
+        "certify": lambda *_: "certificate",
+        "exchanged_walls": lambda _: slice(None),
+        "case_responses": lambda _: "responses",
+        "table2": lambda _: "table",
+        "grid_errors": lambda *_: "errors",
+        "searches_of_table2": lambda _: "searches",
+        "walls_apart": lambda *_: "apart",
+        "error": lambda *_: 0.5,
+    }
+    for name, function in given.items():
+        monkeypatch.setattr(repeat, name, function)
+    found = repeat.repeat_paper(3, 1, progress=done.append)
+    assert set(found.certificates) == {"case1", "ill_defined", "walls_apart"}
+    np.testing.assert_allclose(
+        done, [0.2, 0.4, 0.425, 0.45, 0.7, 0.95, 0.95 + 0.05 / 3, 0.95 + 0.1 / 3, 1.0]
+    )
