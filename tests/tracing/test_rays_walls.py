@@ -272,3 +272,11 @@ def test_a_ray_leaves_a_panel_of_two_faces_and_meets_what_is_opposite(turn):
         up = away @ across > 0.0
         assert distance == pytest.approx(2.5 if up else 1.5)
         assert tree.normal[met] @ away == pytest.approx(1.0) and met not in faces
+    # the panel alone, so that the first facet of all is one of its faces
+    facets, box_m = facets_of(_box_with_panel(turn))
+    panel = np.isclose(np.abs(facets.table[:, 3]), 1.5) & (np.abs(facets.normal @ across) > 0.5)
+    alone = tree_of(type(facets)(*(part[panel] for part in facets)), box_m[panel])
+    assert len(alone.table) == 2
+    for face in (0, 1):
+        start = np.roll([2.1, 1.8, 1.5], turn)
+        assert _next_after(alone, start, -alone.normal[face], face) == (np.inf, -1)
