@@ -203,15 +203,21 @@ def _tested(copy: Path, tests: Sequence[str], log: Path, marked: str, limit_s: f
     return _Run(None if late else process.exitcode, first, text)
 
 
+def _copied(folder: Path) -> Path:
+    """Copy src into a folder, with the documents where its tests look for them."""
+    copy = folder / "src"
+    shutil.copytree(SOURCE, copy, ignore=shutil.ignore_patterns("*.egg-info"))
+    (folder / "docs").symlink_to(REPOSITORY / "docs")
+    return copy
+
+
 def tried(mutant: Mutant | None, tests: Sequence[str], folder: Path, limit_s: float) -> Outcome:
     """Plant a bug, or none, in a copy of src and return whether tests notice it.
 
     Tests marked slow run where the quick ones notice nothing; each of the two has the time limit.
     """
     began = time.perf_counter()
-    copy = folder / "src"
-    shutil.copytree(SOURCE, copy, ignore=shutil.ignore_patterns("*.egg-info"))
-    (folder / "docs").symlink_to(REPOSITORY / "docs")
+    copy = _copied(folder)
     if mutant is not None:
         path = copy / "roomfit" / mutant.path
         path.write_text(mutated(mutant), encoding="utf-8")
@@ -258,7 +264,9 @@ def random_outcomes(mutants: Iterable[Mutant], limit_s: float = LIMIT_S) -> Iter
     @cache
     def fails_anyway(test: str) -> bool:
         with tempfile.TemporaryDirectory() as name:
-            return _tested(SOURCE, [test], Path(name) / "log.txt", "", 2 * limit_s).status != 0
+            # of a copy as well: a test may fail for where the package lies
+            copy = _copied(Path(name))
+            return _tested(copy, [test], Path(name) / "log.txt", "", 2 * limit_s).status != 0
 
     for mutant in mutants:
         why = why_equivalent(mutant)

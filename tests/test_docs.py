@@ -21,6 +21,7 @@ import roomfit.core
 from roomfit.cli import command_parsers
 from roomfit.geometry.build import TOO_WARPED_FROM_M
 from roomfit.geometry.check import LEAK_LIMIT
+from roomfit.inversion.sequential import NOISES
 from roomfit.inversion.trace_plan import LEAST_RADIUS_M, LEAST_RAYS
 from roomfit.io import schema
 from roomfit.io.inputs import material_priors
@@ -50,7 +51,9 @@ def page(name: str) -> str:
 
 
 def named(path: Path) -> str:
-    return path.relative_to(ROOT).as_posix()
+    # the package may be a copy elsewhere, as one with a planted bug is
+    above = SOURCE.parents[1] if path.is_relative_to(SOURCE) else ROOT
+    return path.relative_to(above).as_posix()
 
 
 def code_blocks(path: Path, language: str) -> list[str]:
@@ -342,3 +345,9 @@ def test_numbers_that_the_pages_tell_are_those_of_the_code():
         text = " ".join(page(name).split())
         for sentence in sentences:
             assert sentence in text, f"{name} no longer says: {sentence}"
+
+
+def test_errors_of_the_model_are_those_that_the_page_states():
+    low, high = re.findall(r"error of the model, (\d+) to (\d+) %", page("how-it-works.md"))[0]
+    models = [model for model, _, _ in NOISES]
+    assert (100 * min(models), 100 * max(models)) == (float(low), float(high))

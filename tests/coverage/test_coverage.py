@@ -552,6 +552,13 @@ def test_a_picture_of_coverage_holds_shares_with_their_own_intervals():
     np.testing.assert_allclose(aims, [(0.0, 5.0), (90.0, 98.0)], atol=1e-9)
     limits = left.get_xlim(), left.get_ylim(), right.get_xlim(), right.get_ylim()
     assert limits == ((0, 100), (0, 101), (-0.5, 1.5), (-2, 102))
+    assert [(axes.get_xlabel(), axes.get_ylabel()) for axes in (left, right)] == [
+        ("level of the interval (%)", "intervals that hold the true value (%)"),
+        ("band (Hz)", "share of values (%)"),
+    ]
+    named = [[t.get_text() for t in axes.get_legend().get_texts()] for axes in (left, right)]
+    assert named[0] == ["nominal", "range of chance", "found"]
+    assert set(named[1]) == {"aimed at", "95 % intervals that hold", "identifiable but outside"}
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import roomfit
 from posterior_cases import Linear, linear_case
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
-from roomfit.diagnostics import convergence
+from roomfit.diagnostics import convergence, decay
 from roomfit.diagnostics.decay import (
     DecayMiss,
     _resampled,
@@ -41,6 +41,7 @@ from roomfit.settings import Settings
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import score_band
 from roomfit.synthetic.boxes import SyntheticBox, pressure_response
+from roomfit.tracing.paths import TraceSettings
 from roomfit.uncertainty.gaussian import band_estimate
 from seen import of_answers
 
@@ -347,3 +348,42 @@ def test_a_fit_that_is_cut_short_names_what_moved_and_converges_when_it_goes_on(
     assert " from 0." in finding.sentence
     assert "max_rounds" in finding.sentence
     assert band_estimate(case.parameters, many, "energy").moved == ()
+
+
+def test_another_scattering_is_judged_by_what_it_does_to_the_decay_as_fitted(monkeypatch) -> None:
+    """A fit that misses by m JND of 5 % has (20 + m) / 20 of the measured time; tried, 0.8 of it.
+
+    Of T20 and EDT the one that is missed by more counts, whatever their own scatter.
+    """
+    traced = SimpleNamespace(settings=TraceSettings(0.5, receiver_radius_m=0.3), binned="fitted")
+    scene = SimpleNamespace(room=SimpleNamespace(materials=("a", "b")))
+    measured = SimpleNamespace(scene=scene, bands=OCTAVES)
+    misses = [
+        DecayMiss(1, {"T20_s": (4.0, 1.0), "EDT_s": (-6.0, 2.0)}, 3),
+        DecayMiss(4, {"T20_s": (5.0, 9.0), "EDT_s": (-3.0, 0.5)}, 3),
+    ]
+    asked = []
+
+    class Retraced:
+        def __init__(self, *given) -> None:
+            asked.append(given[2])
+
+        def at(self, scattering):
+            return float(scattering.coefficients[0])
+
+    def times(_measured, binned, _absorption, chosen):
+        assert chosen == [1, 4]
+        share = 1.0 if binned == "fitted" else 1.0 - binned
+        return {"T20_s": share * np.array([0.6, 0.7]), "EDT_s": share * np.array([0.5, 0.8])}
+
+    monkeypatch.setattr(decay, "Retracer", Retraced)
+    monkeypatch.setattr(decay, "fitted_decay_times_s", times)
+    settings = Settings(seed=5, n_scattering_rays=77)
+    found = decay.decays_by_scattering(measured, traced, np.zeros((2, 6)), settings, misses)
+    assert list(found) == [0.0, 0.1, 0.3, 0.6]
+    for s, jnd in found.items():
+        measured_ratio = (1.0 - s) * np.array([14.0, 25.0]) / 20.0
+        np.testing.assert_allclose(jnd, 20.0 * (measured_ratio - 1.0), atol=1e-12)
+    assert (asked[0].n_rays, asked[0].duration_s, asked[0].receiver_radius_m) == (77, 0.5, 0.3)
+    assert asked[0].seed == 5
+    assert decay.decays_by_scattering(measured, traced, np.zeros((2, 6)), settings, ()) == {}

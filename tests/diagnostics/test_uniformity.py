@@ -146,10 +146,17 @@ def test_first_reflections_strike_where_their_mirror_law_says(monkeypatch):
         assert np.all(off_m <= 0.5 * size_m + 1e-9)
 
 
-@pytest.mark.parametrize("covariance", [0.0, 1.0])
-def test_all_cells_together_change_windows_as_the_absorption_does(covariance):
-    """Every image counted, whatever its order: d / d ln(1 - a) = -(1 - a) d / d a."""
+@pytest.mark.parametrize(("covariance", "gain"), [(0.0, 0), (1.0, 0), (0.0, -1), (1.0, -1)])
+def test_all_cells_together_change_windows_as_the_absorption_does(covariance, gain):
+    """Every image counted, whatever its order: d / d ln(1 - a) = -(1 - a) d / d a.
+
+    Whether the level is unknown or absolute.
+    """
     term = small_term()
+    observations = tuple(replace(o, gain=gain) for o in term.energies.observations)
+    early = tuple(replace(o, gain=gain) for o in term.early)
+    energies = replace(term.energies, observations=observations)
+    term = replace(term, energies=energies, early=early)
     n = term.geometry.sd.size
     term = with_coherence(term, covariance * np.eye(n))
     objective = objective_of(term)

@@ -352,6 +352,10 @@ def test_a_picture_of_a_wall_holds_what_was_found_between_its_limits(finished):
     wall = replace(answer.materials[0], impedance_shown=answer.materials[0].identified)
     (part,) = walls_figure(answer, [wall]).subfigs
     size, angle, absorption, z = part.axes
+    assert part.get_supxlabel() == "frequency (Hz)"
+    assert [axes.get_ylabel() for axes in part.axes] == [
+        *("|R0|", "phase of R0 (degrees)", "absorption coefficient", "impedance over that of air")
+    ]
     band, (line,) = size.collections[0].get_paths()[0].vertices, size.get_lines()
     np.testing.assert_array_equal(line.get_data(), (F_HZ, np.abs(wall.r0)))
     kept = (1.0 - wall.absorption_normal_upper95, 1.0 - wall.absorption_normal_lower95)
@@ -408,6 +412,8 @@ def test_a_picture_of_spectra_holds_levels_below_the_loudest(finished):
             np.testing.assert_array_equal(line.get_xdata(), F_HZ)
             np.testing.assert_allclose(line.get_ydata(), 20 * np.log10(np.abs(values) / loudest))
         assert axes.get_xlim() == (F_HZ[0], F_HZ[-1]) and axes.get_ylim() == (-80.0, 5.0)
+    assert figure.get_supxlabel() == "frequency (Hz)"
+    assert figure.get_supylabel() == "level (dB, 0 is the loudest measured)"
     labels = ["measured", "predicted", "difference", "difference expected (rms)"]
     assert [t.get_text() for t in figure.legends[0].get_texts()] == labels
 

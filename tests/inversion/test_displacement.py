@@ -395,3 +395,39 @@ def test_the_covariance_of_offsets_is_that_of_a_normal_law_and_never_above_the_p
     prior_sd_m = np.array([0.5, 0.1])
     flat = whole_displacement._covariance(lambda _at: 1.0, at, [0, 2], prior_sd_m)
     np.testing.assert_allclose(flat, np.diag(prior_sd_m**2), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("order", "kept_for_validation", "box", "n_offsets", "asked"),
+    [
+        *((1, 0, True, 1, True), (0, 0, True, 1, False), (1, 1, True, 1, False)),
+        *((1, 0, False, 1, False), (1, 0, True, 0, False)),
+    ],
+)
+def test_a_displacement_is_asked_for_from_four_responses_and_first_reflections_on(
+    monkeypatch, order, kept_for_validation, box, n_offsets, asked
+):
+    """And of a box of any number of triangles, or of another room of 60 at most."""
+    room = roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster")
+    scene = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+    if not box:
+        monkeypatch.setattr(whole_displacement, "box_of", lambda _: None)
+        monkeypatch.setattr(whole_displacement, "_MOST_TRIANGLES", 11)
+    uses = ["fit"] * (4 - kept_for_validation) + ["validate"] * kept_for_validation
+    responses = tuple(SimpleNamespace(measurement=SimpleNamespace(use=use)) for use in uses)
+    measured = SimpleNamespace(scene=scene, bands=BANDS, responses=responses)
+    settings = SimpleNamespace(image_order=order, duration_s=0.4, image_until_s=None)
+    traced = SimpleNamespace(paths="paths", settings=settings)
+
+    def stop(paths, _reach_m, found_order):
+        assert (paths, found_order) == ("paths", 1)
+        raise StopIteration
+
+    monkeypatch.setattr(whole_displacement, "_early_images", stop)
+    offsets = (object(),) * n_offsets
+    arguments = (measured, (), traced, (), (None, ()), offsets, np.zeros(n_offsets))
+    if asked:
+        with pytest.raises(StopIteration):
+            whole_displacement.displacement_model(*arguments)
+    else:
+        assert whole_displacement.displacement_model(*arguments) is None

@@ -119,10 +119,11 @@ def test_a_trace_serves_near_coefficients_and_is_made_again_for_far_ones(monkeyp
     monkeypatch.setattr("roomfit.inversion.scattering.trace", counted)
     retracer, made = Retracer(scene, bands, settings), []
     # with the trace that serves each: that at 0 has to give way to that at 0.9, for two are kept
-    for s, serving in ((0.0, 0), (0.3, 1), (0.32, 1), (0.3, 1), (0.9, 2), (0.0, 3)):
+    each = ((0.0, 0), (0.3, 1), (0.32, 1), (0.3, 1), (0.9, 2), (0.0, 3), (0.9, 2))
+    for s, serving in each:
         scattering = uniform_scattering(scene.room.materials, s)
         (rows,) = retracer.at(scattering).rows
         made.append(len(traced))
         paths = with_scattering(traced[serving].paths, scattering)
         np.testing.assert_array_equal(np.sort(rows.weight_per_m2), np.sort(paths.weight_per_m2))
-    assert made == [1, 2, 2, 2, 3, 4]
+    assert made == [1, 2, 2, 2, 3, 4, 4]

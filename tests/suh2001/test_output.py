@@ -10,6 +10,7 @@ import pytest
 
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.search import Fit
+from roomfit.suh2001 import repeat
 from roomfit.suh2001.independent import IndependentRow
 from roomfit.suh2001.output import _figures, _tables, paper_json, paper_text
 from roomfit.suh2001.repeat import METHODS, CaseResponse, PaperResult, Record, Table2
@@ -144,6 +145,9 @@ def test_contours_have_the_minima_of_grid_and_descents_at_their_places(result, f
     assert "21 x 21: 6 minima that are none" in coarse.get_title()
     assert fine.get_title() == "201 x 201: one valley, true minima: 1"
     assert bar.get_ylabel() == "error (unit of the paper)"
+    for axes in (*four[:3], coarse, fine):
+        assert (axes.get_xlim(), axes.get_ylim()) == ((0.0, 1.0), (0.0, 1.0))
+    assert coarse.get_ylabel() == "absorption of walls" and not fine.get_ylabel()
     for axes, name in ((four[2], "case3"), (coarse, "ill_defined"), (fine, "ill_defined")):
         shape = result.landscapes[name]
         at = {line.get_label(): np.transpose(line.get_data()) for line in axes.get_lines()}
@@ -184,6 +188,8 @@ def test_evaluations_and_rates_of_success_stand_over_the_number_of_materials(res
     lines, bars = left.get_lines(), right.containers
     assert left.get_yscale() == "log"
     assert left.get_xlabel() == right.get_xlabel() == "number of materials"
+    assert left.get_ylabel() == "evaluations of the error (median)"
+    assert right.get_ylabel() == "searches that found the truth (%)"
     named = [t.get_text() for t in figures["methods"].legends[0].get_texts()]
     assert named == [method.label for method in METHODS.values()]
     for (method, about), line, own in zip(METHODS.items(), lines, bars, strict=True):
@@ -204,6 +210,8 @@ def test_errors_with_other_rays_stand_at_their_numbers_beside_the_paper_s_18_000
     """A line a number of materials in each of two panels; the label stands right of its line."""
     panels = figures["independent_rays"].axes
     assert [axes.get_title()[:9] for axes in panels] == ["one pair ", "three pai"]
+    assert [axes.get_ylabel() for axes in panels] == ["rms error of the found absorption", ""]
+    assert {axes.get_xlabel() for axes in panels} == {"rays of the model for each source"}
     for pairs, axes in zip((1, 3), panels, strict=True):
         *lines, paper = axes.get_lines()
         for materials, line in zip(DIVISIONS, lines, strict=True):
@@ -272,3 +280,48 @@ def test_paper_json_has_the_numbers_under_their_names(result):
         r for r in content["identified"] if (r["problem"], r["method"]) == ("case1", "simplex")
     )
     assert (own["successes"], own["seeds"], own["found_within"]) == (10, 50, 0.005)
+
+
+def test_progress_of_the_repetition_rises_from_part_to_part_to_the_whole(monkeypatch):
+    """Other rays, landscapes, searches and certificates, each with its share; in this process."""
+    problem = SimpleNamespace(
+        squares=SimpleNamespace(
+            measured=np.ones(2), rows=SimpleNamespace(materials=("a", "b"))
+        ),
+        true_absorption=TRUTH,
+    )  # fmt: skip
+    done: list[float] = []
+
+    def independent(_pool, progress):
+        progress(0.5)
+        progress(1.0)
+
+    def records(_pool, _seeds, problems, progress):
+        assert list(problems) == ["case1", "ill_defined"]
+        progress(0.5)
+        progress(1.0)
+
+    given = {
+        "trace_paper_room": lambda _: "paths",
+        "problems_of": lambda _: {"case1": problem, "ill_defined": problem},
+        "_independent": independent,
+        "problem_landscape": lambda _: "landscape",
+        "_records": records,
+        "walls_apart_problem": lambda *_, **__: problem,
+        "squares_global_problem": lambda _: "global problem",
+        "certify": lambda *_: "certificate",
+        "exchanged_walls": lambda _: slice(None),
+        "case_responses": lambda _: "responses",
+        "table2": lambda _: "table",
+        "grid_errors": lambda *_: "errors",
+        "searches_of_table2": lambda _: "searches",
+        "walls_apart": lambda *_: "apart",
+        "error": lambda *_: 0.5,
+    }
+    for name, function in given.items():
+        monkeypatch.setattr(repeat, name, function)
+    found = repeat.repeat_paper(3, 1, progress=done.append)
+    assert set(found.certificates) == {"case1", "ill_defined", "walls_apart"}
+    np.testing.assert_allclose(
+        done, [0.2, 0.4, 0.425, 0.45, 0.7, 0.95, 0.95 + 0.05 / 3, 0.95 + 0.1 / 3, 1.0]
+    )

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 import pytest
 
-from images_reference import box_room, box_with_sheet, l_shaped_room
+from images_reference import box_room, box_with_sheet, l_shaped_room, room_of_polygons
 from rays_reference import box_with_two_floors, box_without, flights_m, rotated
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import Mesh, corners_m, volume_m3
@@ -235,3 +235,48 @@ def test_a_hall_needs_its_twelve_triangles():
     """Fewer are refused with the number that is needed."""
     with pytest.raises(InputError, match="too few triangles"):
         hall_room(11)
+
+
+@numba.njit(error_model="numpy")
+def _next_after(walls, start, direction, last):
+    return next_wall(
+        walls,
+        (start[0], start[1], start[2]),
+        (direction[0], direction[1], direction[2]),
+        last,
+    )
+
+
+def _box_with_panel(turn: int) -> Room:
+    """Return a box of 4 m, a panel of two faces back to back in it; axes exchanged in turn."""
+    corners = [(x, y, z) for z in (0.0, 4.0) for x, y in ((0, 0), (4, 0), (4, 4), (0, 4))]
+    corners += [(1.0, 1.0, 1.5), (3.0, 1.0, 1.5), (3.0, 3.0, 1.5), (1.0, 3.0, 1.5)]
+    sides = {f"side {i}": (i, (i + 1) % 4, (i + 1) % 4 + 4, i + 4) for i in range(4)}
+    faces = {"floor": (3, 2, 1, 0), "ceiling": (4, 5, 6, 7), **sides}
+    faces |= {"top": (11, 10, 9, 8), "bottom": (8, 9, 10, 11)}
+    return room_of_polygons([tuple(np.roll(c, turn)) for c in corners], faces)
+
+
+@pytest.mark.parametrize("turn", [0, 1, 2])
+def test_a_ray_leaves_a_panel_of_two_faces_and_meets_what_is_opposite(turn):
+    """From a face of the panel to floor or ceiling, not to the other face in the same place."""
+    tree = tree_of(*facets_of(_box_with_panel(turn)))
+    across = np.roll([0.0, 0.0, 1.0], turn)
+    faces = np.flatnonzero(np.isclose(tree.normal @ across * tree.table[:, 3], 1.5)
+                           | np.isclose(tree.normal @ across * tree.table[:, 3], -1.5))  # fmt: skip
+    assert len(faces) == 2
+    for face in faces:
+        away = -tree.normal[face]
+        start = np.roll([2.1, 1.8, 1.5], turn)
+        distance, met = _next_after(tree, start, away, face)
+        up = away @ across > 0.0
+        assert distance == pytest.approx(2.5 if up else 1.5)
+        assert tree.normal[met] @ away == pytest.approx(1.0) and met not in faces
+    # the panel alone, so that the first facet of all is one of its faces
+    facets, box_m = facets_of(_box_with_panel(turn))
+    panel = np.isclose(np.abs(facets.table[:, 3]), 1.5) & (np.abs(facets.normal @ across) > 0.5)
+    alone = tree_of(type(facets)(*(part[panel] for part in facets)), box_m[panel])
+    assert len(alone.table) == 2
+    for face in (0, 1):
+        start = np.roll([2.1, 1.8, 1.5], turn)
+        assert _next_after(alone, start, -alone.normal[face], face) == (np.inf, -1)

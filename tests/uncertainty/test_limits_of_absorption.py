@@ -12,6 +12,7 @@ import pytest
 from roomfit.air import Air
 from roomfit.bands import bands_between
 from roomfit.coverage.statistics import CoverageSample, grouped_proportion, scaled_errors
+from roomfit.errors import InputError
 from roomfit.inversion import displacement
 from roomfit.inversion.outliers import file_misfits, variance_inflation
 from roomfit.inversion.solve import prior_speed_sd
@@ -118,3 +119,15 @@ def test_a_group_moves_as_far_as_data_and_prior_have_it_by_their_variances(monke
     found = displacement.located(model)
     assert found.shift_m[0] == pytest.approx(0.3 * 0.04 / (0.04 + 0.01), abs=0.005)
     assert found.sd_m[0] == pytest.approx(np.sqrt(1.0 / (1.0 / 0.04 + 1.0 / 0.01)), rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["absorption", "lower95", "upper95", "draws"])
+@pytest.mark.parametrize("value", [-0.01, 1.01])
+def test_absorption_outside_0_to_1_is_refused_wherever_it_is_stated(name, value):
+    bands = bands_between("octave", 500, 1000)
+    given = {n: np.full((1, 2), 0.5) for n in ("absorption", "lower95", "upper95")}
+    given |= {"logit_covariance": np.full((2, 1, 1), 0.1), "draws": np.full((8, 1, 2), 0.5)}
+    assert AbsorptionPosterior(("wall",), bands, **given).draws.shape == (8, 1, 2)
+    given[name] = np.where(np.arange(given[name].size) == 1, value, 0.5).reshape(given[name].shape)
+    with pytest.raises(InputError, match="absorption" if name == "absorption" else name):
+        AbsorptionPosterior(("wall",), bands, **given)
