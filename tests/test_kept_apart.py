@@ -134,7 +134,7 @@ def test_all_that_a_prediction_of_a_pair_depends_on_is_in_its_key(
         here = scene() if at is None else at
         room: Any = SimpleNamespace(
             scene=replace(here, pairs=np.array([[0, 0]] * n)),
-            traced=SimpleNamespace(key=traced),
+            traced=SimpleNamespace(key=traced, by_pressures=None),
             absorption=SimpleNamespace(bands=bands, fitted_jnd=None),
             few=[None] * n,
             speech_db=speech_db,

@@ -42,6 +42,8 @@ AREAS = {
     "responses after a change",
     "air",
     "boxes with doors",
+    "decay times",
+    "pressures",
     "scans and seats",
     "scattering weights",
     "seeds",
