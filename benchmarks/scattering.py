@@ -3,8 +3,9 @@
     python benchmarks/scattering.py [--first SEED] [--rooms N] [--model auto] [--scattering S]
         [--level S] [--choice]
 
-Boxes as in `boxes.py`, s = 0.15 at every wall, or of --level at floor and ceiling. Data: image sources that add as pressures, thinned
-by (1 - s) a hit, and noise modulated by an independent tracer (`simulated_rooms/random_boxes.py`).
+Boxes as in `boxes.py`, s = 0.15 at every wall, or of --level at floor and ceiling. Data: image
+sources that add as pressures, thinned by (1 - s) a hit, and noise modulated by an independent
+tracer (`simulated_rooms/random_boxes.py`).
 Each room is written as a campaign and identified three times as anybody's: its walls' scattering
 specified, fitted (which chooses among eight values by energies), and none. Right is
 what is fitted if of .05, .15, .3 and .5 the nearest (in ratio) is the truth. "sure" is the share
