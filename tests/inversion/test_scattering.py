@@ -19,6 +19,7 @@ from roomfit.inversion.measurements import collect_measurements
 from roomfit.inversion.scattering import (
     GRID,
     Retracer,
+    _sides,
     assumed_scattering,
     choose_scattering,
     level_and_upright,
@@ -26,6 +27,7 @@ from roomfit.inversion.scattering import (
 )
 from roomfit.materials.priors import complete_priors, uniform_scattering
 from roomfit.response.directivity import UnknownDirectivity
+from roomfit.scene import with_states
 from roomfit.synthetic.boxes import WALLS as BOX_SIDES
 from roomfit.synthetic.boxes import (
     SyntheticBox,
@@ -237,8 +239,18 @@ def test_floor_and_ceiling_that_scatter_otherwise_get_a_coefficient_of_their_own
 
 @pytest.mark.slow
 def test_walls_that_scatter_alike_are_not_taken_for_smooth_nor_parted():
-    """With the rays of a room; the noise of few rays is taken for walls that do not scatter."""
-    chosen = assumed(mixed_box(0.2, 0.2, {}))[2]
+    """With the rays of a room; the noise of 8,000 is taken for walls that scatter by .05."""
+    chosen = assumed(mixed_box(0.1, 0.1, {}), 60_000)[2]
     assert chosen.gain == 0.0
-    assert chosen.lower[0] >= 0.1
-    assert chosen.upper[0] <= 0.4
+    assert set(chosen.value) == {0.1}
+    assert set(chosen.upper) == {0.1}
+
+
+def test_materials_are_level_or_upright_in_every_state_and_by_the_larger_area():
+    """60 m2 of the plaster of a whole box are level, and 66 m2 upright."""
+    room = roomfit.shoebox_room((6, 5, 3), {"walls": "plaster", "floor": "carpet"})
+    room = with_states(room, {"prepared": {"north": "curtain", "floor": "parquet"}})
+    sides = dict(zip(room.materials, _sides(room).tolist(), strict=True))
+    level = ("carpet", "ceiling", "parquet")
+    assert sides == {"plaster": -1, "curtain": -1, **dict.fromkeys(level, 1)}
+    assert _sides(roomfit.shoebox_room((6, 5, 3), "plaster")).tolist() == [-1]
