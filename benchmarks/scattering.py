@@ -1,13 +1,18 @@
 """Boxes whose walls scatter: absorption with scattering known, fitted, and not thought of.
 
     python benchmarks/scattering.py [--first SEED] [--rooms N] [--model auto] [--scattering S]
+        [--level S] [--choice]
 
-Boxes as in `boxes.py`, s = 0.15 at every wall. Data: image sources that add as pressures, thinned
-by (1 - s) a hit, and noise modulated by an independent tracer (`simulated_rooms/random_boxes.py`).
+Boxes as in `boxes.py`, s = 0.15 at every wall, or of --level at floor and ceiling. Data: image
+sources that add as pressures, thinned by (1 - s) a hit, and noise modulated by an independent
+tracer (`simulated_rooms/random_boxes.py`).
 Each room is written as a campaign and identified three times as anybody's: its walls' scattering
 specified, fitted (which chooses among eight values by energies), and none. Right is
 what is fitted if of .05, .15, .3 and .5 the nearest (in ratio) is the truth. "sure" is the share
 called identifiable, "wrong" how many of these lie outside their interval.
+
+--choice    nothing is fitted: which coefficients are assumed where none is specified, of upright
+            and of level walls, and what two gain in log-likelihood; 0 where one is assumed
 """
 
 from __future__ import annotations
@@ -19,9 +24,14 @@ from pathlib import Path
 
 import numpy as np
 
+from roomfit.diagnostics.checks import eyring_start
 from roomfit.findings import Code
 from roomfit.identification import identify
+from roomfit.inversion.measurements import collect_measurements
+from roomfit.inversion.paths import traced_paths
+from roomfit.inversion.scattering import ChosenScattering
 from roomfit.io.inputs import load_campaign
+from roomfit.materials.priors import complete_priors
 from roomfit.results import Result
 from roomfit.settings import Model
 from roomfit.synthetic.boxes import PLAN_BANDS, BoxPlan
@@ -59,6 +69,20 @@ def outcome(plan: BoxPlan, campaign: Path, specified: str, model: Model) -> Outc
     return Outcome(answer, plan.absorption[np.ix_(rows, bands)])
 
 
+def choice(campaign: Path) -> ChosenScattering:
+    """Return what is assumed where nothing is specified of scattering."""
+    text = campaign.read_text().replace("scattering = 0.0", "")
+    file = campaign.with_name("unspecified.toml")
+    file.write_text(text)
+    given = load_campaign(file)
+    scene, bands = given["scene"], given["bands"]
+    measured = collect_measurements(scene, given["measurements"], bands, {})
+    priors = complete_priors(scene.room.materials, (), bands)
+    start = eyring_start(measured)
+    traced = traced_paths(measured, priors, given["settings"], start, None, None)
+    return traced.chosen_scattering[0]
+
+
 def line(name: str, done: list[Outcome]) -> str:
     """Return one row of the table."""
     true = np.stack([o.true for o in done])
@@ -87,8 +111,20 @@ def main() -> None:
     parser.add_argument("--rooms", type=int, default=5)
     parser.add_argument("--model", choices=("energy", "auto", "coherent"), default="auto")
     parser.add_argument("--scattering", type=float, default=0.15)
+    parser.add_argument("--level", type=float, help="of floor and ceiling, if another")
+    parser.add_argument("--choice", action="store_true", help="what is assumed, nothing fitted")
     asked = parser.parse_args()
-    print(f"s = {asked.scattering:g}, model {asked.model}, {asked.rooms} rooms")
+    level = asked.scattering if asked.level is None else asked.level
+    walls = np.array([asked.scattering] * 4 + [level] * 2)
+    if asked.choice:
+        for seed in range(asked.first, asked.first + asked.rooms):
+            rng = np.random.default_rng(seed)
+            with tempfile.TemporaryDirectory() as folder:
+                found = choice(write_scattering_box(random_plan(rng), walls, Path(folder), rng))
+            upright, own = found.value[0], found.value[-1]
+            print(f"{seed}: upright {upright:g}, level {own:g}, gain {found.gain:.1f}", flush=True)
+        return
+    print(f"s = {asked.scattering:g}, level {level:g}, model {asked.model}, {asked.rooms} rooms")
     titles = ("median", "90 %", "max", "held", "width", "phi", "sure", "wrong", "null", "s")
     print(f"{'fit':<24}" + "".join(f" {title:>6}" for title in titles))
     pooled: dict[str, list[Outcome]] = {}
@@ -97,7 +133,6 @@ def main() -> None:
     for seed in range(asked.first, asked.first + asked.rooms):
         rng = np.random.default_rng(seed)
         with tempfile.TemporaryDirectory() as folder:
-            walls = np.full(6, asked.scattering)
             plan = random_plan(rng)
             campaign = write_scattering_box(plan, walls, Path(folder), rng)
             for name, specified in cases:
