@@ -521,7 +521,11 @@ def test_a_broken_posterior_in_a_result_is_refused(tmp_path):
     path.write_text(json.dumps(content))
     old = read_result(path)
     assert old.logit_covariance.shape == (1, 1, 1)
-    for covariance, words in (([[[-0.1]]], "none"), ([[0.1]], "shape"), ("x", "no table of numbers")):
+    for covariance, words in (
+        ([[[-0.1]]], "none"),
+        ([[0.1]], "shape"),
+        ("x", "no table of numbers"),
+    ):
         path.write_text(json.dumps({**content, "posterior": {"logit_covariance": covariance}}))
         with pytest.raises(InputError, match=words):
             read_result(path)
