@@ -119,18 +119,6 @@ def test_scattering_is_said_with_what_does_as_well(chosen, words):
     assert finding.code is fitted and list(finding.about.materials) == list(chosen.materials)
 
 
-def test_walls_that_were_assumed_to_scatter_otherwise_are_said_by_themselves():
-    each = (("a", "b", "c"), (0.1, 0.32, 0.1), (0.1, 0.1, 0.1), (0.2, 0.32, 0.2))
-    chosen = ChosenScattering(*each, False, True, 4.63)
-    seen = evidence(traced=SimpleNamespace(chosen_scattering=(chosen,)))
-    upright, level = scattering.check_chosen(seen)
-    assert "of a, c is unspecified; 0.1 was assumed, another value than" in upright.sentence
-    assert "of b is unspecified; 0.32 was assumed" in level.sentence
-    assert level.sentence.endswith("raise the log likelihood by 4.6.")
-    assert level.evidence == {"materials": ["b"], "scattering": 0.32}
-    assert list(upright.about.materials) == ["a", "c"]
-
-
 @pytest.mark.parametrize(
     ("gains", "is_told"),
     [((5.1, 0.0), True), ((4.9, 0.0), False), ((10.0, -3.9), True), ((10.0, -4.1), False)],

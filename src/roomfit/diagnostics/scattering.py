@@ -29,33 +29,24 @@ LAWS = {
 def check_chosen(evidence: Evidence) -> Iterator[Finding]:
     """Yield which scattering was assumed, and which was fitted."""
     for chosen in evidence.traced.chosen_scattering:
+        names = list(chosen.materials)
         if chosen.is_fitted:
-            names = list(chosen.materials)
             each = zip(*chosen[:4], strict=True)
             ranges = ", ".join(f"{n} {s:g} ({low:g} to {high:g})" for n, s, low, high in each)
             text = f"Most likely scattering coefficients, of {len(GRID)} values each: {ranges}."
             about = About(materials=names)
             yield Finding(Code.SCATTERING_FITTED, about, text, {"materials": names})
             continue
-        for value in dict.fromkeys(chosen.value):
-            own = [i for i, s in enumerate(chosen.value) if s == value]
-            names, reason = [chosen.materials[i] for i in own], ""
-            low, high = chosen.lower[own[0]], chosen.upper[own[0]]
-            if chosen.gain:
-                reason = (
-                    ", another value than of the other walls, since level and upright ones that "
-                    f"differ raise the log likelihood by {chosen.gain:.1f}"
-                )
-            elif chosen.has_data:
-                others = f"{low:g} to {high:g} do as well" if low < high else "others do worse"
-                reason = f", which explains the responses well ({others})"
-            yield Finding(
-                Code.SCATTERING_ASSUMED,
-                About(materials=names),
-                f"The scattering of {', '.join(names)} is unspecified; {value:g} was "
-                f"assumed{reason}.",
-                {"materials": names, "scattering": value},
-            )
+        value, low, high, reason = chosen.value[0], chosen.lower[0], chosen.upper[0], ""
+        if chosen.has_data:
+            others = f"{low:g} to {high:g} do as well" if low < high else "others do worse"
+            reason = f", which explains the responses well ({others})"
+        yield Finding(
+            Code.SCATTERING_ASSUMED,
+            About(materials=names),
+            f"The scattering of {', '.join(names)} is unspecified; {value:g} was assumed{reason}.",
+            {"materials": names, "scattering": value},
+        )
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:

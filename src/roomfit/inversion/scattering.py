@@ -20,7 +20,6 @@ from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands, bands_in_words
 from roomfit.errors import InputError
 from roomfit.findings import About, Code, Finding
-from roomfit.geometry.mesh import area_vectors_m2
 from roomfit.inversion.measurements import Measurements
 from roomfit.logit import Z95
 from roomfit.materials.priors import MaterialPrior, Scattering, in_bands
@@ -36,7 +35,7 @@ from roomfit.response.scattering import (
     rows_for_band,
     scattering_weights,
 )
-from roomfit.scene import Room, Scene, materials_of_surfaces, select_pairs
+from roomfit.scene import Scene, select_pairs
 from roomfit.settings import Settings
 from roomfit.signals.noise import NoiseEstimate
 from roomfit.solvers.least_squares import COMPARED_SD, fit_band
@@ -61,13 +60,9 @@ _MAX_SEPARATE = 3
 # Enough to distinguish coefficients that differ by a factor of two, and quick to trace again.
 _FIT_S = 0.3
 
-# For unspecified coefficients: values; rays, as many as of the room's trace, since the noise of few
-# is taken for smoothness; and middle bands where the directivity of sources is given.
+# For unspecified coefficients: values, middle bands, rays and duration.
 _ASSUMED = (0.05, 0.2, 0.4)
-_FEWEST_RAYS, _MIDDLE_BANDS = 8_000, 2
-# How far apart level and upright walls are tried, in asin(sqrt(s)), so that one trace serves; and
-# what that must gain: docs/decisions/0069-level-and-upright-walls.md.
-_APART, _LEAST_APART_GAIN = 0.1, 3.0
+_ASSUMED_BANDS, _ASSUMED_RAYS = 2, 8_000
 
 # Walls specified as smooth are tried with this coefficient.
 _TRIAL = 0.15
@@ -238,7 +233,6 @@ class ChosenScattering(NamedTuple):
     upper: tuple[float, ...]
     is_fitted: bool  # asked for; otherwise assumed, since nothing was specified
     has_data: bool  # whether responses were compared
-    gain: float = 0.0  # of log likelihood, where level walls have another value than upright ones
 
 
 def chosen_scattering(
@@ -316,8 +310,7 @@ def assumed_scattering(
     """Return the priors with a scattering coefficient where it is unspecified.
 
     One coefficient for all of them: the most likely of five where there are responses; that of the
-    settings where there are none, or where it explains them as well. Level walls get another one
-    than upright ones where that explains responses clearly better. And its standard deviation by
+    settings where there are none, or where it explains them as well. And its standard deviation by
     material, 0 elsewhere: as of `chosen_scattering`, or as large as the coefficient itself where
     there are no responses.
 
@@ -331,99 +324,25 @@ def assumed_scattering(
     names = tuple(k.name for k, missing in zip(priors, unspecified, strict=True) if missing)
     value = settings.default_scattering
     low = high = sd = value
-    own, gain = np.full(len(priors), value), 0.0
-    # energies are compared as of omnidirectional sources, which others are the less the higher
-    is_directed = bool(measurements.directivities)
-    chosen = (_middle if is_directed else _highest)(measurements.bands)
-    n_rays = _FEWEST_RAYS if is_directed else max(trace_settings.n_rays, _FEWEST_RAYS)
-    shortened = _shortened(trace_settings, n_rays, _TRIAL_S)
-    trial = _energy_fit(measurements, priors, settings, shortened, start, chosen)
+    n_bands = len(measurements.bands)
+    first = max((n_bands - _ASSUMED_BANDS) // 2, 0)
+    middle = slice(first, min(first + _ASSUMED_BANDS, n_bands))
+    shortened = _shortened(trace_settings, _ASSUMED_RAYS, _TRIAL_S)
+    trial = _energy_fit(measurements, priors, settings, shortened, start, middle)
     if trial is not None:
         grid = (0.0, *sorted({*_ASSUMED, value}))
-        best, lower, upper = choose_scattering(*trial, unspecified, grid=grid)
-        low, high = (float(x[unspecified][0, 0]) for x in (lower, upper))
+        best, low, high = (
+            float(x[unspecified][0, 0]) for x in choose_scattering(*trial, unspecified, grid=grid)
+        )
+        value = value if low <= value <= high else best
         sd = _grid_sd(grid, low, high)
-        if not low <= value <= high:
-            own[:] = best[unspecified][0, 0]
-        sides = np.where(unspecified, _sides(measurements.scene.room), 0)
-        if not is_directed and {-1, 1} <= set(sides.tolist()):
-            apart, gain = level_and_upright(trial[0], best, sides)
-            own = apart[:, 0] if gain else own
     known = tuple(
-        replace(k, scattering=np.full(len(measurements.bands), s)) if missing else k
-        for k, s, missing in zip(priors, own, unspecified, strict=True)
+        replace(k, scattering=np.full(n_bands, value)) if missing else k
+        for k, missing in zip(priors, unspecified, strict=True)
     )
-    values = tuple(own[unspecified].tolist())
-    ends = (tuple(min(low, s) for s in values), tuple(max(high, s) for s in values))
-    assumed = ChosenScattering(names, values, *ends, False, trial is not None, gain)
+    each = ((value,) * len(names), (low,) * len(names), (high,) * len(names))
+    assumed = ChosenScattering(names, *each, False, trial is not None)
     return known, np.where(unspecified, sd, 0.0), assumed
-
-
-def level_and_upright(
-    fit: ScatteringFit, common: FloatArray, sides: IntArray
-) -> tuple[FloatArray, float]:
-    """Return coefficients of level and of upright walls, and what they gain; 0 where not enough.
-
-    Level walls are tried with more scattering and upright ones with less, as far in
-    ``asin(sqrt(s))``, and the other way round. Paths of the common coefficient can be weighed for
-    either, so that the noise of rays drops out of the differences. The coefficients returned lie
-    where a parabola through the three log likelihoods peaks, once to twice as far as those tried,
-    to .01.
-
-    Parameters
-    ----------
-    fit : callable
-        As in `choose_scattering`.
-    common : float array, shape (n_materials, n_bands)
-        Most likely if all that is unknown is alike.
-    sides : int array, shape (n_materials,)
-        1 level, -1 upright, 0 where the coefficient is to stay.
-
-    Returns
-    -------
-    coefficients : float array, shape (n_materials, n_bands)
-    gain : float
-        Of the log-likelihood, all bands together, by those that were tried.
-    """
-
-    def apart(distance: float) -> FloatArray:
-        moved = distance * sides[:, None]
-        angle = np.clip(np.arcsin(np.sqrt(common)) + moved, 0.0, 0.5 * np.pi)
-        return np.where(moved == 0.0, common, np.square(np.sin(angle)))
-
-    if not np.any(common[sides != 0]):
-        return common, 0.0
-    none, more, less = (float(np.sum(fit(apart(x)))) for x in (0.0, _APART, -_APART))
-    gain, bend = max(more, less) - none, 2.0 * none - more - less
-    if gain < _LEAST_APART_GAIN:
-        return common, 0.0
-    steps = 2.0 if bend <= 0.0 else float(np.clip(0.5 * abs(more - less) / bend, 1.0, 2.0))
-    best = apart(float(np.copysign(steps * _APART, more - less)))
-    return np.where(sides[:, None] == 0, common, np.round(best, 2)), gain
-
-
-def _sides(room: Room) -> IntArray:
-    """Return 1 for materials of level surfaces, -1 for those of upright ones, 0 without surface.
-
-    By whether more of its area shows from above or from the side, in all states of the room.
-    """
-    vectors = np.abs(area_vectors_m2(room.mesh))
-    shown = vectors[:, 2] - np.hypot(vectors[:, 0], vectors[:, 1])
-    owners = materials_of_surfaces(room)[:, room.mesh.triangle_surface]
-    every = [np.bincount(own, shown, len(room.materials)) for own in owners]
-    return np.asarray(np.sign(np.sum(every, axis=0)), dtype=np.int64)
-
-
-def _middle(bands: Bands) -> slice:
-    """Return the middle bands, where sources are nearly omnidirectional."""
-    first = max((len(bands) - _MIDDLE_BANDS) // 2, 0)
-    return slice(first, min(first + _MIDDLE_BANDS, len(bands)))
-
-
-def _highest(bands: Bands) -> slice:
-    """Return the highest bands up to 4 kHz."""
-    last = max(int(np.searchsorted(bands.centres_hz, _HIGHEST_TRIAL_HZ)), 1)
-    return slice(max(last - _TRIAL_BANDS, 0), last)
 
 
 def scattering_trial(
@@ -444,7 +363,8 @@ def scattering_trial(
     walls = [k.scattering for k in priors if k.object_volume_m3 is None]
     if not any(s is not None and not np.any(s > 0.0) for s in walls):
         return None
-    chosen = _highest(measurements.bands)
+    last = max(int(np.searchsorted(measurements.bands.centres_hz, _HIGHEST_TRIAL_HZ)), 1)
+    chosen = slice(max(last - _TRIAL_BANDS, 0), last)
     shortened = _shortened(trace_settings, settings.n_scattering_rays, _TRIAL_S)
     return _energy_fit(measurements, priors, settings, shortened, start, chosen)
 
