@@ -249,6 +249,7 @@ def test_where_messages_cannot_be_written_the_exit_code_still_tells(tmp_path):
             stdout=full,
             stderr=full,
             check=False,
+            env={**os.environ, "PYTHONUNBUFFERED": ""},
         )
     assert done.returncode == 2
 

@@ -43,7 +43,7 @@ from roomfit.cli import (
     treat,
 )
 from roomfit.cli.arguments import Commands, Parser, call_error
-from roomfit.cli.terminal import warn
+from roomfit.cli.terminal import drop_output, warn
 from roomfit.errors import InputError, RoomfitError, StoreError
 
 _COMMANDS = (
@@ -103,12 +103,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         exec("")
         sys.exit(128 + interrupt.args[0] if interrupt.args else _INTERRUPTED)
     except BrokenPipeError:
-        _drop_output()  # the reader of the output (head, less) went first
+        drop_output(sys.stdout)  # the reader of the output (head, less) went first
         sys.exit(1)
     except OSError as error:
         if error.errno not in _FULL:
             raise
-        _drop_output()
+        drop_output(sys.stdout)
         text = "the disk is full, or the output cannot grow"
         warn(StoreError(text, found=str(error), hint="make room, and run the command again"))
         sys.exit(2)
@@ -139,11 +139,6 @@ def _shown(options: argparse.Namespace) -> Iterator[None]:
 
 
 _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
-
-
-def _drop_output() -> None:
-    """Let the interpreter flush into nothing at its end."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from contextlib import suppress
 from typing import TextIO
@@ -17,9 +18,17 @@ def say(text: object) -> None:
 
 def warn(text: object) -> None:
     """Write a message to standard error, as `say` writes an answer; on a full disk, nothing."""
-    with suppress(OSError):
+    try:
         sys.stderr.write(f"{_writable(printable(str(text)), sys.stderr)}\n")
         sys.stderr.flush()
+    except OSError:
+        with suppress(OSError):  # a stream without a file
+            drop_output(sys.stderr)
+
+
+def drop_output(stream: TextIO) -> None:
+    """Let the interpreter flush a stream into nothing at its end; a failure alters the exit code."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def _writable(text: str, stream: TextIO) -> str:
