@@ -27,7 +27,7 @@ def warn(text: object) -> None:
 
 
 def drop_output(stream: TextIO) -> None:
-    """Let the interpreter flush a stream into nothing at its end; a failure alters the exit code."""
+    """Let the interpreter flush a stream into nothing at its end: a failure sets the exit code."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
