@@ -101,10 +101,14 @@ def int_array(
 
 
 def bool_array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> BoolArray:
-    """Copy `values` into a read-only boolean array after checking its shape."""
-    array = np.array(values, dtype=np.bool_)
+    """Copy `values` into a read-only boolean array after checking shape and kind."""
+    array = np.array(values, dtype=object)  # a number is no truth value
     check_shape(name, array, shape)
-    return read_only(array)
+    other = [v for v in array.flat if not isinstance(v, bool | np.bool_)]
+    if other:
+        what, hint = f"{name} is not true or false", "write true or false in its place"
+        raise InputError(what, found=repr(other[0]), needed="true or false everywhere", hint=hint)
+    return read_only(array.astype(np.bool_))
 
 
 def check_shape(name: str, array: np.ndarray[Any, Any], shape: tuple[int | None, ...]) -> None:
@@ -115,7 +119,8 @@ def check_shape(name: str, array: np.ndarray[Any, Any], shape: tuple[int | None,
     if not fits:
         wanted = ", ".join("any" if n is None else str(n) for n in shape)
         what = f"{name} has the wrong shape"
-        hint = "transpose it, or give as many values along each axis as are needed"
+        hint = "transpose it, or " if array.ndim > 1 else ""
+        hint += "give as many values along each axis as are needed"
         raise InputError(what, found=f"{array.shape}", needed=f"({wanted})", hint=hint)
 
 

@@ -182,12 +182,12 @@ def test_a_prediction_adds_pressures_where_those_of_the_fitted_pairs_do(by_image
     assert off[0, 1] < 0.2 and off[0, 1] < 0.25 * off[1, 1]
     np.testing.assert_allclose(off[0, [0, 2]], off[1, [0, 2]], atol=0.3)
     strength = VALUE_NAMES.index("G_dB")
-    heard = by.energies(absorption)[:, 1].sum(axis=1)
+    energy = by.energies(absorption)[:, 1].sum(axis=1)
     added = [
         interference(by.scene, BANDS, by.binned, i, absorption, by.by_pressures)[1].sum()
         for i in range(3)
     ]
-    louder = 10.0 * np.log10(1.0 + np.array(added) / heard)
+    gain_db = 10.0 * np.log10(1.0 + np.array(added) / energy)
     np.testing.assert_allclose(
-        found[0, :, strength, 1] - found[1, :, strength, 1], louder, atol=0.2
+        found[0, :, strength, 1] - found[1, :, strength, 1], gain_db, atol=0.2
     )

@@ -155,10 +155,11 @@ def test_in_which_bands_pressures_are_added_goes_through_the_file_and_not_into_a
         assert for_another_room(found, larger, 100, 1)[0].by_pressures is None
         file = folder / "result.json"
         content = json.loads(file.read_text())
-        content["fit"]["by_pressures"] = [0.5]
-        file.write_text(json.dumps(content))
-        with pytest.raises(InputError, match="by_pressures"):
-            read_result(EditedFile(file))
+        for broken, words in (([0.5] * n, "true or false"), ([True] * (n + 1), "shape")):
+            content["fit"]["by_pressures"] = broken
+            file.write_text(json.dumps(content))
+            with pytest.raises(InputError, match=f"by_pressures .*{words}"):
+                read_result(EditedFile(file))
 
 
 def test_one_outlier_among_many_pairs_does_not_widen_all_by_itself():
