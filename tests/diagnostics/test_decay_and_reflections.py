@@ -294,7 +294,7 @@ def test_a_miss_within_the_answers_own_uncertainty_is_none(measured_box) -> None
 
     measured, _, traced = measured_box
     fit = 0.7 * np.tile(TRUE[:, None], 2)
-    misses = decay_misses(HIGH, compare_all(measured, traced.binned, fit), [True, True])
+    misses = decay_misses(HIGH, compare_all(measured, traced.binned, fit)[0], [True, True])
     assert [m.band for m in misses] == [0, 1]
     sure, vague = (np.tile(v * np.eye(6), (2, 1, 1)) for v in (0.0, 4.0))
     kept = certain_misses(measured, traced, misses, fit, sure, Settings())

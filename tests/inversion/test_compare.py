@@ -10,7 +10,7 @@ import pytest
 import roomfit
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
-from roomfit.inversion.compare import compare_pairs, explained_by_pressures, interference
+from roomfit.inversion.compare import compare_all, compare_pairs, interference
 from roomfit.inversion.measurements import Measurements, collect_measurements
 from roomfit.inversion.paths import TracedPaths, traced_paths
 from roomfit.inversion.traced_room import trace_room
@@ -121,13 +121,25 @@ def test_pressures_are_taken_where_they_explain_responses_better_and_only_where_
     measured, paths = by_images
     absorption = np.tile(TRUE[:, None], len(BANDS))
     fitted = np.array([True, False, True])
-    chosen = explained_by_pressures(measured, paths.binned, absorption, fitted)
+    pairs, chosen = compare_all(measured, paths.binned, absorption, fitted)
     assert chosen.tolist() == [True, False, True]
+    ways = [
+        compare_pairs(measured.scene, BANDS, paths.binned, measured.responses, absorption, added)
+        for added in (fitted, None)
+    ]
+    for pair, by_pressures, by_energies in zip(pairs, *ways, strict=True):
+        for name, own in pair.parameters.items():
+            for band, way in enumerate((by_pressures, by_energies, by_pressures)):
+                assert own.predicted[band] == way.parameters[name].predicted[band]
+                assert own.jnd[band] == way.parameters[name].jnd[band]
+                np.testing.assert_array_equal(
+                    pair.decay.predicted_db[band], way.decay.predicted_db[band]
+                )
     kept = [
         replace(m, measurement=replace(m.measurement, use="validate")) for m in measured.responses
     ]
     unfitted = replace(measured, responses=tuple(kept))
-    assert not explained_by_pressures(unfitted, paths.binned, absorption, fitted).any()
+    assert not compare_all(unfitted, paths.binned, absorption, fitted)[1].any()
 
 
 def of_random_signs(rows: EnergyRows, rng: np.random.Generator) -> np.ndarray:
@@ -151,7 +163,7 @@ def test_responses_whose_reflections_have_random_phases_are_explained_by_energie
         for pair in range(len(RECEIVERS_M)):
             responses.append(of_random_signs(paths.binned.rows[pair], rng))
         own = collected(responses)
-        taken.append(explained_by_pressures(own, paths.binned, absorption, every))
+        taken.append(compare_all(own, paths.binned, absorption, every)[1])
     assert np.mean(taken) < 0.25
 
 

@@ -48,7 +48,7 @@ from roomfit.eyring import eyring_absorption
 from roomfit.findings import Finding
 from roomfit.forks import in_forks
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
-from roomfit.inversion.compare import compare_all, explained_by_pressures
+from roomfit.inversion.compare import compare_all
 from roomfit.inversion.fits import BandFits
 from roomfit.inversion.measurements import (
     Measurements,
@@ -185,7 +185,7 @@ def fitted_evidence(
         np.array([k.upper for k in priors])[leaders],
     )
     coherent = np.array([b.model == "coherent" for b in answers], dtype=np.bool_)
-    by_pressures = explained_by_pressures(measured, traced.binned, absorption, coherent)
+    pairs, by_pressures = compare_all(measured, traced.binned, absorption, coherent)
     return Evidence(
         measured,
         recorded.arrivals,
@@ -193,7 +193,7 @@ def fitted_evidence(
         priors,
         traced,
         fits,
-        compare_all(measured, traced.binned, absorption, by_pressures),
+        pairs,
         by_pressures,
         absorption,
         lower95,

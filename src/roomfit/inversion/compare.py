@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
+from roomfit.forks import in_forks
 from roomfit.inversion.measurements import Measurements
 from roomfit.measurement import MeasuredPair, Use
 from roomfit.objective.observation import spread_over_time
@@ -74,61 +77,68 @@ def compare_all(
     measurements: Measurements,
     binned: BinnedPaths,
     absorption: FloatArray,
-    by_pressures: BoolArray | None = None,
-) -> tuple[ComparedPair, ...]:
+    candidates: BoolArray | None = None,
+) -> tuple[tuple[ComparedPair, ...], BoolArray]:
     """Return measured against predicted for every response, then for every table's pairs.
+
+    And in which bands the pressures of image sources are added in the predicted responses: in those
+    of the candidates where they explain the fitted ones better than energies do, by the mean error
+    in just noticeable differences over all room parameters and pairs.
 
     Parameters
     ----------
     absorption : float array, shape (n_materials, n_bands)
-    by_pressures : bool array, shape (n_bands,), optional
-        Of responses, in which bands the pressures of image sources are added; left out: in none.
+    candidates : bool array, shape (n_bands,), optional
+        Bands in which pressures were fitted; left out: none.
     """
     scene, bands = measurements.scene, measurements.bands
-    observed = compare_pairs(scene, bands, binned, measurements.responses, absorption, by_pressures)
+    given = scene, bands, binned, measurements.responses, absorption
+    observed, chosen = compare_pairs(*given), np.zeros(len(bands), dtype=np.bool_)
+    if candidates is not None and candidates.any():
+        added = compare_pairs(*given, candidates)
+        chosen = _better(candidates, added, observed)
+        observed = tuple(map(partial(_in_bands, chosen), added, observed))
     tabulated = (*measurements.values, *measurements.kept_values)
     if not tabulated:
-        return observed
+        return observed, chosen
     predicted = predicted_values(scene, bands, binned, absorption)
     pair_of = {name: i for i, name in enumerate(pair_names(scene))}
     rows = [predicted[pair_of[m.pair_name]] for m in tabulated]
     uses: list[Use] = ["fit" for _ in measurements.values]
     uses += ["validate" for _ in measurements.kept_values]
     tables = compared_values(tabulated, rows, measurements.values, bands)
-    return observed + tuple(
+    of_tables = tuple(
         ComparedPair(
             m.source, m.receiver, use, {str(n): c for n, c in table.items()}, None, m.state
         )
         for m, use, table in zip(tabulated, uses, tables, strict=True)
     )
+    return observed + of_tables, chosen
 
 
-def explained_by_pressures(
-    measurements: Measurements, binned: BinnedPaths, absorption: FloatArray, candidates: BoolArray
+def _better(
+    candidates: BoolArray, by: Sequence[ComparedPair], of: Sequence[ComparedPair]
 ) -> BoolArray:
-    """Return in which bands pressures explain the values of fitted responses better than energies.
+    """Return in which candidates the first of two predictions is nearer to fitted responses."""
+    fitted = [(x, y) for x, y in zip(by, of, strict=True) if x.use == "fit"]
+    off = [(x.parameters[n].jnd, y.parameters[n].jnd) for x, y in fitted for n in x.parameters]
+    sizes = np.abs(np.array(off).reshape(-1, 2, len(candidates)))
+    known = np.isfinite(sizes).all(axis=1, keepdims=True)
+    first, second = np.where(known, sizes, 0.0).sum(axis=0)
+    return np.asarray(candidates & (first < second))
 
-    By the mean error in just noticeable differences, over all room parameters and pairs; the walls
-    are the same for both.
 
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials, n_bands)
-    candidates : bool array, shape (n_bands,)
-        Bands in which pressures of image sources were fitted.
-    """
-    fitted = tuple(m for m in measurements.responses if m.measurement.use == "fit")
-    if not candidates.any() or not fitted:
-        return np.zeros(len(candidates), dtype=np.bool_)
-    off = []
-    for added in (candidates, None):
-        pairs = compare_pairs(
-            measurements.scene, measurements.bands, binned, fitted, absorption, added
-        )
-        off.append(np.abs([[c.jnd for c in p.parameters.values()] for p in pairs]))
-    known = np.isfinite(off).all(axis=0)
-    by_pressures, by_energies = (np.where(known, x, 0.0).sum(axis=(0, 1)) for x in off)
-    return np.asarray(candidates & (by_pressures < by_energies))
+def _in_bands(chosen: BoolArray, a: ComparedPair, b: ComparedPair) -> ComparedPair:
+    """Return a prediction of a response in the bands of a mask, and another of it elsewhere."""
+    parameters, decay = {}, b.decay
+    for name, y in b.parameters.items():
+        x = a.parameters[name]
+        predicted, jnd = np.where(chosen, [x.predicted, x.jnd], [y.predicted, y.jnd])
+        parameters[name] = Compared(y.measured, predicted, y.null, jnd)
+    if a.decay is not None and decay is not None:
+        level_db = np.where(chosen[:, None], a.decay.predicted_db, decay.predicted_db)
+        decay = replace(decay, predicted_db=level_db)
+    return replace(b, parameters=parameters, decay=decay)
 
 
 def compare_pairs(
@@ -145,10 +155,10 @@ def compare_pairs(
     ----------
     absorption : float array, shape (n_materials, n_bands)
     by_pressures : bool array, shape (n_bands,), optional
-        As of `compare_all`.
+        In which bands the pressures of image sources are added; left out: in none.
     """
-    out = []
-    for m in measured:
+
+    def compared(m: MeasuredPair) -> ComparedPair:
         # the same reduction on both sides
         curve = reduced_alike(
             predicted_curve(scene, bands, binned, m.pair, absorption, by_pressures), m.curve
@@ -160,15 +170,16 @@ def compare_pairs(
             if o.measurement.use == "fit" and o.measurement.state == m.measurement.state
             if o is not m
         ]
-        compared: dict[str, Compared] = {}
+        parameters: dict[str, Compared] = {}
         for name in PARAMETER_NAMES:
             found, expected = m.parameters.of(name), predicted.of(name)
             null = _mean_of_known(np.array([o.of(name) for o in others]).reshape(-1, len(bands)))
-            compared[name] = Compared(found, expected, null, in_jnd(name, found, expected))
+            parameters[name] = Compared(found, expected, null, in_jnd(name, found, expected))
         own = m.measurement
         decay = _decay(m.curve, curve)
-        out.append(ComparedPair(own.source, own.receiver, own.use, compared, decay, own.state))
-    return tuple(out)
+        return ComparedPair(own.source, own.receiver, own.use, parameters, decay, own.state)
+
+    return tuple(in_forks(compared, measured))
 
 
 def predicted_curve(
@@ -185,7 +196,7 @@ def predicted_curve(
     ----------
     absorption : float array, shape (n_materials, n_bands)
     by_pressures : bool array, shape (n_bands,), optional
-        In which bands the pressures of image sources are added; left out: in none.
+        As of `compare_pairs`.
     """
     energy = pair_energies(binned, bands, pair, absorption, attenuation_per_m(scene.air, bands))
     energy = spread_over_time(bands, energy)
