@@ -21,7 +21,7 @@ from cluster_more import keep_memory
 from cluster_tasks import fill_memory, number_into
 from roomfit import workers
 from roomfit.batch import identify_rooms, room_tasks, rooms_text
-from roomfit.cache import _lock_file, _locked
+from roomfit.cache import locked
 from roomfit.errors import FolderInUseError, InputError
 from roomfit.workers import check_memory, cluster_pool, completed, result_of
 
@@ -102,7 +102,7 @@ def test_a_room_that_another_run_holds_is_elsewhere_and_leaves_no_record(tmp_pat
     out = tmp_path / "out"
     place = out / "rooms" / room_tasks([campaign])[0].address
     place.parent.mkdir(parents=True)
-    with _locked(_lock_file(place, place.parent, "lock"), place):
+    with locked(place):
         (row,) = identify_rooms([campaign], out)
     assert (row.status, row.message) == ("elsewhere", "another run is identifying this room")
     assert "1 rooms: 1 elsewhere." in rooms_text([row])
