@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack
@@ -24,19 +27,19 @@ from roomfit.workers import bundled, cluster_pool, completed, in_pool, result_of
 HELPERS = Path(__file__).parent / "helpers"
 
 
-def test_no_more_than_a_window_of_tasks_is_submitted_at_once() -> None:
+def test_no_more_than_four_tasks_a_thread_are_submitted_at_once() -> None:
     submitted, yielded = 0, 0
 
     def tasks() -> Iterator[Callable[[], int]]:
         nonlocal submitted
         for number in range(50):
             submitted += 1
-            assert submitted - yielded <= 7
+            assert submitted - yielded <= 3 * workers.TASKS_A_THREAD
             yield partial(int, number)
 
     with ThreadPoolExecutor(3) as pool:
         found = {}
-        for number, future in completed(pool, tasks(), window=7):
+        for number, future in completed(pool, tasks()):
             found[number] = future.result()
             yielded += 1
     assert found == {n: n for n in range(50)}
@@ -85,46 +88,100 @@ class KilledWorker(Exception):  # noqa: N818 -- dask calls it so
 
 
 class Client:
-    """Takes tasks as dask's client does; the test says how each ends."""
+    """Takes tasks as dask's client does, and ends each as the test says, the newest first."""
 
-    def __init__(self) -> None:
+    def __init__(self, end: Callable[[Callable[[], object], Future[object]], None]) -> None:
+        self.end = end
+        self.threads = {"tcp://a": 1, "tcp://b": 1}
         self.sent: list[tuple[Callable[[], object], Future[object]]] = []
+        self.futures: list[weakref.ref[Future[object]]] = []
+        self.most = 0
 
     def submit(self, task: Callable[[], object], *, pure: bool) -> Future[object]:
         assert not pure
-        self.sent.append((task, Future()))
-        return self.sent[-1][1]
+        future: Future[object] = Future()
+        self.sent.append((task, future))
+        self.futures.append(weakref.ref(future))
+        self.most = max(self.most, len(self.sent))
+        threading.Timer(0.02, self.end_one).start()
+        return future
+
+    def end_one(self) -> None:
+        self.end(*self.sent.pop())
+
+    def nthreads(self) -> dict[str, int]:
+        return self.threads
 
 
-def test_a_task_that_was_given_up_among_others_is_tried_once_more_alone() -> None:
-    client = Client()
+def done(task: Callable[[], object], future: Future[object]) -> None:
+    future.set_result(task())
+
+
+def test_a_cluster_is_handed_a_window_of_its_threads_which_grows_with_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """All tasks end, once; without the window, the client would have had 200 at once."""
+    client = Client(done)
     pool = workers._ClusterExecutor(client)
-    first, second, third = (pool.submit(partial(int, n)) for n in range(3))
-    client.sent[0][1].set_exception(KilledWorker())
-    client.sent[1][1].set_exception(KilledWorker())
-    assert len(client.sent) == 3
-    client.sent[2][1].set_result(2)
-    assert third.result() == 2
-    assert len(client.sent) == 4
-    client.sent[3][1].set_exception(KilledWorker())
-    assert failure(first) is not None
-    task, alone = client.sent[4]
-    alone.set_result(task())
-    assert second.result() == 1
-    assert len(client.sent) == 5
+    ends = completed(pool, (partial(int, n) for n in range(200)))
+    found = [next(ends) for _ in range(100)]
+    assert client.most <= 2 * workers.TASKS_A_THREAD
+    client.threads = {f"tcp://{n}": 1 for n in range(20)}
+    monkeypatch.setattr(workers, "_THREADS_FOR_S", 0.0)
+    found += [next(ends) for _ in range(20)]
+    assert client.most > 2 * workers.TASKS_A_THREAD
+    found += ends
+    assert client.most <= 20 * workers.TASKS_A_THREAD
+    assert {number: future.result() for number, future in found} == {n: n for n in range(200)}
 
 
-def test_what_was_given_up_is_not_tried_again_where_the_connection_is_lost() -> None:
-    client = Client()
+def test_nothing_of_a_task_that_has_ended_waits_for_the_collector() -> None:
+    """What the scheduler keeps of a task goes with the client's future of it."""
+    client = Client(done)
     pool = workers._ClusterExecutor(client)
-    futures = [pool.submit(partial(int, n)) for n in range(3)]
-    client.sent[0][1].set_exception(KilledWorker())
-    client.sent[1][1].set_exception(KilledWorker())
-    client.sent[2][1].cancel()
-    assert len(client.sent) == 3
-    for future in futures:
+    gc.disable()
+    try:
+        for _ in completed(pool, (partial(int, n) for n in range(100))):
+            pass
+        time.sleep(0.1)  # the last thread of the client
+        assert not any(future() for future in client.futures)
+    finally:
+        gc.enable()
+
+
+def test_tasks_that_were_given_up_are_tried_once_more_alone_after_all_others() -> None:
+    """More of them than the window holds; none keeps another from being handed out."""
+    log: list[tuple[int, int]] = []
+
+    def end(task: Callable[[], object], future: Future[object]) -> None:
+        number = int(str(task()))
+        tries = sum(own == number for own, _ in log)
+        log.append((number, len(client.sent)))  # how many others are there
+        if number % 3 == 0 and (tries == 0 or number == 9):
+            future.set_exception(KilledWorker())
+        else:
+            future.set_result(number)
+
+    client = Client(end)
+    pool = workers._ClusterExecutor(client)
+    ends = dict(completed(pool, [partial(int, n) for n in range(60)]))
+    assert {n for n, future in ends.items() if failure(future) is not None} == {9}
+    assert {n for n, future in ends.items() if failure(future) is None} == {*range(60)} - {9}
+    assert sorted(number for number, _ in log[:60]) == list(range(60))
+    assert sorted(log[60:]) == [(n, 0) for n in range(0, 60, 3)]
+
+
+def cancel(future: Future[object]) -> None:
+    assert future.cancel()
+
+
+def test_a_connection_that_is_lost_ends_every_task_and_says_so() -> None:
+    client = Client(lambda _, future: cancel(future))
+    pool = workers._ClusterExecutor(client)
+    for _, future in completed(pool, [partial(int, n) for n in range(30)]):
         with pytest.raises(StoreError, match="connection to the scheduler is lost"):
             result_of(future)
+    assert client.most <= 2 * workers.TASKS_A_THREAD
 
 
 class Cluster:

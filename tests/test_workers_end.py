@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -20,7 +21,7 @@ from cluster_more import keep_memory
 from cluster_tasks import fill_memory, number_into
 from roomfit import workers
 from roomfit.batch import identify_rooms, room_tasks, rooms_text
-from roomfit.cache import _lock_file, _locked
+from roomfit.cache import locked
 from roomfit.errors import FolderInUseError, InputError
 from roomfit.workers import check_memory, cluster_pool, completed, result_of
 
@@ -55,6 +56,9 @@ class Client:
         assert not pure
         self.sent.append(Future())
         return self.sent[-1]
+
+    def nthreads(self) -> dict[str, int]:
+        return {"tcp://a": 1, "tcp://b": 1, "tcp://c": 1}
 
     def processing(self) -> dict[str, tuple[str, ...]]:
         return {"tcp://a": ("task",), "tcp://b": (), "tcp://c": ("task",)}
@@ -98,7 +102,7 @@ def test_a_room_that_another_run_holds_is_elsewhere_and_leaves_no_record(tmp_pat
     out = tmp_path / "out"
     place = out / "rooms" / room_tasks([campaign])[0].address
     place.parent.mkdir(parents=True)
-    with _locked(_lock_file(place, place.parent, "lock"), place):
+    with locked(place):
         (row,) = identify_rooms([campaign], out)
     assert (row.status, row.message) == ("elsewhere", "another run is identifying this room")
     assert "1 rooms: 1 elsewhere." in rooms_text([row])
@@ -150,6 +154,32 @@ def test_a_worker_ends_with_its_parent_whatever_it_is_doing(
         parent.kill()
         for end in ends:
             os.close(end)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are looked up in /proc")
+def test_an_interrupt_of_all_ends_a_cluster_at_once_and_leaves_no_worker(tmp_path: Path) -> None:
+    """As the terminal sends it, while workers let nothing else run; dask alone takes 4 to 34 s."""
+    program = [sys.executable, str(HELPERS / "cluster_more.py"), "cluster", str(tmp_path)]
+    parent = subprocess.Popen(
+        program,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join([str(HELPERS), *sys.path])},
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        deadline = time.monotonic() + 240.0
+        while len(found := [p for p in tmp_path.glob("*.pid") if p.read_text()]) < 2:
+            assert time.monotonic() < deadline and parent.poll() is None
+            time.sleep(0.1)
+        os.killpg(parent.pid, signal.SIGINT)
+        _, said = parent.communicate(timeout=3.0)
+        assert not any(is_running(int(p.read_text())) for p in found)
+        assert said.count("Traceback") == 1  # none of a worker
+    finally:
+        parent.kill()
 
 
 @pytest.mark.slow

@@ -239,7 +239,7 @@ def _ends(
         for number, job in enumerate(jobs):
             yield number, *_end(job)
         return
-    for number, future in completed(pool, [partial(_with_one_thread, job) for job in jobs]):
+    for number, future in completed(pool, (partial(_with_one_thread, job) for job in jobs)):
         yield number, *_end(partial(result_of, future))
 
 

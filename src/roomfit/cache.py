@@ -301,8 +301,7 @@ T = TypeVar("T")
 def sole_writer(command: Callable[P, T]) -> Callable[P, T]:
     """Let a command run only while no other run writes into the folder that is its argument `out`.
 
-    The lock is a hidden file beside the folder. The system frees it when its process ends, however
-    that comes about. What killed runs have left behind is removed.
+    What killed runs have left behind is removed.
 
     Raises
     ------
@@ -318,7 +317,7 @@ def sole_writer(command: Callable[P, T]) -> Callable[P, T]:
         parent = nearest_existing(path.parent)
         if not (parent.is_dir() and os.access(parent, os.W_OK | os.X_OK)):
             return command(*args, **kwargs)  # which refuses
-        with _locked(_lock_file(path, parent, "lock"), path):
+        with locked(path):
             _recover(path, parent)
             return command(*args, **kwargs)
 
@@ -366,25 +365,30 @@ def shared_folder(path: Path, *, alone: bool) -> Iterator[bool]:
 
 
 @contextmanager
-def _locked(lock: Path, path: Path) -> Iterator[None]:
+def locked(path: Path, wait_s: float = 1.0) -> Iterator[None]:
+    """Hold a file, or a folder that may still be to be made, by a lock in a hidden file beside it.
+
+    The system frees it when its process ends, however that comes about. `FolderInUseError` where
+    another run has held it all the time that this one waited.
+    """
+    lock = _lock_file(path, nearest_existing(path.parent), "lock")
     try:
-        descriptor, locked = _opened(lock, partial(_try_lock, tries=50))
+        descriptor, taken = _opened(lock, partial(_try_lock, wait_s=wait_s))
     except OSError as error:
         raise _cannot_be_made(path, error) from error
-    if not locked:
+    if not taken:
         os.close(descriptor)
-        raise FolderInUseError(
-            "another run is writing into the output folder",
-            where=str(path),
-            hint="wait for it, or choose another folder",
-        )
+        what, found = "another run is writing to this place", f"a run that holds {lock.name}"
+        hint = "wait for it, end it, or choose another place"
+        raise FolderInUseError(what, where=str(path), found=found, needed="one run", hint=hint)
     try:
         yield
     finally:
-        # while it is held: whoever waits with the old file open looks again
-        _remove(lock)
-        os.close(descriptor)
-        _remove(lock)  # Windows removes no open file
+        # while it is held: whoever waits with the old file open looks again, and what has its name
+        # after that may be the lock of another; Windows removes no open file
+        steps = [partial(_remove, lock), partial(os.close, descriptor)]
+        for step in reversed(steps) if sys.platform == "win32" else steps:
+            step()
 
 
 def _opened(lock: Path, take: Callable[[int], bool]) -> tuple[int, bool]:
@@ -392,34 +396,29 @@ def _opened(lock: Path, take: Callable[[int], bool]) -> tuple[int, bool]:
     while True:
         descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
         locked = take(descriptor)
-        if _is_same(descriptor, lock):
-            return descriptor, locked
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(descriptor), lock.stat()):
+                return descriptor, locked
         os.close(descriptor)  # its last owner has just removed it
 
 
-def _try_lock(descriptor: int, tries: int = 1) -> bool:
+def _try_lock(descriptor: int, wait_s: float = 0.0) -> bool:
     """Return whether an open file, or on POSIX a folder, could be locked; True without locks."""
-    try:
-        if sys.platform != "win32":
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        else:
-            import msvcrt
+    until_s = time.monotonic() + wait_s
+    while True:
+        try:
+            if sys.platform != "win32":
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            else:
+                import msvcrt
 
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-    except OSError as error:
-        is_free = error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
-        if is_free or tries == 1:
-            return is_free
-        time.sleep(0.02)  # copies of a killed run hold its locks until they have died
-        return _try_lock(descriptor, tries - 1)
-    return True
-
-
-def _is_same(descriptor: int, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(descriptor), path.stat())
-    except FileNotFoundError:
-        return False
+                msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+            return True
+        except OSError as error:
+            is_free = error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
+            if is_free or time.monotonic() >= until_s:
+                return is_free
+            time.sleep(0.002)  # copies of a killed run hold its locks until they have died
 
 
 @contextmanager
@@ -449,7 +448,7 @@ def remove_leftovers(parent: Path, prefix: str) -> None:
     for folder in () if sys.platform == "win32" else parent.glob(f"{escape(prefix)}????????"):
         with suppress(OSError):
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-            if _try_lock(descriptor, tries=50):
+            if _try_lock(descriptor, wait_s=1.0):
                 shutil.rmtree(folder, ignore_errors=True)
             os.close(descriptor)
 

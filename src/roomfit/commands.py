@@ -132,8 +132,10 @@ def draft_to_folder(
         The disk refuses.
     """
     from roomfit.io.draft import draft_campaign, matching_files, read_positions
+    from roomfit.io.edits import sole_editor
     from roomfit.io.reverberation import read_decay_times
 
+    file = folder / "campaign.toml"
     if not folder.is_dir() and decay_times is None:
         raise InputError(
             "there is no such folder of recordings",
@@ -143,7 +145,7 @@ def draft_to_folder(
             hint="make the folder, and put the recordings into it",
         )
     if folder.exists():
-        _check_place(folder / "campaign.toml", overwrite)
+        _check_place(file, overwrite)
     if decay_times is not None:
         if recordings is not None or positions is not None:
             raise InputError(
@@ -164,7 +166,9 @@ def draft_to_folder(
         decay_times=decay_times,
     )
     make_folder(folder)
-    write_text_atomically(folder / "campaign.toml", text)
+    with sole_editor(file):
+        _check_place(file, overwrite)
+        write_text_atomically(file, text)
     return text
 
 
@@ -426,7 +430,9 @@ def _check_place(out: Path, overwrite: bool) -> None:
             where=str(out),
             found="a folder" if inner else "a device, a pipe or a socket, which would be replaced",
             needed="a new name",
-            hint=f"write --out {out / 'materials.txt'}" if inner else "choose another name",
+            hint=f"write --out {out / 'materials.txt'}"
+            if inner and not out.suffix  # a folder was meant, not a name that a folder has
+            else "rename what is there, or choose another name",
         )
     if out.exists() and not overwrite:
         raise InputError(

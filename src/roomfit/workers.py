@@ -7,10 +7,12 @@ between processes.
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import signal
 import sys
 import time
+import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import (
@@ -26,8 +28,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
 from itertools import islice
-from multiprocessing import active_children, get_context
-from threading import Lock
+from multiprocessing import active_children, get_context, resource_tracker
 from typing import Any, TypeVar
 
 import numba
@@ -41,11 +42,16 @@ from roomfit.typing import Progress
 T = TypeVar("T")
 _LOG, _NOTICE = logging.getLogger("roomfit"), 25
 
-# In the hands of an executor at once: dask's scheduler slows down from some 10,000 on.
-LARGEST_WINDOW = 10_000
+# In the hands of an executor at once, for each of its threads: what waits costs a scheduler memory
+# and every look at all of them time, and so many keep a thread busy until others are handed on.
+TASKS_A_THREAD = 4
+# A cluster is asked no more often how many threads it has: workers come and go.
+_THREADS_FOR_S = 5.0
 # Below it the work of the scheduler (a few ms a task) and of a worker's turn shows.
 SHORTEST_TASK_S = 5.0
 _CONNECTING_S = 20
+# What a worker of the own cluster is given to end by itself.
+_ENDING_S = 0.5
 # Memory that libraries do not give back goes with the process.
 _LIFETIME_S = 3600
 # A task that has taken so many workers with it is not given to another.
@@ -124,23 +130,32 @@ def keep_one_thread() -> None:
     numba.set_num_threads(1)
 
 
-def completed(
-    pool: Executor, tasks: Iterable[Callable[[], T]], window: int = LARGEST_WINDOW
-) -> Iterator[tuple[int, Future[T]]]:
+def completed(pool: Executor, tasks: Iterable[Callable[[], T]]) -> Iterator[tuple[int, Future[T]]]:
     """Yield the number and the future of each task as it ends.
 
-    Tasks are taken from their iterable as others end, so that at most `window` are submitted and
-    not yet yielded. When the iterator is closed, those that wait are dropped. After a minute in
-    which none ends, a message names the workers of a cluster that are waited for.
+    Tasks are taken from their iterable as others end, so that at most `TASKS_A_THREAD` for each
+    thread of the pool are submitted and not yet yielded. When the iterator is closed, those that
+    wait are dropped. After a minute in which none ends, a message names the workers of a cluster
+    that are waited for.
+
+    Dask blames a worker's death on every task that was given to it, those that only waited there
+    included. A task given up for it is therefore tried once more when no other is left that could
+    be the cause.
     """
     waiting = enumerate(tasks)
-    running: dict[Future[T], int] = {}
-    since = time.strftime("%H:%M:%S")
+    running: dict[Future[T], tuple[int, Callable[[], T]]] = {}
+    given_up: deque[tuple[int, Callable[[], T]]] = deque()
+    since, alone = time.strftime("%H:%M:%S"), False
     try:
         while True:
+            room = max(0, TASKS_A_THREAD * _threads(pool) - len(running))
             with interrupts_deferred():
-                for number, task in islice(waiting, window - len(running)):
-                    running[pool.submit(task)] = number
+                for number, task in islice(waiting, room):
+                    running[pool.submit(task)] = number, task
+                alone = alone or not running
+                if given_up and not running:
+                    number, task = given_up.popleft()
+                    running[pool.submit(task)] = number, task
             if not running:
                 return
             done, _ = wait(running, _SILENCE_S, return_when=FIRST_COMPLETED)
@@ -149,10 +164,26 @@ def completed(
             elif isinstance(pool, _ClusterExecutor):
                 _LOG.log(_NOTICE, "waiting for %s since %s", pool.at_work(), since)
             for future in done:
-                yield running.pop(future), future
+                number, task = running.pop(future)
+                if not alone and _died(future):
+                    given_up.append((number, task))
+                else:
+                    yield number, future
     finally:
         for future in running:
             future.cancel()
+
+
+def _threads(pool: Executor) -> int:
+    if isinstance(pool, _ClusterExecutor):
+        return pool.threads()
+    # by no public name
+    return int(getattr(pool, "_max_workers", 1))
+
+
+def _died(future: Future[Any]) -> bool:
+    """Whether all workers that had a task have died."""
+    return not future.cancelled() and type(future.exception()).__name__ == _DEATH
 
 
 def in_pool(
@@ -293,22 +324,32 @@ def _own_cluster(stack: ExitStack, n_workers: int) -> Any:
     message = "%d workers, each with up to %.1f GB of this machine's memory"
     _LOG.log(_NOTICE, message, n_workers, 1e-9 * each_bytes)
     stack.enter_context(dask.config.set(dict(_OWN_CLUSTER)))
-    cluster = _distributed().LocalCluster(
-        n_workers=n_workers,
-        memory_limit=each_bytes,
-        threads_per_worker=1,
-        processes=True,
-        host="127.0.0.1",
-        # without an address its web server would listen to the whole network
-        dashboard_address="127.0.0.1:0",
-        env=_ONE_THREAD,
-        lifetime=f"{_LIFETIME_S} seconds",
-        lifetime_stagger=f"{_LIFETIME_S // 10} seconds",
-        lifetime_restart=True,
-        silence_logs=50,  # a worker that dies is reported by us
-    )
+    # the thread that starts workers, now and after deaths, is made here and passes on that it gets
+    # no interrupts; it would get them again if it were the first to start this tracker
+    resource_tracker.ensure_running()
+    with interrupts_deferred():
+        cluster = _distributed().LocalCluster(
+            n_workers=n_workers,
+            memory_limit=each_bytes,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            # without an address its web server would listen to the whole network
+            dashboard_address="127.0.0.1:0",
+            env=_ONE_THREAD,
+            lifetime=f"{_LIFETIME_S} seconds",
+            lifetime_stagger=f"{_LIFETIME_S // 10} seconds",
+            lifetime_restart=True,
+            silence_logs=50,  # a worker that dies is reported by us
+        )
     stack.callback(_quietly, cluster.close)
+    stack.callback(_quietly, partial(cluster.sync, _ended_at_once, cluster))
     return cluster
+
+
+async def _ended_at_once(cluster: Any) -> None:
+    """End workers whatever they are doing, which dask by itself waits four seconds for."""
+    await asyncio.gather(*(nanny.close(timeout=_ENDING_S) for nanny in cluster.workers.values()))
 
 
 def check_memory(limit_bytes: int, where: str, hint: str) -> None:
@@ -340,24 +381,30 @@ class _ClusterExecutor(Executor):
 
     Dask's own executor fails where a worker dies between the end of a task and the way of its
     result; here the result is waited for until another worker has done the task again.
-
-    Dask blames a worker's death on every task that was given to it, those that only waited there
-    included. A task given up for it is therefore tried once more when no other is left that could
-    be the cause.
     """
 
     def __init__(self, client: Any) -> None:
         self._client = client
-        self._lock = Lock()
-        self._n_running = 0
-        self._given_up: deque[tuple[Future[Any], Callable[[], Any]]] = deque()
+        self._n_threads, self._asked_s = 1, -_THREADS_FOR_S
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         outer: Future[Any] = Future()
-        with self._lock:
-            self._n_running += 1
-        self._send(outer, partial(fn, *args, **kwargs), alone=False)
+        inner = self._client.submit(partial(fn, *args, **kwargs), pure=False)
+        # two futures that hold each other stay until the collector comes, and what the scheduler
+        # keeps of the task with them
+        known = weakref.ref(inner)
+        outer.add_done_callback(partial(_called_off, known))
+        inner.add_done_callback(partial(_handed_on, outer))
         return outer
+
+    def threads(self) -> int:
+        """Return how many threads the workers have together, as asked a few seconds ago at most."""
+        if time.monotonic() - self._asked_s >= _THREADS_FOR_S:
+            # of a scheduler that does not answer the tasks will be lost, and that is reported
+            with suppress(Exception):
+                self._n_threads = max(1, sum(self._client.nthreads().values()))
+            self._asked_s = time.monotonic()
+        return self._n_threads
 
     def at_work(self) -> str:
         """Return the workers that have tasks, and which of them do not go on with theirs."""
@@ -376,35 +423,24 @@ class _ClusterExecutor(Executor):
                 found.append(f"worker {address}{paused}{silent}")
         return "; ".join(found[:5]) or "workers, of which none has a task"
 
-    def _send(self, outer: Future[Any], task: Callable[[], Any], *, alone: bool) -> None:
-        inner = self._client.submit(task, pure=False)
-        outer.add_done_callback(lambda own: inner.cancel() if own.cancelled() else None)
-        inner.add_done_callback(partial(self._ended, outer, task, alone))
 
-    def _ended(self, outer: Future[Any], task: Callable[[], Any], alone: bool, inner: Any) -> None:
-        again = False
-        try:
-            if not outer.cancelled():
-                outer.set_result(inner.result())
-        except CancelledError:
-            outer.cancel()
-            outer.set_running_or_notify_cancel()  # or nobody who waits would wake up
-        except BaseException as error:  # noqa: BLE001 -- whatever the task raised is handed on
-            again = not alone and type(error).__name__ == _DEATH
-            if not again:
-                outer.set_exception(error)
-        with self._lock:
-            if again:
-                self._given_up.append((outer, task))
-            self._n_running -= 1
-            if self._n_running or not self._given_up:
-                return
-            outer, task = self._given_up.popleft()
-            self._n_running = 1
-        if inner.cancelled():  # the connection is lost, or the block left
-            self._ended(outer, task, True, inner)
-        else:
-            self._send(outer, task, alone=True)
+def _called_off(known: weakref.ref[Any], outer: Future[Any]) -> None:
+    """Drop a task of dask whose future here was cancelled."""
+    inner = known() if outer.cancelled() else None
+    if inner is not None:
+        inner.cancel()
+
+
+def _handed_on(outer: Future[Any], inner: Any) -> None:
+    """Let a future end as that of dask has."""
+    try:
+        if not outer.cancelled():
+            outer.set_result(inner.result())
+    except CancelledError:
+        outer.cancel()
+        outer.set_running_or_notify_cancel()  # or nobody who waits would wake up
+    except BaseException as error:  # noqa: BLE001 -- whatever the task raised is handed on
+        outer.set_exception(error)
 
 
 def _distributed() -> Any:
@@ -483,11 +519,11 @@ def result_of(future: Future[T]) -> T:
             found="tasks were cancelled",
             hint="run the same command again: what is done is not done again",
         )
-    error = future.exception()
-    if type(error).__name__ == _DEATH:
+    if _died(future):
+        deaths = getattr(future.exception(), "allowed_failures", _MOST_DEATHS) + 1
         raise InsufficientDataError(
             "every worker that had the task died",
-            found=f"{getattr(error, 'allowed_failures', _MOST_DEATHS) + 1} of them",
+            found=f"{deaths} of them",
             hint="memory is the usual reason: fewer workers on a machine leave more for each",
         )
     return future.result()

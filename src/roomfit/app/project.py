@@ -8,18 +8,19 @@ from __future__ import annotations
 import os
 import re
 import tomllib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from roomfit.cache import write_text_atomically
 from roomfit.commands import export_result
 from roomfit.core import check_known, check_name
-from roomfit.errors import InputError, located
+from roomfit.errors import InputError
 from roomfit.io.campaign import FILL_IN, Campaign, blanks, read_campaign, read_toml
 from roomfit.io.draft import draft_campaign
-from roomfit.io.edits import Edit, campaign_text, edited_text, read_beside, value_text
+from roomfit.io.edits import Edit, edited_text, read_beside, rewrite, sole_editor, value_text
 from roomfit.io.exports import FORMATS
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.io.responses.sweep import response_name
@@ -86,8 +87,14 @@ def campaign_content(folder: Path) -> dict[str, Any]:
     return read_toml(campaign_file(folder))
 
 
-def edit(folder: Path, *edits: Edit) -> None:
+def edit(
+    folder: Path,
+    *edits: Edit,
+    of: Callable[[dict[str, Any]], Iterable[Edit]] | None = None,
+) -> None:
     """Change keys of the campaign file; where none is another, it keeps its time.
+
+    `of`: returns further edits of what the file says, as plain content.
 
     Raises
     ------
@@ -96,12 +103,11 @@ def edit(folder: Path, *edits: Edit) -> None:
     StoreError
         The disk refuses.
     """
-    file = campaign_file(folder)
-    before = campaign_text(file)
-    with located(str(file)):
-        after = edited_text(before, edits)
-    if after != before:
-        write_text_atomically(file, after)
+
+    def change(text: str) -> str:
+        return edited_text(text, (*edits, *(of(campaign_content(folder)) if of else ())))
+
+    rewrite(campaign_file(folder), change)
 
 
 def set_room(
@@ -132,12 +138,17 @@ def set_room(
     else:
         spec = RoomSpec(file=folder / (file or ""), unit=unit, space=space or None)
     drafted = draft_campaign(spec, {}, folder=folder)
-    if not has_campaign(folder):
-        no = [Edit((), key, None) for key in ("sources", "receivers", "measurements")]
-        text = re.sub(r"\n{3,}", "\n\n", edited_text(drafted, no))
-        write_text_atomically(campaign_file(folder), text)
-        return
-    new, old = tomllib.loads(drafted), campaign_content(folder)
+    with sole_editor(campaign_file(folder)):
+        if not has_campaign(folder):
+            no = [Edit((), key, None) for key in ("sources", "receivers", "measurements")]
+            text = re.sub(r"\n{3,}", "\n\n", edited_text(drafted, no))
+            write_text_atomically(campaign_file(folder), text)
+            return
+    edit(folder, of=partial(_of_room, tomllib.loads(drafted)))
+
+
+def _of_room(new: Mapping[str, Any], old: Mapping[str, Any]) -> list[Edit]:
+    """Return what gives a campaign the room of another, and what belongs to it."""
     wanted, known = _leaves(new["room"], "room"), _leaves(old.get("room", {}), "room")
     # what the campaign says of materials that the room does not have would be refused
     gone = [("materials", n) for n in old.get("materials", {}) if n not in new.get("materials", {})]
@@ -145,15 +156,14 @@ def set_room(
     gone += [("objects", n) for n, table in objects.items() if "outlines" in table]
     kept = {n for n in objects if ("objects", n) not in gone}
     stands = {n: table for n, table in new.get("objects", {}).items() if n not in kept}
-    edit(
-        folder,
+    return [
         *[Edit(path[:-1], path[-1], value) for path, value in wanted.items()],
         *[Edit(path[:-1], path[-1], None) for path in known if path not in wanted],
         *[Edit((kind,), name, None) for kind, name in gone],
         *[Edit(path[:-1], path[-1], x) for path, x in _leaves(stands, "objects").items()],
         Edit((), "states", None),
-        *(_known_objects(stands) if decay_times(folder, alone=True) else ()),
-    )
+        *(_known_objects(stands) if _decay_times(old, alone=True) else ()),
+    ]
 
 
 def _leaves(content: Mapping[str, Any], *above: str) -> dict[tuple[str, ...], Any]:
@@ -179,8 +189,12 @@ def set_surface_material(folder: Path, surface: str, material: str) -> None:
 
 def forget_unused_materials(folder: Path, used: Sequence[str]) -> None:
     """Leave out what a campaign says of materials that its room does not have any more."""
-    known = campaign_content(folder).get("materials", {})
-    edit(folder, *[Edit(("materials",), name, None) for name in known if name not in used])
+
+    def gone(content: Mapping[str, Any]) -> list[Edit]:
+        known = content.get("materials", {})
+        return [Edit(("materials",), name, None) for name in known if name not in used]
+
+    edit(folder, of=gone)
 
 
 def set_prior(folder: Path, material: str, entry: str | None) -> None:
@@ -232,10 +246,12 @@ def name_measured(folder: Path, source: str, receiver: str) -> None:
     InputError
         The campaign is no TOML, or written in a way that does not allow it.
     """
-    if not has_campaign(folder):
-        return
-    file, content = f"{RECORDINGS}/{response_name(source, receiver)}", campaign_content(folder)
-    rows = content.get("measurements", [])
+    if has_campaign(folder):
+        edit(folder, of=partial(_of_measured, source, receiver))
+
+
+def _of_measured(source: str, receiver: str, content: Mapping[str, Any]) -> list[Edit]:
+    file, rows = f"{RECORDINGS}/{response_name(source, receiver)}", content.get("measurements", [])
     edits = [
         Edit((kind, name), "position", FILL_IN)
         for kind, name in (("sources", source), ("receivers", receiver))
@@ -244,7 +260,7 @@ def name_measured(folder: Path, source: str, receiver: str) -> None:
     if all(row.get("file") != file for row in rows):
         row = {"source": source, "receiver": receiver, "file": file, "time_zero": "direct"}
         edits += [Edit(("measurements", len(rows) + 1), key, value) for key, value in row.items()]
-    edit(folder, *edits)
+    return edits
 
 
 def set_bands(folder: Path, from_hz: float, to_hz: float) -> None:
@@ -263,10 +279,14 @@ def decay_times(folder: Path, *, alone: bool = False) -> Path | None:
         Return it only where nothing else was measured, so that no wall can be identified.
     """
     content = campaign_content(folder) if has_campaign(folder) else {}
+    own = _decay_times(content, alone=alone)
+    return None if own is None else folder / str(own.get("file", ""))
+
+
+def _decay_times(content: Mapping[str, Any], *, alone: bool) -> Mapping[str, Any] | None:
     own = content.get("reverberation")
-    if not isinstance(own, Mapping) or (alone and {"measurements", "recordings"} & set(content)):
-        return None
-    return folder / str(own.get("file", ""))
+    is_beside = alone and {"measurements", "recordings"} & set(content)
+    return own if isinstance(own, Mapping) and not is_beside else None
 
 
 def set_decay_times(folder: Path, name: str) -> None:
@@ -282,8 +302,8 @@ def set_decay_times(folder: Path, name: str) -> None:
         needed = "a room file or three lengths"
         hint = "give them in the tab Room, then take the table again"
         raise InputError(what, found="no campaign in the folder", needed=needed, hint=hint)
-    known = _known_objects(campaign_content(folder).get("objects", {}))
-    edit(folder, Edit(("reverberation",), "file", f"{DECAY_TIMES}/{name}"), *known)
+    table = Edit(("reverberation",), "file", f"{DECAY_TIMES}/{name}")
+    edit(folder, table, of=lambda content: _known_objects(content.get("objects", {})))
 
 
 def _known_objects(objects: Mapping[str, Mapping[str, Any]]) -> list[Edit]:

@@ -9,15 +9,15 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from roomfit.app import project
-from roomfit.cache import write_text_atomically
 from roomfit.errors import InputError
 from roomfit.io.campaign import FILL_IN, blanks
 from roomfit.io.draft import matching_files, read_positions
-from roomfit.io.edits import Edit, campaign_text, edited_text, without_tables
+from roomfit.io.edits import Edit, edited_text, rewrite, without_tables
 
 _KINDS = {"sources": "source", "receivers": "receiver"}
 _NAMES_ALONE = {"source", "receiver", "file"}
@@ -68,8 +68,6 @@ def named_recordings(folder: Path, known: Sequence[str]) -> dict[str, tuple[str,
 def name_recordings(folder: Path, positions: Positions, moved: Positions | None = None) -> None:
     """Write sources, receivers and measurements into the campaign, as far as files say.
 
-    In the process that writes what is typed: two that did would undo each other's work.
-
     What has a position keeps it, unless it is `moved`. A measurement whose table says nothing but
     names is named anew while the position of its source or of its receiver is not known, and where
     a template names it.
@@ -85,9 +83,14 @@ def name_recordings(folder: Path, positions: Positions, moved: Positions | None 
     InputError
         The campaign is written in a way that does not allow it.
     """
-    if not project.has_campaign(folder):
-        return
-    content, positions = _content(folder), {**positions, **(moved or {})}
+    if project.has_campaign(folder):
+        change = partial(_renamed, folder, {**positions, **(moved or {})}, moved or {})
+        rewrite(project.campaign_file(folder), change)
+
+
+def _renamed(folder: Path, positions: Positions, moved: Positions, before: str) -> str:
+    """Return the text of a campaign with its recordings named."""
+    content = _content(folder)
     placed = {kind: _placed(content, kind) for kind in _KINDS}
     known = [*placed["sources"], *placed["receivers"], *positions]
     found = _by_name(folder, templates(content), known)
@@ -101,13 +104,12 @@ def name_recordings(folder: Path, positions: Positions, moved: Positions | None 
         "sources": [*(r.get("source") for r in kept), *(s for s, _ in new.values())],
         "receivers": [*(r.get("receiver") for r in kept), *(r for _, r in new.values())],
     }
-    before = campaign_text(project.campaign_file(folder))
     text, edits = _without(before, loose, needed), []
     points = tomllib.loads(text)
     for kind, names in needed.items():
         own = points.get(kind, {})
         for name in dict.fromkeys([*filter(None, names), *own]):
-            is_free = name not in placed[kind] or name in (moved or {})
+            is_free = name not in placed[kind] or name in moved
             if name in positions and is_free:
                 edits.append(Edit((kind, name), "position", tuple(positions[name])))
             elif name not in own:
@@ -116,9 +118,7 @@ def name_recordings(folder: Path, positions: Positions, moved: Positions | None 
         for number, (file, (source, receiver)) in enumerate(new.items(), start=len(kept) + 1):
             own = {"source": source, "receiver": receiver, "file": file}
             edits += [Edit(("measurements", number), key, value) for key, value in own.items()]
-    after = edited_text(text, edits)
-    if after != before:
-        write_text_atomically(project.campaign_file(folder), after)
+    return edited_text(text, edits)
 
 
 def set_template(folder: Path, template: str, positions: Positions) -> None:

@@ -461,8 +461,8 @@ def _simulate(
         try:
             taken_s: list[float] = []
             bundles = bundled(tasks, lambda: float(np.median(taken_s)) if taken_s else None)
-            # enough for every worker; and the first to end tell how long the others take
-            for _, future in completed(pool, bundles, window=64):
+            # the first to end tell how long the others take
+            for _, future in completed(pool, bundles):
                 seconds: list[float] = result_of(future)
                 taken_s += seconds
                 if progress is not None:

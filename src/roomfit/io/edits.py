@@ -7,12 +7,13 @@ comments, and no package that rewrites TOML is needed.
 from __future__ import annotations
 
 import json
+import os
 import re
 import secrets
 import tomllib
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import date, time
 from hashlib import sha256
@@ -20,8 +21,8 @@ from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
-from roomfit.cache import write_json_atomically, write_text_atomically
-from roomfit.errors import InputError
+from roomfit.cache import locked, write_json_atomically, write_text_atomically
+from roomfit.errors import InputError, located
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import read_text
 
@@ -367,6 +368,40 @@ def preview(file: Path, edits: Sequence[Edit]) -> Preview:
         return Preview(before, after, tuple(lines))
 
 
+@contextmanager
+def sole_editor(file: Path, wait_s: float = 5.0) -> Iterator[None]:
+    """Keep a file to this thread while it is read, changed and written; see `roomfit.cache.locked`.
+
+    On a disk without locks nobody waits, nor where nothing can be written, which whoever writes
+    will say.
+    """
+    # beside the name, not beside what it may be a link to: there the new file comes into being
+    file = file.parent.resolve() / file.name
+    can_write = os.access(file.parent, os.W_OK | os.X_OK)
+    with locked(file, wait_s) if can_write else nullcontext():
+        yield
+
+
+def rewrite(file: Path, change: Callable[[str], str]) -> None:
+    """Change the text of a campaign, which no other process of roomfit changes meanwhile.
+
+    `change`: returns the text that is to stand there, of the one that does; where both are equal
+    the file keeps its time.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or another process has had it for five seconds; or as `change`.
+    StoreError
+        The disk refuses.
+    """
+    with sole_editor(file), located(str(file)):
+        before = campaign_text(file)
+        after = change(before)
+        if after != before:
+            write_text_atomically(file, after)
+
+
 def apply(file: Path, wanted: Preview) -> None:
     """Write what was previewed, and keep the text that was there, so that one step can be undone.
 
@@ -375,26 +410,29 @@ def apply(file: Path, wanted: Preview) -> None:
     InputError
         The campaign has changed since the preview.
     """
-    if campaign_text(file) != wanted.before:
-        raise InputError(
-            "the campaign has changed since this was shown",
-            where=str(file),
-            found="another text than before",
-            needed="the text that the lines were shown for",
-            hint="look at what is written now, and apply that",
-        )
-    kept = {"before": wanted.before, "written": sha256(wanted.after.encode()).hexdigest()}
-    write_json_atomically(file.with_name(_UNDO), kept)
-    write_text_atomically(file, wanted.after)
+
+    def change(text: str) -> str:
+        if text != wanted.before:
+            raise InputError(
+                "the campaign has changed since this was shown",
+                found="another text than before",
+                needed="the text that the lines were shown for",
+                hint="look at what is written now, and apply that",
+            )
+        kept = {"before": text, "written": sha256(wanted.after.encode()).hexdigest()}
+        write_json_atomically(file.with_name(_UNDO), kept)
+        return wanted.after
+
+    rewrite(file, change)
 
 
-def _undone(file: Path) -> str | None:
+def _undone(file: Path, text: str) -> str | None:
     """Return the text before the last remedy, None where there is none or it was edited since."""
-    if not file.with_name(_UNDO).is_file() or not file.is_file():
+    if not file.with_name(_UNDO).is_file():
         return None
     try:
         kept = json.loads(read_text(file.with_name(_UNDO), "text to be undone to"))
-        same = kept["written"] == sha256(campaign_text(file).encode()).hexdigest()
+        same = kept["written"] == sha256(text.encode()).hexdigest()
         return str(kept["before"]) if same else None
     except (InputError, ValueError, KeyError, TypeError):  # not as it was written
         return None
@@ -402,7 +440,10 @@ def _undone(file: Path) -> str | None:
 
 def can_undo(file: Path) -> bool:
     """Whether the campaign is as the last remedy left it, so that this can be taken back."""
-    return _undone(file) is not None
+    try:
+        return file.is_file() and _undone(file, campaign_text(file)) is not None
+    except InputError:
+        return False
 
 
 def undo(file: Path) -> None:
@@ -413,14 +454,17 @@ def undo(file: Path) -> None:
     InputError
         There was none, or the campaign was edited since, which would be lost.
     """
-    before = _undone(file)
-    if before is None:
-        raise InputError(
-            "nothing can be undone",
-            where=str(file),
-            found="no remedy, or a campaign that was edited after it",
-            needed="the campaign as the last remedy left it",
-            hint=f"edit {file.name} by hand",
-        )
-    write_text_atomically(file, before)
-    file.with_name(_UNDO).unlink()
+
+    def change(text: str) -> str:
+        before = _undone(file, text)
+        if before is None:
+            raise InputError(
+                "nothing can be undone",
+                found="no remedy, or a campaign that was edited after it",
+                needed="the campaign as the last remedy left it",
+                hint=f"edit {file.name} by hand",
+            )
+        return before
+
+    rewrite(file, change)
+    file.with_name(_UNDO).unlink(missing_ok=True)
