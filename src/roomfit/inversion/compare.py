@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -97,7 +95,9 @@ def compare_all(
     if candidates is not None and candidates.any():
         added = compare_pairs(*given, candidates)
         chosen = _better(candidates, added, observed)
-        observed = tuple(map(partial(_in_bands, chosen), added, observed))
+        if chosen.any():
+            is_all = np.array_equal(chosen, candidates)
+            observed = added if is_all else compare_pairs(*given, chosen)
     tabulated = (*measurements.values, *measurements.kept_values)
     if not tabulated:
         return observed, chosen
@@ -126,19 +126,6 @@ def _better(
     known = np.isfinite(sizes).all(axis=1, keepdims=True)
     first, second = np.where(known, sizes, 0.0).sum(axis=0)
     return np.asarray(candidates & (first < second))
-
-
-def _in_bands(chosen: BoolArray, a: ComparedPair, b: ComparedPair) -> ComparedPair:
-    """Return a prediction of a response in the bands of a mask, and another of it elsewhere."""
-    parameters, decay = {}, b.decay
-    for name, y in b.parameters.items():
-        x = a.parameters[name]
-        predicted, jnd = np.where(chosen, [x.predicted, x.jnd], [y.predicted, y.jnd])
-        parameters[name] = Compared(y.measured, predicted, y.null, jnd)
-    if a.decay is not None and decay is not None:
-        level_db = np.where(chosen[:, None], a.decay.predicted_db, decay.predicted_db)
-        decay = replace(decay, predicted_db=level_db)
-    return replace(b, parameters=parameters, decay=decay)
 
 
 def compare_pairs(
