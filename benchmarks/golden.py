@@ -22,6 +22,7 @@ import contextlib
 import io
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -193,7 +194,9 @@ def _renew(names: Sequence[str]) -> None:
         _print_fields(fields)
         path = REFERENCE / f"{case.name}.json"
         aside = path.with_suffix(".new")
-        aside.write_text(json.dumps(found, indent=0) + "\n", encoding="utf-8")
+        # a line for each function
+        lines = re.sub(r"\[\n(\S+,)\n(\S+)\n\]", r"[\1 \2]", json.dumps(found, indent=0))
+        aside.write_text(lines + "\n", encoding="utf-8")
         aside.replace(path)
 
 

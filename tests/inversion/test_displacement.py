@@ -346,6 +346,35 @@ def test_the_likeliest_way_to_move_is_named_with_its_size_and_the_walls_that_are
     np.testing.assert_allclose([s for _, s in ends], [0.02, 0.02 * np.sqrt(2.0)], atol=1e-3)
 
 
+def test_an_offset_that_is_stated_is_looked_for_a_step_of_the_grid_away():
+    """The likeliest of the steps within seven deviations, if it gains more than half."""
+    outline, step_m = box_of_three_offsets(), float(whole_displacement._GRID_M[0])
+    stated = [replace(o, is_stated=k == 1) for k, o in enumerate(outline.offsets)]
+    outline.offsets = tuple(stated)
+    here_m = np.array([0.0, 0.01, 0.0, 0.0])
+
+    def moved(by_m):
+        return here_m + by_m * np.eye(4)[1]
+
+    def stepped(top_m, gain):
+        """Of a top so far from here, along the length; elsewhere nothing is likelier."""
+        return whole_displacement._stated_step(
+            outline,
+            lambda at, _=False: gain * float(np.allclose(at, moved(top_m))),
+            here_m,
+        )
+
+    for top_m in (-step_m, step_m):
+        np.testing.assert_allclose(stepped(top_m, 0.51), moved(top_m))
+        assert stepped(top_m, 0.49) is None
+    reach_m = 7.0 * stated[1].sd_m
+    within = max(g for g in whole_displacement._GRID_M if g < reach_m)
+    beyond = min(g for g in whole_displacement._GRID_M if g >= reach_m)
+    assert stepped(within, 9.0) is not None and stepped(beyond, 9.0) is None
+    outline.offsets = tuple(replace(o, is_stated=False) for o in stated)
+    assert stepped(step_m, 9.0) is None
+
+
 def test_what_gains_too_little_or_is_within_the_specified_is_not_named():
     """10 units of log-likelihood beside the prior's, and 3.5 deviations of what is specified."""
     outline = box_of_three_offsets()
