@@ -296,16 +296,21 @@ def executing_tests(
     def has_word(file: str) -> bool:
         return bool(word.search((REPOSITORY / "tests" / file).read_text(encoding="utf-8")))
 
-    def rank(run: Run) -> tuple[int, float]:
+    def kind(run: Run) -> int:
         file = run.test.split("::")[0]
-        effort = run.seconds * (1.0 + len(run.functions) / 100.0)
-        quick = effort < _QUICK_S
-        near = 0 if has_word(file) and quick else 2 if file == _KEPT else 1 if quick else 3
-        return near, effort
+        is_quick = effort(run) < _QUICK_S
+        return 0 if has_word(file) and is_quick else 2 if file == _KEPT else 1 if is_quick else 3
 
-    found, used_s = list[str](), 0.0
-    for run in sorted(chosen, key=rank):
+    def effort(run: Run) -> float:
+        return run.seconds * (1.0 + len(run.functions) / 100.0)
+
+    found, used_s = list[Run](), 0.0
+    for run in sorted(chosen, key=lambda run: (kind(run), effort(run))):
         if run.test.startswith(_KEPT) or used_s + run.seconds <= budget_s:
-            found.append(run.test)
+            found.append(run)
             used_s += 0.0 if run.test.startswith(_KEPT) else run.seconds
-    return found
+    # those of a file together, or what they share is made anew for each
+    first: dict[tuple[int, str], int] = {}
+    for number, run in enumerate(found):
+        first.setdefault((kind(run), run.test.split("::")[0]), number)
+    return [run.test for run in sorted(found, key=lambda r: first[kind(r), r.test.split("::")[0]])]

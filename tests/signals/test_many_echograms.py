@@ -15,6 +15,7 @@ from roomfit.errors import InputError
 from roomfit.materials import catalogue as catalogue_module
 from roomfit.materials.catalogue import search_catalogue
 from roomfit.materials.priors import complete_priors, unknown_material
+from roomfit.signals import iso3382
 from roomfit.signals.decay import echogram_decay_curve, jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES, value_gradients, values_of_bins
 from roomfit.signals.speech import (
@@ -168,3 +169,14 @@ def test_every_word_of_a_material_leads_to_entries_of_the_catalogue():
     known = {entry.name for entry in search_catalogue([])}
     assert {entry for entries in words.values() for entry in entries} <= known
     assert all(word == word.lower() for word in words)
+
+
+def test_where_nothing_falls_after_the_onset_a_time_is_sixty_times_the_echogram():
+    """All energy before the onset, or a level that does not fall between the two of the range."""
+    time_s = np.array([0.1, 0.2, 0.4, 0.7])
+    left = np.array([[1.0, 1e-9, 1e-9, 1e-9]])
+    curve = SimpleNamespace(time_s=time_s, energy_left=left, onset_s=0.5)
+    level_db = 10.0 * np.log10(left[0])
+    found, by_left = iso3382._decay_time_s(curve, 0, (-5.0, -25.0), level_db, True)
+    assert found == pytest.approx(60.0 * 0.6)
+    np.testing.assert_array_equal(by_left, np.zeros(4))
