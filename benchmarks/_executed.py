@@ -255,6 +255,11 @@ def kernels_holding(name: str) -> set[str]:
     return seen
 
 
+@functools.cache
+def _test_text(file: str) -> str:
+    return (REPOSITORY / "tests" / file).read_text(encoding="utf-8")
+
+
 _QUICK_S = 10.0  # times one and a hundredth of the functions that a test enters
 # Answers of small cases, seconds each.
 _KEPT = "test_reference.py"
@@ -294,7 +299,7 @@ def executing_tests(
 
     @functools.cache
     def has_word(file: str) -> bool:
-        return bool(word.search((REPOSITORY / "tests" / file).read_text(encoding="utf-8")))
+        return bool(word.search(_test_text(file)))
 
     def kind(run: Run) -> int:
         file = run.test.split("::")[0]

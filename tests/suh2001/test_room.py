@@ -51,7 +51,7 @@ from roomfit.suh2001.room import (
     whole_windows_s,
     window_energies,
 )
-from roomfit.suh2001.searches import descend, fit_least_squares
+from roomfit.suh2001.searches import descend, fit_least_squares, grid_minima, unit_grid
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
 
@@ -306,3 +306,18 @@ def test_a_seed_decides_a_search_and_each_method_its_own(problems) -> None:
     exact = search_seeds(problem, "least-squares", range(3, 4))[0].evaluations
     once = METHODS["least-squares-one-random-start"].search(problem, np.random.default_rng(3))
     assert exact < 3 * once.evaluations
+
+
+def test_a_minimum_of_the_grid_lies_below_all_its_neighbours_inside_the_box() -> None:
+    """One lower neighbour, on each side in turn, takes it away: of four, and of eight."""
+    grid = unit_grid(5)
+    for step in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)):
+        errors = np.full((5, 5), 9.0)
+        errors[2, 2], errors[2 + step[0], 2 + step[1]] = 2.0, 1.0
+        lower = (grid[2 + step[0]], grid[2 + step[1]])
+        own = [] if 0 in step else [(0.5, 0.5)]
+        assert grid_minima(errors, grid, 4) == (lower, *own)
+        assert grid_minima(errors, grid, 8) == (lower,)
+    corner = np.full((5, 5), 9.0)
+    corner[0, 4] = 1.0
+    assert grid_minima(corner, grid, 8) == ((0.0, 1.0),)
