@@ -32,6 +32,7 @@ _NOT_KEPT = frozenset(
     | {"uncertainty.posterior._exponent"}
 )
 _FIRST = ", first"
+_LEAST = 1e-9  # of the mean of an array: smaller ones are of rounding
 # Deeper lies what was handed over, or what other functions returned; nor is all of it summed.
 _DEPTH = 4
 _MOST_ARRAYS, _MOST_NUMBERS = 2000, 10_000
@@ -144,22 +145,42 @@ def _words(value: Any) -> Iterator[str]:
 
 
 def sums(last: Mapping[str, Any]) -> dict[str, list[float]]:
-    """Return both sums, five digits of each, of every value, by name; 0 is less than rounding.
+    """Return both sums of every value by name, of arrays of each size apart, small ones first.
 
-    What the first call returned is left out where the last returned the same.
+    Sizes are hundreds: hertz beside absorption would hide it. Three numbers each: the size, and
+    five digits of the sums. What is no more than rounding is left out, and what the first call
+    returned where the last returned the same.
     """
     found: dict[str, list[float]] = {}
     for name, value in sorted(last.items()):
         if name.removesuffix(_FIRST) in _NOT_KEPT:
             continue
-        parts = islice(_numbers(value, _DEPTH), _MOST_ARRAYS)
-        numbers = np.concatenate([np.zeros(0), *parts])
-        numbers = numbers[np.isfinite(numbers)]
-        size = float(np.abs(numbers).sum())
-        weighed = float(numbers @ np.cos(np.arange(numbers.size)))
-        found[name] = [float(f"{x:.5g}") if size > 1e-12 else 0.0 for x in (size, weighed)]
+        parts: dict[int, list[np.ndarray[Any, Any]]] = {}
+        for part in islice(_numbers(value, _DEPTH), _MOST_ARRAYS):
+            numbers = part[np.isfinite(part)]
+            mean = float(np.abs(numbers).mean()) if numbers.size else 0.0
+            if mean > _LEAST:
+                # at 3.7 and so on, for round numbers are frequent
+                parts.setdefault(int(np.floor(0.5 * np.log10(mean / 3.7))), []).append(numbers)
+        found[name] = []
+        for size, own in sorted(parts.items()):
+            numbers = np.concatenate(own)
+            weighed = float(numbers @ np.cos(np.arange(numbers.size)))
+            both = (float(np.abs(numbers).sum()), weighed)
+            found[name] += [size, *(float(f"{x:.5g}") for x in both)]
     alike = [n for n in found if n.endswith(_FIRST) and found[n] == found[n.removesuffix(_FIRST)]]
-    return {name: pair for name, pair in found.items() if name not in alike}
+    return {name: own for name, own in found.items() if name not in alike}
+
+
+def _differ(kept: list[float], found: list[float]) -> bool:
+    """Return whether there are other sizes, or sums that differ by a thousandth of the first."""
+    if kept[::3] != found[::3]:
+        return True
+    return any(
+        abs(found[i + k] - kept[i + k]) > 1e-3 * kept[i + 1]
+        for i in range(0, len(kept), 3)
+        for k in (1, 2)
+    )
 
 
 def moved(kept: Mapping[str, list[float]], found: Mapping[str, list[float]]) -> list[str]:
@@ -173,17 +194,13 @@ def moved(kept: Mapping[str, list[float]], found: Mapping[str, list[float]]) -> 
         module, _, function = name.split(",")[0].rpartition(".")
         return hasattr(importlib.import_module(f"roomfit.{module}"), function)
 
-    def pair(name: str) -> list[float] | None:
+    def now(name: str) -> list[float] | None:
         return found.get(name, found.get(name.removesuffix(_FIRST)))
 
     return [
         name
-        for name, (size, weighed) in kept.items()
-        if (
-            still_there(name)
-            if (now := pair(name)) is None
-            else not np.allclose(now, (size, weighed), rtol=0.0, atol=1e-3 * size)
-        )
+        for name, own in kept.items()
+        if (still_there(name) if (other := now(name)) is None else _differ(own, other))
     ]
 
 

@@ -22,7 +22,6 @@ import contextlib
 import io
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -195,8 +194,11 @@ def _renew(names: Sequence[str]) -> None:
         path = REFERENCE / f"{case.name}.json"
         aside = path.with_suffix(".new")
         # a line for each function
-        lines = re.sub(r"\[\n(\S+,)\n(\S+)\n\]", r"[\1 \2]", json.dumps(found, indent=0))
-        aside.write_text(lines + "\n", encoding="utf-8")
+        silent = found.pop("functions")
+        lines = [f"{json.dumps(n)}: {json.dumps(own)}" for n, own in silent.items()]
+        rest = json.dumps(found, indent=0).removesuffix("\n}")
+        text = f'{rest},\n"functions": {{\n' + ",\n".join(lines) + "\n}\n}\n"
+        aside.write_text(text, encoding="utf-8")
         aside.replace(path)
 
 

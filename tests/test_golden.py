@@ -249,17 +249,32 @@ def test_what_functions_return_first_and_last_moves_and_so_does_one_that_runs_no
         air.attenuation_per_m(air.Air(), octaves)
     kept = silent.sums(last)
     first, then = (kept[f"bands.bands_between{c}"] for c in (", first", ""))
-    assert first[0] > 3.0 * then[0]
+    assert first[1] > 3.0 * then[1]
     # what was called once has one line
     assert "air.attenuation_per_m" in kept and "air.attenuation_per_m, first" not in kept
-    assert "air._iso_9613" not in kept and silent.moved(kept, kept) == []
-    size, weighed = kept["air.attenuation_per_m"]
+    assert silent.moved(kept, kept) == []
+    number, size, weighed = kept["air.attenuation_per_m"]
     for change, expected in ((0.9e-3, []), (1.1e-3, ["air.attenuation_per_m"])):
-        other = {**kept, "air.attenuation_per_m": [size, weighed + change * size]}
-        assert silent.moved(kept, other) == expected
+        by = change * size
+        for other in ([number, size + by, weighed], [number, size, weighed - by]):
+            assert silent.moved(kept, {**kept, "air.attenuation_per_m": other}) == expected
+    assert silent.moved(kept, {**kept, "air.attenuation_per_m": [number + 1, size, weighed]})
     fewer = {n: v for n, v in kept.items() if not n.startswith("air.attenuation")}
     assert silent.moved(kept, fewer) == ["air.attenuation_per_m"]
-    assert silent.moved({**kept, "air.was_there_once": [1.0, 1.0]}, kept) == []
+    assert silent.moved({**kept, "air.was_there_once": [0, 1.0, 1.0]}, kept) == []
+
+
+def test_large_numbers_hide_no_small_ones_of_the_same_record():
+    """Hertz beside absorption, 0.1 % of which is seen; what is of rounding is left out."""
+    name = "air.attenuation_per_m"
+
+    def sums_of(absorption, noise):
+        return silent.sums({name: (np.array([8000.0, 16_000.0]), [absorption, noise])})
+
+    kept = sums_of(np.array([0.1, 0.2]), np.array([1e-12]))
+    assert silent.moved(kept, sums_of(np.array([0.1, 0.2]), np.array([-3e-12]))) == []
+    assert silent.moved(kept, sums_of(np.array([0.1, 0.201]), np.array([1e-12]))) == [name]
+    assert silent.moved(kept, sums_of(np.array([0.2, 0.1]), np.array([1e-12]))) == [name]
 
 
 def test_what_a_picture_is_drawn_of_is_kept_with_its_words():
@@ -274,7 +289,7 @@ def test_what_a_picture_is_drawn_of_is_kept_with_its_words():
         return {n: v for n, v in silent.sums(last).items() if n.startswith("made.")}
 
     kept = sums_of("axes.plot([1.0, 2.0], label='T30 of 2 bands', color='C1')")
-    assert kept["made.picture, drawn"][0] == pytest.approx(3.0)
+    assert kept["made.picture, drawn"][1] == pytest.approx(3.0)
     assert kept == sums_of("axes.plot([1.0, 2.0], label='T60 of 3 bands', color='C2')")
     for other in ("[2.0, 1.0], label='T30 of 2 bands'", "[1.0, 2.0], label='EDT of 2 bands'"):
         assert kept != sums_of(f"axes.plot({other})")
