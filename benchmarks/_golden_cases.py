@@ -419,7 +419,8 @@ def _treatment(surface: str, t30_s: float) -> str:
 
 
 def _states(folder: Path, run: RunCommand) -> None:
-    campaign = _write_box(folder, identify='from_hz = 500\nto_hz = 1000\nmodel = "energy"')
+    smooth = 'from_hz = 500\nto_hz = 1000\nmodel = "energy"\nsmoothness_per_octave = 0.5'
+    campaign = _write_box(folder, identify=smooth)
     covered = _responses(("MP3",), None, {**_ABSORPTION, "carpet": 0.7})["MP3"]
     _write_wav(folder / "covered.wav", covered)
     place = f"[receivers.MP3]\nposition = {list(_PLACES_M['MP3'])}\nposition_sd = 0.005\n"
@@ -474,7 +475,7 @@ CASES = (
     Case("posterior", "samples of the posterior, one octave", _posterior),
     Case("impedance", "impedances of three materials from damped spectra", _impedance),
     Case("follow-up", "prediction, design, coverage and a treatment after a fit", _what_follows),
-    Case("states", "two states, objects in one of them, and its prediction", _states),
+    Case("states", "two states, objects in one, smooth over bands, and a prediction", _states),
     Case("decay-times", "mean absorption, prediction and treatment by decay times", _decay_times),
     Case("hall", "speech, a map, seats and a standard in a hall of known absorption", _hall),
     Case("paper", "the paper's searches and certificates, two seeds", _paper),
