@@ -244,9 +244,14 @@ def _mentions(*, compiled: bool = False) -> dict[str, set[str]]:
     return found
 
 
+def _names(name: str) -> list[str]:
+    """Return what `name_at` names: of constants that are defined together, each."""
+    return re.findall(r"\w+", name) if name.startswith("(") else [name]
+
+
 def kernels_holding(name: str) -> set[str]:
     """Return a function or constant, and the compiled functions whose machine code holds it."""
-    ring = {name}
+    ring = set(_names(name))
     seen = set(ring)
     while ring:
         callers = (k for n in ring for k in _mentions(compiled=True).get(n, ()))
@@ -290,7 +295,8 @@ def executing_tests(
     while ring and not chosen:
         chosen = [run for run in runs if not ring.isdisjoint(run.functions)]
         # a method is called as an attribute, all else by its name
-        short = {re.sub(r"^\w+(?=\.)", "", key.split(":")[1]) for key in ring}
+        named = [n for key in ring for n in _names(key.split(":")[1])]
+        short = {re.sub(r"^\w+(?=\.)", "", n) for n in named}
         ring = {key for s in short for key in _mentions().get(s, ())} - seen
         seen |= ring
     own = [run for run in chosen if not run.lines.get(path, frozenset()).isdisjoint(lines)]
