@@ -460,3 +460,46 @@ def test_a_displacement_is_asked_for_from_four_responses_and_first_reflections_o
             whole_displacement.displacement_model(*arguments)
     else:
         assert whole_displacement.displacement_model(*arguments) is None
+
+
+def test_a_stated_offset_moves_absorption_by_half_the_difference_of_its_two_sides(monkeypatch):
+    """Of fits that are linear in the offset; one that is not possible to either side is 0."""
+    outline, slope = box_of_three_offsets(), np.array([3.0, -5.0])
+    outline.offsets = tuple(
+        replace(o, is_stated=k in (0, 1)) for k, o in enumerate(outline.offsets)
+    )
+    parameters = SimpleNamespace()
+    outline.bands = [SimpleNamespace(band=b, parameters=parameters, start=None) for b in (2, 4)]
+    n = len(outline.measured.scene.room.materials)
+    asked, impossible = [], []
+
+    def displaced_to(_scene, _offsets, way_m):
+        asked.append(way_m)
+        return tuple(way_m)
+
+    monkeypatch.setattr(whole_displacement, "displaced", displaced_to)
+    monkeypatch.setattr(whole_displacement, "_is_possible", lambda way_m: way_m not in impossible)
+    monkeypatch.setattr(
+        whole_displacement, "displaced_terms", lambda _, way_m: [(0, way_m), (1, way_m)]
+    )
+    monkeypatch.setattr(whole_displacement, "Objective", lambda _, terms: terms[0])
+    monkeypatch.setattr(
+        whole_displacement, "score_band", lambda term, *_, **__: SimpleNamespace(vector=term)
+    )
+
+    def absorption(_parameters, vector):
+        band, way_m = vector
+        by = -0.4 + slope[band] * way_m.sum() + 7.0 * way_m.sum() ** 2
+        return {"absorption": np.full(n, 1.0 / (1.0 + np.exp(-by)))}, None
+
+    monkeypatch.setattr(whole_displacement, "physical_values", absorption)
+    sd_m = np.array([0.02, 0.01, 0.5, 0.5])
+    found = whole_displacement.offset_steps(outline, sd_m)
+    assert list(found) == [2, 4]
+    for band, steps in zip((0, 1), found.values(), strict=True):
+        # what is even in the offset cancels
+        np.testing.assert_allclose(steps, np.tile(slope[band] * sd_m[:2], (n, 1)), rtol=1e-9)
+    assert [tuple(way_m) for way_m in asked[:2]] == [(-0.02, 0, 0, 0), (0.02, 0, 0, 0)]
+    impossible.append((0.0, 0.01, 0.0, 0.0))
+    steps = whole_displacement.offset_steps(outline, sd_m)[2]
+    assert np.all(steps[:, 1] == 0.0) and np.all(steps[:, 0] != 0.0)
