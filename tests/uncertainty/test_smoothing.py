@@ -199,6 +199,7 @@ def test_ends_are_by_the_profile_of_the_band_under_what_the_others_determine():
     plain = ends(1.0, ("gaussian",) * 3)
     np.testing.assert_allclose(plain[0], expected[0] - expected[1], rtol=1e-9)
     np.testing.assert_allclose(plain[1], expected[0] + expected[1], rtol=1e-9)
+    np.testing.assert_array_equal(ends(1.0, ()), plain)  # nothing is known of how they were found
     # above, the band itself knows less: (x - at) / (1.5 sd) and the others' Gaussian
     information = 1.0 / new_sd**2 - 1.0 / sd**2
     others = (new_mean / new_sd**2 - at / sd**2) / information
