@@ -503,3 +503,22 @@ def test_a_stated_offset_moves_absorption_by_half_the_difference_of_its_two_side
     impossible.append((0.0, 0.01, 0.0, 0.0))
     steps = whole_displacement.offset_steps(outline, sd_m)[2]
     assert np.all(steps[:, 1] == 0.0) and np.all(steps[:, 0] != 0.0)
+
+
+def test_what_was_ruled_out_roughly_is_evaluated_where_it_is_asked_for_exactly(monkeypatch):
+    """And nothing else twice; what is foreseen is rough."""
+    asked = []
+
+    def evaluated(_self, shift_m, roughly, _max_rounds):
+        asked.append((float(shift_m[0]), roughly))
+        return -np.inf if roughly and shift_m[0] > 1.0 else float(shift_m[0])
+
+    monkeypatch.setattr(whole_displacement._LogL, "evaluated", evaluated)
+    logl = whole_displacement._LogL(SimpleNamespace(bands=[]))
+    ruled_out, kept = np.array([2.0]), np.array([0.5])
+    assert [logl(ruled_out, True), logl(ruled_out, True)] == 2 * [-np.inf]
+    assert logl(kept, True) == logl(kept) == logl(kept) == 0.5
+    assert logl(ruled_out) == logl(ruled_out, True) == logl(ruled_out) == 2.0
+    assert asked == [(2.0, True), (0.5, True), (2.0, False)]
+    logl.foresee([ruled_out, np.array([3.0]), np.array([3.0])])
+    assert asked[3:] == [(3.0, True)] and logl(np.array([3.0]), True) == -np.inf

@@ -287,6 +287,8 @@ def test_searches_through_case_1_begin_where_table_2_does(problems) -> None:
         at = min(first.tolist(), key=lambda row: error(problem.squares, np.array(row)))
         np.testing.assert_array_equal(found[name].trail[0], at)
     np.testing.assert_array_equal(found["least-squares"].trail[0], first[0])
+    alone = fit_least_squares(partial(residuals, problem.squares), first[:1])
+    assert found["least-squares"].evaluations == alone.evaluations
     assert len(found["simplex"].trail) != len(found["simplex-as-printed"].trail)
     for name in ("annealing+simplex", "simplex", "least-squares"):
         np.testing.assert_allclose(found[name].x, TRUE_ABSORPTION, atol=0.005)
