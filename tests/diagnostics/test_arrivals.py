@@ -14,7 +14,7 @@ from roomfit.air import Air, speed_of_sound_m_s
 from roomfit.diagnostics.arrivals import arrival_verdicts, with_corrected_clocks
 from roomfit.diagnostics.checks import BEFORE_THE_FIT, examine, recorded
 from roomfit.diagnostics.levels import _is_levelled, _peak
-from roomfit.diagnostics.usable import check_recordings
+from roomfit.diagnostics.usable import CheckedRecordings, check_recordings
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.geometry.mesh import shoebox_mesh
@@ -494,3 +494,18 @@ def test_clocks_are_set_as_the_verdicts_say_and_only_those_that_run_from_the_emi
     # what begins at its direct sound has no lateness to be corrected
     assert [m.time_zero for m in found] == 3 * ["direct"]
     assert [m.latency_s for m in found] == 3 * [0.25]
+
+
+def test_recordings_are_in_doubt_where_one_of_them_or_a_band_is_of_no_use():
+    """Or where a finding says so; none at all are in no doubt."""
+
+    def doubted(usable, *codes):
+        findings = tuple(SimpleNamespace(code=code) for code in codes)
+        checked = SimpleNamespace(usable=np.array(usable, dtype=bool), findings=findings)
+        return CheckedRecordings.in_doubt.fget(checked)
+
+    assert not doubted([[1, 0], [0, 1]]) and not doubted(np.zeros((0, 2)))
+    assert doubted([[1, 1], [0, 0]])  # the second recording
+    assert doubted([[1, 0], [1, 0]])  # the second band
+    assert doubted([[1, 1]], Code.RECORDING_UNUSABLE) and doubted([[1]], Code.NOISE_GATED)
+    assert not doubted([[1, 1]], Code.BELOW_SCHROEDER_FREQUENCY)

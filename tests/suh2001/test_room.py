@@ -323,3 +323,13 @@ def test_a_minimum_of_the_grid_lies_below_all_its_neighbours_inside_the_box() ->
     corner = np.full((5, 5), 9.0)
     corner[0, 4] = 1.0
     assert grid_minima(corner, grid, 8) == ((0.0, 1.0),)
+
+
+def test_planes_that_are_told_apart_have_the_absorption_of_all_seven():
+    """From three materials on, each has that of its first plane where all are told apart."""
+    finest = DIVISIONS[7].true_absorption
+    for n, division in DIVISIONS.items():
+        if n >= 3:
+            first = [division.group.index(i) for i in range(n)]
+            assert division.true_absorption == tuple(finest[plane] for plane in first)
+            assert len(division.materials) == n
