@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -477,3 +478,10 @@ def test_open_boxes_keep_their_bounds_however_many_there_are_and_the_lowest_come
             pair = own[found == bound]
             assert {b.tobytes() for b in pair} == {b.tobytes() for b in of_bound[bound]}
     assert boxes.n == 0
+
+
+def test_the_seconds_of_a_search_are_those_that_pass_during_it():
+    _, global_problem = random_case(3, 2)
+    began = time.perf_counter()
+    found = search(global_problem, SearchSettings(1e-2, max_boxes=5))
+    assert 0.0 < found.seconds <= time.perf_counter() - began

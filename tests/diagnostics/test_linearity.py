@@ -602,3 +602,12 @@ def test_noise_is_sought_through_causal_filters_of_scipy(rate_hz):
     found = band_passed(x, 500.0, 0.25 * rate_hz, rate_hz)
     np.testing.assert_allclose(found, peer, atol=1e-11)
     assert np.abs(found[:1000]).max() < 1e-11
+
+
+@pytest.mark.parametrize(("n_after", "is_long_enough"), [(160, True), (157, False)])
+def test_a_tail_is_of_eight_blocks_of_a_millisecond_at_least(n_after, is_long_enough):
+    """Two fifths of what follows the direct sound: 64 samples are 8 ms at 8 kHz, 62 are not."""
+    pressure = np.random.default_rng(3).normal(size=400 + n_after)
+    response = ImpulseResponse(pressure, 8000.0)
+    m = SimpleNamespace(response=response, direct_s=400 / 8000.0)
+    assert (noise_tail._levels(m, 0.4) is not None) == is_long_enough

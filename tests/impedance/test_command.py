@@ -458,3 +458,9 @@ def test_a_start_of_a_law_brings_bounds_that_hold_the_usual_ones_and_a_tenth_to_
     ):
         with pytest.raises(InputError, match=words):
             given(value)
+
+
+def test_a_picture_of_one_spectrum_has_its_legend_as_well(finished):
+    figure = spectra_figure(finished[1], range(1))
+    labels = ["measured", "predicted", "difference", "difference expected (rms)"]
+    assert [t.get_text() for t in figure.legends[0].get_texts()] == labels

@@ -522,3 +522,30 @@ def test_what_was_ruled_out_roughly_is_evaluated_where_it_is_asked_for_exactly(m
     assert asked == [(2.0, True), (0.5, True), (2.0, False)]
     logl.foresee([ruled_out, np.array([3.0]), np.array([3.0])])
     assert asked[3:] == [(3.0, True)] and logl(np.array([3.0]), True) == -np.inf
+
+
+def test_stated_offsets_are_found_where_the_data_and_what_is_stated_have_them(monkeypatch):
+    """Of a normal law of the data, far off: the mean by both precisions, and the deviation."""
+    outline, sd_m, data_sd_m, top_m = box_of_three_offsets(), 0.2, 0.02, 0.4
+    outline.offsets = tuple(
+        replace(o, is_stated=k == 1, sd_m=sd_m if k == 1 else o.sd_m)
+        for k, o in enumerate(outline.offsets)
+    )
+    outline.moved_m = np.zeros(4)
+
+    class Law:
+        def __call__(self, at, _roughly=False):
+            return -0.5 * float(np.sum((at - [0.0, top_m, 0.0, 0.0]) ** 2)) / data_sd_m**2
+
+        def foresee(self, shifts_m):
+            pass
+
+    monkeypatch.setattr(whole_displacement, "logl_of", lambda _: Law())
+    monkeypatch.setattr(whole_displacement, "_implausible", lambda *_: None)
+    monkeypatch.setattr(whole_displacement, "_farthest", lambda *_: None)
+    found = whole_displacement.located(outline)
+    precision = 1.0 / sd_m**2 + 1.0 / data_sd_m**2
+    assert found.shift_m[1] == pytest.approx(top_m / data_sd_m**2 / precision, abs=3e-3)
+    assert found.sd_m[1] == pytest.approx(1.0 / np.sqrt(precision), rel=0.02)
+    np.testing.assert_allclose(found.shift_m[[0, 2, 3]], 0.0, atol=5e-3)
+    assert found.beyond is None

@@ -329,7 +329,8 @@ def test_planes_that_are_told_apart_have_the_absorption_of_all_seven():
     """From three materials on, each has that of its first plane where all are told apart."""
     finest = DIVISIONS[7].true_absorption
     for n, division in DIVISIONS.items():
+        assert len(division.materials) == n
+        assert sorted(set(division.group)) == list(range(n))
         if n >= 3:
             first = [division.group.index(i) for i in range(n)]
             assert division.true_absorption == tuple(finest[plane] for plane in first)
-            assert len(division.materials) == n
