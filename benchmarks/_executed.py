@@ -1,9 +1,10 @@
-"""Which functions of roomfit every test executes: a plugin of pytest, and who reads what it wrote.
+"""Which functions and lines of roomfit every test executes: a plugin of pytest, and its readers.
 
 ``pytest -p _executed --executed FILE tests`` adds a line of JSON for each test: its name, its
-seconds, and the functions that it, its fixtures and the functions that it keeps by
-`functools.cache` entered. Compiled kernels are entered by no interpreter, and constants by nobody:
-they are executed where a function is that names them. What runs in other processes is not seen.
+seconds, and the functions and lines that it, its fixtures and the functions that it keeps by
+`functools.cache` entered. The lines of a function are watched until all of them, or some thousands,
+have run in a test. Compiled kernels are entered by no interpreter, and constants by nobody: they
+are executed where a function is that names them. What runs in other processes is not seen.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any, NamedTuple
@@ -33,17 +34,41 @@ NUMERICAL = (
     *("suh2001", "synthetic", "tracing", "treatment", "uncertainty"),
 )
 
-_entered: set[CodeType] = set()  # of what runs now
+_entered: set[CodeType | tuple[CodeType, int]] = set()  # of what runs now, with lines
+_left: dict[CodeType, set[int]] = {}  # lines that have not run in this test
+_watches: dict[CodeType, int] = {}  # of how many lines more
+_MOST_LINES = 5000
 
 
-def _trace(frame: FrameType, _event: str, _argument: object) -> None:
-    _entered.add(frame.f_code)
+def _trace(frame: FrameType, _event: str, _argument: object) -> Callable[..., Any] | None:
+    code = frame.f_code
+    if code not in _entered:
+        _entered.add(code)
+        if code.co_filename.startswith(str(SOURCE)):
+            _left[code] = {line for *_, line in code.co_lines() if line} - {code.co_firstlineno}
+            _watches[code] = _MOST_LINES
+        else:
+            _left[code] = set()
+    return _trace_lines if _left[code] else None
+
+
+def _trace_lines(frame: FrameType, event: str, _argument: object) -> Callable[..., Any]:
+    code = frame.f_code
+    if event == "line" and code in _left:
+        _watches[code] -= 1
+        if frame.f_lineno in _left[code]:
+            _left[code].remove(frame.f_lineno)
+            _entered.add((code, frame.f_lineno))
+        if not _watches[code]:
+            _left[code].clear()
+        frame.f_trace_lines = bool(_left[code])
+    return _trace_lines
 
 
 def _kept(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return `functools.cache` of a function: each call counts as if it had run."""
     cached = functools.lru_cache(maxsize=None)(function)
-    of_call: dict[object, set[CodeType]] = {}
+    of_call: dict[object, set[CodeType | tuple[CodeType, int]]] = {}
 
     @functools.wraps(function)
     def call(*arguments: Any, **named: Any) -> Any:
@@ -64,14 +89,17 @@ def _kept(function: Callable[..., Any]) -> Callable[..., Any]:
     return call
 
 
-def names(codes: set[CodeType]) -> list[str]:
-    """Return the functions of roomfit among codes: the file below src/roomfit, and the name."""
-    found = set()
-    for code in codes:
+def names(entered: set[CodeType | tuple[CodeType, int]]) -> tuple[list[str], dict[str, list[int]]]:
+    """Return the functions of roomfit among what was entered, by file and name, and its lines."""
+    found, lines = set[str](), dict[str, set[int]]()
+    for item in entered:
+        code, line = item if isinstance(item, tuple) else (item, 0)
         if code.co_filename.startswith(str(SOURCE)):
             path = Path(code.co_filename).relative_to(SOURCE).as_posix()
             found.add(f"{path}:{code.co_qualname.split('.<')[0]}")
-    return sorted(found)
+            if line:
+                lines.setdefault(path, set()).add(line)
+    return sorted(found), {path: sorted(own) for path, own in lines.items()}
 
 
 class Recorder:
@@ -79,7 +107,7 @@ class Recorder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.of_fixture: dict[int, set[CodeType]] = {}
+        self.of_fixture: dict[int, set[CodeType | tuple[CodeType, int]]] = {}
 
     @pytest.hookimpl(hookwrapper=True)
     def pytest_fixture_setup(self, fixturedef: Any) -> Iterator[None]:
@@ -99,10 +127,12 @@ class Recorder:
         for definitions in item._fixtureinfo.name2fixturedefs.values():
             for fixture in definitions:
                 codes |= self.of_fixture.get(id(fixture), set())
+        functions, lines = names(codes)
         line = {
             "test": item.nodeid.removeprefix("tests/"),
             "seconds": round(seconds, 3),
-            "functions": names(codes),
+            "functions": functions,
+            "lines": lines,
         }
         with self.path.open("a", encoding="utf-8") as stream:
             stream.write(json.dumps(line) + "\n")
@@ -133,13 +163,22 @@ class Run(NamedTuple):
     test: str  # below tests/, with the name of the test
     seconds: float
     functions: frozenset[str]
+    lines: Mapping[str, frozenset[int]] = {}  # by file below src/roomfit
 
 
 @functools.cache
 def watched(path: Path) -> tuple[Run, ...]:
     """Return the tests of a file that the plugin wrote."""
     lines = map(json.loads, path.read_text(encoding="utf-8").splitlines())
-    runs = (Run(v["test"], v["seconds"], frozenset(v["functions"])) for v in lines)
+    runs = (
+        Run(
+            v["test"],
+            v["seconds"],
+            frozenset(v["functions"]),
+            {path: frozenset(own) for path, own in v["lines"].items()},
+        )
+        for v in lines
+    )
     return tuple({run.test: run for run in runs}.values())
 
 
@@ -170,6 +209,20 @@ def name_at(text: str, line: int) -> str:
     return ""
 
 
+def statement_at(text: str, line: int) -> range:
+    """Return the lines of the innermost statement about a line; of a block, those of its head."""
+    found = range(line, line + 1)
+    for node in ast.walk(ast.parse(text)):  # outer ones first
+        if isinstance(node, ast.stmt | ast.ExceptHandler | ast.match_case):
+            inside = [n for n in ast.iter_child_nodes(node) if isinstance(n, ast.stmt)]
+            parts = [n for n in ast.walk(node) if isinstance(n, ast.stmt | ast.expr)]
+            first = getattr(node, "lineno", min(n.lineno for n in parts))
+            last = max(n.end_lineno or 0 for n in parts)
+            if first <= line <= last:
+                found = range(first, max(first, inside[0].lineno - 1 if inside else last) + 1)
+    return found
+
+
 @functools.cache
 def _mentions(*, compiled: bool = False) -> dict[str, set[str]]:
     """Return, for every name, and attribute with its dot, what functions and constants have it.
@@ -191,9 +244,14 @@ def _mentions(*, compiled: bool = False) -> dict[str, set[str]]:
     return found
 
 
+def _names(name: str) -> list[str]:
+    """Return what `name_at` names: of constants that are defined together, each."""
+    return re.findall(r"\w+", name) if name.startswith("(") else [name]
+
+
 def kernels_holding(name: str) -> set[str]:
     """Return a function or constant, and the compiled functions whose machine code holds it."""
-    ring = {name}
+    ring = set(_names(name))
     seen = set(ring)
     while ring:
         callers = (k for n in ring for k in _mentions(compiled=True).get(n, ()))
@@ -202,14 +260,23 @@ def kernels_holding(name: str) -> set[str]:
     return seen
 
 
+@functools.cache
+def _test_text(file: str) -> str:
+    return (REPOSITORY / "tests" / file).read_text(encoding="utf-8")
+
+
+_QUICK_S = 10.0  # times one and a hundredth of the functions that a test enters
 # Answers of small cases, seconds each.
 _KEPT = "test_reference.py"
 
 
-def executing_tests(path: str, name: str, runs: tuple[Run, ...], budget_s: float) -> list[str]:
+def executing_tests(
+    path: str, name: str, runs: tuple[Run, ...], budget_s: float, lines: Sequence[int] = ()
+) -> list[str]:
     """Return tests that execute a function, best first, which take no longer together.
 
-    Where none does (a kernel, a constant, a class), those of what names it, and so on. First come
+    Those alone that execute one of the lines, where any does. Where none executes the function (a
+    kernel, a constant, a class), those of what names it, and so on. First come
     the tests of files whose text has its name, then tests of few seconds and few other functions,
     but before those that take long answers that are kept, which any change of a number moves.
 
@@ -219,6 +286,8 @@ def executing_tests(path: str, name: str, runs: tuple[Run, ...], budget_s: float
         File below src/roomfit, and what `name_at` returns.
     runs : tuple of Run
     budget_s : float
+    lines : sequence of int
+        Of the statement that holds the bug.
     """
     ring = {f"{path}:{name}"}
     seen = set(ring)
@@ -226,24 +295,33 @@ def executing_tests(path: str, name: str, runs: tuple[Run, ...], budget_s: float
     while ring and not chosen:
         chosen = [run for run in runs if not ring.isdisjoint(run.functions)]
         # a method is called as an attribute, all else by its name
-        short = {re.sub(r"^\w+(?=\.)", "", key.split(":")[1]) for key in ring}
+        named = [n for key in ring for n in _names(key.split(":")[1])]
+        short = {re.sub(r"^\w+(?=\.)", "", n) for n in named}
         ring = {key for s in short for key in _mentions().get(s, ())} - seen
         seen |= ring
+    own = [run for run in chosen if not run.lines.get(path, frozenset()).isdisjoint(lines)]
+    chosen = own or chosen
     word = re.compile(rf"\b{re.escape(name.split('.')[-1])}\b") if name else re.compile(r"(?!)")
 
     @functools.cache
     def has_word(file: str) -> bool:
-        return bool(word.search((REPOSITORY / "tests" / file).read_text(encoding="utf-8")))
+        return bool(word.search(_test_text(file)))
 
-    def rank(run: Run) -> tuple[int, float]:
+    def kind(run: Run) -> int:
         file = run.test.split("::")[0]
-        effort = run.seconds * (1.0 + len(run.functions) / 100.0)
-        near = 0 if has_word(file) else 2 if file == _KEPT else 1 if effort < 1.0 else 3
-        return near, effort
+        is_quick = effort(run) < _QUICK_S
+        return 0 if has_word(file) and is_quick else 2 if file == _KEPT else 1 if is_quick else 3
 
-    found, used_s = list[str](), 0.0
-    for run in sorted(chosen, key=rank):
+    def effort(run: Run) -> float:
+        return run.seconds * (1.0 + len(run.functions) / 100.0)
+
+    found, used_s = list[Run](), 0.0
+    for run in sorted(chosen, key=lambda run: (kind(run), effort(run))):
         if run.test.startswith(_KEPT) or used_s + run.seconds <= budget_s:
-            found.append(run.test)
+            found.append(run)
             used_s += 0.0 if run.test.startswith(_KEPT) else run.seconds
-    return found
+    # those of a file together, or what they share is made anew for each
+    first: dict[tuple[int, str], int] = {}
+    for number, run in enumerate(found):
+        first.setdefault((kind(run), run.test.split("::")[0]), number)
+    return [run.test for run in sorted(found, key=lambda r: first[kind(r), r.test.split("::")[0]])]

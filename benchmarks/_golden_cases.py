@@ -63,6 +63,7 @@ _PLACES_M = MappingProxyType(
 _ABSORPTION = MappingProxyType({"walls": 0.15, "carpet": 0.4, "tiles": 0.3})
 _OWNERS = ("walls", "walls", "walls", "walls", "carpet", "tiles")
 _B = (0.5, 0.35, 0.0)
+_COLOUR_DB = (-6.0, -3.0, 0.0, -4.0, 2.0)  # of a loudspeaker, in octaves from 250 to 4000 Hz
 # ISO 3382 values of the two pairs of the box as its walls are, at 500 and 1000 Hz. Written down, so
 # that a change of the analysis shows in the cases that read responses and not in those of values.
 _VALUES = MappingProxyType(
@@ -182,6 +183,7 @@ def _responses(
     names: tuple[str, ...],
     b: tuple[float, ...] | None,
     absorption: Mapping[str, float] = _ABSORPTION,
+    level_db: tuple[float, ...] = (0.0,) * 5,
 ) -> Mapping[str, FloatArray]:
     """Return the pressures in the box at some receivers, noise at -60 dB."""
     bands, air = bands_between("octave", 250, 4000), Air()
@@ -192,12 +194,12 @@ def _responses(
         attenuation_per_m(air, bands),
         speed_of_sound_m_s(air),
     )
-    rng, flat = np.random.default_rng(11), np.zeros(len(bands))
+    rng, levels = np.random.default_rng(11), np.array(level_db)
     source, directed = np.array(_SOURCE_M), None if b is None else np.array(b)
     return {
         name: add_noise(
             pressure_response(
-                truth, source, np.array(_PLACES_M[name]), 0.3, _RATE_HZ, flat, directed
+                truth, source, np.array(_PLACES_M[name]), 0.3, _RATE_HZ, levels, directed
             ),
             -60.0,
             rng,
@@ -310,7 +312,11 @@ def _parameters(folder: Path, run: RunCommand) -> None:
 
 
 def _parameters_and_responses(folder: Path, run: RunCommand) -> None:
-    _identify(run, _write_box(folder, files=("MP1",), values=("MP2",)), folder)
+    files = ("MP1", "MP3", "MP4")
+    campaign = _write_box(folder, files=files, values=("MP2",))
+    for name, pressure in _responses(files, None, level_db=_COLOUR_DB).items():
+        _write_wav(folder / f"{name}.wav", pressure)
+    _identify(run, campaign, folder)
 
 
 def _directivity(folder: Path, run: RunCommand) -> None:
@@ -377,7 +383,7 @@ def _impedance(folder: Path, run: RunCommand) -> None:
         lines += ["[[measurements]]", f'source = "S{s}"', f'receiver = "R{r}"']
         lines += [f'spectrum = "pair{number}.npz"']
     lines += ["[impedance]", "random_starts = 1", 'speed_of_sound = "fixed"']
-    lines += ["from_hz = 200", "to_hz = 500"]
+    lines += ["from_hz = 200", "to_hz = 500", "[materials.plaster]", 'impedance = "auto"']
     campaign = folder / "campaign.toml"
     campaign.write_text("\n".join(lines) + "\n")
     run(IMPEDANCE, campaign, "--out", folder / "result")
@@ -413,7 +419,8 @@ def _treatment(surface: str, t30_s: float) -> str:
 
 
 def _states(folder: Path, run: RunCommand) -> None:
-    campaign = _write_box(folder, identify='from_hz = 500\nto_hz = 1000\nmodel = "energy"')
+    smooth = 'from_hz = 500\nto_hz = 1000\nmodel = "energy"\nsmoothness_per_octave = 0.5'
+    campaign = _write_box(folder, identify=smooth)
     covered = _responses(("MP3",), None, {**_ABSORPTION, "carpet": 0.7})["MP3"]
     _write_wav(folder / "covered.wav", covered)
     place = f"[receivers.MP3]\nposition = {list(_PLACES_M['MP3'])}\nposition_sd = 0.005\n"
@@ -457,14 +464,18 @@ CASES = (
     Case("demo", "the demo's shoebox: eight responses, six octaves", _demo),
     Case("l-shaped", "a room that is no box, from a mesh: two responses, one octave", _l_shaped),
     Case("parameters", "a table of ISO 3382 values alone, scattering unspecified", _parameters),
-    Case("mixed", "a response, and ISO 3382 values of another pair", _parameters_and_responses),
+    Case(
+        "mixed",
+        "three coloured responses, ISO 3382 values of a pair",
+        _parameters_and_responses,
+    ),
     Case("directivity", "first-order directivity of the source fitted", _directivity),
     Case("scattering", "scattering of the walls fitted", _scattering),
     Case("certified", "least squares with a certificate, one octave", _certified),
     Case("posterior", "samples of the posterior, one octave", _posterior),
     Case("impedance", "impedances of three materials from damped spectra", _impedance),
     Case("follow-up", "prediction, design, coverage and a treatment after a fit", _what_follows),
-    Case("states", "two states, objects in one of them, and its prediction", _states),
+    Case("states", "two states, objects in one, smooth over bands, and a prediction", _states),
     Case("decay-times", "mean absorption, prediction and treatment by decay times", _decay_times),
     Case("hall", "speech, a map, seats and a standard in a hall of known absorption", _hall),
     Case("paper", "the paper's searches and certificates, two seeds", _paper),

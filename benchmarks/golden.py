@@ -193,7 +193,12 @@ def _renew(names: Sequence[str]) -> None:
         _print_fields(fields)
         path = REFERENCE / f"{case.name}.json"
         aside = path.with_suffix(".new")
-        aside.write_text(json.dumps(found, indent=0) + "\n", encoding="utf-8")
+        # a line for each function
+        silent = found.pop("functions")
+        lines = [f"{json.dumps(n)}: {json.dumps(own)}" for n, own in silent.items()]
+        rest = json.dumps(found, indent=0).removesuffix("\n}")
+        text = f'{rest},\n"functions": {{\n' + ",\n".join(lines) + "\n}\n}\n"
+        aside.write_text(text, encoding="utf-8")
         aside.replace(path)
 
 

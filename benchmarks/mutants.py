@@ -39,7 +39,15 @@ from typing import Any, Literal, NamedTuple
 
 from scipy.stats import beta
 
-from _executed import NUMERICAL, Run, executing_tests, kernels_holding, name_at, watched
+from _executed import (
+    NUMERICAL,
+    Run,
+    executing_tests,
+    kernels_holding,
+    name_at,
+    statement_at,
+    watched,
+)
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 SOURCE = REPOSITORY / "src"
@@ -439,8 +447,9 @@ def random_mutants(
     """
 
     def tests(path: str, text: str, start: int) -> tuple[str, ...]:
-        name = name_at(text, text[:start].count("\n") + 1)
-        found = executing_tests(path, name, runs, _BUDGET_S)
+        line = text[:start].count("\n") + 1
+        name = name_at(text, line)
+        found = executing_tests(path, name, runs, _BUDGET_S, statement_at(text, line))
         return tuple(found) or near_tests(path, name.split(".")[0])[:most_tests]
 
     every: list[tuple[str, Place, str]] = []

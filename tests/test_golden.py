@@ -10,12 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 golden = importlib.import_module("golden")
 digests = importlib.import_module("_golden_digests")
+silent = importlib.import_module("_silent")
 
 RESULT = {
     "bands_hz": [500.0, 1000.0],
@@ -235,3 +237,59 @@ def test_all_files_that_are_read_have_digests_and_hidden_ones_do_not_count(tmp_p
     assert set(files) == {"absorption.csv", "report.html", "result.json"}
     assert files["report.html"]["numbers"] is None
     assert files["result.json"]["numbers"] != files["result.json"]["whole"]
+
+
+def test_what_functions_return_first_and_last_moves_and_so_does_one_that_runs_no_more():
+    """A thousandth of the size; a function that has gone from its module is no difference."""
+    with silent.returned(("air", "bands")) as last:
+        air = importlib.import_module("roomfit.air")
+        bands = importlib.import_module("roomfit.bands")
+        octaves = bands.bands_between("octave", 500, 1000)
+        bands.bands_between("octave", 125, 250)
+        air.attenuation_per_m(air.Air(), octaves)
+    kept = silent.sums(last)
+    first, then = (kept[f"bands.bands_between{c}"] for c in (", first", ""))
+    assert first[1] > 3.0 * then[1]
+    # what was called once has one line
+    assert "air.attenuation_per_m" in kept and "air.attenuation_per_m, first" not in kept
+    assert silent.moved(kept, kept) == []
+    number, size, weighed = kept["air.attenuation_per_m"]
+    for change, expected in ((0.9e-3, []), (1.1e-3, ["air.attenuation_per_m"])):
+        by = change * size
+        for other in ([number, size + by, weighed], [number, size, weighed - by]):
+            assert silent.moved(kept, {**kept, "air.attenuation_per_m": other}) == expected
+    assert silent.moved(kept, {**kept, "air.attenuation_per_m": [number + 1, size, weighed]})
+    fewer = {n: v for n, v in kept.items() if not n.startswith("air.attenuation")}
+    assert silent.moved(kept, fewer) == ["air.attenuation_per_m"]
+    assert silent.moved({**kept, "air.was_there_once": [0, 1.0, 1.0]}, kept) == []
+
+
+def test_large_numbers_hide_no_small_ones_of_the_same_record():
+    """Hertz beside absorption, 0.1 % of which is seen; what is of rounding is left out."""
+    name = "air.attenuation_per_m"
+
+    def sums_of(absorption, noise):
+        return silent.sums({name: (np.array([8000.0, 16_000.0]), [absorption, noise])})
+
+    kept = sums_of(np.array([0.1, 0.2]), np.array([1e-12]))
+    assert silent.moved(kept, sums_of(np.array([0.1, 0.2]), np.array([-3e-12]))) == []
+    assert silent.moved(kept, sums_of(np.array([0.1, 0.201]), np.array([1e-12]))) == [name]
+    assert silent.moved(kept, sums_of(np.array([0.2, 0.1]), np.array([1e-12]))) == [name]
+
+
+def test_what_a_picture_is_drawn_of_is_kept_with_its_words():
+    """Numbers and words that functions of roomfit hand to axes, but not how they look."""
+
+    def sums_of(code: str):
+        axes = Figure().subplots()
+        with silent.returned(("bands",)) as last:
+            # as a function of a module of roomfit
+            exec(f"def picture(axes):\n    {code}", module := {"__name__": "roomfit.made"})
+            module["picture"](axes)
+        return {n: v for n, v in silent.sums(last).items() if n.startswith("made.")}
+
+    kept = sums_of("axes.plot([1.0, 2.0], label='T30 of 2 bands', color='C1')")
+    assert kept["made.picture, drawn"][1] == pytest.approx(3.0)
+    assert kept == sums_of("axes.plot([1.0, 2.0], label='T60 of 3 bands', color='C2')")
+    for other in ("[2.0, 1.0], label='T30 of 2 bands'", "[1.0, 2.0], label='EDT of 2 bands'"):
+        assert kept != sums_of(f"axes.plot({other})")

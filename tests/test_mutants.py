@@ -11,7 +11,14 @@ from collections import Counter
 import pytest
 from scipy.stats import binomtest
 
-from _executed import Run, executing_tests, kernels_holding, name_at, watched
+from _executed import (
+    Run,
+    executing_tests,
+    kernels_holding,
+    name_at,
+    statement_at,
+    watched,
+)
 from mutants import (
     EQUIVALENT,
     MUTANTS,
@@ -178,6 +185,38 @@ def test_a_kernel_is_executed_where_what_calls_it_is():
     caller = calls._replace(functions=frozenset({"impedance/wave_model.py:_pressure"}))
     assert executing_tests(path, "conjugate_admittance", (caller,), 9.0) == [caller.test]
     assert "pressures" in kernels_holding("conjugate_admittance")
+    # constants that are defined together
+    together = name_at("_A, _B = 1, 2\n", 1)
+    gate = Run(
+        "diagnostics/test_said.py::test_x", 1.0, frozenset({"diagnostics/noise_gate.py:check"})
+    )
+    name = "(_GAP_S, _GAP_STEPS, _FEWEST_GAPS)"
+    assert together == "(_A, _B)"
+    assert executing_tests("diagnostics/noise_gate.py", name, (gate,), 9.0) == [gate.test]
+
+
+def test_of_the_tests_that_execute_a_function_those_that_execute_the_line_are_taken():
+    """Where any does; a statement counts as one line, a block as its head."""
+    text = "def f(a):\n    if a > (\n        1\n    ):\n        return [\n  2]\n    return 3\n"
+    found = [statement_at(text, line) for line in (1, 3, 4, 6, 7)]
+    assert [(lines[0], lines[-1]) for lines in found] == [(1, 1), (2, 4), (2, 4), (5, 6), (7, 7)]
+    own = frozenset({"air.py:attenuation_per_m"})
+    one, other = (
+        Run(f"test_air.py::test_{line}", 0.1, own, {"air.py": frozenset({line})}) for line in (5, 9)
+    )
+    for lines, expected in (((4, 5), [one]), ((9,), [other]), ((7,), [one, other])):
+        found = executing_tests("air.py", "attenuation_per_m", (one, other), 45.0, lines)
+        assert found == [run.test for run in expected]
+
+
+def test_tests_of_a_file_run_together_or_what_they_share_is_made_again():
+    own = frozenset({"air.py:attenuation_per_m"})
+    runs = tuple(
+        Run(f"solvers/test_{file}.py::test_{i}", 0.1 * i, own)
+        for i, file in enumerate(("endings", "simplex", "endings", "simplex"), start=1)
+    )
+    found = executing_tests("air.py", "attenuation_per_m", runs, 45.0)
+    assert [name[-1] for name in found] == ["1", "3", "2", "4"]
 
 
 @pytest.mark.slow
@@ -203,6 +242,15 @@ def test_what_a_test_executes_is_written_down(tmp_path):
     entered = {run.test.split("::")[1]: run.functions for run in watched(log)}
     assert entered["test_a"] == entered["test_b"] >= {"bands.py:bands_between"}
     assert entered["test_c"] == entered["test_d"] == frozenset()
+    lines = {run.test.split("::")[1]: run.lines for run in watched(log)}
+    text = (SOURCE / "roomfit" / "bands.py").read_text(encoding="utf-8")
+    of_it = {n for n in lines["test_a"]["bands.py"] if name_at(text, n) == "bands_between"}
+    # of octaves: without what refuses other kinds
+    body = [
+        n for n, _ in enumerate(text.split("\n"), start=1) if name_at(text, n) == "bands_between"
+    ]
+    assert of_it and of_it < set(body) and lines["test_a"] == lines["test_b"]
+    assert lines["test_c"] == lines["test_d"] == {}
 
 
 def test_a_share_has_the_interval_of_clopper_and_pearson():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -23,7 +24,15 @@ from roomfit.certified.convex import (
     priors_over,
 )
 from roomfit.certified.question import GlobalProblem
-from roomfit.certified.search import Incumbent, Searched, SearchSettings, examine, search, tools_for
+from roomfit.certified.search import (
+    Incumbent,
+    Searched,
+    SearchSettings,
+    _Boxes,
+    examine,
+    search,
+    tools_for,
+)
 from roomfit.suh2001.repeat import squares_global_problem
 from roomfit.suh2001.room import (
     DIVISIONS,
@@ -447,3 +456,32 @@ def test_a_quadratic_below_priors_is_below_them_everywhere_and_near_where_they_b
         touched += bool(exact[50] - bound[50] <= 1e-6 * (1.0 + exact[50]))
     # nowhere else is the least value of the interval nearer
     assert touched > 60
+
+
+def test_open_boxes_keep_their_bounds_however_many_there_are_and_the_lowest_come_first():
+    """Twice as many places where they are too few; what is taken is no more there."""
+    rng = np.random.default_rng(3)
+    bounds, boxes = rng.permutation(700.0 + np.arange(700)), _Boxes(2)
+    every = rng.random((700, 2, 2))
+    for begin, end in ((0, 250), (250, 258), (258, 700)):
+        for i in range(begin, end, 2):
+            # two of one bound
+            boxes.add(every[i : i + 2], bounds[i])
+    assert boxes.n == 700 and len(boxes.bounds) == len(boxes.boxes) >= 700
+    of_bound = {bounds[i]: every[i : i + 2] for i in range(0, 700, 2)}
+    left = sorted(of_bound)
+    while left:
+        own, found = boxes.lowest(100)
+        low, left = left[:50], left[50:]
+        np.testing.assert_array_equal(np.sort(found), np.repeat(low, 2))
+        for bound in low:
+            pair = own[found == bound]
+            assert {b.tobytes() for b in pair} == {b.tobytes() for b in of_bound[bound]}
+    assert boxes.n == 0
+
+
+def test_the_seconds_of_a_search_are_those_that_pass_during_it():
+    _, global_problem = random_case(3, 2)
+    began = time.perf_counter()
+    found = search(global_problem, SearchSettings(1e-2, max_boxes=5))
+    assert 0.0 < found.seconds <= time.perf_counter() - began

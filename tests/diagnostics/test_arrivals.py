@@ -11,10 +11,10 @@ import pytest
 
 import roomfit
 from roomfit.air import Air, speed_of_sound_m_s
-from roomfit.diagnostics.arrivals import arrival_verdicts
+from roomfit.diagnostics.arrivals import arrival_verdicts, with_corrected_clocks
 from roomfit.diagnostics.checks import BEFORE_THE_FIT, examine, recorded
 from roomfit.diagnostics.levels import _is_levelled, _peak
-from roomfit.diagnostics.usable import check_recordings
+from roomfit.diagnostics.usable import CheckedRecordings, check_recordings
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.geometry.mesh import shoebox_mesh
@@ -470,3 +470,42 @@ def test_a_floor_that_stands_upright_is_a_warning_and_a_level_one_is_none():
     lying = replace(mesh, vertices_m=mesh.vertices_m[:, [0, 2, 1]])
     (found,) = axis_findings(lying)
     assert found.sentence.startswith("floor, ceiling should be level and stand upright, across y")
+
+
+def test_clocks_are_set_as_the_verdicts_say_and_only_those_that_run_from_the_emission():
+    """Lateness is added to what is known; all become the direct sound's where a verdict says so."""
+
+    def recording(name, time_zero="emission"):
+        return roomfit.Measurement(
+            "S", name, np.ones(8), 8000.0, name=name, time_zero=time_zero, latency_s=0.25
+        )
+
+    def verdict(**correction):
+        return SimpleNamespace(correction=SimpleNamespace(**correction))
+
+    given = [recording("A"), recording("B"), recording("C", "direct")]
+    files = frozenset(m.where for m in given if m.source == "S" and m.receiver != "A")
+    late = verdict(time_zero=None, files=files, late_s=0.5)
+    found = with_corrected_clocks(given, [SimpleNamespace(correction=None), late])
+    assert [m.latency_s for m in found] == [0.25, 0.75, 0.25]
+    assert [m.time_zero for m in found] == ["emission", "emission", "direct"]
+    direct = verdict(time_zero="direct", files=frozenset(), late_s=0.0)
+    found = with_corrected_clocks(given, [direct, late])
+    # what begins at its direct sound has no lateness to be corrected
+    assert [m.time_zero for m in found] == 3 * ["direct"]
+    assert [m.latency_s for m in found] == 3 * [0.25]
+
+
+def test_recordings_are_in_doubt_where_one_of_them_or_a_band_is_of_no_use():
+    """Or where a finding says so; none at all are in no doubt."""
+
+    def doubted(usable, *codes):
+        findings = tuple(SimpleNamespace(code=code) for code in codes)
+        checked = SimpleNamespace(usable=np.array(usable, dtype=bool), findings=findings)
+        return CheckedRecordings.in_doubt.fget(checked)
+
+    assert not doubted([[1, 0], [0, 1]]) and not doubted(np.zeros((0, 2)))
+    assert doubted([[1, 1], [0, 0]])  # the second recording
+    assert doubted([[1, 0], [1, 0]])  # the second band
+    assert doubted([[1, 1]], Code.RECORDING_UNUSABLE) and doubted([[1]], Code.NOISE_GATED)
+    assert not doubted([[1, 1]], Code.BELOW_SCHROEDER_FREQUENCY)

@@ -387,3 +387,30 @@ def test_another_scattering_is_judged_by_what_it_does_to_the_decay_as_fitted(mon
     assert (asked[0].n_rays, asked[0].duration_s, asked[0].receiver_radius_m) == (77, 0.5, 0.3)
     assert asked[0].seed == 5
     assert decay.decays_by_scattering(measured, traced, np.zeros((2, 6)), settings, ()) == {}
+
+
+def test_what_a_reflection_returns_is_less_the_more_of_it_is_taken_for_noise(measured_box):
+    """Noise is taken off the window of the reflection, which is weaker than the direct sound.
+
+    Off that of the direct sound as well, which raises what returns, but by less.
+    """
+    measured, _, traced = measured_box
+    right = np.tile(TRUE[:, None], 2)
+
+    def found(share: float):
+        """Noise of so much of the mean power of each response."""
+        louder = tuple(
+            replace(
+                m, noise=replace(m.noise, floor=np.full(2, share * np.mean(m.response.pressure**2)))
+            )
+            for m in measured.responses
+        )
+        every = isolated_reflections(replace(measured, responses=louder), traced, right)
+        return {(r.source, r.receiver, r.wall, r.band): r for r in every}
+
+    quiet, loud = found(1e-5), found(3e-5)
+    both = quiet.keys() & loud.keys()
+    assert len(both) >= 10
+    for key in both:
+        assert loud[key].returned < quiet[key].returned
+        assert loud[key].sd > quiet[key].sd

@@ -122,6 +122,24 @@ def test_a_gate_is_found_and_silence_or_coarse_steps_are_none(change, found):
     assert codes == ([Code.NOISE_GATED] if found else [])
 
 
+@pytest.mark.parametrize(
+    ("n_silent", "rises", "n_runs", "expected"),
+    # of 1 kHz: 3 equal samples begin and end 2 steps apart, which is 2 ms
+    [(3, 8.1, 4, 3), (2, 8.1, 4, 0), (3, 7.9, 4, 0), (3, 8.1, 3, 2), (5, 20.0, 6, 5)],
+)
+def test_silence_counts_from_two_milliseconds_on_and_sound_from_eight_steps(
+    n_silent, rises, n_runs, expected
+):
+    """After the peak; the last silence is followed by nothing. Steps of sound are of 1 at least."""
+    burst = [1.0, 0.0 + rises, 1.0, 2.0]
+    x = np.concatenate([[100.0, 3.0, 2.0], *n_runs * [[*n_silent * [0.0], *burst]]])
+    x = x[: -len(burst)]
+    m = SimpleNamespace(response=ImpulseResponse(x, 1000.0))
+    assert noise_gate._gaps(m) == expected
+    before = np.concatenate([x[3:], x[:3], [0.0, 1.0]])  # the peak after all of them
+    assert noise_gate._gaps(SimpleNamespace(response=ImpulseResponse(before, 1000.0))) == 0
+
+
 class _Line:
     """Data on a line over absorption and one further unknown."""
 
@@ -584,3 +602,12 @@ def test_noise_is_sought_through_causal_filters_of_scipy(rate_hz):
     found = band_passed(x, 500.0, 0.25 * rate_hz, rate_hz)
     np.testing.assert_allclose(found, peer, atol=1e-11)
     assert np.abs(found[:1000]).max() < 1e-11
+
+
+@pytest.mark.parametrize(("n_after", "is_long_enough"), [(160, True), (157, False)])
+def test_a_tail_is_of_eight_blocks_of_a_millisecond_at_least(n_after, is_long_enough):
+    """Two fifths of what follows the direct sound: 64 samples are 8 ms at 8 kHz, 62 are not."""
+    pressure = np.random.default_rng(3).normal(size=400 + n_after)
+    response = ImpulseResponse(pressure, 8000.0)
+    m = SimpleNamespace(response=response, direct_s=400 / 8000.0)
+    assert (noise_tail._levels(m, 0.4) is not None) == is_long_enough

@@ -208,3 +208,22 @@ def test_the_finding_names_places_and_voids_their_material_alone():
 
 def test_rooms_without_pressures_are_not_examined():
     assert uniformity.most_uneven([]) is None
+
+
+def test_another_explanation_gains_less_one_for_each_of_its_unknowns(monkeypatch):
+    """A bent chain has one, a freed absorption one a band; the better of them counts."""
+    freed = SimpleNamespace(gains={500.0: 4.0, 1000.0: 3.5})
+    chain = SimpleNamespace(alone=[SimpleNamespace(gain=g) for g in (9.0, 8.0, 7.0)])
+    asked = []
+
+    def otherwise(clearest, freed_absorptions, chain=chain):
+        monkeypatch.setattr(
+            uniformity, "clearest_fault", lambda _, **given: asked.append(given) or clearest
+        )
+        tests = SimpleNamespace(freed_absorptions=freed_absorptions, chain=chain)
+        return uniformity._otherwise(SimpleNamespace(fits=SimpleNamespace(tests=tests)))
+
+    assert otherwise(None, (freed,)) == 5.5
+    assert otherwise(1, (freed,)) == 7.0 and otherwise(2, ()) == 6.0
+    assert asked == 3 * [{"is_directed": False}]
+    assert otherwise(1, (freed,), None) == 5.5 and otherwise(1, (), None) == -np.inf

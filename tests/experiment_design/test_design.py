@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 import roomfit
 from roomfit._numba import at_most_threads
+from roomfit.bands import bands_between
 from roomfit.errors import InputError
 from roomfit.experiment_design import design as design_module
 from roomfit.experiment_design.campaign import design_arguments
@@ -46,7 +47,9 @@ from roomfit.experiment_design.prior import Unknowns, information_from_priors
 from roomfit.findings import Code
 from roomfit.inversion import expected
 from roomfit.io.campaign import Campaign
-from roomfit.scene import Scene
+from roomfit.materials.priors import unknown_material
+from roomfit.scene import Scene, shoebox_room
+from roomfit.settings import Settings
 from roomfit.suh2001.room import paper_scene
 from roomfit.tracing.trace import trace
 from roomfit.uncertainty.posterior import AbsorptionPosterior
@@ -640,3 +643,33 @@ def test_what_is_promised_is_about_what_a_fit_reports(tmp_path):
     found = designed(campaign, n_candidates=2, number=1, n_random=0)
     promised, reported = found.widths[0].mean(), (answer.upper95 - answer.lower95).mean()
     assert 0.67 < promised / reported < 1.5
+
+
+def test_a_region_is_between_two_heights_and_within_its_box():
+    """Heights above the floor, wherever that is; the box is in the room's own frame."""
+    room = shoebox_room((5.0, 4.0, 3.0), "plaster")
+    mesh = replace(room.mesh, vertices_m=room.mesh.vertices_m + np.array([0.0, 0.0, 10.0]))
+    raised = replace(room, mesh=mesh)
+    found = region_of(raised, (1.0, 2.0), 0.7)
+    assert found.low_m.tolist() == [0.0, 0.0, 11.0] and found.high_m.tolist() == [5.0, 4.0, 12.0]
+    assert found.wall_distance_m == 0.7
+    found = region_of(raised, (1.0, 2.0), 0.7, ((1.0, -1.0, 10.5), (9.0, 2.0, 11.5)))
+    assert found.low_m.tolist() == [1.0, 0.0, 11.0] and found.high_m.tolist() == [5.0, 2.0, 11.5]
+    with pytest.raises(InputError, match="ends below its beginning"):
+        region_of(raised, (1.0, 2.0), 0.7, ((1.0, 1.0, 10.0), (2.0, 0.5, 13.0)))
+
+
+def test_a_gain_is_one_a_source_or_one_a_file_or_none_is_unknown():
+    scene = SimpleNamespace(pairs=np.array([[0, 0], [1, 0], [0, 1]]))
+    wanted = {"per-source": [0, 1, 0], "per-file": [0, 1, 2], "absolute": [-1, -1, -1]}
+    assert {level: design_module._gains(level, scene).tolist() for level in wanted} == wanted
+
+
+def test_a_design_is_for_the_octaves_from_125_to_4000_hz_unless_others_are_named():
+    scene = SimpleNamespace(room=SimpleNamespace(materials=("wall",)))
+    options = SimpleNamespace(n_draws=2)
+    thirds = bands_between("third-octave", 500, 800)
+    for bands, centres_hz in ((None, [125, 250, 500, 1000, 2000, 4000]), (thirds, [500, 630, 800])):
+        walls = (unknown_material("wall", len(centres_hz)),)
+        known = design_module._prior_information(scene, walls, bands, None, options, Settings())
+        np.testing.assert_array_equal(known.bands.centres_hz, centres_hz)

@@ -6,12 +6,14 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from roomfit.errors import InputError
 from roomfit.findings import Code
+from roomfit.geometry import check
 from roomfit.geometry.mesh import refuse
 from roomfit.io.inputs import check_room
 from roomfit.io.rooms import read_room
@@ -120,3 +122,27 @@ def test_points_outside_in_walls_and_upon_each_other_are_faults_with_their_place
         refuse(findings)
     assert "4.0 mm from surface 'ceiling'" in findings[1].sentence
     assert "4.0 mm apart" in findings[2].sentence
+
+
+def test_triangles_less_high_than_a_tenth_of_a_millimetre_are_counted_and_named():
+    """2 m long and 0.09 mm high, along each side; one of 0.11 mm is none."""
+    high = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [1.0, 0.0, 1.1e-4]])
+    thin = high * [1.0, 1.0, 0.9 / 1.1]
+    for turned in range(3):
+        for n_thin, said in ((1, "1 triangle is thinner"), (2, "2 triangles are thinner")):
+            corners = np.concatenate([high, *n_thin * [np.roll(thin, turned, axis=0)]])
+            mesh = SimpleNamespace(
+                vertices_m=corners,
+                triangles=np.arange(len(corners)).reshape(-1, 3),
+                triangle_surface=np.array([0, *n_thin * [1]]),
+                surfaces=[SimpleNamespace(name="wall"), SimpleNamespace(name="seam")],
+            )
+            (finding,) = check._slivers(mesh)
+            assert (finding.code, finding.evidence["triangles"]) == (Code.SLIVERS, n_thin)
+            assert said in finding.sentence and "seam" in finding.sentence
+            assert "wall" not in finding.sentence and "(1.000, 0.000, 0.000)" in finding.sentence
+            np.testing.assert_allclose(
+                finding.about.points_m, n_thin * [(1.0, 0.0, 0.0)], atol=1e-3
+            )
+    mesh = SimpleNamespace(**{**vars(mesh), "triangles": np.array([[0, 1, 2]])})
+    assert check._slivers(mesh) == []

@@ -12,6 +12,7 @@ from images_reference import l_shaped_room
 from impedance_cases import nearest
 from roomfit.air import Air
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.geometry.mesh import mean_free_path_m
 from roomfit.impedance import diagnostics
 from roomfit.impedance.data import Observed, complex_frequency_hz, level_at, model_error
@@ -353,3 +354,22 @@ def test_the_likely_cause_is_what_makes_the_model_fit(
     )
     said = diagnostics._likely_cause(SimpleNamespace(problem=problem))
     assert said.startswith(cause)
+
+
+def test_what_makes_a_verdict_weaker_is_said_with_its_size():
+    """Noise that the fit took for it, as a share of the mean level; phases that are missing."""
+    f, pressure = np.array([200.0, 300.0]), np.array([[3.0 + 4.0j, 1.0j]])
+    given = Observed(f, 0.01, pressure)
+    fitted = Observed(f, 0.01, pressure, np.array([[0.2, 0.4]]))
+
+    def found(observed, problem_observed, **more):
+        observed = SimpleNamespace(noise=observed.noise, has_phase=True, **more)
+        return diagnostics._weaker_findings(SimpleNamespace(observed=problem_observed), observed)
+
+    (estimated,) = found(given, fitted)
+    # of levels 5 and 1, the mean is 3
+    assert estimated.code == Code.NOISE_ESTIMATED
+    assert estimated.evidence["noise_over_level"] == pytest.approx(0.1)
+    assert "10.0% of the level" in estimated.sentence
+    assert found(fitted, fitted) == [] == found(given, given)
+    assert diagnostics._noise_over_level(given) == 0.0

@@ -15,7 +15,7 @@ from roomfit.impedance import identify
 from roomfit.impedance.data import Observed, complex_frequency_hz
 from roomfit.impedance.fit import Start, WallModel
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
-from roomfit.impedance.laws import absorption_normal, impedance_of_r0, spline
+from roomfit.impedance.laws import absorption_normal, impedance_of_r0, law_curve, spline
 from roomfit.impedance.wave_model import Nuisances, at_rest, predicted_pressure, wave_model
 from simulated_rooms.impedance_box import (
     SURFACES,
@@ -305,3 +305,23 @@ def test_a_constant_stands_for_a_spline_by_the_mean_square_that_it_leaves():
     off = np.abs(r0 - r0.mean()) ** 2
     assert misfit == pytest.approx(np.mean(off) / (0.02**2 + fits._LAW_ERROR**2))
     np.testing.assert_allclose(curve.r0(curve.start), np.full(3, r0.mean()), rtol=1e-9)
+
+
+def test_a_law_is_found_again_from_the_r0_that_it_has():
+    """A law with parameters far from where it starts, and what it misses in deviations."""
+    f = np.array([200.0, 300.0, 500.0, 800.0]) + 0.0j
+    law = law_curve("miki", f, 343.0, None)
+    x = law.start + 0.8 * (-1.0) ** np.arange(len(law.parameters))
+    weight = np.full(len(f), 100.0)
+    found, misfit = fits._fitted_law(law, law.r0(x), weight, np.random.default_rng(1))
+    # each is held by a prior of a hundredth of the data's weight
+    assert misfit < 1e-4
+    assert [p.start for p in found.parameters] == pytest.approx(law.values(x), rel=0.02)
+    np.testing.assert_allclose(found.r0(found.start), law.r0(x), atol=1e-3)
+    assert found.kind == law.kind and [p.low for p in found.parameters] == [
+        p.low for p in law.parameters
+    ]
+    # what no parameters explain stays: R0 beyond all that the law can be, off by 1 in the mean
+    far = law.r0(x) + np.where(np.arange(len(f)) % 2, 1.0, -1.0)
+    _, missed = fits._fitted_law(law, far, weight, np.random.default_rng(1))
+    assert 0.2 * 100.0**2 < missed <= 1.001 * 100.0**2

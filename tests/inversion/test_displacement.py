@@ -346,6 +346,35 @@ def test_the_likeliest_way_to_move_is_named_with_its_size_and_the_walls_that_are
     np.testing.assert_allclose([s for _, s in ends], [0.02, 0.02 * np.sqrt(2.0)], atol=1e-3)
 
 
+def test_an_offset_that_is_stated_is_looked_for_a_step_of_the_grid_away():
+    """The likeliest of the steps within seven deviations, if it gains more than half."""
+    outline, step_m = box_of_three_offsets(), float(whole_displacement._GRID_M[0])
+    stated = [replace(o, is_stated=k == 1) for k, o in enumerate(outline.offsets)]
+    outline.offsets = tuple(stated)
+    here_m = np.array([0.0, 0.01, 0.0, 0.0])
+
+    def moved(by_m):
+        return here_m + by_m * np.eye(4)[1]
+
+    def stepped(top_m, gain):
+        """Of a top so far from here, along the length; elsewhere nothing is likelier."""
+        return whole_displacement._stated_step(
+            outline,
+            lambda at, _=False: gain * float(np.allclose(at, moved(top_m))),
+            here_m,
+        )
+
+    for top_m in (-step_m, step_m):
+        np.testing.assert_allclose(stepped(top_m, 0.51), moved(top_m))
+        assert stepped(top_m, 0.49) is None
+    reach_m = 7.0 * stated[1].sd_m
+    within = max(g for g in whole_displacement._GRID_M if g < reach_m)
+    beyond = min(g for g in whole_displacement._GRID_M if g >= reach_m)
+    assert stepped(within, 9.0) is not None and stepped(beyond, 9.0) is None
+    outline.offsets = tuple(replace(o, is_stated=False) for o in stated)
+    assert stepped(step_m, 9.0) is None
+
+
 def test_what_gains_too_little_or_is_within_the_specified_is_not_named():
     """10 units of log-likelihood beside the prior's, and 3.5 deviations of what is specified."""
     outline = box_of_three_offsets()
@@ -431,3 +460,92 @@ def test_a_displacement_is_asked_for_from_four_responses_and_first_reflections_o
             whole_displacement.displacement_model(*arguments)
     else:
         assert whole_displacement.displacement_model(*arguments) is None
+
+
+def test_a_stated_offset_moves_absorption_by_half_the_difference_of_its_two_sides(monkeypatch):
+    """Of fits that are linear in the offset; one that is not possible to either side is 0."""
+    outline, slope = box_of_three_offsets(), np.array([3.0, -5.0])
+    outline.offsets = tuple(
+        replace(o, is_stated=k in (0, 1)) for k, o in enumerate(outline.offsets)
+    )
+    parameters = SimpleNamespace()
+    outline.bands = [SimpleNamespace(band=b, parameters=parameters, start=None) for b in (2, 4)]
+    n = len(outline.measured.scene.room.materials)
+    asked, impossible = [], []
+
+    def displaced_to(_scene, _offsets, way_m):
+        asked.append(way_m)
+        return tuple(way_m)
+
+    monkeypatch.setattr(whole_displacement, "displaced", displaced_to)
+    monkeypatch.setattr(whole_displacement, "_is_possible", lambda way_m: way_m not in impossible)
+    monkeypatch.setattr(
+        whole_displacement, "displaced_terms", lambda _, way_m: [(0, way_m), (1, way_m)]
+    )
+    monkeypatch.setattr(whole_displacement, "Objective", lambda _, terms: terms[0])
+    monkeypatch.setattr(
+        whole_displacement, "score_band", lambda term, *_, **__: SimpleNamespace(vector=term)
+    )
+
+    def absorption(_parameters, vector):
+        band, way_m = vector
+        by = -0.4 + slope[band] * way_m.sum() + 7.0 * way_m.sum() ** 2
+        return {"absorption": np.full(n, 1.0 / (1.0 + np.exp(-by)))}, None
+
+    monkeypatch.setattr(whole_displacement, "physical_values", absorption)
+    sd_m = np.array([0.02, 0.01, 0.5, 0.5])
+    found = whole_displacement.offset_steps(outline, sd_m)
+    assert list(found) == [2, 4]
+    for band, steps in zip((0, 1), found.values(), strict=True):
+        # what is even in the offset cancels
+        np.testing.assert_allclose(steps, np.tile(slope[band] * sd_m[:2], (n, 1)), rtol=1e-9)
+    assert [tuple(way_m) for way_m in asked[:2]] == [(-0.02, 0, 0, 0), (0.02, 0, 0, 0)]
+    impossible.append((0.0, 0.01, 0.0, 0.0))
+    steps = whole_displacement.offset_steps(outline, sd_m)[2]
+    assert np.all(steps[:, 1] == 0.0) and np.all(steps[:, 0] != 0.0)
+
+
+def test_what_was_ruled_out_roughly_is_evaluated_where_it_is_asked_for_exactly(monkeypatch):
+    """And nothing else twice; what is foreseen is rough."""
+    asked = []
+
+    def evaluated(_self, shift_m, roughly, _max_rounds):
+        asked.append((float(shift_m[0]), roughly))
+        return -np.inf if roughly and shift_m[0] > 1.0 else float(shift_m[0])
+
+    monkeypatch.setattr(whole_displacement._LogL, "evaluated", evaluated)
+    logl = whole_displacement._LogL(SimpleNamespace(bands=[]))
+    ruled_out, kept = np.array([2.0]), np.array([0.5])
+    assert [logl(ruled_out, True), logl(ruled_out, True)] == 2 * [-np.inf]
+    assert logl(kept, True) == logl(kept) == logl(kept) == 0.5
+    assert logl(ruled_out) == logl(ruled_out, True) == logl(ruled_out) == 2.0
+    assert asked == [(2.0, True), (0.5, True), (2.0, False)]
+    logl.foresee([ruled_out, np.array([3.0]), np.array([3.0])])
+    assert asked[3:] == [(3.0, True)] and logl(np.array([3.0]), True) == -np.inf
+
+
+def test_stated_offsets_are_found_where_the_data_and_what_is_stated_have_them(monkeypatch):
+    """Of a normal law of the data, far off: the mean by both precisions, and the deviation."""
+    outline, sd_m, data_sd_m, top_m = box_of_three_offsets(), 0.2, 0.02, 0.4
+    outline.offsets = tuple(
+        replace(o, is_stated=k == 1, sd_m=sd_m if k == 1 else o.sd_m)
+        for k, o in enumerate(outline.offsets)
+    )
+    outline.moved_m = np.zeros(4)
+
+    class Law:
+        def __call__(self, at, _roughly=False):
+            return -0.5 * float(np.sum((at - [0.0, top_m, 0.0, 0.0]) ** 2)) / data_sd_m**2
+
+        def foresee(self, shifts_m):
+            pass
+
+    monkeypatch.setattr(whole_displacement, "logl_of", lambda _: Law())
+    monkeypatch.setattr(whole_displacement, "_implausible", lambda *_: None)
+    monkeypatch.setattr(whole_displacement, "_farthest", lambda *_: None)
+    found = whole_displacement.located(outline)
+    precision = 1.0 / sd_m**2 + 1.0 / data_sd_m**2
+    assert found.shift_m[1] == pytest.approx(top_m / data_sd_m**2 / precision, abs=3e-3)
+    assert found.sd_m[1] == pytest.approx(1.0 / np.sqrt(precision), rel=0.02)
+    np.testing.assert_allclose(found.shift_m[[0, 2, 3]], 0.0, atol=5e-3)
+    assert found.beyond is None

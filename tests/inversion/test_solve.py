@@ -201,3 +201,18 @@ def test_few_responses_choose_energies_where_they_contradict_pressures(monkeypat
     measured = SimpleNamespace(bands=bands, responses=())
     settings = Settings(model=given.get("model", "auto"))
     assert solve.chosen_model(measured, (), np.zeros(n), settings) == chosen
+
+
+@pytest.mark.parametrize("model", ["auto", "coherent"])
+def test_bands_that_contradict_pressures_have_no_fit_by_them_where_the_model_is_chosen(
+    monkeypatch, model
+):
+    state = SimpleNamespace(bands=["a", "b"], task=SimpleNamespace(settings=Settings(model=model)))
+    fits = ["fit of a", None]
+    for contradicted in (False, True):
+        monkeypatch.setattr(
+            coherent, "contradicts_geometry", lambda *given, c=contradicted: c and given[1] is fits
+        )
+        chosen_otherwise = contradicted and model == "auto"
+        expected = [None, None] if chosen_otherwise else fits
+        assert coherent._uncontradicted(state, fits) == expected

@@ -10,6 +10,7 @@ import pytest
 from coherent_cases import SPEED_M_S, objective_of, small_scene, small_term, with_data
 from roomfit.air import Air, attenuation_per_m, pressure_decay_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
+from roomfit.inversion import systematics
 from roomfit.inversion.sequential import CoherentBand
 from roomfit.inversion.systematics import (
     DECAY_PROBABILITIES,
@@ -312,3 +313,11 @@ def test_a_fit_keeps_the_rate_of_decay_apart_from_its_other_errors() -> None:
     steps = answer_steps(problem, fit, jacobian, np.concatenate(list(without.values()), axis=1))
     np.testing.assert_allclose(wider.information, add_covariance(fit, steps).information)
     assert wider.decay is not None and wider.decay.step.shape == fit.vector.shape
+
+
+def test_draws_of_two_models_come_in_turn_from_either():
+    """As many as of the first; where one model has none there are none."""
+    one, other = np.arange(8.0).reshape(4, 2), -np.arange(12.0).reshape(6, 2)
+    found = systematics._half_each(one, other)
+    np.testing.assert_array_equal(found, [[0, 1], [-2, -3], [4, 5], [-6, -7]])
+    assert systematics._half_each(one, None) is None is systematics._half_each(None, other)

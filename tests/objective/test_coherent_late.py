@@ -20,7 +20,7 @@ from coherent_cases import (
 from roomfit.bands import Bands
 from roomfit.materials.priors import uniform_scattering
 from roomfit.objective.coherent import CoherentTerm, with_coherence
-from roomfit.objective.energy import first_windows
+from roomfit.objective.energy import fine_edges_s, first_windows
 from roomfit.objective.parameters import start_vector
 from roomfit.objective.windows import in_windows, window_edges_s
 from roomfit.response.binned import bin_paths, in_band
@@ -139,3 +139,11 @@ def test_pressures_that_are_known_early_need_no_later_grid() -> None:
     for a, b in ((found.expected, expected.expected), (found.jacobian, expected.jacobian)):
         np.testing.assert_allclose(a, b, rtol=1e-4, atol=2e-6 * np.abs(b).max())
     np.testing.assert_allclose(at.variance(vector), objective_of(long).variance(vector), rtol=1e-3)
+
+
+def test_fine_windows_are_of_half_the_inverse_bandwidth_or_as_they_are():
+    """Eight pieces at most, and one of a window that is too short to be cut."""
+    edges_s = np.array([0.0, 0.001, 0.006, 0.016, 0.116])
+    found = fine_edges_s(edges_s, 100.0)  # pieces of 5 ms
+    expected = [0.0, 0.001, 0.006, 0.011, *np.linspace(0.016, 0.116, 9)]
+    np.testing.assert_allclose(found, expected, rtol=1e-9)

@@ -329,3 +329,11 @@ def test_measured_responses_become_what_is_predicted_of_them(real_data):
     assert np.abs(c50[1:]).max() < 1.0
     # from when on noise carries the tail is said of every band whose noise is reached
     assert np.isfinite([c.noise_from_s for c in made]).any(axis=0).sum() >= 4, made
+
+
+@pytest.mark.filterwarnings("error")
+def test_where_nothing_was_predicted_before_nothing_is_said_of_a_ratio():
+    """No division by an energy of zero: the ratio stays 1."""
+    edges_s = np.linspace(0.0, 1.0, 101)
+    after = np.exp(-10.0 * edges_s[:-1])[None]
+    np.testing.assert_allclose(energy_ratio(np.zeros((1, 100)), after, edges_s, 0.1), 1.0)

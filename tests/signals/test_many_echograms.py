@@ -15,8 +15,9 @@ from roomfit.errors import InputError
 from roomfit.materials import catalogue as catalogue_module
 from roomfit.materials.catalogue import search_catalogue
 from roomfit.materials.priors import complete_priors, unknown_material
+from roomfit.signals import iso3382
 from roomfit.signals.decay import echogram_decay_curve, jnd_of
-from roomfit.signals.iso3382 import VALUE_NAMES, value_gradients, values_of_bins
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, value_gradients, values_of_bins
 from roomfit.signals.speech import (
     MODULATIONS_HZ,
     SPEECH_BANDS_HZ,
@@ -168,3 +169,66 @@ def test_every_word_of_a_material_leads_to_entries_of_the_catalogue():
     known = {entry.name for entry in search_catalogue([])}
     assert {entry for entries in words.values() for entry in entries} <= known
     assert all(word == word.lower() for word in words)
+
+
+def test_where_nothing_falls_after_the_onset_a_time_is_sixty_times_the_echogram():
+    """All energy before the onset, or a level that does not fall between the two of the range."""
+    time_s = np.array([0.1, 0.2, 0.4, 0.7])
+    left = np.array([[1.0, 1e-9, 1e-9, 1e-9]])
+    curve = SimpleNamespace(time_s=time_s, energy_left=left, onset_s=0.5)
+    level_db = 10.0 * np.log10(left[0])
+    found, by_left = iso3382._decay_time_s(curve, 0, (-5.0, -25.0), level_db, True)
+    assert found == pytest.approx(60.0 * 0.6)
+    np.testing.assert_array_equal(by_left, np.zeros(4))
+
+
+def values_of(**given: float) -> MeasuredValues:
+    return MeasuredValues("S", "R", [500.0], {name: [value] for name, value in given.items()})
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high"),
+    [
+        # s: a church at most, a centimetre's decay at least; dB: 10 cm from a source
+        *(("EDT_s", 0.01, 15.0), ("T20_s", 0.03, 15.0), ("T30_s", 0.03, 15.0)),
+        *(("C50_dB", -40.0, 40.0), ("C80_dB", -40.0, 40.0), ("G_dB", -40.0, 45.0)),
+        *(("D50_percent", 0.0, 100.0), ("TS_ms", 0.1, 3000.0)),
+    ],
+)
+def test_a_value_that_no_room_has_is_refused_on_either_side(name, low, high):
+    for value in (low, high):
+        iso3382.check_possible(name, value, "a table")
+    for value in (low - 1e-3 * max(abs(low), 1.0), 1.001 * high, np.nan):
+        with pytest.raises(InputError, match="implausible room parameter"):
+            iso3382.check_possible(name, value, "a table")
+
+
+def test_values_that_do_not_go_together_are_doubted_and_then_refused():
+    """T30 over T20, EDT over either, D50 by its definition from C50: both sides of each limit."""
+
+    def doubts(**given: float) -> int:
+        found = iso3382.contradiction_findings(values_of(**given), "a table")
+        return 0 if not found else len(found[0].evidence["doubts"])
+
+    for name, doubt, error in (("T30_s", 1.35, 2.5), ("EDT_s", 2.0, 8.0)):
+        for ratio in (lambda r: r, lambda r: 1.0 / r):
+            given = {"T20_s": 1.0, name: ratio(0.99 * doubt)}
+            assert doubts(**given) == 0
+            assert doubts(**{**given, name: ratio(1.01 * doubt)}) == 1
+            assert doubts(**{**given, name: ratio(0.99 * error)}) == 1
+            with pytest.raises(InputError, match="contradict each other"):
+                doubts(**{**given, name: ratio(1.01 * error)})
+    # where T20 is unknown, EDT is compared with T30, which by itself contradicts nothing
+    assert doubts(T30_s=1.0) == doubts(EDT_s=1.0) == doubts(T30_s=1.0, EDT_s=1.9) == 0
+    assert doubts(T30_s=1.0, EDT_s=2.1) == 1
+    # C50 of 0 dB is D50 of 50 %, one of 10 dB is 1000 / 11 %
+    for c50_db, percent in ((0.0, 50.0), (10.0, 1000.0 / 11.0), (-10.0, 100.0 / 11.0)):
+        off = -1.0 if percent > 60.0 else 1.0
+        assert doubts(C50_dB=c50_db, D50_percent=percent + 4.9 * off) == 0
+        assert doubts(C50_dB=c50_db, D50_percent=percent + 5.1 * off) == 1
+        assert doubts(C50_dB=c50_db, D50_percent=percent + 19.9 * off) == 1
+        with pytest.raises(InputError, match="contradict each other"):
+            doubts(C50_dB=c50_db, D50_percent=percent + 20.1 * off)
+    assert doubts(C50_dB=1.0, C80_dB=1.0) == 0
+    with pytest.raises(InputError, match="C80 at least as large"):
+        doubts(C50_dB=1.0, C80_dB=0.99)

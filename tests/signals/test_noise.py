@@ -46,3 +46,12 @@ def test_sound_that_begins_late_over_digital_silence_has_a_decay_or_none_but_no_
                 assert line[1] == pytest.approx(constant_s, rel=1e-3)
                 expected = begins_s / constant_s
                 assert np.log(line[0]) == pytest.approx(expected, rel=2e-3, abs=1e-3)
+
+
+def test_blocks_that_do_not_fall_have_no_decay():
+    """Equal ones, whose logarithms have a slope of 0 to the last digit; none at all; falling."""
+    times = 0.01 * (0.5 + np.arange(8))
+    assert decay_line(times, np.full(8, 1.125), 0.125, np.inf) is None
+    assert decay_line(times[:0], np.zeros(0), 0.125, np.inf) is None
+    line = decay_line(times, 3.0 * np.exp(-times / 0.02) + 1e-9, 1e-9, np.inf)
+    np.testing.assert_allclose(line, (3.0, 0.02), rtol=1e-6)

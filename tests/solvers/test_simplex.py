@@ -14,6 +14,7 @@ from roomfit.solvers.ending import Ending
 from roomfit.solvers.search import (
     Simplex,
     SimplexSettings,
+    _contract,
     downhill_simplex,
     move_once,
     random_simplex,
@@ -228,3 +229,21 @@ def test_a_simplex_around_a_point_lies_in_the_box_and_has_a_volume(
     vertices = simplex_around(np.random.default_rng(seed).random(n), size)
     assert vertices.min() >= 0.0 and vertices.max() <= 1.0
     assert abs(np.linalg.det(vertices[1:] - vertices[0])) == pytest.approx(size**n, rel=1e-9)
+
+
+@pytest.mark.parametrize("n", [2, 3, 4])
+def test_a_simplex_that_cannot_contract_shrinks_to_half_about_its_lowest(n):
+    """Each of its errors is that of its vertex then; the lowest stays."""
+    rng = np.random.default_rng(n)
+    vertices = rng.random((n + 1, n))
+
+    def error(x):
+        # higher between the vertices than at any of them
+        return 5.0 + float(np.sum(x)) - 3.0 * any(np.array_equal(x, v) for v in vertices)
+
+    state = Simplex(vertices.copy(), np.array([error(v) for v in vertices]))
+    state.sort()
+    before = state.vertices.copy()
+    _contract(state, error, before[:-1].mean(axis=0))
+    np.testing.assert_allclose(state.vertices, 0.5 * (before + before[0]), rtol=1e-12)
+    np.testing.assert_allclose(state.errors, [error(v) for v in state.vertices], rtol=1e-12)

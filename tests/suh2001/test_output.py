@@ -145,6 +145,7 @@ def test_contours_have_the_minima_of_grid_and_descents_at_their_places(result, f
     assert "21 x 21: 6 minima that are none" in coarse.get_title()
     assert fine.get_title() == "201 x 201: one valley, true minima: 1"
     assert bar.get_ylabel() == "error (unit of the paper)"
+    assert {np.log10(tick) for tick in bar.get_yticks()} <= {-1, 0, 1, 2, 3, 4, 5}
     for axes in (*four[:3], coarse, fine):
         assert (axes.get_xlim(), axes.get_ylim()) == ((0.0, 1.0), (0.0, 1.0))
     assert coarse.get_ylabel() == "absorption of walls" and not fine.get_ylabel()

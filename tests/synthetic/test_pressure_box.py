@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from roomfit.synthetic import boxes
 from roomfit.synthetic.boxes import (
+    NOISE_DB,
+    POSITION_ERROR_M,
+    SAMPLING_RATE_HZ,
     SyntheticBox,
     add_noise,
     box_images,
+    demo_plan,
     loudspeaker,
     pressure_response,
+    simulated_responses,
+    true_box,
 )
 
 CENTRES = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0])
@@ -89,3 +98,24 @@ def test_a_loudspeaker_has_the_level_of_its_curve_at_every_frequency_and_nothing
     angle = np.unwrap(np.angle(spectrum))
     cepstrum = np.fft.irfft(np.log(np.abs(spectrum)) + 1j * angle)
     assert np.abs(cepstrum[129:]).max() < 1e-12 < 1e-4 < np.abs(cepstrum[1:128]).max()
+
+
+def test_every_pair_of_a_plan_has_the_response_of_its_loudspeaker_at_the_true_positions(
+    monkeypatch,
+):
+    """Noise apart, which is drawn last of each pair; progress counts pairs."""
+    duration_s = 0.1
+    monkeypatch.setattr(boxes, "DURATION_S", duration_s)
+    plan, told = demo_plan(), []
+    plan = replace(plan, receivers_m={r: plan.receivers_m[r] for r in ("MP1", "MP2")})
+    found = simulated_responses(plan, np.random.default_rng(4), told.append)
+    assert list(found) == [(s, r) for s in plan.sources_m for r in plan.receivers_m]
+    assert told == [(i + 1) / len(found) for i in range(len(found))]
+    rng = np.random.default_rng(4)
+    box, at = true_box(plan, POSITION_ERROR_M, rng)
+    levels_db = {s: rng.normal(0.0, 3.0, box.centres_hz.size) for s in plan.sources_m}
+    for (s, r), response in found.items():
+        quiet = pressure_response(box, at[s], at[r], duration_s, SAMPLING_RATE_HZ, levels_db[s])
+        noise = np.std(response - quiet) / np.max(np.abs(quiet))
+        # of 3200 samples: five standard errors are 0.6 dB
+        np.testing.assert_allclose(20.0 * np.log10(noise), NOISE_DB, atol=0.6)

@@ -16,11 +16,14 @@ from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.synthetic.boxes import SyntheticBox, box_images, pressure_response
 from roomfit.synthetic.polyhedra import (
+    CellArrays,
     Cells,
     SyntheticPolyhedron,
+    _over,
     _view,
     cell_arrays,
     cell_images,
+    plane_of,
     pressure_responses,
 )
 from simulated_rooms.measured_polyhedron import Shape, polyhedron_plan, write_measured_polyhedron
@@ -197,3 +200,22 @@ def test_planes_of_a_room_that_is_not_convex_are_not_specified_wrong(tmp_path: P
     plan = replace(polyhedron_plan("l-shaped", rng), duration_s=0.02)
     with pytest.raises(InputError, match="convex room only"):
         write_measured_polyhedron(plan, tmp_path, rng, plane_error_m=0.01)
+
+
+def test_a_ball_comes_down_on_a_face_where_the_face_is() -> None:
+    """On triangles in any plane: where the weights of its corners are positive."""
+    rng = np.random.default_rng(8)
+    for _ in range(50):
+        corners = rng.normal(size=(3, 3))
+        normal, offset_m = plane_of(corners)
+        arrays = CellArrays(
+            *(np.array([0, 1]), normal[None], np.array([offset_m]), np.array([0, 3]), corners),
+            *(np.zeros(1, dtype=np.int64), np.full(1, -1)),
+        )
+        # clear of its edges: weights of 0.1 and of -0.1 at least
+        weights = np.array([0.1, 0.1, 0.1]) + 0.7 * rng.dirichlet(np.ones(3))
+        outside = weights - (weights[0] + 0.1) * np.array([1.0, -0.5, -0.5])
+        direction, t = rng.normal(size=3), rng.uniform(0.5, 2.0)
+        for weight, is_over in ((weights, True), (outside, False), (outside[[1, 2, 0]], False)):
+            start = weight @ corners - t * direction
+            assert _over(arrays, 0, start, direction, t) == is_over

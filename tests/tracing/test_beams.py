@@ -13,7 +13,7 @@ from images_reference import BOX_M, SPEED_M_S, box_room, l_shaped_room, scene_of
 from roomfit.air import speed_of_sound_m_s
 from roomfit.errors import InputError
 from roomfit.materials.priors import uniform_scattering
-from roomfit.scene import Room
+from roomfit.scene import Room, shoebox_room
 from roomfit.synthetic.polyhedra import Cells, cell_images
 from roomfit.tracing.beams import DONE, beam_tree
 from roomfit.tracing.image_sources import (
@@ -382,3 +382,12 @@ def test_walls_of_one_plane_mirror_once() -> None:
     walls, _ = mirrors_of(room_of(cells))
     assert len(walls.normal) == 8
     assert sum(face.material >= 0 for face in cells.faces) == 11
+
+
+def test_images_have_their_transforms_only_where_they_are_asked_for():
+    room = shoebox_room((5.0, 4.0, 3.0), "plaster")
+    points = np.array([[1.0, 1.2, 1.4], [3.0, 2.0, 1.0]])
+    limits = limits_of(1, 20.0)
+    for asked, kept in (({}, False), ({"with_image_transforms": True}, True)):
+        (found,) = polyhedron_images(room, points[0], points[1:], limits, **asked)
+        assert (found.image_transform is not None) == kept

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roomfit.tracing.walls import _facets, after_wall, facet_distance, ray_key, uniform
+from roomfit.tracing.walls import (
+    _facets,
+    after_wall,
+    facet_distance,
+    ray_key,
+    scattered,
+    uniform,
+)
 
 NONE = (0.0, 0.0, 0.0)
 UP = (0.0, 0.0, 1.0)
@@ -103,3 +110,18 @@ def test_walls_scatter_as_often_as_their_coefficient_says_and_by_lamberts_law():
             # the cosine has the variance 1/2 - (2/3)^2, and both others have none in the mean
             mean, sd = away[diffuse].mean(axis=0), np.sqrt([0.25, 0.25, 1.0 / 18.0] / diffuse.sum())
             assert np.all(np.abs(mean - (0.0, 0.0, 2.0 / 3.0)) <= 4.0 * sd)
+
+
+def test_scattered_directions_are_at_their_angle_to_a_wall_of_any_tilt():
+    """Unit length, the cosine sqrt(1 - u) to the normal; opposite v are mirrored about it."""
+    rng = np.random.default_rng(6)
+    for _ in range(200):
+        normal, d = (x / np.linalg.norm(x) for x in rng.normal(size=(2, 3)))
+        u, v = rng.random(2)
+        given = tuple(d.tolist()), tuple(normal.tolist()), float(u)
+        ways = [np.array(scattered(given[0], given[1], given[2], w)) for w in (v, v + 0.5)]
+        towards = -np.sign(d @ normal) * normal
+        for way in ways:
+            assert np.linalg.norm(way) == pytest.approx(1.0, rel=1e-12)
+            assert way @ towards == pytest.approx(np.sqrt(1.0 - u), rel=1e-9)
+        np.testing.assert_allclose(sum(ways), 2.0 * np.sqrt(1.0 - u) * towards, atol=1e-12)

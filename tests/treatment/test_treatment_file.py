@@ -13,6 +13,7 @@ from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.io.schema import treatment_schema
 from roomfit.scene import scene_of, shoebox_room
+from roomfit.treatment import polygons
 from roomfit.treatment.campaign import read_treatment, treat_arguments
 from roomfit.treatment.standards import standard_target, standards
 from roomfit.uncertainty.posterior import AbsorptionPosterior
@@ -207,3 +208,24 @@ def test_lists_of_unequal_length_are_refused_with_both_lengths(tmp_path):
         arguments(tmp_path, text)
     assert "panel" in str(refused.value.where) and refused.value.where.endswith("absorption")
     assert refused.value.found == "3 values and 2 centres"
+
+
+@pytest.mark.parametrize(
+    ("corners", "crosses"),
+    [
+        ([(0, 0), (4, 0), (4, 3), (0, 3)], False),
+        ([(0, 0), (6, 3), (6, 0), (0, 1)], True),  # equal halves have no area, and no side
+        ([(0, 0), (4, 0), (2, 1), (4, 3), (0, 3)], False),  # a notch
+        ([(0, 0), (4, 0), (-1, 1), (4, 3), (0, 3)], True),  # that reaches beyond the other side
+        ([(0, 0), (6, 0), (6, 4), (5, 4), (5, -1), (4, -1), (4, 4), (0, 4)], True),
+        ([(0, 0), (6, 0), (6, 4), (5, 4), (5, 1), (4, 1), (4, 4), (0, 4)], False),
+    ],
+)
+def test_a_polygon_crosses_itself_where_two_of_its_sides_do(corners, crosses):
+    """Whichever corner comes first, in either sense, and on a plane that is turned."""
+    axes = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+    flat = np.array(corners, dtype=float) @ axes[:2]
+    for turned in range(len(flat)):
+        for sense in (1, -1):
+            polygon = np.roll(flat, turned, axis=0)[::sense]
+            assert polygons._crosses_itself(polygon) == crosses

@@ -131,3 +131,10 @@ def test_absorption_outside_0_to_1_is_refused_wherever_it_is_stated(name, value)
     given[name] = np.where(np.arange(given[name].size) == 1, value, 0.5).reshape(given[name].shape)
     with pytest.raises(InputError, match="absorption" if name == "absorption" else name):
         AbsorptionPosterior(("wall",), bands, **given)
+
+
+def test_of_nothing_counted_no_share_is_known():
+    """Its interval is all that a share can be."""
+    found = grouped_proportion(np.ones((3, 2), np.bool_), np.zeros((3, 2), np.bool_))
+    assert (found.count, found.of, found.low, found.high) == (0, 0, 0.0, 1.0)
+    assert np.isnan(found.value)

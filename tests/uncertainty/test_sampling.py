@@ -267,3 +267,10 @@ def test_an_interrupt_ends_the_sampling_at_once_and_in_silence(capsys):
         sample(interrupted, surrogate(law, fit), np.random.default_rng(7))
     assert len(calls) == 40
     assert capsys.readouterr().out == ""
+
+
+def test_a_fit_of_a_band_is_half_done_when_its_logarithms_are():
+    told: list[float] = []
+    problem = linear_case(5)
+    fit = fit_band(problem, progress=told.append)
+    assert told == [0.5, 1.0] and fit.evaluations == fitted(problem).evaluations
