@@ -320,11 +320,13 @@ def test_an_option_of_the_command_says_how_many_threads(monkeypatch, tmp_path) -
 def test_a_room_is_traced_beside_the_choice_of_its_model_and_again_for_another(
     threads: int, chosen: str, monkeypatch
 ) -> None:
-    """The trace for the usual outcome is given up; only that which is used counts evaluations."""
+    """The trace for the usual outcome is given up; only that which is used counts evaluations,
+    and the choice, which is asked for while the trace is counted, once."""
     traced: list[str] = []
 
     def chosen_model(*_: object) -> str:
         time.sleep(0.1)
+        count_evaluation(3)
         return chosen
 
     def traced_paths(_measured, _priors, settings, _start, _cache, progress):
@@ -343,7 +345,7 @@ def test_a_room_is_traced_beside_the_choice_of_its_model_and_again_for_another(
     began = time.perf_counter()
     with at_most_threads(threads), counted_evaluations() as made:
         used, found = identification._traced(nothing, (), Settings(), None, None)
-    assert (used.model, found, made) == (chosen, chosen, [7])
+    assert (used.model, found, made) == (chosen, chosen, [7 + 3])
     assert traced == (["auto", chosen] if threads == 2 and chosen != "auto" else [chosen])
     assert time.perf_counter() - began < 4.0
 

@@ -7,7 +7,6 @@ import logging
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -78,7 +77,7 @@ from roomfit.scene import (
     shoebox_room,
     wall_materials,
 )
-from roomfit.settings import LEAST_SQUARES_METHODS, Settings
+from roomfit.settings import LEAST_SQUARES_METHODS, Model, Settings
 from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.combinations import Combination, determined, inseparable_findings
@@ -226,22 +225,28 @@ def _traced(
     """
     start = eyring_start(measured)
 
+    def chosen() -> tuple[Model, int]:
+        with counted_evaluations() as own:  # asked for where another count runs
+            return chosen_model(measured, priors, start, settings), own[0]
+
     def usual(fraction: float) -> None:
-        if choice.is_done() and choice.result() != settings.model:
+        if choice.is_done() and choice.result()[0] != settings.model:
             raise _OtherModelError
         if progress is not None:
             progress(fraction)
 
     is_alone = at_once() == 1
-    with beside(partial(chosen_model, measured, priors, start, settings)) as choice:
+    with beside(chosen) as choice:
         if not is_alone:
             try:
                 with counted_evaluations() as made:
                     traced = traced_paths(measured, priors, settings, start, cache, usual)
             except (_OtherModelError, RoomfitError):
-                if choice.result() == settings.model:
+                if choice.result()[0] == settings.model:
                     raise
-        used = replace(settings, model=choice.result())
+        model, evaluations = choice.result()
+    used = replace(settings, model=model)
+    count_evaluation(evaluations)
     if not is_alone and used.model == settings.model:
         count_evaluation(made[0])
         return used, traced

@@ -36,7 +36,7 @@ def compared_values(
     fitted: Sequence[MeasuredValues],
     bands: Bands,
     names: Sequence[ValueName] = VALUE_NAMES,
-) -> tuple[dict[ValueName, Compared], ...]:
+) -> tuple[dict[str, Compared], ...]:
     """Return measured, predicted and null value of every pair; parameters never measured left out.
 
     Parameters
@@ -49,7 +49,7 @@ def compared_values(
     """
     tables = []
     for m, row in zip(measured, predicted, strict=True):
-        table: dict[ValueName, Compared] = {}
+        table: dict[str, Compared] = {}
         for name, values in zip(names, row, strict=True):
             found = m.at(name, bands.centres_hz)
             if not np.isfinite(found).any():
@@ -108,24 +108,20 @@ def compare_all(
     uses += ["validate" for _ in measurements.kept_values]
     tables = compared_values(tabulated, rows, measurements.values, bands)
     of_tables = tuple(
-        ComparedPair(
-            m.source, m.receiver, use, {str(n): c for n, c in table.items()}, None, m.state
-        )
+        ComparedPair(m.source, m.receiver, use, table, None, m.state)
         for m, use, table in zip(tabulated, uses, tables, strict=True)
     )
     return observed + of_tables, chosen
 
 
-def _better(
-    candidates: BoolArray, by: Sequence[ComparedPair], of: Sequence[ComparedPair]
-) -> BoolArray:
-    """Return in which candidates the first of two predictions is nearer to fitted responses."""
+def _better(tried: BoolArray, by: Sequence[ComparedPair], of: Sequence[ComparedPair]) -> BoolArray:
+    """Return in which of some bands the first of two predictions is nearer to fitted responses."""
     fitted = [(x, y) for x, y in zip(by, of, strict=True) if x.use == "fit"]
     off = [(x.parameters[n].jnd, y.parameters[n].jnd) for x, y in fitted for n in x.parameters]
-    sizes = np.abs(np.array(off).reshape(-1, 2, len(candidates)))
+    sizes = np.abs(np.array(off).reshape(-1, 2, len(tried)))
     known = np.isfinite(sizes).all(axis=1, keepdims=True)
     first, second = np.where(known, sizes, 0.0).sum(axis=0)
-    return np.asarray(candidates & (first < second))
+    return np.asarray(tried & (first < second))
 
 
 def compare_pairs(
