@@ -325,8 +325,8 @@ def test_a_minimum_of_the_grid_lies_below_all_its_neighbours_inside_the_box() ->
     assert grid_minima(corner, grid, 8) == ((0.0, 1.0),)
 
 
-def test_planes_that_are_told_apart_have_the_absorption_of_all_seven():
-    """From three materials on, each has that of its first plane where all are told apart."""
+def test_planes_of_different_materials_have_the_absorption_of_all_seven():
+    """From three materials on, each has that of its first plane where all seven planes differ."""
     finest = DIVISIONS[7].true_absorption
     for n, division in DIVISIONS.items():
         assert len(division.materials) == n

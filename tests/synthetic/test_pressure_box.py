@@ -106,11 +106,11 @@ def test_every_pair_of_a_plan_has_the_response_of_its_loudspeaker_at_the_true_po
     """Noise apart, which is drawn last of each pair; progress counts pairs."""
     duration_s = 0.1
     monkeypatch.setattr(boxes, "DURATION_S", duration_s)
-    plan, told = demo_plan(), []
+    plan, reported = demo_plan(), []
     plan = replace(plan, receivers_m={r: plan.receivers_m[r] for r in ("MP1", "MP2")})
-    found = simulated_responses(plan, np.random.default_rng(4), told.append)
+    found = simulated_responses(plan, np.random.default_rng(4), reported.append)
     assert list(found) == [(s, r) for s in plan.sources_m for r in plan.receivers_m]
-    assert told == [(i + 1) / len(found) for i in range(len(found))]
+    assert reported == [(i + 1) / len(found) for i in range(len(found))]
     rng = np.random.default_rng(4)
     box, at = true_box(plan, POSITION_ERROR_M, rng)
     levels_db = {s: rng.normal(0.0, 3.0, box.centres_hz.size) for s in plan.sources_m}

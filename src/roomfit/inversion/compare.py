@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -90,14 +91,13 @@ def compare_all(
         Bands in which pressures were fitted; left out: none.
     """
     scene, bands = measurements.scene, measurements.bands
-    given = scene, bands, binned, measurements.responses, absorption
-    observed, chosen = compare_pairs(*given), np.zeros(len(bands), dtype=np.bool_)
+    compared = partial(compare_pairs, scene, bands, binned, measurements.responses, absorption)
+    observed, chosen = compared(), np.zeros(len(bands), dtype=np.bool_)
     if candidates is not None and candidates.any():
-        added = compare_pairs(*given, candidates)
+        added = compared(candidates)
         chosen = _better(candidates, added, observed)
         if chosen.any():
-            is_all = np.array_equal(chosen, candidates)
-            observed = added if is_all else compare_pairs(*given, chosen)
+            observed = added if np.array_equal(chosen, candidates) else compared(chosen)
     tabulated = (*measurements.values, *measurements.kept_values)
     if not tabulated:
         return observed, chosen
