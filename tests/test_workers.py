@@ -87,6 +87,23 @@ class KilledWorker(Exception):  # noqa: N818 -- dask calls it so
     """What dask raises for a task whose workers died; known by its name."""
 
 
+class Carried(Future[object]):
+    """A future as dask's own: what it says of itself is known before its result is fetched."""
+
+    fetched: BaseException | None = None
+
+    @property
+    def status(self) -> str:
+        if self.cancelled():
+            return "cancelled"
+        return "finished" if self.exception() is None else "error"
+
+    def result(self, timeout: float | None = None) -> object:
+        if self.fetched is not None:
+            raise self.fetched
+        return super().result(timeout)
+
+
 class Client:
     """Takes tasks as dask's client does, and ends each as the test says, the newest first."""
 
@@ -99,7 +116,7 @@ class Client:
 
     def submit(self, task: Callable[[], object], *, pure: bool) -> Future[object]:
         assert not pure
-        future: Future[object] = Future()
+        future: Future[object] = Carried()
         self.sent.append((task, future))
         self.futures.append(weakref.ref(future))
         self.most = max(self.most, len(self.sent))
@@ -182,6 +199,31 @@ def test_a_connection_that_is_lost_ends_every_task_and_says_so() -> None:
         with pytest.raises(StoreError, match="connection to the scheduler is lost"):
             result_of(future)
     assert client.most <= 2 * workers.TASKS_A_THREAD
+
+
+def test_a_result_that_is_lost_on_its_way_is_a_lost_connection_and_an_error_of_a_task_is_not() -> (
+    None
+):
+    """Both are an OSError where the task read a file; dask says which by the future's status."""
+
+    def end(task: Callable[[], object], future: Future[object]) -> None:
+        number = int(str(task()))
+        assert isinstance(future, Carried)
+        if number % 3 == 0:
+            future.fetched = ConnectionResetError("in <TCP (closed)>")
+        if number % 3 == 1:
+            future.set_exception(FileNotFoundError("walls.wav"))
+        else:
+            future.set_result(number)
+
+    pool = workers._ClusterExecutor(Client(end))
+    for number, future in completed(pool, [partial(int, n) for n in range(30)]):
+        if number % 3 == 2:
+            assert result_of(future) == number
+            continue
+        error = FileNotFoundError if number % 3 else StoreError
+        with pytest.raises(error, match="walls" if number % 3 else "scheduler is lost"):
+            result_of(future)
 
 
 class Cluster:

@@ -177,8 +177,7 @@ def completed(pool: Executor, tasks: Iterable[Callable[[], T]]) -> Iterator[tupl
 def _threads(pool: Executor) -> int:
     if isinstance(pool, _ClusterExecutor):
         return pool.threads()
-    # by no public name
-    return int(getattr(pool, "_max_workers", 1))
+    return int(getattr(pool, "_max_workers", 1))  # it has no public name
 
 
 def _died(future: Future[Any]) -> bool:
@@ -436,11 +435,12 @@ def _handed_on(outer: Future[Any], inner: Any) -> None:
     try:
         if not outer.cancelled():
             outer.set_result(inner.result())
-    except CancelledError:
-        outer.cancel()
-        outer.set_running_or_notify_cancel()  # or nobody who waits would wake up
     except BaseException as error:  # noqa: BLE001 -- whatever the task raised is handed on
-        outer.set_exception(error)
+        lost = isinstance(error, (CancelledError, OSError)) and inner.status != "error"
+        if not lost:
+            outer.set_exception(error)
+        elif outer.cancel():
+            outer.set_running_or_notify_cancel()  # or nobody who waits would wake up
 
 
 def _distributed() -> Any:
