@@ -258,8 +258,8 @@ def _names(function: ast.AST, context: type[ast.expr_context]) -> set[str]:
 _CARRIERS = ("forks.py", "_numba.py")
 
 
-def deepest_stacks() -> tuple[list[str], list[str]]:
-    """Identify the demo's room, and return the deepest stacks of roomfit's own frames.
+def deepest_stacks(found: list[Module]) -> tuple[list[str], list[str]]:
+    """Identify the demo's room, and return the deepest stacks of the own frames of some modules.
 
     The first ends where a compiled kernel is entered, the second with any call, down to the checks
     of an array. What hands work to copies of the process or to threads counts as little as `map`
@@ -274,7 +274,7 @@ def deepest_stacks() -> tuple[list[str], list[str]]:
     from roomfit.io.inputs import load_campaign
     from roomfit.synthetic.boxes import demo_plan, write_measured_box
 
-    enters = entering_kernels(modules())
+    enters = entering_kernels(found)
     to_kernel: list[str] = []
     deepest: list[str] = []
 
@@ -310,7 +310,6 @@ def deepest_stacks() -> tuple[list[str], list[str]]:
         text = text.replace("from_hz = 125", "from_hz = 1000").replace("= 4000", "= 1000")
         campaign.write_text(text, encoding="utf-8")
         arguments = load_campaign(campaign)
-        identify(**arguments)  # compiles: frames of numba's typing are no frames of ours
         sys.setprofile(watch)
         try:
             identify(**arguments)
@@ -352,7 +351,7 @@ def main() -> None:
         rows.append((f"names that {satellite} takes from the core", len(own)))
         rows.append(("  of these not in roomfit.core", len(own - public)))
     if wanted.frames:
-        stacks = deepest_stacks()
+        stacks = deepest_stacks(found)
         rows.append(("frames to the innermost kernel", len(stacks[0])))
         rows.append(("frames at the deepest", len(stacks[1])))
     width = max(len(text) for text, _ in rows)

@@ -30,7 +30,6 @@ from roomfit.suh2001.independent import (
     MEASUREMENT_PARTS,
     MEASUREMENT_RAYS,
     PAIRS,
-    REPEATS,
     IndependentRow,
 )
 from roomfit.suh2001.repeat import (
@@ -129,7 +128,7 @@ def paper_json(result: PaperResult) -> dict[str, Any]:
         "certified": {name: certificate_content(c) for name, c in result.certificates.items()},
         "independent_rays": {
             "measurement_rays": MEASUREMENT_RAYS * MEASUREMENT_PARTS,
-            "repeats": REPEATS,
+            "repeats": result.independent[0].repeats,
             "method": "least-squares",
             "sentence": "Measurement and model have different rays. With the same rays the error "
             "is exactly 0 at the truth, which says nothing about a real room.",

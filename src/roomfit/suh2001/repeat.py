@@ -336,7 +336,7 @@ def repeat_paper(seeds: int, workers: int, *, progress: Progress | None = None) 
     Parameters
     ----------
     seeds : int
-        Searches of every problem by every method, 1 to 100,000.
+        Searches of every problem by every method, 1 to 100,000. Of other rays as many, 8 at most.
     workers : int
         Processes; 1 stays in this one.
     """
@@ -345,7 +345,7 @@ def repeat_paper(seeds: int, workers: int, *, progress: Progress | None = None) 
     paths: dict[str, Paths] = {room: trace_paper_room(paper_scene(room)) for room in rooms}
     problems = problems_of(paths)
     with worker_pool(workers) as pool:
-        independent = _independent(pool, part(progress, 0.0, 0.4))
+        independent = _independent(pool, min(seeds, REPEATS), part(progress, 0.0, 0.4))
         flat = {n: p for n, p in problems.items() if p.true_absorption.size == 2}
         shapes = [partial(problem_landscape, problem) for problem in flat.values()]
         found = in_pool(pool, shapes, part(progress, 0.4, 0.45))
@@ -376,21 +376,22 @@ def repeat_paper(seeds: int, workers: int, *, progress: Progress | None = None) 
     )
 
 
-def _independent(pool: Executor, progress: Progress | None) -> tuple[IndependentRow, ...]:
-    seeds = range(MEASUREMENT_PARTS)
+def _independent(
+    pool: Executor, repeats: int, progress: Progress | None
+) -> tuple[IndependentRow, ...]:
     parts = in_pool(
         pool,
-        [partial(measurement_part, MEASUREMENT_RAYS, seed) for seed in seeds],
+        [partial(measurement_part, MEASUREMENT_RAYS, i) for i in range(MEASUREMENT_PARTS)],
         part(progress, 0.0, 0.25),
     )
     measurement = mean_measurement(parts)
     # the longest first, so that no worker is left with one at the end
     numbers = sorted(MODEL_RAYS, reverse=True)
     tasks = [
-        partial(fit_with_other_rays, n, i, measurement) for n in numbers for i in range(REPEATS)
+        partial(fit_with_other_rays, n, i, measurement) for n in numbers for i in range(repeats)
     ]
     fits = iter(in_pool(pool, tasks, part(progress, 0.25, 1.0)))
-    rows = [row for n in numbers for row in summarise(n, [next(fits) for _ in range(REPEATS)])]
+    rows = [row for n in numbers for row in summarise(n, [next(fits) for _ in range(repeats)])]
     return tuple(sorted(rows, key=lambda row: (row.pairs, row.materials, row.rays)))
 
 
