@@ -14,6 +14,7 @@ from itertools import pairwise
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
+from numba.core.types import unliteral
 from threadpoolctl import threadpool_limits
 
 from roomfit.errors import InputError
@@ -30,8 +31,8 @@ def kernel(
     """Compile a module-level function with numba and keep the machine code on disk.
 
     Strict IEEE arithmetic in float64 and no fast-math, so that the same input gives the same bits
-    on every run. It is compiled once for each type of its arguments, of which a number written into
-    a call is one by itself.
+    on every run. It is compiled once for each type of its arguments. numba takes every number written
+    into a call for a type by itself, and would compile what is called, and all below it, once more.
 
     Parameters
     ----------
@@ -54,7 +55,12 @@ def kernel(
     }
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        return cast(Callable[P, R], numba.njit(**options)(function))
+        made = numba.njit(**options)(function)
+        called = made.get_call_template
+        made.get_call_template = lambda given, named: called(
+            [unliteral(t) for t in given], {name: unliteral(t) for name, t in named.items()}
+        )
+        return cast(Callable[P, R], made)
 
     return decorate
 
