@@ -28,6 +28,7 @@ from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.parameters import physical_values, prior_residuals
 from roomfit.report.text import certificate_text
 from roomfit.solvers.certificate import Certificate, certificate_findings
+from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import fit_band
 from small_campaign import write_campaign
 
@@ -213,3 +214,31 @@ def test_an_identification_loads_the_global_search_only_where_it_is_asked_for() 
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_fit_above_the_proven_minimum_starts_again_from_there(
+    certified: tuple[roomfit.Result, list[Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that ended 5 too high: its evaluations count, and the end is where the proof says."""
+    (problem,) = certified[1]
+    right, given, done = fit_band(problem), list[Any](), list[float]()
+
+    def fitted(objective: Any, *solver: Any) -> Any:
+        given.append(solver)
+        found = fit_band(objective, *solver)
+        return found if solver else replace(found, cost=right.cost + 5.0, evaluations=1000)
+
+    monkeypatch.setattr("roomfit.certified.certificate.fit_band", fitted)
+    proven = certified[0].certificates[0]
+    monkeypatch.setattr("roomfit.certified.certificate.certify", lambda *_: proven)
+    found, proof = certified_fit(problem, progress=done.append)
+    assert [len(solver) for solver in given] == [0, 1] and done == [0.5, 1.0]
+    assert proof is proven
+    np.testing.assert_allclose(found.vector, right.vector, atol=0.02)
+    assert found.evaluations > 1000
+    ((solver,),) = given[1:]
+    stays = solver(lambda x: (3.0 * x, np.zeros(0)), np.zeros(found.vector.size))
+    np.testing.assert_allclose(stays.x, found.vector, atol=0.02)
+    assert stays.cost == pytest.approx(4.5 * float(stays.x @ stays.x))
+    assert (stays.evaluations, stays.ending) == (1, Ending.CONVERGED)
+    assert found.evaluations == 1000 + fit_band(problem, solver).evaluations

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,12 +11,13 @@ import pytest
 
 from roomfit.air import Air
 from roomfit.bands import bands_between
-from roomfit.coverage import estimate
-from roomfit.coverage.synthetic_room import _b, _levels, _moved
-from roomfit.errors import InputError
+from roomfit.coverage import estimate, simulate
+from roomfit.coverage.synthetic_room import CoverageSettings, _b, _levels, _moved
+from roomfit.errors import InputError, StoreError
 from roomfit.geometry.mesh import shoebox_mesh
 from roomfit.response.directivity import UnknownDirectivity
 from roomfit.scene import Point
+from roomfit.workers import worker_pool
 
 N = 4000  # a standard deviation of so many errs by 1.1 %: four times that
 
@@ -94,3 +97,141 @@ def test_without_an_answer_the_absorption_is_that_of_eyring_of_the_measured_deca
     times_s = np.array([0.6, 0.8])
     eyring = -np.expm1(-4.0 * volume_m3 * np.log(1e6) / (speed_m_s * surface_m2 * times_s))
     np.testing.assert_allclose(found, [*eyring, 0.5], rtol=1e-9)
+
+
+def test_what_an_error_drives_out_of_the_possible_range_is_clipped_or_left_out():
+    """Shares of energy to 0 and 100 %; times of zero or less are none; levels are any number."""
+    values = np.array([-3.0, 0.0, 55.0, 104.0])
+    for name, expected in (
+        ("D50_percent", [0.0, 0.0, 55.0, 100.0]),
+        ("C80_dB", values),
+        ("T30_s", [np.nan, np.nan, 55.0, 104.0]),
+    ):
+        np.testing.assert_array_equal(simulate._possible(name, values), expected)
+
+
+def test_rays_become_noise_by_the_energies_of_their_milliseconds_and_images_become_clicks(
+    monkeypatch,
+):
+    """Of one pair alone; each ray in the bin in which it arrives, in every band by itself."""
+    rate_hz, n = 8000.0, 800
+    bands, rng = bands_between("octave", 500, 1000), np.random.default_rng(5)
+    times_s = np.array([0.010, 0.0305, 0.0309, 0.0999, 0.0500, 0.020])
+    energy = rng.random((2, 6))
+    own = np.array([True, True, True, True, False, True])
+    images = np.array([True, False, False, False, False, False])
+    given = []
+
+    def noise(*arguments):
+        given.extend(arguments)
+        return np.full(n, 0.25)
+
+    monkeypatch.setattr(simulate, "modulated_noise", noise)
+    plan = SimpleNamespace(grid=bands)
+    found = simulate._pressure(plan, times_s, energy, own, images, n, rate_hz, rng)
+    echogram, *rest = given
+    size_s = simulate.ECHOGRAM_BIN_S
+    expected = np.zeros((2, int(np.ceil(n / rate_hz / size_s)) + 1))
+    for i in (1, 2, 3, 5):
+        expected[:, int(times_s[i] / size_s)] += energy[:, i]
+    np.testing.assert_allclose(echogram, expected, rtol=1e-14)
+    assert rest[:3] == [n, rate_hz, bands.centres_hz] and rest[4] is rng
+    np.testing.assert_array_equal(rest[3], np.zeros(2))
+    # without rays there is the click alone, at its time
+    click = simulate._pressure(plan, times_s, energy, own & images, images, n, rate_hz, rng)
+    assert np.argmax(np.abs(click)) == round(0.010 * rate_hz)
+    np.testing.assert_allclose(found, click + 0.25, rtol=1e-12)
+    # twice the pressure is four times the energy
+    twice = simulate._pressure(plan, times_s, 4.0 * energy, own & images, images, n, rate_hz, rng)
+    np.testing.assert_allclose(twice, 2.0 * click, rtol=1e-9)
+
+
+def test_the_energy_of_a_path_is_its_weight_less_walls_air_and_directivity(monkeypatch):
+    """Written out; a wall of absorption 1 leaves nothing, and bands have their own factors."""
+    attenuation = np.array([0.001, 0.002, 0.01])
+    monkeypatch.setattr(simulate, "attenuation_per_m", lambda _air, _grid: attenuation)
+    counts = np.array([[0, 1], [2, 3], [1, 0]])
+    monkeypatch.setattr(simulate, "hits", lambda _paths: counts)
+
+    class Three(SimpleNamespace):
+        def __len__(self):
+            return 3
+
+    paths = Three(length_m=np.array([3.0, 20.0, 8.0]), weight_per_m2=np.array([0.1, 0.02, 0.03]))
+    absorption = np.array([[0.1, 0.3, 1.0], [0.5, 0.2, 0.4]])
+    factors = np.array([[1.0, 2.0, 0.5], [3.0, 0.1, 1.5]])
+    plan = SimpleNamespace(
+        campaign=SimpleNamespace(air=None), grid=np.zeros(3), nearest=np.array([0, 0, 1])
+    )
+    room = SimpleNamespace(absorption=absorption)
+    for own in (None, factors):
+        found = simulate._energies(plan, room, paths, own)
+        for band, path in np.ndindex(3, 3):
+            left = np.prod((1.0 - absorption[:, band]) ** counts[path])
+            left *= paths.weight_per_m2[path] * np.exp(-attenuation[band] * paths.length_m[path])
+            left *= 1.0 if own is None else own[plan.nearest[band], path]
+            assert found[band, path] == pytest.approx(left, rel=1e-12, abs=1e-30)
+
+
+@pytest.mark.parametrize("scheduler", [None, "tcp://there"])
+def test_replicates_that_are_missing_are_each_made_once_by_workers_or_a_cluster(
+    tmp_path, monkeypatch, scheduler
+):
+    """With the seed and the number; progress is their share. One that fails calls off the rest."""
+    made, written, pools, done = [], [], [], []
+
+    def replicated(_plan, seed, number, scratch, watch):
+        watch(0.0)
+        made.append((seed, number))
+        if number == 9:
+            raise InputError("no such replicate", found="9", needed="less", hint="less")
+        return SimpleNamespace(number=number, seconds=100.0)
+
+    def pool_of(*workers, **more):
+        pools.append((workers, more))
+        return worker_pool(1)
+
+    monkeypatch.setattr(estimate, "replicated", replicated)
+    monkeypatch.setattr(estimate, "write_replicate", lambda out, r: written.append((out, r.number)))
+    monkeypatch.setattr(estimate, "worker_pool", pool_of)
+    monkeypatch.setattr(estimate, "cluster_pool", pool_of)
+    kept = []
+    monkeypatch.setattr(estimate, "keep_one_thread", lambda: kept.append(1))
+    monkeypatch.chdir(tmp_path)
+    scratch = tmp_path / "scratch"
+    scratch.mkdir()
+    settings = CoverageSettings(seed=5, workers=3 if scheduler is None else 1, scheduler=scheduler)
+    simulated = partial(estimate._simulate, SimpleNamespace(), settings)
+    simulated([2, 4, 7], Path("out"), scratch, done.append)
+    assert made == [(5, 2), (5, 4), (5, 7)] and len(kept) == 3
+    assert written == [(tmp_path / "out", n) for n in (2, 4, 7)]
+    np.testing.assert_allclose(done, [1 / 3, 2 / 3, 1.0])
+    compiled = {"scheduler": scheduler, "warm": estimate.compile_kernels}
+    assert pools == [((3,), {}) if scheduler is None else ((), compiled)]
+    with pytest.raises(InputError, match="no such replicate"):
+        simulated([1, 9, 3], Path("out"), scratch, None)
+    assert not scratch.exists()
+    # where the folder has gone a worker stops
+    with pytest.raises(StoreError, match="called off"):
+        simulated([6], Path("out"), scratch, None)
+    assert (5, 6) not in made
+
+
+def test_one_process_makes_missing_replicates_in_order_each_with_its_part_of_progress(
+    tmp_path, monkeypatch
+):
+    """Halves of a half each, where a replicate reports its middle and its end."""
+    done, written = [], []
+
+    def replicated(_plan, seed, number, scratch, share):
+        assert (seed, scratch) == (1, tmp_path)
+        share(0.5)
+        share(1.0)
+        return number
+
+    monkeypatch.setattr(estimate, "replicated", replicated)
+    monkeypatch.setattr(estimate, "write_replicate", lambda out, n: written.append((out, n)))
+    settings = CoverageSettings(seed=1, workers=1)
+    estimate._simulate(SimpleNamespace(), settings, [3, 8], Path("out"), tmp_path, done.append)
+    assert written == [(Path("out"), 3), (Path("out"), 8)]
+    np.testing.assert_allclose(done, [0.25, 0.5, 0.75, 1.0])
