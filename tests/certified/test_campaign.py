@@ -242,3 +242,29 @@ def test_a_fit_above_the_proven_minimum_starts_again_from_there(
     assert stays.cost == pytest.approx(4.5 * float(stays.x @ stays.x))
     assert (stays.evaluations, stays.ending) == (1, Ending.CONVERGED)
     assert found.evaluations == 1000 + fit_band(problem, solver).evaluations
+
+
+def test_gains_are_searched_within_a_factor_of_e_cubed_and_absorptions_within_their_bounds(
+    certified: tuple[roomfit.Result, list[Any]],
+) -> None:
+    """The prior's columns are weight, mean, and one less both bounds of the absorption."""
+    (problem,) = certified[1]
+    (energies,), parameters = problem.terms, problem.parameters
+    asked = energy_global_problem(energies, parameters, fit_band(problem).vector)
+    absorption, gain = (next(b for b in parameters.blocks if b.name == n)
+                        for n in ("absorption", "gain"))  # fmt: skip
+    own = np.flatnonzero(absorption.fitted)
+    middle = np.log(gain.start[gain.fitted])
+    n = own.size
+    assert n == 2 and asked.is_absorption.tolist() == [True, True, False]
+    np.testing.assert_allclose(asked.least[n:], middle - 3.0)
+    np.testing.assert_allclose(asked.most[n:], middle + 3.0)
+    np.testing.assert_allclose(np.exp(asked.most[:n]), 1.0 - absorption.lower[own])
+    np.testing.assert_allclose(np.exp(asked.least[:n]), 1.0 - absorption.upper[own], atol=1e-12)
+    sd, mean = absorption.prior_sd[own], absorption.prior_mean[own]
+    bounds = 1.0 - absorption.lower[own], 1.0 - absorption.upper[own]
+    np.testing.assert_allclose(asked.prior[:n], np.stack((0.5 / sd**2, mean, *bounds), axis=1))
+    assert not asked.prior[n:].any()
+    # what a gain multiplies are all rows but those of the noise, which have no hits
+    noise = ~asked.exponents.any(axis=1)
+    assert np.all(asked.exponents[~noise, n] == 1)

@@ -5,14 +5,21 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from roomfit.air import Air
 from roomfit.bands import bands_between
-from roomfit.coverage import estimate, simulate
-from roomfit.coverage.synthetic_room import CoverageSettings, _b, _levels, _moved
+from roomfit.coverage import estimate, simulate, synthetic_room
+from roomfit.coverage.synthetic_room import (
+    CoverageSettings,
+    _b,
+    _levels,
+    _moved,
+    synthetic_bands,
+)
 from roomfit.errors import InputError, StoreError
 from roomfit.geometry.mesh import shoebox_mesh
 from roomfit.response.directivity import UnknownDirectivity
@@ -235,3 +242,101 @@ def test_one_process_makes_missing_replicates_in_order_each_with_its_part_of_pro
     estimate._simulate(SimpleNamespace(), settings, [3, 8], Path("out"), tmp_path, done.append)
     assert written == [(Path("out"), 3), (Path("out"), 8)]
     np.testing.assert_allclose(done, [0.25, 0.5, 0.75, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "low", "high", "expected"),
+    [
+        ("octave", 500, 1000, (250, 500, 1000, 2000)),
+        ("octave", 1000, 1000, (500, 1000, 2000)),
+        ("third-octave", 500, 800, (400, 500, 630, 800, 1000)),
+    ],
+)
+def test_bands_of_a_simulation_reach_one_band_beyond_the_fitted_ones(kind, low, high, expected):
+    found = synthetic_bands(bands_between(kind, low, high))
+    assert found.kind == kind
+    np.testing.assert_allclose(found.centres_hz, expected, rtol=0.01)
+
+
+def test_settings_of_coverage_are_refused_beyond_their_limits_and_name_their_slice():
+    """Each limit itself is taken."""
+    most: dict[str, Any] = {"replicates": 100_000, "seed": 2**63 - 1, "workers": 1024}
+    for own in (most, {"replicates": 1}, {"snr_db": 20.0}, {"snr_db": 90.0}, {"first": 199},
+                {"seed": 0}, {"only": 200}, {"only": 1}):  # fmt: skip
+        CoverageSettings(**own)
+    for bad in ({"replicates": 100_001}, {"replicates": 0}, {"snr_db": 19.9}, {"snr_db": 90.1},
+                {"first": 200}, {"first": -1}, {"seed": -1}, {"only": 201}, {"only": 0},
+                {"workers": 0}, {"workers": 1025}, {"seed": 2**63}):  # fmt: skip
+        with pytest.raises(InputError, match="out of range") as caught:
+            CoverageSettings(**bad)
+        assert next(iter(bad)).replace("_", "-") in str(caught.value)
+    assert CoverageSettings(replicates=9, first=2, only=3).numbers == range(2, 5)
+    assert CoverageSettings(replicates=4, first=2, only=3).numbers == range(2, 4)
+    assert CoverageSettings(replicates=4, first=2).numbers == range(2, 4)
+
+
+def test_errors_of_clocks_are_shared_by_the_files_of_a_source():
+    """Of 20 microseconds from emission on where none is stated, of none from the direct sound."""
+
+    def file(source, time_zero, sd=None):
+        response = SimpleNamespace(time_zero=time_zero)
+        return SimpleNamespace(source=source, response=response, latency_sd_s=sd)
+
+    files = [
+        file("S", "emission"), file("S", "emission", 1e-3), file("S", "direct", 1e-3),
+        file("S", "unknown", 1e-3), file("T", "emission"),
+    ]  # fmt: skip
+    sources = [SimpleNamespace(name=n) for n in "ST"]
+    plan = SimpleNamespace(campaign=SimpleNamespace(sources=sources, measurements=files))
+    rng = np.random.default_rng(8)
+    drawn = np.array([synthetic_room._latency_s(plan, rng) for _ in range(N)])
+    np.testing.assert_allclose(
+        drawn.std(axis=0), [2e-5, 1e-3, 0.0, 5e-3, 2e-5], rtol=0.045, atol=1e-12
+    )
+    np.testing.assert_allclose(drawn[:, 1], 50.0 * drawn[:, 0], rtol=1e-9)
+    np.testing.assert_allclose(drawn[:, 3], 250.0 * drawn[:, 0], rtol=1e-9)
+    assert abs(np.corrcoef(drawn[:, 0], drawn[:, 4])[0, 1]) < 4.0 / np.sqrt(N)
+
+
+@pytest.mark.parametrize(
+    ("kind", "per_octave", "correlation"),
+    [("octave", None, 0.95), ("octave", 0.6, 1.0 - 0.5 * 0.16), ("octave", 9.0, 0.0),
+     ("third-octave", None, 0.95 ** (1 / 3))],
+)  # fmt: skip
+def test_draws_run_over_the_bands_as_smoothly_as_the_campaign_states(kind, per_octave, correlation):
+    """Standard normal in every band; 4,000 draws know a correlation to 5 (1 - r**2) / 63."""
+    plan = SimpleNamespace(
+        campaign=SimpleNamespace(settings=SimpleNamespace(smoothness_per_octave=per_octave)),
+        grid=bands_between(kind, 500, 1000),
+    )
+    drawn = synthetic_room._smooth_normal(plan, 1.5, N, np.random.default_rng(9))
+    np.testing.assert_allclose(drawn.std(axis=1).mean(), drawn.std(axis=1).mean())
+    for a, b in zip(drawn.T[:-1], drawn.T[1:], strict=True):
+        assert a.std() == pytest.approx(1.0, abs=5.0 / np.sqrt(2 * N))
+        close = 5.0 * (1.0 - correlation**2) / np.sqrt(N)
+        assert np.corrcoef(a, b)[0, 1] == pytest.approx(correlation, abs=close)
+
+
+def test_scattering_is_one_draw_for_all_walls_but_those_that_are_specified():
+    """Log-uniform from 0.02 to 0.4; of an answer what it was found with."""
+
+    def prior(scattering=None, fit=False):
+        return SimpleNamespace(fit_scattering=fit, scattering=scattering)
+
+    own = np.array([0.1, 0.3])
+    plan = SimpleNamespace(
+        campaign=SimpleNamespace(bands=np.zeros(2)),
+        priors=[prior(own), prior(), prior(own, fit=True)],
+        answer=None,
+    )
+    rng = np.random.default_rng(10)
+    drawn = np.array([synthetic_room._scattering(plan, rng) for _ in range(N)])
+    np.testing.assert_array_equal(drawn[:, 0], np.tile(own, (N, 1)))
+    np.testing.assert_array_equal(drawn[:, 1], drawn[:, 2])
+    np.testing.assert_array_equal(drawn[:, 1, 0], drawn[:, 1, 1])
+    logs = np.log(drawn[:, 1, 0])
+    assert np.log(0.02) <= logs.min() < np.log(0.0202) and np.log(0.396) < logs.max() <= np.log(0.4)
+    assert logs.mean() == pytest.approx(0.5 * np.log(0.008), abs=0.07)
+    plan.answer = SimpleNamespace(scattering=np.array([[0.5, 0.5], [0.6, 0.6], [0.7, 0.7]]))
+    found = synthetic_room._scattering(plan, rng)
+    np.testing.assert_array_equal(found, [own, [0.6, 0.6], [0.7, 0.7]])

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roomfit.objective.parameters import Block, Parameters, physical_values, start_vector
+from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import (
     _from_unit,
     _to_unit,
@@ -154,3 +155,49 @@ def test_the_paper_s_searches_find_absorptions_within_their_bounds_and_gains():
         assert ends["gain"][0] == pytest.approx(2.0 * factor)
     far = np.array([0.0, 0.0, np.log(2.0) + 9.0])
     assert _to_unit(parameters, far)[2] == 1.0
+
+
+def test_a_cold_walk_takes_every_fall_it_meets() -> None:
+    """On a plane half of all steps fall: of 120 trials enough to walk into the corner.
+
+    From the lowest of 20 random points; a temperature far below any change of the error.
+    """
+    found = anneal(
+        lambda x: 5.0 + float(np.sum(x)),
+        2,
+        np.random.default_rng(4),
+        start_temperature=1e-9,
+        levels=6,
+    )
+    errors = [5.0 + np.sum(x) for x in np.random.default_rng(4).random((20, 2))]
+    assert found.trail_cost[5] < 5.0 + 0.2 * (min(errors) - 5.0)
+
+
+def test_a_schedule_is_sixty_temperatures_of_ten_trials_an_unknown() -> None:
+    """After ten random points an unknown, each trial is one evaluation; simplexes follow."""
+    calls: list[FloatArray] = []
+
+    def watched(x: FloatArray) -> float:
+        calls.append(np.array(x))
+        return float(np.sum((x - 0.5) ** 2))
+
+    rng = np.random.default_rng(5)
+    found = anneal(watched, 3, rng)
+    samples = np.random.default_rng(5).random((30, 3))
+    np.testing.assert_array_equal(calls[:30], samples)
+    walked = np.array(calls[30 : 30 + 60 * 30])
+    # the last trial of the walk, if it was accepted, is the last state; simplexes are deterministic
+    ends = found.trail[:60]
+    for level, end in enumerate(ends):
+        tried = np.concatenate((samples, walked[: 30 * (level + 1)]))
+        assert np.any(np.all(tried == end, axis=1)), level
+    assert found.iterations > 60 * 30 and len(found.trail) == len(found.trail_cost)
+
+
+def test_without_unknowns_there_is_nothing_to_search() -> None:
+    """Neither a simplex nor annealing asks for an error."""
+    nothing = Parameters(())
+    for solver in (simplex_solver(nothing), annealing_solver(nothing, np.random.default_rng(1))):
+        end = solver(lambda _: pytest.fail("nothing to evaluate"), np.zeros(0))
+        assert (end.x.size, end.cost, end.evaluations) == (0, 0.0, 0)
+        assert end.ending is Ending.CONVERGED

@@ -411,3 +411,14 @@ def test_the_study_of_other_rays_fits_every_number_of_rays_as_often_to_one_measu
     assert len(done) == 4 + 56
     np.testing.assert_allclose(done[:4], [0.0625, 0.125, 0.1875, 0.25])
     np.testing.assert_allclose(done[4:], 0.25 + 0.75 * np.arange(1, 57) / 56)
+
+
+def test_every_picture_says_above_its_panels_that_the_room_is_a_reconstruction(figures):
+    """Bars of energy are filled; nothing is drawn over the note."""
+    for name, figure in figures.items():
+        (note,) = (t for t in figure.texts if t.get_text() == output.RECONSTRUCTED)
+        lowest = note.get_window_extent().y0
+        for axes in figure.axes:
+            assert axes.get_tightbbox().y1 < lowest, name
+    for name in ("figure2", "figure3"):
+        assert all(p.get_fill() for axes in figures[name].axes for p in axes.patches)
