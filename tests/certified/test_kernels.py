@@ -61,9 +61,10 @@ def costs(asked: Any, g: Any) -> float:
     *_, measured, precision, prior, _ = asked
     a = 1.0 - np.exp(g)
     lower, upper = 1.0 - prior[:, 2], 1.0 - prior[:, 3]
-    logit = np.log((a - lower) / (upper - a))
+    known = prior[:, 0] > 0.0
+    logit = np.log(((a - lower) / (upper - a))[known])
     off = by_hand(asked, g)[1] - measured
-    return float(precision @ off**2 + prior[:, 0] @ (logit - prior[:, 1]) ** 2)
+    return float(precision @ off**2 + prior[known, 0] @ (logit - prior[known, 1]) ** 2)
 
 
 def gradient_of(f: Any, x: Any, h: float = 1e-6) -> Any:
@@ -459,3 +460,33 @@ def test_the_lowest_point_of_a_convex_box_has_a_bound_next_to_its_misfit():
         slope = gradient_of(lambda x, asked=asked: costs(asked, x), place)
         reach = np.minimum(slope * (box[0] - place), slope * (box[1] - place)).sum()
         assert least == pytest.approx(value + reach, abs=1e-6)
+
+
+def test_a_box_is_called_convex_only_where_every_hessian_in_it_is_definite():
+    """By finite differences at its corners and middle; never one that reaches an absorption of 1.
+
+    Nor where a window's energy is lost to rounding; one without any path is a constant.
+    """
+    called = 0
+    for seed in range(30):
+        asked = question(seed, 2, is_silent=seed % 2 == 0)
+        _, centre, _ = box_about(seed, 2)
+        if seed % 3:
+            centre, _ = convex.descend(asked, centre, centre - 0.2, centre + 0.2, 4)
+        half = 0.02 * np.ones(2)
+        box = np.stack((centre - half, centre + half))
+        black = np.stack((np.array([-np.inf, centre[1] - 0.02]), box[1]))
+        assert convex.is_convex(asked, black, 4, np.empty(20)) is False
+        if not convex.is_convex(asked, box, 4, np.empty(20)):
+            continue
+        called += 1
+        for g in (centre, *itertools.product(*box.T)):
+            hessian = gradient_of(
+                lambda x, a=asked: gradient_of(lambda y: costs(a, y), x, 1e-4), np.array(g), 1e-4
+            )
+            assert np.linalg.eigvalsh(0.5 * (hessian + hessian.T)).min() > 0.0
+    assert called >= 8
+    asked = question(1, 2)
+    faint = (asked[0], 1e-251 * asked[1], *asked[2:])
+    box = box_about(1, 2, half=1e-6)[0]
+    assert convex.is_convex(faint, box, 4, np.empty(20)) is False
