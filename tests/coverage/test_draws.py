@@ -340,3 +340,31 @@ def test_scattering_is_one_draw_for_all_walls_but_those_that_are_specified():
     plan.answer = SimpleNamespace(scattering=np.array([[0.5, 0.5], [0.6, 0.6], [0.7, 0.7]]))
     found = synthetic_room._scattering(plan, rng)
     np.testing.assert_array_equal(found, [own, [0.6, 0.6], [0.7, 0.7]])
+
+
+def test_a_sample_of_coverage_has_an_interval_where_a_material_was_free_and_a_band_fitted():
+    """Known and tied materials have none; replicates without an answer are left out."""
+    priors = [SimpleNamespace(known=k, tied_to=t) for k, t in
+              ((None, None), (np.zeros(2), None), (None, "a"))]  # fmt: skip
+    plan = SimpleNamespace(
+        priors=priors,
+        room=SimpleNamespace(materials=("a", "b", "c")),
+        campaign=SimpleNamespace(bands=bands_between("octave", 500, 1000)),
+        answer=SimpleNamespace(absorption=np.full((3, 2), 0.25)),
+    )
+
+    def replicate(n, models):
+        a = np.full((3, 2), 0.1 * n)
+        found = estimate.Found(a, 0.5 * a, 2.0 * a, a > 0.0, a[0], 3.0 * a[0], models, ())
+        return SimpleNamespace(found=found, true=a + 0.01)
+
+    answered = [replicate(1, ("energy", "prior")), replicate(2, ("coherent", "energy"))]
+    found = estimate._coverage_sample(plan, answered)
+    expected = np.zeros((2, 3, 2), dtype=bool)
+    expected[:, 0] = [[True, False], [True, True]]
+    np.testing.assert_array_equal(found.has_interval, expected)
+    np.testing.assert_allclose(found.true[:, 0, 0], [0.11, 0.21])
+    np.testing.assert_allclose(found.lower95[:, 1, 1], [0.05, 0.1])
+    np.testing.assert_allclose(found.upper95[:, 1, 1], [0.2, 0.4])
+    np.testing.assert_allclose(found.chi2_reduced[:, 0], [0.3, 0.6])
+    np.testing.assert_array_equal(found.prior, np.full((3, 2), 0.25))
