@@ -386,6 +386,7 @@ def test_seeds_are_searched_in_chunks_of_ten_and_recorded_problem_by_problem(mon
 def test_the_study_of_other_rays_fits_every_number_of_rays_as_often_to_one_measurement(monkeypatch):
     """Seeds 0 to 3 make the measurement; rows come by pairs, materials and rays."""
     parts: list[tuple[int, int]] = []
+    begun: list[int] = []
 
     def measured(rays, seed):
         parts.append((rays, seed))
@@ -393,6 +394,7 @@ def test_the_study_of_other_rays_fits_every_number_of_rays_as_often_to_one_measu
 
     def fitted(rays, number, measurement):
         assert measurement[2, 3] == 1.5
+        begun.append(rays)
         off = np.array([1e-6 * rays, 1e-9 * number])
         return dict.fromkeys(((3, 1), (2, 3), (2, 1)), (rays + number, off))
 
@@ -405,6 +407,8 @@ def test_the_study_of_other_rays_fits_every_number_of_rays_as_often_to_one_measu
     numbers = (1_000, 3_000, 10_000, 18_000, 30_000, 100_000, 300_000)
     expected = [(p, m, n) for p, m in ((1, 2), (1, 3), (3, 2)) for n in numbers]
     assert [(r.pairs, r.materials, r.rays) for r in rows] == expected
+    # the longest first, so that no worker is left with one at the end
+    assert begun == sorted(begun, reverse=True)
     for r in rows:
         assert (r.repeats, r.median_paths) == (8, r.rays + 3.5)
         assert r.worst_error == pytest.approx(1e-6 * r.rays)
