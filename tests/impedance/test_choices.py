@@ -366,3 +366,11 @@ def test_nuisances_are_freed_no_farther_than_they_are_already():
     assert (kept.position_sd_m, kept.least_position_sd_m, kept.speed_sd) == (0.05, 0.04, 0.03)
     for gain, to in (("known", "source"), ("common", "source"), ("pair", "pair")):
         assert diagnostics._free_gain(replace(tight, gain=gain)).gain == to
+
+
+def test_a_wall_may_start_as_one_that_gives_back_all_and_no_more():
+    for start_r0 in (1.0, -1.0, 1.0j, 0.6 - 0.8j):
+        assert WallModel(start_r0=start_r0).start_r0 == start_r0
+    with pytest.raises(InputError, match="more than it receives") as caught:
+        WallModel(start_r0=0.8 + 0.7j)
+    assert "|R0| = 1.063" in str(caught.value)
