@@ -59,7 +59,7 @@ def counted(question: Any) -> Any:
     return every[(area[:, :2].sum(axis=1) <= 5.0) & (area[:, 2:].sum(axis=1) <= 4.0)]
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(3))
 def test_no_arrangement_that_keeps_all_limits_is_cheaper_than_the_one_found(monkeypatch, seed):
     """With a margin, under a highest price, and beside a set of columns that is excluded.
 
