@@ -361,3 +361,10 @@ def test_windows_of_a_problem_begin_where_its_specification_says(problems):
     whole = problems["ill_defined_from_emission"].squares.measured
     # sound of the first 11 ms is none
     assert problems["ill_defined"].squares.measured[0] > whole[0]
+
+
+def test_pairs_of_the_paper_are_those_of_one_number():
+    scene = paper_scene()
+    assert [p.name for p in scene.sources] == ["S1", "S2", "S3"]
+    assert [p.name for p in scene.receivers] == ["R1", "R2", "R3"]
+    assert scene.pairs.tolist() == [[0, 0], [1, 1], [2, 2]]

@@ -259,3 +259,38 @@ def test_what_was_measured_before_is_said_to_be_known_everywhere_somewhere_or_no
     assert said((1.0, nan), (1.0, 1.0)) == "before, measured where it was"
     assert said((1.0, 1.0)) == "before, measured where it was"
     assert said((nan, nan), (nan, nan)) == "predicted before" == said()
+
+
+def test_arrangements_come_cheapest_first_whatever_the_order_in_which_they_were_found(monkeypatch):
+    """The first that meets all, then others of other sets, until one misses or is known."""
+    found = iter([[2.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    question = SimpleNamespace(cost=np.array([3.0, 0.0]), target=(0,), targets=TARGETS[:1])
+    told: list[float] = []
+
+    def outcome(_question, pieces, *_):
+        cost = float(question.cost @ pieces)
+        missed = ("T30",) if pieces.tolist() == [1.0, 1.0] else ()
+        return SimpleNamespace(pieces=np.array(pieces), cost=cost, missed=missed, odds=pieces)
+
+    room: Any = SimpleNamespace(
+        absorption=SimpleNamespace(bands="bands"),
+        scene=SimpleNamespace(room=SimpleNamespace(findings=())),
+    )
+    given = {
+        "as_measured": lambda room: room,
+        "_before_in_words": lambda _: "measured before",
+        "question_of": lambda *_: question,
+        "best_arrangement": lambda *_: (np.array(next(found)), np.zeros(1)),
+        "_outcome": outcome,
+        "_of_targets": lambda _q, odds: (odds, 1.0),
+        "_arrangement": lambda _q, one, before: (one.cost, before.tolist()),
+        "result_doubts": lambda *_: (),
+        "_of_the_room": lambda *_: (),
+        "_findings": lambda *_: (),
+    }
+    for name, function in given.items():
+        monkeypatch.setattr(treat, name, function)
+    answer = treat.treat(room, (), (), (), number=5, progress=told.append)
+    # a product that costs nothing leaves the room without any a room without any
+    assert answer.arrangements == ((0.0, [0.0, 0.0]), (6.0, [0.0, 0.0]))
+    assert told == [0.4] and answer.is_met and answer.asked == 0.5

@@ -153,6 +153,9 @@ def test_the_end_of_a_straight_profile_is_found_in_one_step_from_anywhere_near(s
     # a root that hardly rises says little: not beyond one interval more
     far, is_end, _ = step(1e-9)
     assert far == pytest.approx(1e-9 + Z95 * sd, rel=1e-2) and not is_end
+    bracket: Any = [(0.0, 0.0, 1.0), (np.inf, np.inf, 0.0)]
+    flat, _ = _Line.towards_end(line, sign, 0.1, 1e-9, 0.0, bracket)
+    assert flat == pytest.approx(0.1 + Z95 * sd, rel=1e-6)
     edge: Any = SimpleNamespace(
         fit=SimpleNamespace(vector=np.array([sign * 13.9])), entry=0, sd=sd, _apart=lambda *_: 1.0
     )
