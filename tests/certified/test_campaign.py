@@ -25,9 +25,10 @@ from roomfit.certified.search import tools_for
 from roomfit.findings import Code
 from roomfit.io.inputs import identify_arguments
 from roomfit.objective.energy import EnergyTerm
-from roomfit.objective.parameters import physical_values, prior_residuals
+from roomfit.objective.parameters import physical_values, prior_residuals, start_vector
 from roomfit.report.text import certificate_text
 from roomfit.solvers.certificate import Certificate, certificate_findings
+from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import fit_band
 from small_campaign import write_campaign
 
@@ -213,3 +214,59 @@ def test_an_identification_loads_the_global_search_only_where_it_is_asked_for() 
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_fit_above_the_proven_minimum_starts_again_from_there(
+    certified: tuple[roomfit.Result, list[Any]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that ended 5 too high: its evaluations count, and the end is where the proof says."""
+    (problem,) = certified[1]
+    right, given, done = fit_band(problem), list[Any](), list[float]()
+    ends: list[Any] = []
+
+    def fitted(objective: Any, *solver: Any) -> Any:
+        given.append(solver)
+        if not solver:
+            return replace(right, cost=right.cost + 5.0, evaluations=1000)
+        ends.append(fit_band(objective, *solver))
+        return ends[-1]
+
+    monkeypatch.setattr("roomfit.certified.certificate.fit_band", fitted)
+    proven = certified[0].certificates[0]
+    monkeypatch.setattr("roomfit.certified.certificate.certify", lambda *_: proven)
+    found, proof = certified_fit(problem, progress=done.append)
+    assert [len(solver) for solver in given] == [0, 1] and done == [0.5, 1.0]
+    assert proof is proven
+    np.testing.assert_allclose(found.vector, right.vector, atol=0.02)
+    assert found.evaluations == 1000 + ends[0].evaluations > 1000
+    ((solver,),) = given[1:]
+    stays = solver(lambda x: (3.0 * x, np.zeros(0)), np.zeros(found.vector.size))
+    np.testing.assert_allclose(stays.x, found.vector, atol=0.02)
+    assert stays.cost == pytest.approx(4.5 * float(stays.x @ stays.x))
+    assert (stays.evaluations, stays.ending) == (1, Ending.CONVERGED)
+
+
+def test_gains_are_searched_within_a_factor_of_e_cubed_and_absorptions_within_their_bounds(
+    certified: tuple[roomfit.Result, list[Any]],
+) -> None:
+    """The prior's columns are weight, mean, and one less both bounds of the absorption."""
+    (problem,) = certified[1]
+    (energies,), parameters = problem.terms, problem.parameters
+    asked = energy_global_problem(energies, parameters, start_vector(parameters))
+    absorption, gain = (next(b for b in parameters.blocks if b.name == n)
+                        for n in ("absorption", "gain"))  # fmt: skip
+    own = np.flatnonzero(absorption.fitted)
+    middle = np.log(gain.start[gain.fitted])
+    n = own.size
+    assert n == 2 and asked.is_absorption.tolist() == [True, True, False]
+    np.testing.assert_allclose(asked.least[n:], middle - 3.0)
+    np.testing.assert_allclose(asked.most[n:], middle + 3.0)
+    np.testing.assert_allclose(np.exp(asked.most[:n]), 1.0 - absorption.lower[own])
+    np.testing.assert_allclose(np.exp(asked.least[:n]), 1.0 - absorption.upper[own], atol=1e-12)
+    sd, mean = absorption.prior_sd[own], absorption.prior_mean[own]
+    bounds = 1.0 - absorption.lower[own], 1.0 - absorption.upper[own]
+    np.testing.assert_allclose(asked.prior[:n], np.stack((0.5 / sd**2, mean, *bounds), axis=1))
+    assert not asked.prior[n:].any()
+    # what a gain multiplies are all rows but those of the noise, which have no hits
+    noise = ~asked.exponents.any(axis=1)
+    assert np.all(asked.exponents[~noise, n] == 1)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from coherent_cases import objective_of, small_term
+from roomfit.certified import certificate
 from roomfit.certified.question import energy_global_problem
 from roomfit.objective.parameters import physical_values, start_vector
 from roomfit.objective.windows import windows_decay_s
@@ -59,3 +61,23 @@ def test_a_decay_time_of_windows_is_that_of_its_range_and_of_no_other(name, high
     times_s = np.concatenate(([0.0], np.cumsum(-np.diff(level_db) / slope[:-1])))
     energy = -np.diff(10.0 ** (level_db / 10.0))
     assert windows_decay_s(times_s, energy, name) == pytest.approx(0.7, rel=0.02)
+
+
+def test_what_rays_may_change_of_a_cost_is_its_mean_and_twice_its_deviation(monkeypatch):
+    """Loop by loop; gains are squared, and where none is fitted it is one. 0.02 at least."""
+    precision, off = np.array([3.0, 5.0, 7.0]), np.array([0.1, -0.2, 0.3])
+    measured, tracing = np.array([1.0, 2.0, 3.0]), np.array([0.01, 0.02, 0.03])
+    observations = [SimpleNamespace(gain=0), SimpleNamespace(gain=-1)]
+    weighed = [SimpleNamespace(tracing=tracing[:2]), SimpleNamespace(tracing=tracing[2:])]
+    energies = SimpleNamespace(
+        observations=observations, predict=lambda _: (measured + off,), measured=lambda: measured
+    )
+    values = {"gain": np.array([2.0]), "absorption": None}
+    monkeypatch.setattr(certificate, "physical_values", lambda *_: (values, None))
+    monkeypatch.setattr(certificate, "weighed", lambda *_: weighed)
+    variance = [0.01 * 4.0, 0.02 * 4.0, 0.03]
+    mean = sum(c * v for c, v in zip(precision, variance, strict=True))
+    spread = sum((2 * c * r) ** 2 * v for c, r, v in zip(precision, off, variance, strict=True))
+    found = certificate.tracing_delta(energies, None, np.zeros(0), precision)
+    assert found == pytest.approx(mean + 2.0 * spread**0.5)
+    assert certificate.tracing_delta(energies, None, np.zeros(0), 1e-6 * precision) == 0.02

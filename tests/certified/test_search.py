@@ -485,3 +485,28 @@ def test_the_seconds_of_a_search_are_those_that_pass_during_it():
     began = time.perf_counter()
     found = search(global_problem, SearchSettings(1e-2, max_boxes=5))
     assert 0.0 < found.seconds <= time.perf_counter() - began
+
+
+def test_every_box_gives_the_incumbent_what_a_descent_in_it_finds() -> None:
+    """From a high incumbent on: lower than the middle, inside, and worth what the formula says."""
+    for seed in range(8):
+        problem, global_problem = random_case(seed, 3)
+        tools = tools_for(global_problem)
+        a = np.random.default_rng(seed).uniform(0.1, 0.9, 3)
+        # g = log(1 - a) rises as a falls
+        box = np.log1p(-np.stack((a + 0.05, a - 0.05)))
+        middle = misfit_of(problem, global_problem, 1.0 - np.exp(box.mean(axis=0))[None])[0]
+        incumbent = Incumbent(100.0 * middle, np.zeros(3))
+        bound, kept, _ = boxes_module._bounded(tools, box.copy(), incumbent, 0.01 * middle)
+        assert bound <= incumbent.value < middle and 0.0 < kept <= 1.0
+        assert np.all((box[0] - 1e-12 <= incumbent.place) & (incumbent.place <= box[1] + 1e-12))
+        own = misfit_of(problem, global_problem, 1.0 - np.exp(incumbent.place)[None])[0]
+        assert incumbent.value == pytest.approx(own, rel=1e-9)
+        # no point of the box is lower by more than the rounding of a descent
+        inside = np.random.default_rng(1).uniform(*box, (500, 3))
+        values = misfit_of(problem, global_problem, 1.0 - np.exp(inside))
+        assert values.min() >= incumbent.value * (1.0 - 1e-6)
+        # what cannot come below the incumbent is neither shaved nor descended
+        low = Incumbent(0.5 * bound, np.zeros(3))
+        again, whole, _ = boxes_module._bounded(tools, box.copy(), low, 0.0)
+        assert (low.value, whole) == (0.5 * bound, 1.0) and again >= 0.5 * bound

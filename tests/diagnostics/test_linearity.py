@@ -611,3 +611,12 @@ def test_a_tail_is_of_eight_blocks_of_a_millisecond_at_least(n_after, is_long_en
     response = ImpulseResponse(pressure, 8000.0)
     m = SimpleNamespace(response=response, direct_s=400 / 8000.0)
     assert (noise_tail._levels(m, 0.4) is not None) == is_long_enough
+
+
+def test_silence_that_jumps_to_another_silence_is_followed_by_sound_where_the_jump_is_loud():
+    """Equal samples of 0 and of 20 in turn: each jump is of more than eight of the least steps."""
+    runs = np.repeat([0.0, 20.0, 0.0, 20.0, 0.0], 5)
+    for least, expected in ((1.0, 4), (2.6, 0)):
+        x = np.concatenate(([100.0, 30.0, 30.0 - least, 10.0], runs, [3.0]))
+        m = SimpleNamespace(response=ImpulseResponse(x, 1000.0))
+        assert noise_gate._gaps(m) == expected

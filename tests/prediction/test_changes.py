@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from roomfit.bands import bands_between
+from roomfit.errors import InputError, InsufficientDataError
+from roomfit.findings import About, Code, Finding
 from roomfit.materials.catalogue import catalogue_prior
+from roomfit.prediction import campaign
 from roomfit.prediction.changes import Change, changed_draws
 from roomfit.prediction.predict import change_findings
 from roomfit.prediction.tables import PredictedValue, ValueChange
@@ -94,3 +100,56 @@ def test_the_direction_of_a_change_is_that_of_its_whole_interval(low, high, word
     (finding,) = change_findings(change, False, BANDS, {"T30_s": value_of(low, high)})
     assert finding.sentence.endswith(f" At 95 % the mean of T30 {words} at 500, 1000 Hz.")
     assert finding.evidence["directions"] == {"T30_s": {words: [500.0, 1000.0]}}
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """What a scene says of its pairs."""
+
+    pairs: tuple[int, ...]
+    pair_state: object = None
+
+
+def test_all_pairs_are_predicted_in_the_state_that_is_asked_for():
+    """The room as described is number 0, the campaign's own follow in their order."""
+    scene = Pairs((1, 2, 3))
+    own = SimpleNamespace(states=("open", "closed", "full"), path="campaign.toml")
+    assert campaign._at_state(scene, own, "") is scene
+    for number, name in enumerate(own.states, start=1):
+        assert campaign._at_state(scene, own, name).pair_state.tolist() == [number] * 3
+    with pytest.raises(InputError, match="does not define this state"):
+        campaign._at_state(scene, own, "empty")
+    assert [campaign.pair_choice(n) for n in ("all", "campaign")] == ["all", "campaign"]
+    with pytest.raises(InputError, match="unknown choice of pairs"):
+        campaign.pair_choice("some")
+
+
+def test_other_walls_are_predicted_only_in_bands_in_which_no_finding_doubts_all_walls():
+    """Of changes, and of states that were not fitted; values of those bands alone are kept."""
+    bands = bands_between("octave", 500, 2000)
+    fault = Finding(Code.DISPLACEMENT_DETECTED, About(bands_hz=[1000.0]), "moved")
+    named = Finding(Code.DISPLACEMENT_DETECTED, About(materials=["wall"]), "moved")
+    changes = (Change("wall", "value", (0.1, 0.2, 0.3), (0.01, 0.02, 0.03)),
+               Change("floor", "value", (0.4,)))  # fmt: skip
+
+    def known(*findings, states=("",)):
+        return SimpleNamespace(result_findings=findings, fitted_states=states)
+
+    assert campaign.undoubted(known(named), bands, changes, "") == (bands, changes, ())
+    assert campaign.undoubted(known(fault), bands, (), "") == (bands, (), ())
+    assert campaign.undoubted(known(fault, states=None), bands, (), "open") == (bands, (), ())
+    for own, state in ((changes, ""), ((), "open")):
+        kept, less, (finding,) = campaign.undoubted(known(fault), bands, own, state)
+        assert kept.centres_hz.tolist() == [500.0, 2000.0] and kept.kind == "octave"
+        assert finding.code is Code.RESULT_DOUBTED and list(finding.about.bands_hz) == [1000.0]
+        assert (
+            "at 1000 Hz" in finding.sentence
+            and Code.DISPLACEMENT_DETECTED.value in finding.sentence
+        )
+        assert len(less) == len(own)
+        if own:
+            assert less[0].values == (0.1, 0.3) and less[0].sds == (0.01, 0.03)
+            assert less[1] is changes[1]
+    every = Finding(Code.DISPLACEMENT_DETECTED, About(), "moved")
+    with pytest.raises(InsufficientDataError, match="seriously doubted"):
+        campaign.undoubted(known(every), bands, changes, "")

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roomfit.objective.parameters import Block, Parameters, physical_values, start_vector
+from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import (
     _from_unit,
     _to_unit,
@@ -154,3 +155,46 @@ def test_the_paper_s_searches_find_absorptions_within_their_bounds_and_gains():
         assert ends["gain"][0] == pytest.approx(2.0 * factor)
     far = np.array([0.0, 0.0, np.log(2.0) + 9.0])
     assert _to_unit(parameters, far)[2] == 1.0
+
+
+def test_a_cold_walk_takes_every_fall_it_meets() -> None:
+    """On a plane half of all steps fall: of 120 trials enough to walk into the corner.
+
+    From the lowest of 20 random points; a temperature far below any change of the error.
+    """
+    found = anneal(
+        lambda x: 5.0 + float(np.sum(x)),
+        2,
+        np.random.default_rng(4),
+        start_temperature=1e-9,
+        levels=6,
+    )
+    errors = [5.0 + np.sum(x) for x in np.random.default_rng(4).random((20, 2))]
+    assert found.trail_cost[5] < 5.0 + 0.2 * (min(errors) - 5.0)
+
+
+def test_a_schedule_is_sixty_temperatures_of_ten_trials_each_nine_tenths_as_high() -> None:
+    """Bit by bit what these numbers give when stated; ten random points an unknown come first."""
+    calls: list[FloatArray] = []
+
+    def watched(x: FloatArray) -> float:
+        calls.append(np.array(x))
+        return rastrigin(x)
+
+    usual = anneal(watched, 2, np.random.default_rng(5))
+    stated = anneal(
+        rastrigin, 2, np.random.default_rng(5), cooling=0.9, levels=60, trials_per_unknown=10
+    )
+    np.testing.assert_array_equal(usual.trail, stated.trail)
+    np.testing.assert_array_equal(usual.trail_cost, stated.trail_cost)
+    assert (usual.iterations, usual.evaluations) == (stated.iterations, len(calls))
+    np.testing.assert_array_equal(calls[:20], np.random.default_rng(5).random((20, 2)))
+
+
+def test_without_unknowns_there_is_nothing_to_search() -> None:
+    """Neither a simplex nor annealing asks for an error."""
+    nothing = Parameters(())
+    for solver in (simplex_solver(nothing), annealing_solver(nothing, np.random.default_rng(1))):
+        end = solver(lambda _: pytest.fail("nothing to evaluate"), np.zeros(0))
+        assert (end.x.size, end.cost, end.evaluations) == (0, 0.0, 0)
+        assert end.ending is Ending.CONVERGED

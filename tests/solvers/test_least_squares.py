@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,6 +12,7 @@ from hypothesis import strategies as st
 from roomfit.eyring import decay_rate_per_s, eyring_absorption, eyring_time_s
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.search import SimplexSettings, downhill_simplex, simplex_around
+from roomfit.suh2001 import searches
 from roomfit.suh2001.searches import (
     descend,
     fit_least_squares,
@@ -176,3 +179,23 @@ def test_both_wells_are_reported_with_the_better_first() -> None:
     assert found.x[0, 0] == pytest.approx(0.2, abs=1e-6)
     assert found.error[0] < found.error[1]
     assert sum(found.descents) == len(points)
+
+
+def test_a_landscape_is_a_grid_its_minima_of_both_kinds_and_a_descent_from_each_point(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each of its parts by itself; an oblique valley has other minima by four and by eight."""
+    monkeypatch.setattr(searches, "minima_of_descents", lambda f, starts: (f, starts))
+
+    def error(x: FloatArray) -> float:
+        return float(np.sum(oblique_valley(x)[0] ** 2))
+
+    found = landscape(error, oblique_valley)
+    np.testing.assert_allclose(found.grid, np.linspace(0.0, 1.0, 21), atol=1e-15)
+    assert found.errors[3, 17] == error(found.grid[[3, 17]])
+    assert found.four_neighbours == grid_minima(found.errors, found.grid, 4)
+    assert found.eight_neighbours == grid_minima(found.errors, found.grid, 8)
+    assert len(found.four_neighbours) > len(found.eight_neighbours)
+    residuals, begun = cast(tuple[object, FloatArray], found.minima)
+    assert residuals is oblique_valley
+    np.testing.assert_array_equal(begun, [(a, b) for a in found.grid for b in found.grid])

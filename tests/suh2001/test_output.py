@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from roomfit.errors import InputError
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.search import Fit
-from roomfit.suh2001 import repeat
+from roomfit.suh2001 import output, repeat
 from roomfit.suh2001.independent import IndependentRow
-from roomfit.suh2001.output import _figures, _tables, paper_json, paper_text
-from roomfit.suh2001.repeat import METHODS, CaseResponse, PaperResult, Record, Table2
+from roomfit.suh2001.output import _figures, _tables, paper_json, paper_text, run_paper
+from roomfit.suh2001.repeat import METHODS, CaseResponse, PaperResult, Record, Run, Table2
 from roomfit.suh2001.room import (
     CASES,
     DIVISIONS,
@@ -22,6 +24,7 @@ from roomfit.suh2001.room import (
     TRUE_ABSORPTION,
 )
 from roomfit.suh2001.searches import Landscape, Minima, unit_grid
+from roomfit.workers import worker_pool
 
 RAYS = (1_000, 300_000)
 TRUTH = np.array(TRUE_ABSORPTION)
@@ -326,3 +329,100 @@ def test_progress_of_the_repetition_rises_from_part_to_part_to_the_whole(monkeyp
     np.testing.assert_allclose(
         done, [0.2, 0.4, 0.425, 0.45, 0.7, 0.95, 0.95 + 0.05 / 3, 0.95 + 0.1 / 3, 1.0]
     )
+
+
+def test_a_folder_holds_every_table_and_picture_and_what_was_asked_for(
+    tmp_path, monkeypatch, result
+):
+    """Seeds, workers and progress reach the repetition; a folder that holds something stays."""
+    asked: list[tuple[int, int, object]] = []
+
+    def repeated(seeds, workers, *, progress):
+        asked.append((seeds, workers, progress))
+        return result
+
+    monkeypatch.setattr(output, "repeat_paper", repeated)
+    monkeypatch.setattr(output, "_figures", lambda _: {"figure2": "drawn"})
+    monkeypatch.setattr(output, "png", str.encode)
+    assert run_paper(tmp_path / "own", seeds=7, workers=3, progress=print) is result
+    run_paper(tmp_path / "usual")
+    assert asked == [(7, 3, print), (50, 2, None)]
+    for name, table in _tables(result).items():
+        lines = (tmp_path / "own" / f"{name}.csv").read_text("utf-8").splitlines()
+        assert len(lines) == 1 + len(list(table.rows)), name
+    assert (tmp_path / "own" / "figure2.png").read_bytes() == b"drawn"
+    written = json.loads((tmp_path / "own" / "paper.json").read_text("utf-8"))
+    assert written.pop("content_sha256")
+    assert written == json.loads(json.dumps(paper_json(result)))
+    with pytest.raises(InputError, match="not empty"):
+        run_paper(tmp_path / "own")
+    run_paper(tmp_path / "own", overwrite=True)
+    assert len(asked) == 3
+
+
+def test_seeds_are_searched_in_chunks_of_ten_and_recorded_problem_by_problem(monkeypatch):
+    """25 seeds, each once; the runs of a method of a problem make its record and no other."""
+    problems = {name: SimpleNamespace(name=name, true_absorption=TRUTH) for name in ("b", "a")}
+    chunks: list[range] = []
+    numbers = {(p, m): 10 * i + j for i, p in enumerate(problems) for j, m in enumerate(METHODS)}
+
+    def searched(problem, method, seeds):
+        chunks.append(seeds)
+        return [Run(TRUTH + 9e-4 * s, numbers[problem.name, method], 1.0 * s) for s in seeds]
+
+    monkeypatch.setattr(repeat, "search_seeds", searched)
+    done: list[float] = []
+    with worker_pool(1) as pool:
+        records = repeat._records(pool, 25, problems, done.append)
+    assert chunks[:3] == [range(10), range(10, 20), range(20, 25)] == chunks[-3:]
+    assert [(r.problem, r.method) for r in records] == list(numbers)
+    assert [r.median_evaluations for r in records] == list(numbers.values())
+    for r in records:
+        assert (r.seeds, r.successes, r.median_seconds) == (25, 6, 12.0)
+        np.testing.assert_allclose(r.worst_found, TRUTH + 0.0216)
+    np.testing.assert_allclose(done, np.arange(1, 31) / 30)
+
+
+def test_the_study_of_other_rays_fits_every_number_of_rays_as_often_to_one_measurement(monkeypatch):
+    """Seeds 0 to 3 make the measurement; rows come by pairs, materials and rays."""
+    parts: list[tuple[int, int]] = []
+    begun: list[int] = []
+
+    def measured(rays, seed):
+        parts.append((rays, seed))
+        return {(2, 3): np.array([float(seed)])}
+
+    def fitted(rays, number, measurement):
+        assert measurement[2, 3] == 1.5
+        begun.append(rays)
+        off = np.array([1e-6 * rays, 1e-9 * number])
+        return dict.fromkeys(((3, 1), (2, 3), (2, 1)), (rays + number, off))
+
+    monkeypatch.setattr(repeat, "measurement_part", measured)
+    monkeypatch.setattr(repeat, "fit_with_other_rays", fitted)
+    done: list[float] = []
+    with worker_pool(1) as pool:
+        rows = repeat._independent(pool, done.append)
+    assert parts == [(262_144, seed) for seed in range(4)]
+    numbers = (1_000, 3_000, 10_000, 18_000, 30_000, 100_000, 300_000)
+    expected = [(p, m, n) for p, m in ((1, 2), (1, 3), (3, 2)) for n in numbers]
+    assert [(r.pairs, r.materials, r.rays) for r in rows] == expected
+    # the longest first, so that no worker is left with one at the end
+    assert begun == sorted(begun, reverse=True)
+    for r in rows:
+        assert (r.repeats, r.median_paths) == (8, r.rays + 3.5)
+        assert r.worst_error == pytest.approx(1e-6 * r.rays)
+    assert len(done) == 4 + 56
+    np.testing.assert_allclose(done[:4], [0.0625, 0.125, 0.1875, 0.25])
+    np.testing.assert_allclose(done[4:], 0.25 + 0.75 * np.arange(1, 57) / 56)
+
+
+def test_every_picture_says_above_its_panels_that_the_room_is_a_reconstruction(figures):
+    """Bars of energy are filled; nothing is drawn over the note."""
+    for name, figure in figures.items():
+        (note,) = (t for t in figure.texts if t.get_text() == output.RECONSTRUCTED)
+        lowest = note.get_window_extent().y0
+        for axes in figure.axes:
+            assert axes.get_tightbbox().y1 < lowest, name
+    for name in ("figure2", "figure3"):
+        assert all(p.get_fill() for axes in figures[name].axes for p in axes.patches)

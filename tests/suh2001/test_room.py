@@ -334,3 +334,37 @@ def test_planes_of_different_materials_have_the_absorption_of_all_seven():
         if n >= 3:
             first = [division.group.index(i) for i in range(n)]
             assert division.true_absorption == tuple(finest[plane] for plane in first)
+
+
+def test_problems_are_of_the_pairs_shapes_and_windows_that_the_paper_names():
+    """Case 1 but for two; from four materials on, and from emission on, they are our own."""
+    pairs = {"case2": 1, "case3": 2, **dict.fromkeys(list(MATERIAL_PROBLEMS.values())[2:], 2)}
+    own = {"ill_defined_from_emission", *list(MATERIAL_PROBLEMS.values())[2:]}
+    windows = {"ill_defined": "direct", "ill_defined_from_emission": "emission"}
+    materials = {name: n for n, name in MATERIAL_PROBLEMS.items() if n > 2}
+    for name, wanted in SPECIFICATIONS.items():
+        assert wanted.case == pairs.get(name, 0), name
+        assert wanted.in_paper is (name not in own), name
+        assert wanted.windows == windows.get(name, "reflections"), name
+        assert len(wanted.division.materials) == materials.get(name, 2), name
+        stretched = "disproportionate" in name
+        assert wanted.shape == ("disproportionate" if stretched else "paper"), name
+        truth = (0.01, 0.99) if "extreme" in name else DIVISIONS[materials.get(name, 2)]
+        assert wanted.division.true_absorption == getattr(truth, "true_absorption", truth), name
+    assert len(SPECIFICATIONS) == 13
+
+
+def test_windows_of_a_problem_begin_where_its_specification_says(problems):
+    """5 ms from the first reflection, at 15 ms; 50 ms from the direct sound, at 11, or from 0."""
+    for name, n in (("case1", 37), ("ill_defined", 3), ("ill_defined_from_emission", 4)):
+        assert problems[name].squares.rows.n_windows == n, name
+    whole = problems["ill_defined_from_emission"].squares.measured
+    # sound of the first 11 ms is none
+    assert problems["ill_defined"].squares.measured[0] > whole[0]
+
+
+def test_pairs_of_the_paper_are_those_of_one_number():
+    scene = paper_scene()
+    assert [p.name for p in scene.sources] == ["S1", "S2", "S3"]
+    assert [p.name for p in scene.receivers] == ["R1", "R2", "R3"]
+    assert scene.pairs.tolist() == [[0, 0], [1, 1], [2, 2]]

@@ -106,3 +106,20 @@ def test_the_sentence_says_what_hangs_where_and_how_likely_it_is_enough(treatmen
     bare = replace(treatment.arrangements[0], hung=(), mean={})
     alone = treatment_sentence(replace(treatment, arrangements=(bare,)))
     assert alone == "Nothing. The target is met with a probability of 83 %."
+
+
+def test_edges_of_the_room_are_drawn_over_its_surfaces(treatment):
+    """The twelve of a box, each in the projection of its ends."""
+    axes = treatment_figure(treatment).axes[0]
+    room = treatment.room.scene.room
+    (edges,) = (c for c in axes.collections if isinstance(c, LineCollection))
+    drawn = {frozenset(map(tuple, np.round(s, 9).tolist())) for s in edges.get_segments()}
+    corners = room.mesh.vertices_m
+    flat = np.round(corners @ projection()[:2].T, 9).tolist()
+    expected = {
+        frozenset((tuple(flat[i]), tuple(flat[j])))
+        for i in range(len(corners))
+        for j in range(i)
+        if np.count_nonzero(corners[i] != corners[j]) == 1
+    }
+    assert len(expected) == 12 and drawn == expected

@@ -10,6 +10,7 @@ import pytest
 
 from posterior_cases import ExactValues, decay_case, exchangeable_case
 from roomfit.solvers.least_squares import fit_band
+from roomfit.uncertainty import population
 from roomfit.uncertainty.gaussian import FittedBand, band_estimate
 from roomfit.uncertainty.intervals import Refinement
 from roomfit.uncertainty.population import (
@@ -184,3 +185,69 @@ def test_points_are_drawn_as_often_as_their_weights_ask_for():
     counts = np.bincount(_resampled(log_weight, np.random.default_rng(6)), minlength=100)
     assert counts.sum() == 100
     assert np.all(np.abs(counts - 100.0 * np.tile(weights / 25.0, 25)) < 1.0)
+
+
+def test_points_count_by_kish_and_one_that_outweighs_all_others_stops_no_way():
+    """By Kish's number, (sum w)**2 / sum w**2; as far as asked where more would count."""
+    ratio = 3.0 * np.random.default_rng(1).standard_normal(500)
+    w = np.exp(0.3 * ratio)
+    assert population._share(ratio, 0.3) == pytest.approx(w.sum() ** 2 / np.sum(w**2) / 500)
+    assert population._share(ratio + 900.0, 0.3) == pytest.approx(population._share(ratio, 0.3))
+    step = population._power_step(ratio, 1.0)
+    assert 0.0 < step < 1.0
+    assert population._share(ratio, step) == pytest.approx(0.5, abs=1e-6)
+    assert population._power_step(ratio, 0.5 * step) == 0.5 * step
+    assert population._power_step(0.01 * ratio, 1.0) == 1.0
+    # a single point that outweighs all others may not stop the way
+    assert population._power_step(np.append(np.zeros(9), 1e9), 0.8) == pytest.approx(8e-4)
+
+
+def test_differences_of_other_points_keep_a_law_and_a_tempered_one_as_well():
+    """4,000 points of a normal law of deviation 2; half tempered, its variance is 1 / (1/8 + 1/2).
+
+    The prior is standard; a variance of 4,000 points is known to 2.2 %, and that of moved ones,
+    of which few are new, to twice that.
+    """
+    rng = np.random.default_rng(3)
+    near = SimpleNamespace(prior=np.eye(2), prior_mean=np.zeros(2))
+
+    def log_p_at(points):
+        return -0.125 * np.sum(points**2, axis=1)
+
+    for tempered, variance in ((None, 4.0), ((near, 0.5), 1.0 / (0.125 + 0.5))):
+        points = np.sqrt(variance) * rng.standard_normal((4000, 2))
+        log_p = log_p_at(points)
+        for _ in range(3):
+            before = points
+            points, log_p, taken = population._differed(log_p_at, points, log_p, rng, tempered)
+            np.testing.assert_allclose(log_p, log_p_at(points))
+            assert taken == pytest.approx(np.mean(np.any(points != before, axis=1)), abs=1e-12)
+            assert 0.2 < taken < 0.8
+        np.testing.assert_allclose(points.var(axis=0), variance, rtol=0.1)
+
+
+def test_walks_are_weighed_by_what_the_surrogate_gains_less():
+    """Of a surrogate of another deviation: taken with the ratio of both, at a power of it."""
+    rng = np.random.default_rng(4)
+
+    def walk(points, _steps, rng):
+        there = 1.5 * rng.standard_normal(points.shape)
+        return there, np.sum(points**2 - there**2, axis=1) / 4.5
+
+    near = SimpleNamespace(walk=walk, usual_steps=(1, 2))
+
+    def log_p_at(points):
+        return -0.5 * np.sum(points**2, axis=1)
+
+    for power in (1.0, 0.5):
+        # between the surrogate, of variance 2.25, and the posterior
+        variance = 1.0 / (power + (1.0 - power) / 2.25)
+        points = np.sqrt(variance) * rng.standard_normal((4000, 2))
+        here = points, log_p_at(points), -np.sum(points**2, axis=1) / 4.5
+        for _ in range(3):
+            found = population._walked(log_p_at, near, here, power, rng)
+            here, taken = found[:3], found[3]
+            np.testing.assert_allclose(here[1], log_p_at(here[0]))
+            np.testing.assert_allclose(here[2], -np.sum(here[0] ** 2, axis=1) / 4.5)
+            assert 0.4 < taken < 1.0
+        np.testing.assert_allclose(here[0].var(axis=0), variance, rtol=0.1)

@@ -11,7 +11,7 @@ import pytest
 
 from posterior_cases import Linear, decay_case, linear_case, surrogate_log_density
 from roomfit.errors import InputError
-from roomfit.objective.parameters import prior_residuals
+from roomfit.objective.parameters import Parameters, prior_residuals
 from roomfit.objective.problem import Prediction
 from roomfit.solvers.least_squares import fit_band
 from roomfit.uncertainty.gaussian import band_estimate
@@ -19,6 +19,8 @@ from roomfit.uncertainty.intervals import sampled
 from roomfit.uncertainty.sampling import (
     autocorrelation_steps,
     check_sampler,
+    exponent_slopes,
+    exponents,
     log_posterior,
     prior_information,
     sample,
@@ -274,3 +276,71 @@ def test_a_fit_of_a_band_is_half_done_when_its_logarithms_are():
     problem = linear_case(5)
     fit = fit_band(problem, progress=told.append)
     assert told == [0.5, 1.0] and fit.evaluations == fitted(problem).evaluations
+
+
+def bounded(problem):
+    """Return a problem whose absorptions lie between bounds of their own."""
+    block, *others = problem.parameters.blocks
+    n = len(block.labels)
+    own = replace(block, lower=0.1 * np.arange(n) / n + 0.02, upper=0.9 - 0.1 * np.arange(n))
+    return replace(problem, parameters=Parameters((own, *others)))
+
+
+def test_exponents_of_bounded_absorptions_and_their_slopes_are_those_of_the_formula():
+    """-log(1 - a) of a between bounds; all other free numbers stay; slopes by differences."""
+    parameters = bounded(linear_case(2)).parameters
+    block = parameters.blocks[0]
+    points = np.random.default_rng(1).normal(size=(4, 7))
+    found = exponents(parameters, points)
+    a = block.lower + (block.upper - block.lower) / (1.0 + np.exp(-points[:, :3]))
+    np.testing.assert_allclose(found[:, :3], -np.log1p(-a), rtol=1e-12)
+    np.testing.assert_array_equal(found[:, 3:], points[:, 3:])
+    step = 1e-6 * np.eye(7)
+    slope = [(exponents(parameters, points[:1] + s) - exponents(parameters, points[:1] - s))[0, i]
+             for i, s in enumerate(step)]  # fmt: skip
+    np.testing.assert_allclose(exponent_slopes(parameters, points[0]), np.array(slope) / 2e-6,
+                               rtol=1e-6)  # fmt: skip
+
+
+def test_a_walk_between_bounds_gains_what_the_readable_law_says():
+    """With and without windows; nothing is farther from zero than forty."""
+    for problem in (bounded(linear_case(6, n_geometry=0)), bounded(linear_case(6))):
+        fit = fitted(problem)
+        law = log_posterior(problem, fit)
+        near = surrogate(law, fit)
+        assert near.usual_steps == ((50, 4000) if near.windows is None else (50, 500))
+        points = near.centre + np.random.default_rng(2).standard_normal((20, near.centre.size))
+        there, gain = near.walk(points, 20, np.random.default_rng(3))
+        expected = surrogate_log_density(near, there) - surrogate_log_density(near, points)
+        np.testing.assert_allclose(gain, expected, rtol=1e-9, atol=1e-9)
+        edge = np.array(near.centre)
+        edge[0] = 39.9
+        assert np.isfinite(law(edge))
+        edge[0] = -40.0
+        assert law(edge) == -np.inf
+
+
+def test_weights_that_are_kept_are_those_of_a_fit_by_the_shape_of_energies():
+    """The variance of an energy grows with its square; that of a value stays as it was."""
+    energies = decay_case(np.random.default_rng(3), np.array([0.2, 0.5]))
+    values = linear_case(3, n_geometry=0)
+    for problem in (energies, values):
+        fit = fitted(problem)
+        law = replace(log_posterior(problem, fit), fixed_weights=fit)
+        there = 1.7 * fit.expected
+        expected = fit.variance * (1.7**2 if problem is energies else 1.0)
+        np.testing.assert_allclose(law._variance(fit.vector, there), expected)
+        free = replace(law, fixed_weights=None)
+        np.testing.assert_allclose(free._variance(fit.vector, there), problem.variance(fit.vector))
+
+
+def test_chains_that_stand_still_agree_and_those_that_alternate_forget_at_once():
+    """One step, or less than one, counts as one."""
+    still = np.ones((20, 3, 1))
+    assert split_r_hat(still)[0] == 1.0 == autocorrelation_steps(still)[0]
+    turning = np.tile([-1.0, 1.0], 50)[:, None, None] * np.ones((1, 2, 1))
+    assert autocorrelation_steps(turning)[0] == 1.0
+    # of an odd number of steps the one in the middle is in no half
+    odd = np.concatenate((np.tile([-1.0, 1.0], 10), [99.0], np.tile([-1.0, 1.0], 10)))
+    whole = np.tile([-1.0, 1.0], 20)
+    assert split_r_hat(odd[:, None, None]) == split_r_hat(whole[:, None, None])
