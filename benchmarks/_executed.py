@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import inspect
 import json
 import re
 import sys
@@ -44,7 +45,8 @@ def _trace(frame: FrameType, _event: str, _argument: object) -> Callable[..., An
     code = frame.f_code
     if code not in _entered:
         _entered.add(code)
-        if code.co_filename.startswith(str(SOURCE)):
+        # what stands outside of functions runs in the test that happens to import it first
+        if code.co_filename.startswith(str(SOURCE)) and code.co_flags & inspect.CO_OPTIMIZED:
             _left[code] = {line for *_, line in code.co_lines() if line} - {code.co_firstlineno}
             _watches[code] = _MOST_LINES
         else:
@@ -94,7 +96,8 @@ def names(entered: set[CodeType | tuple[CodeType, int]]) -> tuple[list[str], dic
     found, lines = set[str](), dict[str, set[int]]()
     for item in entered:
         code, line = item if isinstance(item, tuple) else (item, 0)
-        if code.co_filename.startswith(str(SOURCE)):
+        # what stands outside of functions runs in the test that happens to import it first
+        if code.co_filename.startswith(str(SOURCE)) and code.co_flags & inspect.CO_OPTIMIZED:
             path = Path(code.co_filename).relative_to(SOURCE).as_posix()
             found.add(f"{path}:{code.co_qualname.split('.<')[0]}")
             if line:

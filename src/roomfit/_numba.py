@@ -31,8 +31,8 @@ def kernel(
     """Compile a module-level function with numba and keep the machine code on disk.
 
     Strict IEEE arithmetic in float64 and no fast-math, so that the same input gives the same bits
-    on every run. It is compiled once for each type of its arguments. numba takes every number written
-    into a call for a type by itself, and would compile what is called, and all below it, once more.
+    on every run. It is compiled once for each type of its arguments; a number written into a call
+    is not, as it is for numba by itself, one of its own.
 
     Parameters
     ----------
@@ -56,10 +56,8 @@ def kernel(
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         made = numba.njit(**options)(function)
-        called = made.get_call_template
-        made.get_call_template = lambda given, named: called(
-            [unliteral(t) for t in given], {name: unliteral(t) for name, t in named.items()}
-        )
+        typed = made.get_call_template
+        made.get_call_template = lambda given, named: typed([*map(unliteral, given)], named)
         return cast(Callable[P, R], made)
 
     return decorate

@@ -377,21 +377,16 @@ def repeat_paper(seeds: int, workers: int, *, progress: Progress | None = None) 
 
 
 def _independent(
-    pool: Executor, repeats: int, progress: Progress | None
+    pool: Executor, sets: int, progress: Progress | None
 ) -> tuple[IndependentRow, ...]:
-    parts = in_pool(
-        pool,
-        [partial(measurement_part, MEASUREMENT_RAYS, i) for i in range(MEASUREMENT_PARTS)],
-        part(progress, 0.0, 0.25),
-    )
+    every = [partial(measurement_part, MEASUREMENT_RAYS, i) for i in range(MEASUREMENT_PARTS)]
+    parts = in_pool(pool, every, part(progress, 0.0, 0.25))
     measurement = mean_measurement(parts)
     # the longest first, so that no worker is left with one at the end
     numbers = sorted(MODEL_RAYS, reverse=True)
-    tasks = [
-        partial(fit_with_other_rays, n, i, measurement) for n in numbers for i in range(repeats)
-    ]
+    tasks = [partial(fit_with_other_rays, n, i, measurement) for n in numbers for i in range(sets)]
     fits = iter(in_pool(pool, tasks, part(progress, 0.25, 1.0)))
-    rows = [row for n in numbers for row in summarise(n, [next(fits) for _ in range(repeats)])]
+    rows = [row for n in numbers for row in summarise(n, [next(fits) for _ in range(sets)])]
     return tuple(sorted(rows, key=lambda row: (row.pairs, row.materials, row.rays)))
 
 
