@@ -558,8 +558,7 @@ def test_what_is_farthest_beyond_the_specified_is_looked_for_from_where_its_axis
     """Other axes keep what they were fitted to. It must gain ten units beside its own prior."""
     outline = box_of_three_offsets((moved_m, 0.0, 0.0))
     inside, asked = np.array([0.01, 0.02, 0.0, 0.03]), []
-    start = np.array([-moved_m, 0.0, 0.0, 0.03])
-    top = start + [0.0, 0.0, -0.4, 0.0]
+    top = np.array([-moved_m, 0.0, -0.4, 0.03])
     prior = whole_displacement._log_prior(outline.offsets[2], 0.4)
 
     class Worth:
