@@ -176,7 +176,7 @@ def test_draws_of_a_band_are_its_own_those_of_its_covariance_or_of_the_prior(mon
     patched(
         monkeypatch,
         plain_logit_law=lambda _: (prior_mean, prior_law),
-        prior_absorptions=lambda own, band, n, rng: np.full((n, 2), 0.25 * band),
+        prior_absorptions=lambda _, band, n, _rng: np.full((n, 2), 0.25 * band),
         band_draws=of_covariance,
         are_specified=lambda own: ("specified", own),
     )
