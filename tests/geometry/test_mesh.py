@@ -563,3 +563,17 @@ def test_of_many_places_the_first_are_listed_and_the_others_counted():
     n = text.count("near")
     assert text.endswith(f" and {9 - n} more") and "'s0' near (0, 0, 0) m" in text
     assert listed(spots[:n]).count("near") == n and "more" not in listed(spots[:n])
+
+
+def test_a_room_of_faces_without_area_alone_is_refused_with_their_places():
+    flat = Face((0, 0, 1), Surface("sliver", None, "glass"))
+    with pytest.raises(InputError, match=r"faces without area\n  where +'sliver' near \("):
+        build_mesh(BOX, [flat])
+    with pytest.raises(InputError, match=r"no faces(.|\n)*none with an area, of 0"):
+        build_mesh(BOX, [])
+    for x in (-1e6, 1e6):
+        vertices = np.concatenate([BOX, [[x, 0.0, 0.0]]])
+        build_mesh(vertices, box_faces())
+        vertices[8, 0] = np.nextafter(x, 2.0 * x)
+        with pytest.raises(InputError, match="vertices is out of range"):
+            build_mesh(vertices, box_faces())
