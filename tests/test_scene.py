@@ -9,8 +9,17 @@ import pytest
 
 from roomfit.air import Air
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.geometry.mesh import SHOEBOX_SURFACES, volume_m3
-from roomfit.scene import Point, material_areas_m2, plan_in_words, scene_of, shoebox_room
+from roomfit.scene import (
+    Point,
+    is_clear_of_walls,
+    material_areas_m2,
+    plan_in_words,
+    position_findings,
+    scene_of,
+    shoebox_room,
+)
 
 LENGTHS_M = (6.0, 5.0, 3.0)
 SOURCES = {"LS1": (1.0, 1.0, 1.5)}
@@ -104,3 +113,56 @@ def test_a_plan_and_its_mirror_image_read_differently(room):
         "LS1 stands 0.80 m from south (plaster), the nearest surface, and 0.90 m above the lowest "
         "point of the room."
     )
+
+
+@pytest.mark.parametrize(
+    ("n", "n_outside", "misread"),
+    [(2, 1, False), (2, 2, True), (3, 2, True), (6, 2, False), (6, 3, True), (7, 3, False),
+     (7, 4, True)],
+)  # fmt: skip
+def test_positions_are_misread_where_half_of_them_are_outside_and_all_inside_in_other_units(
+    room, n, n_outside, misread
+):
+    """Two at least. In feet what is within 19.7, 16.4 and 9.8 is inside, in metres 6, 5 and 3."""
+    at = [(10.0 + 0.5 * i, 4.0, 1.0) for i in range(n_outside)]
+    at += [(1.0 + 0.5 * i, 4.0, 1.0) for i in range(n - n_outside)]
+    points = [Point(f"p{i}", np.array(p)) for i, p in enumerate(at)]
+    found = position_findings(room, points[:1], points[1:])
+    told = [f for f in found if f.code is Code.POSITIONS_MISREAD]
+    assert bool(told) == misread
+    if misread:
+        text = str(told[0].sentence)
+        assert f"{n_outside} of {n} positions" in text and "taken as feet" in text
+
+
+@pytest.mark.parametrize(
+    ("position_m", "words"),
+    [
+        ((120.0, 100.0, 60.0), "as inches"), ((300.0, 250.0, 150.0), "as centimetres"),
+        ((5900.0, 3000.0, 1500.0), "as millimetres"),
+        ((13.0, 31.0, -22.0), "with y up"), ((13.0, 31.0, 22.0), "as x, z, y"),
+        ((22.0, 13.0, 31.0), "as y, x, z"),
+    ],
+)  # fmt: skip
+def test_other_units_and_axes_are_named(room, position_m, words):
+    """Axes in a room that stands elsewhere, since all that is positive is in it in some unit."""
+    if words.startswith(("as x", "as y", "with")):
+        mesh = replace(room.mesh, vertices_m=room.mesh.vertices_m + [10.0, 20.0, 30.0])
+        room = replace(room, mesh=mesh, shoebox_m=None)
+    points = [Point(n, np.array(position_m) + d) for n, d in (("S", 0.0), ("R", 0.1))]
+    (told,) = (
+        f
+        for f in position_findings(room, points[:1], points[1:])
+        if f.code is Code.POSITIONS_MISREAD
+    )
+    assert words in told.sentence
+
+
+def test_a_point_is_in_a_wall_within_a_centimetre_and_two_are_one_within_a_centimetre(room):
+    for off_m, clear in ((0.0099, False), (0.0101, True)):
+        near = (Point("S", np.array([off_m, 2.0, 1.0])), Point("R", np.array([3.0, 2.0, 1.0])))
+        assert (not position_findings(room, near[:1], near[1:])) == clear
+        pair = (Point("S", np.array([3.0 + off_m, 2.0, 1.0])), near[1])
+        assert (not position_findings(room, pair[:1], pair[1:])) == clear
+    where = np.array([[0.5, 2.0, 1.0], [0.49, 2.0, 1.0], [-1.0, 2.0, 1.0], [3.0, 2.5, 2.5]])
+    assert is_clear_of_walls(room, where, 0.5).tolist() == [True, False, False, True]

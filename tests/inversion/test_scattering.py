@@ -127,3 +127,8 @@ def test_a_trace_serves_near_coefficients_and_is_made_again_for_far_ones(monkeyp
         paths = with_scattering(traced[serving].paths, scattering)
         np.testing.assert_array_equal(np.sort(rows.weight_per_m2), np.sort(paths.weight_per_m2))
     assert made == [1, 2, 2, 2, 3, 4, 4]
+    # walls that scattered all have no mirrored path that could be weighed
+    retracer, before = Retracer(scene, bands, settings), len(traced)
+    for s, n in ((1.0, 1), (0.97, 2), (1.0, 2)):
+        retracer.at(uniform_scattering(scene.room.materials, s))
+        assert len(traced) - before == n
