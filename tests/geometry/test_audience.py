@@ -134,7 +134,7 @@ def test_walls_are_met_within_their_triangles_alone():
                 pytest.approx(wanted, rel=1e-6) if np.isfinite(wanted) else np.inf
             )
             n_met += np.isfinite(wanted)
-    assert n_met > 25
+    assert n_met > 10
 
 
 def test_another_block_is_met_at_its_edges_as_seen_from_above():
