@@ -313,3 +313,57 @@ def test_campaigns_are_found_by_patterns_each_once_and_in_order(tmp_path: Path) 
     # what is there is no pattern, whatever letters it has
     assert campaign_paths([paths[2]]) == (paths[2],)
     assert campaign_paths([tmp_path / "none.toml"]) == (tmp_path / "none.toml",)
+
+
+def test_a_row_of_an_answer_has_the_means_of_500_and_1000_hz_or_of_all_bands_where_neither_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def mean(hz: float, value: float) -> dict[str, object]:
+        own = {"absorption": value, "lower95": value - 0.1, "upper95": value + 0.2}
+        return {"kind": "mean", "band_hz": hz, **own}
+
+    content: dict[str, object] = {
+        "bands_hz": [500, 1000, 2000],
+        "materials": {"a": {"identifiable": [True, False, 1]}, "b": {"identifiable": [True] * 3}},
+        # of a band stated twice the first counts
+        "combinations": [mean(500, 0.2), mean(1000, 0.4), mean(2000, 0.9), mean(500, 0.7),
+                         {"kind": "sum", "band_hz": 1000, "absorption": 0.8}],
+        "findings": [{"code": c, "severity": s} for c, s in
+                     (("x", "warning"), ("y", "info"), ("z", "serious"), ("x", "warning"))],
+        "pairs": [],
+        "fit": {"phi": [1.5, None, 2.5], "seconds": 7},
+    }  # fmt: skip
+    monkeypatch.setattr(batch, "read_result_content", lambda _path: (content, None))
+    row = batch._answered("a", Path("folder"), "rooms/a")
+    assert (row.name, row.status, row.folder) == ("a", "done", "rooms/a")
+    assert (row.identifiable, row.values, row.findings) == (5, 6, ("x", "z"))
+    np.testing.assert_allclose(row.mean, [0.3, 0.2, 0.5])
+    assert (row.chi2_reduced, row.seconds) == (2.5, 7.0)
+    content["bands_hz"] = [2000, 4000]
+    np.testing.assert_allclose(batch._answered("a", Path("f"), "r").mean, [0.9, 0.8, 1.1])
+    content["bands_hz"], content["fit"] = [4000], {"phi": [None], "seconds": 7}
+    row = batch._answered("a", Path("f"), "r")
+    assert np.isnan(row.mean).all() and np.isnan(row.chi2_reduced)
+
+
+def test_rows_are_written_with_their_reports_and_counted_by_how_they_ended() -> None:
+    done = batch.RoomRow(
+        "a", "done", "rooms/a b", identifiable=3, values=4, mean=(0.2, 0.1, 0.3),
+        decay_s=(1.25, 1.5), chi2_reduced=1.1, findings=("x", "y"), seconds=2.0,
+    )  # fmt: skip
+    failed = batch.RoomRow("b", "failed", message="one\n  two")
+    assert batch.counted([done, failed, done]) == "3 rooms: 2 done, 1 failed."
+    numbers = (3, 4, 0.2, 0.1, 0.3, 1.25, 1.5, 1.1)
+    assert batch._record(done) == ("a", "done", "rooms/a b/report.html", *numbers, "x y", 2.0, "")
+    assert batch._record(failed)[2] == "" and batch._record(failed)[-1] == "one two"
+    text = rooms_text([done, failed])
+    (line,) = (x for x in text.splitlines() if x.startswith("a "))
+    assert " ".join(line.split()) == "a done 3 of 4 0.20 (0.10 to 0.30) 1.25 s (1.50 s)"
+    assert "2 rooms: 1 done, 1 failed." in text
+    name, status, share, mean, measured, predicted, chi2, findings = batch._page_row(done)
+    assert (name, share, measured, predicted, chi2) == ("a", "3 of 4", 1.25, 1.5, 1.1)
+    assert status.link == "rooms/a%20b/report.html" and findings.small == ("x", "y")
+    assert (mean.text, mean.small) == ("0.20", ("0.10 to 0.30",))
+    _, status, share, mean, *_ = batch._page_row(failed)
+    assert status.small == ("one", "  two") and status.link == "" and share == ""
+    assert mean.small == ()

@@ -399,3 +399,44 @@ def test_few_responses_stand_for_all_and_fall_in_two_bands_alone():
         of_pair = [names[r] for _, r in found.scene.pairs]
         assert of_pair == [f"R{i}" for i in range(0, n, step)] and found.values == ()
         np.testing.assert_array_equal(found.responses[0].noise.tail_time_constant_s, [1, 0, 3])
+
+
+def test_errors_that_windows_share_are_those_of_the_files_and_sources_of_a_band(monkeypatch):
+    """Each source by its own number in the scene; what has no windows stays as it is."""
+    scene = SimpleNamespace(room="room", air="air", pairs=np.array([[3, 0], [1, 2], [2, 1]]))
+    measured = SimpleNamespace(scene=scene, bands="bands", responses="responses")
+    traced = SimpleNamespace(paths="paths", scattering="s", scattering_sd="sd")
+    files = [SimpleNamespace(pair=p) for p in (2, 0)]
+    passed_on(
+        monkeypatch,
+        solve,
+        fitted_in_band=lambda responses, band: (
+            files if (responses, band) == ("responses", 5) else []
+        ),
+        physical_values=lambda parameters, vector: (
+            {"absorption": (parameters, vector.size)},
+            None,
+        ),
+        relative_errors=lambda *arguments: ("relative", *arguments),
+        shared_errors=lambda *arguments: ("shared", *arguments),
+        with_shared_errors=lambda *arguments, areas_m2: ("with", *arguments, areas_m2),
+    )
+    fit = SimpleNamespace(vector=np.zeros(4))
+    objective = SimpleNamespace(as_energies=lambda _: "windows", parameters="parameters")
+    add = solve.shared_error_covariance(measured, traced)
+    walls = ("parameters", 4)
+    relative = ("relative", "air", "bands", "windows", "paths", walls, ("s", "sd"))
+    shared = ("shared", objective, fit, [2, 3], relative)
+    assert add(5, objective, fit) == ("with", objective, fit, shared, ("areas", "room"))
+    alone = SimpleNamespace(as_energies=lambda _: None, parameters="parameters")
+    assert add(5, alone, fit) is fit
+    nothing = SimpleNamespace(vector=np.zeros(0))
+    assert add(5, objective, nothing) is nothing
+
+
+def test_the_speed_of_sound_is_as_uncertain_as_the_settings_or_the_temperature_say():
+    air = roomfit.Air(temperature_c=20.0)
+    assert solve.prior_speed_sd(air, Settings(speed_of_sound_sd=0.02)) == 0.02
+    found = solve.prior_speed_sd(air, Settings(temperature_sd_c=2.0))
+    assert found == pytest.approx(2.0 / (2.0 * 293.15))
+    assert solve.prior_speed_sd(air, Settings(temperature_sd_c=0.0)) == 1e-6
