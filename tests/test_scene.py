@@ -9,16 +9,26 @@ import pytest
 
 from roomfit.air import Air
 from roomfit.errors import InputError
-from roomfit.findings import Code
-from roomfit.geometry.mesh import SHOEBOX_SURFACES, volume_m3
+from roomfit.findings import About, Code, Finding
+from roomfit.geometry.mesh import SHOEBOX_SURFACES, Mesh, refuse, volume_m3
 from roomfit.scene import (
     Point,
+    axis_findings,
+    check_mesh,
+    distances_m,
     is_clear_of_walls,
+    material_areas,
     material_areas_m2,
+    material_findings,
+    materials_of_surfaces,
+    object_pairs,
+    pair_names,
     plan_in_words,
     position_findings,
     scene_of,
     shoebox_room,
+    with_objects,
+    with_states,
 )
 
 LENGTHS_M = (6.0, 5.0, 3.0)
@@ -166,3 +176,94 @@ def test_a_point_is_in_a_wall_within_a_centimetre_and_two_are_one_within_a_centi
         assert (not position_findings(room, pair[:1], pair[1:])) == clear
     where = np.array([[0.5, 2.0, 1.0], [0.49, 2.0, 1.0], [-1.0, 2.0, 1.0], [3.0, 2.5, 2.5]])
     assert is_clear_of_walls(room, where, 0.5).tolist() == [True, False, False, True]
+
+
+def bare_box() -> Mesh:
+    """Return the box, whose floor and south have no material, and a sheet counted twice."""
+    mesh = shoebox_room(LENGTHS_M, "plaster").mesh
+    own = {"floor": None, "south": "", "north": "sheet", "east": "wood"}
+    surfaces = tuple(
+        replace(s, file_material=own.get(s.name, "stone"), double_sided=s.name == "north")
+        for s in mesh.surfaces
+    )
+    return replace(mesh, surfaces=surfaces)
+
+
+def test_surfaces_without_a_material_are_a_fault_with_their_number_area_and_first_place():
+    mesh = bare_box()
+    (found,) = material_findings(mesh, {})
+    assert "2 surfaces, 48.00 m2" in found.sentence
+    with pytest.raises(InputError) as refused:
+        refuse((found,))
+    # the first in the order of the mesh: corners (0, 0, 0), (6, 0, 0) and (6, 0, 3)
+    assert "'south' near (4.000, 0.000, 1.000) m" in str(refused.value)
+    assert '"south" = "plaster"' in str(refused.value)
+    points_m = np.array(found.about.points_m)
+    assert points_m.shape == (4, 3)
+    np.testing.assert_array_equal((points_m[:, 1] == 0.0) | (points_m[:, 2] == 0.0), True)
+    assert material_findings(mesh, {"floor": "carpet", "south": "plaster"}) == ()
+    with pytest.raises(InputError, match=r"does not exist(.|\n)*'roof'"):
+        material_findings(mesh, {"roof": "tiles"})
+    with pytest.raises(InputError, match="without a name"):
+        material_findings(mesh, {"floor": ""})
+
+
+def test_areas_of_materials_come_largest_first_and_those_of_sheets_twice():
+    """West 15, east 15, south and north 18, floor and ceiling 30 m2."""
+    found = material_areas(bare_box(), {"walls": "paint", "north": "curtain"})
+    assert list(found.items()) == [
+        ("paint", 48.0), ("curtain", 36.0), (None, 30.0), ("stone", 30.0),
+    ]  # fmt: skip
+
+
+def test_a_room_is_described_by_its_numbers_and_told_what_forbids_tracing_it():
+    mesh = bare_box()
+    found = check_mesh(replace(mesh, surfaces=shoebox_room(LENGTHS_M, "p").mesh.surfaces), {})
+    assert found.size_m == LENGTHS_M and found.n_triangles == 12 and found.n_surfaces == 6
+    assert found.volume_m3 == pytest.approx(90.0) and found.surface_m2 == pytest.approx(126.0)
+    assert found.mean_free_path_m == pytest.approx(4 * 90.0 / 126.0)
+    assert found.closed and found.traceable and found.findings == ()
+    earlier = (Finding(Code.FIRST_ANSWER, About(), "before"),)
+    faulty = check_mesh(replace(mesh, surfaces=tuple(
+        replace(s, double_sided=False) for s in mesh.surfaces
+    )), {}, earlier)  # fmt: skip
+    assert [f.code for f in faulty.findings[:2]] == [Code.FIRST_ANSWER, Code.NO_MATERIAL]
+    assert not faulty.traceable
+
+
+@pytest.mark.parametrize(("axes", "axis"), [((0, 1, 2), None), ((0, 2, 1), "y"), ((2, 1, 0), "x")])
+def test_a_floor_that_stands_upright_makes_one_ask_which_axis_points_up(axes, axis):
+    mesh = shoebox_room(LENGTHS_M, "plaster").mesh
+    turned = replace(mesh, vertices_m=mesh.vertices_m[:, list(axes)])
+    found = axis_findings(turned)
+    assert [f.evidence for f in found] == (
+        [] if axis is None else [{"surfaces": "floor, ceiling", "axis": axis}]
+    )
+    nameless = tuple(replace(s, name=f"s{i}", file_material=None) for i, s in
+                     enumerate(mesh.surfaces))  # fmt: skip
+    assert axis_findings(replace(turned, surfaces=nameless)) == ()
+
+
+def test_states_change_the_surfaces_that_they_name_and_share_what_they_have_in_common():
+    room = shoebox_room(LENGTHS_M, {"walls": "plaster", "floor": "carpet"})
+    states = with_states(room, {"a": {"north": "felt", "walls": "wood"}, "b": {"floor": "felt"}})
+    assert states.materials == ("plaster", "carpet", "ceiling", "wood", "felt")
+    assert materials_of_surfaces(states).tolist() == [
+        [0, 0, 0, 0, 1, 2], [3, 3, 3, 4, 1, 2], [0, 0, 0, 0, 4, 2],
+    ]  # fmt: skip
+    assert material_areas_m2(states, 1).tolist() == [0.0, 30.0, 30.0, 48.0, 18.0]
+    seated = with_objects(states, {"people": ["", "b"], "seats": None})
+    scene = scene_of(seated, SOURCES, RECEIVERS)
+    scene = replace(scene, pairs=[[0, 0], [0, 1], [0, 0]], pair_state=[0, 1, 2])
+    there = object_pairs(scene)
+    assert there[:, :5].sum() == 0
+    assert there[:, 5:].tolist() == [[True, True], [False, True], [True, True]]
+    assert object_pairs(scene_of(states, SOURCES, RECEIVERS)) is None
+    assert pair_names(scene) == [("LS1", "MP1", ""), ("LS1", "MP2", "a"), ("LS1", "MP1", "b")]
+    np.testing.assert_allclose(distances_m(scene), [np.sqrt(13.09), np.sqrt(10.09), np.sqrt(13.09)])
+    with pytest.raises(InputError, match="after objects"):
+        with_states(seated, {"c": {}})
+    with pytest.raises(InputError, match="state"):
+        with_objects(states, {"people": ["x"]})
+    with pytest.raises(InputError, match="same name|name of a material"):
+        with_objects(states, {"felt": None})
