@@ -157,7 +157,7 @@ def test_positions_are_misread_where_half_of_them_are_outside_and_all_inside_in_
 def test_other_units_and_axes_are_named(room, position_m, words):
     """Axes in a room that stands elsewhere, since all that is positive is in it in some unit."""
     if words.startswith(("as x", "as y", "with")):
-        mesh = replace(room.mesh, vertices_m=room.mesh.vertices_m + [10.0, 20.0, 30.0])
+        mesh = replace(room.mesh, vertices_m=room.mesh.vertices_m + np.array([10.0, 20.0, 30.0]))
         room = replace(room, mesh=mesh, shoebox_m=None)
     points = [Point(n, np.array(position_m) + d) for n, d in (("S", 0.0), ("R", 0.1))]
     (told,) = (
@@ -265,5 +265,5 @@ def test_states_change_the_surfaces_that_they_name_and_share_what_they_have_in_c
         with_states(seated, {"c": {}})
     with pytest.raises(InputError, match="state"):
         with_objects(states, {"people": ["x"]})
-    with pytest.raises(InputError, match="same name|name of a material"):
+    with pytest.raises(InputError, match=r"same name|name of a material"):
         with_objects(states, {"felt": None})

@@ -111,7 +111,7 @@ def test_energies_are_fitted_where_pressures_do_not_decide_with_the_factors_of_t
         "material_areas_m2": lambda room: ("areas", room),
         "row_bases": lambda *arguments: arguments,
         "energy_term": lambda *arguments: None if arguments[-1] == 1 else (arguments, "block"),
-        "fitted_in_band": lambda measured, band: ["x", "y", "z"],
+        "fitted_in_band": lambda *_: ["x", "y", "z"],
         "directed_band": lambda *arguments: Rows(arguments),
         "energy_objective": lambda *arguments: Problem(arguments),
         "variance_inflation": lambda _w, files, outliers, n: (tuple(files), outliers, n),
