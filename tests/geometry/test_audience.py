@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roomfit.errors import InputError
-from roomfit.geometry.audience import audience_area_m2
+from roomfit.geometry.audience import _to_block_m, _to_walls_m, audience_area_m2
 from roomfit.geometry.build import Face, build_mesh, oriented
 from roomfit.geometry.mesh import Mesh, Surface, shoebox_mesh
 
@@ -110,3 +110,39 @@ def hall_with_a_block(height_m: float) -> Mesh:
 def test_outlines_that_are_no_block_in_the_air_are_refused(mesh, corners, words):
     with pytest.raises(InputError, match=words):
         audience_area_m2(mesh, [corners], 0.5)
+
+
+def test_walls_are_met_within_their_triangles_alone():
+    """Against crossings of planes and shares of three corners, from random points and ways."""
+    rng = np.random.default_rng(8)
+    walls_m = rng.uniform(-1.0, 1.0, (12, 3, 3))
+    walls_m[0, :, 2] = 0.3  # level, so that no level way meets it
+    starts_m = rng.uniform(-1.5, 1.5, (60, 3))
+    n_met = 0
+    for direction in np.append(rng.normal(size=(5, 2)), np.zeros((5, 1)), axis=1):
+        way = direction / np.linalg.norm(direction)
+        found = _to_walls_m(walls_m, starts_m, way)
+        for start, distance_m in zip(starts_m, found, strict=True):
+            wanted = np.inf
+            for corners in walls_m[1:]:
+                normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+                along = float(normal @ (corners[0] - start) / (normal @ way))
+                shares = np.linalg.solve(corners.T, start + along * way)
+                if along > 0.0 and np.all(shares >= 0.0):
+                    wanted = min(wanted, along)
+            assert distance_m == (
+                pytest.approx(wanted, rel=1e-6) if np.isfinite(wanted) else np.inf
+            )
+            n_met += np.isfinite(wanted)
+    assert n_met > 10
+
+
+def test_another_block_is_met_at_its_edges_as_seen_from_above():
+    """A square from 2 to 4 m; behind the start it is not, and its corners belong to it."""
+    square = np.array([(2.0, -1.0), (4.0, -1.0), (4.0, 1.0), (2.0, 1.0)])
+    starts = np.array([(0.0, 0.0), (0.0, 1.0), (0.0, 1.001), (3.0, 0.5), (5.0, 0.0), (0.0, -1.0)])
+    found = _to_block_m(square, starts, np.array([1.0, 0.0]))
+    np.testing.assert_allclose(found, [2.0, 2.0, np.inf, 1.0, np.inf, 2.0])
+    slanted = _to_block_m(square, np.array([(0.0, -2.0)]), np.array([0.6, 0.8]))
+    # along (3, 4): at x = 2 it is at y = 2/3
+    np.testing.assert_allclose(slanted, [2.0 / 0.6])

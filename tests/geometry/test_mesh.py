@@ -13,7 +13,7 @@ from boxes_in_space import box_with_doors
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.geometry import inside
-from roomfit.geometry.build import Face, build_mesh, oriented
+from roomfit.geometry.build import Face, build_mesh, listed, oriented
 from roomfit.geometry.check import examine, find_leaks
 from roomfit.geometry.inside import distance_to_walls_m, interior_points, is_inside
 from roomfit.geometry.mesh import (
@@ -527,3 +527,53 @@ def test_a_face_of_a_corner_that_is_not_there_is_refused_with_its_place(corners,
         build_mesh(BOX, [*box_faces(), Face(corners, WALL)])
     # the last corner there is, and three of them, are enough
     build_mesh(BOX, [*box_faces()[:-1], Face((4, 5, 7), WALL), Face((4, 7, 6), WALL)])
+
+
+def test_faces_that_are_doubtful_are_told_from_their_limits_on_and_others_kept():
+    """A wall that is folded across: 1 mm is the most that is flat, 1 cm the most that is cut."""
+    for off_m, expected in (
+        (0.95e-3, []),
+        (1.05e-3, [Code.WARPED_POLYGON]),
+        (9.5e-3, [Code.WARPED_POLYGON]),
+        (10.5e-3, [Code.POLYGON_NOT_PLANAR]),
+    ):
+        vertices = BOX.copy()
+        # lifted by four times as much, one corner of four lies so far off the plane of the mean
+        (corner,) = np.flatnonzero((BOX.max(axis=0) == BOX).all(axis=1))
+        vertices[corner, 2] += 4.0 * off_m
+        ceiling = [f for f in box_faces() if (BOX[list(f.corners), 2] == BOX[:, 2].max()).all()]
+        _, findings = build_mesh(vertices, ceiling)
+        assert codes(findings) == expected
+        for found in findings:
+            assert found.evidence["off_plane_m"] == pytest.approx(off_m, rel=1e-3)
+
+
+def test_a_bow_tie_among_the_faces_is_a_finding_and_its_triangles_stay():
+    vertices = np.concatenate([BOX, [[1, 1, 1], [4, 3, 1], [4, 1, 1], [1, 2, 1]]])
+    bow = Face((8, 9, 10, 11), Surface("bow", None, "felt"))
+    mesh, findings = build_mesh(vertices, [*box_faces(), bow])
+    assert codes(findings) == [Code.SELF_INTERSECTING_POLYGON]
+    assert "1 face is" in findings[0].sentence and "'bow' near" in findings[0].sentence
+    assert [s.name for s in mesh.surfaces][-1] == "bow"
+
+
+def test_of_many_places_the_first_are_listed_and_the_others_counted():
+    spots = [(f"s{i}", "(0, 0, 0) m") for i in range(9)]
+    text = listed(spots)
+    n = text.count("near")
+    assert text.endswith(f" and {9 - n} more") and "'s0' near (0, 0, 0) m" in text
+    assert listed(spots[:n]).count("near") == n and "more" not in listed(spots[:n])
+
+
+def test_a_room_of_faces_without_area_alone_is_refused_with_their_places():
+    flat = Face((0, 0, 1), Surface("sliver", None, "glass"))
+    with pytest.raises(InputError, match=r"faces without area\n  where +'sliver' near \("):
+        build_mesh(BOX, [flat])
+    with pytest.raises(InputError, match=r"no faces(.|\n)*none with an area, of 0"):
+        build_mesh(BOX, [])
+    for x in (-1e6, 1e6):
+        vertices = np.concatenate([BOX, [[x, 0.0, 0.0]]])
+        build_mesh(vertices, box_faces())
+        vertices[8, 0] = np.nextafter(x, 2.0 * x)
+        with pytest.raises(InputError, match="vertices is out of range"):
+            build_mesh(vertices, box_faces())

@@ -115,3 +115,20 @@ def test_a_polygon_of_one_place_or_one_line_has_no_triangles(corners):
     found = triangulate(corners)
     assert found.triangles.shape == (0, 3) and found.off_plane_m == 0.0
     assert found.area_m2 == pytest.approx(0.0, abs=1e-15)
+
+
+@pytest.mark.parametrize("size_m", [1e-3, 1.0, 1e3])
+def test_area_counts_from_a_millionth_of_a_millionth_of_the_squared_perimeter_on(size_m):
+    """Of a polygon of any size, and twice that of its triangles: a strip, and a sliver in one."""
+    for height, counts in ((3.99e-12, False), (4.01e-12, True)):
+        strip = np.array([[0, 0, 0], [1, 0, 0], [1, height, 0], [0, height, 0]])
+        assert bool(triangulate(size_m * strip).triangles.size) == counts
+        thin = np.array([[0, 0, 0], [1, 0, 0], [0.5, 2.0 * height, 0]])
+        assert bool(triangulate(size_m * thin).triangles.size) == counts
+    for height, n in ((1.04e-11, 1), (1.06e-11, 2)):  # of a perimeter of 3.236
+        kite = np.array([[0, 0, 0], [0.5, -height, 0], [1, 0, 0], [0.5, 1, 0]])
+        cut = triangulate(size_m * kite)
+        assert len(cut.triangles) == n and not cut.crosses_itself
+        assert cut.area_m2 == pytest.approx(0.5 * size_m**2, rel=1e-9)
+    floor = size_m * np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1e-3]])
+    assert triangulate(floor).off_plane_m == pytest.approx(2.5e-4 * size_m, rel=1e-5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,18 +11,26 @@ import pytest
 import roomfit
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
-from roomfit.inversion.compare import compare_all, compare_pairs, interference
+from roomfit.inversion import compare
+from roomfit.inversion.compare import (
+    _better,
+    compare_all,
+    compare_pairs,
+    compared_values,
+    interference,
+)
 from roomfit.inversion.measurements import Measurements, collect_measurements
 from roomfit.inversion.paths import TracedPaths, traced_paths
 from roomfit.inversion.traced_room import trace_room
 from roomfit.materials.priors import complete_priors
 from roomfit.response.binned import BinnedPaths
 from roomfit.response.energy import EnergyRows
+from roomfit.results import Compared, ComparedPair
 from roomfit.scene import Scene
 from roomfit.settings import Settings
 from roomfit.signals.decay import PARAMETER_NAMES
 from roomfit.signals.filters import frequency_response
-from roomfit.signals.iso3382 import VALUE_NAMES
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues
 from roomfit.synthetic.boxes import SyntheticBox, pressure_response
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
@@ -203,3 +212,63 @@ def test_a_prediction_adds_pressures_where_those_of_the_fitted_pairs_do(by_image
     np.testing.assert_allclose(
         found[0, :, strength, 1] - found[1, :, strength, 1], gain_db, atol=0.2
     )
+
+
+def test_pressures_are_better_where_their_mean_error_over_what_both_know_is_smaller():
+    """Of fitted pairs; a value that one of the two does not know counts in neither."""
+
+    def pair(use: str, *jnd: list[float]) -> ComparedPair:
+        off = np.zeros(4)
+        rows = {str(i): Compared(off, off, off, np.array(row)) for i, row in enumerate(jnd)}
+        return ComparedPair("S", "R", use, rows, None)
+
+    first = [pair("fit", [-1.0, 2.0, 1.0, 0.5], [1.0, np.nan, 1.0, 0.5]),
+             pair("validate", [0.0, 0.0, 9.0, 0.0], [0.0] * 4)]  # fmt: skip
+    second = [pair("fit", [1.5, 1.9, 1.0, 0.6], [-1.0, 9.0, 1.0, 0.6]),
+              pair("validate", [0.0] * 4, [0.0] * 4)]  # fmt: skip
+    every = np.ones(4, dtype=np.bool_)
+    assert _better(every, first, second).tolist() == [True, False, False, True]
+    assert _better(np.array([1, 1, 1, 0], bool), first, second).tolist() == [True] + 3 * [False]
+
+
+def test_the_baseline_of_a_value_is_the_mean_of_all_others_that_know_it():
+    values = [
+        MeasuredValues("S", r, BANDS.centres_hz, {"T20_s": row, **more})
+        for r, row, more in (
+            ("A", [1.0, np.nan, np.nan], {}),
+            ("B", [2.0, 3.0, np.nan], {"C50_dB": [np.nan] * 3}),
+            ("C", [6.0, 5.0, np.nan], {}),
+        )
+    ]
+    predicted = [np.full((len(VALUE_NAMES), 3), x) for x in (1.5, 2.0, 3.0)]
+    found = compared_values(values, predicted, values[:2], BANDS)
+    assert [list(table) for table in found] == [["T20_s"]] * 3
+    rows = [table["T20_s"] for table in found]
+    np.testing.assert_array_equal(rows[0].null, [2.0, 3.0, np.nan])
+    np.testing.assert_array_equal(rows[1].null, [1.0, np.nan, np.nan])
+    np.testing.assert_array_equal(rows[2].null, [1.5, 3.0, np.nan])
+    np.testing.assert_array_equal(rows[2].measured, [6.0, 5.0, np.nan])
+    np.testing.assert_array_equal(rows[2].predicted, [3.0] * 3)
+    # 5 % of T is a just noticeable difference
+    np.testing.assert_allclose(rows[2].jnd[:2], [-0.5 / 0.05, -0.4 / 0.05])
+
+
+def test_the_baseline_of_a_response_is_of_other_fitted_ones_in_its_state(monkeypatch):
+    def heard(value: float, use: str = "fit", state: str = "") -> SimpleNamespace:
+        return SimpleNamespace(
+            measurement=SimpleNamespace(source="S", receiver="R", use=use, state=state),
+            parameters=SimpleNamespace(of=lambda _: np.array([value])), curve=None, pair=0,
+        )  # fmt: skip
+
+    monkeypatch.setattr(compare, "in_forks", lambda f, of: [f(x) for x in of])
+    monkeypatch.setattr(compare, "predicted_curve", lambda *_: None)
+    monkeypatch.setattr(compare, "reduced_alike", lambda *_: None)
+    monkeypatch.setattr(compare, "_decay", lambda *_: None)
+    other = SimpleNamespace(of=lambda _: np.array([9.0]))
+    monkeypatch.setattr(compare, "room_parameters", lambda _: other)
+    given = (heard(1.0), heard(3.0), heard(7.0, "validate"), heard(8.0, state="b"), heard(5.0))
+    found = compare_pairs(None, [0], None, given, None)
+    nulls = [float(p.parameters["T20_s"].null[0]) for p in found]
+    np.testing.assert_array_equal(nulls, [4.0, 3.0, 3.0, np.nan, 2.0])
+    assert [(p.use, p.state) for p in found][2:4] == [("validate", ""), ("fit", "b")]
+    assert {float(p.parameters["EDT_s"].predicted[0]) for p in found} == {9.0}

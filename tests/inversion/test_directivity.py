@@ -37,6 +37,7 @@ from roomfit.inversion.directivity import (
     directivity_parameters,
     omnidirectional,
     source_scorer,
+    with_fitted_sources,
 )
 from roomfit.inversion.measurements import Measurements, collect_measurements
 from roomfit.inversion.paths import TracedPaths
@@ -553,3 +554,50 @@ def test_a_loudspeaker_that_is_not_defined_is_named(tmp_path: Path) -> None:
         read_campaign(shared_campaign(tmp_path, "bx"))
     assert "box" in str(caught.value)
     assert "sources.LS1.directivity.loudspeaker" in str(caught.value)
+
+
+def test_sources_without_a_directivity_are_tested_in_their_order():
+    sources = [SimpleNamespace(name=n) for n in "ABCD"]
+    scene = SimpleNamespace(sources=sources)
+    found = omnidirectional(SimpleNamespace(scene=scene, directivities={"A": 0, "C": 0}))
+    assert found.sources == ("B", "D") and found.of_source.tolist() == [-1, 0, -1, 1]
+    np.testing.assert_array_equal(found.mean, np.zeros((2, 3)))
+    np.testing.assert_array_equal(found.sd, [0.5, 0.5])
+    whole = omnidirectional(SimpleNamespace(scene=scene, directivities={}))
+    assert whole.of_source.tolist() == [0, 1, 2, 3]
+    assert (
+        omnidirectional(SimpleNamespace(scene=scene, directivities=dict.fromkeys("ABCD"))) is None
+    )
+
+
+def test_sources_that_are_contradicted_gain_more_than_the_bands_together_allow():
+    """In each source by itself, over all bands; vectors in the order of the bands."""
+    tested = SimpleNamespace(sources=("A", "B"))
+    vectors = np.arange(12.0).reshape(2, 2, 3)
+
+    def scores(gain: float):
+        return {1: (np.array([gain, 0.0]), vectors[1]), 0: (np.array([gain, 1.0]), vectors[0])}
+
+    least = 2 * directivity._GAIN_PER_BAND + directivity._GAIN
+    assert contradicted_sources(tested, scores(0.5 * least)) == ()
+    (found,) = contradicted_sources(tested, scores(0.501 * least))
+    assert found.source == "A" and found.log_likelihood_gain == pytest.approx(1.002 * least)
+    np.testing.assert_array_equal(found.b, vectors[:, 0])
+    assert contradicted_sources(None, scores(least)) == contradicted_sources(tested, {}) == ()
+
+
+def test_sources_that_were_tested_are_fitted_beside_those_that_are_fitted_already():
+    tested = DirectivityParameters(
+        ("B", "D"), np.array([-1, 0, -1, 1]), np.ones((2, 3)), np.ones(2)
+    )
+    alone = with_fitted_sources(None, tested)
+    assert alone.sources == ("B", "D") and alone.of_source.tolist() == [-1, 0, -1, 1]
+    assert alone.aims == (None,) * 4
+    unknown = DirectivityParameters(
+        ("A", "X", "C"), np.array([0, -1, 2, -1]), np.zeros((3, 3)), np.zeros(3), tuple("aims")
+    )
+    found = with_fitted_sources(unknown, tested)
+    assert found.sources == ("A", "X", "C", "B", "D") and found.aims == tuple("aims")
+    assert found.of_source.tolist() == [0, 3, 2, 4]
+    np.testing.assert_array_equal(found.mean, [[0] * 3] * 3 + [[1] * 3] * 2)
+    np.testing.assert_array_equal(found.sd, [0, 0, 0, 1, 1])

@@ -549,3 +549,60 @@ def test_stated_offsets_are_found_where_the_data_and_what_is_stated_have_them(mo
     assert found.sd_m[1] == pytest.approx(1.0 / np.sqrt(precision), rel=0.02)
     np.testing.assert_allclose(found.shift_m[[0, 2, 3]], 0.0, atol=5e-3)
     assert found.beyond is None
+
+
+@pytest.mark.parametrize("moved_m", [0.0, 0.05])
+def test_what_is_farthest_beyond_the_specified_is_looked_for_from_where_its_axis_is_as_specified(
+    moved_m,
+):
+    """Other axes keep what they were fitted to. It must gain ten units beside its own prior."""
+    outline = box_of_three_offsets((moved_m, 0.0, 0.0))
+    inside, asked = np.array([0.01, 0.02, 0.0, 0.03]), []
+    top = np.array([-moved_m, 0.0, -0.4, 0.03])
+    prior = whole_displacement._log_prior(outline.offsets[2], 0.4)
+
+    class Worth:
+        def __init__(self, gain, here=-7.0, of_inside=-8.0):
+            self.gain, self.here, self.of_inside = gain, here, of_inside
+
+        def __call__(self, at, _roughly=False):
+            if np.allclose(at, inside):
+                return self.of_inside
+            return self.here + self.gain * float(np.allclose(at, top))
+
+        def foresee(self, shifts_m):
+            asked.extend(shifts_m)
+
+    def farthest(**given):
+        return whole_displacement._farthest(outline, Worth(**given), inside)
+
+    np.testing.assert_allclose(farthest(gain=10.1 - prior), top)
+    assert farthest(gain=9.9 - prior) is None
+    assert farthest(gain=60.0, of_inside=53.1) is None
+    assert farthest(gain=60.0, of_inside=52.9) is not None
+    # every offset, at either side of every step of the grid beyond 3.5 deviations, from its start
+    limits_m = [3.5 * np.hypot(o.sd_m, 0.035) for o in outline.offsets]
+    wanted = sum(2 * int(np.sum(g > m)) for m in limits_m for g in [whole_displacement._GRID_M])
+    assert len(asked) == 4 * wanted
+    assert any(np.allclose(a, [0.01, 0.02, 0.0, -0.3]) for a in asked)  # along y
+
+
+def test_what_went_beyond_the_specified_step_by_step_is_far_itself_unless_it_was_stated():
+    outline = box_of_three_offsets((0.1, 0.0, 0.0))
+    limit_m = 3.5 * np.hypot(0.01, 0.035) - 0.1
+
+    class Flat:
+        def __call__(self, _at, _roughly=False):
+            return 0.0
+
+        def foresee(self, _shifts_m):
+            pass
+
+    for by_m, is_far in ((limit_m - 1e-4, False), (limit_m + 1e-4, True)):
+        shift_m = np.array([by_m, 0.0, 0.0, 0.0])
+        found = whole_displacement._farthest(outline, Flat(), shift_m)
+        assert (found is not None) == is_far
+        if is_far:
+            np.testing.assert_array_equal(found, shift_m)
+    outline.offsets = tuple(replace(o, is_stated=True) for o in outline.offsets)
+    assert whole_displacement._farthest(outline, Flat(), shift_m) is None

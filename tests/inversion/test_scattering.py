@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -11,13 +14,15 @@ from roomfit.bands import bands_between
 from roomfit.diagnostics.scattering import check
 from roomfit.errors import InputError
 from roomfit.findings import Code
+from roomfit.inversion import scattering
 from roomfit.inversion.scattering import (
     GRID,
     Retracer,
     choose_scattering,
     tried_scattering,
 )
-from roomfit.materials.priors import uniform_scattering
+from roomfit.materials.priors import uniform_scattering, unknown_material
+from roomfit.settings import Settings
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.typing import FloatArray
@@ -121,9 +126,138 @@ def test_a_trace_serves_near_coefficients_and_is_made_again_for_far_ones(monkeyp
     # with the trace that serves each: that at 0 has to give way to that at 0.9, for two are kept
     each = ((0.0, 0), (0.3, 1), (0.32, 1), (0.3, 1), (0.9, 2), (0.0, 3), (0.9, 2))
     for s, serving in each:
-        scattering = uniform_scattering(scene.room.materials, s)
-        (rows,) = retracer.at(scattering).rows
+        wanted = uniform_scattering(scene.room.materials, s)
+        (rows,) = retracer.at(wanted).rows
         made.append(len(traced))
-        paths = with_scattering(traced[serving].paths, scattering)
+        paths = with_scattering(traced[serving].paths, wanted)
         np.testing.assert_array_equal(np.sort(rows.weight_per_m2), np.sort(paths.weight_per_m2))
     assert made == [1, 2, 2, 2, 3, 4, 4]
+    # walls that scattered all have no mirrored path that could be weighed
+    retracer, before = Retracer(scene, bands, settings), len(traced)
+    for s, n in ((1.0, 1), (0.97, 2), (1.0, 2)):
+        retracer.at(uniform_scattering(scene.room.materials, s))
+        assert len(traced) - before == n
+
+
+BANDS = bands_between("octave", 125, 8000)
+
+
+def scattering_of(monkeypatch, function, priors, fit=None, settings=None):
+    """Return what a function chooses, and what was asked of the fit of energies."""
+    asked = []
+
+    def energy_fit(measured, priors, settings, traced, start, chosen):
+        asked.append((traced, chosen))
+        return (
+            None if fit is None else (fit, np.full((len(priors), chosen.stop - chosen.start), 0.33))
+        )
+
+    monkeypatch.setattr(scattering, "_energy_fit", energy_fit)
+    traced = TraceSettings(0.9, 77_000, 3, keep_image_transforms=True)
+    measured = SimpleNamespace(bands=BANDS)
+    own = settings or Settings(default_scattering=0.1, n_scattering_rays=500)
+    rest = () if function is not scattering.chosen_scattering else (None,)
+    return function(measured, priors, own, traced, "start", *rest), asked
+
+
+def walls(*given):
+    return tuple(
+        replace(unknown_material(n, len(BANDS)), **more)
+        for n, more in zip("abcd", given, strict=False)
+    )
+
+
+@pytest.mark.parametrize(
+    ("truth", "value", "low", "high"),
+    [(0.07, 0.1, 0.05, 0.1), (0.35, 0.4, 0.4, 0.4), (0.0, 0.0, 0.0, 0.0), (0.1, 0.1, 0.1, 0.1)],
+)
+def test_unspecified_walls_share_the_likeliest_value_or_the_usual_one_where_that_is_as_likely(
+    monkeypatch, truth, value, low, high
+):
+    """Of the middle bands, in a short trace of few rays; what is specified stays as it is."""
+    specified = np.full(len(BANDS), 0.7)
+    priors = walls({}, {"scattering": specified}, {"fit_scattering": True}, {})
+    # two walls in two bands: 1.92 below the top lies 0.029 off
+    fit = bell(np.array([[truth], [0.33], [0.33], [truth]]), 0.03)
+    (known, sd, chosen), asked = scattering_of(
+        monkeypatch, scattering.assumed_scattering, priors, fit
+    )
+    ((traced, middle),) = asked
+    assert (traced.n_rays, traced.duration_s, traced.keep_image_transforms) == (8000, 0.2, False)
+    assert (middle.start, middle.stop) == (2, 4)
+    assert chosen == (("a", "d"), (value,) * 2, (low,) * 2, (high,) * 2, False, True)
+    np.testing.assert_array_equal(known[0].scattering, np.full(len(BANDS), value))
+    np.testing.assert_array_equal(known[1].scattering, specified)
+    assert known[2].scattering is None
+    grid = (0.0, 0.05, 0.1, 0.2, 0.4)
+    own = scattering._grid_sd(grid, low, high)
+    np.testing.assert_allclose(sd, [own, 0.0, 0.0, own])
+
+
+def test_without_responses_the_usual_scattering_is_as_uncertain_as_it_is_large(monkeypatch):
+    (known, sd, chosen), _ = scattering_of(
+        monkeypatch, scattering.assumed_scattering, walls({}, {"fit_scattering": True})
+    )
+    assert chosen == (("a",), (0.1,), (0.1,), (0.1,), False, False)
+    np.testing.assert_array_equal(sd, [0.1, 0.0])
+    np.testing.assert_array_equal(known[0].scattering, np.full(len(BANDS), 0.1))
+    all_known = walls({"fit_scattering": True}, {"scattering": np.zeros(len(BANDS))})
+    (known, sd, chosen), asked = scattering_of(
+        monkeypatch, scattering.assumed_scattering, all_known
+    )
+    assert known == all_known and chosen is None and not asked and sd.tolist() == [0.0, 0.0]
+
+
+def test_walls_specified_as_smooth_are_tried_in_three_bands_up_to_4_khz(monkeypatch):
+    """An object is no wall; walls that scatter a little, or of which nothing is said, are none."""
+    smooth, rough = {"scattering": np.zeros(len(BANDS))}, {"scattering": np.eye(len(BANDS))[0]}
+    trial = scattering.scattering_trial
+    found, ((traced, chosen),) = scattering_of(monkeypatch, trial, walls(rough, smooth, {}))
+    assert (traced.n_rays, traced.duration_s) == (500, 0.2) and found is None
+    assert BANDS.centres_hz[chosen].tolist() == [1000.0, 2000.0, 4000.0]
+    for others in ((rough, {}), ({**smooth, "object_volume_m3": 30.0}, {})):
+        assert scattering_of(monkeypatch, trial, walls(*others)) == (None, [])
+
+
+@pytest.mark.parametrize("n_fitted", [1, 2])
+def test_scattering_that_is_fitted_is_told_with_a_quarter_of_the_range_that_is_as_likely(
+    monkeypatch, n_fitted
+):
+    fitted, given = {"fit_scattering": True}, {"scattering": np.full(len(BANDS), 0.33)}
+    priors = walls(fitted, given, *([fitted] * (n_fitted - 1)))
+    fit = bell(np.array([[0.2], [0.33], [0.05]])[: len(priors)], 0.001)
+    (known, sd, chosen), ((traced, every),) = scattering_of(
+        monkeypatch, scattering.chosen_scattering, priors, fit
+    )
+    assert (traced.n_rays, traced.duration_s) == (500, 0.3)
+    assert (every.start, every.stop) == (0, len(BANDS))
+    wanted = (0.2, 0.05)[:n_fitted]
+    assert chosen == (tuple("ac")[:n_fitted], wanted, wanted, wanted, True, True)
+    np.testing.assert_array_equal(known[1].scattering, given["scattering"])
+    own = [scattering._grid_sd(GRID, v, v) for v in wanted]
+    np.testing.assert_allclose(sd, [own[0], 0.0, *own[1:]])
+    with pytest.raises(InputError, match="without responses"):
+        scattering_of(monkeypatch, scattering.chosen_scattering, priors)
+    plain = walls(given)
+    (known, sd, chosen), asked = scattering_of(
+        monkeypatch, scattering.chosen_scattering, plain, fit
+    )
+    assert known == plain and sd.tolist() == [0.0] and chosen is None and not asked
+
+
+def test_bands_in_which_few_rays_carry_the_energy_are_named_with_their_share():
+    """Below a tenth of the rays; image paths do not count, nor do all rays alike."""
+    n = 100
+    batch = np.append(np.zeros(n), [-1, -1, -1]).astype(np.int32)
+    paths = SimpleNamespace(batch=batch)
+    one = np.append(np.eye(n)[0], np.ones(3))
+    ten, eleven = (np.append(np.arange(n) < k, np.ones(3)).astype(float) for k in (10, 11))
+    bands = bands_between("octave", 250, 2000)
+    factors = np.stack([one, np.ones(n + 3), ten, eleven])
+    (finding,) = scattering._degenerate_weight_findings(bands, paths, factors)
+    assert finding.code is Code.IMPORTANCE_WEIGHTS_DEGENERATE
+    assert finding.evidence == {"bands_hz": [250.0]} and list(finding.about.bands_hz) == [250.0]
+    assert "250 Hz (1 %)" in finding.sentence
+    assert scattering._degenerate_weight_findings(bands, paths, factors[1:]) == ()
+    images = SimpleNamespace(batch=np.full(n + 3, -1))
+    assert scattering._degenerate_weight_findings(bands, images, factors) == ()

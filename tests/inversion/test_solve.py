@@ -216,3 +216,227 @@ def test_bands_that_contradict_pressures_have_no_fit_by_them_where_the_model_is_
         chosen_otherwise = contradicted and model == "auto"
         expected = [None, None] if chosen_otherwise else fits
         assert coherent._uncontradicted(state, fits) == expected
+
+
+def passed_on(monkeypatch, module, *, spans=None, **given):
+    """Let each function of a module return its name with what it was handed, or what is given."""
+
+    def part(progress, first, last):
+        if spans is not None:
+            spans.append((progress, first, last))
+        return round(first, 9), round(last, 9)
+
+    everything = {
+        "in_forks": lambda function, of: [function(x) for x in of],
+        "part": part,
+        "material_areas_m2": lambda room: ("areas", room),
+        "with_decay_errors": lambda found, areas, priors: (tuple(found), areas, priors),
+        "band_directivities": lambda *arguments: arguments,
+    }
+    for name, function in (everything | given).items():
+        monkeypatch.setattr(module, name, function)
+
+
+def test_answers_by_pressures_take_energies_or_what_is_known_besides_where_there_are_none(
+    monkeypatch,
+):
+    """Each band refined once by each model; progress runs without a gap to its end."""
+    refined, spans = [], []
+
+    def refine(own, done):
+        refined.append((own, done))
+        return "refined", own
+
+    n = 4
+    task = SimpleNamespace(
+        scene=SimpleNamespace(room="room"), priors="priors", others="abcd", start="start",
+        directivity_parameters="unknown",
+    )  # fmt: skip
+    bands = (None, *(SimpleNamespace(directivity=d) for d in "xyz"))
+    fit = SimpleNamespace(
+        state=SimpleNamespace(task=task, bands=bands), fits=(None,) * n, geometry="geometry",
+        contradicted="contradicted", tests="tests",
+    )  # fmt: skip
+    passed_on(
+        monkeypatch,
+        solve,
+        spans=spans,
+        energy_estimates=lambda own: lambda b: None if b in (1, 3) else ("energies", own is fit, b),
+        coherent_estimate=lambda own, b: ("pressures", own is fit, b) if b < 2 else None,
+        inflated_by_adjacent_bands=lambda coherent, priors: [c and (c, priors) for c in coherent],
+        decided=lambda own, energy, coherent: (
+            energy[0], coherent[1], None if own is not fit else energy[2], None,
+        ),
+        without_responses=lambda *arguments: arguments,
+        fitted_band=lambda *arguments: arguments,
+    )  # fmt: skip
+    found = solve.coherent_answers(fit, "settings", refine, "progress")
+    alone = (3, ("d", "priors", 3, "start"), "priors", "settings", (0.95, 1.0))
+    answers = (
+        ("refined", ("energies", True, 0)),
+        (("refined", ("pressures", True, 1)), "priors"),
+        ("refined", ("energies", True, 2)),
+        ("refined", alone),
+    )
+    assert found.answers == (answers, ("areas", "room"), "priors")
+    assert (found.geometry, found.unknown_sources) == ("geometry", "unknown")
+    assert (found.contradicted, found.tests) == ("contradicted", "tests")
+    assert found.directivities == (
+        task.scene, "unknown", (None, "x", "y", "z"), found.answers,
+    )  # fmt: skip
+    by_pressures = [(own, done) for own, done in refined if own[0] == "pressures"]
+    assert [done for _, done in by_pressures] == [(0.0, 0.2), (0.2, 0.4)]
+    assert all(done is None for own, done in refined if own[0] != "pressures")
+    ends = [(first, last) for progress, first, last in spans if progress == "progress"]
+    np.testing.assert_allclose(ends, [(0, 0.2), (0.2, 0.4), (0.4, 0.6), (0.6, 0.8), (0.95, 1)])
+
+
+@pytest.mark.parametrize(
+    ("against", "method", "quick", "fittable", "again"),
+    [
+        ((), "auto", False, True, False),
+        (("S",), "auto", False, True, True),
+        (("S",), "auto", True, True, False),
+        (("S",), "auto", False, False, False),
+        ((), "certified", False, True, False),
+    ],
+)
+def test_bands_are_fitted_once_more_where_a_source_is_contradicted_and_can_be_fitted(
+    monkeypatch, against, method, quick, fittable, again
+):
+    measured = SimpleNamespace(bands=(1, 2), scene=SimpleNamespace(room="room"))
+    seen, spans = [], []
+
+    def directed(*arguments):
+        seen.append(arguments)
+        return arguments[-1]
+
+    def fitted(band, objective, priors, settings, done, shared):
+        assert (priors, shared) == ("priors", "shared") and settings.method == method
+        return SimpleNamespace(objective=None if band else objective, fit="fit", done=done)
+
+    passed_on(
+        monkeypatch,
+        solve,
+        spans=spans,
+        directivity_parameters=lambda *_: None,
+        omnidirectional=lambda _: "tested",
+        directed_energies=directed,
+        energy_objectives=lambda *arguments: lambda band: (band, arguments[-1]),
+        source_scorer=lambda _m, traced, tested: lambda *own: (traced, tested, own),
+        shared_error_covariance=lambda *_: "shared",
+        fitted_band=fitted,
+        contradicted_sources=lambda tested, scores: (
+            against if scores and tested == "tested" else ()
+        ),
+        is_fittable=lambda *_: fittable,
+        with_fitted_sources=lambda unknown, tested: (unknown, "fitted", tested),
+        band_directivities=lambda _s, unknown, own, _e: (unknown, own),
+    )
+    settings = Settings(method=method, quick=quick)
+    found = solve.estimate_energies(
+        measured, "priors", "traced", "start", settings, lambda own, _: own.done, "progress"
+    )
+    assert [arguments[-1] for arguments in seen] == [None, (None, "fitted", "tested")][: 1 + again]
+    assert all(a[:-1] == (measured, "priors", "traced", "start") for a in seen)
+    unknown = (None, "fitted", "tested") if again else None
+    assert found.unknown_sources == unknown and found.directivities == (unknown, unknown)
+    assert found.contradicted == against
+    assert found.answers == (((0.0, 0.5), (0.5, 1.0)), ("areas", "room"), "priors")
+
+
+@pytest.mark.parametrize(
+    ("apart", "model", "given", "answer"),
+    [
+        (1.99, "auto", "ec", "both c e"), (2.0, "auto", "ec", "c"), (0.0, "auto", "", None),
+        (-1.99, "auto", "ec", "both e c"), (-2.0, "auto", "ec", "e"), (9.0, "auto", "e", "e"),
+        (-9.0, "coherent", "ec", "c"), (-9.0, "auto", "c", "c"), (0.0, "auto", "ec", "both e c"),
+    ],
+)  # fmt: skip
+def test_the_answer_is_that_of_larger_evidence_with_both_intervals_where_that_is_not_clear(
+    monkeypatch, apart, model, given, answer
+):
+    monkeypatch.setattr(solve, "with_both_intervals", lambda a, b: f"both {a} {b}")
+    energy, coherent_ = ("e" if "e" in given else None), ("c" if "c" in given else None)
+    options = SimpleNamespace(model=model)
+    found = solve._decided(energy, coherent_, np.array([100.0, 100.0 + apart]), options)
+    assert found == answer
+
+
+def test_few_responses_stand_for_all_and_fall_in_two_bands_alone():
+    """Every n-th, so that eight remain at most; pairs are counted anew."""
+    scene = roomfit.scene_of(
+        roomfit.shoebox_room((6.0, 5.0, 3.0), "wall"),
+        {"S": (1.5, 1.2, 1.5)},
+        {f"R{i}": (4.0, 0.5 + 0.2 * i, 1.2) for i in range(20)},
+    )
+
+    @dataclass(frozen=True)
+    class Noise:
+        tail_time_constant_s: object
+
+    @dataclass(frozen=True)
+    class Heard:
+        pair: int
+        noise: Noise
+        measurement: object
+
+    @dataclass(frozen=True)
+    class Everything:
+        scene: object
+        responses: object
+        values: object
+
+    def heard(pair, use="fit"):
+        return Heard(pair, Noise(np.array([1.0, 2.0, 3.0])), SimpleNamespace(use=use))
+
+    for n, step in ((1, 1), (8, 1), (9, 2), (16, 2), (17, 3)):
+        given = (heard(19, "validate"), *(heard(i) for i in range(n)))
+        found = solve._few(Everything(scene, given, ("values",)), np.array([True, False, True]))
+        assert [r.pair for r in found.responses] == list(range(len(range(0, n, step))))
+        names = [p.name for p in found.scene.receivers]
+        assert len(found.scene.pairs) == len(found.responses) <= 8
+        of_pair = [names[r] for _, r in found.scene.pairs]
+        assert of_pair == [f"R{i}" for i in range(0, n, step)] and found.values == ()
+        np.testing.assert_array_equal(found.responses[0].noise.tail_time_constant_s, [1, 0, 3])
+
+
+def test_errors_that_windows_share_are_those_of_the_files_and_sources_of_a_band(monkeypatch):
+    """Each source by its own number in the scene; what has no windows stays as it is."""
+    scene = SimpleNamespace(room="room", air="air", pairs=np.array([[3, 0], [1, 2], [2, 1]]))
+    measured = SimpleNamespace(scene=scene, bands="bands", responses="responses")
+    traced = SimpleNamespace(paths="paths", scattering="s", scattering_sd="sd")
+    files = [SimpleNamespace(pair=p) for p in (2, 0)]
+    passed_on(
+        monkeypatch,
+        solve,
+        fitted_in_band=lambda responses, band: (
+            files if (responses, band) == ("responses", 5) else []
+        ),
+        physical_values=lambda parameters, vector: (
+            {"absorption": (parameters, vector.size)},
+            None,
+        ),
+        relative_errors=lambda *arguments: ("relative", *arguments),
+        shared_errors=lambda *arguments: ("shared", *arguments),
+        with_shared_errors=lambda *arguments, areas_m2: ("with", *arguments, areas_m2),
+    )
+    fit = SimpleNamespace(vector=np.zeros(4))
+    objective = SimpleNamespace(as_energies=lambda _: "windows", parameters="parameters")
+    add = solve.shared_error_covariance(measured, traced)
+    walls = ("parameters", 4)
+    relative = ("relative", "air", "bands", "windows", "paths", walls, ("s", "sd"))
+    shared = ("shared", objective, fit, [2, 3], relative)
+    assert add(5, objective, fit) == ("with", objective, fit, shared, ("areas", "room"))
+    alone = SimpleNamespace(as_energies=lambda _: None, parameters="parameters")
+    assert add(5, alone, fit) is fit
+    nothing = SimpleNamespace(vector=np.zeros(0))
+    assert add(5, objective, nothing) is nothing
+
+
+def test_the_speed_of_sound_is_as_uncertain_as_the_settings_or_the_temperature_say():
+    air = roomfit.Air(temperature_c=20.0)
+    assert solve.prior_speed_sd(air, Settings(speed_of_sound_sd=0.02)) == 0.02
+    found = solve.prior_speed_sd(air, Settings(temperature_sd_c=2.0))
+    assert found == pytest.approx(2.0 / (2.0 * 293.15))
+    assert solve.prior_speed_sd(air, Settings(temperature_sd_c=0.0)) == 1e-6

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -321,3 +322,75 @@ def test_draws_of_two_models_come_in_turn_from_either():
     found = systematics._half_each(one, other)
     np.testing.assert_array_equal(found, [[0, 1], [-2, -3], [4, 5], [-6, -7]])
     assert systematics._half_each(one, None) is None is systematics._half_each(None, other)
+
+
+def test_lost_coherence_is_a_mean_over_slots_of_40_ms_of_early_windows_and_stays_behind_them(
+    monkeypatch,
+):
+    """Weighed by signal over variance; a window between two slots belongs to the later one."""
+    edges_s = np.array([0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.14, 0.18])
+    n = edges_s.size - 1
+    observed = SimpleNamespace(edges_s=edges_s, noise=np.full(n, 0.5))
+    signal, variance = np.arange(1.0, n + 1.0), np.linspace(2.0, 1.0, n)
+    more = np.array([0.1, -0.3, 0.2, 0.4, 0.9, 50.0, 60.0])
+    early = np.array([0, 1, 2, 3, 4])
+    term = SimpleNamespace(
+        energies=SimpleNamespace(observations=[observed]), early_windows=lambda: early
+    )
+    coherent = SimpleNamespace(coherent=term, directivity="directivity", parameters="parameters")
+    fit = SimpleNamespace(expected=np.append(signal + 0.5, 99.0), vector="vector",
+                          variance=np.append(variance, 99.0))  # fmt: skip
+    monkeypatch.setattr(systematics, "fully_coherent", lambda own: ("coherent", own))
+    monkeypatch.setattr(systematics, "directed", lambda *own: own)
+
+    def whole(parameters, terms):
+        assert (parameters, terms) == ("parameters", ((("coherent", term), "directivity"),))
+        return SimpleNamespace(expected=lambda _vector: signal + 0.5 + more)
+
+    monkeypatch.setattr(systematics, "Objective", whole)
+    found = lost_coherence(coherent, fit)
+    weight = signal / variance
+    changes = [
+        float(weight[own] @ more[own] / (weight[own] @ signal[own]))
+        for own in (slice(0, 2), slice(2, 4), slice(4, 5))
+    ]
+    slots = [0, 0, 1, 1, 2, 2, 2]  # what lies behind 0.12 s has the value of the last slot
+    np.testing.assert_allclose(found, np.array(changes)[slots])
+
+
+def test_traced_energies_spread_as_their_batches_do_for_each_source_by_itself(monkeypatch):
+    """An unbiased covariance, with the gain of each response; none from fewer than two batches."""
+    rng = np.random.default_rng(2)
+    batches = [rng.uniform(size=(4, 2)), rng.uniform(size=(5, 3))]
+    observations = [SimpleNamespace(energy=np.zeros(k), gain=g, spreading=k)
+                    for k, g in ((2, 0), (3, -1))]  # fmt: skip
+    rows = [SimpleNamespace(n_batches=m, largest_batch=0) for m in (4, 5)]
+    energies_ = SimpleNamespace(observations=observations, rows=rows)
+    values = {"gain": np.array([2.0]), "absorption": "absorption"}
+    monkeypatch.setattr(systematics, "physical_values", lambda *_: (values, None))
+    monkeypatch.setattr(
+        systematics, "parts_of", lambda _e, k, _a: SimpleNamespace(batches=batches[k])
+    )
+    monkeypatch.setattr(systematics, "in_windows", lambda _spreading, of: of)
+
+    def covariance(sources):
+        found = systematics.batch_spread(energies_, "parameters", "vector", sources)
+        return found @ found.T
+
+    first = 4.0 * np.cov(batches[0][:4].T) * 4.0  # of the sum of four
+    second = np.cov(batches[1][:4].T) * 4.0
+    apart = covariance([7, 8])
+    np.testing.assert_allclose(apart[:2, :2], first)
+    np.testing.assert_allclose(apart[2:, 2:], second)
+    np.testing.assert_allclose(apart[:2, 2:], 0.0, atol=1e-15)
+    together = covariance([7, 7])
+    both = np.cov(np.hstack([2.0 * batches[0][:4], batches[1][:4]]).T) * 4.0
+    np.testing.assert_allclose(together, both)
+    for changed in ({"n_batches": 1}, {"n_batches": 4, "largest_batch": -1}):
+        few = [SimpleNamespace(**{"n_batches": 4, "largest_batch": -1} | changed), rows[1]]
+        few[1] = SimpleNamespace(n_batches=5, largest_batch=-1 if len(changed) > 1 else 0)
+        none = SimpleNamespace(observations=observations, rows=few)
+        assert systematics.batch_spread(none, "p", "v", [7, 8]).shape == (5, 0)
+    two = [SimpleNamespace(n_batches=2, largest_batch=-1), rows[1]]
+    some = SimpleNamespace(observations=observations, rows=two)
+    assert systematics.batch_spread(some, "p", "v", [7, 8]).shape == (5, 4)

@@ -305,3 +305,21 @@ def test_steps_from_octave_to_octave_are_what_the_docs_recommend_for_smoothness(
     assert np.sqrt(np.mean(low**2)) == pytest.approx(0.85, abs=0.05)
     assert np.sqrt(np.mean(high**2)) == pytest.approx(0.4, abs=0.05)
     assert np.mean(np.abs(steps) > 1.4) == pytest.approx(0.06, abs=0.02)
+
+
+def test_between_octaves_an_entry_is_interpolated_in_logit_and_beyond_them_held_and_widened():
+    """By the logarithm of frequency; every octave beyond adds its variance."""
+    entry = find_material("brick-unglazed")
+    bands = bands_between("third-octave", 20, 20_000)
+    mean, sd = catalogue_prior("brick-unglazed", bands)
+    at, known = np.log2(bands.centres_hz), np.log2(OCTAVES_HZ)
+    for band, x in enumerate(at):
+        k = int(np.clip(np.searchsorted(known, x) - 1, 0, 6))
+        t = float(np.clip((x - known[k]) / (known[k + 1] - known[k]), 0.0, 1.0))
+        middle = (1.0 - t) * entry.logit_mean[k] + t * entry.logit_mean[k + 1]
+        spread = (1.0 - t) * entry.logit_sd[k] + t * entry.logit_sd[k + 1]
+        variance = spread**2 + 0.36 * max(known[0] - x, 0.0) + 0.16 * max(x - known[7], 0.0)
+        alpha = 1.0 / (1.0 + np.exp(-middle))
+        assert mean[band] == pytest.approx(alpha, rel=1e-9)
+        assert sd[band] == pytest.approx(np.sqrt(variance) * alpha * (1.0 - alpha), rel=1e-9)
+    assert at[0] < known[0] - 1.0 and at[-1] > known[7] + 1.0

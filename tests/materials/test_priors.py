@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from roomfit.bands import bands_between
 from roomfit.errors import InputError
 from roomfit.findings import Code
-from roomfit.materials.catalogue import product_findings
+from roomfit.logit import expit, logit
+from roomfit.materials.catalogue import material_prior, product_findings
 from roomfit.materials.priors import (
+    DEFAULT_MEAN,
     MaterialPrior,
+    are_specified,
+    complete_priors,
+    in_bands,
+    is_default_prior,
+    logit_normal,
     logit_prior,
+    object_volumes_m3,
+    plain_logit_law,
+    prior_logit_law,
     prior_logits,
     sampling_scattering,
+    shared_variance,
+    symmetric_root,
     unknown_material,
 )
 
@@ -107,3 +121,173 @@ def test_of_each_product_one_finding_says_which_materials_are_of_it():
     assert panel.sentence.startswith("a, d are of one product, panel") and "0.2" in panel.sentence
     assert foil.evidence["sd"] == 0.3
     assert product_findings(priors[1:2]) == ()
+
+
+BANDS = bands_between("octave", 500, 1000)
+
+
+def test_bounds_of_a_material_hold_between_them_what_is_stated_of_it():
+    """The share of the way between them has the logit law; a mean well inside is kept."""
+    stated = material_prior("w", BANDS, prior=(0.3, 0.02), bounds=(0.1, 0.6))
+    mean, sd = logit_prior(np.full(2, 0.4), np.full(2, 0.04))
+    np.testing.assert_allclose([stated.prior_logit_mean, stated.prior_logit_sd], [mean, sd])
+    assert (stated.lower, stated.upper, stated.specified) == (0.1, 0.6, True)
+    broad = unknown_material("w", 2)
+    for bounds, share in (
+        ((0.05, 0.35), (DEFAULT_MEAN - 0.05) / 0.3),
+        ((0.0, DEFAULT_MEAN / 0.899), 0.899),
+        ((0.0, DEFAULT_MEAN / 0.901), 0.5),
+        ((DEFAULT_MEAN - 0.0101, DEFAULT_MEAN + 0.0899), 0.101),
+        ((DEFAULT_MEAN - 0.0099, DEFAULT_MEAN + 0.0901), 0.5),
+        ((0.5, 0.501), 0.5),
+    ):
+        found = material_prior("w", BANDS, bounds=bounds)
+        np.testing.assert_allclose(expit(found.prior_logit_mean), share, rtol=1e-6)
+        np.testing.assert_array_equal(found.prior_logit_sd, broad.prior_logit_sd)
+    for bounds in ((-0.01, 0.5), (0.5, 1.01), (0.5, 0.5009), (0.6, 0.5)):
+        with pytest.raises(InputError, match="not below"):
+            material_prior("w", BANDS, bounds=bounds)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"prior": (0.1, 0.1), "bounds": (0.1, 0.5)}, r"outside of its bounds.*\n.*w\.prior"),
+        ({"prior": (0.5, 0.1), "bounds": (0.1, 0.5)}, "mean 0.5, sd 0.1 at 500 Hz"),
+        ({"prior": ([0.3, 0.3], [0.1, 0.0])}, "mean 0.3, sd 0 at 1000 Hz"),
+        ({"prior": (1.0, 0.1)}, "outside of its bounds"),
+        ({"prior": (0.0, 0.1)}, "outside of its bounds"),
+        ({"absorption": [0.2, 0.61], "bounds": (0.2, 0.6)}, r"own bounds(.|\n)*0\.61"),
+        ({"absorption": 0.19, "bounds": (0.2, 0.6)}, r"own bounds(.|\n)*0\.19"),
+        ({"absorption": [0.1, 0.2, 0.3]}, r"w\.absorption(.|\n)*3 values(.|\n)*2 values, or"),
+        ({"scattering": [0.1, 0.2, 0.3]}, r"w\.scattering(.|\n)*3 values"),
+        ({"prior": ([0.1, 0.2, 0.3], 0.1)}, r"w\.prior\.mean"),
+        ({"prior": (0.1, [0.1, 0.2, 0.3])}, r"w\.prior\.sd"),
+    ],
+)
+def test_what_cannot_be_stated_of_a_material_is_refused_with_its_band(arguments, words):
+    with pytest.raises(InputError, match=words):
+        material_prior("w", BANDS, **arguments)
+
+
+def test_what_is_stated_of_a_material_is_what_its_prior_holds():
+    both = material_prior("w", BANDS, absorption=[0.2, 0.6], bounds=(0.2, 0.6), scattering=0.3)
+    np.testing.assert_array_equal(both.known, [0.2, 0.6])
+    np.testing.assert_array_equal(both.scattering, [0.3, 0.3])
+    assert not both.fit_scattering and both.specified
+    fitted = material_prior("w", BANDS, scattering="fit", same_absorption_as="v", delay_sd_s=1e-4)
+    assert fitted.fit_scattering and fitted.scattering is None and not fitted.specified
+    assert (fitted.tied_to, fitted.wall_delay_sd_s) == ("v", 1e-4)
+
+
+def test_the_plain_law_of_an_object_is_that_of_its_absorption_to_first_order():
+    """Between 0 and its bound it is another logit: the slope by finite differences."""
+    wall = MaterialPrior("wall", np.array([0.3, -1.0]), np.array([0.5, 0.8]))
+    object_ = MaterialPrior(
+        "seats", np.array([-1.0, 0.4]), np.array([0.3, 0.2]), upper=0.4, object_volume_m3=50.0
+    )
+    of_product = [replace(wall, name=n, product="panel") for n in ("p", "q")]
+    priors = (of_product[0], object_, of_product[1])
+    mean, covariance = plain_logit_law(priors)
+    own_mean, own_covariance = prior_logit_law(priors)
+
+    def plain(x):
+        return logit(0.4 * expit(x), 0.0)
+
+    np.testing.assert_allclose(mean[1], plain(own_mean[1]), rtol=1e-12)
+    np.testing.assert_array_equal(mean[[0, 2]], own_mean[[0, 2]])
+    slope = (plain(own_mean[1] + 1e-5) - plain(own_mean[1] - 1e-5)) / 2e-5
+    for band in range(2):
+        by = np.diag([1.0, slope[band], 1.0])
+        np.testing.assert_allclose(covariance[band], by @ own_covariance[band] @ by, rtol=1e-8)
+        assert own_covariance[band][0, 2] > 0.0
+
+
+def test_of_materials_of_a_product_the_law_of_the_unknown_is_that_given_the_known():
+    """A normal law of three, by its conditional written out; the known keep theirs."""
+    own, common, d = 0.3, 0.8, 0.25
+    panels = [
+        MaterialPrior(n, np.array([own]), np.array([common]), known=a, product="p", product_sd=d)
+        for n, a in (("a", None), ("b", np.array([0.2])), ("c", None), ("e", np.array([0.5])))
+    ]
+    mean, covariance = prior_logit_law(tuple(panels))
+    off = logit(np.array([0.2, 0.5])) - own
+    # the shared part given two values that each lie off by d, and the own part of each
+    precision = 1.0 / common**2 + 2.0 / d**2
+    shared = float(off.sum() / d**2 / precision)
+    np.testing.assert_allclose(mean[:, 0], [own + shared, own, own + shared, own])
+    left = 1.0 / precision
+    np.testing.assert_allclose(covariance[0][np.ix_([0, 2], [0, 2])], left + d**2 * np.eye(2))
+    np.testing.assert_allclose(covariance[0][1], [0.0, common**2, 0.0, 0.0])
+    plain = [unknown_material("x", 1), *(replace(p, specified=False) for p in panels)]
+    assert are_specified(tuple(plain)).tolist() == [False, True, True, True, True]
+
+
+def test_priors_of_a_room_are_completed_in_the_order_of_its_materials():
+    two = bands_between("octave", 500, 1000)
+    given = [MaterialPrior("b", np.ones(2), np.ones(2), product="alone")]
+    found = complete_priors(("a", "b"), given, two)
+    assert [p.name for p in found] == ["a", "b"] and not found[0].specified
+    assert found[1].product is None  # one material of a product shares nothing
+    pair = [MaterialPrior(n, np.ones(2), np.ones(2), product="p") for n in "ab"]
+    assert [p.product for p in complete_priors(("a", "b"), pair, two)] == ["p", "p"]
+    wall = MaterialPrior("a", np.ones(2), np.ones(2))
+    for priors, words in (
+        ([wall, replace(wall, name="b"), replace(wall, name="b")], r"two priors(.|\n)*'b'"),
+        ([replace(wall, name="x")], "does not have"),
+        ([MaterialPrior("a", np.ones(3), np.ones(3))], r"3 values(.|\n)*2, of the bands"),
+        ([replace(wall, tied_to="x")], r"same_absorption_as(.|\n)*'x'"),
+        ([replace(wall, tied_to="b"), replace(wall, name="b", tied_to="c")], "tied itself"),
+        ([pair[0], replace(pair[1], product_sd=0.31)], "different priors"),
+        ([pair[0], replace(pair[1], known=np.array([0.5, 1.0]))], "at its bound"),
+        ([pair[0], replace(pair[1], known=np.array([0.0, 0.5]))], "at its bound"),
+    ):
+        with pytest.raises(InputError, match=words):
+            complete_priors(("a", "b", "c"), priors, two)
+
+
+def test_a_default_prior_is_known_again_after_it_was_written():
+    plain = unknown_material("w", 3)
+    rounded = plain.prior_logit_mean * (1.0 + 9e-5 * np.array([1.0, -1.0, 1.2]))
+    assert is_default_prior(rounded, plain.prior_logit_sd).tolist() == [True, True, False]
+    sd = plain.prior_logit_sd * (1.0 + 9e-5 * np.array([1.0, -1.0, 1.2]))
+    assert is_default_prior(plain.prior_logit_mean, sd).tolist() == [True, True, False]
+
+
+def test_draws_about_a_mean_are_expit_of_the_first_order_law_and_the_mean_without_spread():
+    mean, sd, z = np.array([0.2, 0.5, 1.0, 0.0]), np.array([0.1, 0.0, 0.0, 1e-5]), np.array([-1, 2])
+    found = logit_normal(mean, sd, z)
+    wanted = expit(logit(np.array(0.2)) + 0.1 / 0.16 * z)
+    np.testing.assert_allclose(found[:, 0], wanted)
+    np.testing.assert_array_equal(found[:, 1:3], [[0.5, 1.0]] * 2)
+    np.testing.assert_allclose(found[:, 3], expit(logit(np.array(1e-4)) + 1e-5 / 9.999e-5 * z))
+
+
+def test_what_of_a_variance_is_shared_is_the_largest_covariance_with_another():
+    covariance = np.array([[1.0, 0.3, 0.2, 0.0], [0.3, 2.0, 0.1, 0.0], [0.2, 0.1, 3.0, 0.0],
+                           [0.0, 0.0, 0.0, 4.0]])  # fmt: skip
+    np.testing.assert_array_equal(shared_variance(covariance), [0.3, 0.3, 0.2, 4.0])
+    np.testing.assert_array_equal(shared_variance(np.eye(1)), [1.0])
+    root = symmetric_root(covariance)
+    np.testing.assert_allclose(root @ covariance @ root.T, np.eye(4), atol=1e-12)
+    scaled = root * np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(scaled, scaled.T, atol=1e-12)
+    assert np.all(np.diag(scaled) > 0.0)
+
+
+def test_priors_in_some_bands_hold_what_is_known_there():
+    full = MaterialPrior(
+        "w",
+        np.arange(1.0, 4.0),
+        np.arange(2.0, 5.0),
+        known=np.array([0.1, 0.2, 0.3]),
+        scattering=np.array([0.4, 0.5, 0.6]),
+        upper=0.9,
+    )
+    (found, plain) = in_bands((full, unknown_material("v", 3)), np.array([2, 0]))
+    np.testing.assert_array_equal(found.prior_logit_mean, [3.0, 1.0])
+    np.testing.assert_array_equal(found.prior_logit_sd, [4.0, 2.0])
+    np.testing.assert_array_equal(found.known, [0.3, 0.1])
+    np.testing.assert_array_equal(found.scattering, [0.6, 0.4])
+    assert found.upper == 0.9 and plain.known is None and plain.scattering is None
+    assert object_volumes_m3((replace(full, object_volume_m3=30.0), plain)) == {"w": 30.0}

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import roomfit
 from roomfit.bands import bands_between
+from roomfit.errors import InsufficientDataError
 from roomfit.inversion.measurements import collect_measurements
 from roomfit.materials.priors import uniform_scattering, unknown_material
+from roomfit.objective import observation
 from roomfit.objective.observation import energy_terms
 from roomfit.objective.windows import WINDOW_DECAYS, windows_decay_s
 from roomfit.response.binned import bin_paths
@@ -64,3 +68,45 @@ def test_a_decay_time_of_windows_is_that_of_a_line_and_none_where_nothing_falls(
     late[-1] = 1.0
     assert np.isnan(windows_decay_s(edges_s, late, "EDT_s"))
     assert np.isnan(windows_decay_s(edges_s, 0.0 * energy, "EDT_s"))
+
+
+def test_a_level_starts_where_all_that_shares_it_agrees_as_a_whole_with_what_is_expected(
+    monkeypatch,
+):
+    """Energies above the noise over those of the paths; an absolute level has no share in it."""
+
+    def heard(gain: int, energy: list[float], shares: list[list[float]]) -> SimpleNamespace:
+        return SimpleNamespace(
+            gain=gain, energy=np.array(energy), noise=np.array([1.0, 1.0]),
+            spreading=np.array(shares),
+        )  # fmt: skip
+
+    def weighed(rows, absorption, air, *, derivative):
+        assert absorption.tolist() == [[0.25]] and air.tolist() == [0.5] and not derivative
+        return SimpleNamespace(energy=np.array([rows]))
+
+    monkeypatch.setattr(observation, "weigh", weighed)
+    term = SimpleNamespace(
+        attenuation_per_m=0.5,
+        rows=([1.0, 2.0], [3.0, 1.0], [9.0, 9.0], [1.0, 1.0]),
+        observations=(
+            heard(1, [5.0, 0.5], [[1.0, 0.0], [0.5, 0.5]]),
+            heard(1, [3.0, 2.0], [[1.0, 0.0], [0.0, 1.0]]),
+            heard(-1, [99.0, 99.0], [[1.0, 0.0], [0.0, 1.0]]),
+            heard(0, [2.0, 4.0], [[1.0, 0.0], [0.0, 1.0]]),
+        ),
+    )
+    block = SimpleNamespace(start=np.array([0.25]))
+    found = observation._gain_block(("a", "b"), term, block)
+    np.testing.assert_allclose(found.start, [4.0 / 2.0, (4.0 + 3.0) / (2.5 + 4.0)])
+    assert found.labels == ("a", "b") and found.transform == "log" and found.fitted.all()
+    assert np.isinf(found.prior_sd).all() and not found.prior_mean.any()
+    for energy, rows, words in (
+        ([1.0, 0.5], [1.0, 1.0], "no energy above the noise"),
+        ([2.0, 2.0], [0.0, 0.0], "no path in any window"),
+    ):
+        silent = SimpleNamespace(
+            attenuation_per_m=0.5, rows=(rows,), observations=(heard(0, energy, [[1, 0], [0, 1]]),)
+        )
+        with pytest.raises(InsufficientDataError, match=rf"level(.|\n)*here(.|\n)*{words}"):
+            observation._gain_block(("here",), silent, block)

@@ -111,6 +111,9 @@ def test_few_rows_bring_the_energies_of_all_of_them(room):
     traced = room.traced
     few = traced.reduced(0, a, 1500)
     assert all(len(rows) <= 1500 < len(traced.binned.rows[0]) for rows in few.by_band)
+    edges_s = traced.binned.edges_s
+    every_s = edges_s[:-1][:: reduced_rows.BINS_TOGETHER]
+    np.testing.assert_array_equal(few.edges_s, [*every_s, edges_s[-1]])
     far = np.where(a < 0.4, 0.6, 0.15)
     points = [a, far, 0.5 * (a + far)]
     points += [np.where(np.arange(len(a))[:, None] == m, far, a) for m in range(len(a))]

@@ -15,6 +15,7 @@ from roomfit.errors import InputError
 from roomfit.io.directivity import read_directivity
 from roomfit.materials.priors import uniform_scattering
 from roomfit.response.directivity import (
+    MeasuredDirectivity,
     Pattern,
     aimed,
     amplitude_and_slope,
@@ -268,3 +269,57 @@ def test_a_pattern_about_an_aim_keeps_its_sound_power_and_is_alike_all_around(b)
     assert axial_index_db(at) == pytest.approx(10.0 * np.log10(max(axis, 1e-12)), abs=0.01) or (
         axis < 1e-6
     )
+
+
+def test_a_table_of_directions_is_read_linearly_between_its_lines_and_at_its_ends():
+    """Front and back for every azimuth, and left from either side of where azimuths begin."""
+    table = np.arange(4.0)[:, None] + np.array([0.0, 10.0, 30.0, 70.0, 0.0])
+    table[0], table[-1] = 5.0, -7.0
+    source = MeasuredDirectivity(np.array([1e3]), table[None] + 7.0, np.eye(3))
+
+    def at(*direction: float) -> float:
+        return float(measured_factor(source, np.array([direction]), 0)[0]) - 7.0
+
+    assert at(1.0, 0.0, 0.0) == 5.0 and at(-1.0, 0.0, 0.0) == at(-1.0, 1e-300, 0.0) == -7.0
+    # polar angles every 60, azimuths every 90 degrees: left, top, right, bottom
+    for polar in (60.0, 80.0, 110.0):
+        x, y = np.cos(np.radians(polar)), np.sin(np.radians(polar))
+        i, rest = (1, polar / 60.0 - 1.0)
+        for j, (left, top) in enumerate(((1, 0), (0, 1), (-1, 0), (0, -1))):
+            wanted = (1.0 - rest) * table[i, j] + rest * table[i + 1, j]
+            assert at(x, y * left, y * top) == pytest.approx(wanted)
+        half = np.sqrt(0.5) * y
+        wanted = 0.5 * (1.0 - rest) * (table[i, 2] + table[i, 3])
+        wanted += 0.5 * rest * (table[i + 1, 2] + table[i + 1, 3])
+        assert at(x, -half, -half) == pytest.approx(wanted)
+    assert at(0.0, 1.0, -1e-300) == at(0.0, 1.0, 0.0) == pytest.approx(1.5)
+
+
+def test_the_mean_over_the_sphere_is_one_and_linear_in_its_polar_angle_s_cosine():
+    """Also of few lines; the last azimuth is the first, and counts once."""
+    for n in (2, 3, 20):
+        cosine = np.cos(np.linspace(0.0, np.pi, n))
+        azimuth = np.array([1.0, 3.0, 8.0, 1.0])
+        factor = np.stack([np.ones((n, 4)), cosine[:, None] + azimuth])
+        np.testing.assert_allclose(sphere_mean(factor), [1.0, 4.0], atol=1e-12)
+
+
+def test_what_is_no_measured_directivity_is_refused_with_what_is_needed():
+    axes, energy = np.eye(3), np.ones((6, 1))
+    six = np.concatenate([axes, -axes])
+    found = measured_directivity(3.0 * six, energy, np.array([1e3]), axes)
+    assert found.factor.shape == (1, 73, 145)
+    np.testing.assert_allclose(found.factor, 1.0, rtol=1e-9)
+    for points, needed in ((six[:5], "6 or more"), (0.0 * six, "6 or more"),
+                           (np.abs(six) + 0.1, "all around")):  # fmt: skip
+        with pytest.raises(InputError, match=needed):
+            measured_directivity(points, energy[: len(points)], np.array([1e3]), axes)
+    with pytest.raises(InputError, match="energy above 0 in every band"):
+        measured_directivity(six, 0.0 * energy, np.array([1e3]), axes)
+    with pytest.raises(InputError, match="not perpendicular"):
+        MeasuredDirectivity(np.array([1e3]), np.ones((1, 2, 2)), axes[[0, 0, 1]])
+    for aim, up in (((0, 0, 2), (0, 0, 1)), ((0, 0, 0), (0, 0, 1)), ((1, 0, 1e-10), (1, 0, 0))):
+        with pytest.raises(InputError, match="not parallel"):
+            loudspeaker_axes(aim, up)
+    np.testing.assert_allclose(loudspeaker_axes((0, 2, 0), (0, 1, 5)),
+                               [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-15)  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roomfit.signals.loudspeaker import _powers
+from roomfit.signals.loudspeaker import _powers, source_magnitude
 from roomfit.signals.response import ImpulseResponse
 
 RATE_HZ = 8000
@@ -45,3 +45,51 @@ def test_a_response_fades_over_ten_milliseconds_before_its_end():
     """An impulse in the middle of the fade has half its pressure, a quarter of its power."""
     (found,) = _powers([impulses(0.195)], [0.2], NODES_HZ)
     np.testing.assert_allclose(found, 0.25, rtol=1e-6)
+
+
+def colour_of(gains: np.ndarray, schroeder_hz: float = 0.0) -> np.ndarray:
+    """Return the level of a source whose responses add an echo of 1 ms of so much each."""
+    flat = [impulses(0.01)] * len(gains)
+    echoes = [impulses(0.01).pressure + g * impulses(0.011).pressure for g in gains]
+    heard = [ImpulseResponse(p, RATE_HZ) for p in echoes]
+    found = source_magnitude(heard, flat, [0.5] * len(gains), 125.0, schroeder_hz)
+    np.testing.assert_allclose(found.frequencies_hz, 125.0 * 2.0 ** (0.5 * np.arange(10)))
+    return found.level_db
+
+
+def power_db(gain: float) -> np.ndarray:
+    """Return 1 + g^2 + 2 g cos(2 pi f 1 ms) in dB, averaged over half an octave either way."""
+    nodes_hz = 125.0 * 2.0 ** (0.5 * np.arange(10))
+    (found,) = _powers(
+        [ImpulseResponse(impulses(0.01).pressure + gain * impulses(0.011).pressure, RATE_HZ)],
+        [0.5],
+        nodes_hz,
+    )
+    return 10.0 * np.log10(found)
+
+
+def test_the_level_is_that_of_all_responses_where_they_agree():
+    """About its mean; a fourth-order fade takes half of it away where single modes decide."""
+    wanted = power_db(0.6) - power_db(0.6).mean()
+    np.testing.assert_allclose(colour_of(np.full(3, 0.6)), wanted, atol=1e-6)
+    faded = colour_of(np.full(4, 0.6), schroeder_hz=250.0)
+    share = 1.0 / (1.0 + 16.0 * 2.0 ** (-2.0 * np.arange(10)))
+    assert share[2] == 0.5
+    np.testing.assert_allclose(faded, share * wanted, atol=1e-6)
+    assert not np.any(colour_of(np.full(2, 0.6)))
+    # an rms of 1 dB is the least that counts
+    rms = {g: float(np.std(power_db(g))) for g in (0.19, 0.2, 0.21, 0.22, 0.23, 0.24, 0.25)}
+    assert min(rms.values()) < 1.0 < max(rms.values())
+    for gain, of_all in rms.items():
+        assert np.any(colour_of(np.full(3, gain))) == (of_all >= 1.0)
+
+
+def test_the_level_is_shrunk_by_how_much_responses_disagree():
+    """Towards zero about a mean of weights by precision; twice the chance of it counts for none."""
+    gains = np.array([0.3, 0.6, 0.9, 0.5])
+    each = np.stack([power_db(g) for g in gains])
+    level = 10.0 * np.log10(np.mean(10.0 ** (0.1 * each), axis=0))
+    chance = np.sum((each - each.mean(axis=0)) ** 2, axis=0) / (4 * 3)
+    level -= np.sum(level / chance) / np.sum(1.0 / chance)
+    real = np.mean(level**2) - 2.0 * np.mean(chance)
+    np.testing.assert_allclose(colour_of(gains), level * real / (real + chance), atol=1e-9)

@@ -215,6 +215,43 @@ def test_pyrato_has_the_same_constants():
     assert float(speech_transmission(m)) == pytest.approx(float(pyrato._sti_calc(m)), abs=1e-9)
 
 
+# IEC 60268-16:2020, tables A.1 and A.2: dB of the threshold of reception; alpha and beta.
+THRESHOLD_DB = (46.0, 27.0, 12.0, 6.5, 7.5, 8.0, 12.0)
+ALPHA = (0.085, 0.127, 0.230, 0.233, 0.309, 0.224, 0.173)
+BETA = (0.085, 0.078, 0.065, 0.011, 0.047, 0.095)
+
+
+def masking_db(level_db: float) -> float:
+    """Return how far below the level of a band it masks the next higher one, A.4.2."""
+    if level_db < 63.0:
+        return 0.5 * level_db - 65.0
+    if level_db < 67.0:
+        return 1.8 * level_db - 146.9
+    return 0.5 * level_db - 59.8 if level_db < 100.0 else -10.0
+
+
+@pytest.mark.parametrize("of_all_db", [5.0, 30.0, 55.0, 64.0, 67.0, 85.0, 100.0])
+def test_the_index_is_that_of_the_standard_written_out_band_by_band(of_all_db):
+    """Levels about and on the joints of the masking's lines; modulations beyond +-15 dB as well."""
+    m = np.linspace(0.01, 0.995, 98).reshape(7, 14)[:, ::-1]
+    speech = of_all_db + np.array([0.0, -1.0, 1.0, 0.0, 2.0, -2.0, 0.0])
+    noise = np.array([3.0, -np.inf, 9.0, 15.0, -np.inf, 1.0, 20.0])
+    mti = []
+    for band in range(7):
+        own, other = 10.0 ** (speech[band] / 10.0), 10.0 ** (noise[band] / 10.0)
+        other += 10.0 ** (THRESHOLD_DB[band] / 10.0)
+        if band:
+            below = sum(10.0 ** (x[band - 1] / 10.0) for x in (speech, noise))
+            other += below * 10.0 ** (masking_db(10.0 * np.log10(below)) / 10.0)
+        heard = m[band] * own / (own + other)
+        snr = np.clip(10.0 * np.log10(heard / (1.0 - heard)), -15.0, 15.0)
+        mti.append(float(np.mean((snr + 15.0) / 30.0)))
+    wanted = sum(a * x for a, x in zip(ALPHA, mti, strict=True))
+    wanted -= sum(b * (x * y) ** 0.5 for b, x, y in zip(BETA, mti, mti[1:], strict=False))
+    found = float(speech_transmission(m, np.stack([speech, noise])))
+    assert found == pytest.approx(wanted, rel=1e-9)
+
+
 def test_the_spectrum_has_the_level_that_it_is_given():
     """A-weighted, by the weights of IEC 61672-1 at the octaves: 60 within a tenth."""
     a_weights = np.array([-16.1, -8.6, -3.2, 0.0, 1.2, 1.0, -1.1])

@@ -119,3 +119,18 @@ def test_every_pair_of_a_plan_has_the_response_of_its_loudspeaker_at_the_true_po
         noise = np.std(response - quiet) / np.max(np.abs(quiet))
         # of 3200 samples: five standard errors are 0.6 dB
         np.testing.assert_allclose(20.0 * np.log10(noise), NOISE_DB, atol=0.6)
+
+
+def test_the_sound_of_a_loudspeaker_is_that_of_a_flat_one_times_its_curve_at_every_frequency():
+    """Black walls leave one pulse, far from either end of the response."""
+    s, r, levels_db = np.array([1.0, 1.5, 1.2]), np.array([4.0, 2.5, 1.7]), np.zeros(5)
+    levels_db[2:4] = 6.0, -4.0
+    flat, own = (
+        np.fft.rfft(pressure_response(truth(1.0), s, r, 0.2, 8000.0, x), 3200)
+        for x in (np.zeros(5), levels_db)
+    )
+    f = np.linspace(0.0, 4000.0, 1601)
+    heard = np.abs(flat) > 0.2 * np.abs(flat).max()
+    curve = loudspeaker(CENTRES, levels_db, f)
+    np.testing.assert_allclose(own[heard] / flat[heard], curve[heard], atol=0.03)
+    assert np.ptp(np.abs(curve[heard])) > 1.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numba
 import numpy as np
 import pytest
@@ -280,3 +282,38 @@ def test_a_ray_leaves_a_panel_of_two_faces_and_meets_what_is_opposite(turn):
     for face in (0, 1):
         start = np.roll([2.1, 1.8, 1.5], turn)
         assert _next_after(alone, start, -alone.normal[face], face) == (np.inf, -1)
+
+
+@pytest.mark.parametrize("size_m", [0.02, 1.0, 300.0])
+def test_a_room_is_convex_to_a_ten_millionth_of_its_diagonal(size_m):
+    """A corner pushed in by more makes a notch, one pushed out a further plane; at any size."""
+    room = box_room()
+    vertices_m = size_m * room.mesh.vertices_m
+    tolerance_m = 1e-7 * float(np.linalg.norm(np.ptp(vertices_m, axis=0)))
+    (corner,) = np.flatnonzero((vertices_m == vertices_m.max(axis=0)).all(axis=1))
+    for share, n_planes in ((-1.02, None), (-0.98, 6), (0.98, 6), (1.02, 7)):
+        pushed = vertices_m.copy()
+        pushed[corner, 0] += share * tolerance_m
+        planes = convex_planes(replace(room, mesh=replace(room.mesh, vertices_m=pushed)))
+        assert (None if planes is None else len(planes.offset_m)) == n_planes
+
+
+def test_planes_of_a_box_hold_its_walls_with_their_corners_and_materials():
+    room = box_room()
+    planes = convex_planes(room)
+    assert planes is not None
+    outwards = {
+        tuple(np.round(n).astype(int)): o
+        for n, o in zip(planes.normal, planes.offset_m, strict=True)
+    }
+    x, y, z = room.mesh.vertices_m.max(axis=0)
+    assert outwards == {
+        (-1, 0, 0): 0.0, (1, 0, 0): pytest.approx(x), (0, -1, 0): 0.0, (0, 1, 0): pytest.approx(y),
+        (0, 0, -1): 0.0, (0, 0, 1): pytest.approx(z),
+    }  # fmt: skip
+    assert planes.first_piece.tolist() == list(range(0, 13, 2))
+    for k in range(6):
+        own = slice(planes.first_piece[k], planes.first_piece[k + 1])
+        heights = planes.piece_corners_m[own] @ planes.normal[k]
+        np.testing.assert_allclose(heights, planes.offset_m[k], atol=1e-12)
+        assert set(planes.piece_material[own]) == {planes.material[k]}

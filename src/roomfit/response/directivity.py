@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
-from roomfit._checks import float_array
+from roomfit._checks import float_array, read_only
 from roomfit._numba import in_threads, kernel
 from roomfit.errors import InputError
 from roomfit.response.coherent import (
@@ -562,7 +562,7 @@ def unit_vector(aim: ArrayLike) -> FloatArray:
         what = "the aim vector of a source has zero length"
         hint = "write aim = [1, 0, 0] for a loudspeaker that faces x"
         raise InputError(what, found="0, 0, 0", needed="a direction", hint=hint)
-    return np.asarray(axis / length)
+    return read_only(axis / length)
 
 
 # Legendre polynomials of the orders 1 to 3, scaled to the mean square 1/3 over the sphere, that of
