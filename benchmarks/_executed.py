@@ -247,6 +247,13 @@ def _mentions(*, compiled: bool = False) -> dict[str, set[str]]:
     return found
 
 
+def _mentioning(path: str, name: str) -> set[str]:
+    """Return what has a name of a module: of a private one, which others may have too, its own."""
+    found = _mentions().get(name, set())
+    own = {key for key in found if key.startswith(f"{path}:") and name.lstrip(".").startswith("_")}
+    return own or found
+
+
 def _names(name: str) -> list[str]:
     """Return what `name_at` names: of constants that are defined together, each."""
     return re.findall(r"\w+", name) if name.startswith("(") else [name]
@@ -298,9 +305,9 @@ def executing_tests(
     while ring and not chosen:
         chosen = [run for run in runs if not ring.isdisjoint(run.functions)]
         # a method is called as an attribute, all else by its name
-        named = [n for key in ring for n in _names(key.split(":")[1])]
-        short = {re.sub(r"^\w+(?=\.)", "", n) for n in named}
-        ring = {key for s in short for key in _mentions().get(s, ())} - seen
+        named = [(key.split(":")[0], n) for key in ring for n in _names(key.split(":")[1])]
+        short = {(home, re.sub(r"^\w+(?=\.)", "", n)) for home, n in named}
+        ring = {key for home, s in short for key in _mentioning(home, s)} - seen
         seen |= ring
     own = [run for run in chosen if not run.lines.get(path, frozenset()).isdisjoint(lines)]
     chosen = own or chosen
