@@ -286,7 +286,10 @@ def test_paper_json_has_the_numbers_under_their_names(result):
     assert (own["successes"], own["seeds"], own["found_within"]) == (10, 50, 0.005)
 
 
-def test_progress_of_the_repetition_rises_from_part_to_part_to_the_whole(monkeypatch):
+@pytest.mark.parametrize(("seeds", "n_sets"), [(3, 3), (50, 8)])
+def test_progress_of_the_repetition_rises_from_part_to_part_to_the_whole(
+    monkeypatch, seeds, n_sets
+):
     """Other rays, landscapes, searches and certificates, each with its share; in this process."""
     problem = SimpleNamespace(
         squares=SimpleNamespace(
@@ -296,7 +299,8 @@ def test_progress_of_the_repetition_rises_from_part_to_part_to_the_whole(monkeyp
     )  # fmt: skip
     done: list[float] = []
 
-    def independent(_pool, progress):
+    def independent(_pool, sets, progress):
+        assert sets == n_sets
         progress(0.5)
         progress(1.0)
 
@@ -324,7 +328,7 @@ def test_progress_of_the_repetition_rises_from_part_to_part_to_the_whole(monkeyp
     }
     for name, function in given.items():
         monkeypatch.setattr(repeat, name, function)
-    found = repeat.repeat_paper(3, 1, progress=done.append)
+    found = repeat.repeat_paper(seeds, 1, progress=done.append)
     assert set(found.certificates) == {"case1", "ill_defined", "walls_apart"}
     np.testing.assert_allclose(
         done, [0.2, 0.4, 0.425, 0.45, 0.7, 0.95, 0.95 + 0.05 / 3, 0.95 + 0.1 / 3, 1.0]
@@ -402,7 +406,7 @@ def test_the_study_of_other_rays_fits_every_number_of_rays_as_often_to_one_measu
     monkeypatch.setattr(repeat, "fit_with_other_rays", fitted)
     done: list[float] = []
     with worker_pool(1) as pool:
-        rows = repeat._independent(pool, done.append)
+        rows = repeat._independent(pool, 8, done.append)
     assert parts == [(262_144, seed) for seed in range(4)]
     numbers = (1_000, 3_000, 10_000, 18_000, 30_000, 100_000, 300_000)
     expected = [(p, m, n) for p, m in ((1, 2), (1, 3), (3, 2)) for n in numbers]
