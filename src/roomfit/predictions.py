@@ -356,7 +356,7 @@ def _treat_traced(
         return treat(room, **asked, progress=part(progress, 0.9, 1.0)), doubts
 
 
-# Of two pairs among few: among the 200 of `roomfit design`, intervals are hardly narrower.
+# Of two pairs among few: the best of 200 leave intervals a tenth narrower at most, in 36 s not 6.
 _TO_MEASURE: dict[str, Any] = {"number": 2, "n_candidates": 30, "n_random": 1, "n_draws": 1}
 
 
