@@ -1,13 +1,13 @@
 """What further cores are worth: seconds by the clock, processor seconds, memory, and equal answers.
 
     python benchmarks/cores.py [--threads 1 2] [--repeats 2] [--quick] [--campaign FILE]
-        [--job identify|predict|treat]
+        [--job identify|predict|treat|design]
 
 The demo's campaign, or any, is identified by the command line without the cache, report and
 pictures included, with each number of threads in turn; or what is found of the demo is predicted
-with a curtain before its brick, or treated. Memory is what process and copies have
-together at most, pages that they share counted once (PSS, every 50 ms). The serial share is
-Amdahl's, by the clock: it means something only on a machine that has nothing else to do, which the
+with a curtain before its brick, treated, or asked what to measure next. Memory is what process and
+copies have together at most, pages that they share counted once (PSS, every 50 ms). The serial
+share is Amdahl's, by the clock: it means something only on a machine that has nothing else to do, which the
 load before each run says. Processor seconds are those of all processes. Exit code 1 where
 what was written, its seconds apart, differs.
 """
@@ -52,6 +52,8 @@ def words_of(job: str, campaign: Path, folder: Path, *, quick: bool) -> list[str
     found = ["--absorption", str(folder / "fit" / "result.json")]
     if job == "predict":
         return ["predict", str(campaign), *found, "--no-cache", "--set", "brick=curtain"]
+    if job == "design":
+        return ["design", str(campaign), "--result", found[1]]
     text = treatment_text(["brick", "panelling"], 0.7, [500, 1000])
     (folder / "treatment.toml").write_text(text, encoding="utf-8")
     return ["treat", str(campaign), str(folder / "treatment.toml"), *found]
@@ -118,7 +120,8 @@ def main() -> int:
     parser.add_argument("--repeats", type=int, default=2)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--campaign", type=Path, help="another than the demo's, to be identified")
-    parser.add_argument("--job", choices=("identify", "predict", "treat"), default="identify")
+    jobs = ("identify", "predict", "treat", "design")
+    parser.add_argument("--job", choices=jobs, default="identify")
     options = parser.parse_args()
     runs: dict[int, list[Run]] = {n: [] for n in options.threads}
     with tempfile.TemporaryDirectory() as name:
