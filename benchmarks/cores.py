@@ -7,9 +7,9 @@ The demo's campaign, or any, is identified by the command line without the cache
 pictures included, with each number of threads in turn; or what is found of the demo is predicted
 with a curtain before its brick, treated, or asked what to measure next. Memory is what process and
 copies have together at most, pages that they share counted once (PSS, every 50 ms). The serial
-share is Amdahl's, by the clock: it means something only on a machine that has nothing else to do, which the
-load before each run says. Processor seconds are those of all processes. Exit code 1 where
-what was written, its seconds apart, differs.
+share is Amdahl's, by the clock: it means something only on a machine that has nothing else to do,
+which the load before each run says. Processor seconds are those of all processes. Exit code 1
+where what was written, its seconds apart, differs.
 """
 
 from __future__ import annotations
