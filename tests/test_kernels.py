@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -25,6 +26,23 @@ def test_threads_take_every_step_once(n, worth_it):
     seen = np.zeros(n)
     in_threads(_count, n, 3, seen, worth_it=worth_it)
     assert seen.tolist() == [3 * i for i in range(n)]
+
+
+@kernel(allocates=False)
+def _doubled(x: int) -> int:
+    return 2 * x
+
+
+@kernel(allocates=False)
+def _called_with_numbers(n: int) -> int:
+    return _doubled(0) + _doubled(3) + _doubled(n)
+
+
+def test_a_number_written_into_a_call_is_of_no_type_by_itself() -> None:
+    assert _called_with_numbers(2) == 10
+    compiled: Any = _called_with_numbers
+    compiled.recompile()  # it may have been read from the disk
+    assert len(cast(Any, _doubled).signatures) == 1
 
 
 PROGRAM = """
@@ -53,7 +71,7 @@ for module in (check, inside, ray_kernels):
 
 @pytest.mark.slow
 def test_no_kernel_is_compiled_twice_for_a_trace(tmp_path):
-    """A number written into a call, or int32 beside int64, compiles all that follows again."""
+    """int32 beside int64 compiles all that follows again."""
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM],
         capture_output=True,
