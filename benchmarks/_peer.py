@@ -107,13 +107,13 @@ def write_values(values: list[MeasuredValues], path: Path) -> None:
     path.write_text(json.dumps({"pairs": pairs}))
 
 
-def run_peer(program: str, arguments: list[str]) -> float:
-    """Run the other program to its end; return its processor seconds.
+def found_program(program: str) -> str:
+    """Return where the other program is.
 
     Raises
     ------
     InputError
-        There is no such program, or it failed.
+        There is no such program.
     """
     found = shutil.which(program)
     if found is None:
@@ -124,6 +124,18 @@ def run_peer(program: str, arguments: list[str]) -> float:
             hint="pip install acoustic-spaces into an environment of its own, and give the path "
             "of its command",
         )
+    return found
+
+
+def run_peer(program: str, arguments: list[str]) -> float:
+    """Run the other program to its end; return its processor seconds.
+
+    Raises
+    ------
+    InputError
+        There is no such program, or it failed.
+    """
+    found = found_program(program)
     before = _children_s()
     ended = subprocess.run([found, *arguments], capture_output=True, text=True, check=False)
     if ended.returncode:

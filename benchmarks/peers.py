@@ -36,6 +36,7 @@ from _peer import (
     FITTED,
     SEED,
     PeerFit,
+    found_program,
     read_fit,
     read_predicted,
     run_peer,
@@ -160,6 +161,7 @@ def main() -> int:
     more = rays + (["--parameters", *asked.parameters] if asked.parameters else [])
     done = []
     try:
+        found_program(asked.program)
         for seed in asked.seeds:
             done.append(box_by_both(asked.program, seed, more, asked.noise_db))
             print(f"seed {seed}: {done[-1].their_cpu_s:.0f} CPU s of the other program", flush=True)
