@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from roomfit import identification
+from roomfit.errors import InputError
+from roomfit.scene import PointGroup, scene_of, shoebox_room
 from roomfit.settings import Settings
 
 
@@ -22,6 +24,15 @@ def patched(monkeypatch, spans=None, **given):
 
     for name, function in ({"part": part} | given).items():
         monkeypatch.setattr(identification, name, function)
+
+
+def test_a_group_of_positions_that_are_nobodys_is_refused_before_anything_is_done():
+    here, there = {"S": (1.0, 1.0, 1.0)}, {"R1": (2.0, 1.5, 1.0)}
+    group = PointGroup("array", ("R1", "P*"), 0.05)
+    scene = replace(scene_of(shoebox_room((4.0, 3.0, 2.5), "a"), here, there), groups=(group,))
+    with pytest.raises(InputError, match="names neither a source nor a receiver") as refused:
+        identification.identify(scene, [])
+    assert "'P*'" in str(refused.value) and "S, R1" in str(refused.value)
 
 
 @pytest.mark.parametrize("quick", [False, True])

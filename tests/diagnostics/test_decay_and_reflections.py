@@ -414,3 +414,11 @@ def test_what_a_reflection_returns_is_less_the_more_of_it_is_taken_for_noise(mea
     for key in both:
         assert loud[key].returned < quiet[key].returned
         assert loud[key].sd > quiet[key].sd
+
+
+def test_decay_times_scatter_as_the_standard_says_of_ten_decays_at_each_position():
+    """ISO 3382-2:2008, annex A, for n = 10; relative, times the root of bandwidth and time."""
+    of_standard = {"T20_s": (0.88, 1.90), "T30_s": (0.55, 1.52)}
+    for name, (factor, more) in of_standard.items():
+        assert decay.DECAY_SCATTER[name] == pytest.approx(factor * np.sqrt(1.0 + 0.1 * more))
+    assert decay.DECAY_SCATTER["EDT_s"] == pytest.approx(1.97 * np.sqrt(1.28))

@@ -18,6 +18,7 @@ from roomfit.solvers.least_squares import (
     simplex_solver,
 )
 from roomfit.solvers.search import (
+    _walk_at,
     accepts,
     anneal,
     downhill_simplex,
@@ -198,3 +199,14 @@ def test_without_unknowns_there_is_nothing_to_search() -> None:
         end = solver(lambda _: pytest.fail("nothing to evaluate"), np.zeros(0))
         assert (end.x.size, end.cost, end.evaluations) == (0, 0.0, 0)
         assert end.ending is Ending.CONVERGED
+
+
+def test_the_share_of_steps_that_were_taken_is_that_of_a_walk() -> None:
+    """Steps away from zero and back, of which a cold walk takes those that fall, by turns."""
+    steps = np.array([[-0.1], [0.1], [-0.1], [0.1]])
+    for n, share in ((4, 0.5), (1, 1.0), (2, 0.5), (3, 2.0 / 3.0)):
+        level = _walk_at(
+            lambda x: float(x[0]), np.array([0.5]), 0.5, 1e-12, steps[:n], np.random.default_rng(1)
+        )
+        assert level.accepted == pytest.approx(share)
+        assert level.lowest_error == pytest.approx(0.5 - 0.1 * round(n * share))
