@@ -190,6 +190,16 @@ def test_groups_keep_a_fifth_of_the_rays_for_every_band():
     assert most > 2
 
 
+@pytest.mark.parametrize(("hits", "n_groups"), [(6.0, 1), (6.8, 2)])
+def test_bands_have_one_group_as_long_as_a_fifth_of_the_rays_counts(hits, n_groups):
+    """exp(-hits / 4) of them for a band whose paths scatter by 0.4 in place of 0.2."""
+    wanted, single = np.array([[0.1, 0.1, 0.4]]), np.array([0.2])
+    rng = np.random.default_rng(1)
+    own = effective_fractions(single[None], wanted, np.array([hits]), rng).min()
+    assert own == pytest.approx(np.exp(-0.25 * hits), rel=0.02)
+    assert len(sampling_groups(wanted, single, np.array([hits]), rng)) == n_groups
+
+
 def test_equal_bands_are_one_group_traced_as_before():
     """Nothing to reweigh; and two bands that repeat one another need two groups at most."""
     rng, hits = np.random.default_rng(1), np.array([300.0, 200.0])

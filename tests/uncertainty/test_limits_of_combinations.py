@@ -58,7 +58,8 @@ def test_a_difference_is_known_to_a_tenth_of_the_larger_where_its_spread_is_halv
         (0.0499, 0.0997, False),
     ):
         drawn = np.stack([np.full(n, 0.2), spread(0.5, half, n), np.full(n, 0.4)], axis=1)
-        prior = np.stack([np.zeros(n), spread(0.5, before, n), np.zeros(n)], axis=1)
+        apart = spread(0.5, before, n)  # materials that are expected to rise together
+        prior = np.stack([0.5 * apart, 1.5 * apart, np.zeros(n)], axis=1)
         (found,) = combinations._differences([group], a, drawn, prior, 0.1)
         np.testing.assert_array_equal(found.weights, [-1.0, 1.0, 0.0])
         assert found.value == pytest.approx(0.3)
