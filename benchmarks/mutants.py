@@ -314,18 +314,8 @@ _SYMMETRIC = frozenset({"max", "min", "maximum", "minimum", "hypot", "isclose", 
 # How a picture looks, not what it shows.
 _LOOKS = frozenset(
     {"alpha", "bbox_to_anchor", "capsize", "color", "columnspacing", "elinewidth", "fontsize"}
-    | {
-        "handlelength",
-        "linewidth",
-        "linewidths",
-        "lw",
-        "mew",
-        "ms",
-        "ncols",
-        "pad",
-        "rotation",
-        "zorder",
-    }
+    | {"handlelength", "linewidth", "linewidths", "lw", "mew", "ms", "ncols", "pad", "rotation"}
+    | {"zorder"}
 )
 # Their text is read by people alone, or by type checkers.
 _NOT_PLANTED = (ast.JoinedStr, ast.Raise, ast.Assert)
