@@ -606,3 +606,16 @@ def test_what_went_beyond_the_specified_step_by_step_is_far_itself_unless_it_was
             np.testing.assert_array_equal(found, shift_m)
     outline.offsets = tuple(replace(o, is_stated=True) for o in outline.offsets)
     assert whole_displacement._farthest(outline, Flat(), shift_m) is None
+
+
+@pytest.mark.parametrize("top_m", [-0.04, 0.03])
+def test_an_offset_s_highest_point_is_looked_for_on_both_sides_within_its_reach(top_m):
+    """A sharp top of the second of two offsets; one that is lower than where it stands is none."""
+
+    def logl(shift_m):
+        return -abs(float(shift_m[1]) - 0.01 - top_m) - 2.0 * abs(float(shift_m[0]) - 0.5)
+
+    start_m = np.array([0.5, 0.01])
+    found_m = whole_displacement._highest(logl, start_m, 1, 0.05)
+    np.testing.assert_allclose(found_m, [0.5, 0.01 + top_m], atol=2e-3)
+    assert whole_displacement._highest(logl, start_m, 0, 0.05) is start_m

@@ -13,6 +13,7 @@ from roomfit.errors import InsufficientDataError
 from roomfit.inversion.measurements import collect_measurements
 from roomfit.materials.priors import uniform_scattering, unknown_material
 from roomfit.objective import observation
+from roomfit.objective.energy import variance_of_batches
 from roomfit.objective.observation import energy_terms
 from roomfit.objective.windows import WINDOW_DECAYS, windows_decay_s
 from roomfit.response.binned import bin_paths
@@ -110,3 +111,12 @@ def test_a_level_starts_where_all_that_shares_it_agrees_as_a_whole_with_what_is_
         )
         with pytest.raises(InsufficientDataError, match=rf"level(.|\n)*here(.|\n)*{words}"):
             observation._gain_block(("here",), silent, block)
+
+
+def test_batches_of_rays_vary_by_n_over_n_less_one_of_their_squares_from_two_on():
+    """The variance of their sum, as of independent ones; of a single one nothing is known."""
+    batches = np.array([[1.0, 3.0, 8.0], [2.0, 2.0, 2.0]])
+    expected = 3.0 * np.var(batches, axis=1, ddof=1)
+    np.testing.assert_allclose(variance_of_batches(batches), expected)
+    np.testing.assert_allclose(variance_of_batches(batches[:, :2]), [4.0, 0.0])
+    np.testing.assert_array_equal(variance_of_batches(batches[:, :1]), [0.0, 0.0])
