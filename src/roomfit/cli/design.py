@@ -27,6 +27,7 @@ def add(commands: Commands) -> None:
     parser.add_option("--sources", "How many different sources at most.", type=whole_number)
     parser.add_option("--criterion", "What is to become small: determinant, mean or worst.")
     parser.add_option("--result", "result.json of a fit: what to measure next.", type=Path)
+    parser.add_threads()
     parser.add_edited()
     parser.add_overwrite()
 
@@ -49,5 +50,4 @@ def run(options: argparse.Namespace) -> None:
             overwrite=options.overwrite,
             progress=progress,
         )
-    say(str(design))
-    say(f"\ndesign.json, design.csv and pictures are in {options.out}")
+    say(f"{design}\n\ndesign.json, design.csv and pictures are in {options.out}")
