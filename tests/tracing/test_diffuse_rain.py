@@ -14,12 +14,32 @@ from roomfit.errors import InputError
 from roomfit.materials.priors import uniform_scattering
 from roomfit.scene import Scene
 from roomfit.tracing.paths import Paths, TraceSettings
+from roomfit.tracing.ray_kernels import spheres, towards
 from roomfit.tracing.rays import expected_paths, trace_rays
 from roomfit.tracing.trace import trace
 from roomfit.typing import BoolArray, FloatArray
 
 BATCHES = 32
 SOURCE, RECEIVER = [1.2, 1.5, 1.1], [4.1, 2.9, 1.2]
+
+
+def test_a_reflection_reaches_a_receiver_by_lamberts_law_on_the_side_it_came_from() -> None:
+    """Walls and directions of any slope; the normal may have either sense."""
+    rng = np.random.default_rng(8)
+    centre = np.array([RECEIVER, [0.5, 0.7, 2.0]])
+    two = spheres(centre, np.full(2, 0.3), np.arange(2, dtype=np.int32))
+    for _ in range(20):
+        o, d, normal = rng.uniform(0.5, 3.0, 3), *rng.normal(size=(2, 3))
+        normal /= np.linalg.norm(normal)
+        inward = -np.sign(d @ normal) * normal
+        way = centre[1] - o
+        far = np.linalg.norm(way)
+        cosine = max(way @ inward / far, 0.0)
+        distance, direction, weight = towards(two, 1, tuple(o), tuple(d), tuple(normal))
+        assert distance == pytest.approx(far)
+        np.testing.assert_allclose(direction, way / far)
+        assert weight == pytest.approx(cosine / np.pi / far**2)
+    assert towards(two, 0, tuple(RECEIVER), (0.0, 0.0, 1.0), (0.0, 0.0, 1.0))[2] == 0.0
 
 
 def rays(scene: Scene, estimator: str, s: float, n_rays: int = 2**14, **more: object) -> Paths:
