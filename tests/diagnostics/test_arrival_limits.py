@@ -40,7 +40,7 @@ def arrived(distance_m: Any, path_m: Any, *, latency_s: Any = 0.0, sd_m: Any = 0
 
 
 @pytest.mark.parametrize(
-    ("distance_m", "spread_m", "is_told"),
+    ("distance_m", "spread_m", "is_raised"),
     [
         ((2.0, 3.0, 4.0), 0.049, True),
         ((2.0, 3.0, 4.0), 0.051, False),
@@ -51,13 +51,13 @@ def arrived(distance_m: Any, path_m: Any, *, latency_s: Any = 0.0, sd_m: Any = 0
     ],
 )
 def test_files_begin_at_their_direct_sound_where_their_own_clocks_agree(
-    distance_m, spread_m, is_told
+    distance_m, spread_m, is_raised
 ):
     """Whatever latency is specified of each; the time is the mean on the files' own clocks."""
     late_s = np.linspace(0.0, 0.01, len(distance_m))
     own_m = 1.0 + np.linspace(0.0, spread_m, len(distance_m))
     found = arrivals._begin_at_direct(arrived(distance_m, own_m - C * late_s, latency_s=late_s))
-    assert bool(found) is is_told
+    assert bool(found) is is_raised
     if found:
         own_ms = 1e3 * own_m.mean() / C
         assert f"{own_ms:.2f} ms after the first sample" in found[0].finding.sentence
@@ -68,9 +68,9 @@ def test_files_begin_at_their_direct_sound_where_their_own_clocks_agree(
     ("factor", "unit"),
     [(0.3048, "ft"), (0.0254, "in"), (0.01, "cm"), (0.001, "mm"), (1 / 0.3048, "m"), (0.5, "")],
 )
-def test_another_unit_is_told_by_three_files_whose_distances_differ(factor, unit):
+def test_another_unit_is_found_from_three_files_whose_distances_differ(factor, unit):
     """Beside any common delay, to the tolerance of each; by three tolerances of distance."""
-    for distance_m, off_m, is_told in (
+    for distance_m, off_m, is_raised in (
         (np.array([20.0, 50.0, 90.0]), 0.049, True),
         (np.array([20.0, 50.0, 90.0]), 0.051, False),
         (np.array([2.0, 9.0]), 0.0, False),
@@ -79,7 +79,7 @@ def test_another_unit_is_told_by_three_files_whose_distances_differ(factor, unit
         off = np.zeros(distance_m.size)
         off[0] = off_m
         found = arrivals._other_unit(arrived(distance_m, factor * distance_m + 1.0 + off))
-        assert bool(found) is (is_told and bool(unit))
+        assert bool(found) is (is_raised and bool(unit))
         if found:
             assert found[0].finding.evidence == {"factor": factor, "unit": unit}
     near = np.array([2.0, 2.1, 2.151])
@@ -89,11 +89,11 @@ def test_another_unit_is_told_by_three_files_whose_distances_differ(factor, unit
 def test_files_begin_anywhere_where_two_of_them_lead_by_a_tenth_of_a_second_at_least():
     """The least and the largest are said."""
     distance_m = np.array([2.0, 3.0])
-    for lead_s, is_told in ((0.0999, False), (0.1001, True)):
+    for lead_s, is_raised in ((0.0999, False), (0.1001, True)):
         found = arrivals._begin_anywhere(
             arrived(distance_m, distance_m + C * np.array([lead_s, 2]))
         )
-        assert bool(found) is is_told
+        assert bool(found) is is_raised
     assert "All 2 files begin before" in found[0].finding.sentence
     assert "0.10 to 2.00 s" in found[0].finding.sentence
     assert arrivals._begin_anywhere(arrived([2.0], [2.0 + C])) == ()
@@ -185,7 +185,7 @@ def test_delays_are_looked_for_where_all_files_agree_and_more_than_one_does():
     """To a tolerance about their median, which must exceed one; the peaks say by how much."""
     distance_m = np.array([2.0, 3.0, 5.0])
     ones = np.ones((3, 1))
-    for off_m, middle_m, is_told in (
+    for off_m, middle_m, is_raised in (
         (0.049, 1.0, True),
         (0.051, 1.0, False),
         (0.0, 0.051, True),
@@ -193,7 +193,7 @@ def test_delays_are_looked_for_where_all_files_agree_and_more_than_one_does():
     ):
         late_m = middle_m + np.array([0.0, 0.0, off_m])
         made = arrivals._late_by(arrived(distance_m, distance_m + late_m), ones)
-        assert (made is not None) is is_told
+        assert (made is not None) is is_raised
     assert arrivals._late_by(arrived([2.0], [3.0]), np.ones((1, 1))) is None
     found = arrived(distance_m, distance_m + 1.0)
     found = _Arrivals(**{
@@ -210,12 +210,12 @@ def test_how_a_point_is_displaced_is_said_from_five_centimetres_on_by_each_of_it
     """Beside a delay that its other files have in common; the longest is the least it moved."""
     distance_m = np.array([2.0, 3.0, 5.0, 4.0])
     others = np.array([True, True, True, False])
-    for moved_m, is_told in ((0.049, False), (0.051, True), (-0.2, True)):
+    for moved_m, is_raised in ((0.049, False), (0.051, True), (-0.2, True)):
         late_m = 0.3 + np.array([0.0, 0.0, 0.0, moved_m])
         found = arrived(distance_m, distance_m + late_m)
-        told = arrivals._displacement(found, found.receiver[3], others, np.ones((4, 1)))
-        assert bool(told) is is_told
-    (verdict,) = told
+        raised = arrivals._displacement(found, found.receiver[3], others, np.ones((4, 1)))
+        assert bool(raised) is is_raised
+    (verdict,) = raised
     assert verdict.finding.code is Code.DISPLACEMENT_DETECTED
     assert verdict.finding.evidence["receiver"] == "R3"
     assert verdict.finding.evidence["metres"] == pytest.approx(0.2)
@@ -230,10 +230,15 @@ def test_how_a_point_is_displaced_is_said_from_five_centimetres_on_by_each_of_it
 def test_two_files_are_exchanged_where_that_mends_both_and_there_is_a_third():
     """To the tolerance of each, beside a common delay."""
     distance_m, swapped = np.array([2.0, 3.0, 5.0, 4.0]), np.array([3.0, 2.0, 5.0, 4.0])
-    for off_m, n, is_told in ((0.049, 4, True), (0.051, 4, False), (0.0, 3, True), (0.0, 2, False)):
+    for off_m, n, is_raised in (
+        (0.049, 4, True),
+        (0.051, 4, False),
+        (0.0, 3, True),
+        (0.0, 2, False),
+    ):
         path_m = swapped + np.array([off_m, 0.0, 0.0, 0.0])
         found = arrivals._exchanged(arrived(distance_m[:n], path_m[:n]))
-        assert bool(found) is is_told, (off_m, n)
+        assert bool(found) is is_raised, (off_m, n)
         if found:
             assert found[0].finding.evidence == {"files": ["R0.wav", "R1.wav"]}
     late = arrived(np.array([2.0, 3.0, 5.0, 4.0, 6.0]), np.array([3.0, 2.0, 5.0, 4.0, 6.0]) + 0.6)

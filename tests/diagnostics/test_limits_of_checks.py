@@ -197,7 +197,7 @@ def test_most_bands_misfit_by_their_median_and_two_by_the_smaller(chi2, models, 
     assert found == []
 
 
-def test_another_minimum_is_told_with_its_absorptions_and_what_it_loses():
+def test_another_minimum_is_reported_with_its_absorptions_and_what_it_loses():
     starts = SimpleNamespace(other=(0.1234567, 0.7), loss=1.2345)
     answers = [SimpleNamespace(starts=s) for s in
                (None, starts, SimpleNamespace(other=None, loss=0.0))]  # fmt: skip
@@ -400,7 +400,7 @@ def test_prominence_of_a_wall_is_read_where_its_mirror_image_arrives():
 
 
 @pytest.mark.parametrize(
-    ("change", "is_told"),
+    ("change", "is_raised"),
     [
         ({}, True),
         ({"best": 1.49}, False),
@@ -421,7 +421,7 @@ def test_prominence_of_a_wall_is_read_where_its_mirror_image_arrives():
     ],
 )
 def test_a_wall_is_elsewhere_where_its_echoes_are_prominent_lead_and_most_responses_have_them(
-    monkeypatch, change, is_told
+    monkeypatch, change, is_raised
 ):
     given = {"moved_m": 0.5, "best": 2.0, "rest": 0.5, "here": 0.5, "n": 8, "low": 0, **change}
     moved_m = given["moved_m"]
@@ -433,7 +433,7 @@ def test_a_wall_is_elsewhere_where_its_echoes_are_prominent_lead_and_most_respon
     monkeypatch.setattr(wall_positions, "_prominences", lambda *_: peak[None])
     wall = _Wall("east", (5.0, 2.0, 1.0), np.array([1.0, 0.0, 0.0]), 5.0)
     found = wall_positions._mismatch(wall, moved_m, scores, [], 343.0)
-    assert bool(found) is is_told
+    assert bool(found) is is_raised
     if found:
         way = "farther out than" if moved_m > 0.0 else "inside of where"
         assert f"a wall {abs(moved_m):.2f} m {way}" in found[0].sentence

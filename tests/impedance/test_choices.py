@@ -291,12 +291,12 @@ def test_data_must_be_as_many_as_the_numbers_of_walls_and_gains(kind, has_phase)
         found = data_findings(problem, {"wall": WallModel(kind)})
         assert bool(found) is (data < numbers + n_gain)
         # to the very number
-        for more, is_told in ((data - numbers, False), (data - numbers + 1, True)):
+        for more, is_raised in ((data - numbers, False), (data - numbers + 1, True)):
             problem.layout = SimpleNamespace(gain=slice(0, more))
-            told = data_findings(problem, {"wall": WallModel(kind)})
-            assert bool(told) is is_told
-        assert told[0].code is Code.TOO_FEW_DATA
-        assert told[0].evidence == {"data": data, "unknowns": data + 1}
+            raised = data_findings(problem, {"wall": WallModel(kind)})
+            assert bool(raised) is is_raised
+        assert raised[0].code is Code.TOO_FEW_DATA
+        assert raised[0].evidence == {"data": data, "unknowns": data + 1}
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from roomfit.inversion import coherent
 BANDS = bands_between("octave", 250, 1000)
 
 
-def heard(pair: int, use: str = "fit") -> SimpleNamespace:
+def response(pair: int, use: str = "fit") -> SimpleNamespace:
     return SimpleNamespace(pair=pair, measurement=SimpleNamespace(use=use))
 
 
@@ -24,7 +24,7 @@ def test_images_reach_five_periods_of_the_lowest_band_beyond_what_is_added(monke
     """Of the pairs that are fitted."""
     monkeypatch.setattr(coherent, "image_paths", lambda *arguments: arguments)
     task = SimpleNamespace(
-        measured=(heard(4), heard(2, "validate"), heard(1)),
+        measured=(response(4), response(2, "validate"), response(1)),
         settings=SimpleNamespace(end_s=0.2), bands=BANDS, scene=SimpleNamespace(air=Air()),
     )  # fmt: skip
     paths, pairs, first_m, last_m = coherent._images(SimpleNamespace(task=task, paths="paths"))

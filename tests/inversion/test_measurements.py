@@ -75,8 +75,8 @@ def test_the_median_decay_is_of_t20_then_t30_then_edt_band_by_band():
         response("validate", T20_s=[8.0] * 3, T30_s=[8.0] * 3, EDT_s=[8.0] * 3),
     ]
     np.testing.assert_array_equal(median_decay_s(measured(*rows), hz), [4.0, 2.0, 2.0])
-    told = (table(hz=(500.0, 1000.0), T20_s=[9.0, 4.0]), table(hz=(250.0,), T30_s=[0.5]))
-    found = median_decay_s(measured(*rows, values=told), hz)
+    tabulated = (table(hz=(500.0, 1000.0), T20_s=[9.0, 4.0]), table(hz=(250.0,), T30_s=[0.5]))
+    found = median_decay_s(measured(*rows, values=tabulated), hz)
     np.testing.assert_array_equal(found, [0.5, 4.0, 4.0])
     np.testing.assert_array_equal(median_decay_s(measured(), hz), [NAN] * 3)
 

@@ -15,9 +15,8 @@ def add(commands: Commands) -> None:
     )
     parser = add_command(commands, "paper", about, run)
     parser.add_out("Folder for paper.json, tables, pictures.")
-    parser.add_option(
-        "--seeds", "Searches of every problem by every method.", type=positive_number, default=50
-    )
+    searches = "Searches of every problem by every method; of other rays as many sets, 8 at most."
+    parser.add_option("--seeds", searches, type=positive_number, default=50)
     parser.add_option("--workers", "Processes.", type=positive_number, default=2)
     parser.add_overwrite()
 
