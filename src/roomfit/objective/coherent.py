@@ -248,15 +248,21 @@ class CoherentTerm(DataTerm):
         """Return the windows as energies of all paths."""
         return self.energies
 
-    def image_bases(self, aims: Sequence[FloatArray | None]) -> tuple[FloatArray, ...]:
-        """Return `pattern_basis` of where all images and the coherent ones leave, (n_paths, 3)."""
-        return image_basis(self.images, aims), image_basis(self.coherent, aims)
+    def image_bases(
+        self, aims: Sequence[FloatArray | None], every: RowBasis | None = None
+    ) -> tuple[RowBasis, ...]:
+        """Return `pattern_basis` of where all images and the coherent ones leave, (n_paths, 3).
+
+        The former may be given, since it is the same for any coherence.
+        """
+        every = image_basis(self.images, aims) if every is None else every
+        return every, every[self.images.coherence > 0.0]
 
     def radiated(
         self,
         b: Sequence[FloatArray | None],
         basis: Sequence[RowBasis],
-        images: tuple[FloatArray, ...] = (),
+        images: tuple[RowBasis, ...] = (),
     ) -> CoherentTerm:
         """Return the windows with directivities as `EnergyTerm.radiated`, and of `image_bases`."""
         every, own = images

@@ -77,6 +77,8 @@ class BandDirectivities:
     # (n_rows, 3), one an observation: `pattern_basis` of where the path of each row leaves
     basis: tuple[RowBasis, ...]
     aims: tuple[FloatArray | None, ...]  # one an observation
+    # (n_images, 3), the same of all image paths; None: made where pressures are weighed
+    images: RowBasis | None = None
 
 
 Windows: TypeAlias = EnergyTerm | CoherentTerm
@@ -90,7 +92,7 @@ class DirectedTerm(DataTerm):
     is_gamma: ClassVar[bool] = True
     windows: Windows  # with the weights of omnidirectional sources
     directivity: BandDirectivities
-    image_bases: tuple[FloatArray, ...]  # of the windows' image paths, see their `image_bases`
+    image_bases: tuple[RowBasis, ...]  # of the windows' image paths, see their `image_bases`
     # of the last prediction, by its b: the windows with the weights of b, for the variance there
     _last: dict[bytes, Windows] = field(default_factory=dict, init=False, repr=False)
 
@@ -152,7 +154,7 @@ def directed(
     """Return windows weighed by their sources' directivity, or as they are without any."""
     if directivity is None:
         return windows
-    return DirectedTerm(windows, directivity, windows.image_bases(directivity.aims))
+    return DirectedTerm(windows, directivity, windows.image_bases(directivity.aims, directivity.images))
 
 
 def energy_objective(

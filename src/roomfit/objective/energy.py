@@ -174,7 +174,9 @@ class EnergyTerm(DataTerm):
         """Return the windows themselves."""
         return self
 
-    def image_bases(self, _aims: Sequence[FloatArray | None]) -> tuple[FloatArray, ...]:
+    def image_bases(
+        self, _aims: Sequence[FloatArray | None], _every: RowBasis | None = None
+    ) -> tuple[RowBasis, ...]:
         """Return nothing: energies of image paths stand among the rows."""
         return ()
 
@@ -182,7 +184,7 @@ class EnergyTerm(DataTerm):
         self,
         b: Sequence[FloatArray | None],
         basis: Sequence[RowBasis],
-        _images: tuple[FloatArray, ...] = (),
+        _images: tuple[RowBasis, ...] = (),
     ) -> EnergyTerm:
         """Return the windows with the directivity of each observation's source.
 

@@ -293,14 +293,14 @@ class DirectedImages(NamedTuple):
     slope: FloatArray  # (n_paths, 3), its derivative by b of the path's own source
 
 
-def image_basis(images: ImagePaths, aims: Sequence[FloatArray | None]) -> FloatArray:
+def image_basis(images: ImagePaths, aims: Sequence[FloatArray | None]) -> RowBasis:
     """Return `pattern_basis` of image paths, one aim or None an observation, (n_paths, 3)."""
     parts = np.split(image_departure(images), images.offsets[1:-1])
     return np.concatenate([pattern_basis(p, aim) for p, aim in zip(parts, aims, strict=True)])
 
 
 def image_amplitudes(
-    images: ImagePaths, b: Sequence[FloatArray | None], basis: FloatArray
+    images: ImagePaths, b: Sequence[FloatArray | None], basis: RowBasis
 ) -> tuple[FloatArray, FloatArray]:
     """Return amplitude (n,) and slope (n, 3) of every image: 1 and 0 where b is known."""
     amplitude, slope = np.ones(len(basis)), np.zeros((len(basis), 3))
@@ -335,9 +335,24 @@ def coherent_slopes(
     root = np.sqrt(image_energies(images, absorption) * images.coherence)
     heights = np.column_stack([amplitude, slope]) * root[:, None]
     impulses: Any = np.zeros((len(edges_s), 4, grid.n), dtype=grid.real)
-    arrivals = arrival_times_s(images, times)
-    added = (images.offsets, arrivals, heights, grid.first_s, grid.rate_hz, grid.table, impulses)
-    in_threads(grid_directed_impulses, len(edges_s), *added)
+    in_threads(
+        grid_directed_impulses,
+        len(edges_s),
+        images.offsets,
+        images.row,
+        images.image_to_receiver_m,
+        images.image_transform,
+        images.hits,
+        heights,
+        times.shifts_m,
+        times.speed_m_s,
+        times.latency_s,
+        times.delays_s,
+        grid.first_s,
+        grid.rate_hz,
+        grid.table,
+        impulses,
+    )
     workers = min(numba.get_num_threads(), 2)
     spectra = fft.rfft(impulses, axis=-1, workers=workers) * grid.filter.astype(grid.real)
     pressure = fft.irfft(spectra, grid.n, workers=workers)
@@ -345,24 +360,20 @@ def coherent_slopes(
     return integrated_products(own, moved, grid, edges_s)[1]
 
 
-def arrival_times_s(images: ImagePaths, times: Times) -> FloatArray:
-    """Return when every image path arrives, shape (n_paths,)."""
-    counts = np.diff(images.offsets)
-    shift = np.repeat(times.shifts_m, counts, axis=0)
-    transform = images.image_transform[images.row].reshape(-1, 3, 3)
-    turned = np.einsum("nij,nj->ni", transform, shift[:, :3])
-    length = np.linalg.norm(images.image_to_receiver_m[images.row] + shift[:, 3:] - turned, axis=1)
-    late = np.repeat(times.latency_s, counts) + (images.hits @ times.delays_s)[images.row]
-    return np.asarray(length / times.speed_m_s + late)
-
-
 @kernel(allocates=False)
 def grid_directed_impulses(
     first: int,
     last: int,
     offsets: IntArray,
-    time_s: FloatArray,
+    row: IntArray,
+    away: FloatArray,
+    image_transform: RealArray,
+    hits: IntArray,
     heights: FloatArray,
+    shifts: FloatArray,
+    speed: float,
+    latency: FloatArray,
+    delays: FloatArray,
     first_s: float,
     rate_hz: float,
     table: FloatArray,
@@ -374,17 +385,25 @@ def grid_directed_impulses(
 
     Parameters
     ----------
-    offsets : shape (n_observations + 1,)
-    time_s : shape (n_paths,)
+    offsets, row, away, image_transform, hits, shifts, speed, latency, delays
+        As for `roomfit.response.coherent.grid_impulses`.
     heights : shape (n_paths, n_columns)
     impulses : shape (n_observations, n_columns, n_grid)
         Zeros; filled.
     """
     n_grid = impulses.shape[2]
     for o in range(first, last):
-        own = impulses[o]
+        own, s = impulses[o], shifts[o]
         for i in range(offsets[o], offsets[o + 1]):
-            place = (time_s[i] - first_s) * rate_hz
+            at, square, late = row[i], 0.0, latency[o]
+            for k in range(3):
+                along = away[at, k] + s[3 + k]
+                for j in range(3):
+                    along -= image_transform[at, 3 * k + j] * s[j]
+                square += along * along
+            for m in range(hits.shape[1]):
+                late += hits[at, m] * delays[m]
+            place = (math.sqrt(square) / speed + late - first_s) * rate_hz
             behind = int(np.floor(place))
             share = (place - behind) * TABLE_STEPS
             step = int(share)
