@@ -86,7 +86,6 @@ from roomfit.objective.problem import DataTerm, Objective, Prediction
 from roomfit.objective.windows import WINDOW_DECAYS, windows_decay_s
 from roomfit.response.binned import BinnedPaths
 from roomfit.response.coherent import ImagePaths, image_paths, images_of
-from roomfit.response.directivity import image_basis
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.solvers.least_squares import BandFit, fit_band, score_band
 from roomfit.tracing.paths import Paths
@@ -261,8 +260,8 @@ def rebuild(state: SequentialState) -> SequentialState:
             directivity = directed_band(unknown, task.scene, bases, windows, files)
         coherent = _early(state, b, windows, geometry, images)
         if directivity is not None:
-            leaving = image_basis(coherent.images, directivity.aims)
-            directivity = replace(directivity, images=leaving)
+            # the same in every round, pass and trial of a fit
+            directivity = replace(directivity, images=coherent.image_basis(directivity.aims))
         energies = energy_objective(windows, parameters, directivity, task.others[b])
         ready.append((b, energies, coherent, directivity))
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 
@@ -248,26 +248,20 @@ class CoherentTerm(DataTerm):
         """Return the windows as energies of all paths."""
         return self.energies
 
-    def image_bases(
-        self, aims: Sequence[FloatArray | None], every: RowBasis | None = None
-    ) -> tuple[RowBasis, ...]:
-        """Return `pattern_basis` of where all images and the coherent ones leave, (n_paths, 3).
-
-        The former may be given, since it is the same for any coherence.
-        """
-        every = image_basis(self.images, aims) if every is None else every
-        return every, every[self.images.coherence > 0.0]
+    def image_basis(self, aims: Sequence[FloatArray | None]) -> RowBasis | None:
+        """Return `pattern_basis` of where all images leave, whatever their coherence, (n, 3)."""
+        return image_basis(self.images, aims)
 
     def radiated(
         self,
         b: Sequence[FloatArray | None],
         basis: Sequence[RowBasis],
-        images: tuple[RowBasis, ...] = (),
+        images: RowBasis | None = None,
     ) -> CoherentTerm:
-        """Return the windows with directivities as `EnergyTerm.radiated`, and of `image_bases`."""
-        every, own = images
-        amplitude, _ = image_amplitudes(self.images, b, every)
-        directed = DirectedImages(self.coherent, *image_amplitudes(self.coherent, b, own))
+        """Return the windows with directivities as `EnergyTerm.radiated`, and of `image_basis`."""
+        amplitude, slope = image_amplitudes(self.images, b, cast(RowBasis, images))
+        own = self.images.coherence > 0.0
+        directed = DirectedImages(self.coherent, amplitude[own], slope[own])
         return replace(
             self,
             energies=self.energies.radiated(b, basis),

@@ -8,7 +8,7 @@ Their block stands behind absorption and gain and before the geometry, whose pos
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, TypeAlias
 
 import numpy as np
@@ -77,8 +77,7 @@ class BandDirectivities:
     # (n_rows, 3), one an observation: `pattern_basis` of where the path of each row leaves
     basis: tuple[RowBasis, ...]
     aims: tuple[FloatArray | None, ...]  # one an observation
-    # (n_images, 3), the same of all image paths; None: made where pressures are weighed
-    images: RowBasis | None = None
+    images: RowBasis | None = None  # (n_images, 3), the same of image paths of pressures
 
 
 Windows: TypeAlias = EnergyTerm | CoherentTerm
@@ -92,7 +91,6 @@ class DirectedTerm(DataTerm):
     is_gamma: ClassVar[bool] = True
     windows: Windows  # with the weights of omnidirectional sources
     directivity: BandDirectivities
-    image_bases: tuple[RowBasis, ...]  # of the windows' image paths, see their `image_bases`
     # of the last prediction, by its b: the windows with the weights of b, for the variance there
     _last: dict[bytes, Windows] = field(default_factory=dict, init=False, repr=False)
 
@@ -145,7 +143,7 @@ class DirectedTerm(DataTerm):
     def _radiated(self, b: FloatArray) -> Windows:
         """Return the windows with the weights of b."""
         each = [None if s < 0 else b[s] for s in self.directivity.source]
-        return self.windows.radiated(each, self.directivity.basis, self.image_bases)
+        return self.windows.radiated(each, self.directivity.basis, self.directivity.images)
 
 
 def directed(
@@ -154,7 +152,9 @@ def directed(
     """Return windows weighed by their sources' directivity, or as they are without any."""
     if directivity is None:
         return windows
-    return DirectedTerm(windows, directivity, windows.image_bases(directivity.aims, directivity.images))
+    if directivity.images is None:
+        directivity = replace(directivity, images=windows.image_basis(directivity.aims))
+    return DirectedTerm(windows, directivity)
 
 
 def energy_objective(

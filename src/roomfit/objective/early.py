@@ -197,7 +197,7 @@ def fixed_paths(
     if directivity is not None:
         unknown = directivity.unknown
         values[DIRECTIVITY] = np.asarray(np.linalg.solve(unknown.root, b.ravel() - unknown.mean))
-        whole = DirectedTerm(term, directivity, ())
+        whole = DirectedTerm(term, directivity)
         weighed = whole.as_energies(values)
         _, energy, slopes = whole.predict(values)
         by_b = slopes[DIRECTIVITY] @ np.linalg.inv(unknown.root)

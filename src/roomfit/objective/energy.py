@@ -174,17 +174,15 @@ class EnergyTerm(DataTerm):
         """Return the windows themselves."""
         return self
 
-    def image_bases(
-        self, _aims: Sequence[FloatArray | None], _every: RowBasis | None = None
-    ) -> tuple[RowBasis, ...]:
+    def image_basis(self, _aims: Sequence[FloatArray | None]) -> RowBasis | None:
         """Return nothing: energies of image paths stand among the rows."""
-        return ()
+        return None
 
     def radiated(
         self,
         b: Sequence[FloatArray | None],
         basis: Sequence[RowBasis],
-        _images: tuple[RowBasis, ...] = (),
+        _images: RowBasis | None = None,
     ) -> EnergyTerm:
         """Return the windows with the directivity of each observation's source.
 
