@@ -50,18 +50,18 @@ def ray_decay_s(
     lost = np.zeros(int(longest_s / BIN_S))
     at, ways = rng.random((N_RAYS, 3)) * lengths_m, rng.standard_normal((N_RAYS, 3))
     ways /= np.linalg.norm(ways, axis=1)[:, None]
-    _follow(lengths_m, absorption, scattering, at, ways, int(rng.integers(1 << 31)), lost)
+    _follow(lengths_m, absorption, scattering, at, ways, rng, lost)
     left = lost[::-1].cumsum()[::-1]
     # what is integrated backwards is the energy from each time on
     level_db = 10.0 * np.log10(np.maximum(left[::-1].cumsum()[::-1] / left.sum(), 1e-12))
     used = (level_db <= -5.0) & (level_db >= -35.0)
-    return -60.0 * BIN_S / float(np.polyfit(np.arange(np.count_nonzero(used)), level_db[used], 1)[0])
+    slope, _ = np.polyfit(np.arange(np.count_nonzero(used)), level_db[used], 1)
+    return -60.0 * BIN_S / float(slope)
 
 
 @numba.njit
-def _follow(lengths, absorption, scattering, starts, ways, seed, lost):  # type: ignore[no-untyped-def]
+def _follow(lengths, absorption, scattering, starts, ways, rng, lost):  # type: ignore[no-untyped-def]
     """Follow every ray until 70 dB of its energy are lost, and add up when."""
-    np.random.seed(seed)
     for r in range(len(starts)):
         at, way, energy, time_s = starts[r], ways[r], 1.0, 0.0
         while energy > 1e-7:
@@ -79,8 +79,8 @@ def _follow(lengths, absorption, scattering, starts, ways, seed, lost):  # type:
             for k in range(3):
                 at[k] = min(max(at[k] + step * way[k], 0.0), lengths[k])
             way[axis] = -way[axis]
-            if np.random.random() < scattering:  # by Lambert's law
-                sine, turn = np.sqrt(np.random.random()), 2.0 * np.pi * np.random.random()
+            if rng.random() < scattering:  # by Lambert's law
+                sine, turn = np.sqrt(rng.random()), 2.0 * np.pi * rng.random()
                 way[axis] = (-1.0 if far else 1.0) * np.sqrt(1.0 - sine * sine)
                 way[(axis + 1) % 3] = sine * np.cos(turn)
                 way[(axis + 2) % 3] = sine * np.sin(turn)
@@ -277,8 +277,9 @@ def changed(kind: str, rng: np.random.Generator) -> tuple[float, float, bool]:
         by_axis, float(np.prod(lengths_m)), SPEED_M_S, np.zeros(1),
     )  # fmt: skip
     both = np.stack([absorption, after])[:, :, None]
-    said = np.diff(np.log(field.times_s(both)), axis=0)[0]
-    apart = field.formula_error(both)[1].max(axis=0)
+    own = field.scattering(both[0], np.array(times_s[:1])) if field.is_flat else None
+    said = np.diff(np.log(field.times_s(both, own)), axis=0)[0]
+    apart = np.zeros(1) if field.is_flat else field.formula_error(both)[1].max(axis=0)
     found = float(np.log(times_s[1] / times_s[0]))
     if abs(said[0]) < 0.02:
         return found, np.nan, bool(after[wall] > absorption[wall])

@@ -225,8 +225,7 @@ def rebuild(state: SequentialState) -> SequentialState:
     task, limit = state.task, state.task.settings.max_rounds
     unknown = task.directivity_parameters
     # what the free numbers of a directivity mean changes with its prior
-    starts = _answers(state) if unknown is None else ()
-    starts = starts or (None,) * len(task.bands)
+    starts = (_answers(state) if unknown is None else ()) or (None,) * len(task.bands)
     geometry = replace(
         campaign_geometry(
             task.scene,
@@ -255,13 +254,11 @@ def rebuild(state: SequentialState) -> SequentialState:
         if found is None:
             continue
         windows, parameters = found
-        directivity, files = None, fitted_in_band(task.measured, b)
+        directivity, coherent = None, _early(state, b, windows, geometry, images)
         if unknown is not None and bases is not None:
-            directivity = directed_band(unknown, task.scene, bases, windows, files)
-        coherent = _early(state, b, windows, geometry, images)
-        if directivity is not None:
-            # the same in every round, pass and trial of a fit
-            directivity = replace(directivity, images=coherent.image_basis(directivity.aims))
+            files = fitted_in_band(task.measured, b)
+            own = directed_band(unknown, task.scene, bases, windows, files)
+            directivity = replace(own, images=coherent.image_basis(own.aims))
         energies = energy_objective(windows, parameters, directivity, task.others[b])
         ready.append((b, energies, coherent, directivity))
 

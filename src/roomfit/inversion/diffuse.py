@@ -14,6 +14,7 @@ import numpy as np
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError
+from roomfit.inversion.anisotropic import anisotropic_times_s, implied_scattering
 from roomfit.logit import Z95, expit, logit
 from roomfit.materials.priors import MaterialPrior, are_specified, prior_logit_law
 from roomfit.typing import FloatArray
@@ -36,6 +37,9 @@ ERROR_MEAN, ERROR_SD = 0.5, 0.6
 # field of their own. Below the formula's difference it is larger, by the last of these.
 _EFFECT_SD, _EFFECT_SD_APART, _EFFECT_SD_FLAT, _FLAT_FROM = 0.25, 0.3, 2.75, 0.5
 _LESS_THAN_SAID = 2.2
+# Share of the surface across one axis above which directions are followed: a room of 3 by 3 by 1
+# has 0.6, a cube 0.33.
+_FLAT = 0.6
 _ROUNDS = 50
 _DONE = 1e-9
 _MEASURES = tuple(f for f in FORMULAS if f != "Sabine")
@@ -293,15 +297,54 @@ class DiffuseField:
     # (n_positions, n_bands), measured reverberation times in s, NaN where unknown; None: none
     decay_s: FloatArray | None = None
 
-    def times_s(self, absorption: FloatArray) -> FloatArray:
+    def times_s(self, absorption: FloatArray, scattering: FloatArray | None = None) -> FloatArray:
         """Return reverberation times of the walls and the air, shape (..., n_bands).
 
-        `absorption` has the shape (..., n_materials, n_bands).
+        Parameters
+        ----------
+        absorption : float array, shape (..., n_materials, n_bands)
+        scattering : float array, shape (..., n_bands), optional
+            Scattering coefficient of all walls, where T30 is to be followed direction by direction.
         """
         by_band = np.moveaxis(np.clip(absorption, 1e-9, 1.0 - 1e-9), -2, -1)
+        if scattering is not None:
+            shape = np.broadcast_shapes(by_band.shape[:-1], scattering.shape)
+            kept = np.broadcast_to(self._kept(by_band), (*shape, 3)).reshape(-1, 3)
+            given = np.broadcast_to(scattering, shape).ravel()
+            return anisotropic_times_s(kept, given, *self._rates_per_s(shape)).reshape(shape)
         walls_m2, _ = absorption_area_m2(self.formula, by_band, self.areas_m2)
         whole_m2 = walls_m2 + 4.0 * self.volume_m3 * self.attenuation_per_m
         return np.asarray(24.0 * np.log(10.0) * self.volume_m3 / self.speed_of_sound_m_s / whole_m2)
+
+    def scattering(self, absorption: FloatArray, decay_s: FloatArray) -> FloatArray:
+        """Return with which scattering coefficient the room has its decay times, (..., n_bands).
+
+        By `implied_scattering`. `absorption` has the shape (..., n_materials, n_bands), `decay_s`
+        (..., n_bands).
+        """
+        kept = self._kept(np.moveaxis(np.clip(absorption, 1e-9, 1.0 - 1e-9), -2, -1))
+        rates = self._rates_per_s(decay_s.shape)
+        found = implied_scattering(kept.reshape(-1, 3), decay_s.ravel(), *rates)
+        return found.reshape(decay_s.shape)
+
+    def _kept(self, by_band: FloatArray) -> FloatArray:
+        """Return what walls across each axis leave of the energy, shape (..., 3).
+
+        `by_band` has the shape (..., n_materials).
+        """
+        across = np.maximum(self.areas_m2.sum(axis=1), 1e-9)
+        return np.asarray(np.exp(np.log1p(-by_band) @ (self.areas_m2 / across[:, None]).T))
+
+    def _rates_per_s(self, shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
+        """Return hits of sound along each axis, and losses in air of times of a shape, per s."""
+        hits = self.speed_of_sound_m_s * self.areas_m2.sum(axis=1) / (2.0 * self.volume_m3)
+        air = self.speed_of_sound_m_s * self.attenuation_per_m
+        return hits, np.broadcast_to(air, shape).ravel()
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether so much of the surface lies across one axis that no formula holds."""
+        return self.flatness > _FLAT
 
     @property
     def flatness(self) -> float:
@@ -319,12 +362,13 @@ class DiffuseField:
         difference : float array
             What the formula says of a change to more absorption, or to less.
         apart : float array
-            Unit of `formula_error`, before or after the change, whichever is larger.
+            Unit of `formula_error`, before or after the change, whichever is larger; 0 where
+            directions are followed.
         normal : float array
             Standard normal numbers.
         """
         sd = _EFFECT_SD + _EFFECT_SD_APART * np.minimum(apart, 1.0)
-        flat = _EFFECT_SD_FLAT * max(self.flatness - _FLAT_FROM, 0.0)
+        flat = 0.0 if self.is_flat else _EFFECT_SD_FLAT * max(self.flatness - _FLAT_FROM, 0.0)
         sd = sd * np.exp(-np.abs(difference)) + flat
         return np.asarray(
             difference * np.exp(sd * np.where(normal < 0.0, _LESS_THAN_SAID, 1.0) * normal)

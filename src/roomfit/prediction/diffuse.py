@@ -46,8 +46,6 @@ NAME: ValueName = "T30_s"
 _STEPS = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
 # Draws cost nothing without paths, and a probability of 0.9 is then known to 0.01.
 _LEAST_DRAWS = 1000
-# Share of the surface across one axis: a room of 3 by 3 by 1 has 0.6, a cube 0.33.
-_FLAT = 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +64,9 @@ class PreparedField:
     error: FloatArray
     # (2, n_draws, n_bands), standard normal: of what more absorption does, and what less does
     effects: FloatArray
+    # (1 + n_draws, n_bands), of a flat room, by the likeliest absorption and by each draw
+    scattering: FloatArray | None
+    before: FloatArray  # (n_draws, n_bands), logarithm of the time by formula or directions
     seed: int
     findings: tuple[Finding, ...]
 
@@ -100,8 +101,10 @@ def prepare_field(
     error that stays when walls change, plus the scatter of the mean over positions. Both are drawn
     under the condition that they add up to the departure of the measured time. A change alters that
     logarithm by the formula's difference times a positive factor (`DiffuseField.effect`): more
-    absorption never lengthens the decay. The scatter is that between the positions, and at least
-    that of ISO 3382-2:2008, annex A, for T30 of as many.
+    absorption never lengthens the decay. In a flat room, where it may, the difference is that of
+    directions (`anisotropic_times_s`), with the scattering that the time before implies. The
+    scatter is that between the positions, and at least that of ISO 3382-2:2008, annex A, for T30 of
+    as many.
     """
     settings = Settings() if settings is None else settings
     n_draws, rng = max(settings.n_draws, _LEAST_DRAWS), np.random.default_rng(settings.seed)
@@ -123,10 +126,30 @@ def prepare_field(
         n = scatter * rng.standard_normal(error.shape)
         off = np.log(measured / field.times_s(draws)) - (error + n)
         error += off * sd_log**2 / (sd_log**2 + scatter**2)
+    scattering, before = None, np.log(field.times_s(draws))
+    if field.is_flat:
+        scattering = _scattering(field, known.absorption, measured, draws, np.exp(before + error))
+        directed = np.log(field.times_s(draws, scattering[1:]))
+        # where no scattering gives the time, the error stays
+        before, error = directed, before + error - directed
     return PreparedField(
         scene, field, known, draws, rng, measured, sd, scatter, error,
-        np.stack(effects), settings.seed, (_source(field), *_shape(field)),
+        np.stack(effects), scattering, before, settings.seed, (_source(field), *_shape(field)),
     )  # fmt: skip
+
+
+def _scattering(
+    field: DiffuseField,
+    likeliest: FloatArray,
+    measured_s: FloatArray,
+    draws: FloatArray,
+    drawn_s: FloatArray,
+) -> FloatArray:
+    """Return what times imply of the likeliest absorption, and of draws, (1 + n_draws, n_bands)."""
+    usual_s = field.times_s(likeliest) * np.exp(field.formula_error(likeliest)[0])
+    likeliest_s = np.where(np.isfinite(measured_s), measured_s, usual_s)
+    every = np.concatenate([likeliest[None], draws])
+    return field.scattering(every, np.concatenate([likeliest_s[None], drawn_s]))
 
 
 def _least_scatter(bands: Bands, decay_s: FloatArray) -> FloatArray:
@@ -159,13 +182,14 @@ def _source(field: DiffuseField) -> Finding:
 
 def _shape(field: DiffuseField) -> tuple[Finding, ...]:
     """Return a finding where most of the surface lies across one axis: no formula then holds."""
-    share = field.flatness
-    if share <= _FLAT:
+    if not field.is_flat:
         return ()
+    share = field.flatness
     sentence = (
         f"{100 * share:.0f} % of the surface lies across one axis, as in a flat or a narrow room: "
-        "its field is not diffuse, and no formula holds: of simulated rooms of this kind fewer met "
-        "their target than was said. Measure with positions and identify."
+        "its field is not diffuse, and no formula holds. What a change does is followed direction "
+        "by direction instead, with one scattering coefficient for all walls that the decay "
+        "before it implies. Measure with positions and identify."
     )
     return (Finding(Code.FIELD_NOT_DIFFUSE, About(), sentence, {"share": round(share, 3)}),)
 
@@ -175,18 +199,22 @@ def field_times_s(room: PreparedField, absorption: FloatArray) -> FloatArray:
 
     `absorption` has the shape (..., n_materials, n_bands).
     """
-    base = room.field.times_s(room.absorption.absorption)
+    likeliest = None if room.scattering is None else room.scattering[0]
+    base = room.field.times_s(room.absorption.absorption, likeliest)
     measured = np.where(np.isfinite(room.measured_s), room.measured_s, base)
-    return np.asarray(room.field.times_s(absorption) * (measured / base))
+    return np.asarray(room.field.times_s(absorption, likeliest) * (measured / base))
 
 
 def _drawn_s(room: PreparedField, draws: FloatArray) -> FloatArray:
     """Return the times that draws of absorption give, shape (n_draws, n_bands)."""
-    more = np.maximum(room.draws, draws)
-    before, most, after = (np.log(room.field.times_s(d)) for d in (room.draws, more, draws))
-    apart = np.max([room.field.formula_error(d)[1] for d in (room.draws, draws)], axis=0)
+    more, field, before = np.maximum(room.draws, draws), room.field, room.before
+    own = None if room.scattering is None else room.scattering[1:]
+    most = before if np.array_equal(more, room.draws) else np.log(field.times_s(more, own))
+    after = most if np.array_equal(draws, more) else np.log(field.times_s(draws, own))
+    apart = np.max([field.formula_error(d)[1] for d in (room.draws, draws)], axis=0)
+    apart = apart if own is None else np.zeros_like(apart)
     less, longer = (
-        room.field.effect(difference, apart, normal)
+        field.effect(difference, apart, normal)
         for difference, normal in zip((most - before, after - most), room.effects, strict=True)
     )
     return np.asarray(np.exp(before + room.error + less + longer))

@@ -268,9 +268,8 @@ def _weigh_windows(
 
 def image_departure(images: ImagePaths) -> NDArray[np.float32]:
     """Return where every image path leaves its source, unit vectors, shape (n_paths, 3)."""
-    toward = (
-        images.image_to_receiver_m / np.linalg.norm(images.image_to_receiver_m, axis=1)[:, None]
-    )
+    away_m = images.image_to_receiver_m
+    toward = away_m / np.linalg.norm(away_m, axis=1)[:, None]
     u = np.einsum("nij,ni->nj", images.image_transform.reshape(-1, 3, 3), toward)
     return np.asarray(u[images.row], dtype=np.float32)
 
@@ -335,24 +334,11 @@ def coherent_slopes(
     root = np.sqrt(image_energies(images, absorption) * images.coherence)
     heights = np.column_stack([amplitude, slope]) * root[:, None]
     impulses: Any = np.zeros((len(edges_s), 4, grid.n), dtype=grid.real)
-    in_threads(
-        grid_directed_impulses,
-        len(edges_s),
-        images.offsets,
-        images.row,
-        images.image_to_receiver_m,
-        images.image_transform,
-        images.hits,
-        heights,
-        times.shifts_m,
-        times.speed_m_s,
-        times.latency_s,
-        times.delays_s,
-        grid.first_s,
-        grid.rate_hz,
-        grid.table,
-        impulses,
-    )
+    rows = images.image_to_receiver_m, images.image_transform, images.hits
+    moved_by = times.shifts_m, times.speed_m_s, times.latency_s, times.delays_s
+    onto = grid.first_s, grid.rate_hz, grid.table, impulses
+    paths = images.offsets, images.row, *rows, heights
+    in_threads(grid_directed_impulses, len(edges_s), *paths, *moved_by, *onto)
     workers = min(numba.get_num_threads(), 2)
     spectra = fft.rfft(impulses, axis=-1, workers=workers) * grid.filter.astype(grid.real)
     pressure = fft.irfft(spectra, grid.n, workers=workers)
@@ -379,9 +365,7 @@ def grid_directed_impulses(
     table: FloatArray,
     impulses: RealArray,
 ) -> None:
-    """Add impulses of several heights at each path's time to the grids of its observation.
-
-    Of some observations, for threads.
+    """Add impulses of several heights at each path's time to the grids of some observations.
 
     Parameters
     ----------
