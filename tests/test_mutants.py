@@ -115,8 +115,8 @@ def test_the_tests_named_beside_a_bug_exist():
 def test_a_random_bug_is_planted_where_it_is_named_and_leaves_the_source_readable():
     """Every kind; the same seed plants the same; nothing else of the file changes."""
     few = ("objective", "uncertainty")  # of all, the places alone take many seconds
-    chosen = random_mutants(40, 5, few)
-    assert chosen == random_mutants(40, 5, few) != random_mutants(40, 6, few)
+    chosen = random_mutants(60, 5, few)
+    assert chosen == random_mutants(60, 5, few) != random_mutants(60, 6, few)
     kinds = Counter(m.name.split(" ", 1)[1] for m in chosen)
     assert kinds.keys() == {
         *("sign", "comparison", "constant", "index"),
