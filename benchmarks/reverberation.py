@@ -277,8 +277,8 @@ def changed(kind: str, rng: np.random.Generator) -> tuple[float, float, bool]:
         by_axis, float(np.prod(lengths_m)), SPEED_M_S, np.zeros(1),
     )  # fmt: skip
     both = np.stack([absorption, after])[:, :, None]
-    own = field.scattering(both[0], np.array(times_s[:1])) if field.is_flat else None
-    said = np.diff(np.log(field.times_s(both, own)), axis=0)[0]
+    walked = field.scattering(both[0], np.array(times_s[:1])) if field.is_flat else None
+    said = np.diff(np.log(field.times_s(both, walked)), axis=0)[0]
     apart = np.zeros(1) if field.is_flat else field.formula_error(both)[1].max(axis=0)
     found = float(np.log(times_s[1] / times_s[0]))
     if abs(said[0]) < 0.02:
