@@ -11,14 +11,17 @@ positions they scatter as ISO 3382-2 (annex A) has it for impulse responses.
 The second asks `treat` for so much of a panel on one hard wall that T30 meets a target with a
 probability of 90 %, and counts in how many of the rooms rays then say that it is met. The third
 covers a part of any wall with a panel: how often T30 of the same rays rises where absorption does,
-and quantiles of the factor on Eyring's change of its logarithm, as normal scores of what
-`DiffuseField.effect` grants, which should be -1.64, -0.99, 0, 0.99 and 1.64. "broad": six or three
-materials of the broad prior.
+and quantiles of the factor on Eyring's change of its logarithm, in flat rooms on that of
+directions, as normal scores of what `DiffuseField.effect` grants, which should be -1.64, -0.99, 0,
+0.99 and 1.64. "broad": six or three materials of the broad prior. For flat rooms also, by the wall
+that is covered, the ratio of the change to Eyring's, and root mean squares of the change and of the
+errors of directions and of formulas.
 """
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 
 import numba
 import numpy as np
@@ -246,10 +249,11 @@ def print_met(n_rooms: int, seed: int) -> None:
         )
 
 
-def changed(kind: str, rng: np.random.Generator) -> tuple[float, float, bool]:
-    """Return the change of log T30 by rays and by Eyring, as a normal score, and its direction.
+def changed(kind: str, rng: np.random.Generator) -> tuple[float, ...]:
+    """Return the change of log T30 by rays, its normal score, its direction, and the wall.
 
-    The score is that of what is granted; NaN where Eyring says less than 2 %.
+    The score is that of what is granted; NaN where less than 2 % is said. Then the change that is
+    said, by directions where the room is flat, and by each of the formulas.
     """
     if kind == "broad":
         shape = np.array([rng.uniform(1.2, 2.8), rng.uniform(1.0, 2.0), 1.0])
@@ -277,16 +281,21 @@ def changed(kind: str, rng: np.random.Generator) -> tuple[float, float, bool]:
         by_axis, float(np.prod(lengths_m)), SPEED_M_S, np.zeros(1),
     )  # fmt: skip
     both = np.stack([absorption, after])[:, :, None]
-    walked = field.scattering(both[0], np.array(times_s[:1])) if field.is_flat else None
-    said = np.diff(np.log(field.times_s(both, walked)), axis=0)[0]
+    implied = field.scattering(both[0], np.array(times_s[:1])) if field.is_flat else None
+    said = np.diff(np.log(field.times_s(both, implied)), axis=0)[0]
+    formulas = [
+        float(np.diff(np.log(replace(field, formula=f).times_s(both)), axis=0)[0, 0])
+        for f in FORMULAS
+    ]
+    rest = bool(after[wall] > absorption[wall]), wall, float(said[0]), *formulas
     apart = np.zeros(1) if field.is_flat else field.formula_error(both)[1].max(axis=0)
     found = float(np.log(times_s[1] / times_s[0]))
     if abs(said[0]) < 0.02:
-        return found, np.nan, bool(after[wall] > absorption[wall])
+        return found, np.nan, *rest
     factor = float(np.log(np.clip(found / said[0], 0.02, 50.0)))
     unit = np.log(field.effect(said, apart, np.array(np.sign(factor))) / said)[0]
     score = factor / abs(unit) if unit else 0.0
-    return found, float(score), bool(after[wall] > absorption[wall])
+    return found, float(score), *rest
 
 
 def print_changed(n_rooms: int, seed: int) -> None:
@@ -300,6 +309,23 @@ def print_changed(n_rooms: int, seed: int) -> None:
         cells = " ".join(f"{q:+6.2f}" for q in np.quantile(scores, (0.05, 0.16, 0.5, 0.84, 0.95)))
         rises = np.count_nonzero(rows[more, 0] > np.log(1.01))
         print(f"{kind:8} {more.sum():5d}  {rises:26d}   {cells}")
+    print_by_wall(rows)
+
+
+def print_by_wall(rows: FloatArray) -> None:
+    """Print for flat rooms, by the wall that is covered, what `changed` returned."""
+    change, wall, said = rows[:, 0], rows[:, 3], rows[:, 4:]
+    eyring = said[:, 1 + FORMULAS.index("Eyring")]
+    heads = ("change", "directions", *FORMULAS)
+    print("covered  rooms  ratio to Eyring's: 16, 50, 84 %   rms: " + ", ".join(heads))
+    walls = (("side", wall < 4), ("floor", wall == 4), ("ceiling", wall == 5), ("all", wall >= 0))
+    for name, own in walls:
+        used = own & (abs(eyring) > 0.02)
+        ratio = np.quantile((change / eyring)[used], (0.16, 0.5, 0.84))
+        errors = np.column_stack([change, said - change[:, None]])[used]
+        rms = np.sqrt(np.mean(errors**2, axis=0))
+        cells = " ".join(f"{x:5.2f}" for x in ratio), " ".join(f"{x:6.3f}" for x in rms)
+        print(f"{name:8} {np.count_nonzero(used):5d}  {cells[0]:33s} {cells[1]}")
 
 
 def main() -> None:

@@ -245,6 +245,35 @@ def test_a_flat_room_is_said_to_be_no_diffuse_field(folder, monkeypatch, capsys)
     assert "field-not-diffuse" in capsys.readouterr().out
 
 
+def test_in_a_flat_room_a_change_is_that_of_directions_in_every_draw_and_in_the_mean(folder):
+    """What was measured stays; the floor does less than its formula says, a wall more."""
+    flat = CAMPAIGN.replace("[8, 6, 3]", "[16, 12, 3]").replace(
+        "absorption = 0.1", "absorption = 0.6"
+    )
+    (folder / "campaign.toml").write_text(flat)
+    room = prepared(folder)
+    field, found = room.field, room.absorption.absorption
+    same_s, drawn_s = field_values(room, found, room.draws, is_changed=False)
+    np.testing.assert_allclose(same_s["T30_s"].predicted, room.measured_s, rtol=1e-9)
+    np.testing.assert_allclose(np.median(drawn_s, axis=0), room.measured_s, rtol=0.03)
+    ratios = {}
+    for name in ("floor", "walls"):
+        at, after, draws = room.absorption.materials.index(name), found.copy(), room.draws.copy()
+        after[at], draws[:, at] = 0.8, np.maximum(draws[:, at], 0.8)
+        values, changed_s = field_values(room, after, draws)
+        said = field.times_s(draws, room.scattering[1:]) / field.times_s(
+            room.draws, room.scattering[1:]
+        )
+        factor = np.log(changed_s / drawn_s) / np.log(said)
+        assert np.median(factor) == pytest.approx(1.0, abs=0.05) and np.all(factor > 0.0)
+        likeliest = field.times_s(np.stack([found, after]), room.scattering[0])
+        expected_s = room.measured_s * likeliest[1] / likeliest[0]
+        np.testing.assert_allclose(values["T30_s"].predicted, expected_s, rtol=1e-9)
+        formula = np.log(field.times_s(after) / field.times_s(found))
+        ratios[name] = np.log(values["T30_s"].predicted / room.measured_s) / formula
+    assert np.all(ratios["floor"] < 0.9) and np.all(ratios["walls"] > 1.1)
+
+
 def test_a_campaign_that_has_measured_pairs_asks_for_its_result_first(folder, monkeypatch, capsys):
     text = CAMPAIGN.partition("[reverberation]")[0]
     text += "[sources.S]\nposition = [1, 1, 1]\n[receivers.R]\nposition = [4, 3, 1]\n"
