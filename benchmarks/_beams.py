@@ -13,19 +13,19 @@ from typing import ClassVar
 
 import numpy as np
 
-from roomfit._checks import read_only
-from roomfit.objective.energy import (
+from roomfit.base.arguments import read_only
+from roomfit.base.typing import ComplexArray, FloatArray, IntArray
+from roomfit.model.energy import (
     WINDOWS_PER_INDEPENDENT_ONE,
     EnergyTerm,
     Observation,
     noise_and_model_variance,
 )
-from roomfit.objective.parameters import Block, Parameters
-from roomfit.objective.problem import DataTerm, Rows, Values
-from roomfit.objective.windows import squares_in_windows, with_squares
-from roomfit.response.directivity import directed_rows
-from roomfit.response.energy import EnergyRows, window_of_rows
-from roomfit.typing import ComplexArray, FloatArray, IntArray
+from roomfit.model.parameters import Block, Parameters
+from roomfit.model.patterns import directed_rows
+from roomfit.model.problem import DataTerm, Rows, Values
+from roomfit.model.weighing import EnergyRows, window_of_rows
+from roomfit.model.windows import squares_in_windows, with_squares
 
 LEVELS = "beam level"
 # Errors of late levels reach their full size so long after the direct sound.
@@ -220,7 +220,7 @@ def beam_term(omni: EnergyTerm, beams: Beams, windows: EnergyTerm, values: Value
 
     Errors of the model and by ringing are shared by the beams of a window as they share its sound.
     Monte-Carlo errors of rays are left to what windows share: a jackknife over batches of rays, for
-    which each beam has its own rows (`roomfit.inversion.systematics.batch_spread`).
+    which each beam has its own rows (`roomfit.fit.systematics.batch_spread`).
 
     Parameters
     ----------

@@ -26,9 +26,9 @@ from _doubt_rooms import (
 )
 from _misspecified import patch_on_hardest_wall
 from hostile import Case, exponential_window, longer, with_files, with_scene
-from roomfit.scene import Point
-from roomfit.synthetic.boxes import WALLS, BoxPlan
-from roomfit.typing import FloatArray
+from roomfit.base.typing import FloatArray
+from roomfit.demo.boxes import WALLS, BoxPlan
+from roomfit.room.scene import Point
 from simulated_rooms.patched_box import Patch
 from simulated_rooms.random_boxes import random_plan
 

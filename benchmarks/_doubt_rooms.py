@@ -21,8 +21,8 @@ from hostile import Case, box, described
 from known_changes import r3vival
 from measured_rooms import bras_campaign, dechorate_campaign
 from room_values import studio
-from roomfit.response.directivity import UnknownDirectivity
-from roomfit.synthetic.boxes import (
+from roomfit.base.typing import FloatArray
+from roomfit.demo.boxes import (
     WALLS,
     BoxPlan,
     add_noise,
@@ -34,7 +34,7 @@ from roomfit.synthetic.boxes import (
     specular_box,
     true_box,
 )
-from roomfit.typing import FloatArray
+from roomfit.model.patterns import UnknownDirectivity
 from simulated_rooms.measured_polyhedron import Shape, polyhedron_plan, write_measured_polyhedron
 from simulated_rooms.patched_box import Patch, parted_hits
 from simulated_rooms.random_boxes import random_plan

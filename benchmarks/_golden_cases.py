@@ -14,17 +14,17 @@ from types import MappingProxyType
 import numpy as np
 import soundfile
 
-from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
-from roomfit.bands import bands_between
-from roomfit.impedance.data import Observed
-from roomfit.impedance.wave_model import at_rest, predicted_pressure, wave_model
-from roomfit.synthetic.boxes import (
+from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.bands import bands_between
+from roomfit.base.typing import FloatArray
+from roomfit.demo.boxes import (
     SyntheticBox,
     add_noise,
     demo_plan,
     pressure_response,
 )
-from roomfit.typing import FloatArray
+from roomfit.impedance.data import Observed
+from roomfit.impedance.wave_model import at_rest, predicted_pressure, wave_model
 from simulated_rooms.impedance_box import (
     LENGTHS_M,
     PAIRS,

@@ -19,11 +19,11 @@ import numpy as np
 from scipy import fft
 from scipy.special import spherical_jn
 
-from roomfit._checks import float_array
-from roomfit.bands import Bands
-from roomfit.errors import InputError
+from roomfit.base.arguments import float_array
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError
+from roomfit.base.typing import ComplexArray, FloatArray
 from roomfit.signals.filters import frequency_response
-from roomfit.typing import ComplexArray, FloatArray
 
 BEAM_AXES = np.concatenate([np.eye(3), -np.eye(3)])
 """Directions that the cardioids face, (6, 3); before them stands the omnidirectional beam."""

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.results import Result
-from roomfit.synthetic.boxes import BoxPlan
+from roomfit.demo.boxes import BoxPlan
+from roomfit.result import Result
 from simulated_rooms.patched_box import Patch, patch_area_m2, write_patched_box
 from simulated_rooms.random_boxes import random_plan, write_scattering_box
 

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
-from roomfit.bands import bands_between
-from roomfit.synthetic.boxes import WALLS, SyntheticBox, add_noise, pressure_response
+from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.bands import bands_between
+from roomfit.demo.boxes import WALLS, SyntheticBox, add_noise, pressure_response
 
 RATE_HZ = 16_000
 LATE_SAMPLES = 40

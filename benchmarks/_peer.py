@@ -15,10 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.errors import InputError
-from roomfit.scene import Scene, triangle_material
+from roomfit.base.errors import InputError
+from roomfit.base.typing import FloatArray
+from roomfit.room.scene import Scene, triangle_material
 from roomfit.signals.iso3382 import MeasuredValues, ValueName
-from roomfit.typing import FloatArray
 
 OCTAVES_HZ = (63, 125, 250, 500, 1000, 2000, 4000, 8000)  # of every list of eight
 START = 0.15  # absorption of every wall before the fit

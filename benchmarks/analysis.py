@@ -20,12 +20,12 @@ import numpy as np
 import pyfar
 import pyrato
 
-from roomfit.bands import Bands, bands_between
-from roomfit.io.responses import read_response
-from roomfit.io.responses.recordings import ResponseSpec
+from roomfit.base.bands import Bands, bands_between
+from roomfit.base.typing import FloatArray
+from roomfit.files.responses import read_response
+from roomfit.files.responses.recordings import ResponseSpec
 from roomfit.signals.decay import ParameterName, decay_curve, room_parameters
 from roomfit.signals.response import ImpulseResponse, find_onset
-from roomfit.typing import FloatArray
 
 Published = Mapping[str, FloatArray]
 NAMES: dict[ParameterName, str] = {

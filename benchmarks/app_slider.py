@@ -100,9 +100,9 @@ def processor_s(pid: int) -> float:
 def computed(project: Path) -> None:
     """Print what a change takes by itself, and whether its intervals are those of all draws."""
     from roomfit.app import what_if
-    from roomfit.prediction.changes import Change
-    from roomfit.prediction.diffuse import PreparedField
-    from roomfit.prediction.predict import predict_change
+    from roomfit.predict.changes import Change
+    from roomfit.predict.diffuse import PreparedField
+    from roomfit.predict.other_walls import predict_change
 
     what_if.what_if_prepare(lambda _: None, str(project))
     room = what_if.prepared(str(project))

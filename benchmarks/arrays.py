@@ -43,31 +43,10 @@ from _microphone_arrays import (
     level_errors,
 )
 from known_changes import ABSORBING, SAME, r3vival
-from roomfit.air import Air, speed_of_sound_m_s
-from roomfit.bands import Bands
-from roomfit.diagnostics.checks import eyring_start
-from roomfit.inversion.bands import from_random_starts
-from roomfit.inversion.measurements import Measurements, collect_measurements
-from roomfit.inversion.paths import TracedPaths, redirected, traced_paths
-from roomfit.inversion.solve import estimate_energies, shared_error_covariance
-from roomfit.inversion.systematics import (
-    inflated_by_adjacent_bands,
-    relative_errors,
-    shared_errors,
-    with_shared_errors,
-)
-from roomfit.materials.priors import MaterialPrior, complete_priors, unknown_material
-from roomfit.objective.directivity import FittedDirectivity
-from roomfit.objective.energy import EnergyTerm
-from roomfit.objective.observation import energy_terms, fitted_in_band
-from roomfit.objective.parameters import Parameters, physical_values
-from roomfit.objective.problem import Objective
-from roomfit.response.directivity import directed_rows, directivity_factors
-from roomfit.response.energy import window_of_rows
-from roomfit.scene import Point, scene_of, shoebox_room
-from roomfit.signals.filters import frequency_response, window_energies
-from roomfit.solvers.least_squares import BandFit, fit_band, score_band
-from roomfit.synthetic.boxes import (
+from roomfit.base.air import Air, speed_of_sound_m_s
+from roomfit.base.bands import Bands
+from roomfit.checks.examine import eyring_start
+from roomfit.demo.boxes import (
     NOISE_DB,
     PLAN_BANDS,
     POSITION_ERROR_M,
@@ -76,6 +55,27 @@ from roomfit.synthetic.boxes import (
     pressure_response,
     true_box,
 )
+from roomfit.fit.bands import from_random_starts
+from roomfit.fit.measurements import Measurements, collect_measurements
+from roomfit.fit.paths import TracedPaths, redirected, traced_paths
+from roomfit.fit.solve import estimate_energies, shared_error_covariance
+from roomfit.fit.systematics import (
+    inflated_by_adjacent_bands,
+    relative_errors,
+    shared_errors,
+    with_shared_errors,
+)
+from roomfit.materials.priors import MaterialPrior, complete_priors, unknown_material
+from roomfit.model.directivity import FittedDirectivity
+from roomfit.model.energy import EnergyTerm
+from roomfit.model.observation import energy_terms, fitted_in_band
+from roomfit.model.parameters import Parameters, physical_values
+from roomfit.model.patterns import directed_rows, directivity_factors
+from roomfit.model.problem import Objective
+from roomfit.model.weighing import window_of_rows
+from roomfit.room.scene import Point, scene_of, shoebox_room
+from roomfit.signals.filters import frequency_response, window_energies
+from roomfit.solver.least_squares import BandFit, fit_band, score_band
 from roomfit.uncertainty.gaussian import BandEstimate, band_estimate
 from simulated_rooms.random_boxes import random_plan
 
@@ -296,7 +296,7 @@ def with_errors_of_beams(
 def lost_coherence(traced: TracedPaths, term: BeamTerm, absorption: np.ndarray) -> np.ndarray:
     """Return the relative change of every window's energy if all images added as pressures.
 
-    As `roomfit.inversion.systematics.lost_coherence`, beam by beam: over slots of 40 ms, all pairs
+    As `roomfit.fit.systematics.lost_coherence`, beam by beam: over slots of 40 ms, all pairs
     together, since the order of images on a lattice lowers late energy between hard walls.
     """
     windows, rate_hz = term.windows, 8_000.0

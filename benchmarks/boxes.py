@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.errors import InsufficientDataError
-from roomfit.identification import identify
-from roomfit.io.inputs import load_campaign
-from roomfit.results import Result
-from roomfit.synthetic.boxes import write_measured_box
+from roomfit.base.errors import InsufficientDataError
+from roomfit.demo.boxes import write_measured_box
+from roomfit.files.inputs import load_campaign
+from roomfit.identify import identify
+from roomfit.result import Result
 from simulated_rooms.random_boxes import random_plan
 
 BANDS = slice(1, 7)  # of the simulated octaves 63 to 8000 Hz, those that are fitted

@@ -21,6 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from _other_box import write_other_box
+from roomfit.base.errors import InsufficientDataError
+from roomfit.base.table import text_of
 from roomfit.coverage.output import coverage_table, verdict
 from roomfit.coverage.statistics import (
     CoverageSample,
@@ -28,12 +30,10 @@ from roomfit.coverage.statistics import (
     grouped_proportion,
     scaled_errors,
 )
-from roomfit.errors import InsufficientDataError
-from roomfit.identification import identify
-from roomfit.io.inputs import load_campaign
+from roomfit.files.inputs import load_campaign
+from roomfit.identify import identify
 from roomfit.materials.priors import DEFAULT_MEAN
-from roomfit.results import Result
-from roomfit.table import text_of
+from roomfit.result import Result
 from simulated_rooms.measured_polyhedron import Shape, polyhedron_plan, write_measured_polyhedron
 
 MOST_MATERIALS = 7

@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from roomfit.certified.certificate import certify
-from roomfit.certified.search import SearchSettings, first_guess, search, tools_for
-from roomfit.suh2001.repeat import squares_global_problem
-from roomfit.suh2001.room import (
+from roomfit.base.typing import FloatArray
+from roomfit.paper.certificate import certify
+from roomfit.paper.global_search import SearchSettings, first_guess, search, tools_for
+from roomfit.paper.repeat import squares_global_problem
+from roomfit.paper.room import (
     DIVISIONS,
     N_RAYS,
     Division,
@@ -31,7 +32,6 @@ from roomfit.suh2001.room import (
     window_energies,
 )
 from roomfit.tracing.paths import Paths
-from roomfit.typing import FloatArray
 
 _CASE = 2  # the only pair off the room's plane of symmetry
 

@@ -22,27 +22,27 @@ from pathlib import Path
 import numpy as np
 
 import room_values
-from roomfit.air import attenuation_per_m, speed_of_sound_m_s
-from roomfit.bands import Bands, bands_between
-from roomfit.core import room_posterior
-from roomfit.findings import Code
-from roomfit.geometry.mesh import volume_m3
-from roomfit.identification import identify
-from roomfit.inversion.measurements import observe
-from roomfit.logit import expit, logit
+from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.bands import Bands, bands_between
+from roomfit.base.findings import Code
+from roomfit.base.logit import expit, logit
+from roomfit.demo.boxes import SyntheticBox, add_noise, pressure_response
+from roomfit.fit.measurements import observe
+from roomfit.identify import identify
 from roomfit.materials.catalogue import material_prior
 from roomfit.materials.priors import MaterialPrior
-from roomfit.measurement import Measurement
-from roomfit.objective.room_parameters import predicted_values
-from roomfit.prediction.changes import Change
-from roomfit.prediction.predict import Predicted, predict
-from roomfit.prediction.split import for_another_room
-from roomfit.results import absorption_posterior
-from roomfit.scene import Scene, material_areas_m2, scene_of, shoebox_room
+from roomfit.model.room_parameters import predicted_values
+from roomfit.predict.changes import Change
+from roomfit.predict.other_walls import Predicted, predict
+from roomfit.predict.split import for_another_room
+from roomfit.result import absorption_posterior
+from roomfit.room.mesh import volume_m3
+from roomfit.room.scene import Scene, material_areas_m2, scene_of, shoebox_room
 from roomfit.settings import Settings
 from roomfit.signals.decay import ParameterName
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
-from roomfit.synthetic.boxes import SyntheticBox, add_noise, pressure_response
+from roomfit.signals.measurement import Measurement
+from roomfit.uncertainty.other_room import room_posterior
 
 LENGTHS_M = (4.2, 3.3, 2.6)
 RATE_HZ = 8000

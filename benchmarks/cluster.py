@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.batch import identify_rooms
-from roomfit.identification import compile_kernels
-from roomfit.synthetic.boxes import demo_plan, write_measured_box
-from roomfit.workers import cluster_pool, completed, result_of
+from roomfit.base.workers import cluster_pool, completed, result_of
+from roomfit.batch.rooms import identify_rooms
+from roomfit.demo.boxes import demo_plan, write_measured_box
+from roomfit.identify import compile_kernels
 
 WORKERS = 2
 

@@ -30,7 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from newcomers import treatment_text
-from roomfit.synthetic.boxes import demo_plan, write_measured_box
+from roomfit.demo.boxes import demo_plan, write_measured_box
 
 _EVERY_S = 0.05
 

@@ -8,7 +8,7 @@ The paper's room with its seven surfaces apart; nothing is known of them beforeh
 promised: the mean width of the 95 % intervals after the chosen pairs of source and receiver, beside
 200 random designs from the same candidates under the same rules. Then what is: responses of the
 chosen pairs, and of some random designs, are simulated as pressures that are followed from cell to
-cell (`roomfit.synthetic.polyhedra`), with the absorption of `roomfit.suh2001.room`, positions off
+cell (`roomfit.demo.polyhedra`), with the absorption of `roomfit.paper.room`, positions off
 by --position-error, a loudspeaker that is uneven by --loudspeaker-db from octave to octave, and
 noise; and identified as anybody's. Each design is measured --noises times, with other errors of
 positions, levels and noise. --promise leaves the second part out; --pictures draws the first
@@ -25,16 +25,16 @@ from typing import get_args
 
 import numpy as np
 
-from roomfit.experiment_design.campaign import design_arguments
-from roomfit.experiment_design.candidates import compatible_positions
-from roomfit.experiment_design.choose import Criterion, Rules, random_design
-from roomfit.experiment_design.design import Design, design
-from roomfit.experiment_design.output import design_gain, design_map, mean_widths
-from roomfit.identification import identify
-from roomfit.io.campaign import Campaign, read_campaign
-from roomfit.io.inputs import load_campaign
+from roomfit.design.campaign import design_arguments
+from roomfit.design.candidates import compatible_positions
+from roomfit.design.choose import Criterion, Rules, random_design
+from roomfit.design.output import design_gain, design_map, mean_widths
+from roomfit.design.positions import Design, design
+from roomfit.files.campaign import Campaign, read_campaign
+from roomfit.files.inputs import load_campaign
+from roomfit.identify import identify
+from roomfit.paper.room import DIVISIONS, PLANES
 from roomfit.report.figures import png
-from roomfit.suh2001.room import DIVISIONS, PLANES
 from simulated_rooms.measured_polyhedron import PolyhedronPlan, write_measured_polyhedron
 from simulated_rooms.polyhedral_rooms import obj_text, paper_cells
 

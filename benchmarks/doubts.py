@@ -41,9 +41,9 @@ from _doubt_faults import FAULTS, HARMLESS_CHANGES
 from _doubt_rooms import RIGHT_ROOMS, measured_rooms
 from _doubt_summary import Group, Raised, Record, record_of, summary
 from hostile import Case, fixed, missed_by
-from roomfit.errors import InputError, InsufficientDataError
-from roomfit.findings import Code
-from roomfit.results import Result
+from roomfit.base.errors import InputError, InsufficientDataError
+from roomfit.base.findings import Code
+from roomfit.result import Result
 
 # Added to the seed of a room: rooms of all sets differ in everything. Sets that led to other rules
 # when they were reported on are not reported on again: the second had 25 false alarms in 237 right

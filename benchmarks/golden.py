@@ -139,7 +139,7 @@ def answers(case: Case, folder: Path) -> dict[str, Any]:
         Nine digits of every number, with the findings. As "functions", what `_silent.sums` makes
         of what functions returned.
     """
-    from roomfit._numba import at_most_threads
+    from roomfit.base.kernels import at_most_threads
     from roomfit.cli import main as command_line
 
     def command(*arguments: object) -> None:

@@ -30,15 +30,15 @@ from scipy.signal import resample_poly
 
 import roomfit
 from _other_box import write_other_box
-from roomfit.errors import InputError, InsufficientDataError
-from roomfit.findings import Code
-from roomfit.identification import identify
-from roomfit.io.inputs import load_campaign
+from roomfit.base.errors import InputError, InsufficientDataError
+from roomfit.base.findings import Code
+from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.demo.boxes import WALLS
+from roomfit.files.inputs import load_campaign
+from roomfit.identify import identify
 from roomfit.materials.priors import MaterialPrior, unknown_material
-from roomfit.results import Result
-from roomfit.scene import Point, Scene
-from roomfit.synthetic.boxes import WALLS
-from roomfit.typing import BoolArray, FloatArray
+from roomfit.result import Result
+from roomfit.room.scene import Point, Scene
 
 BANDS = roomfit.bands_between("octave", 500, 2000)
 # Findings of nearly every one of these rooms: their decays are short.

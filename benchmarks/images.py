@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
-from roomfit.geometry.mesh import corners_m
-from roomfit.scene import Room
-from roomfit.synthetic.polyhedra import Cells, cell_images
+from roomfit.base.typing import FloatArray
+from roomfit.demo.polyhedra import Cells, cell_images
+from roomfit.room.mesh import corners_m
+from roomfit.room.scene import Room
 from roomfit.tracing.image_sources import expected_images, limits_of, polyhedron_images
 from roomfit.tracing.paths import ImageSet
-from roomfit.typing import FloatArray
 from simulated_rooms.polyhedral_rooms import (
     box_room_cells,
     cell_volume_m3,

@@ -15,7 +15,8 @@ from functools import cache
 import numpy as np
 
 from _impedance_rooms import random_case
-from roomfit.air import Air
+from roomfit.base.air import Air
+from roomfit.base.typing import ComplexArray, FloatArray
 from roomfit.impedance.data import Observed, complex_frequency_hz
 from roomfit.impedance.fit import continuation, distance, distinct, multistart, polish
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance, wave_problem
@@ -38,15 +39,14 @@ from roomfit.impedance.wave_model import (
     wave_model,
     wavenumber_per_m,
 )
-from roomfit.scene import Point, Scene
-from roomfit.solvers.search import (
+from roomfit.room.scene import Point, Scene
+from roomfit.solver.search import (
     Fit,
     SimplexSettings,
     anneal,
     downhill_simplex,
     random_simplex,
 )
-from roomfit.typing import ComplexArray, FloatArray
 from simulated_rooms.impedance_box import (
     SURFACES,
     WALLS,

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from measured_rooms import DELFT_SHIFT_M, bras_campaign, dechorate_campaign, delft_campaign
+from roomfit.files.campaign import read_campaign
 from roomfit.impedance.campaign import identify_campaign_impedance, impedance_arguments
 from roomfit.impedance.identify import wave_problem
 from roomfit.impedance.problem import source_spectra
 from roomfit.impedance.wave_model import at_rest, predicted_pressure
-from roomfit.io.campaign import read_campaign
 
 TAU_S = 0.012
 _ALTERNATIONS = 30

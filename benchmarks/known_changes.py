@@ -36,26 +36,26 @@ import soundfile
 from matplotlib import pyplot as plt
 
 import roomfit
-from roomfit.air import attenuation_per_m, speed_of_sound_m_s
-from roomfit.diagnostics.reflections import (
+from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.logit import Z95, logit
+from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.checks.reflections import (
     IsolatedReflection,
     isolated_reflections,
     wall_returns,
 )
-from roomfit.eyring import eyring_time_s
-from roomfit.geometry.mesh import surface_area_m2, volume_m3
-from roomfit.inversion.measurements import collect_measurements
-from roomfit.inversion.paths import traced_paths
-from roomfit.logit import Z95, logit
+from roomfit.fit.measurements import collect_measurements
+from roomfit.fit.paths import traced_paths
 from roomfit.materials.priors import MaterialPrior, complete_priors, unknown_material
-from roomfit.prediction.changes import Change
-from roomfit.prediction.predict import Predicted, predict
-from roomfit.prediction.tables import PredictedValue, ValueChange
-from roomfit.response.directivity import UnknownDirectivity
-from roomfit.results import Result, absorption_posterior
-from roomfit.scene import Point, Scene, material_areas_m2, with_states
+from roomfit.model.eyring import eyring_time_s
+from roomfit.model.patterns import UnknownDirectivity
+from roomfit.predict.changes import Change
+from roomfit.predict.other_walls import Predicted, predict
+from roomfit.predict.tables import PredictedValue, ValueChange
+from roomfit.result import Result, absorption_posterior
+from roomfit.room.mesh import surface_area_m2, volume_m3
+from roomfit.room.scene import Point, Scene, material_areas_m2, with_states
 from roomfit.signals.decay import ParameterName
-from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 BANDS = roomfit.bands_between("octave", 125, 4000)

@@ -25,15 +25,15 @@ import soundfile
 
 import roomfit
 from known_changes import BANDS, JUDGED_HZ, change_of, fitted, panels, r3vival_together
-from roomfit.inversion.measurements import observe
-from roomfit.measurement import Measurement
-from roomfit.prediction.changes import Change
-from roomfit.prediction.listen import ChangedResponse, listen
-from roomfit.prediction.predict import Predicted, predict
-from roomfit.results import absorption_posterior
-from roomfit.scene import Scene
+from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.fit.measurements import observe
+from roomfit.predict.changes import Change
+from roomfit.predict.listen import ChangedResponse, listen
+from roomfit.predict.other_walls import Predicted, predict
+from roomfit.result import absorption_posterior
+from roomfit.room.scene import Scene
 from roomfit.signals.decay import PARAMETER_NAMES, ParameterName
-from roomfit.typing import BoolArray, FloatArray
+from roomfit.signals.measurement import Measurement
 
 SHOWN: tuple[ParameterName, ...] = ("EDT_s", "T20_s", "T30_s", "C50_dB")
 

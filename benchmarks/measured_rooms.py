@@ -30,12 +30,12 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
-from roomfit.identification import identify
-from roomfit.inversion.measurements import collect_measurements
-from roomfit.io.campaign import read_campaign
-from roomfit.io.inputs import identify_arguments, load_campaign
+from roomfit.files.campaign import read_campaign
+from roomfit.files.inputs import identify_arguments, load_campaign
+from roomfit.fit.measurements import collect_measurements
+from roomfit.identify import identify
 from roomfit.report.text import absorption_table, directivity_text, separable_text
-from roomfit.results import Result
+from roomfit.result import Result
 
 DECHORATE_ROOM = """
 [room]

@@ -25,16 +25,10 @@ import numpy as np
 import soundfile
 from scipy.signal import fftconvolve, firwin2, minimum_phase
 
-from roomfit.commands import identify_to_folder
-from roomfit.errors import InputError
-from roomfit.io.responses.sweep import (
-    SweepPlan,
-    SweepResponse,
-    excitation,
-    response_from_recording,
-    wav_bytes,
-)
-from roomfit.synthetic.boxes import (
+from roomfit.base.errors import InputError
+from roomfit.base.typing import FloatArray
+from roomfit.cli.commands import identify_to_folder
+from roomfit.demo.boxes import (
     PLAN_BANDS,
     POSITION_ERROR_M,
     SAMPLING_RATE_HZ,
@@ -43,7 +37,13 @@ from roomfit.synthetic.boxes import (
     true_box,
     write_box_campaign,
 )
-from roomfit.typing import FloatArray
+from roomfit.files.responses.sweep import (
+    SweepPlan,
+    SweepResponse,
+    excitation,
+    response_from_recording,
+    wav_bytes,
+)
 
 _PLAN = SweepPlan(SAMPLING_RATE_HZ, seconds=4.0, silence_s=2.0, repetitions=2)
 _DURATION_S = 1.5  # of a simulated response

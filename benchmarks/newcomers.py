@@ -31,7 +31,7 @@ import numpy as np
 import soundfile
 
 import roomfit
-from roomfit.synthetic.boxes import SAMPLING_RATE_HZ, WALLS, demo_plan, simulated_responses
+from roomfit.demo.boxes import SAMPLING_RATE_HZ, WALLS, demo_plan, simulated_responses
 
 LATE_SAMPLES = 40
 QUADS = {

@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 
 import roomfit
-from roomfit.diagnostics import noise_tail
-from roomfit.inversion.measurements import collect_measurements
+from roomfit.base.typing import FloatArray
+from roomfit.checks import noise_tail
+from roomfit.fit.measurements import collect_measurements
 from roomfit.signals.response import ImpulseResponse
-from roomfit.typing import FloatArray
 
 NOISES_DB = (-40.0, -50.0, -60.0, -70.0)
 WINDOWS_S = (0.1, 0.2, 0.3, 0.5, 1.0, 2.0)
@@ -140,7 +140,7 @@ def box_cases(
             measured = collect_measurements(
                 scene, files, roomfit.bands_between("octave", 500, 2000), {}
             )
-        except roomfit.errors.InputError:
+        except roomfit.base.errors.InputError:
             continue
         name = f"noise {noise_db or 'none'}, window {window_s:g} s"
         yield name, is_found(list(measured.responses))

@@ -10,7 +10,7 @@ What is run and timed is `roomfit identify` on campaign files, without writing i
 Boxes of 4.5-9 x 3.6-7 x 2.4-3.8 m, no two sides alike, six materials from 0.01 to 0.97, positions
 0.6 m clear of the walls and given with an error, noise 45 to 60 dB below the peak. --delay-ms lets
 the walls that absorb more than a half delay what they reflect; the other program cannot, so those
-data are made by `roomfit.synthetic.boxes`'s images. --strength gives every source the
+data are made by `roomfit.demo.boxes`'s images. --strength gives every source the
 other program's cardioid of that |b|, 30 degrees off the middle of the room; --directivity says
 what the campaign tells of it. --posterior identifies every box a second time with
 `method = "posterior"`, and shows the table of either, and what became of the samples. --quick shows
@@ -34,10 +34,10 @@ from pathlib import Path
 import numpy as np
 
 from _other_box import OtherBox, write_other_box
-from roomfit.findings import Code
-from roomfit.identification import identify
-from roomfit.io.inputs import load_campaign
-from roomfit.results import Result
+from roomfit.base.findings import Code
+from roomfit.files.inputs import load_campaign
+from roomfit.identify import identify
+from roomfit.result import Result
 from roomfit.signals.decay import in_jnd
 
 # Findings of nearly every one of these rooms: their decays are short, some bands low.

@@ -19,8 +19,8 @@ import argparse
 
 import numpy as np
 
-from roomfit.synthetic.boxes import ECHOGRAM_BIN_S, SyntheticBox, diffuse_echogram
-from roomfit.typing import FloatArray
+from roomfit.base.typing import FloatArray
+from roomfit.demo.boxes import ECHOGRAM_BIN_S, SyntheticBox, diffuse_echogram
 
 LENGTHS_M = (6.0, 5.0, 3.0)
 SOURCE_M, RECEIVERS_M = (1.5, 1.2, 1.4), ((4.6, 3.7, 1.7), (3.1, 4.1, 1.1))

@@ -17,9 +17,9 @@ import numpy as np
 import soundfile
 
 from _other_box import OtherBox, write_other_box
-from roomfit.findings import Code
-from roomfit.identification import identify
-from roomfit.io.inputs import load_campaign
+from roomfit.base.findings import Code
+from roomfit.files.inputs import load_campaign
+from roomfit.identify import identify
 
 KINDS = ("none", "clipped", "room", "gain", "swapped", "position")
 TARGET = "LS1_MP2.wav"

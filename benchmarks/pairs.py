@@ -30,7 +30,7 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from roomfit.synthetic.boxes import (
+from roomfit.demo.boxes import (
     NOISE_DB,
     PLAN_BANDS,
     POSITION_ERROR_M,

@@ -45,8 +45,8 @@ from _peer import (
 )
 from other_boxes import Outcome, one_for_all, outcome
 from room_values import BANDS, Case, left_out_errors, studio, traced
-from roomfit.errors import InputError
-from roomfit.io.inputs import load_campaign
+from roomfit.base.errors import InputError
+from roomfit.files.inputs import load_campaign
 
 
 @dataclass(frozen=True, eq=False)

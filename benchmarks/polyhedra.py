@@ -3,7 +3,7 @@
     python benchmarks/polyhedra.py [--rooms paper slanted l-shaped turned] [--seeds 1 2 3]
         [--position-error 0.01] [--plane-error 0] [--loudspeaker-db 3] [--no-energy]
 
-Responses come from `roomfit.synthetic.polyhedra`, which follows pressures from cell to
+Responses come from `roomfit.demo.polyhedra`, which follows pressures from cell to
 cell, shares no code with the search for image sources, and goes on for longer than any fit; files
 are written as a campaign and read back as anybody's. Those of the turned box, which has a door and
 a window, come from pyroomacoustics, and what paths strike from balls sent along them. Sources and
@@ -22,10 +22,10 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.identification import identify
-from roomfit.io.campaign import Campaign, read_campaign
-from roomfit.io.inputs import identify_arguments
-from roomfit.results import Result
+from roomfit.files.campaign import Campaign, read_campaign
+from roomfit.files.inputs import identify_arguments
+from roomfit.identify import identify
+from roomfit.result import Result
 from simulated_rooms.measured_polyhedron import (
     MeasuredPolyhedron,
     polyhedron_plan,

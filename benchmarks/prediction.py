@@ -16,17 +16,17 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
-from roomfit.bands import bands_between
-from roomfit.identification import identify
-from roomfit.io.campaign import input_files, read_campaign
-from roomfit.io.inputs import identify_arguments
-from roomfit.io.results import read_result, write_result
-from roomfit.prediction.campaign import predict_arguments
-from roomfit.prediction.predict import predict
-from roomfit.prediction.tables import PredictedPair
+from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.bands import bands_between
+from roomfit.demo.boxes import SyntheticBox, add_noise, pressure_response
+from roomfit.files.campaign import input_files, read_campaign
+from roomfit.files.inputs import identify_arguments
+from roomfit.files.results import read_result, write_result
+from roomfit.identify import identify
+from roomfit.predict.campaign import predict_arguments
+from roomfit.predict.other_walls import predict
+from roomfit.predict.tables import PredictedPair
 from roomfit.signals.iso3382 import ValueName
-from roomfit.synthetic.boxes import SyntheticBox, add_noise, pressure_response
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 LENGTHS_M = (3.9, 3.1, 2.5)

@@ -34,34 +34,34 @@ from typing import cast
 import numpy as np
 from scipy import fft
 
-from roomfit.air import attenuation_per_m, speed_of_sound_m_s
-from roomfit.bands import bands_between
-from roomfit.errors import InputError
-from roomfit.geometry.mesh import Mesh, Surface
-from roomfit.identification import identify
-from roomfit.inversion.measurements import observe
-from roomfit.io.campaign import read_campaign
-from roomfit.io.inputs import identify_arguments
-from roomfit.logit import Z95, expit, logit
-from roomfit.materials.catalogue import material_prior
-from roomfit.materials.priors import MaterialPrior, Scattering
-from roomfit.measurement import Measurement
-from roomfit.prediction.changes import Change
-from roomfit.prediction.predict import Predicted, predict
-from roomfit.response.binned import BIN_S, bin_paths, pair_energies
-from roomfit.response.energy import EnergyRows, window_of_rows
-from roomfit.results import absorption_posterior
-from roomfit.scene import Room, Scene, pair_names, scene_of
-from roomfit.settings import Settings
-from roomfit.signals.decay import jnd_of
-from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
-from roomfit.synthetic.boxes import (
+from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.bands import bands_between
+from roomfit.base.errors import InputError
+from roomfit.base.logit import Z95, expit, logit
+from roomfit.demo.boxes import (
     ECHOGRAM_BIN_S,
     PRESSURE_SQUARED,
     add_noise,
     modulated_noise,
     write_measured_box,
 )
+from roomfit.files.campaign import read_campaign
+from roomfit.files.inputs import identify_arguments
+from roomfit.fit.measurements import observe
+from roomfit.identify import identify
+from roomfit.materials.catalogue import material_prior
+from roomfit.materials.priors import MaterialPrior, Scattering
+from roomfit.model.binned import BIN_S, bin_paths, pair_energies
+from roomfit.model.weighing import EnergyRows, window_of_rows
+from roomfit.predict.changes import Change
+from roomfit.predict.other_walls import Predicted, predict
+from roomfit.result import absorption_posterior
+from roomfit.room.mesh import Mesh, Surface
+from roomfit.room.scene import Room, Scene, pair_names, scene_of
+from roomfit.settings import Settings
+from roomfit.signals.decay import jnd_of
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
+from roomfit.signals.measurement import Measurement
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 from simulated_rooms.hall import hall_room

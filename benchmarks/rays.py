@@ -19,14 +19,14 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.air import Air, speed_of_sound_m_s
-from roomfit.io.rooms import read_room
-from roomfit.io.rooms.model import RoomSpec
+from roomfit.base.air import Air, speed_of_sound_m_s
+from roomfit.files.rooms import read_room
+from roomfit.files.rooms.model import RoomSpec
 from roomfit.materials.priors import uniform_scattering
-from roomfit.response.directivity import weigh_parts
-from roomfit.response.energy import energy_rows, weigh
-from roomfit.scene import Point, Room, Scene
-from roomfit.suh2001.room import paper_scene
+from roomfit.model.patterns import weigh_parts
+from roomfit.model.weighing import energy_rows, weigh
+from roomfit.paper.room import paper_scene
+from roomfit.room.scene import Point, Room, Scene
 from roomfit.tracing.paths import Estimator, TraceSettings
 from roomfit.tracing.trace import trace
 from simulated_rooms.hall import hall_room

@@ -18,17 +18,15 @@ from collections.abc import Callable
 import numba
 import numpy as np
 
-from roomfit.geometry.mesh import corners_m
 from roomfit.materials.priors import uniform_scattering
-from roomfit.response.directivity import (
+from roomfit.model.patterns import (
     RowPattern,
     amplitude_and_slope,
     directed_rows,
     weigh_parts,
 )
-from roomfit.response.energy import EnergyRows, energy_rows, weigh
-from roomfit.scene import Room, Scene
-from roomfit.suh2001.room import (
+from roomfit.model.weighing import EnergyRows, energy_rows, weigh
+from roomfit.paper.room import (
     DIVISIONS,
     DURATION_S,
     N_RAYS,
@@ -42,6 +40,8 @@ from roomfit.suh2001.room import (
     trace_paper_room,
     whole_windows_s,
 )
+from roomfit.room.mesh import corners_m
+from roomfit.room.scene import Room, Scene
 from roomfit.tracing.image_sources import trace_images
 
 REPETITIONS = 7

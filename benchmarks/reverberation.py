@@ -26,16 +26,16 @@ from dataclasses import replace
 import numba
 import numpy as np
 
-from roomfit.air import Air
-from roomfit.bands import bands_between
-from roomfit.inversion.diffuse import FORMULAS, DiffuseField, diffuse_absorption
-from roomfit.logit import expit, logit
+from roomfit.base.air import Air
+from roomfit.base.bands import bands_between
+from roomfit.base.logit import expit, logit
+from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import MaterialPrior, logit_normal, unknown_material
-from roomfit.prediction.diffuse import field_times_s, prepare_field
-from roomfit.scene import Scene, shoebox_room
-from roomfit.treatment.question import Product, Surface, Target
-from roomfit.treatment.treat import treat
-from roomfit.typing import FloatArray
+from roomfit.predict.diffuse import field_times_s, prepare_field
+from roomfit.predict.diffuse_field import FORMULAS, DiffuseField, diffuse_absorption
+from roomfit.room.scene import Scene, shoebox_room
+from roomfit.treat.arrangements import treat
+from roomfit.treat.question import Product, Surface, Target
 
 SPEED_M_S, BANDWIDTH_HZ, N_POSITIONS, BIN_S = 343.0, 707.0, 6, 0.5e-3
 # of which those along a flat room decide how it ends: with 3,000 its T30 scatters by 15 %

@@ -24,18 +24,16 @@ from pathlib import Path
 import numpy as np
 
 from measured_rooms import bras_campaign
-from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
-from roomfit.bands import bands_between
-from roomfit.eyring import eyring_absorption
-from roomfit.geometry.mesh import surface_area_m2, volume_m3
-from roomfit.inversion.bands import fitted_band
-from roomfit.inversion.compare import compared_values
-from roomfit.inversion.measurements import observe
-from roomfit.io.campaign import read_campaign
-from roomfit.io.inputs import read_measurements
-from roomfit.io.iso3382 import read_parameters
-from roomfit.io.rooms import read_room
-from roomfit.io.rooms.model import PolygonSpec, RoomSpec
+from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.bands import bands_between
+from roomfit.files.campaign import read_campaign
+from roomfit.files.inputs import read_measurements
+from roomfit.files.iso3382 import read_parameters
+from roomfit.files.rooms import read_room
+from roomfit.files.rooms.model import PolygonSpec, RoomSpec
+from roomfit.fit.bands import fitted_band
+from roomfit.fit.compare import compared_values
+from roomfit.fit.measurements import observe
 from roomfit.materials.priors import (
     MaterialPrior,
     Scattering,
@@ -43,15 +41,17 @@ from roomfit.materials.priors import (
     prior_logit_law,
     unknown_material,
 )
-from roomfit.measurement import Measurement
-from roomfit.objective.directivity import energy_objective
-from roomfit.objective.observation import energy_terms
-from roomfit.objective.problem import Objective
-from roomfit.objective.room_parameters import predicted_values, value_terms, without_responses
-from roomfit.response.binned import BinnedPaths, bin_paths
-from roomfit.scene import Point, Scene, material_areas_m2
+from roomfit.model.binned import BinnedPaths, bin_paths
+from roomfit.model.directivity import energy_objective
+from roomfit.model.eyring import eyring_absorption
+from roomfit.model.observation import energy_terms
+from roomfit.model.problem import Objective
+from roomfit.model.room_parameters import predicted_values, value_terms, without_responses
+from roomfit.room.mesh import surface_area_m2, volume_m3
+from roomfit.room.scene import Point, Scene, material_areas_m2
 from roomfit.settings import Settings
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
+from roomfit.signals.measurement import Measurement
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.uncertainty.combinations import determined

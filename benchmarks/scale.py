@@ -21,12 +21,12 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
-from roomfit.bands import BandKind, Bands, bands_between
-from roomfit.geometry.mesh import Mesh, Surface, corners_m
+from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.bands import BandKind, Bands, bands_between
 from roomfit.materials.priors import uniform_scattering
-from roomfit.response.energy import energy_rows, weigh
-from roomfit.scene import Point, Room, Scene
+from roomfit.model.weighing import energy_rows, weigh
+from roomfit.room.mesh import Mesh, Surface, corners_m
+from roomfit.room.scene import Point, Room, Scene
 from roomfit.signals.filters import filter_pressure
 from roomfit.signals.response import ImpulseResponse
 from roomfit.tracing.paths import TraceSettings

@@ -24,17 +24,17 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.diagnostics.checks import eyring_start
-from roomfit.findings import Code
-from roomfit.identification import identify
-from roomfit.inversion.measurements import collect_measurements
-from roomfit.inversion.paths import traced_paths
-from roomfit.inversion.scattering import ChosenScattering
-from roomfit.io.inputs import load_campaign
+from roomfit.base.findings import Code
+from roomfit.checks.examine import eyring_start
+from roomfit.demo.boxes import PLAN_BANDS, BoxPlan
+from roomfit.files.inputs import load_campaign
+from roomfit.fit.measurements import collect_measurements
+from roomfit.fit.paths import traced_paths
+from roomfit.fit.scattering import ChosenScattering
+from roomfit.identify import identify
 from roomfit.materials.priors import complete_priors
-from roomfit.results import Result
+from roomfit.result import Result
 from roomfit.settings import Model
-from roomfit.synthetic.boxes import PLAN_BANDS, BoxPlan
 from simulated_rooms.random_boxes import random_plan, write_scattering_box
 
 GRID = (0.05, 0.15, 0.3, 0.5)

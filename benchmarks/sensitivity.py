@@ -2,7 +2,7 @@
 
     python benchmarks/sensitivity.py [--first SEED] [--rooms N] [--faults NAME ...]
 
-Boxes of `roomfit.synthetic.boxes` (pressures of image sources, noise, eight pairs, six
+Boxes of `roomfit.demo.boxes` (pressures of image sources, noise, eight pairs, six
 octaves, positions 1 cm off), one fault at a time in what the campaign specifies. Where a wall of
 two materials is specified as one, the true absorption is its mean over the area. "wrong" are values
 called identifiable whose 95 % interval does not cover the true value; "far" those of them that miss
@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 
 from _misspecified import FAULTS, Fault, true_absorption_of, write_misspecified
-from roomfit.findings import Code
-from roomfit.identification import identify
-from roomfit.io.inputs import load_campaign
-from roomfit.results import Result
+from roomfit.base.findings import Code
+from roomfit.files.inputs import load_campaign
+from roomfit.identify import identify
+from roomfit.result import Result
 
 # Findings that short decays and low bands have in any of these rooms.
 QUIET = {Code.DECAY_RANGE_TOO_SMALL, Code.BELOW_SCHROEDER_FREQUENCY}

@@ -1,41 +1,33 @@
 """The shape of the code in numbers: modules, lines, types, functions, and the way to the kernels.
 
-Run it with ``--frames`` to identify the demo's room as well and count how many frames of roomfit
-lie on the stack, from `roomfit.identify` to a function that enters a compiled kernel, and to the
-innermost call of any kind.
-
-    python benchmarks/shape.py [--frames]
+python benchmarks/shape.py
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
-import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from types import CodeType, FrameType
-from typing import Any
 
 SOURCE = Path(__file__).resolve().parents[1] / "src" / "roomfit"
 SATELLITES = (
     "app",
-    "certified",
+    "batch",
     "coverage",
-    "experiment_design",
+    "demo",
+    "design",
     "impedance",
-    "prediction",
-    "suh2001",
-    "synthetic",
-    "treatment",
+    "paper",
+    "predict",
+    "treat",
 )
 # Beside the core as well, and no part of what satellites may take from it.
-AROUND = (*SATELLITES, "batch", "cli", "commands", "io", "report", "table")
+AROUND = (*SATELLITES, "cli", "files", "formats", "report")
 # What `identify` works with in the first place; commands, reports and files come on top of it.
-FRONT = "identification"
+FRONT = "identify"
 
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
@@ -124,39 +116,6 @@ def core(found: list[Module]) -> list[Module]:
     return [m for m in found if m.name in observed]
 
 
-def taken(found: list[Module], satellite: str) -> set[tuple[str, str]]:
-    """Return module and name of everything that a satellite imports from the core.
-
-    Names for type checkers alone count; those of `roomfit.core` stand with the module that holds
-    them.
-    """
-    homes, names = front_door(found), set()
-    for m in found:
-        if m.name.split(".")[0] != satellite:
-            continue
-        for node in ast.walk(m.tree):
-            if not isinstance(node, ast.ImportFrom) or not (node.module or "").startswith(
-                "roomfit."
-            ):
-                continue
-            base = (node.module or "").removeprefix("roomfit.")
-            if base.split(".")[0] in AROUND:
-                continue
-            names |= {(homes[a.name] if base == "core" else base, a.name) for a in node.names}
-    return names
-
-
-def front_door(found: list[Module]) -> dict[str, str]:
-    """Return every name that `roomfit.core` publishes, and the module that holds it."""
-    (core_module,) = (m for m in found if m.name == "core")
-    return {
-        alias.name: (node.module or "").removeprefix("roomfit.")
-        for node in ast.walk(core_module.tree)
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("roomfit.")
-        for alias in node.names
-    }
-
-
 def functions(found: list[Module]) -> list[tuple[Module, Function]]:
     """Return every function and method with its module."""
     return [(m, node) for m in found for node in ast.walk(m.tree) if isinstance(node, Function)]
@@ -238,91 +197,10 @@ def splats(found: list[Module]) -> list[tuple[Module, int]]:
     ]
 
 
-def entering_kernels(found: list[Module]) -> set[str]:
-    """Return the functions, as ``path:name``, that call a compiled one."""
-    compiled = {f.name for _, f in functions(found) if is_compiled(f)}
-    return {
-        f"{m.path.relative_to(SOURCE)}:{f.name}"
-        for m, f in functions(found)
-        if not is_compiled(f) and compiled & _names(f, ast.Load) - _names(f, ast.Store)
-    }
-
-
-def _names(function: ast.AST, context: type[ast.expr_context]) -> set[str]:
-    """Return the names that a function reads, or those that it assigns to."""
-    return {
-        n.id for n in ast.walk(function) if isinstance(n, ast.Name) and isinstance(n.ctx, context)
-    }
-
-
-_CARRIERS = ("forks.py", "_numba.py")
-
-
-def deepest_stacks(found: list[Module]) -> tuple[list[str], list[str]]:
-    """Identify the demo's room, and return the deepest stacks of the own frames of some modules.
-
-    The first ends where a compiled kernel is entered, the second with any call, down to the checks
-    of an array. What hands work to copies of the process or to threads counts as little as `map`
-    does, and a local function belongs to the function that it stands in.
-    """
-    from dataclasses import replace
-    from tempfile import TemporaryDirectory
-
-    import numpy as np
-
-    from roomfit.identification import identify
-    from roomfit.io.inputs import load_campaign
-    from roomfit.synthetic.boxes import demo_plan, write_measured_box
-
-    enters = entering_kernels(found)
-    to_kernel: list[str] = []
-    deepest: list[str] = []
-
-    @cache  # taken apart at every call, paths took most of the time
-    def own_path(filename: str) -> str:
-        path = Path(filename)
-        return path.relative_to(SOURCE).as_posix() if path.is_relative_to(SOURCE) else ""
-
-    def name_of(code: CodeType) -> str:
-        path = own_path(code.co_filename)
-        is_own = path and path not in _CARRIERS and "<" not in code.co_qualname
-        return f"{path}:{code.co_name}" if is_own else ""
-
-    def watch(frame: FrameType, event: str, _argument: Any) -> None:
-        if event != "call" or not name_of(frame.f_code):
-            return  # what others call makes no stack of ours longer
-        stack: list[str] = []
-        at: FrameType | None = frame
-        while at is not None:
-            if name := name_of(at.f_code):
-                stack.append(name)
-            at = at.f_back
-        if len(stack) > len(deepest):
-            deepest[:] = stack[::-1]
-        if len(stack) > len(to_kernel) and stack[0] in enters:
-            to_kernel[:] = stack[::-1]
-
-    plan = demo_plan()
-    plan = replace(plan, sources_m={"LS1": plan.sources_m["LS1"]})
-    with TemporaryDirectory() as folder:
-        campaign = write_measured_box(plan, Path(folder), np.random.default_rng(1))
-        text = campaign.read_text(encoding="utf-8")
-        text = text.replace("from_hz = 125", "from_hz = 1000").replace("= 4000", "= 1000")
-        campaign.write_text(text, encoding="utf-8")
-        arguments = load_campaign(campaign)
-        sys.setprofile(watch)
-        try:
-            identify(**arguments)
-        finally:
-            sys.setprofile(None)
-    return to_kernel, deepest
-
-
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--frames", action="store_true", help="identify, and count the frames")
-    wanted = parser.parse_args()
+    parser.parse_args()
     found = modules()
     names = frozenset(m.name for m in found)
     inner = core(found)
@@ -345,21 +223,9 @@ def main() -> None:
         ("calls of the form f(*(a, b), c)", len(splats(found))),
         ("import arrows", arrows),
     ]
-    public = set(front_door(found).items())
-    for satellite in (*SATELLITES, "batch", "report"):
-        own = {(name, home) for home, name in taken(found, satellite)}
-        rows.append((f"names that {satellite} takes from the core", len(own)))
-        rows.append(("  of these not in roomfit.core", len(own - public)))
-    if wanted.frames:
-        stacks = deepest_stacks(found)
-        rows.append(("frames to the innermost kernel", len(stacks[0])))
-        rows.append(("frames at the deepest", len(stacks[1])))
     width = max(len(text) for text, _ in rows)
     for text, number in rows:
         print(f"{text:<{width}}  {number:>7,}")
-    if wanted.frames:
-        for stack in stacks:
-            print("\n".join(["", *(f"{'  ' * i}{at}" for i, at in enumerate(stack))]))
 
 
 if __name__ == "__main__":

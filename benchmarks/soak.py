@@ -24,9 +24,9 @@ from multiprocessing import active_children
 from pathlib import Path
 from threading import Event, Thread
 
-from roomfit import batch
-from roomfit.identification import compile_kernels
-from roomfit.workers import cluster_pool
+from roomfit.base.workers import cluster_pool
+from roomfit.batch.rooms import rooms as batch
+from roomfit.identify import compile_kernels
 
 ROOM = """
 [room]

@@ -22,20 +22,20 @@ from typing import Any
 import numba
 import numpy as np
 
-import roomfit.identification as whole
-import roomfit.inversion.bands as bands
-import roomfit.inversion.coherent as coherent
-import roomfit.inversion.directivity as directivity
-import roomfit.inversion.displacement as displacement
-import roomfit.inversion.sequential as sequential
-import roomfit.inversion.solve as solve
+import roomfit.fit.bands as bands
+import roomfit.fit.directivity as directivity
+import roomfit.fit.displacement as displacement
+import roomfit.fit.solve as solve
+import roomfit.identify as whole
+import roomfit.pressures.fit as coherent
+import roomfit.pressures.sequential as sequential
 import roomfit.uncertainty.intervals as intervals
 from _other_box import write_other_box
-from roomfit.identification import identify
-from roomfit.io.inputs import load_campaign
-from roomfit.objective.problem import Objective
-from roomfit.solvers.least_squares import BandFit
-from roomfit.synthetic.boxes import demo_plan, write_measured_box
+from roomfit.demo.boxes import demo_plan, write_measured_box
+from roomfit.files.inputs import load_campaign
+from roomfit.identify import identify
+from roomfit.model.problem import Objective
+from roomfit.solver.least_squares import BandFit
 
 STAGES = (
     ("traces", whole, "traced_paths"),

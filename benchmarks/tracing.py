@@ -25,11 +25,11 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
 from _embree import embree_hits, embree_of
-from roomfit.air import Air
-from roomfit.geometry.mesh import corners_m
+from roomfit.base.air import Air
 from roomfit.materials.priors import uniform_scattering
-from roomfit.scene import Point, Room, Scene
-from roomfit.suh2001.room import SPEED_OF_SOUND_M_S, paper_scene
+from roomfit.paper.room import SPEED_OF_SOUND_M_S, paper_scene
+from roomfit.room.mesh import corners_m
+from roomfit.room.scene import Point, Room, Scene
 from roomfit.tracing.bvh import Walls, next_wall, walls_of
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.rays import fibonacci_directions, path_bytes, trace_rays

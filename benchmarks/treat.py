@@ -26,18 +26,18 @@ from matplotlib import pyplot as plt
 
 import roomfit
 from known_changes import BANDS, WALLS, fitted, r3vival, r3vival_together
-from roomfit.geometry.build import Face, build_mesh, oriented
-from roomfit.geometry.mesh import Surface as MeshSurface
-from roomfit.inversion.measurements import observe
-from roomfit.prediction.predict import PreparedRoom, prepare_prediction
-from roomfit.results import absorption_posterior
-from roomfit.scene import Room, Scene, material_areas_m2, room_from_mesh
+from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.fit.measurements import observe
+from roomfit.predict.other_walls import PreparedRoom, prepare_prediction
+from roomfit.result import absorption_posterior
+from roomfit.room.build import Face, build_mesh, oriented
+from roomfit.room.mesh import Surface as MeshSurface
+from roomfit.room.scene import Room, Scene, material_areas_m2, room_from_mesh
 from roomfit.signals.decay import jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES
-from roomfit.treatment.question import Product, Surface, Target, question_of, treated
-from roomfit.treatment.search import mean_values
-from roomfit.treatment.treat import as_measured, treat
-from roomfit.typing import BoolArray, FloatArray
+from roomfit.treat.arrangements import as_measured, treat
+from roomfit.treat.question import Product, Surface, Target, question_of, treated
+from roomfit.treat.search import mean_values
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 MIDDLE_HZ = (500.0, 1000.0, 2000.0)

@@ -4,7 +4,7 @@ import json
 from importlib.metadata import version as package_version
 from pathlib import Path
 
-from roomfit.io.schema import campaign_schema
+from roomfit.files.schema import campaign_schema
 
 project = "roomfit"
 author = "the roomfit founders"

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
-
-from roomfit.solvers import least_squares
 
 settings.register_profile(
     "roomfit", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
@@ -29,37 +26,36 @@ if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_I
 # The files that take longest, so that none begins when another worker has nothing left to do. The
 # second needs hardly a kernel: while the first compiles them, it compiles none of them as well.
 LONGEST = (
-    "inversion/test_identify.py",
+    "fit/test_identify.py",
     "test_output_folders.py",
-    "suh2001/test_command.py",
-    "test_reference.py",
+    "paper/test_command.py",
     "app/test_browser.py",
     "test_docs.py",
     "test_tutorials.py",
-    "inversion/test_identify_rooms.py",
-    "prediction/test_predict.py",
+    "fit/test_identify_rooms.py",
+    "predict/test_predict.py",
     "test_workers.py",
     "test_cache.py",
     "test_batch.py",
     "test_shape.py",
-    "inversion/test_displacement.py",
+    "fit/test_displacement.py",
     "coverage/test_coverage.py",
-    "prediction/test_known_change.py",
+    "predict/test_known_change.py",
     "report/test_html.py",
-    "inversion/test_states.py",
+    "fit/test_states.py",
     "report/test_progress.py",
-    "io/test_bad_input.py",
-    "inversion/test_coherent.py",
+    "files/test_bad_input.py",
+    "pressures/test_fit.py",
     "impedance/test_fit.py",
-    "inversion/test_directivity.py",
-    "diagnostics/test_arrivals.py",
+    "fit/test_directivity.py",
+    "checks/test_arrivals.py",
     "report/test_known_parameters.py",
     "fuzz/test_fuzz.py",
-    "io/test_responses.py",
-    "prediction/test_predictive_draws.py",
+    "files/test_responses.py",
+    "predict/test_predictive_draws.py",
     "test_kernels.py",
     "cli/test_cli.py",
-    "diagnostics/test_linearity.py",
+    "checks/test_linearity.py",
     "app/test_security.py",
     "app/test_project.py",
 )
@@ -80,12 +76,3 @@ def real_data() -> Path:
     if not DATA.is_dir():
         pytest.skip("real measurements are not on this machine")
     return DATA
-
-
-@pytest.fixture(scope="module")
-def exact_fits() -> Iterator[None]:
-    """Fits that end within a ten-millionth of a standard deviation, not a fiftieth."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(least_squares, "_SETTLED_SD", 1e-7)
-        patch.setattr(least_squares, "_AGREEMENT_SD", 1e-7)
-        yield

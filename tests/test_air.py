@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roomfit.air import (
+from roomfit.base.air import (
     Air,
     attenuation_per_m,
     cramer_speed_m_s,
@@ -16,7 +16,7 @@ from roomfit.air import (
     relative_speed_sd,
     speed_of_sound_m_s,
 )
-from roomfit.bands import bands_between
+from roomfit.base.bands import bands_between
 
 REFERENCE_PA = 101_325.0
 OCTAVES_HZ = 1000.0 * 10.0 ** (0.3 * np.arange(-4, 4))  # exact, 63 Hz to 8 kHz

@@ -9,23 +9,20 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from roomfit import batch
-from roomfit.batch import (
+from roomfit.base.errors import InputError
+from roomfit.batch.rooms import (
     campaign_paths,
     identify_rooms,
     room_row,
     room_tasks,
-    rooms_text,
     shard_of,
 )
+from roomfit.batch.rooms import rooms as batch
 from roomfit.cli import main
-from roomfit.errors import FolderInUseError, InputError, StoreError
 
 ROOM = """
 [room]
@@ -117,48 +114,6 @@ def test_a_first_answer_is_never_taken_for_a_full_one(rooms: list[Path], tmp_pat
     assert len(list((out / "rooms").iterdir())) == 2
 
 
-@pytest.mark.slow
-def test_what_is_done_is_not_done_again_unless_something_changed(
-    rooms: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "out"
-    first = identify_rooms(rooms, out)
-    done: list[Path] = []
-    real = batch.identify_to_folder
-
-    def watched(campaign: Path, folder: Path, **settings: object) -> object:
-        done.append(campaign)
-        return real(campaign, folder, **settings)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(batch, "identify_to_folder", watched)
-    assert rooms_text(identify_rooms(rooms, out)) == rooms_text(first)
-    assert done == []
-    (rooms[1].parent / "measured.csv").write_text("source,receiver,parameter,1000\nS,R,T30,0.5\n")
-    again = identify_rooms(rooms, out)
-    assert done == [rooms[1]]
-    assert again[1].decay_s[0] == 0.5
-
-
-@pytest.mark.slow
-def test_a_fault_of_the_program_in_one_room_is_a_row_of_the_table_and_tried_again(
-    rooms: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real = batch.identify_to_folder
-
-    def faulty(campaign: Path, folder: Path, **settings: object) -> object:
-        if campaign == rooms[0]:
-            raise ZeroDivisionError("on purpose")
-        return real(campaign, folder, **settings)  # type: ignore[arg-type]
-
-    with monkeypatch.context() as patch:
-        patch.setattr(batch, "identify_to_folder", faulty)
-        rows = identify_rooms(rooms, tmp_path / "out")
-    assert [r.status for r in rows] == ["failed", "done"]
-    assert "ZeroDivisionError: on purpose" in rows[0].message
-    assert [r.status for r in identify_rooms(rooms, tmp_path / "out")] == ["done", "done"]
-    assert list((tmp_path / "out" / "failures").iterdir()) == []
-
-
 @pytest.mark.parametrize("content", ["[]", "{", '{"status": "failed"}', "7"])
 def test_a_damaged_record_of_a_failure_is_a_row_that_says_so(
     rooms: list[Path], tmp_path: Path, content: str
@@ -228,48 +183,6 @@ def test_rooms_are_called_by_what_differs_between_their_paths(tmp_path: Path) ->
     assert all(not t.address and "campaign" in t.refusal for t in room_tasks(paths[:1]))
 
 
-def test_a_job_ends_as_what_it_returns_or_raises_says() -> None:
-    def raises(error: Exception) -> Callable[[], str]:
-        def job() -> str:
-            raise error
-
-        return job
-
-    assert batch._end(lambda: "") == ("done", "")
-    assert batch._end(lambda: "why") == ("refused", "why")
-    assert batch._end(raises(FolderInUseError("x")))[0] == "elsewhere"
-    bad = InputError("what", found="a", needed="b", hint="c")
-    assert batch._end(raises(bad)) == ("failed", str(bad))
-    assert batch._end(raises(KeyError("x"))) == ("failed", "KeyError: 'x'")
-    with pytest.raises(StoreError):
-        batch._end(raises(StoreError("disk full")))
-    jobs = [lambda: "", lambda: "why"]
-    assert list(batch._ends(jobs, None)) == [(0, "done", ""), (1, "refused", "why")]
-
-
-def test_a_row_says_why_a_room_has_no_answer_and_forgets_it_when_it_has_one(tmp_path: Path) -> None:
-    out, task = tmp_path / "out", batch.RoomTask("a", tmp_path / "a.toml", "address")
-    (out / "failures").mkdir(parents=True)
-    assert (room_row(out, task).status, room_row(out, task).message) == ("waiting", "")
-    for status in ("refused", "failed"):
-        batch._note(out, task, status, "why")
-        row = room_row(out, task)
-        assert (row.name, row.status, row.message) == ("a", status, "why")
-    batch._note(out, task, "elsewhere", "another")
-    assert room_row(out, task).message == "why"
-    batch._note(out, task, "done", "")
-    assert room_row(out, task).status == "waiting"
-    unread = batch.RoomTask("b", tmp_path / "b.toml", "", "cannot be read")
-    assert (room_row(out, unread).status, room_row(out, unread).message) == (
-        "refused", "cannot be read",
-    )  # fmt: skip
-    (out / "rooms" / "address").mkdir(parents=True)
-    row = room_row(out, task)
-    assert (
-        row.status == "failed" and f"remove the folder {out / 'rooms' / 'address'}" in row.message
-    )
-
-
 def test_a_shard_is_every_nth_room_from_the_ith_on() -> None:
     tasks = [batch.RoomTask(n, Path(n), n) for n in "abcdefg"]
     assert ["".join(t.name for t in shard_of(tasks, (i, 3))) for i in (1, 2, 3)] == [
@@ -283,27 +196,6 @@ def test_a_shard_is_every_nth_room_from_the_ith_on() -> None:
             shard_of(tasks, wrong)
 
 
-def test_the_decay_of_a_room_is_the_mean_of_t20_of_fitted_pairs_or_of_the_next_that_is_known() -> (
-    None
-):
-    """Where both were known, in the bands of the middle."""
-
-    def pair(use: str, **rows: tuple[list[float | None], list[float | None]]) -> dict[str, object]:
-        own = {k: {"measured": m, "predicted": p} for k, (m, p) in rows.items()}
-        return {"use": use, "parameters": own}
-
-    middle = np.array([False, True, True])
-    t20 = pair("fit", T20_s=([9.0, 1.0, None], [9.0, 1.5, 8.0]), T30_s=([7.0] * 3, [7.0] * 3))
-    other = pair("fit", T20_s=([9.0, 2.0, 4.0], [9.0, None, 4.5]))
-    kept = pair("validate", T20_s=([6.0] * 3, [6.0] * 3))
-    assert batch._decay_s([t20, other, kept], middle) == (2.5, 3.0)
-    edt = pair(
-        "fit", T20_s=([1.0, None, None], [1.0] * 3), EDT_s=([9.0, 1.0, 3.0], [9.0, 2.0, 4.0])
-    )
-    assert batch._decay_s([edt], middle) == (2.0, 3.0)
-    assert np.isnan(batch._decay_s([kept], middle)).all()
-
-
 def test_campaigns_are_found_by_patterns_each_once_and_in_order(tmp_path: Path) -> None:
     paths = [tmp_path / n for n in ("b.toml", "a.toml", "c[1].toml")]
     for path in paths:
@@ -313,57 +205,3 @@ def test_campaigns_are_found_by_patterns_each_once_and_in_order(tmp_path: Path) 
     # what is there is no pattern, whatever letters it has
     assert campaign_paths([paths[2]]) == (paths[2],)
     assert campaign_paths([tmp_path / "none.toml"]) == (tmp_path / "none.toml",)
-
-
-def test_a_row_of_an_answer_has_the_means_of_500_and_1000_hz_or_of_all_bands_where_neither_is(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def mean(hz: float, value: float) -> dict[str, object]:
-        own = {"absorption": value, "lower95": value - 0.1, "upper95": value + 0.2}
-        return {"kind": "mean", "band_hz": hz, **own}
-
-    content: dict[str, object] = {
-        "bands_hz": [500, 1000, 2000],
-        "materials": {"a": {"identifiable": [True, False, 1]}, "b": {"identifiable": [True] * 3}},
-        # of a band stated twice the first counts
-        "combinations": [mean(500, 0.2), mean(1000, 0.4), mean(2000, 0.9), mean(500, 0.7),
-                         {"kind": "sum", "band_hz": 1000, "absorption": 0.8}],
-        "findings": [{"code": c, "severity": s} for c, s in
-                     (("x", "warning"), ("y", "info"), ("z", "serious"), ("x", "warning"))],
-        "pairs": [],
-        "fit": {"phi": [1.5, None, 2.5], "seconds": 7},
-    }  # fmt: skip
-    monkeypatch.setattr(batch, "read_result_content", lambda _path: (content, None))
-    row = batch._answered("a", Path("folder"), "rooms/a")
-    assert (row.name, row.status, row.folder) == ("a", "done", "rooms/a")
-    assert (row.identifiable, row.values, row.findings) == (5, 6, ("x", "z"))
-    np.testing.assert_allclose(row.mean, [0.3, 0.2, 0.5])
-    assert (row.chi2_reduced, row.seconds) == (2.5, 7.0)
-    content["bands_hz"] = [2000, 4000]
-    np.testing.assert_allclose(batch._answered("a", Path("f"), "r").mean, [0.9, 0.8, 1.1])
-    content["bands_hz"], content["fit"] = [4000], {"phi": [None], "seconds": 7}
-    row = batch._answered("a", Path("f"), "r")
-    assert np.isnan(row.mean).all() and np.isnan(row.chi2_reduced)
-
-
-def test_rows_are_written_with_their_reports_and_counted_by_how_they_ended() -> None:
-    done = batch.RoomRow(
-        "a", "done", "rooms/a b", identifiable=3, values=4, mean=(0.2, 0.1, 0.3),
-        decay_s=(1.25, 1.5), chi2_reduced=1.1, findings=("x", "y"), seconds=2.0,
-    )  # fmt: skip
-    failed = batch.RoomRow("b", "failed", message="one\n  two")
-    assert batch.counted([done, failed, done]) == "3 rooms: 2 done, 1 failed."
-    numbers = (3, 4, 0.2, 0.1, 0.3, 1.25, 1.5, 1.1)
-    assert batch._record(done) == ("a", "done", "rooms/a b/report.html", *numbers, "x y", 2.0, "")
-    assert batch._record(failed)[2] == "" and batch._record(failed)[-1] == "one two"
-    text = rooms_text([done, failed])
-    (line,) = (x for x in text.splitlines() if x.startswith("a "))
-    assert " ".join(line.split()) == "a done 3 of 4 0.20 (0.10 to 0.30) 1.25 s (1.50 s)"
-    assert "2 rooms: 1 done, 1 failed." in text
-    name, status, share, mean, measured, predicted, chi2, findings = batch._page_row(done)
-    assert (name, share, measured, predicted, chi2) == ("a", "3 of 4", 1.25, 1.5, 1.1)
-    assert status.link == "rooms/a%20b/report.html" and findings.small == ("x", "y")
-    assert (mean.text, mean.small) == ("0.20", ("0.10 to 0.30",))
-    _, status, share, mean, *_ = batch._page_row(failed)
-    assert status.small == ("one", "  two") and status.link == "" and share == ""
-    assert mean.small == ()

@@ -17,8 +17,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import shared_cache
-from roomfit.air import Air
-from roomfit.cache import (
+from roomfit.base.air import Air
+from roomfit.base.cache import (
     CACHE_FOLDER,
     BrokenRecordError,
     Cache,
@@ -33,12 +33,12 @@ from roomfit.cache import (
     user_cache,
     whole_output_folder,
 )
-from roomfit.errors import InputError
-from roomfit.findings import Code
-from roomfit.geometry.mesh import shoebox_mesh
-from roomfit.inversion.trace_plan import cached_trace
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Code
+from roomfit.fit.trace_plan import cached_trace
 from roomfit.materials.priors import uniform_scattering
-from roomfit.scene import Point, Scene, room_from_mesh
+from roomfit.room.mesh import shoebox_mesh
+from roomfit.room.scene import Point, Scene, room_from_mesh
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 from small_campaign import ABSORPTION, write_campaign
@@ -237,19 +237,6 @@ def test_no_test_writes_into_the_folder_of_whoever_runs_it():
     assert user_cache() is None
 
 
-def test_the_cache_is_where_the_system_has_such_files_or_where_the_environment_says(
-    tmp_path, monkeypatch, own_cache
-):
-    assert user_cache().folder == own_cache
-    monkeypatch.delenv("ROOMFIT_CACHE")
-    monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    assert user_cache().folder.is_relative_to(tmp_path / "home")
-    monkeypatch.setattr("roomfit.cache.user_cache_dir", lambda *_: "~/.cache/roomfit")
-    assert user_cache() is None  # no home: not a folder called "~" in the current one
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_the_limit_stays_and_a_damaged_one_is_the_usual(own_cache):
     usual = user_cache().limit_bytes
     for key in range(3):
@@ -269,26 +256,6 @@ def test_incomplete_files_of_living_runs_stay_and_those_of_killed_ones_go(own_ca
     os.utime(killed, (1, 1))
     make_room(Cache(own_cache, 0), 0)
     assert sorted(own_cache.iterdir()) == [living]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("fault", ["read-only", "full", "a file"])
-def test_no_fault_of_the_cache_fails_a_run(tmp_path, monkeypatch, own_cache, capsys, fault):
-    from roomfit.cli import main
-
-    campaign = write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 500"))
-    if fault == "a file":
-        own_cache.write_text("in the way")
-
-    def refused(*_args: object) -> None:
-        raise OSError(28 if fault == "full" else 30, "refused")
-
-    if fault != "a file":
-        monkeypatch.setattr("roomfit.cache.save_record", refused)
-    main(["identify", str(campaign), "--out", str(tmp_path / "out")])
-    assert "carpet" in capsys.readouterr().out
-    codes = {f["code"] for f in json.loads((tmp_path / "out/result.json").read_text())["findings"]}
-    assert "cache-not-written" in codes
 
 
 @pytest.mark.slow

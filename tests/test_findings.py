@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-import roomfit.findings
-from roomfit.cache import load_record, save_record
-from roomfit.errors import InputError
-from roomfit.findings import About, Code, Finding, code_of
+import roomfit.base.findings
+from roomfit.base.cache import load_record, save_record
+from roomfit.base.errors import InputError
+from roomfit.base.findings import About, Code, Finding, code_of
 
 SOURCE = Path(roomfit.__file__).parent
 PAGE = SOURCE.parents[1] / "docs" / "findings.md"
-OWN = Path(roomfit.findings.__file__)
+OWN = Path(roomfit.base.findings.__file__)
 TREES = {
     path: ast.parse(path.read_text(encoding="utf-8"))
     for path in sorted(SOURCE.rglob("*.py"))

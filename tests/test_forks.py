@@ -9,21 +9,13 @@ import subprocess
 import sys
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numba
-import numpy as np
 import pytest
 
-from roomfit import forks, identification
-from roomfit._numba import at_most_threads, each_in_threads
-from roomfit.bands import bands_between
-from roomfit.cache import json_text
-from roomfit.cli import main
-from roomfit.errors import InputError
-from roomfit.forks import (
+from roomfit.base.errors import InputError
+from roomfit.base.forks import (
     at_once,
     beside,
     count_evaluation,
@@ -31,11 +23,8 @@ from roomfit.forks import (
     in_forks,
     in_this_process,
 )
-from roomfit.identification import identify
-from roomfit.io.results import result_content
-from roomfit.measurement import Measurement
-from roomfit.scene import scene_of, shoebox_room
-from roomfit.settings import Settings
+from roomfit.base.kernels import at_most_threads, each_in_threads
+from roomfit.cli import main
 
 HERE = os.getpid()
 
@@ -43,23 +32,6 @@ pytestmark = pytest.mark.skipif(
     sys.platform != "linux" or numba.config.NUMBA_NUM_THREADS < 2,
     reason="copies are made on Linux, where there are two threads or more",
 )
-
-
-@pytest.fixture(autouse=True)
-def two_threads(monkeypatch):
-    """Let there be two, and those of the program that runs the tests be no obstacle."""
-    theirs = {t.name for t in threading.enumerate()} - {threading.current_thread().name}
-    monkeypatch.setattr(forks, "QUIET_THREADS", (*forks.QUIET_THREADS, *theirs))
-    before = children()
-    with at_most_threads(2):
-        yield
-        assert numba.get_num_threads() == 2
-    assert children() <= before
-
-
-def children() -> set[str]:
-    """Return the processes that this thread has started and nobody has waited for."""
-    return set(Path(f"/proc/self/task/{threading.get_native_id()}/children").read_text().split())
 
 
 def slow_square(x: int) -> tuple[int, int]:
@@ -81,34 +53,6 @@ def test_each_copy_has_one_thread_and_makes_no_copies_of_its_own() -> None:
 @pytest.mark.parametrize("n", (0, 1))
 def test_where_there_is_nothing_to_share_this_process_does_it(n: int) -> None:
     assert [pid for _, pid in in_forks(slow_square, range(n))] == [HERE] * n
-
-
-def test_one_thread_a_thread_of_others_or_another_system_is_one_process(monkeypatch) -> None:
-    def who() -> set[int]:
-        return {pid for _, pid in in_forks(slow_square, range(3))}
-
-    with at_most_threads(1):
-        assert who() == {HERE}
-    ended = threading.Event()
-    for name, n in (("of-a-notebook", 1), ("progress", 2)):
-        other = threading.Thread(target=ended.wait, name=name)
-        other.start()
-        assert len(who()) == n
-        ended.set()
-        other.join()
-        ended.clear()
-    monkeypatch.setattr(forks.sys, "platform", "darwin")
-    assert who() == {HERE}
-
-
-def test_where_no_process_can_be_made_this_one_does_it(monkeypatch) -> None:
-    def refused() -> int:
-        raise BlockingIOError("no process is left")
-
-    monkeypatch.setattr(forks.os, "fork", refused)
-    assert {pid for _, pid in in_forks(slow_square, range(3))} == {HERE}
-    with beside(lambda: slow_square(3)) as alone:
-        assert not alone.is_done() and alone.result() == (9, HERE)
 
 
 def failing(x: int) -> int:
@@ -203,7 +147,7 @@ def test_a_block_that_is_left_ends_the_copy() -> None:
 _WAITING = """
 import os, sys, time
 import numba
-from roomfit.forks import in_forks
+from roomfit.base.forks import in_forks
 numba.set_num_threads(2)
 def wait(x):
     os.write(1, b"%d\\n" % os.getpid())
@@ -242,49 +186,6 @@ def state(pid: int) -> str:
         return "Z"
 
 
-def small_room() -> dict[str, Any]:
-    """Return a box of two materials with four noisy decays of twelve thousand samples."""
-    rng, rate_hz = np.random.default_rng(1), 16000.0
-    room = shoebox_room((6.0, 5.0, 3.0), {"walls": "walls", "ceiling": "walls", "floor": "floor"})
-    scene = scene_of(
-        room,
-        {"S": (1.5, 1.2, 1.5)},
-        {f"R{i}": (4.0, 3.5 - 0.7 * i, 1.2 + 0.1 * i) for i in range(4)},
-    )
-    measured = []
-    for i in range(4):
-        pressure = rng.standard_normal(12000) * np.exp(-np.arange(12000) / 2000.0)
-        pressure[: 200 + 20 * i] = 0.0
-        measured.append(Measurement("S", f"R{i}", pressure, rate_hz))
-    bands = bands_between("octave", 500, 1000)
-    few = Settings(n_rays=2000, n_rays_beside_images=2000, max_rounds=3)
-    return {"scene": scene, "measurements": measured, "bands": bands, "settings": few}
-
-
-@pytest.mark.parametrize("model", ("auto", "energy"))
-def test_a_result_has_the_same_bits_on_one_core_and_on_two(model: str, monkeypatch) -> None:
-    """All bits of `result.json` but its seconds, and its evaluations among them."""
-    room = small_room()
-    room["settings"] = replace(room["settings"], model=model)
-    made: list[int] = []
-    was = forks.Beside.__init__
-
-    def counted(self, function, *, fork):
-        made.append(fork)
-        was(self, function, fork=fork)
-
-    monkeypatch.setattr(forks.Beside, "__init__", counted)
-    texts = []
-    for threads in (1, 2):
-        made.clear()
-        with at_most_threads(threads):
-            result = identify(**room)
-        assert any(made) == (threads == 2)
-        content = result_content(replace(result, seconds=0.0), [])
-        texts.append(json_text({k: v for k, v in content.items() if k != "provenance"}))
-    assert texts[0] == texts[1]
-
-
 @pytest.mark.parametrize("said", ("", "2", "64", "none", "0", "1.5"))
 def test_the_environment_says_how_many_threads_and_no_more_than_there_are(
     said: str, monkeypatch, capsys
@@ -302,52 +203,6 @@ def test_the_environment_says_how_many_threads_and_no_more_than_there_are(
         assert numba.get_num_threads() == min(int(said or 2), most)
     with at_most_threads(1):  # an argument is nearer
         assert numba.get_num_threads() == 1
-
-
-def test_an_option_of_the_command_says_how_many_threads(monkeypatch, tmp_path) -> None:
-    seen: list[int] = []
-    monkeypatch.setattr(
-        "roomfit.commands.identify_to_folder", lambda *_, **__: seen.append(at_once())
-    )
-    for threads in ("1", "2"):
-        main(["identify", "campaign.toml", "--out", str(tmp_path), "--quiet", "--threads", threads])
-    assert seen == [1, 2]
-    assert numba.get_num_threads() == 2
-
-
-@pytest.mark.parametrize("chosen", ("auto", "energy"))
-@pytest.mark.parametrize("threads", (1, 2))
-def test_a_room_is_traced_beside_the_choice_of_its_model_and_again_for_another(
-    threads: int, chosen: str, monkeypatch
-) -> None:
-    """The trace for the usual outcome is given up; only that which is used counts evaluations,
-    and the choice, which is asked for while the trace is counted, once."""
-    traced: list[str] = []
-
-    def chosen_model(*_: object) -> str:
-        time.sleep(0.1)
-        count_evaluation(3)
-        return chosen
-
-    def traced_paths(_measured, _priors, settings, _start, _cache, progress):
-        traced.append(settings.model)
-        count_evaluation(7)
-        if settings.model != chosen:
-            for _ in range(500):
-                progress(0.0)
-                time.sleep(0.01)
-        return settings.model
-
-    monkeypatch.setattr(identification, "eyring_start", lambda _: None)
-    monkeypatch.setattr(identification, "chosen_model", chosen_model)
-    monkeypatch.setattr(identification, "traced_paths", traced_paths)
-    nothing: Any = None
-    began = time.perf_counter()
-    with at_most_threads(threads), counted_evaluations() as made:
-        used, found = identification._traced(nothing, (), Settings(), None, None)
-    assert (used.model, found, made) == (chosen, chosen, [7 + 3])
-    assert traced == (["auto", chosen] if threads == 2 and chosen != "auto" else [chosen])
-    assert time.perf_counter() - began < 4.0
 
 
 def test_threads_over_observations_give_their_order_and_have_one_each() -> None:

@@ -11,18 +11,18 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from absorption_reference import Absorption, amplitude_reflection, surviving_energy
-from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
-from roomfit.bands import OCTAVES_HZ, THIRD_OCTAVES_HZ, Bands, bands_between
-from roomfit.errors import InputError
-from roomfit.geometry.mesh import shoebox_mesh
+from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.bands import OCTAVES_HZ, THIRD_OCTAVES_HZ, Bands, bands_between
+from roomfit.base.errors import InputError
+from roomfit.demo.polyhedra import Cells
 from roomfit.materials.priors import MaterialPrior, Scattering
-from roomfit.measurement import Measurement
-from roomfit.objective.parameters import Block
-from roomfit.response.directivity import MeasuredDirectivity, Pattern, unit_vector
-from roomfit.scene import Point, PointGroup, scene_of, shoebox_room
+from roomfit.model.parameters import Block
+from roomfit.model.patterns import MeasuredDirectivity, Pattern, unit_vector
+from roomfit.room.mesh import shoebox_mesh
+from roomfit.room.scene import Point, PointGroup, scene_of, shoebox_room
 from roomfit.signals.iso3382 import MeasuredValues
+from roomfit.signals.measurement import Measurement
 from roomfit.signals.response import ImpulseResponse
-from roomfit.synthetic.polyhedra import Cells
 from roomfit.tracing.paths import TraceSettings
 
 coefficients = arrays(np.float64, (3, 2), elements=st.floats(0.0, 1.0))

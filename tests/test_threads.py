@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from roomfit._numba import keep_one_blas_thread, one_blas_thread
+from roomfit.base.kernels import keep_one_blas_thread, one_blas_thread
 
 
 def blas_threads() -> set[int]:

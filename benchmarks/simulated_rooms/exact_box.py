@@ -8,8 +8,8 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.linalg import eig
 
-from roomfit.errors import InputError
-from roomfit.typing import ComplexArray, FloatArray
+from roomfit.base.errors import InputError
+from roomfit.base.typing import ComplexArray, FloatArray
 
 
 def exact_box_pressure(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from roomfit.errors import InputError
-from roomfit.geometry.mesh import Mesh, Surface
-from roomfit.scene import Room
-from roomfit.typing import FloatArray, IntArray
+from roomfit.base.errors import InputError
+from roomfit.base.typing import FloatArray, IntArray
+from roomfit.room.mesh import Mesh, Surface
+from roomfit.room.scene import Room
 
 MATERIALS = ("floor", "walls", "ceiling", "seats")
 DEPTH_M, HEIGHT_M = 32.0, 12.0

@@ -12,13 +12,13 @@ from typing import Literal
 
 import numpy as np
 
-from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
-from roomfit.bands import bands_between
-from roomfit.cache import write_text_atomically
-from roomfit.errors import InputError
-from roomfit.synthetic.boxes import add_noise
-from roomfit.synthetic.polyhedra import Cells, SyntheticPolyhedron, pressure_responses
-from roomfit.typing import FloatArray, Progress
+from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.bands import bands_between
+from roomfit.base.cache import write_text_atomically
+from roomfit.base.errors import InputError
+from roomfit.base.typing import FloatArray, Progress
+from roomfit.demo.boxes import add_noise
+from roomfit.demo.polyhedra import Cells, SyntheticPolyhedron, pressure_responses
 from simulated_rooms.other_turned_box import other_responses
 from simulated_rooms.polyhedral_rooms import (
     l_shaped_cells,

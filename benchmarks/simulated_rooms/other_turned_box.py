@@ -12,10 +12,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from roomfit.air import Air, attenuation_per_m
-from roomfit.bands import bands_between
-from roomfit.synthetic.polyhedra import SyntheticPolyhedron, _balls, cell_arrays
-from roomfit.typing import FloatArray
+from roomfit.base.air import Air, attenuation_per_m
+from roomfit.base.bands import bands_between
+from roomfit.base.typing import FloatArray
+from roomfit.demo.polyhedra import SyntheticPolyhedron, _balls, cell_arrays
 from simulated_rooms.polyhedral_rooms import TURNED_AT_M, TURNED_BY, TURNED_M
 
 LATE_SAMPLES = 40

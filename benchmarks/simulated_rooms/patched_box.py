@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.errors import InputError
-from roomfit.synthetic.boxes import (
+from roomfit.base.errors import InputError
+from roomfit.base.typing import FloatArray, IntArray
+from roomfit.demo.boxes import (
     DURATION_S,
     NOISE_DB,
     SAMPLING_RATE_HZ,
@@ -22,7 +23,6 @@ from roomfit.synthetic.boxes import (
     true_box,
     write_box_campaign,
 )
-from roomfit.typing import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.logit import expit
-from roomfit.synthetic.boxes import (
+from roomfit.base.logit import expit
+from roomfit.base.typing import FloatArray
+from roomfit.demo.boxes import (
     DURATION_S,
     NOISE_DB,
     POSITION_ERROR_M,
@@ -22,7 +23,6 @@ from roomfit.synthetic.boxes import (
     true_box,
     write_box_campaign,
 )
-from roomfit.typing import FloatArray
 
 
 def random_plan(rng: np.random.Generator) -> BoxPlan:

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 
 import roomfit
-from roomfit.io.inputs import check_room
+from roomfit.files.inputs import check_room
 from roomfit.report.text import room_text
 
 plan = ((0, 0), (5, 0), (5, 3), (3, 3), (3, 4), (0, 4))

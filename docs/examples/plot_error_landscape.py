@@ -13,8 +13,8 @@ from functools import partial
 import matplotlib.pyplot as plt
 import numpy as np
 
-from roomfit.suh2001.room import error, paper_problem, paper_scene, residuals, trace_paper_room
-from roomfit.suh2001.searches import fit_least_squares
+from roomfit.paper.room import error, paper_problem, paper_scene, residuals, trace_paper_room
+from roomfit.paper.searches import fit_least_squares
 
 paths = trace_paper_room(paper_scene())
 windows = {

@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import roomfit
-from roomfit.synthetic.boxes import SAMPLING_RATE_HZ, WALLS, demo_plan, simulated_responses
+from roomfit.demo.boxes import SAMPLING_RATE_HZ, WALLS, demo_plan, simulated_responses
 
 plan = demo_plan()
 plan = replace(plan, sources_m={"LS1": plan.sources_m["LS1"]})

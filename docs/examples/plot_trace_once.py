@@ -10,9 +10,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import roomfit
-from roomfit.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.materials.priors import uniform_scattering
-from roomfit.response.energy import energy_rows, weigh
+from roomfit.model.weighing import energy_rows, weigh
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 

@@ -10,41 +10,43 @@ they are first used, so that ``import roomfit`` costs nothing.
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from roomfit.air import Air
-    from roomfit.bands import Bands, bands_between
-    from roomfit.commands import export_result
+    from roomfit.base.air import Air
+    from roomfit.base.bands import Bands, bands_between
+    from roomfit.base.errors import InputError, InsufficientDataError, RoomfitError, StoreError
+    from roomfit.base.findings import Finding
+    from roomfit.checks.usable import check_recordings
+    from roomfit.cli.commands import export_result
     from roomfit.coverage.estimate import estimate_coverage
     from roomfit.coverage.synthetic_room import CoverageSettings
-    from roomfit.diagnostics.usable import check_recordings
-    from roomfit.errors import InputError, InsufficientDataError, RoomfitError, StoreError
-    from roomfit.experiment_design.campaign import design_arguments
-    from roomfit.experiment_design.candidates import DesignOptions
-    from roomfit.experiment_design.design import design
-    from roomfit.findings import Finding
-    from roomfit.identification import identify
+    from roomfit.design.campaign import design_arguments
+    from roomfit.design.candidates import DesignOptions
+    from roomfit.design.positions import design
+    from roomfit.files.campaign import read_campaign
+    from roomfit.files.inputs import load_campaign
+    from roomfit.files.iso3382 import read_parameters
+    from roomfit.files.responses import read_response
+    from roomfit.files.responses.recordings import ResponseSpec
+    from roomfit.files.results import read_result, write_result
+    from roomfit.files.rooms import read_room
+    from roomfit.files.rooms.model import RoomSpec
+    from roomfit.identify import identify
     from roomfit.impedance.data import Observed
     from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
-    from roomfit.io.campaign import read_campaign
-    from roomfit.io.inputs import load_campaign
-    from roomfit.io.iso3382 import read_parameters
-    from roomfit.io.responses import read_response
-    from roomfit.io.responses.recordings import ResponseSpec
-    from roomfit.io.results import read_result, write_result
-    from roomfit.io.rooms import read_room
-    from roomfit.io.rooms.model import RoomSpec
     from roomfit.materials.catalogue import material_prior
-    from roomfit.measurement import Measurement
-    from roomfit.prediction.campaign import predict_arguments
-    from roomfit.prediction.predict import predict
+    from roomfit.predict.campaign import predict_arguments
+    from roomfit.predict.other_walls import predict
     from roomfit.report.html import report_html
-    from roomfit.results import Result, absorption_posterior
-    from roomfit.scene import Point, scene_of, shoebox_room, with_states
+    from roomfit.result import Result, absorption_posterior
+    from roomfit.room.scene import Point, scene_of, shoebox_room, with_states
     from roomfit.settings import Settings
     from roomfit.signals.iso3382 import MeasuredValues
+    from roomfit.signals.measurement import Measurement
 
 __version__ = "0.1.0"
 
@@ -95,47 +97,47 @@ __all__ = [
 
 # Where each name stands: what type checkers read above, for use.
 _HOME = {
-    "absorption_posterior": "results",
-    "Air": "air",
-    "Bands": "bands",
-    "bands_between": "bands",
-    "InsufficientDataError": "errors",
+    "absorption_posterior": "result",
+    "Air": "base.air",
+    "Bands": "base.bands",
+    "bands_between": "base.bands",
+    "InsufficientDataError": "base.errors",
     "CoverageSettings": "coverage.synthetic_room",
-    "design": "experiment_design.design",
-    "design_arguments": "experiment_design.campaign",
-    "DesignOptions": "experiment_design.candidates",
+    "design": "design.positions",
+    "design_arguments": "design.campaign",
+    "DesignOptions": "design.candidates",
     "estimate_coverage": "coverage.estimate",
-    "export_result": "commands",
-    "Finding": "findings",
-    "identify": "identification",
-    "check_recordings": "diagnostics.usable",
+    "export_result": "cli.commands",
+    "Finding": "base.findings",
+    "identify": "identify",
+    "check_recordings": "checks.usable",
     "identify_impedance": "impedance.identify",
     "ImpedanceSettings": "impedance.identify",
-    "InputError": "errors",
-    "load_campaign": "io.inputs",
+    "InputError": "base.errors",
+    "load_campaign": "files.inputs",
     "material_prior": "materials.catalogue",
     "MeasuredValues": "signals.iso3382",
-    "Measurement": "measurement",
+    "Measurement": "signals.measurement",
     "Observed": "impedance.data",
-    "Point": "scene",
-    "predict": "prediction.predict",
-    "predict_arguments": "prediction.campaign",
-    "read_campaign": "io.campaign",
-    "read_parameters": "io.iso3382",
-    "read_response": "io.responses",
-    "read_result": "io.results",
-    "read_room": "io.rooms",
+    "Point": "room.scene",
+    "predict": "predict.other_walls",
+    "predict_arguments": "predict.campaign",
+    "read_campaign": "files.campaign",
+    "read_parameters": "files.iso3382",
+    "read_response": "files.responses",
+    "read_result": "files.results",
+    "read_room": "files.rooms",
     "report_html": "report.html",
-    "ResponseSpec": "io.responses.recordings",
-    "Result": "results",
-    "RoomfitError": "errors",
-    "RoomSpec": "io.rooms.model",
-    "scene_of": "scene",
+    "ResponseSpec": "files.responses.recordings",
+    "Result": "result",
+    "RoomfitError": "base.errors",
+    "RoomSpec": "files.rooms.model",
+    "scene_of": "room.scene",
     "Settings": "settings",
-    "shoebox_room": "scene",
-    "with_states": "scene",
-    "StoreError": "errors",
-    "write_result": "io.results",
+    "shoebox_room": "room.scene",
+    "with_states": "room.scene",
+    "StoreError": "base.errors",
+    "write_result": "files.results",
 }
 
 
@@ -147,3 +149,14 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
+
+
+class _FrontDoor(ModuleType):
+    """Importing a module of the name of a public function, as `identify`, does not hide it."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if not (name in _HOME and isinstance(value, ModuleType)):
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _FrontDoor

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args
 
-from roomfit._checks import check_known
-from roomfit.errors import InputError
+from roomfit.base.arguments import check_known
+from roomfit.base.errors import InputError
 
 Method = Literal["auto", "simplex", "annealing", "least-squares", "certified", "posterior"]
 Model = Literal["auto", "energy", "coherent"]
@@ -67,7 +67,7 @@ class Settings:
     reflection_delays: bool = True  # whether walls may delay what they reflect
     smoothness_per_octave: float | None = None  # sd of the change of logit absorption, > 0
     temperature_sd_c: float | None = None  # standard deviation of the air's temperature, K
-    # Left out, these follow volume and decay of the room (`roomfit.inversion.trace_plan`).
+    # Left out, these follow volume and decay of the room (`roomfit.fit.trace_plan`).
     n_rays: int | None = None  # rays a source, 60,000 at least
     n_rays_beside_images: int | None = None  # a third of them, in a room of smooth walls
     receiver_radius_m: float | None = None  # of the spheres that catch rays, 0.5 m at least

@@ -463,7 +463,7 @@ def test_a_receiver_is_dragged_and_what_is_shown_of_the_answer_stays(
     page.wait_for_function(
         "() => Math.abs(document.querySelector('[aria-label=\"MP1 x in m\"]').value - 4.6) < .1"
     )
-    from roomfit.io.campaign import read_campaign
+    from roomfit.files.campaign import read_campaign
 
     campaign = read_campaign(answered.folder / "campaign.toml", to_fit=False)
     placed = next(p for p in campaign.receivers if p.name == "MP1").position_m

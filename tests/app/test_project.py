@@ -18,16 +18,15 @@ import soundfile
 
 from roomfit.app import project, recordings, views
 from roomfit.app.jobs import Job, Jobs, Worker
-from roomfit.cache import write_json_atomically
-from roomfit.commands import ExportedFiles
-from roomfit.errors import InputError, located
-from roomfit.findings import About, Code, Finding
-from roomfit.geometry.mesh import refuse
-from roomfit.io.campaign import read_campaign
-from roomfit.io.draft import draft_campaign
-from roomfit.io.edits import Edit, Preview, apply, can_undo, edited_text, preview, undo
-from roomfit.io.rooms.model import RoomSpec
-from roomfit.typing import FloatArray
+from roomfit.base.cache import write_json_atomically
+from roomfit.base.errors import InputError, located
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import FloatArray
+from roomfit.files.campaign import read_campaign
+from roomfit.files.draft import draft_campaign
+from roomfit.files.edits import Edit, Preview, apply, can_undo, edited_text, preview, undo
+from roomfit.files.rooms.model import RoomSpec
+from roomfit.room.mesh import refuse
 from scans import HEIGHT_M, furniture, scan, scan_usdz
 
 
@@ -459,27 +458,6 @@ def test_exports_need_a_result_and_stay_in_the_project(box: Path) -> None:
     (box / "exports").symlink_to(box.parent)
     with pytest.raises(InputError):
         project.export(box, "csv")
-
-
-@pytest.mark.parametrize(
-    ("wanted", "name"),
-    [
-        ("pdf", "report.pdf"),
-        ("word", "report.docx"),
-        ("pyroomacoustics", "materials-pyroomacoustics.json"),  # what that program reads is JSON
-    ],
-)
-def test_an_export_is_named_as_what_opens_it(
-    box: Path, monkeypatch: pytest.MonkeyPatch, wanted: str, name: str
-) -> None:
-    (box / "first").mkdir()
-    (box / "first" / "result.json").write_text("{}")
-
-    def written(_: Path, __: str, out: Path, **___: object) -> ExportedFiles:
-        return ExportedFiles((out,), ())
-
-    monkeypatch.setattr(project, "export_result", written)
-    assert project.export(box, wanted) == [f"exports/{name}"]
 
 
 @pytest.mark.parametrize("kind", ["sources", "receivers"])

@@ -6,7 +6,6 @@ import asyncio
 import copy
 import re
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,8 +16,8 @@ from nicegui import Client, ui
 from nicegui.page import page
 
 import shape
-from roomfit.app import elements, project, views
 from roomfit.app import page as own_page
+from roomfit.app import project, views
 from roomfit.app.identify_tab import IdentifyTab
 from roomfit.app.jobs import Jobs
 from roomfit.app.measure_tab import MeasureTab
@@ -26,8 +25,7 @@ from roomfit.app.measurements_tab import MeasurementsTab
 from roomfit.app.report_tab import ReportTab
 from roomfit.app.room_tab import RoomTab
 from roomfit.app.what_if_tab import Changes, WhatIfTab
-from roomfit.errors import InputError
-from roomfit.io.edits import can_undo
+from roomfit.files.edits import can_undo
 
 ASKING = {tab.name: tab for tab in own_page.TABS if tab not in (MeasureTab, ReportTab)}
 
@@ -189,29 +187,6 @@ def test_bands_that_are_chosen_stay_until_the_campaign_says_others(folder: Path)
     asyncio.run(chosen())
 
 
-def test_an_error_is_shown_though_what_was_clicked_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
-    messages: list[str] = []
-    # as NiceGUI's own it fails where the page of what was clicked cannot be found
-    monkeypatch.setattr(
-        ui, "notify", lambda text, **_: messages.append(f"{text}{ui.context.client.id[:0]}")
-    )
-
-    async def fail() -> None:
-        client = Client(page("/"))
-        with client:
-            place = ui.element("div")
-            with place:
-                box = ui.element("div")
-        slot = box.default_slot
-        place.clear()
-        del box
-        with slot, elements.saying_errors(place):
-            raise InputError("no such thing")
-
-    asyncio.run(fail())
-    assert messages == ["no such thing"]
-
-
 # Each tab alone.
 
 
@@ -268,22 +243,6 @@ def test_a_finding_stands_at_the_material_that_it_is_about(folder: Path) -> None
         carpet, brick = re.findall(r"<th scope=\"row\">.*?</tr>", shown(client))
         assert "Doubt." in carpet and "Doubt." not in brick
         assert shown(client).count("Doubt.") == 1
-
-    asyncio.run(whole())
-
-
-def test_an_identification_begins_in_the_bands_that_were_chosen(folder: Path) -> None:
-    async def whole() -> None:
-        tab, bench, _ = tab_of(IdentifyTab, folder)
-        tab.lowest.set_value(500.0)
-        begun: list[tuple[Any, ...]] = []
-        bench.jobs = SimpleNamespace(add=lambda *own: begun.append(own))  # type: ignore[assignment]
-        tab.start_both()
-        assert [(task, own["quick"]) for _, task, own, _ in begun] == [
-            ("identify", True),
-            ("identify", False),
-        ]
-        assert project.bands(folder) == (500.0, 4000.0)
 
     asyncio.run(whole())
 
@@ -415,33 +374,6 @@ def test_the_report_offers_what_the_answer_has_and_links_to_exports(folder: Path
         bench.asked[-1].set_result(["exports/raven/a b.mat", "exports/raven/<c>.mat"])
         await exporting
         assert "a%20b.mat?save=1" in shown(client) and "&lt;c&gt;.mat</a>" in shown(client)
-
-    asyncio.run(whole())
-
-
-def test_a_new_tab_is_a_class_and_its_name_in_one_tuple(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The third file is `views`, where a tab has a question of its own."""
-
-    class Toy:
-        name, files = "Toy", ("toy.txt",)
-
-        def __init__(self, bench: Bench) -> None:
-            self.place, self.folder = ui.label(""), bench.folder
-
-        async def refresh(self) -> None:
-            self.place.set_text(f"drawn for {self.folder.name}")
-
-    monkeypatch.setattr(own_page, "TABS", (Toy, *own_page.TABS))
-
-    async def whole() -> None:
-        client, bench = Client(page("/")), Bench(folder)
-        with client:
-            drawn = own_page.Page(bench)  # type: ignore[arg-type]
-            await drawn.look()
-        assert f"drawn for {folder.name}" in shown(client)
-        assert drawn.shown == {"Toy": ("toy.txt",)}
 
     asyncio.run(whole())
 

@@ -22,9 +22,9 @@ from roomfit.app.report_tab import ReportTab
 from roomfit.app.treatment import written_question
 from roomfit.app.treatment_form import TreatmentForm
 from roomfit.app.what_if_tab import WhatIfTab
-from roomfit.errors import InputError
-from roomfit.findings import Code
-from roomfit.treatment.campaign import read_treatment
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Code
+from roomfit.treat.campaign import read_treatment
 
 WRITTEN = """# of the client
 probability = 0.8 # agreed
@@ -109,7 +109,7 @@ def test_what_cannot_be_asked_is_refused_and_the_file_stays(
 
 def test_decay_times_are_answered_as_the_command_line_answers_them(hall: Path) -> None:
     """The mean with its interval, and the square metres; no position was asked for."""
-    from roomfit import predictions
+    from roomfit.cli import predictions
 
     assert views.reverberation(nothing, str(hall)) == project.MEAN
     view = views.result_view(nothing, str(hall), project.MEAN)
@@ -141,8 +141,8 @@ def test_decay_times_are_answered_as_the_command_line_answers_them(hall: Path) -
 
 def test_other_walls_from_decay_times_are_those_of_the_command(hall: Path, tmp_path: Path) -> None:
     """T30 with its intervals, before and after; another table of the same name is read anew."""
-    from roomfit.prediction.changes import read_change
-    from roomfit.predictions import predict_to_folder
+    from roomfit.cli.predictions import predict_to_folder
+    from roomfit.predict.changes import read_change
 
     (tmp_path / "out").mkdir()
     view = views.what_if_prepare(nothing, str(hall))

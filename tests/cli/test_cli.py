@@ -47,7 +47,7 @@ def test_a_check_of_a_room_loads_no_pictures_and_no_statistics(tmp_path):
     """What makes it answer within a second or so: of the large packages only what a room needs."""
     room = tmp_path / "room.obj"
     room.write_text(box_obj())
-    names = ("matplotlib", "scipy.signal", "scipy.stats", "roomfit.inversion", "roomfit.prediction")
+    names = ("matplotlib", "scipy.signal", "scipy.stats", "roomfit.fit", "roomfit.predict")
     program = (
         f"import sys; sys.path[:0] = {sys.path!r}\n"
         f"from roomfit.cli import main\n"
@@ -74,7 +74,7 @@ def test_an_export_and_a_result_that_is_read_wait_for_no_compiler(tmp_path):
         "from roomfit.cli import main\n"
         f"try: main(['export', {str(table)!r}, '--format', 'catt', '--out', {str(out)!r}])\n"
         "except SystemExit: pass\n"
-        "from roomfit.io.results import read_result\n"
+        "from roomfit.files.results import read_result\n"
         f"print(read_result(Path({str(table)!r})).materials)\n"
         "print('LOADED', [m for m in ('numba', 'scipy', 'matplotlib') if m in sys.modules])"
     )
@@ -384,35 +384,6 @@ def test_check_refuses_materials_that_the_room_does_not_have(tmp_path, monkeypat
     campaign = write_campaign(tmp_path, ("[materials.carpet]", "[materials.carpets]"))
     assert run_command(monkeypatch, "check", campaign) == 2
     assert "did you mean 'carpet'" in capsys.readouterr().err
-
-
-def test_an_interrupt_that_falls_into_a_compiled_kernel_is_one(tmp_path, monkeypatch, capsys):
-    """Which numba's dispatcher reports as a fault of its own, with the interrupt as the cause."""
-    import roomfit.commands
-
-    causes = [KeyboardInterrupt(), KeyboardInterrupt(15), ValueError("a fault of ours")]
-
-    def interrupted(*_args: object, **_settings: object) -> None:
-        raise SystemError("returned a result with an exception set") from causes.pop(0)
-
-    monkeypatch.setattr(roomfit.commands, "compare_to_folder", interrupted)
-    for code in (130, 143):
-        assert run_command(monkeypatch, "compare", "a", "b") == code
-        assert capsys.readouterr().err.startswith("interrupted; nothing half-written")
-    with pytest.raises(SystemError):
-        run_command(monkeypatch, "compare", "a", "b")
-
-
-def test_a_demo_that_cannot_be_finished_leaves_nothing(tmp_path, monkeypatch):
-    """Its campaign is written before it is identified: both appear, or neither."""
-    import roomfit.synthetic.boxes
-
-    def interrupted(*_args: object, **_settings: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(roomfit.synthetic.boxes, "write_measured_box", interrupted)
-    assert run_command(monkeypatch, "demo", "--out", tmp_path / "demo") == 130
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("command", ["demo", "paper"])

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-import roomfit.coverage.simulate
-import roomfit.io.campaign
-from roomfit.bands import bands_between
-from roomfit.cache import json_text, write_json_atomically
-from roomfit.commands import estimate_coverage_to_folder
+from roomfit.base.bands import bands_between
+from roomfit.base.cache import json_text, write_json_atomically
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Code
+from roomfit.cli.commands import estimate_coverage_to_folder
 from roomfit.coverage.estimate import (
     CoverageResult,
     Found,
@@ -28,7 +26,7 @@ from roomfit.coverage.estimate import (
     replicate_path,
     write_replicate,
 )
-from roomfit.coverage.output import coverage_figure, coverage_json, verdict
+from roomfit.coverage.output import coverage_figure, coverage_json
 from roomfit.coverage.simulate import (
     BOX,
     CONVEX,
@@ -42,7 +40,6 @@ from roomfit.coverage.simulate import (
 )
 from roomfit.coverage.statistics import (
     CoverageSample,
-    Proportion,
     coverage_at,
     coverage_rows,
     grouped_proportion,
@@ -54,22 +51,18 @@ from roomfit.coverage.synthetic_room import (
     coverage_plan,
     draw_synthetic_room,
 )
-from roomfit.errors import InputError
-from roomfit.findings import Code
-from roomfit.geometry.mesh import volume_m3
-from roomfit.io.campaign import read_campaign
-from roomfit.io.iso3382 import read_parameters
-from roomfit.io.rooms import read_room
-from roomfit.io.rooms.model import RoomSpec
-from roomfit.settings import Settings
-from roomfit.synthetic.boxes import add_noise, octave_shares
-from roomfit.synthetic.polyhedra import convex_cells
+from roomfit.demo.boxes import add_noise, octave_shares
+from roomfit.demo.polyhedra import convex_cells
+from roomfit.files.campaign import read_campaign
+from roomfit.files.iso3382 import read_parameters
+from roomfit.files.rooms import read_room
+from roomfit.files.rooms.model import RoomSpec
+from roomfit.room.mesh import volume_m3
 from simulated_rooms.polyhedral_rooms import (
     cell_volume_m3,
     l_shaped_cells,
     obj_text,
     paper_cells,
-    slanted_cells,
 )
 from small_campaign import run_command, small_responses, write_campaign, write_wav
 
@@ -505,21 +498,6 @@ def test_refused_replicates_are_counted_and_reported_without_their_folder():
         assert str(result).splitlines()[-1] == said
 
 
-def test_an_estimate_of_coverage_shows_itself(monkeypatch):
-    found = sample_of(np.random.default_rng(1), 1.0, n=20)
-    result = CoverageResult(20, 20, (), {BOX: 20}, {}, found, "prior")
-    together = coverage_rows(found)[-1]
-    share = f"{100 * together.holds.value:.0f} ("
-    assert share in str(result) and share in result._repr_html_()
-    assert len(result.plot().axes) == 2
-    monkeypatch.setitem(
-        sys.modules, "pandas", SimpleNamespace(DataFrame=lambda rows, columns: rows[: len(columns)])
-    )
-    rows = result.to_dataframe()
-    assert [row[0] for row in rows] == [500.0, 1000.0, "all"]
-    assert rows[-1][2] == together.holds.value
-
-
 def test_a_picture_of_coverage_holds_shares_with_their_own_intervals():
     """Over the nominal level, and in every band; intervals left, wrong certainty right of it."""
     found = sample_of(np.random.default_rng(1), 1.0, n=20)
@@ -559,29 +537,6 @@ def test_a_picture_of_coverage_holds_shares_with_their_own_intervals():
     named = [[t.get_text() for t in axes.get_legend().get_texts()] for axes in (left, right)]
     assert named[0] == ["nominal", "range of chance", "found"]
     assert set(named[1]) == {"aimed at", "95 % intervals that hold", "identifiable but outside"}
-
-
-@pytest.mark.parametrize(
-    ("holds", "outside", "words"),
-    [
-        ((90, 0.9, 0.95), (1, 0.0, 0.2), "cannot distinguish from 95 %. Of what is called "
-         "identifiable 5 % lies outside."),
-        ((90, 0.85, 0.949), (1, 0.0, 0.2), "90 % of 95 % intervals hold the true value: they are "
-         "too narrow for this campaign. Do not rely on them."),
-        ((99, 0.951, 0.999), (1, 0.0, 0.2), "wider than they need be"),
-        ((97, 0.95, 0.999), (1, 0.0, 0.2), "cannot distinguish"),
-        ((90, 0.9, 0.96), (4, 0.051, 0.4), "20 % lies outside: more than the 5 % that"),
-        ((90, 0.9, 0.96), (4, 0.05, 0.4), "20 % lies outside."),
-    ],
-)  # fmt: skip
-def test_the_verdict_is_by_whether_the_interval_of_a_share_holds_its_aim(holds, outside, words):
-    aside = Proportion(outside[0], 20, *outside[1:])
-    row = SimpleNamespace(holds=Proportion(holds[0], 100, *holds[1:]), outside=aside)
-    assert words in verdict(row)
-    nothing = SimpleNamespace(holds=row.holds, outside=Proportion(0, 0, 0.0, 1.0))
-    assert verdict(nothing).endswith("Nothing is called identifiable.")
-    none = SimpleNamespace(holds=nothing.outside, outside=nothing.outside)
-    assert verdict(none) == "No absorption was fitted: nothing can be said of intervals."
 
 
 def test_a_damaged_replicate_is_refused_and_not_counted(tmp_path):
@@ -635,30 +590,3 @@ def test_an_output_folder_that_is_a_file_is_refused(tmp_path):
     with pytest.raises(InputError, match="is a file"):
         estimate_coverage(campaign, tmp_path / "out", CoverageSettings(snr_db=50.0))
     assert (tmp_path / "out").read_text() == "mine"
-
-
-@pytest.mark.slow
-def test_a_room_of_slanted_walls_is_simulated_by_the_command(tmp_path, monkeypatch, capsys):
-    """Told prior, one file, one octave; a second call finds the replicate and makes none."""
-    (tmp_path / "room.obj").write_text(obj_text(slanted_cells()))
-    text = (
-        '[room]\nfile = "room.obj"\nunit = "m"\nup = "z"\n[identify]\nfrom_hz = 500\nto_hz = 500\n'
-    )
-    text += "".join(f'[materials."{n}"]\nscattering = 0.0\n' for n in slanted_cells().materials)
-    text += "[sources.LS1]\nposition = [1.25, 1.4, 1.1]\nposition_sd = 0.01\n"
-    text += "[receivers.MP1]\nposition = [4.05, 1.35, 1.2]\nposition_sd = 0.01\n"
-    text += '[[measurements]]\nsource = "LS1"\nreceiver = "MP1"\nfile = "later.wav"\n'
-    file, out = campaign_file(tmp_path, text), tmp_path / "out"
-    monkeypatch.setattr(roomfit.io.campaign, "DEFAULTS", Settings(n_rays=2000))
-    monkeypatch.setitem(roomfit.coverage.simulate._MOST_IMAGES, CONVEX, 20_000)
-    asked = ("coverage", file, "--out", out, "--replicates", "1", "--snr-db", "50")
-    assert run_command(monkeypatch, *asked) == 0
-    first = capsys.readouterr().out
-    assert f"1 of 1 replicates; simulated by {CONVEX} (1)" in first
-    written = replicate_path(out, 0).stat().st_mtime_ns
-    reported = json.loads((out / "coverage.json").read_text())
-    assert reported["made_by"] == {CONVEX: 1}
-    assert reported["all"]["hold"]["of"] == len(slanted_cells().materials)
-    assert run_command(monkeypatch, *asked) == 0
-    assert capsys.readouterr().out == first
-    assert replicate_path(out, 0).stat().st_mtime_ns == written

@@ -230,8 +230,8 @@ def absorption() -> bytes:
 
 
 def replicate() -> bytes:
+    from roomfit.base.findings import Code
     from roomfit.coverage.estimate import Found, Replicate, write_replicate
-    from roomfit.findings import Code
 
     table, row = np.full((1, 2), 0.3), np.array([0.2, 0.3])
     sure = np.array([[True, False]])

@@ -170,19 +170,19 @@ def readers(folder: Path) -> dict[str, Callable[[Path], object]]:
     """Return for every example what reads a file in its place."""
     import numpy as np
 
-    from roomfit.bands import bands_between
+    from roomfit.base.bands import bands_between
     from roomfit.coverage.estimate import FOLDER, read_replicate
+    from roomfit.files.campaign import read_campaign
+    from roomfit.files.directivity import read_directivity
+    from roomfit.files.exports import read_material_table
+    from roomfit.files.inputs import check_room, identify_arguments
+    from roomfit.files.iso3382 import read_parameters
+    from roomfit.files.responses import read_response
+    from roomfit.files.responses.recordings import ResponseSpec
+    from roomfit.files.results import read_result
+    from roomfit.files.rooms import read_mesh
+    from roomfit.files.rooms.model import PolygonSpec, RoomSpec
     from roomfit.impedance.campaign import read_spectrum
-    from roomfit.io.campaign import read_campaign
-    from roomfit.io.directivity import read_directivity
-    from roomfit.io.exports import read_material_table
-    from roomfit.io.inputs import check_room, identify_arguments
-    from roomfit.io.iso3382 import read_parameters
-    from roomfit.io.responses import read_response
-    from roomfit.io.responses.recordings import ResponseSpec
-    from roomfit.io.results import read_result
-    from roomfit.io.rooms import read_mesh
-    from roomfit.io.rooms.model import PolygonSpec, RoomSpec
 
     bands = bands_between("octave", 500, 1000)
     good = folder / "good"
@@ -248,7 +248,7 @@ def serve(folder: Path) -> None:
     import resource
     import traceback
 
-    from roomfit.errors import RoomfitError
+    from roomfit.base.errors import RoomfitError
 
     answers = os.fdopen(os.dup(1), "w")
     terminal = (folder / "terminal").open("wb+", buffering=0)

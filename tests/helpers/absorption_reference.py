@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomfit._checks import read_only, unique_names
-from roomfit.bands import Bands
-from roomfit.errors import InputError
-from roomfit.typing import FloatArray, IntArray
+from roomfit.base.arguments import read_only, unique_names
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError
+from roomfit.base.typing import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +69,7 @@ def amplitude_reflection(coefficients: FloatArray) -> FloatArray:
 def surviving_energy(hits: IntArray, coefficients: FloatArray) -> FloatArray:
     """Return the fraction of each path's energy left after all its wall hits.
 
-    The readable form of what the compiled kernels of `roomfit.response` do; they are tested
+    The readable form of what the compiled kernels of `roomfit.model` do; they are tested
     against it. Air and spherical spreading are separate factors.
 
     Parameters

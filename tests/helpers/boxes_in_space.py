@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from roomfit.geometry.build import Face, build_mesh
-from roomfit.geometry.mesh import Mesh, Surface
-from roomfit.scene import Room
-from roomfit.typing import FloatArray
+from roomfit.base.typing import FloatArray
+from roomfit.room.build import Face, build_mesh
+from roomfit.room.mesh import Mesh, Surface
+from roomfit.room.scene import Room
 
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 

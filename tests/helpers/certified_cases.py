@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from roomfit.certified.question import GlobalProblem
-from roomfit.response.energy import EnergyRows
-from roomfit.suh2001.repeat import squares_global_problem
-from roomfit.suh2001.room import SquaresProblem, squares_problem
-from roomfit.typing import FloatArray
+from roomfit.base.typing import FloatArray
+from roomfit.model.weighing import EnergyRows
+from roomfit.paper.question import GlobalProblem
+from roomfit.paper.repeat import squares_global_problem
+from roomfit.paper.room import SquaresProblem, squares_problem
 
 _ORDER = 8
 _SPEED_M_S = 340.0

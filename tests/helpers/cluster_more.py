@@ -10,9 +10,6 @@ import time
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-import psutil
-
 
 def hold(folder: Path, number: int) -> None:
     """Note the process, and then call what does not release the interpreter for ten minutes."""
@@ -20,21 +17,9 @@ def hold(folder: Path, number: int) -> None:
     ctypes.PyDLL(None).sleep(600)
 
 
-KEPT: list[np.ndarray] = []
-
-
-def keep_memory(most_bytes: float) -> float:
-    """Take memory until the process has so much, and keep it; return what it has."""
-    process = psutil.Process()
-    while process.memory_info().rss < most_bytes:
-        KEPT.append(np.ones(500_000))
-    time.sleep(1.5)  # dask looks at it ten times a second
-    return float(process.memory_info().rss)
-
-
 def main() -> None:
     """Have two workers hold, in a pool or a cluster; or start the page's worker."""
-    from roomfit.workers import cluster_pool, completed, worker_pool
+    from roomfit.base.workers import cluster_pool, completed, worker_pool
 
     kind, folder = sys.argv[1], Path(sys.argv[2])
     if kind == "page":

@@ -20,27 +20,9 @@ def number_into(folder: Path, number: int, seconds: float = 0.0) -> int:
     return os.getpid()
 
 
-def die_once(folder: Path, number: int) -> int:
-    """Kill the process at the first call, and do the task at the next."""
-    mark = folder / f".died-{number}"
-    if not mark.exists():
-        mark.touch()
-        os.kill(os.getpid(), signal.SIGKILL)
-    return number_into(folder, number)
-
-
 def die() -> None:
     """Kill the process at every call."""
     os.kill(os.getpid(), signal.SIGKILL)
-
-
-def fill_memory() -> int:
-    """Ask for more and more memory, 100 MB at a time; a watch looks at it ten times a second."""
-    held = []
-    for _ in range(20):
-        held.append(np.ones(12_500_000))
-        time.sleep(0.15)
-    return len(held)
 
 
 def fail(text: str) -> None:

@@ -7,36 +7,36 @@ from dataclasses import replace
 import numpy as np
 from scipy.sparse import csr_array
 
-from roomfit.air import Air
-from roomfit.bands import Bands
-from roomfit.geometry.mesh import shoebox_mesh
-from roomfit.inversion.coherent import (
-    CoherentFit,
-    coherent_estimate,
-    energy_estimates,
-)
-from roomfit.inversion.solve import decided
-from roomfit.inversion.systematics import inflated_by_adjacent_bands
+from roomfit.base.air import Air
+from roomfit.base.bands import Bands
+from roomfit.fit.solve import decided
+from roomfit.fit.systematics import inflated_by_adjacent_bands
 from roomfit.materials.priors import uniform_scattering
-from roomfit.objective.coherent import CoherentTerm, coherent_term
-from roomfit.objective.energy import (
+from roomfit.model.binned import BinnedPaths, bin_paths, in_band
+from roomfit.model.energy import (
     EnergyTerm,
     Observation,
     fine_edges_s,
     in_air,
 )
-from roomfit.objective.parameters import Block, Geometry, Parameters, geometry_block
-from roomfit.objective.problem import Objective
-from roomfit.objective.windows import window_edges_s
-from roomfit.response.binned import BinnedPaths, bin_paths, in_band
-from roomfit.response.coherent import image_paths
-from roomfit.scene import Point, Room, Scene
+from roomfit.model.parameters import Block, Geometry, Parameters, geometry_block
+from roomfit.model.problem import Objective
+from roomfit.model.windows import window_edges_s
+from roomfit.pressures.data_term import CoherentTerm, coherent_term
+from roomfit.pressures.fit import (
+    CoherentFit,
+    coherent_estimate,
+    energy_estimates,
+)
+from roomfit.pressures.response import image_paths
+from roomfit.room.mesh import shoebox_mesh
+from roomfit.room.scene import Point, Room, Scene
 from roomfit.signals.filters import (
     energy_share,
     spreading_kernel,
     statistical_bandwidth_hz,
 )
-from roomfit.solvers.ending import Ending
+from roomfit.solver.ending import Ending
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths
 from roomfit.uncertainty.gaussian import BandEstimate

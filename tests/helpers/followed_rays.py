@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit._checks import float_array, read_only
-from roomfit._numba import kernel
+from roomfit.base.arguments import float_array, read_only
+from roomfit.base.kernels import kernel
+from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.materials.priors import Scattering, coefficients_in_order
-from roomfit.scene import Room
+from roomfit.room.scene import Room
 from roomfit.tracing.bvh import Walls, next_wall, wall_material, walls_of
 from roomfit.tracing.ray_kernels import Job, Tally, note_escape
 from roomfit.tracing.rays import (
@@ -20,7 +21,6 @@ from roomfit.tracing.rays import (
     sobol_directions,
 )
 from roomfit.tracing.walls import after_wall, ray_key
-from roomfit.typing import BoolArray, FloatArray, IntArray
 
 _MAX_HITS = 65_535
 

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from roomfit.air import Air
-from roomfit.geometry.build import Face, build_mesh
-from roomfit.geometry.mesh import Mesh, Surface, corners_m, is_double_sided, shoebox_mesh
-from roomfit.scene import Point, Room, Scene, triangle_material
-from roomfit.typing import FloatArray
+from roomfit.base.air import Air
+from roomfit.base.typing import FloatArray
+from roomfit.room.build import Face, build_mesh
+from roomfit.room.mesh import Mesh, Surface, corners_m, is_double_sided, shoebox_mesh
+from roomfit.room.scene import Point, Room, Scene, triangle_material
 
 SPEED_M_S = 340.0
 BOX_M = (6.1, 4.7, 2.8)

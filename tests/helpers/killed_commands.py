@@ -19,9 +19,9 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+from roomfit.table import Table
 
 from roomfit.settings import Settings
-from roomfit.table import Table
 
 STEPS = ("open", "os.", "shutil.", "tempfile.", "ctypes.", "fcntl.")
 WORD = ["old"]
@@ -48,7 +48,7 @@ def empty(*_: Any, **__: Any) -> dict[str, Any]:
 
 
 def writes(*names: str) -> Callable[..., None]:
-    from roomfit.cache import write_text_atomically
+    from roomfit.base.cache import write_text_atomically
 
     def write(folder: Path, *_: Any) -> None:
         for name in names:
@@ -138,9 +138,10 @@ STUBS: dict[str, dict[str, Any]] = {
 
 def run(command: str, out: Path) -> None:
     """Run a command into a folder, whose files then hold the word of the hour."""
+    from roomfit.suh2001.output import run_paper
+
     from roomfit import commands, predictions
     from roomfit.impedance.campaign import impedance_to_folder
-    from roomfit.suh2001.output import run_paper
 
     campaign = out.parent / "none.toml"
     calls: dict[str, Callable[[], object]] = {

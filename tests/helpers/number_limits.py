@@ -9,7 +9,7 @@ from typing import Any, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from roomfit.io.schema import BECAUSE, CampaignTable
+from roomfit.files.schema import BECAUSE, CampaignTable
 from roomfit.settings import SETTING_LIMITS
 
 # checked where their meaning is known: lengths after their unit, bands, and the air

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomfit.objective.parameters import (
+from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.model.parameters import (
     GEOMETRY,
     Block,
     Parameters,
     fitted_columns,
     physical_values,
 )
-from roomfit.objective.problem import Prediction, gamma_log_likelihood
-from roomfit.typing import BoolArray, FloatArray
+from roomfit.model.problem import Prediction, gamma_log_likelihood
 from roomfit.uncertainty.sampling import FARTHEST_FREE, Surrogate, Windows, exponents
 
 

@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from roomfit.geometry.mesh import Mesh, Surface, corners_m, shoebox_mesh
+from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import Scattering
-from roomfit.objective.energy import Observation, variance_of_batches
-from roomfit.objective.windows import in_windows
-from roomfit.response.energy import EnergyRows
-from roomfit.response.scattering import scattering_weights
-from roomfit.scene import Room, Scene, triangle_material
+from roomfit.model.energy import Observation, variance_of_batches
+from roomfit.model.scattering import scattering_weights
+from roomfit.model.weighing import EnergyRows
+from roomfit.model.windows import in_windows
+from roomfit.room.mesh import Mesh, Surface, corners_m, shoebox_mesh
+from roomfit.room.scene import Room, Scene, triangle_material
 from roomfit.tracing.paths import Paths
-from roomfit.typing import FloatArray
 
 
 def flights_m(corners: FloatArray, start: FloatArray, direction: FloatArray) -> FloatArray:

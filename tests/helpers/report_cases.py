@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.air import Air
-from roomfit.bands import bands_between
-from roomfit.findings import About, Code, Finding
-from roomfit.geometry.mesh import shoebox_mesh
-from roomfit.results import Compared, ComparedPair, Decay, Result
-from roomfit.scene import Point, Room, Scene, material_areas_m2
+from roomfit.base.air import Air
+from roomfit.base.bands import bands_between
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.table import Table, written
+from roomfit.result import Compared, ComparedPair, Decay, Result
+from roomfit.room.mesh import shoebox_mesh
+from roomfit.room.scene import Point, Room, Scene, material_areas_m2
 from roomfit.signals.decay import in_jnd
-from roomfit.table import Table, written
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 VALUES = {

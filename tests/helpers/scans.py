@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from roomfit.typing import FloatArray
+from roomfit.base.typing import FloatArray
 
 # an L of 6 x 5 m without its corner of 2.5 x 2 m: 25 m2
 ELL = ((0.0, 0.0), (6.0, 0.0), (6.0, 3.0), (3.5, 3.0), (3.5, 5.0), (0.0, 5.0))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.cache import Cache, cached
+from roomfit.base.cache import Cache, cached
 
 LIMIT_BYTES = 45_000
 

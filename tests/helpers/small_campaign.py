@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
-from roomfit.bands import bands_between
-from roomfit.synthetic.boxes import SyntheticBox, add_noise, pressure_response
+from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.bands import bands_between
+from roomfit.demo.boxes import SyntheticBox, add_noise, pressure_response
 
 RATE_HZ = 8000
 LENGTHS_M = (3.9, 3.1, 2.5)

@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from images_reference import l_shaped_room
 from impedance_cases import nearest
-from roomfit.air import Air
-from roomfit.errors import InputError
-from roomfit.findings import Code
-from roomfit.geometry.mesh import mean_free_path_m
-from roomfit.impedance import diagnostics
-from roomfit.impedance.data import Observed, complex_frequency_hz, level_at, model_error
-from roomfit.impedance.diagnostics import _material_impedances, estimated_noise
+from roomfit.base.air import Air
+from roomfit.base.errors import InputError
+from roomfit.impedance.data import Observed, level_at, model_error
+from roomfit.impedance.diagnostics import estimated_noise
 from roomfit.impedance.fit import polish
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance, wave_problem
-from roomfit.impedance.laws import absorption_normal, law_curve
+from roomfit.impedance.laws import absorption_normal
 from roomfit.impedance.problem import (
-    Problem,
     Whitened,
     marginal_likelihood_error,
     robust_covariance,
@@ -35,7 +30,7 @@ from roomfit.impedance.wave_model import (
     predicted_pressure,
     wave_model,
 )
-from roomfit.scene import Point, Scene
+from roomfit.room.scene import Point, Scene
 from simulated_rooms.hall import hall_room
 from simulated_rooms.impedance_box import box_scene, noisy, rms_by_material, true_r0
 
@@ -122,41 +117,6 @@ def test_noise_that_is_unspecified_is_found_as_a_function_of_frequency():
     }
     np.testing.assert_allclose(squares[0.5], 2.0 * squares[0.0], rtol=1e-9)
     np.testing.assert_allclose(squares[1.0], 100.0 * squares[0.0], rtol=1e-9)
-
-
-def test_what_the_image_model_gets_wrong_of_a_law_is_alike_over_an_octave():
-    """Two octaves of 100 Hz: what each of them shifts a law's parameters by, written out.
-
-    The shifts of both octaves have nothing to do with each other; within one all frequencies err
-    alike, which the rule takes as so many fewer frequencies: to half, as sensitivities change
-    within an octave.
-    """
-    f = np.arange(200.0, 801.0, 10.0)
-    scene = box_scene()
-    observed = Observed(f, TAU_S, np.ones((6, len(f))))
-    curves = (law_curve("miki", complex_frequency_hz(observed), 343.0),) * 3
-    model = wave_model(scene, f, TAU_S)
-    problem = Problem(model, observed, np.ones((6, len(f))), curves, EXACT)
-    x = start_of(problem)
-    r0 = np.stack([c.r0(x[b]) for c, b in zip(curves, problem.layout.curves, strict=True)])
-    fit = SimpleNamespace(
-        problem=problem, x=x, r0=r0, covariance=np.zeros((x.size, x.size)), model_error=0.01
-    )
-    free_path_m = mean_free_path_m(scene.room.mesh)
-    off = 2.4 * model_error(f, free_path_m, model.speed_m_s, 0.01) * np.abs(1.0 - r0[0] ** 2)
-    slope = curves[0].slope(x[problem.layout.curves[0]])
-    inverse = np.linalg.pinv(np.concatenate([slope.real, slope.imag]))
-    shifts = np.sqrt(0.5) * inverse * np.tile(off, 2)
-    octave = np.tile(np.where(f < 400.0, 0, 1), 2) + 2 * np.repeat([0, 1], f.size)
-    shifted = np.stack([shifts[:, octave == k].sum(axis=1) for k in range(4)])
-    sd = np.sqrt(np.sum(shifted**2, axis=0))
-    (first, *_) = _material_impedances(fit)
-    at = x[problem.layout.curves[0]]
-    for i, parameter in enumerate(first.parameters):
-        reach = np.zeros(at.size)
-        reach[i] = 1.96 * sd[i]
-        wanted = np.log(curves[0].values(at + reach)[i] / curves[0].values(at - reach)[i])
-        assert np.log(parameter.upper95 / parameter.lower95) == pytest.approx(wanted, rel=0.5)
 
 
 def start_with(problem, r0):
@@ -298,78 +258,3 @@ def test_a_room_that_is_not_convex_gives_back_its_walls():
     # as A10 of docs/impedance.md, with a third of its data
     off = rms_by_material(np.array([m.r0 for m in answer.materials]) - r0, f)
     assert off.max() <= 0.03
-
-
-SPECIFIED = Nuisances(position_sd_m=0.001, speed_sd=0.001, gain="known")
-
-
-@dataclass
-class Freed:
-    """What a likely cause asks of a problem."""
-
-    nuisances: Nuisances
-    observed: SimpleNamespace
-    model: SimpleNamespace
-
-
-@pytest.mark.parametrize(
-    ("octaves", "freed", "n_receivers", "cause"),
-    [
-        # below 2.5 nothing is bad, and of the others none may be above 1.6
-        ((2.6, 1.5), {}, 2, "low frequency: only below 200 Hz"),
-        ((2.4, 1.5), {}, 2, "walls that do not react locally"),
-        ((2.6, 1.7), {}, 2, "walls that do not react locally"),
-        ((9.0, 9.0), {"geometry": 1.5}, 2, "positions or the speed of sound: the residual falls "
-         "from 20.0 to 1.5 with them free"),
-        # a tenth is enough, a little more is not
-        ((9.0, 9.0), {"geometry": 1.9}, 2, "positions or the speed of sound"),
-        ((9.0, 9.0), {"geometry": 2.1, "gain": 1.5}, 2, "the gain: the residual falls"),
-        ((9.0, 9.0), {"both": 1.5}, 2, "positions and the gain: the residual"),
-        ((9.0, 9.0), {"spectrum": 3.9}, 2, "sources whose spectra are not flat"),
-        ((9.0, 9.0), {"spectrum": 4.1}, 2, "walls that do not react locally"),
-        ((9.0, 9.0), {"spectrum": 3.9}, 1, "walls that do not react locally"),
-    ],
-)  # fmt: skip
-def test_the_likely_cause_is_what_makes_the_model_fit(
-    monkeypatch, octaves, freed, n_receivers, cause
-):
-    """Free positions, gains, both, and spectra where each source was measured twice."""
-
-    def chi2(fit):
-        now = fit.problem.nuisances
-        geometry = now.position_sd_m == 0.02 and now.speed_sd == 0.01
-        if now.gain == "spectrum":
-            return freed.get("spectrum", 20.0) if geometry else 20.0
-        name = {(True, "known"): "geometry", (False, "source"): "gain", (True, "source"): "both"}
-        return freed.get(name.get((geometry, now.gain)), 20.0)
-
-    pairs = np.array([(s, r) for s in (0, 1) for r in range(n_receivers)])
-    model = SimpleNamespace(scene=SimpleNamespace(pairs=pairs))
-    problem = Freed(SPECIFIED, SimpleNamespace(has_phase=True), model)
-    monkeypatch.setattr(diagnostics, "reduced_chi2", chi2)
-    monkeypatch.setattr(diagnostics, "refit", lambda problem: SimpleNamespace(problem=problem))
-    monkeypatch.setattr(diagnostics, "_fits", lambda fit: chi2(fit) <= 1.6)
-    monkeypatch.setattr(
-        diagnostics, "_chi2_by_octave", lambda _: list(zip((200.0, 400.0), octaves, strict=True))
-    )
-    said = diagnostics._likely_cause(SimpleNamespace(problem=problem))
-    assert said.startswith(cause)
-
-
-def test_what_makes_a_verdict_weaker_is_said_with_its_size():
-    """Noise that the fit took for it, as a share of the mean level; phases that are missing."""
-    f, pressure = np.array([200.0, 300.0]), np.array([[3.0 + 4.0j, 1.0j]])
-    given = Observed(f, 0.01, pressure)
-    fitted = Observed(f, 0.01, pressure, np.array([[0.2, 0.4]]))
-
-    def found(observed, problem_observed, **more):
-        observed = SimpleNamespace(noise=observed.noise, has_phase=True, **more)
-        return diagnostics._weaker_findings(SimpleNamespace(observed=problem_observed), observed)
-
-    (estimated,) = found(given, fitted)
-    # of levels 5 and 1, the mean is 3
-    assert estimated.code == Code.NOISE_ESTIMATED
-    assert estimated.evidence["noise_over_level"] == pytest.approx(0.1)
-    assert "10.0% of the level" in estimated.sentence
-    assert found(fitted, fitted) == [] == found(given, given)
-    assert diagnostics._noise_over_level(given) == 0.0

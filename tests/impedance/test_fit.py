@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from impedance_cases import exact
-from roomfit.errors import InputError
-from roomfit.findings import Code
-from roomfit.impedance import fit as fits
-from roomfit.impedance import identify
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Code
 from roomfit.impedance.data import Observed, complex_frequency_hz
-from roomfit.impedance.fit import Start, WallModel
+from roomfit.impedance.fit import WallModel
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
-from roomfit.impedance.laws import absorption_normal, impedance_of_r0, law_curve, spline
+from roomfit.impedance.laws import absorption_normal, impedance_of_r0, spline
 from roomfit.impedance.wave_model import Nuisances, at_rest, predicted_pressure, wave_model
 from simulated_rooms.impedance_box import (
     SURFACES,
@@ -258,70 +254,3 @@ def test_a_model_for_a_wall_that_is_not_there_is_refused():
         ImpedanceSettings(model_error=float("nan"))
     with pytest.raises(InputError, match="pressures and model disagree"):
         identify_impedance(box_scene(n_pairs=3), observed, rng=np.random.default_rng(1))
-
-
-@pytest.mark.parametrize(
-    ("cost", "away", "off", "counts"),
-    [
-        (1.4, 0.06, 1.0, True),
-        (1.6, 0.06, 1.0, False),  # half as much again: not worth polishing
-        (1.4, 0.04, 1.0, False),  # R0 within five hundredths is the same answer
-        (1.4, 0.06, 1.15, True),
-        (1.4, 0.06, 1.25, False),  # a reduced chi-square a fifth above the lowest
-    ],
-)
-def test_another_minimum_counts_where_it_explains_the_data_as_well_and_lies_elsewhere(
-    monkeypatch, cost, away, off, counts
-):
-    """Of fits whose residuals and R0 are written down; two starts in one minimum count once."""
-
-    def fit(r0, square):
-        # 2 or more, so that what a fit within its noise is granted does not matter
-        return SimpleNamespace(
-            r0=np.full((1, 4), r0, complex), residual=np.full(9, np.sqrt(square)), effective=0.0
-        )
-
-    def start(cost, r0):
-        return Start(np.array([r0]), np.full((1, 4), r0, complex), cost)
-
-    lowest = fit(0.5, 2.0)
-    monkeypatch.setattr(identify, "polish", lambda _problem, x: fit(x[0], 2.0 * off))
-    starts = (start(1.0, 0.5), start(1.1, 0.505), start(cost, 0.5 + away))
-    found = identify._rivals(None, starts, lowest)
-    assert [f.r0[0, 0].real for f in found] == ([0.5 + away] if counts else [])
-
-
-def test_a_constant_stands_for_a_spline_by_the_mean_square_that_it_leaves():
-    """In deviations of the spline, 0.1 * 0.2 here, and of what a law may be off by, together."""
-    f, r0 = np.array([200.0, 300.0, 400.0]), np.array([0.8, 0.8 + 0.06j, 0.74])
-    problem = SimpleNamespace(
-        layout=SimpleNamespace(curves=[slice(0, 1)]),
-        curves=[SimpleNamespace(slope=lambda _: np.full((3, 1), 0.1 + 0.0j))],
-        observed=SimpleNamespace(frequency_hz=f),
-    )
-    fit = SimpleNamespace(problem=problem, x=np.zeros(1), covariance=np.array([[0.04]]), r0=[r0])
-    rng = np.random.default_rng(1)
-    curve, misfit = fits._nearest_law(fit, 0, ["constant"], WallModel("auto"), rng)
-    off = np.abs(r0 - r0.mean()) ** 2
-    assert misfit == pytest.approx(np.mean(off) / (0.02**2 + fits._LAW_ERROR**2))
-    np.testing.assert_allclose(curve.r0(curve.start), np.full(3, r0.mean()), rtol=1e-9)
-
-
-def test_a_law_is_found_again_from_the_r0_that_it_has():
-    """A law with parameters far from where it starts, and what it misses in deviations."""
-    f = np.array([200.0, 300.0, 500.0, 800.0]) + 0.0j
-    law = law_curve("miki", f, 343.0, None)
-    x = law.start + 0.8 * (-1.0) ** np.arange(len(law.parameters))
-    weight = np.full(len(f), 100.0)
-    found, misfit = fits._fitted_law(law, law.r0(x), weight, np.random.default_rng(1))
-    # each is held by a prior of a hundredth of the data's weight
-    assert misfit < 1e-4
-    assert [p.start for p in found.parameters] == pytest.approx(law.values(x), rel=0.02)
-    np.testing.assert_allclose(found.r0(found.start), law.r0(x), atol=1e-3)
-    assert found.kind == law.kind and [p.low for p in found.parameters] == [
-        p.low for p in law.parameters
-    ]
-    # what no parameters explain stays: R0 beyond all that the law can be, off by 1 in the mean
-    far = law.r0(x) + np.where(np.arange(len(f)) % 2, 1.0, -1.0)
-    _, missed = fits._fitted_law(law, far, weight, np.random.default_rng(1))
-    assert 0.2 * 100.0**2 < missed <= 1.001 * 100.0**2

@@ -7,10 +7,6 @@ import pytest
 
 from roomfit.impedance.laws import absorption_normal, absorption_random, impedance_of_r0
 from roomfit.impedance.result import (
-    Estimate,
-    ImpedanceResult,
-    Verdict,
-    _fit_text,
     material_impedance,
 )
 
@@ -67,21 +63,3 @@ def test_a_wall_is_identified_to_a_fifth_of_r0_and_its_impedance_shown_to_a_fift
     for edge in (1.0, -1.0):
         rigid = material_impedance("wall", "spline", np.array([edge + 0j]), 1e-6 * np.eye(2)[None])
         assert np.isfinite(rigid.admittance[0]) and not np.isnan(rigid.absorption_random[0])
-
-
-def test_a_fit_is_said_with_its_starts_its_numbers_and_how_far_positions_moved():
-    """Moves by their root mean square, in mm; all else with its interval and unit."""
-    f = np.array([200.0])
-    result = ImpedanceResult(
-        f, 0.01, (), Verdict("identified", "", "", False), (), (), np.ones((1, 1)),
-        np.ones((1, 1)), np.ones((1, 1)), 2.345, (
-            Estimate("x of S", "m", 0.003, 0.0, 0.0), Estimate("y of S", "m", -0.004, 0.0, 0.0),
-            Estimate("speed of sound", "m/s", 343.25, 342.5, 344.0),
-        ), chi2=0.456, condition=123.4, agreeing_starts=3, n_starts=5,
-    )  # fmt: skip
-    said = _fit_text(result).splitlines()
-    assert said == [
-        "3 of 5 starts agree; residual 0.46 of what was expected; condition number 123; 2.3 s",
-        "speed of sound: 343.25 m/s, 95 % 342.5 to 344",
-        "positions moved by 3.5 mm a coordinate (rms)",
-    ]

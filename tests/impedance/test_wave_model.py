@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from scipy.special import wofz
 
-from boxes_in_space import box_with_doors, room_with_doors, rotation
 from impedance_cases import exact, nearest
-from roomfit.air import Air
-from roomfit.errors import InputError
+from roomfit.base.air import Air
+from roomfit.base.errors import InputError
 from roomfit.impedance.data import Observed, complex_frequency_hz, standard_deviation
 from roomfit.impedance.laws import (
     LAWS,
@@ -36,8 +35,7 @@ from roomfit.impedance.wave_model import (
     wave_model,
     wavenumber_per_m,
 )
-from roomfit.scene import Point, Scene
-from roomfit.tracing.reflectors import mirrors_of
+from roomfit.room.scene import Point, Scene
 from simulated_rooms.exact_box import damped_wavenumber_per_m, exact_box_pressure
 from simulated_rooms.impedance_box import (
     LENGTHS_M,
@@ -416,23 +414,3 @@ def test_the_start_of_a_law_is_what_its_parameters_say(kind):
     inner = (share > 0.01) & (share < 0.99)
     assert inner.any()
     np.testing.assert_allclose(curve.values(curve.start)[inner], wanted[inner], rtol=1e-9)
-
-
-def test_a_turned_box_with_a_door_has_the_pressures_of_a_tree_of_beams(monkeypatch):
-    """Angles and materials of every hit: its images come from the lattice otherwise."""
-    turn, by_m = rotation(30.0), np.array([2.3, -1.7, 0.4])
-    doors = {0: (0.2, 0.35, 0.0, 0.75), 5: (0.3, 0.7, 0.3, 0.75)}
-    room = room_with_doors(box_with_doors((4.1, 3.2, 2.6), doors, turn, by_m))
-    at = [turn @ np.array(p) + by_m for p in ((1.13, 0.91, 1.07), (2.93, 2.21, 1.43))]
-    air = Air(speed_of_sound_m_s=343.0, attenuation="none")
-    scene = Scene(room, (Point("s", at[0]),), (Point("r", at[1]),), np.array([[0, 0]]), air)
-    f = np.array([150.0, 400.0])
-    z = np.array([5 + 3j, 4 - 2j])
-    r0 = np.array([r0_of_impedance((1.0 + 0.3 * m) * z) for m in range(len(room.materials))])
-    found = []
-    for reflectors in (None, mirrors_of):
-        if reflectors is not None:
-            monkeypatch.setattr("roomfit.impedance.wave_model.reflectors_of", reflectors)
-        model = wave_model(scene, f, 0.008)
-        found.append(predicted_pressure(model, r0, at_rest(model)))
-    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)

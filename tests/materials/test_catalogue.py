@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomfit.bands import bands_between
-from roomfit.errors import InputError
+from roomfit.base.bands import bands_between
+from roomfit.base.errors import InputError
 from roomfit.materials.catalogue import (
     HIGH_WIDENING,
     LOW_WIDENING,

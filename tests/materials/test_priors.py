@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from roomfit.bands import bands_between
-from roomfit.errors import InputError
-from roomfit.findings import Code
-from roomfit.logit import expit, logit
-from roomfit.materials.catalogue import material_prior, product_findings
+from roomfit.base.bands import bands_between
+from roomfit.base.errors import InputError
+from roomfit.base.logit import expit, logit
+from roomfit.materials.catalogue import material_prior
 from roomfit.materials.priors import (
     DEFAULT_MEAN,
     MaterialPrior,
@@ -105,22 +103,6 @@ def test_the_priors_of_all_materials_stand_side_by_side_and_a_tied_one_has_its_l
     mean, sd = prior_logits((wall, floor, door))
     assert mean.tolist() == [[-1.0, -2.0], [-1.0, -2.0], [0.3, 0.4]]
     assert sd.tolist() == [[0.5, 0.6], [0.5, 0.6], [1.5, 1.6]]
-
-
-def test_of_each_product_one_finding_says_which_materials_are_of_it():
-    """In the order in which products occur; a material that is of none is in none."""
-    of = {"a": "panel", "b": None, "c": "foil", "d": "panel"}
-    priors = [
-        SimpleNamespace(name=name, product=product, product_sd=0.2 if product == "panel" else 0.3)
-        for name, product in of.items()
-    ]
-    panel, foil = product_findings(priors)
-    assert panel.code == foil.code == Code.PRODUCT_ASSUMED
-    assert (panel.about.materials, foil.about.materials) == (("a", "d"), ("c",))
-    assert dict(panel.evidence) == {"product": "panel", "materials": ["a", "d"], "sd": 0.2}
-    assert panel.sentence.startswith("a, d are of one product, panel") and "0.2" in panel.sentence
-    assert foil.evidence["sd"] == 0.3
-    assert product_findings(priors[1:2]) == ()
 
 
 BANDS = bands_between("octave", 500, 1000)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from report_cases import read_page
-from roomfit.bands import bands_between
+from roomfit.base.bands import bands_between
+from roomfit.base.errors import InputError
+from roomfit.base.logit import expit, logit
 from roomfit.cli import main
-from roomfit.errors import InputError
-from roomfit.logit import expit, logit
 from roomfit.report.comparison import (
     compare_results,
     comparison_figure,

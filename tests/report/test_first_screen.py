@@ -14,11 +14,9 @@ import pytest
 
 import roomfit
 from report_cases import answer_of, drawing, finding, read_page, scene_of, texts_of
-from roomfit.bands import bands_between
-from roomfit.diagnostics.decay import DECAY_SCATTER
-from roomfit.errors import InputError
-from roomfit.findings import About, Code, Finding
-from roomfit.inversion.compare import _decay
+from roomfit.base.errors import InputError
+from roomfit.base.findings import About, Code, Finding
+from roomfit.checks.decay import DECAY_SCATTER
 from roomfit.report.decay_times import Series, decay_time_figure
 from roomfit.report.disagreement import disagreement_table
 from roomfit.report.figures import absorption_figure, decay_figure, identifiability_figure
@@ -26,9 +24,8 @@ from roomfit.report.html import findings_count, headline, key_figures, report_ht
 from roomfit.report.room_figure import material_colour, room_figure
 from roomfit.report.usable import remaining_usable
 from roomfit.report.wording import DASH
-from roomfit.results import Compared
-from roomfit.signals.decay import decay_curve, in_jnd
-from roomfit.signals.response import ImpulseResponse
+from roomfit.result import Compared
+from roomfit.signals.decay import in_jnd
 from roomfit.uncertainty.gaussian import WIDEST_IDENTIFIABLE
 
 REPORT = Path(roomfit.__file__).parent / "report"
@@ -347,21 +344,6 @@ def test_greys_of_drawings_turn_with_the_page(answer, scene):
         assert not re.findall(r"(?:fill|stroke):#(\w\w)\1\1\b", rules), name
     style = "".join(read_page(text).raw["style"])
     assert "prefers-color-scheme: dark" in style and "@page" in style
-
-
-@pytest.mark.parametrize("noise_db", [-30.0, -45.0])
-def test_the_noise_level_of_a_decay_is_where_decay_and_noise_are_alike(noise_db):
-    """White noise that decays, and white noise that stays: every band meets it at their ratio."""
-    rng, rate_hz = np.random.default_rng(3), 48_000
-    time_s = np.arange(2 * rate_hz) / rate_hz
-    decaying = rng.standard_normal(time_s.size) * np.exp(-0.5 * time_s / 0.08)
-    steady = rng.standard_normal(time_s.size) * 10.0 ** (noise_db / 20.0)
-    bank = bands_between("octave", 500, 2000)
-    curve = decay_curve(bank, ImpulseResponse(decaying + steady, rate_hz, 0.0), 0.0)
-    # the end is sought where the level has come near the noise: 4 dB of margin
-    np.testing.assert_allclose(_decay(curve, curve).noise_db, noise_db, atol=4.0)
-    ended = replace(curve, noise_reached=np.array([True, False, True]))
-    assert np.isnan(_decay(ended, ended).noise_db).tolist() == [False, True, False]
 
 
 def test_a_mean_at_mid_frequencies_has_no_interval_of_another_band():

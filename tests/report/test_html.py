@@ -27,13 +27,13 @@ from report_cases import (
     read_page,
     scene_of,
 )
-from roomfit.air import attenuation_per_m
+from roomfit.base.air import attenuation_per_m
 from roomfit.report import wording
 from roomfit.report.figures import absorption_figure, decay_figure, svg
 from roomfit.report.html import report_html, result_fragment
 from roomfit.report.room_figure import MOST_FACES, drawn_faces, outline_m, room_figure
 from roomfit.report.wording import DASH
-from roomfit.results import Compared
+from roomfit.result import Compared
 from roomfit.signals.decay import in_jnd
 
 HOSTILE = "<script>document.title='taken'</script><img src=x onerror=alert(1)> & \"quoted\" %{y}"

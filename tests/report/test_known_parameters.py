@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 from report_cases import answer_of, read_page, scene_of, texts_of
-from roomfit.io.results import result_content
-from roomfit.prediction.decay import PredictedDecay
-from roomfit.prediction.output import predict_text, predicted_decay_figure
-from roomfit.prediction.predict import Predicted
-from roomfit.prediction.tables import PredictedPair, PredictedValue
+from roomfit.files.results import result_content
+from roomfit.predict.decay import PredictedDecay
+from roomfit.predict.other_walls import Predicted
+from roomfit.predict.output import predict_text, predicted_decay_figure
+from roomfit.predict.tables import PredictedPair, PredictedValue
 from roomfit.report.figures import decay_figure
 from roomfit.report.html import report_html, summary_sentences
 from roomfit.report.html_tables import error_tables, overview_table, pair_sections, sti_tables
 from roomfit.report.text import answer_text, pairs_table
 from roomfit.report.wording import DASH
-from roomfit.results import Compared
+from roomfit.result import Compared
 from small_campaign import run_command, write_campaign
 
 # How each is written, and which stands for the decay time: the first of these that is there.

@@ -11,10 +11,10 @@ import zlib
 import numpy as np
 import pytest
 
-from roomfit.commands import export_result
-from roomfit.errors import InputError
+from roomfit.base.errors import InputError
+from roomfit.cli.commands import export_result
 from roomfit.report.figures import svg
-from roomfit.report.pdf import _plain, report_pdf
+from roomfit.report.pdf import report_pdf
 
 PAGE = """<!doctype html><title>Absorption: hall</title>
 <style>:root {{ --ink: #222 }} body {{ color: var(--ink) }}</style>
@@ -92,10 +92,3 @@ def test_without_weasyprint_it_says_what_to_install(tmp_path, monkeypatch):
     with pytest.raises(InputError, match=r"(?s)WeasyPrint.*roomfit\[pdf\].*Pango|roomfit\[pdf\]"):
         export_result(tmp_path / "result.json", "pdf", tmp_path / "b.pdf")
     assert not (tmp_path / "b.pdf").exists()
-
-
-def test_of_curves_over_each_other_those_of_the_chosen_pair_are_shown():
-    page = '<input id="pick-1" checked><g class="curve-0"><g class="curve-1" x="var(--ink, #222)">'
-    assert _plain(page) == (
-        '<input id="pick-1" checked><g class="curve-0" display="none"><g class="curve-1" x="#222">'
-    )

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from report_cases import answer_of, read_page, scene_of
-from roomfit.commands import export_result, identify_to_folder
-from roomfit.errors import InputError
+from roomfit.base.errors import InputError
+from roomfit.cli.commands import export_result, identify_to_folder
 from roomfit.report.figures import png
 from roomfit.report.html import report_html
 from roomfit.report.room_figure import room_figure

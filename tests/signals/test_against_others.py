@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roomfit.air import Air, attenuation_per_m
-from roomfit.bands import Bands, bands_between
-from roomfit.findings import Code
-from roomfit.io.responses import read_response
-from roomfit.io.responses.recordings import ResponseSpec
+from roomfit.base.air import Air, attenuation_per_m
+from roomfit.base.bands import Bands, bands_between
+from roomfit.base.findings import Code
+from roomfit.files.responses import read_response
+from roomfit.files.responses.recordings import ResponseSpec
 from roomfit.signals.decay import (
     RoomParameters,
     check_decay_range,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roomfit.bands import bands_between
-from roomfit.errors import InputError
+from roomfit.base.bands import bands_between
+from roomfit.base.errors import InputError
 from roomfit.signals.filters import filter_pressure
 from roomfit.signals.loudspeaker import SourceMagnitude, equalise, power_gain, source_magnitude
 from roomfit.signals.noise import NoiseEstimate, estimate_noise

@@ -7,13 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomfit.bands import bands_between
-from roomfit.errors import InputError
-from roomfit.findings import Code
+from roomfit.base.bands import bands_between
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Code
 from roomfit.signals.decay import (
     PARAMETER_NAMES,
-    DecayCurve,
-    _early_to_late,
     check_decay_range,
     decay_curve,
     decay_curve_db,
@@ -399,20 +397,3 @@ def test_a_decay_far_above_its_noise_is_left_as_it_is() -> None:
     curve = decay_curve(octave, ImpulseResponse(pressure, rate_hz), 0.0)
     before, after = (room_parameters(c) for c in (predicted, reduced_alike(predicted, curve)))
     np.testing.assert_allclose(after.values, before.values, rtol=2e-3)
-
-
-def test_clarity_is_left_open_where_all_energy_comes_later():
-    """Nothing for 60 ms, and 60 dB in half a second from there: 20 ms of it are 2.4 dB."""
-    time_s = np.linspace(0.0, 1.0, 10_001)
-    left = 10.0 ** (-12.0 * np.maximum(time_s - 0.06, 0.0))
-    one = np.ones(1)
-    curve = DecayCurve(
-        bands_between("octave", 1000, 1000), time_s, left[None], 0.0, one, 60.0 * one, 0.1 * one,
-        one < 0.0,
-    )  # fmt: skip
-    c50, c80, d50, ts = _early_to_late(curve, 0)
-    late = 10.0**-0.24
-    assert np.isnan(c50) and d50 == 0.0
-    assert c80 == pytest.approx(10.0 * np.log10((1.0 - late) / late), rel=1e-6)
-    # 60 ms, and the mean of an exponential decay
-    assert ts == pytest.approx(60.0 + 1000.0 / (12.0 * np.log(10.0)), rel=1e-4)

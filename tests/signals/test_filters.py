@@ -9,8 +9,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from roomfit.bands import BandKind, Bands, bands_between
-from roomfit.errors import InputError
+from roomfit.base.bands import BandKind, Bands, bands_between
+from roomfit.base.errors import InputError
 from roomfit.signals.filters import (
     energy_bandwidth_hz,
     energy_share,

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from roomfit.bands import Bands, bands_between
-from roomfit.coverage.synthetic_room import _smooth_normal
-from roomfit.errors import InputError
+from roomfit.base.bands import Bands, bands_between
+from roomfit.base.errors import InputError
 from roomfit.materials import catalogue as catalogue_module
 from roomfit.materials.catalogue import search_catalogue
 from roomfit.materials.priors import complete_priors, unknown_material
@@ -123,25 +120,6 @@ def test_the_speech_transmission_behind_a_direct_sound_is_that_of_the_closed_for
     assert sti_of_decay(octaves, time_s, levels_db) == pytest.approx(wanted, abs=0.003)
 
 
-def test_what_is_drawn_over_the_bands_has_unit_variance_and_the_stated_correlation():
-    """0.95 from one octave to the next, its third root from one third octave to the next.
-
-    40,000 draws: correlations of 0.95 err by 0.0005, variances by 0.7 %; four times that.
-    """
-    for kind, apart in (("octave", 1), ("third-octave", 3)):
-        for smoothness, wanted in ((None, 0.95), (0.5, 1.0 - 0.5 * 0.5**2)):
-            plan: Any = SimpleNamespace(
-                campaign=SimpleNamespace(
-                    settings=SimpleNamespace(smoothness_per_octave=smoothness)
-                ),
-                grid=bands_between(kind, 500, 2000),
-            )
-            drawn = _smooth_normal(plan, 1.0, 40_000, np.random.default_rng(9))
-            assert np.abs(drawn.var(axis=0) - 1.0).max() < 0.03
-            found = np.corrcoef(drawn[:, 0], drawn[:, apart])[0, 1]
-            assert found == pytest.approx(wanted, abs=0.004)
-
-
 @pytest.mark.parametrize(
     "other",
     [
@@ -169,17 +147,6 @@ def test_every_word_of_a_material_leads_to_entries_of_the_catalogue():
     known = {entry.name for entry in search_catalogue([])}
     assert {entry for entries in words.values() for entry in entries} <= known
     assert all(word == word.lower() for word in words)
-
-
-def test_where_nothing_falls_after_the_onset_a_time_is_sixty_times_the_echogram():
-    """All energy before the onset, or a level that does not fall between the two of the range."""
-    time_s = np.array([0.1, 0.2, 0.4, 0.7])
-    left = np.array([[1.0, 1e-9, 1e-9, 1e-9]])
-    curve = SimpleNamespace(time_s=time_s, energy_left=left, onset_s=0.5)
-    level_db = 10.0 * np.log10(left[0])
-    found, by_left = iso3382._decay_time_s(curve, 0, (-5.0, -25.0), level_db, True)
-    assert found == pytest.approx(60.0 * 0.6)
-    np.testing.assert_array_equal(by_left, np.zeros(4))
 
 
 def values_of(**given: float) -> MeasuredValues:

@@ -15,8 +15,8 @@ from _microphone_arrays import (
     cross_patterns,
     level_errors,
 )
-from roomfit.bands import Bands
-from roomfit.errors import InputError
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError
 from roomfit.signals.filters import window_energies
 from roomfit.signals.response import ImpulseResponse
 

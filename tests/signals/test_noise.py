@@ -5,13 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roomfit.bands import bands_between
+from roomfit.base.bands import bands_between
 from roomfit.signals.filters import filter_pressure
 from roomfit.signals.noise import (
-    _BandDecay,
-    _judged,
-    _masked_from_s,
-    _short_decay,
     block_length_s,
     decay_line,
     estimate_noise,
@@ -113,68 +109,3 @@ def test_blocks_hold_four_independent_values_and_short_files_eight_blocks():
     assert block_length_s(100.0, 10.0) == 0.04
     assert block_length_s(1000.0, 10.0) == 0.01
     assert block_length_s(10.0, 1.6) == 0.2
-
-
-def test_sound_is_masked_from_where_the_mean_of_what_follows_is_twice_the_noise():
-    blocks = np.array([0.1, 16.0, 9.0, 3.0, 2.0, 1.0, 2.5, 1.0])
-    times = 0.1 * np.arange(8)
-    wanted = next(t for i, t in enumerate(times) if blocks[i:].mean() < 2.0)
-    assert _masked_from_s(times, blocks, 1.0) == wanted
-
-
-def test_a_short_decay_runs_from_its_loudest_block_to_twice_the_noise():
-    """Noise is the floor, or the median where it is louder; 12 dB above it is loud enough."""
-    times = 0.01 * (0.5 + np.arange(9))
-    blocks = np.array([1.0, 1.0, 32.0, 12.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-    for floor, noise in ((0.25, 1.0), (2.0, 2.0)):
-        height, constant_s = _short_decay(times, blocks, floor)
-        drowned_s = _masked_from_s(times, blocks, noise)
-        assert drowned_s > times[2]
-        assert height * np.exp(-times[2] / constant_s) == pytest.approx(32.0)
-        assert height * np.exp(-drowned_s / constant_s) == pytest.approx(2.0 * noise)
-    assert _short_decay(times, blocks, 2.01) is None
-    late = np.array([1.0] * 8 + [16.0])  # louder than all before it to its end
-    assert _short_decay(times, late, 1.0) is None
-
-
-def judged(of_all: float, **given: object) -> tuple[float, ...]:
-    """Return what is told of 1 s that falls from 1 by 0.1 s, of blocks of 0.1 s."""
-    times = 0.05 + 0.1 * np.arange(10)
-    own: dict[str, object] = {
-        "spreading_s": 0.02,
-        "length_s": 1.0,
-        "times": times,
-        "blocks": np.exp(-times / 0.1) + 1e-3,
-        "line": (1.0, 0.1),
-        "crossing_s": 0.1 * np.log(1e3),
-        "evidence": 1.0,
-    }
-    return _judged(_BandDecay(1e-3, 5e-4, **(own | given)), of_all)
-
-
-def test_the_end_of_a_file_is_judged_by_its_band_or_where_that_is_undecided_by_all():
-    """Where it is noise the decay ends at their crossing; where it is cut or still falls, before.
-
-    The tail is the rest of the exponential from there.
-    """
-    peak_db = 10.0 * np.log10((np.exp(-0.5) + 1e-3) / 1e-3)
-    crossing_s = 0.1 * np.log(1e3)
-    noise = (1e-3, True, crossing_s, 0.1 * 1e-3, 0.1, peak_db)
-    for evidence, alone in ((4.1, 1.0), (4.1, -2.0), (-9.0, 2.1), (4.1, 2.0)):
-        assert judged(evidence, evidence=alone) == pytest.approx(noise)
-    for evidence, alone in ((4.0, 2.0), (9.0, -2.1)):
-        floor, reached, end_s, tail, constant_s, peak = judged(evidence, evidence=alone)
-        assert (floor, reached, peak) == (5e-4, False, pytest.approx(peak_db))
-        assert end_s == pytest.approx(crossing_s - 0.1 * np.log(2.0))
-        used = 0.05 + 0.1 * np.arange(6)
-        line = decay_line(used, np.exp(-used / 0.1) + 1e-3, 1e-300, np.inf)
-        assert constant_s == line[1] != 0.1
-        assert tail == pytest.approx(line[0] * line[1] * np.exp(-end_s / line[1]))
-    cut = judged(9.0, crossing_s=0.9)
-    assert cut == pytest.approx((5e-4, False, 0.98, 0.1 * np.exp(-9.8), 0.1, peak_db))
-    flutter = judged(-9.0, crossing_s=0.9, levels_out=True)
-    assert flutter[:2] == (1e-3, True) and flutter[2] == pytest.approx(0.65)
-    early = judged(-9.0, crossing_s=0.01, evidence=-3.0)
-    assert early[2] == 0.05
-    assert judged(9.0, line=None) == (1e-3, True, 0.0, 0.0, 0.0, 0.0)
-    assert judged(9.0, line=None, length_s=0.0)[:2] == (1e-3, False)

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import chirp, fftconvolve
 
-from roomfit.errors import InputError
-from roomfit.findings import Code
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Code
 from roomfit.signals.decay import check_is_response, without_hum
 from roomfit.signals.response import (
     ImpulseResponse,

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roomfit.bands import Bands
-from roomfit.errors import InputError
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError
 from roomfit.signals.decay import decay_curve, decay_curve_db, echogram_decay_curve
 from roomfit.signals.response import ImpulseResponse, find_onset
 from roomfit.signals.speech import (

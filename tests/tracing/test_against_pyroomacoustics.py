@@ -16,16 +16,16 @@ import pytest
 
 from boxes_in_space import box_with_doors, room_with_doors, rotation
 from images_reference import BOX_M, BOX_MATERIALS, SPEED_M_S, box_room, l_shaped_room, scene_of
-from roomfit.geometry.mesh import corners_m
+from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import uniform_scattering
-from roomfit.response.energy import energy_rows, weigh
-from roomfit.scene import Room, Scene, triangle_material
-from roomfit.suh2001.room import paper_scene
+from roomfit.model.weighing import energy_rows, weigh
+from roomfit.paper.room import paper_scene
+from roomfit.room.mesh import corners_m
+from roomfit.room.scene import Room, Scene, triangle_material
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.lattice import lattice_of
 from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.trace import trace
-from roomfit.typing import FloatArray
 
 pra = pytest.importorskip("pyroomacoustics")
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from images_reference import BOX_M, SPEED_M_S, box_room, box_with_sheet, l_shaped_room, scene_of
-from roomfit.errors import InputError
+from roomfit.base.errors import InputError
+from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.materials.priors import uniform_scattering
-from roomfit.scene import Scene
+from roomfit.room.scene import Scene
 from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.ray_kernels import spheres, towards
 from roomfit.tracing.rays import expected_paths, trace_rays
 from roomfit.tracing.trace import trace
-from roomfit.typing import BoolArray, FloatArray
 
 BATCHES = 32
 SOURCE, RECEIVER = [1.2, 1.5, 1.1], [4.1, 2.9, 1.2]
@@ -160,7 +160,7 @@ def test_a_screen_lets_no_rain_through():
     once = np.flatnonzero(paths.hits_diffuse.sum(axis=1) == 1)
     assert once.size > 0
     from rays_reference import flights_m
-    from roomfit.geometry.mesh import corners_m
+    from roomfit.room.mesh import corners_m
 
     corners = corners_m(scene.room.mesh)
     for i in once[:200]:

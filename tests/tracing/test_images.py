@@ -24,13 +24,14 @@ from images_reference import (
     room_of_polygons,
     scene_of,
 )
-from roomfit.errors import InputError
-from roomfit.geometry.mesh import area_vectors_m2
-from roomfit.io.rooms import read_room
-from roomfit.io.rooms.model import RoomSpec
+from roomfit.base.errors import InputError
+from roomfit.base.typing import FloatArray
+from roomfit.files.rooms import read_room
+from roomfit.files.rooms.model import RoomSpec
 from roomfit.materials.priors import Scattering, uniform_scattering
-from roomfit.scene import Room, triangle_material
-from roomfit.suh2001.room import paper_scene
+from roomfit.paper.room import paper_scene
+from roomfit.room.mesh import area_vectors_m2
+from roomfit.room.scene import Room, triangle_material
 from roomfit.tracing.image_sources import (
     Budget,
     limits_of,
@@ -39,7 +40,6 @@ from roomfit.tracing.image_sources import (
 )
 from roomfit.tracing.lattice import box_images, lattice_of
 from roomfit.tracing.paths import ImageSet, unfolded_normals
-from roomfit.typing import FloatArray
 
 FAR_M = 1e3
 # Lengths are some 10 rounded operations on coordinates of some 10 m: 10 * 10 * 2**-53 = 1e-14.

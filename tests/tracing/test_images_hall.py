@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from images_reference import all_images, hits_of, scene_of
-from roomfit.errors import InputError
-from roomfit.geometry.mesh import area_vectors_m2, corners_m
+from roomfit.base.errors import InputError
+from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import uniform_scattering
+from roomfit.room.mesh import area_vectors_m2, corners_m
 from roomfit.tracing.image_sources import Budget, affordable_order, trace_images
 from roomfit.tracing.reflectors import convex_pieces, mirrors_of
-from roomfit.typing import FloatArray
 from simulated_rooms.hall import hall_room
 
 SOURCE = [2.71, 1.13, 1.57]

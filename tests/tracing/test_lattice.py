@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,23 +9,17 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from boxes_in_space import box_with_doors, room_with_doors, rotation
-from images_reference import follow, scene_of
-from roomfit.geometry.mesh import area_vectors_m2
-from roomfit.materials.priors import uniform_scattering
-from roomfit.scene import Room, with_states
-from roomfit.synthetic.polyhedra import cell_images
-from roomfit.tracing import image_sources
+from images_reference import follow
+from roomfit.base.typing import FloatArray
+from roomfit.demo.polyhedra import cell_images
+from roomfit.room.mesh import area_vectors_m2
+from roomfit.room.scene import Room
 from roomfit.tracing.image_sources import (
-    affordable_duration_s,
-    affordable_order,
     limits_of,
     polyhedron_images,
-    trace_images,
 )
 from roomfit.tracing.lattice import box_images, lattice_of
 from roomfit.tracing.paths import ImageSet, unfolded_normals
-from roomfit.tracing.reflectors import mirrors_of
-from roomfit.typing import FloatArray
 from simulated_rooms.polyhedral_rooms import room_of, turned_cells
 
 LENGTHS_M = (6.1, 4.7, 2.8)
@@ -158,34 +150,3 @@ def test_a_path_through_an_edge_counts_once() -> None:
     np.testing.assert_allclose(found.length_m, expected.length_m, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(found.hits.sum(axis=1), expected.hits.sum(axis=1))
     assert found.triangle is not None and found.triangle.min() >= 0
-
-
-def test_every_state_of_a_box_with_doors_has_the_hits_of_a_tree_of_beams(monkeypatch) -> None:
-    """An opened door and a curtain before the window; each pair in the state it is measured in."""
-    room = with_states(turned_room(), {"open": {"door 0": "opening", "door 2": "curtain"}})
-    ends = [placed(p, LENGTHS_M, *TURNED) for p in (S, R, R[::-1])]
-    scene = scene_of(room, [ends[0]], ends[1:], [(0, 0), (0, 1), (0, 0)])
-    scene = replace(scene, pair_state=np.array([0, 1, 1]))
-    still = uniform_scattering(room.materials, 0.1)
-    found = trace_images(scene, 1000, 0.06, still, with_image_transforms=True)
-    monkeypatch.setattr(image_sources, "reflectors_of", mirrors_of)
-    expected = trace_images(scene, 1000, 0.06, still, with_image_transforms=True)
-    assert found.materials == expected.materials
-    assert found.hits_specular[:, found.materials.index("curtain")].sum() > 50
-    np.testing.assert_array_equal(found.pair, expected.pair)
-    for name in ("length_m", "weight_per_m2", "hits_specular", "image_transform"):
-        a, b = getattr(found, name), getattr(expected, name)
-        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-6, err_msg=name)
-
-
-def test_how_far_images_of_a_box_are_affordable_asks_for_no_tree(monkeypatch) -> None:
-    """They are counted, and as many as they are: at the length found within the budget."""
-    monkeypatch.setattr(image_sources, "beam_tree", None)
-    room = turned_room()
-    ends = [placed(p, LENGTHS_M, *TURNED) for p in (S, R)]
-    scene = scene_of(room, [ends[0]], [ends[1]])
-    longest_s = affordable_duration_s(scene, 2.0, images=1e4)
-    still = uniform_scattering(room.materials, 0.0)
-    assert 4e3 < len(trace_images(scene, 1000, longest_s, still)) <= 1e4
-    assert affordable_order(scene, 8, 1.0, images=1e5) == 8
-    assert affordable_order(scene, 8, 1.0, images=24.0) == 1

@@ -9,9 +9,10 @@ from scipy.stats import kstest, qmc
 
 from images_reference import SPEED_M_S, box_room, box_with_sheet, l_shaped_room, scene_of
 from rays_reference import box_without, crossings, direct_energy_per_m2
-from roomfit.errors import InputError
+from roomfit.base.errors import InputError
+from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import Scattering, uniform_scattering
-from roomfit.scene import Room, Scene
+from roomfit.room.scene import Room, Scene
 from roomfit.tracing.paths import Paths, TraceSettings, hits, select
 from roomfit.tracing.ray_kernels import ESCAPES_KEPT, Tally
 from roomfit.tracing.rays import (
@@ -25,7 +26,6 @@ from roomfit.tracing.rays import (
     trace_rays,
 )
 from roomfit.tracing.walls import ray_key, scattered, uniform
-from roomfit.typing import FloatArray
 
 SOURCE, RECEIVER = [1.1, 0.9, 1.3], [4.2, 3.1, 1.6]
 

@@ -10,11 +10,11 @@ import pytest
 from followed_rays import FollowedRays, follow_rays
 from images_reference import SPEED_M_S, box_room, box_with_sheet, l_shaped_room
 from rays_reference import box_with_panel, box_without
-from roomfit.geometry.mesh import mean_free_path_m, surface_area_m2, volume_m3
-from roomfit.io.rooms import read_room
-from roomfit.io.rooms.model import PolygonSpec, RoomSpec
+from roomfit.files.rooms import read_room
+from roomfit.files.rooms.model import PolygonSpec, RoomSpec
 from roomfit.materials.priors import uniform_scattering
-from roomfit.scene import Room
+from roomfit.room.mesh import mean_free_path_m, surface_area_m2, volume_m3
+from roomfit.room.scene import Room
 from simulated_rooms.hall import hall_room
 
 START = [1.5, 1.2, 1.3]

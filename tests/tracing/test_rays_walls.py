@@ -10,24 +10,19 @@ import pytest
 
 from images_reference import box_room, box_with_sheet, l_shaped_room, room_of_polygons
 from rays_reference import box_with_two_floors, box_without, flights_m, rotated
-from roomfit.errors import InputError
-from roomfit.geometry.mesh import Mesh, corners_m, volume_m3
-from roomfit.scene import Room, triangle_material
-from roomfit.suh2001.room import paper_scene
-from roomfit.tracing import bvh as vector
+from roomfit.base.errors import InputError
+from roomfit.base.typing import FloatArray
+from roomfit.paper.room import paper_scene
+from roomfit.room.mesh import Mesh, corners_m, volume_m3
+from roomfit.room.scene import Room, triangle_material
 from roomfit.tracing.bvh import (
-    NODE_FLOATS,
-    WIDTH,
     Tree,
-    boxes_hit,
-    local_floats,
     next_wall,
     tree_of,
     wall_material,
     walls_of,
 )
 from roomfit.tracing.walls import Planes, convex_planes, facet_distance, facets_of
-from roomfit.typing import FloatArray, IntArray
 from simulated_rooms.hall import hall_room, hall_volume_m3
 
 
@@ -185,41 +180,6 @@ def test_no_ray_slips_through_an_edge_or_a_corner():
     assert (wall >= 0).all()
     # Facets are 1e-9 m wider than their corners, so none is passed by more than that at an angle.
     assert np.all(distance <= lengths + 1e-6)
-
-
-@pytest.mark.parametrize("fused", [True, False])
-def test_boxes_are_entered_where_the_slabs_say(fused: bool, monkeypatch: pytest.MonkeyPatch):
-    """With and without a fused multiply-add, against float64 slabs one box at a time."""
-    if fused and not vector._fuses():
-        pytest.skip("no fused multiply-add on this processor")
-    monkeypatch.setattr(vector, "_fuses", lambda: fused)
-
-    @numba.njit
-    def entered(bounds: FloatArray, near: IntArray, one_over: FloatArray, shift: FloatArray):  # type: ignore[no-untyped-def]
-        at = local_floats()
-        limit = np.float32(np.inf)
-        bits = boxes_hit(
-            *(bounds, 1, near[0], near[1], near[2], one_over[0], one_over[1], one_over[2]),
-            *(shift[0], shift[1], shift[2], limit, at),
-        )
-        return bits, at[:WIDTH].copy()
-
-    rng = np.random.default_rng(9)
-    for _ in range(200):
-        boxes = np.sort(rng.uniform(-1.0, 1.0, (WIDTH, 2, 3)).astype(np.float32), axis=1)
-        start, d = rng.uniform(-1.0, 1.0, 3), rng.normal(size=3)
-        flat = np.zeros(2 * NODE_FLOATS, np.float32)
-        flat[NODE_FLOATS:] = boxes.transpose(1, 2, 0).reshape(-1)
-        near = np.where(d > 0.0, [0, 1, 2], [3, 4, 5])
-        one_over = (1.0 / d).astype(np.float32)
-        bits, at = entered(flat, near, one_over, start.astype(np.float32) * one_over)
-        ends = np.sort((boxes - start) / d, axis=1)
-        enter, leave = np.maximum(ends[:, 0].max(axis=1), 0.0), ends[:, 1].min(axis=1)
-        sure = np.abs(enter - leave) > 1e-4 * np.abs(one_over).max()
-        hit = (bits >> np.arange(WIDTH)) & 1 == 1
-        np.testing.assert_array_equal(hit[sure], (enter <= leave)[sure])
-        # each distance carries a few roundings of 6e-8 of coordinates below 2 times 1/d
-        np.testing.assert_allclose(at, enter, rtol=0, atol=1e-6 * np.abs(one_over).max())
 
 
 @pytest.mark.parametrize("n_triangles", [12, 32, 1012, 12_012])

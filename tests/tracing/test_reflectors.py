@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from roomfit.tracing.reflectors import _measure, convex_outline, convex_pieces
+from roomfit.tracing.reflectors import convex_outline, convex_pieces
 
 
 def square(x: float, y: float) -> np.ndarray:
@@ -51,21 +51,6 @@ def test_pieces_cover_what_the_triangles_cover_and_are_as_few_as_can_be(seed, sq
     pieces = convex_pieces(triangles, np.array([0.0, 0.0, 1.0]), 1e-6)
     assert len(pieces) == number
     assert sum(map(area_m2, pieces)) == pytest.approx(len(squares), rel=1e-9)
-
-
-@pytest.mark.parametrize("turned", range(5))
-def test_a_piece_is_measured_by_every_one_of_its_corners(turned):
-    """Each corner of a pentagon comes first once; its extremes are four corners, by numpy.
-
-    Its area is by Gauss; what stands beside its own numbers stays.
-    """
-    corners = np.array([[3.0, -1.0], [5.5, 0.5], [4.0, 2.5], [2.0, 2.0], [1.0, 0.0]])
-    flat = np.concatenate([np.full((1, 2), 99.0), corners, np.full((1, 2), -99.0)])
-    own = np.append(1 + np.roll(np.arange(5), turned), [6, 0])  # beyond its corners is rubbish
-    box, area = np.full(4, np.nan), np.full(3, 7.0)
-    _measure(flat, own, 5, box, area, 1)
-    np.testing.assert_array_equal(box, [*corners.min(axis=0), *corners.max(axis=0)])
-    np.testing.assert_allclose(area, [7.0, area_m2(corners), 7.0], rtol=1e-12)
 
 
 @pytest.mark.parametrize(("n", "is_hull"), [(12, True), (13, False)])

@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import tracemalloc
 from dataclasses import fields, replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from roomfit.bands import bands_between
-from roomfit.errors import InputError
-from roomfit.geometry.mesh import shoebox_mesh
-from roomfit.inversion.paths import TracedPaths, redirected
-from roomfit.inversion.symmetry import room_symmetries
+from roomfit.base.errors import InputError
+from roomfit.fit.symmetry import room_symmetries
 from roomfit.materials.priors import Scattering, uniform_scattering
-from roomfit.objective.directivity import DirectivityParameters, FittedDirectivity, row_bases
-from roomfit.response.binned import bin_paths
-from roomfit.response.directivity import directivity_factors
-from roomfit.scene import (
+from roomfit.room.mesh import shoebox_mesh
+from roomfit.room.scene import (
     Room,
     Scene,
     material_areas_m2,
@@ -150,48 +144,6 @@ def test_a_symmetry_must_hold_in_every_state():
         shoebox_room(LENGTHS_M, SIX), {"closed": {"south": "curtain", "north": "curtain"}}
     )
     assert len(room_symmetries(tied)) == 7
-
-
-def test_what_states_have_alike_is_in_memory_once():
-    """Of the pair that was measured twice: all but hits, weights of a band and directions, too."""
-    both = two_states()
-    scattering = uniform_scattering(both.room.materials, 0.2)
-    paths = trace(both, SETTINGS, scattering).paths
-    bands = bands_between("octave", 500, 1000)
-    factors = np.random.default_rng(1).random((2, len(paths)))
-    first, again = (np.flatnonzero(paths.pair == pair) for pair in (0, 3))
-    factors[:, again] = factors[:, first]
-    found = bin_paths(both, bands, paths, SETTINGS.duration_s, factors)
-    plain = bin_paths(both, bands, paths, SETTINGS.duration_s)
-    for rows in (plain.rows, found.rows, *found.by_band.values()):
-        for name in ("weight_per_m2", "length_m", "batch"):
-            assert np.shares_memory(getattr(rows[0], name), getattr(rows[3], name)), name
-            assert not np.shares_memory(getattr(rows[0], name), getattr(rows[1], name)), name
-        assert np.any(rows[0].hits != rows[3].hits)
-    for f, own in zip(bands.centres_hz, factors, strict=True):
-        for rows, weighed in zip(plain.rows, found.by_band[float(f)], strict=True):
-            expected = rows.weight_per_m2 * own[rows.path]
-            np.testing.assert_array_equal(weighed.weight_per_m2, expected)
-    unknown = DirectivityParameters(("A", "B"), np.array([0, 1]), np.zeros((2, 3)), np.ones(2))
-    bases = row_bases(unknown, both, paths, plain)
-    assert bases[0] is bases[3] and bases[0] is not bases[1]
-    # what is fitted of the sources is weighed in place, all bands' factors never at once
-    traced = TracedPaths(
-        paths, plain, SETTINGS, factors, np.zeros((7, 2)), np.zeros(7), False, 0.1, None, ()
-    )
-    pattern = FittedDirectivity("A", np.array([[0.5, 0.2, 0.0], [0.1, 0.0, 0.4]]), np.ones((2, 3)))
-    again_found = redirected(SimpleNamespace(scene=both, bands=bands), traced, [pattern])
-    known, sources = [pattern.patterns()["A"], None], both.pairs[:, 0].tolist()
-    by_hand = [f * directivity_factors(paths, known, sources, b) for b, f in enumerate(factors)]
-    whole = bin_paths(both, bands, paths, SETTINGS.duration_s, np.array(by_hand))
-    for f, rows in again_found.binned.by_band.items():
-        for one, other in zip(rows, whole.by_band[f], strict=True):
-            np.testing.assert_array_equal(one.weight_per_m2, other.weight_per_m2)
-    assert again_found.binned.rows is plain.rows and again_found.factors is None
-    # weights that differ between states stay apart
-    factors[0, again[0]] += 1.0
-    apart = bin_paths(both, bands, paths, SETTINGS.duration_s, factors).by_band[500.0]
-    assert not np.shares_memory(apart[0].weight_per_m2, apart[3].weight_per_m2)
 
 
 def test_paths_of_all_states_take_hardly_more_memory_to_make_than_to_keep():

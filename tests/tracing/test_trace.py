@@ -22,19 +22,19 @@ from images_reference import (
     scene_of,
 )
 from rays_reference import monte_carlo_sd, with_scattering
-from roomfit.errors import InputError
-from roomfit.findings import Code
-from roomfit.geometry.inside import distance_to_walls_m
-from roomfit.geometry.mesh import Mesh
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Code
+from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import uniform_scattering
-from roomfit.response.energy import energy_rows, weigh
-from roomfit.scene import Room, Scene
-from roomfit.suh2001.room import paper_scene
+from roomfit.model.weighing import energy_rows, weigh
+from roomfit.paper.room import paper_scene
+from roomfit.room.inside import distance_to_walls_m
+from roomfit.room.mesh import Mesh
+from roomfit.room.scene import Room, Scene
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths, TraceSettings, select
 from roomfit.tracing.rays import Trace, covered_by_images, trace_rays
 from roomfit.tracing.trace import fitting_radii_m, trace
-from roomfit.typing import FloatArray
 
 ERRORS_ALLOWED = 5.0
 BATCHES = 32
@@ -259,19 +259,6 @@ def test_splitting_a_material_changes_nothing() -> None:
     np.testing.assert_array_equal(split.hits_specular.sum(axis=1), whole.hits_specular[:, 0])
     np.testing.assert_array_equal(split.hits_diffuse.sum(axis=1), whole.hits_diffuse[:, 0])
     np.testing.assert_allclose(split.weight_per_m2, whole.weight_per_m2, rtol=1e-14)
-
-
-def test_images_that_are_known_serve_another_scattering(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = scene_of(l_shaped_room(), [[1.2, 1.5, 1.1]], [[4.1, 1.2, 1.2], [1.5, 4.0, 1.2]])
-    wanted = uniform_scattering(scene.room.materials, 0.3)
-    found = trace(scene, settings(500, 3), wanted).paths
-    other = trace(scene, settings(500, 3), uniform_scattering(scene.room.materials, 0.1)).paths
-    images = select(other, other.batch < 0)
-    monkeypatch.setattr("roomfit.tracing.trace.trace_images", None)  # not searched again
-    again = trace(scene, settings(500, 3), wanted, known_images=images).paths
-    assert len(images) > 10
-    for column in ("pair", "length_m", "weight_per_m2", "hits_specular", "departure", "batch"):
-        np.testing.assert_array_equal(getattr(again, column), getattr(found, column))
 
 
 def test_a_sphere_that_a_wall_or_a_source_would_cut_is_shrunk_with_a_finding() -> None:

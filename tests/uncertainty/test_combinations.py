@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from roomfit.errors import InputError
-from roomfit.findings import Code
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Code
 from roomfit.uncertainty.combinations import (
     Combination,
     determined,

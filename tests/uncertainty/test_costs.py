@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
 
 from coherent_cases import objective_of, small_term
-from roomfit.bands import bands_between
-from roomfit.inversion.systematics import with_shared_errors
-from roomfit.objective.parameters import prior_residuals, start_vector
-from roomfit.report.text import costs_text
-from roomfit.results import Result
-from roomfit.solvers.least_squares import score_band
+from roomfit.fit.systematics import with_shared_errors
+from roomfit.model.parameters import prior_residuals, start_vector
+from roomfit.solver.least_squares import score_band
 from roomfit.uncertainty.gaussian import (
     add_covariance,
     answer_steps,
@@ -109,23 +104,6 @@ def test_all_terms_together_are_the_covariance_that_is_reported(centre_hz):
     )
     covariance = np.linalg.inv(information) * max(fit.chi2_reduced, 1.0) + steps @ steps.T
     np.testing.assert_allclose(found["model"], np.sqrt(np.diag(covariance)), rtol=1e-6)
-
-
-def test_the_text_names_what_costs_most_first_and_leaves_out_what_costs_nothing():
-    """In the median over materials that were fitted."""
-    band = {
-        "": np.array([1.0, 0.0, 2.0]),
-        "noise": np.array([0.99, 0.0, 1.98]),
-        "model": np.array([0.9, 0.0, 1.8]),
-        "interference": np.array([0.5, 0.0, 1.2]),
-        "prior": np.array([2.0, 0.0, np.inf]),
-    }
-    answer = SimpleNamespace(bands=bands_between("octave", 500, 1000), costs=({}, band))
-    head, _, line = costs_text(cast(Result, answer)).splitlines()
-    assert head.startswith("What uncertainty is made of")
-    assert line == "  1000 Hz  interference 45 %, model 10 %; without the prior 51.0 times as large"
-    nothing = SimpleNamespace(bands=answer.bands, costs=())
-    assert costs_text(cast(Result, nothing)) == ""
 
 
 def test_a_mean_has_the_standard_deviation_of_its_direction():

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 import roomfit
-from roomfit.bands import bands_between
-from roomfit.errors import InputError
-from roomfit.logit import expit, logit
-from roomfit.response.directivity import Pattern
-from roomfit.uncertainty import posterior as module
+from roomfit.base.bands import bands_between
+from roomfit.base.errors import InputError
+from roomfit.base.logit import expit, logit
+from roomfit.model.patterns import Pattern
 from roomfit.uncertainty.gaussian import prior_absorptions, prior_only_band
 from roomfit.uncertainty.posterior import (
     AbsorptionPosterior,
@@ -161,24 +160,6 @@ def test_draws_of_a_prior_have_its_law_and_keep_what_is_fixed_or_tied():
     x = logit(found[:, :2])
     np.testing.assert_allclose(x.mean(axis=0), mean[:2], atol=1e-12)
     np.testing.assert_allclose(np.cov(x.T), prior[:2, :2], rtol=0.07, atol=0.03)
-
-
-def test_the_likeliest_values_of_each_draw_leave_no_slope():
-    """Of data linear in -log(1 - a) and a prior in the logit: gradients by finite differences."""
-    rng = np.random.default_rng(6)
-    R, weight = rng.normal(size=(2, 3)), np.linalg.inv(np.diag([0.8, 1.0, 1.2]))
-    centres, start = rng.normal(size=(5, 3)) - 1.0, np.full(3, -1.0)
-    seen = np.log1p(np.exp(centres)) @ R.T + 0.3 * rng.normal(size=(5, 2))
-    found = module._most_likely(start, R, seen, centres, weight)
-
-    def cost(x: Any, i: int) -> float:
-        off = R @ np.log1p(np.exp(x)) - seen[i]
-        return float(off @ off + np.sum((weight @ (x - centres[i])) ** 2))
-
-    for i, x in enumerate(found):
-        slope = [(cost(x + e, i) - cost(x - e, i)) / 2e-5 for e in 1e-5 * np.eye(3)]
-        np.testing.assert_allclose(slope, 0.0, atol=1e-5)
-        assert cost(x, i) <= min(cost(start, i), cost(centres[i], i))
 
 
 def test_a_band_without_data_has_the_prior_and_0_to_1_where_none_was_stated():

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from posterior_cases import absorption_block, linear_case
-from roomfit.logit import expit
-from roomfit.objective.parameters import Parameters
-from roomfit.solvers.least_squares import fit_band
+from roomfit.base.logit import expit
+from roomfit.model.parameters import Parameters
+from roomfit.solver.least_squares import fit_band
 from roomfit.uncertainty.gaussian import (
     absorption_intervals,
     add_covariance,

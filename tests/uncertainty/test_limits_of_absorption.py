@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from roomfit.air import Air
-from roomfit.bands import bands_between
+from roomfit.base.air import Air
+from roomfit.base.bands import bands_between
+from roomfit.base.errors import InputError
 from roomfit.coverage.statistics import CoverageSample, grouped_proportion, scaled_errors
-from roomfit.errors import InputError
-from roomfit.inversion import displacement
-from roomfit.inversion.outliers import file_misfits, variance_inflation
-from roomfit.inversion.solve import prior_speed_sd
-from roomfit.prediction.changes import Change, changed_draws
+from roomfit.fit.solve import prior_speed_sd
+from roomfit.predict.changes import Change, changed_draws
 from roomfit.settings import Settings
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
@@ -82,43 +78,6 @@ def test_the_air_is_known_as_well_as_its_temperature_is():
     found = prior_speed_sd(air, replace(usual, temperature_sd_c=2.0))
     assert found == pytest.approx(0.5 * 2.0 / 293.15, rel=1e-3)
     assert prior_speed_sd(air, replace(usual, temperature_sd_c=0.0)) == 1e-6
-
-
-def test_an_outlier_has_its_variances_inflated_and_is_judged_as_if_it_had_not():
-    sizes = (3, 2, 4)
-    files: Any = [object() for _ in sizes]
-    windows: Any = SimpleNamespace(
-        observations=[SimpleNamespace(energy=np.zeros(n)) for n in sizes]
-    )
-    assert variance_inflation(windows, files, {object(): 9.0}, 11) is None  # type: ignore[dict-item]
-    factor = variance_inflation(windows, files, {files[1]: 9.0}, 11)
-    np.testing.assert_array_equal(factor, [1, 1, 1, 9, 9, 1, 1, 1, 1, 1, 1])
-    fit: Any = SimpleNamespace(
-        measured=np.arange(11.0), expected=np.arange(11.0) - 3.0, variance=factor
-    )
-    found = file_misfits(files, windows, fit, factor)
-    assert [found[f] for f in files] == pytest.approx([9.0, 9.0, 9.0])
-    found = file_misfits(files, windows, fit, None)
-    assert [found[f] for f in files] == pytest.approx([9.0, 1.0, 9.0])
-
-
-def test_a_group_moves_as_far_as_data_and_prior_have_it_by_their_variances(monkeypatch):
-    """A Gaussian likelihood at 0.30 +- 0.10 m under a prior of 0 +- 0.20 m: 0.24 +- 0.089 m."""
-    offset = SimpleNamespace(sd_m=0.2, is_stated=True)
-    model: Any = SimpleNamespace(offsets=(offset,), moved_m=np.zeros(1))
-
-    def logl(shift_m, roughly=False):
-        assert roughly in (True, False)
-        return float(-0.5 * ((shift_m[0] - 0.3) / 0.1) ** 2)
-
-    logl.foresee = lambda _shifts_m: None
-    monkeypatch.setattr(displacement, "logl_of", lambda _: logl)
-    monkeypatch.setattr(displacement, "_stated_step", lambda *_: None)
-    for name in ("_implausible", "_farthest"):
-        monkeypatch.setattr(displacement, name, lambda *_: None)
-    found = displacement.located(model)
-    assert found.shift_m[0] == pytest.approx(0.3 * 0.04 / (0.04 + 0.01), abs=0.005)
-    assert found.sd_m[0] == pytest.approx(np.sqrt(1.0 / (1.0 / 0.04 + 1.0 / 0.01)), rel=0.02)
 
 
 @pytest.mark.parametrize("name", ["absorption", "lower95", "upper95", "draws"])

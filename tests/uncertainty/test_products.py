@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from certified_cases import box_room
 from posterior_cases import Linear, Posynomial, gain_block
-from roomfit.bands import bands_between
-from roomfit.certified.question import is_certifiable
-from roomfit.core import room_posterior
-from roomfit.coverage.synthetic_room import _absorption
-from roomfit.errors import InputError
-from roomfit.experiment_design.prior import information_from_priors
-from roomfit.inversion.methods import check_certifiable, prior_intervals
-from roomfit.inversion.symmetry import _priors_are_exchangeable
-from roomfit.logit import expit, logit
+from roomfit.base.bands import bands_between
+from roomfit.base.errors import InputError
+from roomfit.base.logit import expit, logit
+from roomfit.design.prior import information_from_priors
+from roomfit.fit.methods import prior_intervals
 from roomfit.materials.priors import (
     PRODUCT_SD,
     MaterialPrior,
@@ -26,10 +21,9 @@ from roomfit.materials.priors import (
     prior_logit_law,
     prior_logits,
 )
-from roomfit.objective.observation import absorption_block
-from roomfit.objective.parameters import Parameters, prior_residuals, start_vector
-from roomfit.settings import Settings
-from roomfit.solvers.least_squares import fit_band
+from roomfit.model.observation import absorption_block
+from roomfit.model.parameters import Parameters, prior_residuals, start_vector
+from roomfit.solver.least_squares import fit_band
 from roomfit.uncertainty.combinations import band_sentence, undetermined_groups
 from roomfit.uncertainty.gaussian import (
     absorption_intervals,
@@ -37,6 +31,7 @@ from roomfit.uncertainty.gaussian import (
     prior_absorptions,
     prior_only_band,
 )
+from roomfit.uncertainty.other_room import room_posterior
 from roomfit.uncertainty.posterior import AbsorptionPosterior, band_draws, prior_law
 from roomfit.uncertainty.sampling import log_posterior, surrogate
 from roomfit.uncertainty.smoothing import smooth_over_bands, smoothed
@@ -195,26 +190,6 @@ def test_a_product_is_no_tie_and_has_a_spread():
             wall("right", "panel", product_sd=sd)
 
 
-def test_no_certificate_is_made_of_a_prior_that_walls_share():
-    """Its bounds over boxes are sums over walls: refused before anything is traced, and after."""
-    measured, certified = SimpleNamespace(values=()), Settings(method="certified")
-    with pytest.raises(InputError, match="independent"):
-        check_certifiable(measured, certified, panels())
-    check_certifiable(measured, certified, completed(wall("left"), wall("right")))
-    air = SimpleNamespace(attenuation_per_m=0.0)
-    for walls, can_be in ((panels(), False), (completed(wall("left")), True)):
-        parameters = Parameters((absorption_block(walls, 0, 0.2), gain_block()))
-        assert is_certifiable(air, parameters) is can_be
-
-
-def test_only_walls_of_the_same_products_can_be_exchanged():
-    left, right, floor = panels()
-    assert _priors_are_exchangeable((left, right, floor), np.array([1, 0, 2]))
-    # of equal spread, but floor shares nothing with left
-    single = replace(floor, prior_logit_sd=np.full(2, np.sqrt(2.34)))
-    assert not _priors_are_exchangeable((left, right, single), np.array([0, 2, 1]))
-
-
 # Draws, and what the data leave open.
 
 
@@ -252,25 +227,6 @@ def test_a_default_prior_that_is_doubted_is_so_for_what_walls_share():
     apart = logit(drawn[:, 0]) - logit(drawn[:, 1])
     # the difference is the product's alone: 0.3 sqrt(2), known within 1.1 % by 4000 draws
     assert float(np.std(apart)) == pytest.approx(0.3 * np.sqrt(2.0), rel=0.045)
-
-
-def test_synthetic_rooms_of_a_coverage_estimate_have_walls_that_are_alike():
-    """A grid of 4000 bands that are independent, so far may a wall change over an octave."""
-    walls = panels()
-    campaign = SimpleNamespace(settings=SimpleNamespace(smoothness_per_octave=1e9))
-    nearest = np.zeros(4000, dtype=np.int64)
-
-    class Grid:
-        kind = "octave"
-
-        def __len__(self) -> int:
-            return 4000
-
-    plan = SimpleNamespace(
-        priors=walls, nearest=nearest, grid=Grid(), campaign=campaign, answer=None
-    )
-    drawn = _absorption(plan, np.random.default_rng(3)).T
-    assert correlation(drawn) == pytest.approx(2.25 / 2.34, abs=0.0052)
 
 
 def test_a_difference_that_only_the_product_limits_is_not_in_the_data():

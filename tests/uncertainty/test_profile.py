@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -22,29 +20,17 @@ from posterior_cases import (
     gain_block,
     linear_case,
 )
-from roomfit.bands import Bands
-from roomfit.diagnostics.minima import check_starts
-from roomfit.findings import Code
-from roomfit.inversion import bands
-from roomfit.inversion.bands import from_random_starts
-from roomfit.objective.parameters import Parameters, physical_values, prior_residuals
-from roomfit.solvers.least_squares import BandFit, fit_band
+from roomfit.model.parameters import Parameters, prior_residuals
+from roomfit.solver.least_squares import BandFit, fit_band
 from roomfit.uncertainty.gaussian import FittedBand, absorption_intervals, band_estimate
 from roomfit.uncertainty.intervals import LEAST_SIDE, Refinement, profiled
 from roomfit.uncertainty.profile import RISE95, may_be_bent, profile, profile_curve
-from seen import of_answers
 
 pytestmark = pytest.mark.usefixtures("exact_fits")
 
 
 def fitted(problem) -> BandFit:
     return fit_band(problem)
-
-
-def evidence_of(starts) -> Any:
-    """Return evidence of one band with fits from several starts."""
-    answers = [SimpleNamespace(starts=starts)]
-    return of_answers(answers, Bands("octave", [500.0]), materials=("a", "b"))
 
 
 def refitted_rise(problem, fit: BandFit, entry: int, at: float) -> float:
@@ -228,97 +214,6 @@ def test_what_a_fit_does_not_know_of_widens_either_side_of_a_profile_by_itself()
         ends = logits(np.array([found.lower95[own], found.upper95[own]]))
         expected = np.hypot(sides, 1.959964 * 0.2)
         np.testing.assert_allclose(np.abs(ends - at), expected, rtol=1e-6)
-
-
-def test_a_profile_narrows_no_side_to_less_than_half_of_the_gaussian(monkeypatch):
-    """Whatever it says: here, next to nothing below and three standard deviations above."""
-    problem, fit, plain = skew_case()
-    sd = np.sqrt(np.diag(plain.logit_covariance))
-
-    def narrow(_objective, _fit, entry, _answer=None):
-        at = fit.vector[entry]
-        found = profile(problem, fit, entry)
-        return replace(found, lower=at - 0.01 * sd[entry], upper=at + 3.0 * sd[entry],
-                       gaussian=False)  # fmt: skip
-
-    monkeypatch.setattr("roomfit.uncertainty.intervals.profile", narrow)
-    found = profiled(problem, fit, plain)
-    for own in np.flatnonzero(np.array(found.kinds) == "profile"):
-        below = fit.vector[own] - logits(found.lower95[own])
-        above = logits(found.upper95[own]) - fit.vector[own]
-        assert below == pytest.approx(0.5 * 1.959964 * sd[own], rel=1e-6)
-        assert above == pytest.approx(3.0 * sd[own], rel=1e-6)
-
-
-def test_random_starts_find_the_other_of_two_exchangeable_materials():
-    """Both minima have one cost; a prior that is alike for both keeps it so."""
-    problem = exchangeable_case()
-    fit = fitted(problem)
-    best, starts = from_random_starts(problem, fit, np.random.default_rng(3), 6)
-    values, _ = physical_values(problem.parameters, best.vector)
-    assert sorted(values["absorption"]) == pytest.approx([0.1, 0.6], abs=0.03)
-    assert starts.other is not None
-    np.testing.assert_allclose(starts.other, values["absorption"][::-1], atol=0.02)
-    assert abs(starts.loss) < 0.05
-    assert 0 < starts.agreeing < 6
-    (finding,) = check_starts(evidence_of(starts))
-    assert finding.code == Code.MULTIPLE_MINIMA_MULTISTART
-    assert finding.evidence["bands_hz"] == [500.0]
-
-
-def test_random_starts_that_agree_change_nothing():
-    problem = decay_case(np.random.default_rng(2), np.array([0.3, 0.5]), gain=False)
-    fit = fitted(problem)
-    best, starts = from_random_starts(problem, fit, np.random.default_rng(1))
-    assert best.vector is fit.vector and best.evaluations > fit.evaluations
-    assert starts.agreeing == starts.number == 3
-    assert not list(check_starts(evidence_of(starts)))
-
-
-def test_a_random_start_is_followed_where_it_led_farther_than_a_fifth_of_a_standard_deviation(
-    monkeypatch,
-):
-    """From where the usual start led, in any of the unknowns."""
-    problem = decay_case(np.random.default_rng(2), np.array([0.3, 0.5]), gain=False)
-    fit = fitted(problem)
-    sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
-    steps = np.array([[0.0, 0.0], [0.19, -0.19], [0.21, 0.0], [0.0, -0.21]])
-    ends = iter(SimpleNamespace(x=fit.vector + step * sd, evaluations=1) for step in steps)
-    followed = []
-
-    def fit_again(_problem, *, start):
-        followed.append((start - fit.vector) / sd)
-        return fit
-
-    monkeypatch.setattr(bands, "first_round", lambda _problem, _start: next(ends))
-    monkeypatch.setattr(bands, "fit_band", fit_again)
-    best, starts = from_random_starts(problem, fit, np.random.default_rng(1))
-    np.testing.assert_allclose(followed, steps[2:], atol=1e-9)
-    # the usual start, three others, and two fits
-    assert best.evaluations == fit.evaluations + 4 + 2 * fit.evaluations
-    assert starts.agreeing == starts.number == 3
-
-
-@pytest.mark.parametrize(("less", "is_told"), [(1.9, True), (2.1, False)])
-def test_another_minimum_is_told_where_it_is_less_likely_by_up_to_two(monkeypatch, less, is_told):
-    """In log-likelihood; it lies three standard deviations from the usual one."""
-    problem = decay_case(np.random.default_rng(2), np.array([0.3, 0.5]), gain=False)
-    fit = fitted(problem)
-    sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
-    far = fit.vector + 3.0 * sd
-    worth = [-0.5 * float(p @ p) for p in
-             (prior_residuals(problem.parameters, v)[0] for v in (fit.vector, far))]  # fmt: skip
-    other = replace(fit, vector=far, log_likelihood=fit.log_likelihood - less + worth[0] - worth[1])
-    ends = iter((fit.vector, far, fit.vector, fit.vector))
-    monkeypatch.setattr(
-        bands, "first_round", lambda *_: SimpleNamespace(x=next(ends), evaluations=1)
-    )
-    monkeypatch.setattr(bands, "fit_band", lambda *_, **__: other)
-    _, starts = from_random_starts(problem, fit, np.random.default_rng(1))
-    assert starts.agreeing == 2
-    assert (starts.other is not None) is is_told
-    if is_told:
-        assert starts.loss == pytest.approx(less)
 
 
 def test_a_second_fit_from_the_exchanged_absorptions_is_as_likely():

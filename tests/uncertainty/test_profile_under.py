@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from roomfit.bands import bands_between
+from roomfit.base.bands import bands_between
 from roomfit.materials.priors import unknown_material
 from roomfit.uncertainty.gaussian import prior_only_band
 from roomfit.uncertainty.profile import RISE95, Profile, profile_under

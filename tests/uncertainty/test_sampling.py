@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from posterior_cases import Linear, decay_case, linear_case, surrogate_log_density
-from roomfit.errors import InputError
-from roomfit.objective.parameters import Parameters, prior_residuals
-from roomfit.objective.problem import Prediction
-from roomfit.solvers.least_squares import fit_band
+from roomfit.base.errors import InputError
+from roomfit.model.parameters import Parameters, prior_residuals
+from roomfit.model.problem import Prediction
+from roomfit.solver.least_squares import fit_band
 from roomfit.uncertainty.gaussian import band_estimate
 from roomfit.uncertainty.intervals import sampled
 from roomfit.uncertainty.sampling import (

@@ -2,21 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from roomfit.bands import Bands, bands_between
-from roomfit.errors import InputError
-from roomfit.logit import Z95, expit
-from roomfit.materials.priors import unknown_material
-from roomfit.uncertainty import smoothing
-from roomfit.uncertainty.profile import Profile
+from roomfit.base.bands import Bands, bands_between
+from roomfit.base.errors import InputError
 from roomfit.uncertainty.smoothing import smooth_over_bands
-
-BANDS = bands_between("octave", 500, 1000)
 
 
 def diagonal(sd: np.ndarray) -> np.ndarray:
@@ -164,46 +155,3 @@ def test_what_does_not_belong_together_is_refused():
         smooth_over_bands(means, covariances[:, 0], *prior, 0.5, bands)
     with pytest.raises(InputError, match="do not belong together"):
         smooth_over_bands(means, covariances, means, np.ones((2, 2)), 0.5, bands)
-
-
-def test_ends_are_by_the_profile_of_the_band_under_what_the_others_determine():
-    """Of a profile that is a Gaussian's: its product with theirs; and without a profile the same.
-
-    A side that is a half longer stays longer, by what the others leave of it.
-    """
-    at, sd, new_mean, new_sd = 0.4, 0.5, 0.6, 0.3
-    points = at + sd * np.linspace(-3.0, 3.0, 13)
-    priors = tuple(unknown_material(name, len(BANDS)) for name in ("wall", "floor", "door"))
-    priors = (*priors[:2], replace(priors[2], tied_to="wall"))
-
-    def ends(stretch: float, kinds=("profile", "gaussian", "profile")):
-        rise = 0.5 * ((points - at) / sd) ** 2
-        bent = np.where(points > at, at + stretch * (points - at), points)
-        low, high = at - Z95 * sd, at + stretch * Z95 * sd
-        answer = SimpleNamespace(
-            profiles=(Profile(0, bent, rise, low, high, False, 9),),
-            kinds=kinds,
-            logit_covariance=np.diag([sd**2, 1.0, sd**2]),
-            logit_mean=np.array([at, -1.0, at]),
-            lower95=expit(np.array([low, -3.0, low])),
-            upper95=expit(np.array([high, 1.0, high])),
-        )
-        mean, spread = np.array([new_mean, -0.8, new_mean]), np.array([new_sd, 0.7, new_sd])
-        return smoothing._profile_ends(answer, mean, spread, priors)
-
-    expected = np.array([new_mean, -0.8, new_mean]), Z95 * np.array([new_sd, 0.7, new_sd])
-    lower, upper = ends(1.0)
-    # of a grid of hundreds of points over more than the interval
-    np.testing.assert_allclose(lower, expected[0] - expected[1], atol=0.02)
-    np.testing.assert_allclose(upper, expected[0] + expected[1], atol=0.02)
-    plain = ends(1.0, ("gaussian",) * 3)
-    np.testing.assert_allclose(plain[0], expected[0] - expected[1], rtol=1e-9)
-    np.testing.assert_allclose(plain[1], expected[0] + expected[1], rtol=1e-9)
-    np.testing.assert_array_equal(ends(1.0, ()), plain)  # nothing is known of how they were found
-    # above, the band itself knows less: (x - at) / (1.5 sd) and the others' Gaussian
-    information = 1.0 / new_sd**2 - 1.0 / sd**2
-    others = (new_mean / new_sd**2 - at / sd**2) / information
-    x = np.linspace(at, 3.0, 200_001)
-    cost = 0.5 * ((x - at) / (1.5 * sd)) ** 2 + 0.5 * information * (x - others) ** 2
-    wider = x[np.flatnonzero(cost - cost.min() <= 0.5 * Z95**2)[-1]]
-    assert ends(1.5)[1][0] == pytest.approx(wider, abs=0.02) and wider > upper[0] + 0.05

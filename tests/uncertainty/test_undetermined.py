@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from report_cases import answer_of, scene_of
-from roomfit.cache import json_text
-from roomfit.io.results import result_content
+from roomfit.base.cache import json_text
+from roomfit.files.results import result_content
 from roomfit.report.html_tables import share_tables
 from roomfit.report.text import separable_text, shares_table
 from roomfit.report.wording import DASH
@@ -20,7 +20,6 @@ from roomfit.uncertainty.combinations import (
     Combination,
     Difference,
     Undetermined,
-    _differences,
     absorption_shares,
     band_sentence,
     determined,
@@ -210,22 +209,3 @@ def test_a_difference_is_reported_the_larger_less_the_smaller():
     differences = [d for c in found for d in c.differences]
     assert all(isinstance(d, Difference) and d.value >= 0.0 for d in differences)
     assert len(differences) == 1
-
-
-@pytest.mark.parametrize(("n", "pairs"), [(2, 1), (4, 6), (5, 1)])
-def test_of_more_than_four_open_materials_only_the_two_that_absorb_most_are_compared(n, pairs):
-    """All pairs of up to four, each with the interval of its own draws; and the larger first."""
-    rng = np.random.default_rng(8)
-    a = np.array([0.2, 0.5, 0.1, 0.4, 0.3])
-    draws, before = a + 0.05 * rng.normal(size=(500, 5)), a + 0.3 * rng.normal(size=(500, 5))
-    group = Undetermined(tuple(range(n)), n - 1, against=True)
-    found = _differences([group], a, draws, before, 0.5)
-    assert len(found) == pairs
-    for difference in found:
-        one, other = np.argmax(difference.weights), np.argmin(difference.weights)
-        assert difference.value == a[one] - a[other] > 0.0
-        low, high = np.quantile(draws[:, one] - draws[:, other], (0.025, 0.975))
-        assert (difference.lower95, difference.upper95) == (low, high)
-    if pairs == 1 and n == 5:
-        assert (one, other) == (1, 3)
-    assert _differences([replace(group, against=False)], a, draws, before, 0.5) == []

@@ -13,7 +13,7 @@ from weakref import WeakKeyDictionary
 from nicegui import events, ui
 from nicegui.element import Element
 
-from roomfit.errors import InputError
+from roomfit.base.errors import InputError
 
 _WORDS = {"serious": "Serious", "warning": "Warning", "info": "Note"}
 _SHOWN: WeakKeyDictionary[Element, object] = WeakKeyDictionary()

@@ -22,8 +22,8 @@ from roomfit.app.elements import (
 )
 from roomfit.app.jobs import Bench
 from roomfit.app.remedies import Advice
-from roomfit.bands import OCTAVES_HZ
-from roomfit.errors import InputError
+from roomfit.base.bands import OCTAVES_HZ
+from roomfit.base.errors import InputError
 from roomfit.report.wording import hertz
 
 _STAGES = ((0.0, "reading the files"), (1e-6, "tracing and fitting"), (0.95, "drawing"))

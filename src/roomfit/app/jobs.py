@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from roomfit.errors import InputError
+from roomfit.base.errors import InputError
 
 _LONGEST_ANSWER = 2**27  # bytes of one line
 _GRACE_S = 1.0  # in which a process that is to end may clean up

@@ -27,8 +27,8 @@ from roomfit.app.elements import (
 from roomfit.app.jobs import Bench
 from roomfit.app.recordings import Positions
 from roomfit.app.remedies import Advice
-from roomfit.io.responses import RESPONSE_SUFFIXES
-from roomfit.io.tables import TABLE_SUFFIXES
+from roomfit.files.responses import RESPONSE_SUFFIXES
+from roomfit.files.tables import TABLE_SUFFIXES
 from roomfit.report.wording import hertz
 
 _UNKNOWN = "-"

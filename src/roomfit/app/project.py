@@ -14,19 +14,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from roomfit.cache import write_text_atomically
-from roomfit.commands import export_result
-from roomfit.core import check_known, check_name
-from roomfit.errors import InputError
-from roomfit.io.campaign import FILL_IN, Campaign, blanks, read_campaign, read_toml
-from roomfit.io.draft import draft_campaign
-from roomfit.io.edits import Edit, edited_text, read_beside, rewrite, sole_editor, value_text
-from roomfit.io.exports import FORMATS
-from roomfit.io.responses import RESPONSE_SUFFIXES
-from roomfit.io.responses.sweep import response_name
-from roomfit.io.rooms import READERS
-from roomfit.io.rooms.model import RoomSpec
-from roomfit.io.tables import TABLE_SUFFIXES
+from roomfit.base.arguments import check_known, check_name
+from roomfit.base.cache import write_text_atomically
+from roomfit.base.errors import InputError
+from roomfit.cli.commands import export_result
+from roomfit.files.campaign import FILL_IN, Campaign, blanks, read_campaign, read_toml
+from roomfit.files.draft import draft_campaign
+from roomfit.files.edits import Edit, edited_text, read_beside, rewrite, sole_editor, value_text
+from roomfit.files.exports import FORMATS
+from roomfit.files.responses import RESPONSE_SUFFIXES
+from roomfit.files.responses.sweep import response_name
+from roomfit.files.rooms import READERS
+from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.tables import TABLE_SUFFIXES
 
 CAMPAIGN = "campaign.toml"
 QUICK, FULL = "first", "result"

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from roomfit.app import project
-from roomfit.errors import InputError
-from roomfit.io.campaign import FILL_IN, blanks
-from roomfit.io.draft import matching_files, read_positions
-from roomfit.io.edits import Edit, edited_text, rewrite, without_tables
+from roomfit.base.errors import InputError
+from roomfit.files.campaign import FILL_IN, blanks
+from roomfit.files.draft import matching_files, read_positions
+from roomfit.files.edits import Edit, edited_text, rewrite, without_tables
 
 _KINDS = {"sources": "source", "receivers": "receiver"}
 _NAMES_ALONE = {"source", "receiver", "file"}

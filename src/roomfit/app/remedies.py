@@ -19,7 +19,7 @@ from roomfit.app.elements import (
     quiet_button,
     saying_errors,
 )
-from roomfit.io import edits
+from roomfit.files import edits
 
 
 class Advice:

@@ -21,8 +21,8 @@ from roomfit.app.elements import (
     saying_errors,
 )
 from roomfit.app.jobs import Bench
-from roomfit.io.rooms import READERS
-from roomfit.io.rooms.model import METRES_PER_UNIT
+from roomfit.files.rooms import READERS
+from roomfit.files.rooms.model import METRES_PER_UNIT
 from roomfit.materials.catalogue import catalogue, suggested_entries
 
 _MOST_SURFACES = 500  # that are listed; all are drawn

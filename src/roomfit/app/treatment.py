@@ -12,17 +12,17 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from roomfit.app import project
-from roomfit.cache import write_text_atomically
-from roomfit.core import material_areas_m2
-from roomfit.errors import InputError
-from roomfit.io.campaign import read_toml
-from roomfit.io.door import read_text
-from roomfit.io.edits import Edit, edited_text, heading, without_tables
-from roomfit.io.encoding import written_content
-from roomfit.io.inputs import campaign_room
-from roomfit.io.reverberation import read_decay_times
-from roomfit.treatment.campaign import checked_treatment
-from roomfit.typing import Progress
+from roomfit.base.cache import write_text_atomically
+from roomfit.base.errors import InputError
+from roomfit.base.typing import Progress
+from roomfit.files.campaign import read_toml
+from roomfit.files.door import read_text
+from roomfit.files.edits import Edit, edited_text, heading, without_tables
+from roomfit.files.encoding import written_content
+from roomfit.files.inputs import campaign_room
+from roomfit.files.reverberation import read_decay_times
+from roomfit.room.scene import material_areas_m2
+from roomfit.treat.campaign import checked_treatment
 
 _FIRST = "# What may be hung where, and what is to be reached: roomfit treat, docs/treat.md\n"
 

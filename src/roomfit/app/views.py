@@ -13,40 +13,39 @@ from typing import Any
 
 import numpy as np
 
-from roomfit import commands, predictions
 from roomfit.app import project, recordings
 from roomfit.app.treatment import ask_treatment, treatment_view
 from roomfit.app.what_if import what_if, what_if_prepare
-from roomfit.core import area_vectors_m2
-from roomfit.errors import InputError, RoomfitError, located
-from roomfit.findings import About, Code, Finding
-from roomfit.geometry.mesh import Mesh, triangle_areas_m2
-from roomfit.io.campaign import Campaign, read_campaign
-from roomfit.io.door import read_bytes
-from roomfit.io.draft import check_unit, read_positions
-from roomfit.io.encoding import (
+from roomfit.base.errors import InputError, RoomfitError, located
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import Progress
+from roomfit.cli import commands, predictions
+from roomfit.demo.boxes import demo_plan, write_measured_box
+from roomfit.files.campaign import Campaign, read_campaign
+from roomfit.files.door import read_bytes
+from roomfit.files.draft import check_unit, read_positions
+from roomfit.files.encoding import (
     EditedFile,
     finding_content,
     finding_of,
     number_or_null,
     numbers_or_null,
 )
-from roomfit.io.exports import read_result_content
-from roomfit.io.file_names import in_short
-from roomfit.io.inputs import check_campaign
-from roomfit.io.remedies import advised, changed_since, is_file
-from roomfit.io.responses import SOUND_SUFFIXES, read_response
-from roomfit.io.responses.recordings import ResponseSpec
-from roomfit.io.responses.sweep import SweepPlan, response_from_recording, wav_bytes
-from roomfit.io.reverberation import read_decay_times
-from roomfit.io.rooms import read_mesh
-from roomfit.io.rooms.model import RoomSpec, UnchosenSpaceError
-from roomfit.prediction.campaign import WantedPairs
-from roomfit.prediction.changes import read_change
+from roomfit.files.exports import read_result_content
+from roomfit.files.file_names import in_short
+from roomfit.files.inputs import check_campaign
+from roomfit.files.remedies import advised, changed_since, is_file
+from roomfit.files.responses import SOUND_SUFFIXES, read_response
+from roomfit.files.responses.recordings import ResponseSpec
+from roomfit.files.responses.sweep import SweepPlan, response_from_recording, wav_bytes
+from roomfit.files.reverberation import read_decay_times
+from roomfit.files.rooms import read_mesh
+from roomfit.files.rooms.model import RoomSpec, UnchosenSpaceError
+from roomfit.predict.campaign import WantedPairs
+from roomfit.predict.changes import read_change
 from roomfit.report.room_figure import MOST_FACES, material_colour, outline_m
-from roomfit.scene import Room, check_mesh, surface_materials
-from roomfit.synthetic.boxes import demo_plan, write_measured_box
-from roomfit.typing import Progress
+from roomfit.room.mesh import Mesh, area_vectors_m2, triangle_areas_m2
+from roomfit.room.scene import Room, check_mesh, surface_materials
 
 _MOST_EDGES = 1500
 _MOST_WALLS = 16  # of more walls names hide each other
@@ -262,7 +261,7 @@ def _check(root: Path, rows: dict[str, dict[str, Any]], view: dict[str, Any]) ->
 def advice_view(
     findings: Sequence[Finding], campaign: Campaign, *, changed: bool = False
 ) -> list[dict[str, Any]]:
-    """Return what `roomfit.io.remedies.advised` does, for a page.
+    """Return what `roomfit.files.remedies.advised` does, for a page.
 
     Returns
     -------

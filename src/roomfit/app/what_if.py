@@ -12,28 +12,28 @@ from typing import Any
 
 import numpy as np
 
-from roomfit import predictions
 from roomfit.app import project
 from roomfit.app.treatment import treatment_view
-from roomfit.errors import InputError, InsufficientDataError
-from roomfit.findings import Code
-from roomfit.io.campaign import Campaign, read_campaign
-from roomfit.io.encoding import finding_content, numbers_or_null
-from roomfit.io.results import read_result
-from roomfit.prediction.campaign import predict_arguments
-from roomfit.prediction.changes import Change, read_change
-from roomfit.prediction.diffuse import NAME, PreparedField, predict_field
-from roomfit.prediction.predict import (
+from roomfit.base.errors import InputError, InsufficientDataError
+from roomfit.base.findings import Code
+from roomfit.base.typing import Progress
+from roomfit.cli import predictions
+from roomfit.files.campaign import Campaign, read_campaign
+from roomfit.files.encoding import finding_content, numbers_or_null
+from roomfit.files.results import read_result
+from roomfit.predict.campaign import predict_arguments
+from roomfit.predict.changes import Change, read_change
+from roomfit.predict.diffuse import NAME, PreparedField, predict_field
+from roomfit.predict.other_walls import (
     PreparedRoom,
     change_directions,
     predict_change,
     prepare_prediction,
 )
-from roomfit.prediction.tables import PredictedValue, named_values
+from roomfit.predict.tables import PredictedValue, named_values
 from roomfit.signals.iso3382 import ValueName
-from roomfit.treatment.campaign import read_treatment, treat_arguments
-from roomfit.treatment.question import USUAL_HZ
-from roomfit.typing import Progress
+from roomfit.treat.campaign import read_treatment, treat_arguments
+from roomfit.treat.question import USUAL_HZ
 
 SHOWN = ("T20_s", "EDT_s", "C80_dB", "D50_percent", "STI")
 """Parameters that are shown, as far as they are predicted; from decay times alone T30."""

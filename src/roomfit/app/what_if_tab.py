@@ -28,9 +28,9 @@ from roomfit.app.elements import (
 )
 from roomfit.app.jobs import Bench
 from roomfit.app.treatment_form import TreatmentForm
-from roomfit.errors import InputError
-from roomfit.io.encoding import written_content
-from roomfit.io.responses import RESPONSE_SUFFIXES
+from roomfit.base.errors import InputError
+from roomfit.files.encoding import written_content
+from roomfit.files.responses import RESPONSE_SUFFIXES
 from roomfit.materials.catalogue import catalogue
 from roomfit.report.wording import count, hertz, short_hertz
 

@@ -26,8 +26,8 @@ def main() -> None:
     threading.Thread(target=_listen, args=(requests,), name="requests", daemon=True).start()
 
     from roomfit.app.views import TASKS  # after the limit, which the import needs not much of
-    from roomfit.errors import RoomfitError
-    from roomfit.forks import end_with_parent
+    from roomfit.base.errors import RoomfitError
+    from roomfit.base.forks import end_with_parent
 
     end_with_parent()  # the thread that listens has no turn while compiled code runs
 

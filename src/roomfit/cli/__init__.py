@@ -20,6 +20,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 import roomfit
+from roomfit.base.errors import InputError, RoomfitError, StoreError
 from roomfit.cli import (
     app,
     batch,
@@ -44,7 +45,6 @@ from roomfit.cli import (
 )
 from roomfit.cli.arguments import Commands, Parser, call_error
 from roomfit.cli.terminal import drop_output, warn
-from roomfit.errors import InputError, RoomfitError, StoreError
 
 _COMMANDS = (
     app,
@@ -119,7 +119,7 @@ def _with_threads(options: argparse.Namespace) -> AbstractContextManager[None]:
     wanted = getattr(options, "threads", None)
     if wanted is None and "ROOMFIT_THREADS" not in os.environ:
         return nullcontext()
-    from roomfit._numba import at_most_threads  # needs numba, which --help must not wait for
+    from roomfit.base.kernels import at_most_threads  # needs numba, which --help must not wait for
 
     return at_most_threads(wanted)
 

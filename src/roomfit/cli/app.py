@@ -50,7 +50,7 @@ async def _serve(options: argparse.Namespace) -> None:
     import sys
 
     from roomfit.app.jobs import Bench
-    from roomfit.errors import InputError
+    from roomfit.base.errors import InputError
 
     def tell(text: str) -> None:
         say(text)

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
-from roomfit.errors import InputError
+from roomfit.base.errors import InputError
 
 if TYPE_CHECKING:
-    from roomfit.io.encoding import ResultFile
+    from roomfit.files.encoding import ResultFile
 
 
 class Parser(argparse.ArgumentParser):
@@ -68,7 +68,7 @@ class Parser(argparse.ArgumentParser):
         )
 
     def add_pairs(self) -> None:
-        """Add ``--pairs``, which `roomfit.prediction.campaign.pair_choice` reads."""
+        """Add ``--pairs``, which `roomfit.predict.campaign.pair_choice` reads."""
         self.add_option(
             "--pairs",
             "all: every source with every receiver; campaign: the measured ones.",
@@ -76,7 +76,7 @@ class Parser(argparse.ArgumentParser):
         )
 
     def add_doubted(self) -> None:
-        """Add ``--doubted``, see `roomfit.prediction.campaign.predict_arguments`."""
+        """Add ``--doubted``, see `roomfit.predict.campaign.predict_arguments`."""
         text = "Predict changes and other states also where the result is seriously doubted."
         self.add_argument("--doubted", action="store_true", help=text)
 
@@ -96,7 +96,7 @@ class Parser(argparse.ArgumentParser):
 
 def result_file(options: argparse.Namespace, path: Path) -> ResultFile:
     """Return a result to read, as ``--edited`` has it."""
-    from roomfit.io.encoding import EditedFile  # needs numpy, which --help must not wait for
+    from roomfit.files.encoding import EditedFile  # needs numpy, which --help must not wait for
 
     return EditedFile(path) if options.edited else path
 
@@ -172,7 +172,7 @@ def call_error(
     """
     near = None
     if found is not None:
-        from roomfit._checks import nearest  # needs numpy, which --help must not wait for
+        from roomfit.base.arguments import nearest  # needs numpy, which --help must not wait for
 
         near = nearest(found, known)
     usage = " ".join(parser.format_usage().split()).removeprefix("usage: ")

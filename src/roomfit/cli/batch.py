@@ -59,9 +59,9 @@ def _shard(text: str) -> tuple[int, int]:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.batch import campaign_paths, identify_rooms, rooms_text
-    from roomfit.identification import compile_kernels
-    from roomfit.workers import cluster_pool
+    from roomfit.base.workers import cluster_pool
+    from roomfit.batch.rooms import campaign_paths, identify_rooms, rooms_text
+    from roomfit.identify import compile_kernels
 
     paths, out = campaign_paths(options.campaigns), Path(options.out)
     with shown_progress("identifying rooms") as progress:

@@ -24,8 +24,8 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit._checks import check_range
-    from roomfit.cache import Cache, cache_files, limited, make_room, user_cache
+    from roomfit.base.arguments import check_range
+    from roomfit.base.cache import Cache, cache_files, limited, make_room, user_cache
 
     if options.limit is not None:
         check_range("the limit", options.limit, 0.0, 1e6, "GB", "--limit")

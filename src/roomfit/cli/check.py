@@ -51,10 +51,10 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Carry out the command; leave with 2 where the room cannot be traced."""
-    from roomfit.errors import InputError
-    from roomfit.io.campaign import read_campaign
-    from roomfit.io.inputs import check_campaign, check_room
-    from roomfit.io.rooms.model import RoomSpec
+    from roomfit.base.errors import InputError
+    from roomfit.files.campaign import read_campaign
+    from roomfit.files.inputs import check_campaign, check_room
+    from roomfit.files.rooms.model import RoomSpec
     from roomfit.report.text import room_text
 
     room: Path = options.room
@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> None:
         what = "a campaign itself specifies the unit and the axes of its room"
         needed, hint = "neither of them beside a campaign", "write them under [room]"
         raise InputError(what, where=str(room), found="--unit or --up", needed=needed, hint=hint)
-    from roomfit.io.remedies import advice
+    from roomfit.files.remedies import advice
 
     campaign = read_campaign(room)
     result = check_campaign(campaign)
@@ -87,7 +87,7 @@ def run(options: argparse.Namespace) -> None:
         sys.exit(2)
     if campaign.spectra:
         return  # of impedances: there are no recordings to examine
-    from roomfit.commands import check_campaign_recordings  # all of roomfit: not for a room
+    from roomfit.cli.commands import check_campaign_recordings  # all of roomfit: not for a room
     from roomfit.report.text import recordings_text
 
     with shown_progress("examining recordings (longer the first time, which compiles)"):
@@ -123,13 +123,13 @@ def _remedy(options: argparse.Namespace) -> None:
     InputError
         No finding advises it, or the campaign cannot be edited.
     """
-    from roomfit.errors import InputError
-    from roomfit.io import edits
-    from roomfit.io.campaign import read_campaign
-    from roomfit.io.encoding import finding_of
-    from roomfit.io.exports import read_result_content
-    from roomfit.io.inputs import check_campaign
-    from roomfit.io.remedies import advised, changed_since, chosen
+    from roomfit.base.errors import InputError
+    from roomfit.files import edits
+    from roomfit.files.campaign import read_campaign
+    from roomfit.files.encoding import finding_of
+    from roomfit.files.exports import read_result_content
+    from roomfit.files.inputs import check_campaign
+    from roomfit.files.remedies import advised, changed_since, chosen
 
     file: Path = options.room
     if options.undo and options.remedy is None and options.result is None:
@@ -151,7 +151,7 @@ def _remedy(options: argparse.Namespace) -> None:
         findings = [finding_of(one, str(path)) for one in content["findings"]]
         found = advised(findings, campaign, changed=changed_since(content, file))
     else:
-        from roomfit.commands import check_campaign_recordings
+        from roomfit.cli.commands import check_campaign_recordings
 
         with shown_progress("examining recordings (longer the first time, which compiles)"):
             checked = check_campaign_recordings(campaign, between_hz=options.bands)

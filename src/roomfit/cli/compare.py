@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.commands import compare_to_folder
+    from roomfit.cli.commands import compare_to_folder
 
     compared = compare_to_folder(
         result_file(options, options.first),

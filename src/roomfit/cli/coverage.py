@@ -56,7 +56,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.commands import estimate_coverage_to_folder
+    from roomfit.cli.commands import estimate_coverage_to_folder
     from roomfit.coverage.synthetic_room import CoverageSettings
 
     settings = CoverageSettings(

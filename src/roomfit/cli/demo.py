@@ -11,8 +11,8 @@ from roomfit.cli.terminal import say
 from roomfit.report.progress import shown_progress
 
 if TYPE_CHECKING:
-    from roomfit.results import Result
-    from roomfit.typing import BoolArray, FloatArray
+    from roomfit.base.typing import BoolArray, FloatArray
+    from roomfit.result import Result
 
 
 def add(commands: Commands) -> None:
@@ -29,7 +29,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.commands import run_demo
+    from roomfit.cli.commands import run_demo
     from roomfit.report.text import findings_text
 
     out: Path = options.out

@@ -33,7 +33,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.commands import design_to_folder
+    from roomfit.cli.commands import design_to_folder
 
     wanted = {
         "n_candidates": options.candidates,

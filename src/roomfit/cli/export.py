@@ -34,7 +34,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.commands import export_result
+    from roomfit.cli.commands import export_result
 
     written = export_result(
         result_file(options, options.result),

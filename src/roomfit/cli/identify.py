@@ -14,8 +14,8 @@ from roomfit.cli.terminal import say
 from roomfit.report.progress import shown_progress
 
 if TYPE_CHECKING:
-    from roomfit.io.remedies import Advice
-    from roomfit.results import Result
+    from roomfit.files.remedies import Advice
+    from roomfit.result import Result
 
 
 def add(commands: Commands) -> None:
@@ -39,7 +39,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.commands import identify_to_folder
+    from roomfit.cli.commands import identify_to_folder
     from roomfit.report.text import answer_text
 
     with ExitStack() as line:

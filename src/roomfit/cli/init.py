@@ -57,10 +57,10 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> None:
     import tomllib
 
-    from roomfit.commands import draft_to_folder
-    from roomfit.errors import InputError
-    from roomfit.io.campaign import blanks
-    from roomfit.io.rooms.model import RoomSpec
+    from roomfit.base.errors import InputError
+    from roomfit.cli.commands import draft_to_folder
+    from roomfit.files.campaign import blanks
+    from roomfit.files.rooms.model import RoomSpec
     from roomfit.report.wording import count
 
     if options.room is not None and options.shoebox is not None:
@@ -103,11 +103,11 @@ def run(options: argparse.Namespace) -> None:
 
 def _hints(options: argparse.Namespace, written: dict[str, Any]) -> Iterator[str]:
     """Say what was passed over, and which files may be what is missing."""
-    from roomfit.errors import InputError
-    from roomfit.io.draft import read_positions, recordings_in
-    from roomfit.io.file_names import in_short
-    from roomfit.io.reverberation import read_decay_times
-    from roomfit.io.rooms import READERS
+    from roomfit.base.errors import InputError
+    from roomfit.files.draft import read_positions, recordings_in
+    from roomfit.files.file_names import in_short
+    from roomfit.files.reverberation import read_decay_times
+    from roomfit.files.rooms import READERS
 
     folder: Path = options.folder
     if options.decay_times is None and options.recordings is None:
@@ -154,7 +154,7 @@ def _hints(options: argparse.Namespace, written: dict[str, Any]) -> Iterator[str
 
 def _asked(room: Path, space: str | None) -> tuple[str | None, str]:
     """Ask for the unit where it is in doubt."""
-    from roomfit.io.draft import likely_units
+    from roomfit.files.draft import likely_units
 
     units = likely_units(room, space)
     if len(units) < 2:

@@ -35,10 +35,10 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.prediction.campaign import WantedPairs
-    from roomfit.prediction.changes import read_change
-    from roomfit.prediction.output import listen_text
-    from roomfit.predictions import listen_to_folder
+    from roomfit.cli.predictions import listen_to_folder
+    from roomfit.predict.campaign import WantedPairs
+    from roomfit.predict.changes import read_change
+    from roomfit.predict.output import listen_text
 
     with shown_progress("listening") as progress:
         content = listen_to_folder(

@@ -33,10 +33,10 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.commands import measure_to_folder
-    from roomfit.errors import InputError
-    from roomfit.io.responses.sweep import SweepPlan
-    from roomfit.io.sound_card import SoundCard, devices_text, sounddevice
+    from roomfit.base.errors import InputError
+    from roomfit.cli.commands import measure_to_folder
+    from roomfit.files.responses.sweep import SweepPlan
+    from roomfit.files.sound_card import SoundCard, devices_text, sounddevice
 
     if options.list:
         say(devices_text(sounddevice()))

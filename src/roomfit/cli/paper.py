@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.suh2001.output import paper_text, run_paper
+    from roomfit.paper.output import paper_text, run_paper
 
     with shown_progress("repeating the paper") as progress:
         result = run_paper(

@@ -46,9 +46,9 @@ def _grid(text: str) -> tuple[float, float]:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.prediction.campaign import WantedPairs, pair_choice
-    from roomfit.prediction.changes import read_change
-    from roomfit.predictions import predict_to_folder
+    from roomfit.cli.predictions import predict_to_folder
+    from roomfit.predict.campaign import WantedPairs, pair_choice
+    from roomfit.predict.changes import read_change
 
     changes = [read_change(text) for text in options.changes or []]
     wanted = WantedPairs(

@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.predictions import reverberation_to_folder
+    from roomfit.cli.predictions import reverberation_to_folder
     from roomfit.report.text import diffuse_text
 
     found = reverberation_to_folder(options.campaign, options.out, overwrite=options.overwrite)

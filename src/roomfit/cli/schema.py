@@ -21,8 +21,8 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> None:
     import json
 
-    from roomfit._checks import check_known
-    from roomfit.io.schema import campaign_schema, treatment_schema
+    from roomfit.base.arguments import check_known
+    from roomfit.files.schema import campaign_schema, treatment_schema
 
     schemas = {"campaign": campaign_schema, "treatment": treatment_schema}
     check_known("no schema of this name", options.of, schemas)

@@ -25,8 +25,8 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.prediction.campaign import WantedPairs, pair_choice
-    from roomfit.predictions import treat_to_folder
+    from roomfit.cli.predictions import treat_to_folder
+    from roomfit.predict.campaign import WantedPairs, pair_choice
 
     pairs = pair_choice(options.pairs)
     wanted = WantedPairs(pairs, options.state or "", doubted=options.doubted)

@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from roomfit.cache import (
+from roomfit.base.air import attenuation_per_m
+from roomfit.base.cache import (
     check_output_folder,
     hidden_folder,
     make_folder,
@@ -26,23 +27,17 @@ from roomfit.cache import (
     shared_folder,
     write_json_atomically,
 )
-from roomfit.core import (
-    BoolArray,
-    Code,
-    FloatArray,
-    InputError,
-    InsufficientDataError,
-    Progress,
-    Result,
-    RoomfitError,
-    StoreError,
-    attenuation_per_m,
-    expit,
-    eyring_absorption,
-    identify,
-    part,
-    prior_logit_law,
-    volume_m3,
+from roomfit.base.errors import InputError, InsufficientDataError, RoomfitError, StoreError
+from roomfit.base.findings import Code, code_of
+from roomfit.base.logit import expit
+from roomfit.base.typing import BoolArray, FloatArray, Progress, part
+from roomfit.base.workers import (
+    bundled,
+    cluster_pool,
+    completed,
+    keep_one_thread,
+    result_of,
+    worker_pool,
 )
 from roomfit.coverage.simulate import (
     synthetic_campaign,
@@ -57,20 +52,14 @@ from roomfit.coverage.synthetic_room import (
     coverage_plan,
     draw_synthetic_room,
 )
-from roomfit.findings import code_of
-from roomfit.geometry.mesh import surface_area_m2
-from roomfit.identification import compile_kernels
-from roomfit.io.campaign import Campaign
-from roomfit.io.encoding import written_content
-from roomfit.io.inputs import identify_arguments
-from roomfit.workers import (
-    bundled,
-    cluster_pool,
-    completed,
-    keep_one_thread,
-    result_of,
-    worker_pool,
-)
+from roomfit.files.campaign import Campaign
+from roomfit.files.encoding import written_content
+from roomfit.files.inputs import identify_arguments
+from roomfit.identify import compile_kernels, identify
+from roomfit.materials.priors import prior_logit_law
+from roomfit.model.eyring import eyring_absorption
+from roomfit.result import Result
+from roomfit.room.mesh import surface_area_m2, volume_m3
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -338,8 +327,8 @@ class CoverageResult:
 
         Without pandas, on which roomfit does not depend, an `InputError` says what to install.
         """
+        from roomfit.base.table import data_frame
         from roomfit.coverage.output import coverage_records
-        from roomfit.table import data_frame
 
         return data_frame(coverage_records(self), "coverage.csv")
 

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from roomfit.base.table import Column, Table, html_of, text_of
 from roomfit.coverage.statistics import (
     CoverageRow,
     CoverageSample,
@@ -17,9 +18,8 @@ from roomfit.coverage.statistics import (
     coverage_at,
     coverage_rows,
 )
-from roomfit.io.encoding import number_or_null
+from roomfit.files.encoding import number_or_null
 from roomfit.report.figures import OKABE_ITO, new_figure
-from roomfit.table import Column, Table, html_of, text_of
 
 if TYPE_CHECKING:
     from roomfit.coverage.estimate import CoverageResult

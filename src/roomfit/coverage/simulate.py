@@ -14,32 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.cache import write_text_atomically
-from roomfit.core import (
-    Bands,
-    BoolArray,
-    FloatArray,
-    ImpulseResponse,
-    Pattern,
-    Scene,
-    Settings,
-    UnknownDirectivity,
-    ValueName,
-    attenuation_per_m,
-    coherent_paths,
-    material_areas_m2,
-    volume_m3,
-)
+from roomfit.base.air import attenuation_per_m
+from roomfit.base.bands import Bands
+from roomfit.base.cache import write_text_atomically
+from roomfit.base.table import Table, csv_of
+from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.coverage.synthetic_room import CoveragePlan, SyntheticRoom
-from roomfit.eyring import eyring_time_s
-from roomfit.geometry.mesh import surface_area_m2
-from roomfit.io.campaign import Campaign, MeasuredTable
-from roomfit.io.iso3382 import NAMES
-from roomfit.io.responses.recordings import ResponseSpec
-from roomfit.signals.decay import PARAMETER_NAMES, decay_curve, room_parameters
-from roomfit.signals.filters import filter_pressure
-from roomfit.signals.response import padded
-from roomfit.synthetic.boxes import (
+from roomfit.demo.boxes import (
     ECHOGRAM_BIN_S,
     PRESSURE_SQUARED,
     SyntheticBox,
@@ -51,8 +32,20 @@ from roomfit.synthetic.boxes import (
     spectrum_of_impulses,
     specular_box,
 )
-from roomfit.synthetic.polyhedra import SyntheticPolyhedron, convex_cells, pressure_responses
-from roomfit.table import Table, csv_of
+from roomfit.demo.polyhedra import SyntheticPolyhedron, convex_cells, pressure_responses
+from roomfit.files.campaign import Campaign, MeasuredTable
+from roomfit.files.iso3382 import NAMES
+from roomfit.files.responses.recordings import ResponseSpec
+from roomfit.fit.traced_room import coherent_paths
+from roomfit.model.eyring import eyring_time_s
+from roomfit.model.patterns import Pattern, UnknownDirectivity
+from roomfit.room.mesh import surface_area_m2, volume_m3
+from roomfit.room.scene import Scene, material_areas_m2
+from roomfit.settings import Settings
+from roomfit.signals.decay import PARAMETER_NAMES, decay_curve, room_parameters
+from roomfit.signals.filters import filter_pressure
+from roomfit.signals.iso3382 import ValueName
+from roomfit.signals.response import ImpulseResponse, padded
 from roomfit.tracing.paths import Paths, hits
 
 _OVERSAMPLING = 8

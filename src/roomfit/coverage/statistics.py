@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import betaincinv, ndtri
 
-from roomfit.core import Z95, Bands, BoolArray, FloatArray, logit
+from roomfit.base.bands import Bands
+from roomfit.base.logit import Z95, logit
+from roomfit.base.typing import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

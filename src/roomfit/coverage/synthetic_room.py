@@ -11,36 +11,26 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit._checks import check_range, read_only
-from roomfit.air import relative_speed_sd
-from roomfit.cache import code_digest, digest
-from roomfit.core import (
-    AbsorptionPosterior,
-    Bands,
-    Directivity,
-    FloatArray,
-    InputError,
-    InsufficientDataError,
-    IntArray,
-    MaterialPrior,
-    Point,
-    Room,
-    UnknownDirectivity,
-    ValueName,
-    expit,
-    logit,
-    prior_logit_law,
-    speed_of_sound_m_s,
-)
-from roomfit.inversion.measurements import collect_measurements
-from roomfit.io.campaign import Campaign, input_files, refuse_objects
-from roomfit.io.door import read_bytes
-from roomfit.io.encoding import ResultFile, path_of
-from roomfit.io.inputs import CampaignInputs
-from roomfit.io.results import read_result
-from roomfit.objective.directivity import DEFAULT_B_SD
-from roomfit.objective.observation import DEFAULT_POSITION_SD_M
-from roomfit.scene import position_findings
+from roomfit.base.air import relative_speed_sd, speed_of_sound_m_s
+from roomfit.base.arguments import check_range, read_only
+from roomfit.base.bands import Bands
+from roomfit.base.cache import code_digest, digest
+from roomfit.base.errors import InputError, InsufficientDataError
+from roomfit.base.logit import expit, logit
+from roomfit.base.typing import FloatArray, IntArray
+from roomfit.files.campaign import Campaign, input_files, refuse_objects
+from roomfit.files.door import read_bytes
+from roomfit.files.encoding import ResultFile, path_of
+from roomfit.files.inputs import CampaignInputs
+from roomfit.files.results import read_result
+from roomfit.fit.measurements import collect_measurements
+from roomfit.materials.priors import MaterialPrior, prior_logit_law
+from roomfit.model.directivity import DEFAULT_B_SD
+from roomfit.model.observation import DEFAULT_POSITION_SD_M
+from roomfit.model.patterns import Directivity, UnknownDirectivity
+from roomfit.room.scene import Point, Room, position_findings
+from roomfit.signals.iso3382 import ValueName
+from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,19 +13,13 @@ from typing import TypedDict
 
 import numpy as np
 
-from roomfit._checks import check_known
-from roomfit.air import relative_speed_sd, speed_of_sound_m_s
-from roomfit.cache import check_output_folder, sole_writer
-from roomfit.errors import InputError, located
-from roomfit.findings import Finding
-from roomfit.impedance.data import Observed, damped_noise, damped_spectrum
-from roomfit.impedance.fit import WallModel
-from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
-from roomfit.impedance.laws import LAWS, Parameter
-from roomfit.impedance.result import ImpedanceResult
-from roomfit.impedance.wave_model import GainMode, Nuisances
-from roomfit.inversion.measurements import from_emission
-from roomfit.io.campaign import (
+from roomfit.base.air import relative_speed_sd, speed_of_sound_m_s
+from roomfit.base.arguments import check_known
+from roomfit.base.cache import check_output_folder, sole_writer
+from roomfit.base.errors import InputError, located
+from roomfit.base.findings import Finding
+from roomfit.base.typing import ComplexArray, FloatArray, Progress, part
+from roomfit.files.campaign import (
     Campaign,
     MeasuredFile,
     MeasuredSpectrum,
@@ -33,14 +27,20 @@ from roomfit.io.campaign import (
     read_campaign,
     refuse_objects,
 )
-from roomfit.io.door import check_files, files_read, npz_arrays, read_bytes, reading_noted
-from roomfit.io.inputs import read_file
-from roomfit.io.rooms import read_room
-from roomfit.io.schema import MaterialTable
-from roomfit.measurement import LATENCY_SD_S
-from roomfit.scene import Room, Scene, distances_m, scene_of
+from roomfit.files.door import check_files, files_read, npz_arrays, read_bytes, reading_noted
+from roomfit.files.inputs import read_file
+from roomfit.files.rooms import read_room
+from roomfit.files.schema import MaterialTable
+from roomfit.fit.measurements import from_emission
+from roomfit.impedance.data import Observed, damped_noise, damped_spectrum
+from roomfit.impedance.fit import WallModel
+from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
+from roomfit.impedance.laws import LAWS, Parameter
+from roomfit.impedance.result import ImpedanceResult
+from roomfit.impedance.wave_model import GainMode, Nuisances
+from roomfit.room.scene import Room, Scene, distances_m, scene_of
+from roomfit.signals.measurement import LATENCY_SD_S
 from roomfit.signals.response import check_travel, compare_onset, find_onset
-from roomfit.typing import ComplexArray, FloatArray, Progress, part
 
 # A loudspeaker is not flat: unless a response is absolute, its source has a spectrum of its own.
 _RESPONSE_GAINS: dict[str | None, GainMode] = {

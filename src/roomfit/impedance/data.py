@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomfit._checks import check_range, float_array, read_only
-from roomfit.errors import InputError
+from roomfit.base.arguments import check_range, float_array, read_only
+from roomfit.base.errors import InputError
+from roomfit.base.typing import ComplexArray, FloatArray
 from roomfit.signals.response import ImpulseResponse, times_s
-from roomfit.typing import ComplexArray, FloatArray
 
 # Error of the image model itself against exact wave fields, spherical or plane waves at the walls:
 # this over the wavenumber times the mean free path; see docs/impedance.md.

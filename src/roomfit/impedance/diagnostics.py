@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from roomfit.findings import About, Code, Finding
-from roomfit.geometry.mesh import mean_free_path_m
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import ComplexArray, FloatArray
 from roomfit.impedance.data import Observed, level_at, model_error
 from roomfit.impedance.fit import (
     ImpedanceFit,
@@ -30,8 +30,8 @@ from roomfit.impedance.result import (
     material_impedance,
 )
 from roomfit.impedance.wave_model import Nuisances, gradients, has_free_spectra
-from roomfit.scene import Scene
-from roomfit.typing import ComplexArray, FloatArray
+from roomfit.room.mesh import mean_free_path_m
+from roomfit.room.scene import Scene
 
 # Frequencies from which a curve couples them, so that phases can be done without.
 _COUPLED = 4

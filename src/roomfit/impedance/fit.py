@@ -18,8 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roomfit._checks import check_known
-from roomfit.errors import InputError
+from roomfit.base.arguments import check_known
+from roomfit.base.errors import InputError
+from roomfit.base.typing import ComplexArray, FloatArray, Progress
 from roomfit.impedance.data import complex_frequency_hz
 from roomfit.impedance.laws import (
     LAWS,
@@ -44,9 +45,8 @@ from roomfit.impedance.problem import (
     state_of,
 )
 from roomfit.impedance.wave_model import State, at_frequencies, frozen_correction, has_free_spectra
-from roomfit.solvers.ending import Ending
-from roomfit.solvers.levenberg_marquardt import MarquardtSettings, Minimum, levenberg_marquardt
-from roomfit.typing import ComplexArray, FloatArray, Progress
+from roomfit.solver.ending import Ending
+from roomfit.solver.levenberg_marquardt import MarquardtSettings, Minimum, levenberg_marquardt
 
 # A step that lowers the cost by less than a share of it is the last one.
 _SETTINGS = MarquardtSettings(

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roomfit._checks import check_known, check_range
-from roomfit._numba import one_blas_thread
-from roomfit.geometry.mesh import mean_free_path_m
+from roomfit.base.arguments import check_known, check_range
+from roomfit.base.kernels import one_blas_thread
+from roomfit.base.typing import FloatArray, Progress, part
 from roomfit.impedance.data import (
     MODEL_ERROR,
     PLANE_MODEL_ERROR,
@@ -42,8 +42,8 @@ from roomfit.impedance.laws import causal_curve, constant
 from roomfit.impedance.problem import Problem
 from roomfit.impedance.result import ImpedanceResult
 from roomfit.impedance.wave_model import Nuisances, WaveModel, model_without_paths, wave_model
-from roomfit.scene import Scene
-from roomfit.typing import FloatArray, Progress, part
+from roomfit.room.mesh import mean_free_path_m
+from roomfit.room.scene import Scene
 
 _LOG = logging.getLogger("roomfit")
 
@@ -145,10 +145,10 @@ def identify_impedance(
     --------
     A box with one material of R0 = 0.6 at every frequency; pressures by the image model itself.
 
-    >>> from roomfit.air import Air
-    >>> from roomfit.geometry.mesh import shoebox_mesh
+    >>> from roomfit.base.air import Air
+    >>> from roomfit.room.mesh import shoebox_mesh
     >>> from roomfit.impedance.wave_model import at_rest, predicted_pressure, wave_model
-    >>> from roomfit.scene import Point, Scene, room_from_mesh
+    >>> from roomfit.room.scene import Point, Scene, room_from_mesh
     >>> sides = dict.fromkeys(("west", "east", "south", "north", "floor", "ceiling"), "walls")
     >>> room = room_from_mesh(shoebox_mesh((5.0, 4.0, 3.0)), sides, (5.0, 4.0, 3.0))
     >>> sources = (Point("S", [1.2, 1.1, 1.3]),)

@@ -15,8 +15,8 @@ from typing import Protocol
 import numpy as np
 from scipy.interpolate import BSpline
 
-from roomfit.logit import expit, logit
-from roomfit.typing import ComplexArray, FloatArray, IntArray
+from roomfit.base.logit import expit, logit
+from roomfit.base.typing import ComplexArray, FloatArray, IntArray
 
 _KNOTS_PER_OCTAVE = 4
 _CLOSEST_KNOTS_HZ = 25.0

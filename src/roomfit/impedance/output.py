@@ -11,21 +11,21 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 
-from roomfit.cache import (
+from roomfit.base.cache import (
     whole_output_folder,
     write_bytes_atomically,
     write_json_atomically,
     write_text_atomically,
 )
-from roomfit.io.encoding import (
+from roomfit.base.table import Column, Table, Value, csv_of
+from roomfit.base.typing import ComplexArray, FloatArray
+from roomfit.files.encoding import (
     finding_content,
     number_or_null,
     numbers_or_null,
     provenance,
 )
 from roomfit.report.figures import OKABE_ITO, new_figure, png
-from roomfit.table import Column, Table, Value, csv_of
-from roomfit.typing import ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     from roomfit.impedance.result import ImpedanceResult, MaterialImpedance

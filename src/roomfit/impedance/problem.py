@@ -11,9 +11,9 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from roomfit._checks import read_only
-from roomfit.errors import InputError
-from roomfit.geometry.mesh import mean_free_path_m
+from roomfit.base.arguments import read_only
+from roomfit.base.errors import InputError
+from roomfit.base.typing import ComplexArray, FloatArray, IntArray
 from roomfit.impedance.data import (
     MODEL_ERROR,
     Observed,
@@ -30,8 +30,8 @@ from roomfit.impedance.wave_model import (
     gradients,
     has_free_spectra,
 )
-from roomfit.scene import Point, Scene
-from roomfit.typing import ComplexArray, FloatArray, IntArray
+from roomfit.room.mesh import mean_free_path_m
+from roomfit.room.scene import Point, Scene
 
 
 class Moves(NamedTuple):

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from roomfit._checks import check_known, read_only
-from roomfit.findings import Finding
+from roomfit.base.arguments import check_known, read_only
+from roomfit.base.findings import Finding
+from roomfit.base.table import Column, Table, data_frame, html_of, text_of
+from roomfit.base.typing import BoolArray, ComplexArray, FloatArray
 from roomfit.impedance.laws import absorption_normal, absorption_random, impedance_of_r0
-from roomfit.table import Column, Table, data_frame, html_of, text_of
-from roomfit.typing import BoolArray, ComplexArray, FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -21,8 +21,8 @@ import math
 
 import numpy as np
 
-from roomfit._numba import kernel
-from roomfit.typing import ComplexArray, FloatArray, IntArray
+from roomfit.base.kernels import kernel
+from roomfit.base.typing import ComplexArray, FloatArray, IntArray
 
 # From here on six terms of the asymptotic series leave less than 1e-7 of the answer.
 _FAR = 36.0

@@ -12,12 +12,13 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from roomfit._checks import check_known, check_range, read_only
-from roomfit.air import pressure_decay_per_m, speed_of_sound_m_s
-from roomfit.errors import InputError
-from roomfit.geometry.mesh import area_vectors_m2, mean_free_path_m, volume_m3
+from roomfit.base.air import pressure_decay_per_m, speed_of_sound_m_s
+from roomfit.base.arguments import check_known, check_range, read_only
+from roomfit.base.errors import InputError
+from roomfit.base.typing import ComplexArray, FloatArray, IntArray
 from roomfit.impedance.wave_kernels import pressure_gradients, pressures
-from roomfit.scene import Room, Scene, distances_m, triangle_material
+from roomfit.room.mesh import area_vectors_m2, mean_free_path_m, volume_m3
+from roomfit.room.scene import Room, Scene, distances_m, triangle_material
 from roomfit.tracing.image_sources import (
     affordable_duration_s,
     expected_images,
@@ -27,7 +28,6 @@ from roomfit.tracing.image_sources import (
 )
 from roomfit.tracing.lattice import images_within, wall_hits
 from roomfit.tracing.paths import ImageSet, unfolded_normals
-from roomfit.typing import ComplexArray, FloatArray, IntArray
 
 # Reflections times frequencies, of all pairs: a fit of so many takes some ten minutes on one core.
 MOST_REFLECTIONS = 1e9

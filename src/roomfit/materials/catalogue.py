@@ -19,11 +19,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit._checks import did_you_mean, nearest, read_only
-from roomfit.bands import Bands
-from roomfit.errors import InputError, located
-from roomfit.findings import About, Code, Finding
-from roomfit.logit import expit, logit
+from roomfit.base.arguments import did_you_mean, nearest, read_only
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError, located
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.logit import expit, logit
+from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import (
     DEFAULT_MEAN,
     MaterialPrior,
@@ -31,7 +32,6 @@ from roomfit.materials.priors import (
     logit_prior,
     unknown_material,
 )
-from roomfit.typing import FloatArray
 
 OCTAVES_HZ = (63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
 LEAST_ALPHA = 0.005  # half of what tables print last
@@ -515,7 +515,7 @@ def material_prior(
 
     Examples
     --------
-    >>> from roomfit.bands import bands_between
+    >>> from roomfit.base.bands import bands_between
     >>> glass = material_prior("glass", bands_between("octave", 250, 500), absorption=0.04)
     >>> glass.known
     array([0.04, 0.04])

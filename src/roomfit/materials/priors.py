@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit._checks import check_known, float_array, unique_names
-from roomfit.bands import Bands
-from roomfit.errors import InputError
-from roomfit.logit import expit, logit
-from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.base.arguments import check_known, float_array, unique_names
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError
+from roomfit.base.logit import expit, logit
+from roomfit.base.typing import BoolArray, FloatArray, IntArray
 
 # A broad prior of absorption: 95 % of it from 0.01 to 0.77.
 DEFAULT_MEAN = 0.15
@@ -281,7 +281,7 @@ def object_prior(
     """Return what is known of the equivalent absorption area of an object, in a room's volume.
 
     To be given to `roomfit.identify` among the materials; the room has the object by
-    `roomfit.scene.with_objects`.
+    `roomfit.room.scene.with_objects`.
 
     Parameters
     ----------

@@ -13,7 +13,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.special import ndtr, ndtri
 
-from roomfit.errors import InputError
+from roomfit.base.errors import InputError
+from roomfit.base.table import Cell, Column, Table, text_of
+from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.report.figures import OKABE_ITO, band_panels, frame_panels, frequency_axis, literal
 from roomfit.report.html import tables_page
 from roomfit.report.wording import (
@@ -25,8 +27,6 @@ from roomfit.report.wording import (
     listing,
     number,
 )
-from roomfit.table import Cell, Column, Table, text_of
-from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 Verdict = Literal["changed", "perhaps", "no", "given"]

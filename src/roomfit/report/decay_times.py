@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
+from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.report.figures import OKABE_ITO, figure_legend, literal, new_figure
 from roomfit.report.wording import number, short_hertz
 from roomfit.signals.decay import jnd_of
-from roomfit.typing import BoolArray, FloatArray
 
 # Of these the mean is the single number of a decay time (ISO 3382-1:2009, table A.1).
 MID_HZ = (500.0, 1000.0)

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from roomfit.air import attenuation_per_m
-from roomfit.diagnostics.decay import DECAY_SCATTER, mean_miss
-from roomfit.findings import Code
-from roomfit.geometry.mesh import volume_m3
+from roomfit.base.air import attenuation_per_m
+from roomfit.base.findings import Code
+from roomfit.base.table import Cell, Table
+from roomfit.base.typing import FloatArray
+from roomfit.checks.decay import DECAY_SCATTER, mean_miss
 from roomfit.report.html_tables import parameter_keys
 from roomfit.report.wording import (
     band_ranges,
@@ -21,10 +22,9 @@ from roomfit.report.wording import (
     number,
     parameter,
 )
-from roomfit.results import ComparedPair, Result
-from roomfit.scene import Scene
-from roomfit.table import Cell, Table
-from roomfit.typing import FloatArray
+from roomfit.result import ComparedPair, Result
+from roomfit.room.mesh import volume_m3
+from roomfit.room.scene import Scene
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
 
 _AUDIBLE_JND, _BEYOND_SDS = 1.0, 2.0
@@ -52,7 +52,7 @@ def disagreement_table(answer: Result, scene: Scene) -> Table | None:
 
     References
     ----------
-    .. [1] ISO 3382-2:2008, annex A; as in `roomfit.diagnostics.decay.decay_misses`.
+    .. [1] ISO 3382-2:2008, annex A; as in `roomfit.checks.decay.decay_misses`.
     """
     kept = [pair for pair in answer.pairs if pair.use == "validate"]
     pairs = kept or list(answer.pairs)

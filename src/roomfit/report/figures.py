@@ -32,11 +32,11 @@ from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from matplotlib.transforms import IdentityTransform
 
-from roomfit.cache import write_bytes_atomically
-from roomfit.logit import expit
+from roomfit.base.cache import write_bytes_atomically
+from roomfit.base.logit import expit
+from roomfit.base.typing import FloatArray, Progress
 from roomfit.report.wording import decay_time_key, number, parameter, short_hertz, shortened
-from roomfit.results import ComparedPair, Decay, Result
-from roomfit.typing import FloatArray, Progress
+from roomfit.result import ComparedPair, Decay, Result
 from roomfit.uncertainty.gaussian import WIDEST_IDENTIFIABLE
 from roomfit.uncertainty.profile import RISE95, Profile, profile_curve
 

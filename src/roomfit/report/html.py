@@ -20,10 +20,11 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from roomfit.errors import InputError
-from roomfit.findings import Code, Finding, Severity
-from roomfit.geometry.mesh import surface_area_m2, volume_m3
-from roomfit.inversion.diffuse import FORMULAS, DiffuseAbsorption
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Code, Finding, Severity
+from roomfit.base.table import Cell, Table, html_of
+from roomfit.base.typing import BoolArray
+from roomfit.predict.diffuse_field import FORMULAS, DiffuseAbsorption
 from roomfit.report.decay_times import Series, decay_time_figure
 from roomfit.report.disagreement import disagreement_table
 from roomfit.report.figures import (
@@ -75,14 +76,13 @@ from roomfit.report.wording import (
     number,
     parameter,
 )
-from roomfit.results import ComparedPair, Result
-from roomfit.scene import Scene, wall_materials
-from roomfit.table import Cell, Table, html_of
-from roomfit.typing import BoolArray
+from roomfit.result import ComparedPair, Result
+from roomfit.room.mesh import surface_area_m2, volume_m3
+from roomfit.room.scene import Scene, wall_materials
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE
 
 if TYPE_CHECKING:
-    from roomfit.io.remedies import Advice
+    from roomfit.files.remedies import Advice
 
 _SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "info")
 _MOST_ENDS, _MOST_NAMES = 3, 8
@@ -394,7 +394,7 @@ def report_html(
         Those of `answer_figures`, `mean_decay_figure` ("decay_times") and `room_figure` ("room"),
         where they are written as files, too.
     advice : mapping of Code to lines, optional
-        What findings advise to write into the campaign, see `roomfit.io.remedies.advice`.
+        What findings advise to write into the campaign, see `roomfit.files.remedies.advice`.
 
     Returns
     -------

@@ -14,12 +14,14 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit.air import attenuation_per_m
-from roomfit.diagnostics.decay import DECAY_SCATTER
-from roomfit.geometry.mesh import volume_m3
-from roomfit.io.budget import SOURCES, Budget, contribution, share, uncertainty_budget
-from roomfit.logit import Z95
-from roomfit.objective.directivity import FittedDirectivity
+from roomfit.base.air import attenuation_per_m
+from roomfit.base.logit import Z95
+from roomfit.base.table import Cell, Table, Value
+from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.checks.decay import DECAY_SCATTER
+from roomfit.files.budget import SOURCES, Budget, contribution, share, uncertainty_budget
+from roomfit.model.directivity import FittedDirectivity
+from roomfit.model.patterns import axial_index_db
 from roomfit.report.room_figure import material_colour
 from roomfit.report.text import pair_sti
 from roomfit.report.wording import (
@@ -36,12 +38,10 @@ from roomfit.report.wording import (
     parameter,
     shortened,
 )
-from roomfit.response.directivity import axial_index_db
-from roomfit.results import Compared, ComparedPair, Result, Use, certificate_distance
-from roomfit.scene import Room, Scene, material_areas_m2, wall_materials
+from roomfit.result import Compared, ComparedPair, Result, Use, certificate_distance
+from roomfit.room.mesh import volume_m3
+from roomfit.room.scene import Room, Scene, material_areas_m2, wall_materials
 from roomfit.signals.decay import in_jnd
-from roomfit.table import Cell, Table, Value
-from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
 
 NOT_IDENTIFIABLE = "not identif."

@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # it needs numpy, which `roomfit --help` must not wait for
-    from roomfit.typing import Progress
+    from roomfit.base.typing import Progress
 
 _EVERY_S = 0.5
 # Before, a pace is that of what came first; and stages differ in theirs.

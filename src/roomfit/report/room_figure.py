@@ -16,10 +16,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from roomfit.geometry.mesh import area_vectors_m2, corners_m
+from roomfit.base.typing import FloatArray, IntArray
 from roomfit.report.figures import NARROW_IN, OKABE_ITO, PlainFigure, literal
-from roomfit.scene import Room, Scene, triangle_material, wall_materials
-from roomfit.typing import FloatArray, IntArray
+from roomfit.room.mesh import area_vectors_m2, corners_m
+from roomfit.room.scene import Room, Scene, triangle_material, wall_materials
 
 _SAME_PLANE = 0.9995
 """Cosine between normals above which two faces look flat together, 1.8 degrees."""

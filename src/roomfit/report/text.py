@@ -10,21 +10,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from roomfit.findings import Code, Finding
-from roomfit.logit import Z95, expit
+from roomfit.base.findings import Code, Finding
+from roomfit.base.logit import Z95, expit
+from roomfit.base.table import Column, Table, Value, text_of
+from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry
+from roomfit.model.patterns import axial_index_db
 from roomfit.report.wording import PARAMETERS, decay_time_key, parameter, short_hertz
-from roomfit.response.directivity import axial_index_db
-from roomfit.scene import RoomCheck
+from roomfit.room.scene import RoomCheck
 from roomfit.signals.speech import sti_of_decay
-from roomfit.table import Column, Table, Value, text_of
-from roomfit.typing import BoolArray, FloatArray
 
 if TYPE_CHECKING:  # heavy, and no text of a room needs them
-    from roomfit.diagnostics.usable import CheckedRecordings
-    from roomfit.inversion.diffuse import DiffuseAbsorption
-    from roomfit.io.remedies import Advice
-    from roomfit.results import ComparedPair, Result
+    from roomfit.checks.usable import CheckedRecordings
+    from roomfit.files.remedies import Advice
+    from roomfit.predict.diffuse_field import DiffuseAbsorption
+    from roomfit.result import ComparedPair, Result
 
 # A recording has all parameters, and these represent them; a table of room parameters has the
 # measured ones only, and all of it is shown.
@@ -453,7 +453,7 @@ DIFFUSE_WORDS = (
 
 def diffuse_text(found: DiffuseAbsorption) -> str:
     """Return mean absorption and materials by each formula, and what may be concluded from them."""
-    from roomfit.inversion.diffuse import FORMULAS
+    from roomfit.predict.diffuse_field import FORMULAS
 
     times = [f"{t:.2f} +- {sd:.2f}" for t, sd in zip(found.decay_s, found.decay_sd_s, strict=True)]
     rows: list[Sequence[Value]] = [("decay time, s", *times)]
@@ -467,7 +467,7 @@ def diffuse_text(found: DiffuseAbsorption) -> str:
 
 def diffuse_records(found: DiffuseAbsorption) -> Table:
     """Return the content of reverberation.csv; material "" is the mean of the room."""
-    from roomfit.inversion.diffuse import FORMULAS
+    from roomfit.predict.diffuse_field import FORMULAS
 
     rows = []
     for i, formula in enumerate(FORMULAS):

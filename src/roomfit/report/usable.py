@@ -7,8 +7,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from roomfit.diagnostics.remaining import VOID_ANY_MEAN, Remaining, what_remains
-from roomfit.findings import Code
+from roomfit.base.findings import Code
+from roomfit.base.typing import IntArray
+from roomfit.checks.remaining import VOID_ANY_MEAN, Remaining, what_remains
 from roomfit.report.wording import (
     band_ranges,
     coefficient,
@@ -18,8 +19,7 @@ from roomfit.report.wording import (
     number,
     parameter,
 )
-from roomfit.results import Result
-from roomfit.typing import IntArray
+from roomfit.result import Result
 
 # Why walls are void, as part of a sentence; of every code that voids them.
 REASONS: Mapping[Code, str] = MappingProxyType(

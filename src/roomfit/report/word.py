@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from importlib import import_module
 from typing import Any
 
-from roomfit.errors import InputError
+from roomfit.base.errors import InputError
 
 _HEADINGS = {"h1": 0, "h2": 1, "h3": 2}
 _LEFT_OUT = ("style", "nav", "svg", "input", "label")

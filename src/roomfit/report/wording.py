@@ -9,9 +9,9 @@ from itertools import groupby
 
 import numpy as np
 
-from roomfit.findings import Finding
-from roomfit.table import Table, Value
-from roomfit.typing import BoolArray, FloatArray
+from roomfit.base.findings import Finding
+from roomfit.base.table import Table, Value
+from roomfit.base.typing import BoolArray, FloatArray
 
 DASH = "\N{EN DASH}"
 

@@ -13,10 +13,12 @@ from typing import get_args
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter
 
-from roomfit._checks import check_known
-from roomfit.bands import Bands
-from roomfit.errors import InputError
-from roomfit.findings import About, Code, Finding
+from roomfit.base.arguments import check_known
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.base.typing import ParameterName as ParameterName
 from roomfit.signals.filters import (
     filter_pressure,
     ringing_s,
@@ -24,8 +26,6 @@ from roomfit.signals.filters import (
 )
 from roomfit.signals.noise import block_length_s, decay_line, estimate_noise
 from roomfit.signals.response import ImpulseResponse, check_travel, padded
-from roomfit.typing import BoolArray, FloatArray
-from roomfit.typing import ParameterName as ParameterName
 
 # Beyond this share of `ringing_s` (4 periods of an octave) lies less than 1e-4 of an impulse.
 _LEAD = 1.0 / 16.0

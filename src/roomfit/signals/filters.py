@@ -26,12 +26,12 @@ from numpy.typing import ArrayLike
 from scipy import fft
 from scipy.sparse import csr_array
 
-from roomfit._checks import read_only
-from roomfit._numba import kernel
-from roomfit.bands import BandKind, Bands
-from roomfit.errors import InputError
+from roomfit.base.arguments import read_only
+from roomfit.base.bands import BandKind, Bands
+from roomfit.base.errors import InputError
+from roomfit.base.kernels import kernel
+from roomfit.base.typing import FloatArray, IntArray
 from roomfit.signals.response import ImpulseResponse, padded
-from roomfit.typing import FloatArray, IntArray
 
 
 @kernel()

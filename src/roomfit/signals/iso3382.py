@@ -15,14 +15,14 @@ from typing import Literal
 
 import numpy as np
 
-from roomfit._checks import check_known, float_array
-from roomfit._numba import kernel
-from roomfit.errors import InputError
-from roomfit.findings import About, Code, Finding, Severity
+from roomfit.base.arguments import check_known, float_array
+from roomfit.base.errors import InputError
+from roomfit.base.findings import About, Code, Finding, Severity
+from roomfit.base.kernels import kernel
+from roomfit.base.typing import VALUE_NAMES as VALUE_NAMES
+from roomfit.base.typing import FloatArray
+from roomfit.base.typing import ValueName as ValueName
 from roomfit.signals.decay import FIT_RANGES_DB, POINTS_OF_A_FIT, DecayCurve, jnd_of
-from roomfit.typing import VALUE_NAMES as VALUE_NAMES
-from roomfit.typing import FloatArray
-from roomfit.typing import ValueName as ValueName
 
 _DB = 10.0 / np.log(10.0)
 # The direct sound of a source of unit power at 10 m: the level to which G refers.

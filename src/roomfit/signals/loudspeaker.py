@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 
-from roomfit.errors import InputError
+from roomfit.base.errors import InputError
+from roomfit.base.typing import ComplexArray, FloatArray
 from roomfit.signals.response import ImpulseResponse
-from roomfit.typing import ComplexArray, FloatArray
 
 # Levels are given every half octave, each over an octave that fades to either side: fine enough for
 # a slope within an octave band, too coarse for single modes of the room.

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roomfit.bands import Bands
+from roomfit.base.bands import Bands
+from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.signals.filters import statistical_bandwidth_hz
 from roomfit.signals.response import (
     TAIL_SHARE,
@@ -15,7 +16,6 @@ from roomfit.signals.response import (
     evidence_of_noise,
     level_before,
 )
-from roomfit.typing import BoolArray, FloatArray
 
 _MOST_ROUNDS = 8
 # Log likelihood ratios that decide between noise and a decay: of all bands, and of one alone.

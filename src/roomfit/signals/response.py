@@ -13,10 +13,10 @@ import numpy as np
 from scipy import fft
 from scipy.ndimage import uniform_filter1d
 
-from roomfit._checks import check_range, float_array
-from roomfit.errors import InputError
-from roomfit.findings import About, Code, Finding
-from roomfit.typing import FloatArray
+from roomfit.base.arguments import check_range, float_array
+from roomfit.base.errors import InputError
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import FloatArray
 
 # Equal samples in a row, and equal peaks, at which a response counts as cut off; the levels that
 # its converter must know for the latter, and the steps by which a crest falls beside its top.

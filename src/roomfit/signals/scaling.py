@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy import fft
 
-from roomfit._checks import float_array
-from roomfit.bands import Bands
+from roomfit.base.arguments import float_array
+from roomfit.base.bands import Bands
+from roomfit.base.typing import FloatArray
 from roomfit.signals.filters import check_sampling_rate, frequency_response, ringing_s
 from roomfit.signals.noise import NoiseEstimate
 from roomfit.signals.response import ImpulseResponse, times_s
-from roomfit.typing import FloatArray
 
 
 def scaled_response(

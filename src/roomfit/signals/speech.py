@@ -9,12 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit._checks import float_array
-from roomfit.bands import Bands
-from roomfit.errors import InputError
+from roomfit.base.arguments import float_array
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError
+from roomfit.base.typing import FloatArray, IntArray
 from roomfit.signals.decay import DecayCurve, tail_of
 from roomfit.signals.iso3382 import tail_gradients
-from roomfit.typing import FloatArray, IntArray
 
 SPEECH_BANDS_HZ = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
 MODULATIONS_HZ = np.array(

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roomfit._numba import kernel
-from roomfit.geometry.inside import Vector, cross, dot, minus, put, row
+from roomfit.base.kernels import kernel
+from roomfit.base.typing import FloatArray, IntArray
+from roomfit.room.inside import Vector, cross, dot, minus, put, row
 from roomfit.tracing.reflectors import Blockers, Walls
-from roomfit.typing import FloatArray, IntArray
 
 # Corners that a polygon keeps. One that would get more stays as wide as it is, which is still
 # right, for a beam too wide makes more to do and nothing wrong.

@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roomfit._numba import kernel
-from roomfit.geometry.inside import Vector, along, cross, deepest, dot, minus, put, row
+from roomfit.base.kernels import kernel
+from roomfit.base.typing import FloatArray, IntArray
+from roomfit.room.inside import Vector, along, cross, deepest, dot, minus, put, row
 from roomfit.tracing.beam_clipping import (
     ROWS,
     Shadows,
@@ -30,7 +31,6 @@ from roomfit.tracing.beam_clipping import (
     without_repeats,
 )
 from roomfit.tracing.reflectors import Blockers, Walls
-from roomfit.typing import FloatArray, IntArray
 
 DONE, TOO_MUCH_WORK, TOO_MUCH_MEMORY = 0, 1, 2
 

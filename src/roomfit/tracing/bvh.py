@@ -32,9 +32,10 @@ from numba.core import cgutils
 from numba.extending import intrinsic, overload
 from numba.np.arrayobj import populate_array
 
-from roomfit._numba import kernel
-from roomfit.geometry.inside import Vector
-from roomfit.scene import Room
+from roomfit.base.kernels import kernel
+from roomfit.base.typing import BoolArray, FloatArray, IntArray
+from roomfit.room.inside import Vector
+from roomfit.room.scene import Room
 from roomfit.tracing.walls import (
     EDGE_M,
     Facets,
@@ -45,7 +46,6 @@ from roomfit.tracing.walls import (
     material_in_plane,
     nearest_plane,
 )
-from roomfit.typing import BoolArray, FloatArray, IntArray
 
 WIDTH = 8
 NODE_FLOATS = 6 * WIDTH  # lowest x, y, z of the eight children of a node, then the highest

@@ -18,18 +18,18 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from roomfit._numba import each_in_threads
-from roomfit.air import speed_of_sound_m_s
-from roomfit.errors import InputError
-from roomfit.geometry.mesh import mean_free_path_m, surface_area_m2, volume_m3
+from roomfit.base.air import speed_of_sound_m_s
+from roomfit.base.errors import InputError
+from roomfit.base.kernels import each_in_threads
+from roomfit.base.typing import FloatArray, IntArray, Progress
 from roomfit.materials.priors import Scattering, coefficients_in_order
-from roomfit.scene import Room, Scene, distances_m, object_pairs, triangle_material
+from roomfit.room.mesh import mean_free_path_m, surface_area_m2, volume_m3
+from roomfit.room.scene import Room, Scene, distances_m, object_pairs, triangle_material
 from roomfit.tracing.beams import DONE, TOO_MUCH_MEMORY, TOO_MUCH_WORK, Found, Limits, beam_tree
 from roomfit.tracing.lattice import Lattice, box_images, count_of_box_images, lattice_of
 from roomfit.tracing.paths import ImageSet, Paths
 from roomfit.tracing.reflectors import Blockers, Walls, mirrors_of
 from roomfit.tracing.states import as_one_state, in_every_state
-from roomfit.typing import FloatArray, IntArray, Progress
 
 # Images of a box, all pairs together.
 _WORTH_THREADS = 1e5

@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roomfit._numba import kernel
-from roomfit.geometry.inside import deepest
-from roomfit.geometry.mesh import Box, box_of, corners_m
-from roomfit.scene import Room, triangle_material
+from roomfit.base.kernels import kernel
+from roomfit.base.typing import FloatArray, IntArray
+from roomfit.room.inside import deepest
+from roomfit.room.mesh import Box, box_of, corners_m
+from roomfit.room.scene import Room, triangle_material
 from roomfit.tracing.paths import ImageSet
-from roomfit.typing import FloatArray, IntArray
 
 # Indices of a lattice that are in memory at a time, one slice in x at least.
 _AT_ONCE = 10_000
@@ -33,7 +33,7 @@ class Lattice(NamedTuple):
 
 
 def lattice_of(room: Room) -> Lattice | None:
-    """Return the lattice of a room that is a box, see `roomfit.geometry.mesh.box_of`, or None."""
+    """Return the lattice of a room that is a box, see `roomfit.room.mesh.box_of`, or None."""
     box = box_of(room.mesh)
     if box is None:
         return None

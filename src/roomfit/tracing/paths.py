@@ -9,10 +9,10 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from roomfit._checks import check_known, check_range, check_shape
-from roomfit.errors import InputError
+from roomfit.base.arguments import check_known, check_range, check_shape
+from roomfit.base.errors import InputError
+from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.materials.priors import OBJECT_STEP_M
-from roomfit.typing import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +50,7 @@ class Paths:
     batch: IntArray  #: int32 (n_paths,), independent Monte-Carlo batch; -1 for exact image paths
     n_batches: int
     #: (n_groups, n_materials), coefficients of the trace; weights are those of the mixture of
-    #: groups, see `roomfit.response.scattering.scattering_weights`
+    #: groups, see `roomfit.model.scattering.scattering_weights`
     sampling_scattering: FloatArray
     #: float32 (n_paths, 3, 3), product A of a path's reflections (the last hit's leftmost), for
     #: image paths on request; zeros for rays

@@ -19,11 +19,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from roomfit._numba import kernel
-from roomfit.geometry.inside import Vector
+from roomfit.base.kernels import kernel
+from roomfit.base.typing import FloatArray, IntArray
+from roomfit.room.inside import Vector
 from roomfit.tracing.bvh import Tree, Walls, nearest_in_tree, next_wall, wall_material
 from roomfit.tracing.walls import Planes, after_wall, mixed, ray_key, uniform
-from roomfit.typing import FloatArray, IntArray
 
 # Up to so many spheres it is quicker to try each one than to walk through a grid (measured).
 _TRY_EACH = 24

@@ -15,14 +15,15 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from roomfit._checks import float_array, read_only
-from roomfit._numba import in_threads
-from roomfit.air import speed_of_sound_m_s
-from roomfit.errors import InputError
-from roomfit.findings import Finding
-from roomfit.geometry.mesh import surface_area_m2, volume_m3
+from roomfit.base.air import speed_of_sound_m_s
+from roomfit.base.arguments import float_array, read_only
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Finding
+from roomfit.base.kernels import in_threads
+from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress
 from roomfit.materials.priors import Scattering, coefficients_in_order
-from roomfit.scene import Room, Scene
+from roomfit.room.mesh import surface_area_m2, volume_m3
+from roomfit.room.scene import Room, Scene
 from roomfit.tracing.bvh import Walls, walls_of
 from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.ray_kernels import (
@@ -36,7 +37,6 @@ from roomfit.tracing.ray_kernels import (
     spheres,
     trace_chunks,
 )
-from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
 
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 

@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roomfit._numba import kernel
-from roomfit.geometry.inside import Vector, corner, dot, row
-from roomfit.geometry.mesh import area_vectors_m2, corners_m, is_double_sided, plane_axes
-from roomfit.scene import Room
-from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.base.kernels import kernel
+from roomfit.base.typing import BoolArray, FloatArray, IntArray
+from roomfit.room.inside import Vector, corner, dot, row
+from roomfit.room.mesh import area_vectors_m2, corners_m, is_double_sided, plane_axes
+from roomfit.room.scene import Room
 
 _OUTLINE_CORNERS = 12
 

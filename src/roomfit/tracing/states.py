@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from roomfit.errors import InputError
+from roomfit.base.errors import InputError
+from roomfit.base.typing import IntArray
 from roomfit.materials.priors import Scattering, coefficients_in_order
-from roomfit.scene import Room, Scene, materials_of_surfaces, pair_states, select_pairs
+from roomfit.room.scene import Room, Scene, materials_of_surfaces, pair_states, select_pairs
 from roomfit.tracing.paths import Paths, paths_of_pairs
-from roomfit.typing import IntArray
 
 
 def parts_of(room: Room) -> tuple[Room, IntArray]:

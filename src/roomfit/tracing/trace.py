@@ -6,16 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from roomfit.errors import InputError
-from roomfit.findings import About, Code, Finding
-from roomfit.geometry.inside import distance_to_walls_m
+from roomfit.base.errors import InputError
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import FloatArray, Progress, part
 from roomfit.materials.priors import Scattering
-from roomfit.scene import Scene, distances_m, object_pairs
+from roomfit.room.inside import distance_to_walls_m
+from roomfit.room.scene import Scene, distances_m, object_pairs
 from roomfit.tracing.image_sources import thinned_images, trace_images
 from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.rays import RayStatistics, Trace, trace_rays
 from roomfit.tracing.states import as_one_state, in_every_state
-from roomfit.typing import FloatArray, Progress, part
 
 # A sphere so much smaller than the room it has stays clear of the wall in spite of rounding.
 _CLEARANCE = 0.999
@@ -75,7 +75,7 @@ def trace(
     Direct sound and the six first reflections of a box:
 
     >>> from roomfit.materials.priors import uniform_scattering
-    >>> from roomfit.scene import scene_of, shoebox_room
+    >>> from roomfit.room.scene import scene_of, shoebox_room
     >>> room = shoebox_room((6.0, 5.0, 3.0), "plaster")
     >>> scene = scene_of(room, {"LS1": (1.0, 1.0, 1.5)}, {"MP1": (4.0, 3.0, 1.5)})
     >>> settings = TraceSettings(duration_s=0.1, n_rays=0, image_order=1)

@@ -19,12 +19,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from roomfit._numba import kernel
-from roomfit.errors import InputError
-from roomfit.geometry.inside import Vector, deepest, row
-from roomfit.geometry.mesh import area_vectors_m2, corners_m, is_double_sided
-from roomfit.scene import Room, triangle_material
-from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.base.errors import InputError
+from roomfit.base.kernels import kernel
+from roomfit.base.typing import BoolArray, FloatArray, IntArray
+from roomfit.room.inside import Vector, deepest, row
+from roomfit.room.mesh import area_vectors_m2, corners_m, is_double_sided
+from roomfit.room.scene import Room, triangle_material
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)

@@ -15,12 +15,12 @@ from typing import TypeAlias
 
 import numpy as np
 
-from roomfit._checks import float_array
-from roomfit.errors import InputError
-from roomfit.findings import About, Code, Finding
-from roomfit.forks import in_forks
+from roomfit.base.arguments import float_array
+from roomfit.base.errors import InputError
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.forks import in_forks
+from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.materials.priors import symmetric_root
-from roomfit.typing import BoolArray, FloatArray, IntArray
 from roomfit.uncertainty.posterior import band_draws, prior_draws
 
 

@@ -14,7 +14,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from roomfit.logit import Z95, expit
+from roomfit.base.logit import Z95, expit
+from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress
 from roomfit.materials.priors import (
     MaterialPrior,
     are_specified,
@@ -22,8 +23,8 @@ from roomfit.materials.priors import (
     prior_logit_law,
     shared_variance,
 )
-from roomfit.objective.directivity import DIRECTIVITY
-from roomfit.objective.parameters import (
+from roomfit.model.directivity import DIRECTIVITY
+from roomfit.model.parameters import (
     Block,
     Parameters,
     absorption_of,
@@ -35,11 +36,10 @@ from roomfit.objective.parameters import (
     to_free,
     to_physical,
 )
-from roomfit.objective.problem import Objective
-from roomfit.solvers.certificate import Certificate
-from roomfit.solvers.ending import Ending
-from roomfit.solvers.least_squares import BandFit, DecayRate
-from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
+from roomfit.model.problem import Objective
+from roomfit.paper.certificate_record import Certificate
+from roomfit.solver.ending import Ending
+from roomfit.solver.least_squares import BandFit, DecayRate
 from roomfit.uncertainty.profile import Profile
 from roomfit.uncertainty.sampling import Sampled
 

@@ -8,8 +8,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from roomfit.logit import Z95, expit, logit
-from roomfit.objective.parameters import (
+from roomfit.base.logit import Z95, expit, logit
+from roomfit.base.typing import FloatArray, IntArray, Progress
+from roomfit.model.parameters import (
     Parameters,
     absorption_of,
     leaders,
@@ -18,9 +19,8 @@ from roomfit.objective.parameters import (
     to_free,
     to_physical,
 )
-from roomfit.objective.problem import Objective
-from roomfit.solvers.least_squares import BandFit, score_band
-from roomfit.typing import FloatArray, IntArray, Progress
+from roomfit.model.problem import Objective
+from roomfit.solver.least_squares import BandFit, score_band
 from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, MirrorTrial, is_identifiable
 from roomfit.uncertainty.population import posterior_draws
 from roomfit.uncertainty.profile import may_be_bent, profile

@@ -9,22 +9,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roomfit.bands import Bands
-from roomfit.errors import InputError
-from roomfit.findings import About, Code, Finding
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import (
     MaterialPrior,
     object_absorption,
     object_area_m2,
     object_volumes_m3,
 )
-from roomfit.response.directivity import (
+from roomfit.model.patterns import (
     Directivities,
     Directivity,
     Pattern,
     UnknownDirectivity,
 )
-from roomfit.typing import FloatArray
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 

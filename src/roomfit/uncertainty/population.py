@@ -12,10 +12,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from roomfit.objective.parameters import physical_values, prior_residuals
-from roomfit.objective.problem import Objective
-from roomfit.solvers.least_squares import BandFit
-from roomfit.typing import FloatArray, IntArray
+from roomfit.base.typing import FloatArray, IntArray
+from roomfit.model.parameters import physical_values, prior_residuals
+from roomfit.model.problem import Objective
+from roomfit.solver.least_squares import BandFit
 from roomfit.uncertainty.sampling import (
     FARTHEST_FREE,
     LogPosterior,

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from roomfit._checks import bool_array, float_array, read_only, unique_names
-from roomfit.bands import Bands
-from roomfit.errors import InputError
-from roomfit.findings import Finding
-from roomfit.logit import Z95, expit, logit
+from roomfit.base.arguments import bool_array, float_array, read_only, unique_names
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Finding
+from roomfit.base.logit import Z95, expit, logit
+from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, is_default_prior, shared_variance
-from roomfit.typing import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:  # compiled, and no reader of a table needs it
-    from roomfit.response.directivity import Directivity
+    from roomfit.model.patterns import Directivity
 
 # Logits beyond +-14 mean an absorption within a millionth of 0 or 1.
 _SMALLEST = 1e-6
@@ -161,7 +161,7 @@ def _scattering(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
 
 
 def _n_bands(directivity: Directivity) -> int | None:
-    from roomfit.response.directivity import Pattern
+    from roomfit.model.patterns import Pattern
 
     if isinstance(directivity, Pattern):
         return None if directivity.b.ndim == 1 else len(directivity.b)

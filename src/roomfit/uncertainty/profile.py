@@ -7,18 +7,18 @@ from typing import TypeAlias
 
 import numpy as np
 
-from roomfit.logit import Z95
-from roomfit.objective.parameters import (
+from roomfit.base.logit import Z95
+from roomfit.base.typing import FloatArray
+from roomfit.model.parameters import (
     Parameters,
     absorption_of,
     position_of,
     prior_residuals,
     to_physical,
 )
-from roomfit.objective.problem import Objective, Prediction
-from roomfit.solvers.least_squares import BandFit
-from roomfit.solvers.levenberg_marquardt import MarquardtSettings, levenberg_marquardt
-from roomfit.typing import FloatArray
+from roomfit.model.problem import Objective, Prediction
+from roomfit.solver.least_squares import BandFit
+from roomfit.solver.levenberg_marquardt import MarquardtSettings, levenberg_marquardt
 
 # Rise of half the weighted squares at the end of a 95 % interval: half of chi-square's 3.84.
 RISE95 = 0.5 * Z95**2

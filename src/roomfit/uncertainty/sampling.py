@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roomfit._checks import float_array
-from roomfit._numba import kernel
-from roomfit.errors import InputError
-from roomfit.objective.parameters import (
+from roomfit.base.arguments import float_array
+from roomfit.base.errors import InputError
+from roomfit.base.kernels import kernel
+from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress
+from roomfit.model.parameters import (
     GEOMETRY,
     Parameters,
     absorption_of,
@@ -24,9 +25,8 @@ from roomfit.objective.parameters import (
     position_of,
     prior_residuals,
 )
-from roomfit.objective.problem import Objective, Prediction
-from roomfit.solvers.least_squares import BandFit
-from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
+from roomfit.model.problem import Objective, Prediction
+from roomfit.solver.least_squares import BandFit
 
 
 def split_r_hat(chains: FloatArray) -> FloatArray:

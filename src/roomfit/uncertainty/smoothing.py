@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from roomfit.bands import Bands
-from roomfit.errors import InputError
-from roomfit.logit import Z95, expit, logit
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError
+from roomfit.base.logit import Z95, expit, logit
+from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import MaterialPrior, prior_logit_law
-from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import BandEstimate, is_identifiable
 from roomfit.uncertainty.intervals import LEAST_SIDE
 from roomfit.uncertainty.profile import profile_under

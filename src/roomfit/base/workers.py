@@ -1,0 +1,529 @@
+"""Processes that carry out tasks: those of this machine, or those of a dask cluster.
+
+A task is a `functools.partial` of a function at module level. It leaves its results in files that
+are written whole, so that doing one twice is harmless, and returns little: nothing large travels
+between processes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import signal
+import sys
+import time
+import weakref
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
+from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
+from importlib.metadata import version
+from itertools import islice
+from multiprocessing import active_children, get_context, resource_tracker
+from typing import Any, TypeVar
+
+import numba
+
+from roomfit.base.cache import code_digest
+from roomfit.base.errors import InputError, InsufficientDataError, StoreError
+from roomfit.base.forks import end_with_parent, interrupts_deferred
+from roomfit.base.kernels import keep_one_blas_thread
+from roomfit.base.typing import Progress
+
+T = TypeVar("T")
+_LOG, _NOTICE = logging.getLogger("roomfit"), 25
+
+# In the hands of an executor at once, for each of its threads: what waits costs a scheduler memory
+# and every look at all of them time, and so many keep a thread busy until others are handed on.
+TASKS_A_THREAD = 4
+# A cluster is asked no more often how many threads it has: workers come and go.
+_THREADS_FOR_S = 5.0
+# Below it the work of the scheduler (a few ms a task) and of a worker's turn shows.
+SHORTEST_TASK_S = 5.0
+_CONNECTING_S = 20
+# What a worker of the own cluster is given to end by itself.
+_ENDING_S = 0.5
+# Memory that libraries do not give back goes with the process.
+_LIFETIME_S = 3600
+# A task that has taken so many workers with it is not given to another.
+_MOST_DEATHS = 2
+_DEATH = "KilledWorker"
+# A room takes 310 to 370 MB, and dask ends a worker at 95 % of its limit.
+LEAST_MEMORY_BYTES = 400_000_000
+# After so long without an end of a task, a message names who is waited for.
+_SILENCE_S = 60.0
+_ONE_THREAD = {
+    "NUMBA_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+}
+
+
+@contextmanager
+def worker_pool(n_workers: int) -> Iterator[Executor]:
+    """Give an executor with so many processes; 1 stays in this process.
+
+    When the block is left early, tasks that have not started are dropped and running ones are
+    waited for, so that nothing is left behind; an interrupt ends running ones as well.
+
+    Notes
+    -----
+    Processes are spawned, not forked, because compiled threads do not survive a fork. A script
+    that asks for more than one must therefore guard its main part with
+    ``if __name__ == "__main__":``. They end with the thread that submits tasks: see
+    `end_with_parent`.
+    """
+    _check_workers(n_workers)
+    pool: Executor
+    if n_workers == 1:
+        pool = ThreadPoolExecutor(1)
+    else:
+        pool = ProcessPoolExecutor(
+            n_workers, mp_context=get_context("spawn"), initializer=_become_worker
+        )
+    others = set(active_children())
+    try:
+        yield pool
+    except KeyboardInterrupt:
+        # Running tasks may be ended: what they write is moved to its place only when it is whole.
+        # A worker that was just starting is not among the pool's own yet, and would be waited for
+        # without end.
+        for worker in set(active_children()) - others:
+            worker.terminate()
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _check_workers(n_workers: int) -> None:
+    if n_workers < 1:
+        what = "number of workers is out of range"
+        hint = "leave workers out, or give the number of cores"
+        raise InputError(what, found=str(n_workers), needed="1 or more", hint=hint)
+
+
+def _become_worker() -> None:
+    # an interrupt reaches the whole group; only the parent decides what happens then
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
+    keep_one_thread()
+
+
+def dask_setup(_: object) -> None:
+    """Prepare a worker of dask's own cluster on this machine, which loads this module first."""
+    end_with_parent()
+
+
+def keep_one_thread() -> None:
+    """Give linear algebra and compiled kernels, as called from this thread, one thread."""
+    keep_one_blas_thread()
+    numba.set_num_threads(1)
+
+
+def completed(pool: Executor, tasks: Iterable[Callable[[], T]]) -> Iterator[tuple[int, Future[T]]]:
+    """Yield the number and the future of each task as it ends.
+
+    Tasks are taken from their iterable as others end, so that at most `TASKS_A_THREAD` for each
+    thread of the pool are submitted and not yet yielded. When the iterator is closed, those that
+    wait are dropped. After a minute in which none ends, a message names the workers of a cluster
+    that are waited for.
+
+    Dask blames a worker's death on every task that was given to it, those that only waited there
+    included. A task given up for it is therefore tried once more when no other is left that could
+    be the cause.
+    """
+    waiting = enumerate(tasks)
+    running: dict[Future[T], tuple[int, Callable[[], T]]] = {}
+    given_up: deque[tuple[int, Callable[[], T]]] = deque()
+    since, alone = time.strftime("%H:%M:%S"), False
+    try:
+        while True:
+            room = max(0, TASKS_A_THREAD * _threads(pool) - len(running))
+            with interrupts_deferred():
+                for number, task in islice(waiting, room):
+                    running[pool.submit(task)] = number, task
+                alone = alone or not running
+                if given_up and not running:
+                    number, task = given_up.popleft()
+                    running[pool.submit(task)] = number, task
+            if not running:
+                return
+            done, _ = wait(running, _SILENCE_S, return_when=FIRST_COMPLETED)
+            if done:
+                since = time.strftime("%H:%M:%S")
+            elif isinstance(pool, _ClusterExecutor):
+                _LOG.log(_NOTICE, "waiting for %s since %s", pool.at_work(), since)
+            for future in done:
+                number, task = running.pop(future)
+                if not alone and _died(future):
+                    given_up.append((number, task))
+                else:
+                    yield number, future
+    finally:
+        for future in running:
+            future.cancel()
+
+
+def _threads(pool: Executor) -> int:
+    if isinstance(pool, _ClusterExecutor):
+        return pool.threads()
+    return int(getattr(pool, "_max_workers", 1))  # it has no public name
+
+
+def _died(future: Future[Any]) -> bool:
+    """Whether all workers that had a task have died."""
+    return not future.cancelled() and type(future.exception()).__name__ == _DEATH
+
+
+def in_pool(
+    pool: Executor, tasks: Sequence[Callable[[], T]], progress: Progress | None = None
+) -> list[T]:
+    """Return the results of all tasks in their order; the first failure ends the wait."""
+    results: dict[int, T] = {}
+    for number, future in completed(pool, tasks):
+        results[number] = result_of(future)
+        if progress is not None:
+            progress(len(results) / len(tasks))
+    return [results[number] for number in range(len(tasks))]
+
+
+def bundled(
+    tasks: Sequence[Callable[[], T]], seconds_each: Callable[[], float | None]
+) -> Iterator[Callable[[], list[T]]]:
+    """Yield tasks in bundles that take `SHORTEST_TASK_S` or longer, in their order.
+
+    `seconds_each`: what a task has taken until now; None while that is not known, and tasks go one
+    by one.
+    """
+    at = 0
+    while at < len(tasks):
+        each = seconds_each()
+        size = 1 if each is None else int(SHORTEST_TASK_S / max(each, 1e-3)) + 1
+        yield partial(_one_after_another, tuple(tasks[at : at + size]))
+        at += size
+
+
+def _one_after_another(tasks: tuple[Callable[[], T], ...]) -> list[T]:
+    return [task() for task in tasks]
+
+
+@contextmanager
+def cluster_pool(
+    *,
+    scheduler: str | None = None,
+    n_workers: int = 1,
+    warm: Callable[[], object] | None = None,
+) -> Iterator[Executor]:
+    """Give an executor whose tasks are carried out by the workers of a dask cluster.
+
+    A task whose worker dies is given to another, up to three times, and then alone as often. Dask's
+    own configuration (``distributed.comm.tls``, ``distributed.scheduler.allowed-failures``) holds,
+    as files or as variables of the environment.
+
+    Parameters
+    ----------
+    scheduler : str, optional
+        Address of a running scheduler, as ``tcp://10.0.0.1:8786`` or ``tls://...``. Without it, a
+        cluster of processes on this machine is started, which listens on the loopback alone and
+        ends with the block.
+    n_workers : int
+        Processes of that own cluster, one thread each, renewed every hour.
+    warm : callable, optional
+        Called once on each machine before the first task: compiles what is kept on disk.
+
+    Raises
+    ------
+    InputError
+        dask.distributed is not installed, no scheduler answers, it has no workers, or these run
+        another version of Python, roomfit or numba, or have too little memory for a room.
+    """
+    _check_workers(n_workers)
+    distributed = _distributed()
+    with _without_dasks_messages(), ExitStack() as stack:
+        address = scheduler if scheduler is not None else _own_cluster(stack, n_workers)
+        try:
+            client = stack.enter_context(
+                distributed.Client(address, timeout=_CONNECTING_S, set_as_default=False)
+            )
+        except (OSError, ValueError) as error:
+            raise InputError(
+                "no scheduler answers",
+                where=str(scheduler),
+                found=" ".join(str(error).split())[:200],
+                needed="the address of a running dask scheduler, as tcp://10.0.0.1:8786",
+                hint="start one with: dask scheduler --host 127.0.0.1",
+            ) from error
+        if scheduler is None:
+            # dask cannot end workers that are just starting
+            wait_for_all = partial(client.wait_for_workers, n_workers, timeout=_CONNECTING_S)
+            stack.callback(_quietly, wait_for_all)
+        _check_alike(client, scheduler)
+        if warm is not None:
+            found = client.scheduler_info(n_workers=-1)["workers"]
+            one_a_machine = {worker["host"]: address for address, worker in found.items()}
+            client.run(warm, workers=list(one_a_machine.values()))
+        yield _ClusterExecutor(client)
+
+
+@contextmanager
+def _without_dasks_messages() -> Iterator[None]:
+    """Leave out what dask itself logs in this process: whatever ends a task is reported by us."""
+    handlers = logging.getLogger("distributed").handlers
+    others = [logging.getLogger(name) for name in ("tornado.application", "asyncio")]
+    before = [h.level for h in handlers], [logger.disabled for logger in others]
+    for handler in handlers:
+        handler.setLevel(logging.CRITICAL + 1)
+    for logger in others:
+        logger.disabled = True
+    try:
+        yield
+    finally:
+        for handler, level in zip(handlers, before[0], strict=True):
+            handler.setLevel(level)
+        for logger, was in zip(others, before[1], strict=True):
+            logger.disabled = was
+
+
+_OWN_CLUSTER: Mapping[str, object] = {
+    "distributed.scheduler.allowed-failures": _MOST_DEATHS,
+    # a task that waits at a worker would be blamed for its death, too
+    "distributed.scheduler.worker-saturation": 1.0,
+    # dask's 64 kB gives every array back to the system: two million page faults and half as much
+    # time again for a room
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+    # a hundred interruptions a second, for a page that nobody looks at
+    "distributed.worker.profile.enabled": False,
+    # a worker that dies is always started again; if it was just starting so long after a death,
+    # dask would take it for lost
+    "distributed.deploy.lost-worker-timeout": "365 days",
+    # a worker that pauses for want of memory waits for ever, since its only task holds it: it is
+    # ended at 95 %, and its task given to another
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.preload": ["roomfit.base.workers"],
+}
+
+
+def _own_cluster(stack: ExitStack, n_workers: int) -> Any:
+    """Return a cluster of processes on this machine that ends with a stack."""
+    import dask
+    from distributed.system import MEMORY_LIMIT
+
+    each_bytes = int(MEMORY_LIMIT / n_workers)
+    check_memory(each_bytes, f"--workers {n_workers}", "fewer workers leave more for each")
+    message = "%d workers, each with up to %.1f GB of this machine's memory"
+    _LOG.log(_NOTICE, message, n_workers, 1e-9 * each_bytes)
+    stack.enter_context(dask.config.set(dict(_OWN_CLUSTER)))
+    # the thread that starts workers, now and after deaths, is made here and passes on that it gets
+    # no interrupts; it would get them again if it were the first to start this tracker
+    resource_tracker.ensure_running()
+    with interrupts_deferred():
+        cluster = _distributed().LocalCluster(
+            n_workers=n_workers,
+            memory_limit=each_bytes,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            # without an address its web server would listen to the whole network
+            dashboard_address="127.0.0.1:0",
+            env=_ONE_THREAD,
+            lifetime=f"{_LIFETIME_S} seconds",
+            lifetime_stagger=f"{_LIFETIME_S // 10} seconds",
+            lifetime_restart=True,
+            silence_logs=50,  # a worker that dies is reported by us
+        )
+    stack.callback(_quietly, cluster.close)
+    stack.callback(_quietly, partial(cluster.sync, _ended_at_once, cluster))
+    return cluster
+
+
+async def _ended_at_once(cluster: Any) -> None:
+    """End workers whatever they are doing, which dask by itself waits four seconds for."""
+    await asyncio.gather(*(nanny.close(timeout=_ENDING_S) for nanny in cluster.workers.values()))
+
+
+def check_memory(limit_bytes: int, where: str, hint: str) -> None:
+    """Refuse a worker whose limit of memory is below what a room takes; 0 is no limit.
+
+    Raises
+    ------
+    InputError
+        The limit is below `LEAST_MEMORY_BYTES`.
+    """
+    if 0 < limit_bytes < LEAST_MEMORY_BYTES:
+        raise InputError(
+            "a worker has too little memory for a room",
+            where=where,
+            found=f"{1e-6 * limit_bytes:.0f} MB for each worker",
+            needed=f"{1e-6 * LEAST_MEMORY_BYTES:.0f} MB: a room takes 310 to 370",
+            hint=hint,
+        )
+
+
+def _quietly(end: Callable[[], object]) -> None:
+    """Dask's book of workers may be in disorder after deaths, and fail; all results are there."""
+    with suppress(Exception):
+        end()
+
+
+class _ClusterExecutor(Executor):
+    """Tasks of a dask client as futures of the standard library.
+
+    Dask's own executor fails where a worker dies between the end of a task and the way of its
+    result; here the result is waited for until another worker has done the task again.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._n_threads, self._asked_s = 1, -_THREADS_FOR_S
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        outer: Future[Any] = Future()
+        inner = self._client.submit(partial(fn, *args, **kwargs), pure=False)
+        # two futures that hold each other stay until the collector comes, and what the scheduler
+        # keeps of the task with them
+        known = weakref.ref(inner)
+        outer.add_done_callback(partial(_called_off, known))
+        inner.add_done_callback(partial(_handed_on, outer))
+        return outer
+
+    def threads(self) -> int:
+        """Return how many threads the workers have together, as asked a few seconds ago at most."""
+        if time.monotonic() - self._asked_s >= _THREADS_FOR_S:
+            # of a scheduler that does not answer the tasks will be lost, and that is reported
+            with suppress(Exception):
+                self._n_threads = max(1, sum(self._client.nthreads().values()))
+            self._asked_s = time.monotonic()
+        return self._n_threads
+
+    def at_work(self) -> str:
+        """Return the workers that have tasks, and which of them do not go on with theirs."""
+        try:
+            busy = self._client.processing()
+            known = self._client.scheduler_info(n_workers=-1)["workers"]
+        except Exception as error:  # noqa: BLE001 -- a message, whatever ails the scheduler
+            return f"the scheduler, which does not answer ({type(error).__name__})"
+        found = []
+        for address, tasks in busy.items():
+            own = known.get(address, {})
+            paused = ", paused: its memory is full" * (own.get("status") == "paused")
+            silent_s = time.time() - own.get("last_seen", time.time())
+            silent = f", silent for {silent_s:.0f} s" if silent_s > _SILENCE_S / 2.0 else ""
+            if tasks:
+                found.append(f"worker {address}{paused}{silent}")
+        return "; ".join(found[:5]) or "workers, of which none has a task"
+
+
+def _called_off(known: weakref.ref[Any], outer: Future[Any]) -> None:
+    """Drop a task of dask whose future here was cancelled."""
+    inner = known() if outer.cancelled() else None
+    if inner is not None:
+        inner.cancel()
+
+
+def _handed_on(outer: Future[Any], inner: Any) -> None:
+    """Let a future end as that of dask has."""
+    try:
+        if not outer.cancelled():
+            outer.set_result(inner.result())
+    except BaseException as error:  # noqa: BLE001 -- whatever the task raised is handed on
+        lost = isinstance(error, (CancelledError, OSError)) and inner.status != "error"
+        if not lost:
+            outer.set_exception(error)
+        elif outer.cancel():
+            outer.set_running_or_notify_cancel()  # or nobody who waits would wake up
+
+
+def _distributed() -> Any:
+    try:
+        import distributed
+    except ImportError as error:
+        what = "a cluster needs a package that is not installed"
+        hint = "pip install 'roomfit[cluster]'"
+        raise InputError(what, found=str(error), needed="dask.distributed", hint=hint) from error
+    return distributed
+
+
+def about_this_process() -> dict[str, str]:
+    """Return the versions that decide numbers, and the digest of roomfit's own code."""
+    python = ".".join(str(part) for part in sys.version_info[:2])
+    return {
+        "Python": python,
+        **{name: version(name) for name in ("roomfit", "numba", "numpy", "scipy")},
+        "code of roomfit": code_digest()[:12],
+    }
+
+
+def _check_alike(client: Any, scheduler: str | None) -> None:
+    """Refuse workers whose answers may differ from those of this process."""
+    try:
+        # those of a job array come one by one: the first are enough to begin
+        client.wait_for_workers(1, timeout=_CONNECTING_S)
+    except TimeoutError:
+        raise InputError(
+            "the scheduler has no workers",
+            where=str(scheduler),
+            found="none within the time it was waited for",
+            needed="one worker or more",
+            hint="start one on every machine: dask worker ADDRESS --nthreads 1 --nworkers N",
+        ) from None
+    try:
+        found = client.run(about_this_process)
+    except Exception as error:
+        raise InputError(
+            "the workers cannot load roomfit",
+            where=str(scheduler),
+            found=f"{type(error).__name__}: {error}"[:200],
+            needed="the same roomfit on every worker as here",
+            hint="install it in the workers' environment",
+        ) from error
+    if scheduler is not None:
+        for address, own in client.scheduler_info(n_workers=-1)["workers"].items():
+            hint = "start it with more: dask worker ADDRESS --memory-limit 2GB"
+            check_memory(int(own.get("memory_limit") or 0), str(address), hint)
+    here = about_this_process()
+    for address, there in found.items():
+        other = [name for name in here if there.get(name) != here[name]]
+        if other:
+            raise InputError(
+                "a worker runs other versions than this process",
+                where=str(address),
+                found=", ".join(f"{name} {there.get(name, 'missing')}" for name in other),
+                needed=", ".join(f"{name} {here[name]}" for name in other),
+                hint="install the same on both sides; answers would depend on who computed them",
+            )
+
+
+def result_of(future: Future[T]) -> T:
+    """Return what a task returned, or raise what it raised.
+
+    Raises
+    ------
+    InsufficientDataError
+        Every worker that had the task died of it.
+    StoreError
+        The connection to the scheduler is lost.
+    """
+    if future.cancelled():
+        raise StoreError(
+            "the connection to the scheduler is lost",
+            found="tasks were cancelled",
+            hint="run the same command again: what is done is not done again",
+        )
+    if _died(future):
+        deaths = getattr(future.exception(), "allowed_failures", _MOST_DEATHS) + 1
+        raise InsufficientDataError(
+            "every worker that had the task died",
+            found=f"{deaths} of them",
+            hint="memory is the usual reason: fewer workers on a machine leave more for each",
+        )
+    return future.result()

@@ -1,0 +1,408 @@
+"""Many rooms: each is identified into a folder of its own, and one table shows them all.
+
+A room's folder carries the digest of all that decides its answer, the code included, and comes into
+being whole. A run that was stopped goes on where it was, a room that is done twice does no harm,
+and one that fails stops no other.
+"""
+
+from __future__ import annotations
+
+import glob
+import logging
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import quote
+
+import numpy as np
+
+from roomfit.base.cache import (
+    code_digest,
+    digest,
+    make_folder,
+    write_json_atomically,
+    write_text_atomically,
+)
+from roomfit.base.errors import FolderInUseError, InputError, RoomfitError, StoreError
+from roomfit.base.table import Cell, Column, Table, Value, csv_of, text_of, written
+from roomfit.base.typing import Progress
+from roomfit.base.workers import completed, keep_one_thread, result_of
+from roomfit.cli.commands import identify_to_folder
+from roomfit.files.campaign import input_files, read_campaign
+from roomfit.files.door import complete
+from roomfit.files.encoding import input_digests, written_content
+from roomfit.files.exports import read_result_content
+from roomfit.files.results import check_disk_room
+from roomfit.report.figures import in_file_name
+from roomfit.report.html import tables_page
+
+_LOG = logging.getLogger("roomfit")
+
+# "elsewhere": another run is at it, so that this one has left it
+Status = Literal["done", "refused", "failed", "waiting", "elsewhere"]
+ROOMS, FAILURES = "rooms", "failures"
+# Where the field quotes one number for a room.
+_MIDDLE_HZ = (500.0, 1000.0)
+_COLUMNS: tuple[str | Column, ...] = (
+    *("room", "status", "result", "identifiable", "values"),
+    *(Column(f"room_mean_{name}", ".4f") for name in ("absorption", "lower95", "upper95")),
+    *(Column(f"T_{name}_s", ".3f") for name in ("measured", "predicted")),
+    *(Column("largest_reduced_chi_square", ".2f"), "findings", Column("seconds", ".1f"), "message"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RoomTask:
+    """A campaign of a batch, and where its answer lies."""
+
+    name: str
+    campaign: Path
+    address: str  # name of the result's folder; "" where the campaign could not be read
+    refusal: str = ""  # why it could not
+
+
+@dataclass(frozen=True, slots=True)
+class RoomRow:
+    """What the table says of a room."""
+
+    name: str
+    status: Status
+    folder: str = ""  # of the result, relative to that of the batch
+    message: str = ""  # why there is no answer
+    identifiable: int = 0
+    values: int = 0  # materials times bands
+    mean: tuple[float, float, float] = (np.nan, np.nan, np.nan)  # of 500 and 1000 Hz, with bounds
+    decay_s: tuple[float, float] = (np.nan, np.nan)  # there, measured and predicted
+    chi2_reduced: float = np.nan  # the largest
+    findings: tuple[str, ...] = ()  # codes above "info"
+    seconds: float = np.nan
+
+
+def campaign_paths(patterns: Sequence[str | Path]) -> tuple[Path, ...]:
+    """Return the campaign files that paths and patterns (``*``, ``?``, ``**``) name, each once.
+
+    Raises
+    ------
+    InputError
+        A pattern matches nothing.
+    """
+    found: list[Path] = []
+    for pattern in patterns:
+        text = str(pattern)
+        is_pattern = glob.has_magic(text) and not Path(text).exists()
+        matches = sorted(glob.glob(text, recursive=True)) if is_pattern else [text]  # noqa: PTH207 -- may be absolute
+        if not matches:
+            what = "no campaign file is called so"
+            needed = "a pattern that matches a file, relative to this folder"
+            hint = 'put the pattern in quotation marks, as "rooms/*/campaign.toml"'
+            raise InputError(what, found=repr(text), needed=needed, hint=hint)
+        found += [Path(m).absolute() for m in matches]
+    return tuple(dict.fromkeys(found))
+
+
+def room_tasks(campaigns: Sequence[Path], *, quick: bool = False) -> tuple[RoomTask, ...]:
+    """Return the tasks of a batch, in the order of the campaigns.
+
+    First answers have addresses of their own: none is taken for a full one. Names are what differs
+    between the paths. A campaign that cannot be read has its refusal in
+    place of an address.
+    """
+    paths = [Path(c).absolute() for c in campaigns]
+    above = Path(os.path.commonpath([p.parent for p in paths])) if paths else Path()
+    same_file = len({p.name for p in paths}) == 1 and len(paths) > 1
+    tasks = []
+    for path in paths:
+        inner = path.parent if same_file else path.with_suffix("")
+        name = inner.relative_to(above).as_posix()
+        try:
+            files = input_files(read_campaign(path))
+            kind = "batch, first answers" if quick else "batch"
+            address = digest(code_digest(), kind, input_digests(files))
+        except RoomfitError as error:
+            tasks.append(RoomTask(name, path, "", str(error)))
+        else:
+            tasks.append(RoomTask(name, path, f"{in_file_name(name)}-{address[:12]}"))
+    return tuple(tasks)
+
+
+def shard_of(tasks: Sequence[RoomTask], shard: tuple[int, int]) -> tuple[RoomTask, ...]:
+    """Return every n-th task from the i-th on, i and n from 1: the share of one job of an array.
+
+    Raises
+    ------
+    InputError
+        Not 1 <= i <= n.
+    """
+    i, n = shard
+    if not 1 <= i <= n:
+        what = "the shard is out of range"
+        needed = "i/n with 1 <= i <= n: 3/10 is the third of ten jobs"
+        raise InputError(what, found=f"{i}/{n}", needed=needed, hint=f"--shard 1/{max(n, 1)}")
+    return tuple(tasks[i - 1 :: n])
+
+
+def identify_rooms(
+    campaigns: Sequence[Path],
+    out: Path,
+    *,
+    pool: Executor | None = None,
+    shard: tuple[int, int] = (1, 1),
+    quick: bool = False,
+    progress: Progress | None = None,
+) -> tuple[RoomRow, ...]:
+    """Identify the rooms of many campaigns and write ``rooms.csv`` and ``rooms.html``.
+
+    Rooms that are done already, with the same files and the same roomfit, are not done again; those
+    that failed are. A room that fails stops no other, and one that another run is identifying is
+    left to it.
+
+    Parameters
+    ----------
+    campaigns : sequence of Path
+    out : Path
+        A folder, made if needed; it may hold results of this and of other batches. With a pool of
+        several machines all of them must reach it, and the campaigns, by the same paths.
+    pool : Executor, optional
+        See `roomfit.base.workers`; by default one room after the other in this process.
+    shard : tuple of int
+        i and n: only every n-th room from the i-th is identified; the table shows all.
+    quick : bool
+        First answers, see `Settings.quick`; the next run without it gives the full ones.
+    progress : callable, optional
+
+    Returns
+    -------
+    tuple of RoomRow
+        Of all campaigns, in their order.
+
+    Raises
+    ------
+    InputError
+        The shard is out of range, or `out` is a file.
+    StoreError
+        The disk refuses, or the connection to a cluster is lost.
+    """
+    out, tasks = Path(out).absolute(), room_tasks(campaigns, quick=quick)
+    own = shard_of(tasks, shard)
+    missing = [t for t in own if t.address and not (out / ROOMS / t.address).exists()]
+    # of one pair at least; the room itself knows of how many
+    check_disk_room(out, len(missing), len(missing))
+    for name in (ROOMS, FAILURES):
+        make_folder(out / name)
+    jobs = [
+        partial(identify_room, t.campaign, out / ROOMS / t.address, quick=quick) for t in missing
+    ]
+    elsewhere: dict[str, str] = {}
+    try:
+        for n_done, (number, status, message) in enumerate(_ends(jobs, pool), start=1):
+            _LOG.info("%s: %s", missing[number].name, status)
+            _note(out, missing[number], status, message)
+            if status == "elsewhere":
+                elsewhere[missing[number].address] = message
+            if progress is not None:
+                progress(n_done / len(jobs))
+    finally:
+        rows = tuple(room_row(out, task) for task in tasks)
+        rows = tuple(
+            replace(row, status="elsewhere", message=elsewhere[task.address])
+            if row.status == "waiting" and task.address in elsewhere
+            else row
+            for row, task in zip(rows, tasks, strict=True)
+        )
+        write_table(out, rows)
+    return rows
+
+
+def identify_room(campaign: Path, folder: Path, *, quick: bool = False) -> str:
+    """Identify one room into a folder; return why there is no answer, or "".
+
+    Where the folder has come into being meanwhile, by whomever, it stays as it is.
+    """
+    try:
+        identify_to_folder(campaign, folder, quick=quick)
+    except (StoreError, FolderInUseError):
+        raise
+    except RoomfitError as error:
+        return "" if folder.exists() else str(error)
+    return ""
+
+
+def _ends(
+    jobs: Sequence[Callable[[], str]], pool: Executor | None
+) -> Iterator[tuple[int, Status, str]]:
+    """Do all jobs, here or in a pool; yield number, status and message of each as it ends."""
+    if pool is None:
+        for number, job in enumerate(jobs):
+            yield number, *_end(job)
+        return
+    for number, future in completed(pool, (partial(_with_one_thread, job) for job in jobs)):
+        yield number, *_end(partial(result_of, future))
+
+
+def _with_one_thread(job: Callable[[], str]) -> str:
+    """Do a job in a worker, beside which others have the other processors."""
+    keep_one_thread()
+    return job()
+
+
+def _end(job: Callable[[], str]) -> tuple[Status, str]:
+    try:
+        message = job()
+    except StoreError:
+        raise  # the disk, or the way to the cluster: it would be the same for every room
+    except FolderInUseError:
+        return "elsewhere", "another run is identifying this room"
+    except RoomfitError as error:
+        return "failed", str(error)
+    except Exception as error:  # noqa: BLE001 -- a fault in one room must not stop the others
+        return "failed", f"{type(error).__name__}: {error}"
+    return ("refused", message) if message else ("done", "")
+
+
+def _note(out: Path, task: RoomTask, status: Status, message: str) -> None:
+    """Keep why a room has no answer, for the tables of other runs; forget it when it has one."""
+    path = out / FAILURES / f"{task.address}.json"
+    if status == "done":
+        path.unlink(missing_ok=True)
+    elif status != "elsewhere":
+        write_json_atomically(path, {"status": status, "message": message})
+
+
+def room_row(out: Path, task: RoomTask) -> RoomRow:
+    """Return what the files of a batch say of a room."""
+    if not task.address:
+        return RoomRow(task.name, "refused", message=task.refusal)
+    folder = out / ROOMS / task.address
+    if folder.exists():
+        try:
+            return _answered(task.name, folder, f"{ROOMS}/{task.address}")
+        except InputError as error:
+            return RoomRow(task.name, "failed", message=f"{error}\n  remove the folder {folder}")
+    failure = out / FAILURES / f"{task.address}.json"
+    if not failure.exists():
+        return RoomRow(task.name, "waiting")
+    what = "record of a failure"
+    try:
+        content, _ = written_content(failure, what)
+        with complete(what, "status and message, as roomfit writes them"):
+            status: Status = "refused" if content["status"] == "refused" else "failed"
+            return RoomRow(task.name, status, message=str(content["message"]))
+    except InputError as error:
+        return RoomRow(task.name, "failed", message=f"{error}\n  run it again, or remove {failure}")
+
+
+def _answered(name: str, folder: Path, shown: str) -> RoomRow:
+    path = folder / "result.json"
+    content, _ = read_result_content(path)
+    with complete("result", "a result.json as roomfit writes it"):
+        centres_hz = np.array(content["bands_hz"], dtype=np.float64)
+        middle = np.isin(centres_hz, _MIDDLE_HZ)
+        middle = middle if middle.any() else np.ones(len(centres_hz), dtype=np.bool_)
+        sure = np.array([m["identifiable"] for m in content["materials"].values()], dtype=bool)
+        means = {c["band_hz"]: c for c in reversed(content["combinations"]) if c["kind"] == "mean"}
+        chosen = [means[f] for f in centres_hz[middle] if f in means]
+        mean = [
+            float(np.mean([c[key] for c in chosen])) if chosen else np.nan
+            for key in ("absorption", "lower95", "upper95")
+        ]
+        codes = [f["code"] for f in content["findings"] if f["severity"] != "info"]
+        return RoomRow(
+            name,
+            "done",
+            shown,
+            identifiable=int(sure.sum()),
+            values=int(sure.size),
+            mean=(mean[0], mean[1], mean[2]),
+            decay_s=_decay_s(content["pairs"], middle),
+            chi2_reduced=max((x for x in content["fit"]["phi"] if x is not None), default=np.nan),
+            findings=tuple(dict.fromkeys(codes)),
+            seconds=float(content["fit"]["seconds"]),
+        )
+
+
+def _decay_s(pairs: Sequence[Any], middle: Any) -> tuple[float, float]:
+    """Return the mean decay time of the fitted pairs, measured and predicted: T20, else T30."""
+    for key in ("T20_s", "T30_s", "EDT_s"):
+        own = [p["parameters"][key] for p in pairs if p["use"] == "fit" and key in p["parameters"]]
+        both = np.array(
+            [[p["measured"], p["predicted"]] for p in own], dtype=np.float64
+        )  # null becomes NaN
+        if both.size:
+            known = both[:, :, middle].transpose(1, 0, 2).reshape(2, -1)
+            known = known[:, np.isfinite(known).all(axis=0)]
+            if known.size:
+                return float(known[0].mean()), float(known[1].mean())
+    return np.nan, np.nan
+
+
+def write_table(out: Path, rows: Sequence[RoomRow]) -> None:
+    """Write ``rooms.csv`` and ``rooms.html``, whole.
+
+    Raises
+    ------
+    StoreError
+        The disk refuses.
+    """
+    records = Table("", _COLUMNS, [*map(_record, rows)])
+    write_text_atomically(out / "rooms.csv", csv_of(records))
+    write_text_atomically(
+        out / "rooms.html", tables_page("Rooms", counted(rows), (_page_table(rows),))
+    )
+
+
+def counted(rows: Sequence[RoomRow]) -> str:
+    """Return how many rooms are done and how many are not, in a sentence."""
+    kinds: tuple[Status, ...] = ("done", "refused", "failed", "waiting", "elsewhere")
+    numbers = [(sum(r.status == kind for r in rows), kind) for kind in kinds]
+    return f"{len(rows)} rooms: " + ", ".join(f"{n} {kind}" for n, kind in numbers if n) + "."
+
+
+def _record(row: RoomRow) -> tuple[Value, ...]:
+    """Return a row of rooms.csv."""
+    report = f"{row.folder}/report.html" if row.folder else ""
+    numbers = (row.identifiable, row.values, *row.mean, *row.decay_s, row.chi2_reduced)
+    findings, message = " ".join(row.findings), " ".join(row.message.split())
+    return (row.name, row.status, report, *numbers, findings, row.seconds, message)
+
+
+def _page_table(rows: Sequence[RoomRow]) -> Table:
+    columns = (
+        *("Room", "Status", "Identifiable values"),
+        "Mean absorption of the room, 500 and 1000 Hz",
+        *("Decay time there, measured, s", "predicted, s"),
+        *("Largest reduced chi-square", "Findings"),
+    )
+    return Table("Every room with its key figures", columns, [*map(_page_row, rows)], form=".2f")
+
+
+def _page_row(row: RoomRow) -> tuple[Value, ...]:
+    mean, lower, upper = row.mean
+    link = quote(f"{row.folder}/report.html") if row.folder else ""
+    bounds = (f"{lower:.2f} to {upper:.2f}",) if np.isfinite(lower) else ()
+    return (
+        row.name,
+        Cell(row.status, tuple(row.message.splitlines()), link=link),
+        f"{row.identifiable} of {row.values}" if row.values else "",
+        Cell(written(mean, ".2f"), bounds),
+        *(*row.decay_s, row.chi2_reduced),
+        Cell("", row.findings),
+    )
+
+
+def rooms_text(rows: Sequence[RoomRow]) -> str:
+    """Return the table for a terminal: a line a room, and what failed below it."""
+    shown: list[Sequence[Value]] = []
+    for r in rows:
+        cells = ["", "", ""]
+        if r.status == "done":
+            mean, lower, upper = (f"{x:.2f}" for x in r.mean)
+            cells = [f"{r.identifiable} of {r.values}", f"{mean} ({lower} to {upper})"]
+            cells.append(f"{r.decay_s[0]:.2f} s ({r.decay_s[1]:.2f} s)")
+        shown += [(r.name, r.status, *cells), *([f"    {x}"] for x in r.message.splitlines())]
+    words = ("status", "identifiable", "mean absorption", "T (predicted)")
+    columns = [Column(word, align="<") for word in ("room", *words)]
+    return text_of(Table("", columns, shown, ("", counted(rows))))

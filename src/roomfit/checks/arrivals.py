@@ -1,0 +1,626 @@
+"""Whether direct sounds arrive when they should, and the one cause where several do not.
+
+Clocks, units, exchanged files and displaced points each leave a pattern in the arrivals of the
+direct sound: a pattern is named once, in place of a doubt a recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from roomfit.base.air import speed_of_sound_m_s
+from roomfit.base.errors import InputError
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import BoolArray, FloatArray, IntArray
+from roomfit.checks.evidence import (
+    UNDECIDED,
+    ArrivalVerdict,
+    ClockCorrection,
+    Law,
+    Recorded,
+    pair_of,
+)
+from roomfit.model.observation import DEFAULT_POSITION_SD_M
+from roomfit.room.scene import Point, Scene
+from roomfit.signals.measurement import Measurement
+from roomfit.signals.response import find_onset, find_peak, onset_tolerance_m
+
+# Coordinates in one unit that are read in another are off by one of these factors.
+_FACTORS = {
+    0.3048: ("ft", "feet are read as metres"),
+    0.0254: ("in", "inches are read as metres"),
+    0.01: ("cm", "centimetres are read as metres"),
+    0.001: ("mm", "millimetres are read as metres"),
+    1.0 / 0.3048: ("m", "metres are read as feet"),
+}
+_SAME_FACTOR = 0.03
+_MOST_EXCHANGED = 50
+_FEWEST = 3
+# One campaign in a thousand whose positions are as specified is taken for one with a displaced
+# point; the standard deviation of an onset is a centimetre and a sample.
+_LEVEL = 1e-3
+_ONSET_SD_M, _ONSET_SD_SAMPLES = 0.01, 1.0
+_LEAST_SHIFT_M = 0.05
+# What a displacement, and a scale, may be before anything is measured; steps of Gauss-Newton.
+_MOST_SHIFT_M, _SCALES, _STEPS = 3.0, 0.5, 6
+# A delay is early or late, and as likely to be of tenths of milliseconds as of tenths of seconds.
+_LOG_DELAYS = float(np.log(1e4))
+_LEAD_S = 0.1  # no position is 34 m off: the recorder was started so long before the sound
+_TOLERANCE_SD = 3.0  # standard deviations of an onset in its tolerance
+_MORE_THAN_OTHERS = 10.0  # chi-square by which a displaced point explains more than any other
+
+LAWS = {
+    Code.RECORDINGS_LATE: Law(
+        "direct sounds arrive by the geometry, to the tolerance of one onset",
+        "evidence of a delay, common or of each source, against a scale and displaced receivers",
+    ),
+    Code.COORDINATES_SCALED: Law(
+        "direct sounds arrive by the geometry, to the tolerance of one onset",
+        "evidence of arrivals in proportion to the distance, against delays and a displacement",
+    ),
+    Code.EXCHANGED: Law(
+        "direct sounds arrive by the geometry",
+        "arrivals off by more than the tolerance of one onset that one exchange mends",
+    ),
+    Code.DISPLACEMENT_DETECTED: Law(
+        "all positions are as specified, within their standard deviations",
+        "chi-square of three coordinates of one point, times the number of points",
+        _LEVEL,
+    ),
+}
+
+
+def check(evidence: Recorded) -> Iterator[Finding]:
+    """Yield the one cause, if there is one, why direct sounds do not arrive when they should."""
+    for verdict in evidence.arrivals:
+        yield verdict.finding
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Arrivals:
+    """Onsets of recordings that are on the clock of emission, beside the geometry."""
+
+    measurements: list[Measurement]
+    source: list[Point]
+    receiver: list[Point]
+    path_m: FloatArray  # (n,), of the direct sound by its onset
+    peak_m: FloatArray  # (n,), by the peak of a pulse as short as the sampling rate allows
+    distance_m: FloatArray  # (n,), by the geometry
+    tolerance_m: FloatArray  # (n,), of an onset that is as specified
+    speed_m_s: float
+
+    @property
+    def late_m(self) -> FloatArray:
+        """By how much each comes late, (n,)."""
+        return self.path_m - self.distance_m
+
+
+def arrival_verdicts(
+    scene: Scene, measurements: Sequence[Measurement]
+) -> tuple[ArrivalVerdict, ...]:
+    """Return the one cause, if there is one, why direct sounds do not arrive when they should.
+
+    Only recordings whose clock starts at emission are compared. Patterns are tried from the
+    simplest on: every file begins at its direct sound; the likeliest of delays, a scale, and
+    receivers that are displaced together; coordinates in another unit; every file begins long
+    before, each at another instant; two files, or two points, exchanged; one point displaced.
+
+    Parameters
+    ----------
+    scene : Scene
+    measurements : sequence of Measurement
+        Of sources and receivers of the scene.
+
+    Returns
+    -------
+    tuple of ArrivalVerdict
+        Of one cause; several where sources have delays of their own, or a delay beside a displaced
+        point.
+    """
+    found = _arrivals(scene, measurements)
+    if found is None:
+        return ()
+    off = np.abs(found.late_m) > found.tolerance_m
+    if off.any():
+        for cause in (
+            _begin_at_direct,
+            _likeliest,
+            _other_unit,
+            _begin_anywhere,
+            _exchanged,
+        ):
+            verdicts = cause(found)
+            if verdicts:
+                return verdicts
+    verdicts = _displaced(found)
+    if verdicts:
+        displaced = verdicts[0].finding.about.files
+        rest = _arrivals(scene, [m for m in found.measurements if m.where not in displaced])
+        if rest is not None:
+            delays = [e for e in (_one_delay(rest), _delays(rest)) if e is not None]
+            verdicts = (*(delays[0].verdicts if delays else ()), *verdicts)
+    return verdicts
+
+
+def _arrivals(scene: Scene, measurements: Sequence[Measurement]) -> _Arrivals | None:
+    sources = {p.name: p for p in scene.sources}
+    receivers = {p.name: p for p in scene.receivers}
+    c = speed_of_sound_m_s(scene.air)
+    chosen, onset_s = [], []
+    for m in measurements:
+        try:
+            onset = find_onset(m.response, m.where)
+        except InputError:  # noise only, which is refused or reported elsewhere
+            continue
+        if m.time_zero == "emission":
+            chosen.append(m)
+            onset_s.append(onset)
+    if not chosen:
+        return None
+    source = [sources[m.source] for m in chosen]
+    receiver = [receivers[m.receiver] for m in chosen]
+    return _Arrivals(
+        chosen,
+        source,
+        receiver,
+        c * np.array(onset_s),
+        c * np.array([find_peak(m.response, t) for m, t in zip(chosen, onset_s, strict=True)]),
+        _distances_m(source, receiver),
+        np.array([onset_tolerance_m(c, m.response.sampling_rate_hz) for m in chosen]),
+        c,
+    )
+
+
+def _distances_m(source: Sequence[Point], receiver: Sequence[Point]) -> FloatArray:
+    at = [[p.position_m for p in points] for points in (source, receiver)]
+    return np.asarray(np.linalg.norm(np.array(at[0]) - np.array(at[1]), axis=1))
+
+
+def files_in_words(measurements: Sequence[Measurement], n_all: int) -> str:
+    """Return which of so many files, four of them by their names."""
+    names = ", ".join(m.name for m in measurements[:4])
+    if len(measurements) == n_all:
+        return f"all {n_all} files"
+    more = f" and {len(measurements) - 4} more" if len(measurements) > 4 else ""
+    return f"{len(measurements)} of {n_all} files ({names}{more})"
+
+
+def _begin_at_direct(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
+    """Every file was cut at its direct sound: onsets are alike on the files' own clocks."""
+    own_m = found.path_m + found.speed_m_s * np.array([m.latency_s for m in found.measurements])
+    spread, expected = np.ptp(own_m), np.ptp(found.distance_m)
+    tolerance_m = float(found.tolerance_m.max())
+    if len(own_m) < _FEWEST or spread > tolerance_m or expected < 3.0 * tolerance_m:
+        return ()
+    own_ms = 1e3 * float(own_m.mean()) / found.speed_m_s
+    text = (
+        f"All {len(own_m)} files begin at their direct sound, {own_ms:.2f} ms "
+        f"after the first sample, whatever the distance ({found.distance_m.min():.2f} to "
+        f'{found.distance_m.max():.2f} m): set time_zero = "direct".'
+    )
+    return (_begins_at_direct(found, text),)
+
+
+def _begins_at_direct(found: _Arrivals, text: str) -> ArrivalVerdict:
+    """Return that the first sample of every file tells nothing of when the sound was emitted."""
+    about = _about(found.measurements)
+    finding = Finding(Code.RECORDINGS_LATE, about, text, {"time_zero": "direct"})
+    return ArrivalVerdict(finding, ClockCorrection((), time_zero="direct"))
+
+
+def _about(measurements: Sequence[Measurement]) -> About:
+    return About(files=[m.where for m in measurements], pairs=[pair_of(m) for m in measurements])
+
+
+class _Explanation(NamedTuple):
+    """One cause of all late arrivals."""
+
+    evidence: float  # logarithm of the marginal likelihood
+    words: str  # after "or"
+    verdicts: tuple[ArrivalVerdict, ...]
+
+
+def _likeliest(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
+    """Return the likeliest of delays, a scale and displaced receivers that mends all arrivals.
+
+    It must be a thousand times as likely as arrivals by the geometry that err; others whose
+    evidence is within 2 units are named beside it.
+    """
+    makers = (_one_delay, _delays, _stretched, _receivers_displaced)
+    none = np.zeros((len(found.late_m), 0))
+    least = _evidence(found, found.late_m, none, none[0]) - np.log(_LEVEL)
+    made = (make(found) for make in makers)
+    explanations = [e for e in made if e is not None and e.evidence > least]
+    if not explanations:
+        return ()
+    best = max(explanations, key=lambda e: e.evidence)
+    others = [
+        e.words for e in explanations if e is not best and best.evidence - e.evidence < UNDECIDED
+    ]
+    if not others:
+        return best.verdicts
+    return tuple(
+        replace(v, finding=replace(v.finding, sentence=f"{v.finding.sentence} Or {others[0]}."))
+        for v in best.verdicts
+    )
+
+
+def _evidence(
+    found: _Arrivals, rest_m: FloatArray, columns: FloatArray, ranges: FloatArray
+) -> float:
+    """Return the marginal likelihood's logarithm of unknowns that leave some residuals.
+
+    By Laplace's approximation; each unknown has a uniform prior over its range, delays one over
+    the range of their logarithm, which is as dense as a range that grows with them. Arrivals err by
+    Student's t with four degrees of freedom, since onsets of real loudspeakers scatter by more than
+    a centimetre.
+
+    Parameters
+    ----------
+    columns : float array, shape (n_files, n_unknowns)
+        Derivatives of the arrivals in m.
+    ranges : float array, shape (n_unknowns,)
+    """
+    white = _whitening(found)
+    chi2, own = float(np.sum((white @ rest_m) ** 2)), white @ columns
+    _, logdet = np.linalg.slogdet(own.T @ own)
+    width = float(np.sum(np.log(ranges))) - 0.5 * len(ranges) * np.log(2.0 * np.pi)
+    n = len(rest_m)
+    return float(-0.5 * (4 + n) * np.log1p(chi2 / 4.0) - 0.5 * logdet - width)
+
+
+def _whitening(found: _Arrivals, robust_m: float = 0.0) -> FloatArray:
+    """Return what makes independent of unit variance what onsets and positions may be off."""
+    rate_hz = min(m.response.sampling_rate_hz for m in found.measurements)
+    onset_sd = max(_ONSET_SD_M + _ONSET_SD_SAMPLES * found.speed_m_s / rate_hz, robust_m)
+    covariance = onset_sd**2 * np.eye(len(found.late_m))
+    for point, own in _derivatives(found).items():
+        sd = DEFAULT_POSITION_SD_M if point.position_sd_m is None else point.position_sd_m
+        covariance += sd**2 * own @ own.T
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+def _is_adequate(found: _Arrivals, rest_m: FloatArray, n_unknowns: int) -> bool:
+    """Return whether residuals are those of onsets and positions, by chi-square."""
+    chi2 = float(np.sum((_whitening(found) @ rest_m) ** 2))
+    return bool(chdtrc(len(rest_m) - n_unknowns, chi2) >= _LEVEL)
+
+
+def _one_delay(found: _Arrivals) -> _Explanation | None:
+    """All recordings are late by one time."""
+    return _late_by(found, np.ones((len(found.late_m), 1)))
+
+
+def _delays(found: _Arrivals) -> _Explanation | None:
+    """All recordings of some sources are late by a time of each."""
+    names = np.array([m.source for m in found.measurements])
+    own = np.unique(names)
+    return None if len(own) < 2 else _late_by(found, names[:, None] == own)
+
+
+def _late_by(found: _Arrivals, groups: NDArray[Any]) -> _Explanation | None:
+    verdicts, columns, ranges_m, rest_m = [], [], [], np.array(found.late_m)
+    for group in groups.T.astype(np.bool_):
+        late_m, tolerance_m = found.late_m[group], found.tolerance_m[group]
+        middle_m = float(np.median(late_m))
+        if np.any(np.abs(late_m - middle_m) > tolerance_m):
+            return None
+        if abs(middle_m) > float(tolerance_m.max()):
+            if len(late_m) < 2:
+                return None
+            chosen = [m for m, own in zip(found.measurements, group, strict=True) if own]
+            # onsets decide, which a slow pulse leaves where they are; by how much, the peaks say
+            own_m = float(np.median((found.peak_m - found.distance_m)[group]))
+            verdicts.append(_late(chosen, own_m / found.speed_m_s, len(groups)))
+            rest_m[group] -= float(np.mean(late_m))
+            columns.append(group.astype(float))
+            ranges_m.append(2.0 * _LOG_DELAYS * abs(middle_m))
+    if not verdicts:
+        return None
+    evidence = _evidence(found, rest_m, np.stack(columns, axis=1), np.array(ranges_m))
+    return _Explanation(evidence, "their clocks are late", tuple(verdicts))
+
+
+def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> ArrivalVerdict:
+    samples = abs(late_s) * measurements[0].response.sampling_rate_hz
+    # one that is not 0 may hold where a file says that it begins, beside what the campaign states
+    is_unset = all(m.latency_s == 0.0 for m in measurements)
+    latency_s = round(late_s, 5) if is_unset else None  # 3 mm
+    advice = (
+        f"add {late_s:.5f} to their latency_s"
+        if latency_s is None
+        else f"set latency_s = {latency_s:.7g}"
+    )
+    who = files_in_words(measurements, n_all)
+    order = "late" if late_s > 0.0 else "early"
+    how = f"are {1e3 * abs(late_s):.2f} ms {order}"
+    if late_s > _LEAD_S:
+        how = f"begin {late_s:.2f} s before the sound is emitted"
+    text = (
+        f"{who[0].upper()}{who[1:]} {how} "
+        f'({samples:.0f} samples): {advice} or time_zero = "unknown".'
+    )
+    files = tuple(m.where for m in measurements)
+    evidence = {"late_s": late_s, "latency_s": latency_s, "files": list(files)}
+    finding = Finding(Code.RECORDINGS_LATE, _about(measurements), text, evidence)
+    return ArrivalVerdict(finding, ClockCorrection(files, late_s))
+
+
+def _stretched(found: _Arrivals) -> _Explanation | None:
+    """All arrivals are early or late in proportion to the distance."""
+    distance_m = found.distance_m
+    factor = float(found.path_m @ distance_m / (distance_m @ distance_m))
+    rest_m = found.path_m - factor * distance_m
+    apart_m = found.late_m - np.median(found.late_m)
+    clear = 2.0 * float(np.linalg.norm(rest_m)) < float(np.linalg.norm(apart_m))
+    if len(rest_m) < _FEWEST or np.any(np.abs(rest_m) > found.tolerance_m):
+        return None
+    if not (clear or _is_adequate(found, rest_m, 1)):
+        return None
+    evidence = _evidence(found, rest_m, distance_m[:, None], np.array([_SCALES]))
+    unit, what = "", "the scale of the drawing, the sampling rate, or the temperature is another"
+    for known, reading in _FACTORS.items():
+        if abs(factor / known - 1.0) < _SAME_FACTOR:
+            factor, (unit, what) = known, reading
+    words = f"all positions are {factor:.4g} times as far apart"
+    return _Explanation(evidence, words, (_scaled(factor, unit, what, found),))
+
+
+def _receivers_displaced(found: _Arrivals) -> _Explanation | None:
+    """All receivers stand elsewhere by one vector, found by Gauss-Newton steps."""
+    names = {p.name for p in found.receiver}
+    n = len(found.late_m)
+    if len(names) < 2 or n <= 3:
+        return None
+    from_m, to_m = (
+        np.array([p.position_m for p in ends]) for ends in (found.source, found.receiver)
+    )
+    shift_m = np.zeros(3)
+    for _ in range(_STEPS):
+        away = to_m + shift_m - from_m
+        distance_m = np.linalg.norm(away, axis=1)
+        columns = away / distance_m[:, None]
+        rest_m = found.path_m - distance_m
+        step_m, _, rank, _ = np.linalg.lstsq(columns, rest_m, rcond=1e-3)
+        if rank < 3:
+            return None
+        shift_m += step_m
+    rest_m = found.path_m - np.linalg.norm(to_m + shift_m - from_m, axis=1)
+    size_m = float(np.linalg.norm(shift_m))
+    if not _LEAST_SHIFT_M < size_m < _MOST_SHIFT_M or np.any(np.abs(rest_m) > found.tolerance_m):
+        return None
+    if not _is_adequate(found, rest_m, 3):
+        return None  # not all of them alike
+    evidence = _evidence(found, rest_m, columns, np.full(3, 2.0 * _MOST_SHIFT_M))
+    by = ", ".join(f"{x:+.2f}" for x in shift_m)
+    words = f"all {len(names)} receivers stand elsewhere than specified, by ({by}) m"
+    text = (
+        f"By the direct sounds {words} against the sources: these explain the arrivals better than "
+        "a delay. Measure them again, or compare the origins of both lists."
+    )
+    points = {p.name: p.position_m for p in found.receiver}.values()
+    about = replace(
+        _about(found.measurements), points_m=[(float(x), float(y), float(z)) for x, y, z in points]
+    )
+    numbers = {"receivers": sorted(names), "metres": size_m, "shift_m": shift_m.tolist()}
+    finding = Finding(Code.DISPLACEMENT_DETECTED, about, text, numbers)
+    return _Explanation(evidence, words, (ArrivalVerdict(finding),))
+
+
+def _scaled(factor: float, unit: str, what: str, found: _Arrivals) -> ArrivalVerdict:
+    text = (
+        f"The direct sounds of all {len(found.path_m)} files arrive as if all positions were "
+        f"{factor:.4g} times as far apart: {what}. Compare the positions, the unit of the room "
+        "and the files."
+    )
+    about = _about(found.measurements)
+    evidence = {"factor": factor, **({"unit": unit} if unit else {})}
+    return ArrivalVerdict(Finding(Code.COORDINATES_SCALED, about, text, evidence))
+
+
+def _other_unit(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
+    """All distances are those of another unit, beside a common delay."""
+    if len(found.path_m) < _FEWEST or np.ptp(found.distance_m) < 3.0 * found.tolerance_m.max():
+        return ()
+    for factor, (unit, what) in _FACTORS.items():
+        late_m = found.path_m - factor * found.distance_m
+        if np.all(np.abs(late_m - np.median(late_m)) <= found.tolerance_m):
+            return (_scaled(factor, unit, what, found),)
+    return ()
+
+
+def _begin_anywhere(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
+    """Every file begins long before the sound, each at another instant."""
+    late_s = found.late_m / found.speed_m_s
+    if len(late_s) < 2 or late_s.min() < _LEAD_S:
+        return ()
+    text = (
+        f"All {len(late_s)} files begin before the sound is emitted, each at another instant, "
+        f'{late_s.min():.2f} to {late_s.max():.2f} s: set time_zero = "direct".'
+    )
+    return (_begins_at_direct(found, text),)
+
+
+def with_corrected_clocks(
+    measurements: Sequence[Measurement], verdicts: Sequence[ArrivalVerdict]
+) -> list[Measurement]:
+    """Return recordings on the clocks that the verdicts say to set.
+
+    In their order; those of which nothing is said as they are.
+    """
+    corrected = []
+    for m in measurements:
+        for correction in (v.correction for v in verdicts if v.correction is not None):
+            if m.time_zero != "emission":
+                continue
+            if correction.time_zero is not None:
+                m = replace(m, time_zero=correction.time_zero)
+            elif m.where in correction.files:
+                m = replace(m, latency_s=m.latency_s + correction.late_s)
+        corrected.append(m)
+    return corrected
+
+
+def _exchanged(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
+    """Two files, receivers or sources have each other's name; one exchange mends it all."""
+    middle_m = float(np.median(found.late_m))
+    common_m = middle_m if abs(middle_m) > float(found.tolerance_m.max()) else 0.0
+    off = np.flatnonzero(np.abs(found.late_m - common_m) > found.tolerance_m)
+    if len(off) < 2 or len(found.late_m) < _FEWEST:
+        return ()
+
+    def mends(distance_m: FloatArray) -> bool:
+        late_m = found.path_m - distance_m - common_m
+        return bool(np.all(np.abs(late_m) <= found.tolerance_m))
+
+    if len(off) == 2:
+        order = np.arange(len(found.late_m))
+        order[off] = off[::-1]
+        if mends(found.distance_m[order]):
+            a, b = (found.measurements[i] for i in off)
+            text = (
+                f"{a.name} and {b.name} are exchanged: each arrives when that of the other should "
+                f"({a.source} to {a.receiver}, {b.source} to {b.receiver})."
+            )
+            evidence = {"files": [a.where, b.where]}
+            return (ArrivalVerdict(Finding(Code.EXCHANGED, _about((a, b)), text, evidence)),)
+    exchanges = [(who, e) for who, e, at_m in _two_exchanged(found, off) if mends(at_m)]
+    if len(exchanges) != 1:
+        return ()
+    ((who, exchange),) = exchanges
+    text = (
+        f"The {who} are exchanged: all direct sounds arrive when they should "
+        "if each has the position of the other."
+    )
+    sources, receivers = exchange.get("sources", []), exchange.get("receivers", [])
+    both = [m for m in found.measurements if m.source in sources or m.receiver in receivers]
+    return (ArrivalVerdict(Finding(Code.EXCHANGED, _about(both), text, exchange)),)
+
+
+def _two_exchanged(
+    found: _Arrivals, off: IntArray
+) -> Iterator[tuple[str, dict[str, list[str]], FloatArray]]:
+    """Yield two points of doubtful files, in words and by kind, with distances if exchanged, (n,).
+
+    None of a kind of which so many are doubtful that it is something that all have in common.
+    """
+    doubtful = {
+        kind: list({points[i].name: points[i] for i in off}.values())
+        for kind, points in (("receivers", found.receiver), ("sources", found.source))
+    }
+    few = {kind: p if len(p) <= _MOST_EXCHANGED else [] for kind, p in doubtful.items()}
+    for kind, points in few.items():
+        for one, other in combinations(points, 2):
+            to = {one.name: other, other.name: one}
+            moved = found.receiver if kind == "receivers" else found.source
+            moved = [to.get(p.name, p) for p in moved]
+            ends = (found.source, moved) if kind == "receivers" else (moved, found.receiver)
+            who = f"{kind} {one.name} and {other.name}"
+            yield who, {kind: [one.name, other.name]}, _distances_m(*ends)
+    for one, other in product(few["sources"], few["receivers"]):
+        sources = [other if p.name == one.name else p for p in found.source]
+        receivers = [one if p.name == other.name else p for p in found.receiver]
+        who = f"source {one.name} and the receiver {other.name}"
+        yield (
+            who,
+            {"sources": [one.name], "receivers": [other.name]},
+            _distances_m(sources, receivers),
+        )
+
+
+def _displaced(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
+    """One source or receiver stands elsewhere, the others as specified: chi-square decides.
+
+    Each source may have a delay of its own. To the residuals of all arrivals the three coordinates
+    of one point after the other are fitted.
+    """
+    n = len(found.late_m)
+    if n < _FEWEST + 1:
+        return ()
+    columns = _derivatives(found)
+    names = np.array([m.source for m in found.measurements])
+    delays = np.stack([names == name for name in dict.fromkeys(names.tolist())], axis=1).astype(
+        float
+    )
+    robust_m = 1.4826 * float(np.median(np.abs(found.late_m - np.median(found.late_m))))
+    white = _whitening(found, robust_m)
+    data, base = white @ found.late_m, white @ delays
+    whole, rank = _left(base, data)
+    gains = {}
+    for point, own in columns.items():
+        rest, with_point = _left(np.hstack([base, white @ own]), data)
+        if rank < with_point < n:
+            gains[point] = (whole - rest, with_point - rank, rest, n - with_point)
+    if not gains:
+        return ()
+    best = max(gains, key=lambda point: gains[point][0])
+    gain, n_free, rest, n_left = gains[best]
+    second = max((g[0] for point, g in gains.items() if point is not best), default=0.0)
+    sure = chdtrc(n_free, gain) * len(gains) < _LEVEL and gain - second > _MORE_THAN_OTHERS
+    if not sure or chdtrc(n_left, rest) < _LEVEL:
+        return ()
+    own = np.any(columns[best] != 0.0, axis=1)
+    one_file = [
+        whole - _left(np.hstack([base, white[:, [i]]]), data)[0] for i in np.flatnonzero(own)
+    ]
+    # what a displacement leaves unchanged of the other paths is less likely the farther it is
+    ratio = float(np.abs(found.late_m[own]).max() / found.tolerance_m.max())
+    unchanged = min(int(own.sum()) - 1, 2)
+    unlikely = unchanged * np.log(_TOLERANCE_SD * ratio) - 0.5 * (gain - max(one_file))
+    if unlikely > UNDECIDED:
+        return ()  # one file by itself, which is reported as such
+    return _displacement(found, best, ~own, delays)
+
+
+def _derivatives(found: _Arrivals) -> dict[Point, FloatArray]:
+    """Return the derivatives of all paths by the coordinates of each point, (n, 3)."""
+    source, receiver = (
+        np.array([p.position_m for p in ends]) for ends in (found.source, found.receiver)
+    )
+    along = (receiver - source) / found.distance_m[:, None]
+    columns: dict[Point, FloatArray] = {}
+    for ends, sign in ((found.source, -1.0), (found.receiver, 1.0)):
+        for i, point in enumerate(ends):
+            columns.setdefault(point, np.zeros_like(along))[i] = sign * along[i]
+    return columns
+
+
+def _left(columns: FloatArray, data: FloatArray) -> tuple[float, int]:
+    """Return the sum of squares that least squares leave, and the rank."""
+    solution, _, rank, _ = np.linalg.lstsq(columns, data, rcond=1e-8)
+    return float(np.sum((data - columns @ solution) ** 2)), int(rank)
+
+
+def _displacement(
+    found: _Arrivals, point: Point, others: BoolArray, delays: FloatArray
+) -> tuple[ArrivalVerdict, ...]:
+    delay_m, *_ = np.linalg.lstsq(delays[others], found.late_m[others], rcond=None)
+    rest_m = (found.late_m - delays @ delay_m)[~others]
+    size_m = float(np.max(np.abs(rest_m)))  # no path changes by more than its end moves
+    if size_m < _LEAST_SHIFT_M:
+        return ()
+    kind, name = "receiver" if point in found.receiver else "source", point.name
+    chosen = [m for m, other in zip(found.measurements, others.tolist(), strict=True) if not other]
+    each = ", ".join(
+        f"{100 * abs(late):.0f} cm {'farther from' if late > 0 else 'nearer to'} "
+        f"{m.source if kind == 'receiver' else m.receiver}"
+        for m, late in zip(chosen[:4], rest_m.tolist(), strict=False)
+    )
+    text = (
+        f"The {kind} {name} stands elsewhere than specified, by {size_m:.2f} m or more: its direct "
+        f"sounds arrive as if it were {each}; those of all other positions agree. Measure it again."
+    )
+    evidence = {kind: name, "metres": size_m, "files": [m.where for m in chosen]}
+    about = About(
+        files=[m.where for m in chosen],
+        pairs=[pair_of(m) for m in chosen],
+        points_m=[(float(x), float(y), float(z)) for x, y, z in [point.position_m]],
+    )
+    return (ArrivalVerdict(Finding(Code.DISPLACEMENT_DETECTED, about, text, evidence)),)

@@ -1,0 +1,65 @@
+"""Whether fits and samples converged."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from roomfit.base.bands import bands_in_words
+from roomfit.base.findings import About, Code, Finding
+from roomfit.checks.evidence import Evidence, Law
+
+LAWS = {
+    Code.FIT_NOT_CONVERGED: Law("the fit converged", "rounds of updated weights"),
+    Code.SAMPLING_NOT_CONVERGED: Law(
+        "chains sample one law", "R-hat, and samples per autocorrelation time"
+    ),
+}
+
+
+def check_fits(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding for the bands whose fits did not converge."""
+    bands, answers = evidence.measured.bands, evidence.fits.answers
+    slow = [j for j, a in enumerate(answers) if not a.converged]
+    if slow:
+        # what the last round moved, in words
+        moved = [", ".join(answers[j].moved) or answers[j].ending.value[0] for j in slow]
+        yield Finding(
+            Code.FIT_NOT_CONVERGED,
+            About(bands_hz=bands.centres_hz[slow].tolist()),
+            "The fit did not converge within the rounds of updated weights that are allowed. "
+            f"Last moved: {bands_in_words(bands, slow, moved)}. "
+            "Allow more (max_rounds in [settings]), or fix what the data do not determine.",
+            {
+                "bands_hz": bands.centres_hz[slow].tolist(),
+                "moved": [list(answers[j].moved) for j in slow],
+            },
+        )
+
+
+def check_samples(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding for the bands whose samples did not converge."""
+    bands = evidence.measured.bands
+    samplings = {
+        j: a.sampling
+        for j, a in enumerate(evidence.fits.answers)
+        if a.sampling is not None and not a.sampling.converged
+    }
+    if not samplings:
+        return
+    bad = list(samplings)
+    notes = [
+        f"{s.evaluations} evaluations, autocorrelation {s.autocorrelation.max():.0f} steps, "
+        f"R-hat {s.r_hat.max():.2f}"
+        for s in samplings.values()
+    ]
+    yield Finding(
+        Code.SAMPLING_NOT_CONVERGED,
+        About(bands_hz=bands.centres_hz[bad].tolist()),
+        "The samples of the posterior did not converge within the evaluations allowed: "
+        f"{bands_in_words(bands, bad, notes)}. The intervals there are Gaussian.",
+        {
+            "bands_hz": bands.centres_hz[bad].tolist(),
+            "evaluations": [s.evaluations for s in samplings.values()],
+            "largest_r_hat": [round(float(s.r_hat.max()), 4) for s in samplings.values()],
+        },
+    )

@@ -1,0 +1,222 @@
+"""All checks, in the order in which their findings are reported, and what each may look at.
+
+A new check is a function in a file of its own, and a line here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import TypeAlias, TypeVar
+
+import numpy as np
+
+from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Finding
+from roomfit.base.forks import in_forks
+from roomfit.base.typing import FloatArray
+from roomfit.checks import (
+    arrivals,
+    convergence,
+    copies,
+    decay,
+    displacement,
+    fixed_absorption,
+    levels,
+    linearity,
+    minima,
+    mirrors,
+    misfit,
+    missing_data,
+    noise_gate,
+    noise_tail,
+    outliers,
+    polarity,
+    positions,
+    prior,
+    recordings,
+    reflections,
+    repeats,
+    scattering,
+    schroeder,
+    source_patterns,
+    trace,
+    uniformity,
+    unreached,
+    wall_positions,
+)
+from roomfit.checks.evidence import Evidence, Recorded
+from roomfit.fit.compare import compare_all
+from roomfit.fit.fits import BandFits
+from roomfit.fit.measurements import (
+    Measurements,
+    collect_measurements,
+    counted_once,
+    measured_scene,
+    median_decay_s,
+)
+from roomfit.fit.paths import TracedPaths
+from roomfit.materials.priors import MaterialPrior
+from roomfit.model.eyring import eyring_absorption
+from roomfit.model.patterns import Directivities
+from roomfit.room.mesh import surface_area_m2, volume_m3
+from roomfit.room.scene import Scene
+from roomfit.settings import DECAY_RANGE_DB, Settings
+from roomfit.signals.iso3382 import MeasuredValues
+from roomfit.signals.measurement import Measurement
+from roomfit.uncertainty.posterior import plain_logit_covariance
+
+Observed = TypeVar("Observed", Recorded, Evidence)
+RecordedCheck: TypeAlias = Callable[[Recorded], Iterable[Finding]]
+FittedCheck: TypeAlias = Callable[[Evidence], Iterable[Finding]]
+
+BEFORE_THE_FIT: tuple[RecordedCheck, ...] = (
+    arrivals.check,
+    levels.check,
+    polarity.check,
+    recordings.check_tables,
+    copies.check,
+    recordings.check,
+    repeats.check,
+    wall_positions.check,
+)
+
+AFTER_THE_FIT: tuple[FittedCheck, ...] = (
+    missing_data.check_recordings,
+    trace.check,
+    unreached.check,
+    scattering.check_chosen,
+    noise_tail.check,
+    scattering.check,
+    positions.check_specified,
+    missing_data.check_bands,
+    outliers.check,
+    positions.check_inflated,
+    positions.check_delays,
+    positions.check_fixed,
+    source_patterns.check,
+    positions.check_shifts,
+    linearity.check,
+    fixed_absorption.check,
+    displacement.check,
+    uniformity.check,
+    noise_gate.check,
+    misfit.check_bands,
+    convergence.check_fits,
+    misfit.check,
+    minima.check_certificates,
+    minima.check_starts,
+    convergence.check_samples,
+    prior.check,
+    prior.check_assumed,
+    schroeder.check,
+    decay.check,
+    reflections.check,
+    mirrors.check,
+)
+
+
+def examine(
+    checks: Sequence[Callable[[Observed], Iterable[Finding]]], evidence: Observed
+) -> tuple[Finding, ...]:
+    """Return what checks find in the evidence, in their order."""
+    found = in_forks(lambda check: tuple(check(evidence)), checks)
+    return tuple(finding for findings in found for finding in findings)
+
+
+def recorded(
+    scene: Scene,
+    measurements: Sequence[Measurement | MeasuredValues],
+    bands: Bands,
+    directivities: Directivities,
+    decay_range_db: float = DECAY_RANGE_DB,
+) -> Recorded:
+    """Return everything that was measured, as checks before a fit look at it.
+
+    Parameters as of `roomfit.fit.measurements.collect_measurements`.
+
+    Raises
+    ------
+    InputError
+        As there; where a response cannot be used, with the one cause of its arrival, if there is
+        one, as what to try.
+    """
+    try:
+        measured = collect_measurements(scene, measurements, bands, directivities, decay_range_db)
+    except InputError as error:
+        responses = [m for m in measurements if isinstance(m, Measurement)]
+        if error.where not in {m.where for m in responses}:
+            raise
+        own = measured_scene(scene, measurements)
+        causes = arrivals.arrival_verdicts(own, counted_once(own, responses)[0])
+        if not causes:
+            raise
+        raise InputError(
+            error.what,
+            where=error.where,
+            found=error.found,
+            needed=error.needed,
+            hint=" ".join(cause.finding.sentence for cause in causes),
+        ) from error
+    responses = [m.measurement for m in measured.responses]
+    return Recorded(measured, arrivals.arrival_verdicts(measured.scene, responses))
+
+
+def fitted_evidence(
+    recorded: Recorded,
+    priors: tuple[MaterialPrior, ...],
+    traced: TracedPaths,
+    fits: BandFits,
+    settings: Settings,
+) -> Evidence:
+    """Return what checks after a fit may look at, every measured pair predicted."""
+    measured, answers = recorded.measured, fits.answers
+    absorption, lower95, upper95 = (
+        np.stack([getattr(b, name) for b in answers], axis=1)
+        for name in ("absorption", "lower95", "upper95")
+    )
+    names = [k.name for k in priors]
+    leaders = [names.index(k.tied_to or k.name) for k in priors]
+    covariance = plain_logit_covariance(  # whatever the bounds of the fit
+        np.stack([b.logit_covariance for b in answers]),
+        absorption,
+        np.array([k.lower for k in priors])[leaders],
+        np.array([k.upper for k in priors])[leaders],
+    )
+    coherent = np.array([b.model == "coherent" for b in answers], dtype=np.bool_)
+    pairs, by_pressures = compare_all(measured, traced.binned, absorption, coherent)
+    return Evidence(
+        measured,
+        recorded.arrivals,
+        settings,
+        priors,
+        traced,
+        fits,
+        pairs,
+        by_pressures,
+        absorption,
+        lower95,
+        upper95,
+        covariance,
+        eyring_start(measured),
+    )
+
+
+def eyring_start(measured: Measurements) -> FloatArray:
+    """Return one absorption for all walls in every band, from the measured decays."""
+    scene, bands = measured.scene, measured.bands
+    mesh = scene.room.mesh
+    attenuation = attenuation_per_m(scene.air, bands)
+    decay_s = median_decay_s(measured, bands.centres_hz)
+    starts = [
+        eyring_absorption(
+            6.0 * np.log(10.0) / t if np.isfinite(t) else 0.0,
+            volume_m3(mesh),
+            surface_area_m2(mesh),
+            speed_of_sound_m_s(scene.air),
+            float(m),
+        )
+        for t, m in zip(decay_s, attenuation, strict=True)
+    ]
+    return np.array(starts)

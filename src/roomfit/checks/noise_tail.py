@@ -1,0 +1,283 @@
+"""Whether the background noise is stationary: it falls where a window was left in the files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+from scipy.special import chdtri, digamma, polygamma, stdtrit
+
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import FloatArray
+from roomfit.checks.evidence import Evidence, Law
+from roomfit.signals.measurement import MeasuredPair
+
+_LEVEL = 1e-4  # of a campaign whose noise is stationary
+# Noise is sought above 500 Hz in so many blocks of a last part of the files, the first of three
+# whose levels lie on a line, and in blocks of 1 ms until 3 ms before the direct sound.
+_TAIL_SHARES, _TAIL_BLOCKS, _TAIL_HZ, _RINGING_S = (0.4, 0.25, 0.15), 8, 500.0, 0.05
+# A response that is limited to half of the sampling rate rings there before the direct sound; up to
+# a quarter of that rate noise is noise.
+_MOST_OF_RATE, _LEAST_RATE_HZ = 0.25, 4000.0
+_EDGE_S, _BEFORE_S, _BLOCK_S, _MOST_BEFORE, _FEWEST_BEFORE = 0.5e-3, 3e-3, 1e-3, 8, 2
+# Levels of noise scatter about the line as chi-square; of music-like or impulsive noise so many
+# times as much at most. Of files without noise it is 80 times and more.
+_STRAIGHT_CHANCE, _LARGEST_DISPERSION = 1e-3, 3.0
+# Noise of 6 dB an octave has three degrees of freedom in a millisecond, the last modes have one.
+_FEWEST_FREE = 2.0
+# Averaged over so many bins, a spectrum gives the bandwidth of noise without its own scatter.
+_SMOOTHED_BINS = 17
+# Early sound stands 6 dB above the line of the noise at least, or what falls is the sound itself;
+# a rate that is a smaller share of the room's own does less to absorption than intervals allow for.
+_EARLY_S, _LEAST_EXCESS, _LEAST_RATE = 0.02, 4.0, 0.05
+_MOST_BY_WINDOW = 0.8  # of the decay rate as measured
+# The last of a decay over steady noise: its rate on that of the room, its energy on the noise's.
+_UNDECIDED = 2.0  # gain in log-likelihood by which the noise that falls has to be the likelier one
+_LATE_RATES, _OVER_NOISE = np.linspace(0.4, 1.0, 7), np.geomspace(0.01, 100.0, 41)
+
+LAWS = {
+    Code.DECAY_BENT: Law(
+        "what precedes the direct sound and ends the files is noise, and stationary",
+        "common slope of the logarithms of block energies, whose scatter is that of noise, over "
+        "its standard deviation: Student's t, one-sided; none where they do not lie on a line",
+        _LEVEL,
+    )
+}
+
+
+class _Levels(NamedTuple):
+    """Logarithms of block energies of one file, before the direct sound and at the end."""
+
+    time_s: FloatArray  # (n_blocks,), the last `_TAIL_BLOCKS` of the end
+    level: FloatArray
+    variance: FloatArray  # of Gaussian noise
+    early_s: float  # 20 ms from the direct sound on
+    early: float
+
+
+class _Line(NamedTuple):
+    """Noise that falls by one rate in all files."""
+
+    rate_per_s: float
+    sd: float
+    dispersion: float  # about 1 for noise
+    n_free: int
+    excess: float  # logarithm, of early sound over the line
+    is_straight: bool
+    # gain in log-likelihood over noise that is steady after the sound and has another level before
+    over_steady: float
+
+
+def check(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding where the background noise falls, as in files under an exponential window.
+
+    Noise is stationary, unless a window was applied after it was recorded. From 500 Hz to a quarter
+    of the sampling rate the levels before the direct sound and at the end of the files are put on
+    one line. They are taken for noise only if they scatter about it as the energies of noise do:
+    sound that decays, that rises before the direct sound as that of a filter or of deconvolution,
+    or that a simulator puts there, scatters by far more. A rest of reverberation at the end, which
+    falls as the room does, is fitted along.
+    """
+    measured = [m for m in evidence.measured.responses if m.measurement.use == "fit"]
+    rings = [1.0 / t for m in measured for t in m.noise.tail_time_constant_s if t > 0.0]
+    if not rings:
+        return
+    ring_per_s = float(np.median(rings))
+    line = noise_line(measured, ring_per_s)
+    if line is None or not line.is_straight or line.excess < np.log(_LEAST_EXCESS):
+        return
+    least = max(float(stdtrit(line.n_free, 1.0 - _LEVEL)) * line.sd, _LEAST_RATE * ring_per_s)
+    if line.rate_per_s <= least or line.over_steady < _UNDECIDED:
+        return
+    files = [m for m in measured if _levels(m, _TAIL_SHARES[-1]) is not None]
+    rate = line.rate_per_s
+    yield Finding(
+        Code.DECAY_BENT,
+        About(files=[m.measurement.where for m in files]),
+        f"The background noise falls by {10.0 * rate / np.log(10.0):.0f} dB per second "
+        "from before the direct sound to the end of the files: an "
+        f"exponential window of {2.0 / rate:.2g} s (pressure) was left in them, by which "
+        "every decay is too fast. No material is called identifiable; undo it, or export the "
+        "files without.",
+        {
+            "rate_per_s": round(rate, 3),
+            "rate_sd_per_s": round(line.sd, 3),
+            "dispersion": round(line.dispersion, 2),
+            "files": len(files),
+        },
+    )
+
+
+def noise_line(measured: Sequence[MeasuredPair], ring_per_s: float) -> _Line | None:
+    """Return the line of all files' noise, from the longest end that is straight.
+
+    The least crooked where none is. None where too little comes before the direct sound, or files
+    are too short.
+
+    Parameters
+    ----------
+    ring_per_s : float
+        At which the measured energy decays, by the room and by the window.
+    """
+    best = None
+    for share in _TAIL_SHARES:
+        levels = [x for m in measured if (x := _levels(m, share)) is not None]
+        if not levels:
+            continue
+        line = _fitted(levels, ring_per_s, ring_per_s)
+        # over the line of the noise, reverberation falls by what it falls faster
+        slower_per_s = float(np.clip(line.rate_per_s, 0.0, _MOST_BY_WINDOW * ring_per_s))
+        line = _fitted(levels, ring_per_s - slower_per_s, ring_per_s)
+        if best is None or line.dispersion < best.dispersion:
+            best = line
+        if line.dispersion * line.n_free <= float(chdtri(line.n_free, _STRAIGHT_CHANCE)):
+            return line
+    return best
+
+
+def _fitted(files: Sequence[_Levels], ring_per_s: float, steady_per_s: float) -> _Line:
+    """Return the weighted least-squares line, beside noise of another level after the sound.
+
+    Parameters
+    ----------
+    ring_per_s, steady_per_s : float
+        At which reverberation falls over the line, and over steady noise.
+    """
+    rate, sd, chi2, n_free = _least_squares(files, [-f.time_s for f in files], ring_per_s)
+    dispersion = max(chi2 / n_free, 1.0)
+    excess = [
+        f.early - np.average(f.level + rate * (f.time_s - f.early_s), weights=1.0 / f.variance)
+        for f in files
+    ]
+    limit = max(float(chdtri(n_free, _STRAIGHT_CHANCE)), _LARGEST_DISPERSION * n_free)
+    return _Line(
+        rate,
+        sd * float(np.sqrt(dispersion)),
+        chi2 / n_free,
+        n_free,
+        float(np.median(excess)),
+        chi2 <= limit,
+        0.5 * (_steady_chi2(files, steady_per_s) - chi2) / dispersion,
+    )
+
+
+def _steady_chi2(files: Sequence[_Levels], ring_per_s: float) -> float:
+    """Return chi-square of noise of one level after the sound, and another before it, in each file.
+
+    Reverberation stands above the noise as much in all files, at the best of a grid, and falls as
+    the room does or slower, as the last of a decay does.
+    """
+    after = np.concatenate([f.time_s[-_TAIL_BLOCKS:] - f.time_s[-_TAIL_BLOCKS] for f in files])
+    level, variance = (
+        np.concatenate([getattr(f, name)[-_TAIL_BLOCKS:] for f in files])
+        for name in ("level", "variance")
+    )
+    rate_per_s, over = (x.ravel() for x in np.meshgrid(ring_per_s * _LATE_RATES, _OVER_NOISE))
+    rest = level - np.log1p(over[:, None] * np.exp(-rate_per_s[:, None] * after))
+    rest, weight = rest.reshape(len(over), len(files), -1), 1.0 / variance.reshape(len(files), -1)
+    mean = np.sum(weight * rest, axis=2, keepdims=True) / weight.sum(axis=1)[:, None]
+    best = float(np.min(np.sum(weight * (rest - mean) ** 2, axis=(1, 2))))
+    for f in files:
+        before, weights = f.level[:-_TAIL_BLOCKS], 1.0 / f.variance[:-_TAIL_BLOCKS]
+        best += float(np.sum(weights * (before - np.average(before, weights=weights)) ** 2))
+    return best
+
+
+def _least_squares(
+    files: Sequence[_Levels], change: Sequence[FloatArray], ring_per_s: float
+) -> tuple[float, float, float, int]:
+    """Return the size of a change that all files share, its deviation, chi-square, and freedom.
+
+    Beside a height of each file and one share of reverberation, which is not negative.
+
+    Parameters
+    ----------
+    change : sequence of float arrays
+        Of the levels of each file, by its blocks.
+    """
+    columns = []
+    for f, own in zip(files, change, strict=True):
+        since_s = f.time_s - f.time_s[-_TAIL_BLOCKS]
+        ringing = np.where(since_s >= 0.0, np.exp(-ring_per_s * np.maximum(since_s, 0.0)), 0.0)
+        weight = 1.0 / f.variance
+        rows = np.stack((own, ringing, f.level))
+        rows -= np.average(rows, axis=1, weights=weight)[:, None]
+        columns.append(np.concatenate((rows, weight[None])))
+    changes, ringing, level, weight = np.concatenate(columns, axis=1)
+    both = np.stack((changes, ringing), axis=1)
+    covariance = np.linalg.inv(both.T @ (weight[:, None] * both))
+    size, share = covariance @ both.T @ (weight * level)
+    if share < 0.0:  # no reverberation takes noise away
+        size, share = float(np.sum(weight * changes * level) / np.sum(weight * changes**2)), 0.0
+    n_free = level.size - len(files) - 2
+    chi2 = float(np.sum(weight * (level - size * changes - share * ringing) ** 2))
+    return float(size), float(np.sqrt(covariance[0, 0])), chi2, n_free
+
+
+def band_passed(x: FloatArray, from_hz: float, to_hz: float, rate_hz: float) -> FloatArray:
+    """Return a signal through causal digital Butterworth filters, which ring after it.
+
+    One of order 4 from one frequency on, and one of order 8 up to the other.
+    """
+    n = fft.next_fast_len(x.size + round(_RINGING_S * rate_hz), real=True)
+    s = 1j * np.tan(np.pi * fft.rfftfreq(n))
+    high, low = (s / np.tan(np.pi * hz / rate_hz) for hz in (from_hz, to_hz))
+    gain = high**4 / np.prod(1.0 - _poles(4) * high, axis=0) / np.prod(low - _poles(8), axis=0)
+    return np.asarray(fft.irfft(fft.rfft(x, n) * gain, n)[: x.size])
+
+
+def _poles(order: int) -> NDArray[Any]:
+    """Return the poles of Butterworth's low pass of an even order at 1 rad/s, (order, 1)."""
+    angle = 0.5 * np.pi * (np.arange(1, 2 * order, 2) / order + 1.0)
+    return np.asarray(np.exp(1j * angle))[:, None]
+
+
+def _levels(m: MeasuredPair, share: float) -> _Levels | None:
+    """Return what noise may be in one file; None where there is too little of it.
+
+    Parameters
+    ----------
+    share : float
+        Of the time from the direct sound to the last sample that is not zero.
+
+    Notes
+    -----
+    The energy of Gaussian noise in a block is chi-square with twice as many degrees of freedom as
+    the product of time and statistical bandwidth; the mean of its logarithm is taken off.
+    """
+    x, rate_hz = m.response.pressure, m.response.sampling_rate_hz
+    sounding = np.flatnonzero(x)
+    begin, end = int(sounding[0]) + round(_EDGE_S * rate_hz), int(sounding[-1]) + 1
+    direct = round((m.direct_s + m.response.time_zero_s) * rate_hz)
+    stop = direct - round(_BEFORE_S * rate_hz)
+    n_before = min(int((stop - begin) / (_BLOCK_S * rate_hz)), _MOST_BEFORE)
+    size = int(share * (end - direct)) // _TAIL_BLOCKS
+    if n_before < _FEWEST_BEFORE or size < _BLOCK_S * rate_hz or rate_hz < _LEAST_RATE_HZ:
+        return None
+    pressure = band_passed(x, _TAIL_HZ, _MOST_OF_RATE * rate_hz, rate_hz)
+    before = np.linspace(begin, stop, n_before + 1).astype(np.int64)
+    tail = np.arange(end - _TAIL_BLOCKS * size, end + 1, size)
+    first, last = np.append(before[:-1], tail[:-1]), np.append(before[1:], tail[1:])
+    squared = pressure**2
+    # not as differences of a cumulative sum, whose rounding is louder than noise under a window
+    energy = np.array([squared[a:b].mean() for a, b in zip(first, last, strict=True)])
+    early = direct, min(direct + round(_EARLY_S * rate_hz), end)
+    loud = float(squared[slice(*early)].mean())
+    if not (np.all(energy > 0.0) and loud > 0.0):
+        return None
+    power = np.abs(np.fft.rfft(pressure[tail[0] :])) ** 2
+    power = np.convolve(power, np.ones(_SMOOTHED_BINS) / _SMOOTHED_BINS, "same")
+    n_free = (last - first) * np.sum(power) ** 2 / (power.size * np.sum(power**2))
+    if np.min(n_free) < _FEWEST_FREE:
+        return None
+    mean = digamma(0.5 * n_free) - np.log(0.5 * n_free)
+    return _Levels(
+        np.asarray(0.5 * (first + last) / rate_hz, dtype=np.float64),
+        np.asarray(np.log(energy) - mean, dtype=np.float64),
+        np.asarray(polygamma(1, 0.5 * n_free)),
+        0.5 * sum(early) / rate_hz,
+        float(np.log(loud)),
+    )

@@ -1,0 +1,145 @@
+"""Whether arrival times agree with the specified positions, speed of sound and latencies.
+
+Positions and delays that the settings fix are fitted for comparison, and a doubt is raised where
+the data are far likelier then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+
+import numpy as np
+
+from roomfit.base.findings import About, Code, Finding
+from roomfit.checks.evidence import Evidence, Law
+from roomfit.model.observation import DEFAULT_POSITION_SD_M
+from roomfit.pressures.position_sds import LEVEL
+from roomfit.room.scene import Scene
+
+# In prior standard deviations: beyond it, of some thirty unknowns one moves by chance once in 70.
+_LARGEST_SHIFT_SD = 3.5
+# Log-likelihood that a delay for each wall must gain: far above what a handful of unknowns that
+# explain nothing would, half a unit each.
+_DELAY_GAIN = 15.0
+# Log-likelihood a window that free positions must gain. In boxes with errors of 1 mm and 3 us,
+# correctly specified, it was .01 to .05, and answers changed by a tenth of their interval; with
+# 1 cm .4 to .9, and by a half.
+_POSITION_GAIN_PER_WINDOW = 0.1
+
+_KINDS = ("source", "receiver")
+
+LAWS = {
+    Code.POSITION_UNCERTAINTY_ASSUMED: Law("every position has a standard deviation", "none"),
+    Code.POSITION_UNCERTAINTY_INFLATED: Law(
+        "positions are off by their specified standard deviations",
+        "mean square of all coordinates' shifts in standard deviations, chi-square",
+        round(1.0 - LEVEL, 6),
+    ),
+    Code.REFLECTION_DELAY_DETECTED: Law(
+        "walls reflect without delay", "log-likelihood gained by a delay of each wall"
+    ),
+    Code.POSITION_INCONSISTENT: Law(
+        "positions are as specified", "log-likelihood gained by positions that move"
+    ),
+    Code.GEOMETRY_SHIFT_IMPLAUSIBLE: Law(
+        "shifts have their normal priors",
+        "the largest shift in prior standard deviations, above 3.5",
+        1.0 / 70.0,  # of some thirty unknowns
+    ),
+}
+
+
+def check_specified(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding that names the positions whose standard deviation was assumed."""
+    scene = evidence.measured.scene
+    names = [p.name for p in (*scene.sources, *scene.receivers) if p.position_sd_m is None]
+    if names:
+        yield Finding(
+            Code.POSITION_UNCERTAINTY_ASSUMED,
+            _about_points(scene, [f"{kind} {name}" for name in names for kind in _KINDS]),
+            f"No position_sd is specified for {', '.join(names)}; "
+            f"{100 * DEFAULT_POSITION_SD_M:g} cm a coordinate was assumed.",
+            {"points": names, "position_sd_m": DEFAULT_POSITION_SD_M},
+        )
+
+
+def check_inflated(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding where the standard deviations of positions were inflated by a scale."""
+    scale = evidence.fits.tests.position_sd_scale
+    if scale > 1.0:
+        yield Finding(
+            Code.POSITION_UNCERTAINTY_INFLATED,
+            About(),
+            "Arrival times contradict the specified standard deviations of positions: all "
+            f"together, positions are off {scale:.1f} times as far, and were fitted with standard "
+            f"deviations {scale:.1f} times as large. Measure the positions again; the room's "
+            "dimensions may be wrong, too.",
+            {"stretch": scale},
+        )
+
+
+def check_delays(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding where reflections are delayed by walls and the settings exclude it."""
+    freed = evidence.fits.tests.freed_delays
+    if freed is not None and freed.gain > _DELAY_GAIN:
+        yield Finding(
+            Code.REFLECTION_DELAY_DETECTED,
+            About(),
+            "Delays of reflections, which were excluded (wall_delays = false), raise the "
+            f"log-likelihood by {freed.gain:.0f}: without them intervals are too narrow, and no "
+            "material is called identifiable. Use wall_delays = true.",
+            {"log_likelihood_gain": freed.gain},
+        )
+
+
+def check_fixed(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding where positions were fixed that arrival times contradict."""
+    freed = evidence.fits.tests.freed_positions
+    if freed is None:
+        return
+    gain, n_unknowns, n_windows = freed
+    if gain > max(n_unknowns + _DELAY_GAIN, _POSITION_GAIN_PER_WINDOW * n_windows):
+        yield Finding(
+            Code.POSITION_INCONSISTENT,
+            About(),
+            "Positions, speed of sound and latencies, which were fixed "
+            f'(positions = "fixed"), raise the log-likelihood by {gain:.0f} if they move within '
+            "their specified standard deviations: intervals are too narrow, and no material is "
+            'called identifiable. Use positions = "fit".',
+            {"log_likelihood_gain": gain, "n_unknowns": n_unknowns, "n_windows": n_windows},
+        )
+
+
+def check_shifts(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding where the fit moved something implausibly far from its prior."""
+    geometry = evidence.fits.geometry
+    if geometry is None:
+        return
+    n = len(geometry.labels) - geometry.n_offsets  # those are judged by themselves
+    prior_sd = np.where(geometry.prior_sd > 0.0, geometry.prior_sd, np.inf)[:n]
+    far = np.flatnonzero(np.abs(geometry.change[:n]) / prior_sd > _LARGEST_SHIFT_SD)
+    if far.size:
+        names = [geometry.labels[i] for i in far]
+        yield Finding(
+            Code.GEOMETRY_SHIFT_IMPLAUSIBLE,
+            _about_points(evidence.measured.scene, {n.rpartition(" ")[0] for n in names}),
+            f"To explain the arrival times, the fit moved {', '.join(names)} by more than "
+            f"{_LARGEST_SHIFT_SD:g} prior standard deviations: it may be specified wrongly, or "
+            "compensate for an error of the model. Check it.",
+            {
+                "labels": names,
+                "change": geometry.change[far].tolist(),
+                "told_sd": geometry.prior_sd[far].tolist(),
+            },
+        )
+
+
+def _about_points(scene: Scene, labels: Collection[str]) -> About:
+    """Return what concerns points that are named as "source LS1" or "receiver MP1"."""
+    points_m = [
+        p.position_m
+        for kind, points in zip(_KINDS, (scene.sources, scene.receivers), strict=True)
+        for p in points
+        if f"{kind} {p.name}" in labels
+    ]
+    return About(points_m=[(float(x), float(y), float(z)) for x, y, z in points_m])

@@ -1,0 +1,206 @@
+"""Which recording can be used in which band, and why not: what is known before any fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.checks import schroeder
+from roomfit.checks.arrivals import arrival_verdicts, with_corrected_clocks
+from roomfit.checks.evidence import Recorded, pair_of
+from roomfit.checks.examine import BEFORE_THE_FIT, examine, recorded
+from roomfit.fit.measurements import Measurements, measured_scene, median_decay_s
+from roomfit.model.eyring import schroeder_hz
+from roomfit.model.patterns import Directivities
+from roomfit.room.mesh import volume_m3
+from roomfit.room.scene import Scene
+from roomfit.settings import DECAY_RANGE_DB
+from roomfit.signals.decay import PARAMETER_NAMES
+from roomfit.signals.iso3382 import MeasuredValues
+from roomfit.signals.measurement import MeasuredPair, Measurement
+from roomfit.signals.response import find_onset
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CheckedRecordings:
+    """Recordings by pair and band before a fit.
+
+    Rows are recordings in their order; those that a fit refuses have NaN throughout. Where
+    recordings are late alike, all but `onset_s` is what it is with the latency that the finding
+    says to set.
+    """
+
+    measurements: tuple[Measurement, ...]
+    bands: Bands
+    onset_s: FloatArray  # (n,), arrival of the direct sound after emission by the file's own clock
+    travel_s: FloatArray  # (n,), the same by the geometry
+    peak_to_noise_db: FloatArray  # (n, n_bands)
+    decay_range_db: FloatArray  # (n, n_bands), in which the decay curve is reliable
+    usable: BoolArray  # (n, n_bands), whether a decay rises above the noise
+    has_t20: BoolArray  # (n, n_bands), whether it has the range for T20
+    decay_s: FloatArray  # (n_bands,), median reverberation time; NaN where none is known
+    schroeder_hz: FloatArray  # (n_bands,)
+    findings: tuple[Finding, ...]
+
+    def __str__(self) -> str:
+        """Return what the command line prints: a table of recordings by band, and findings."""
+        from roomfit.report.text import recordings_text
+
+        return recordings_text(self)
+
+    def _repr_html_(self) -> str:
+        """Return the same for notebooks."""
+        return f"<pre>{escape(str(self))}</pre>"
+
+    @property
+    def in_doubt(self) -> bool:
+        """Whether nothing would be identifiable, or a recording or a whole band is of no use."""
+        lost = self.usable.size and not (
+            self.usable.any(axis=0).all() and self.usable.any(axis=1).all()
+        )
+        return bool(lost) or any(
+            f.code.voids_identifiability or f.code is Code.RECORDING_UNUSABLE for f in self.findings
+        )
+
+
+def check_recordings(
+    scene: Scene,
+    measurements: Sequence[Measurement | MeasuredValues],
+    bands: Bands,
+    directivities: Directivities | None = None,
+    decay_range_db: float = DECAY_RANGE_DB,
+) -> CheckedRecordings:
+    """Examine everything that was measured on a scene; nothing is traced and nothing fitted.
+
+    Onsets against the geometry, noise, decay range, clipping, gains, polarity, repeated and
+    exchanged files, the Schroeder frequency. A fault that several recordings share is one finding,
+    which comes first.
+
+    Parameters
+    ----------
+    scene : Scene
+    measurements : sequence of Measurement or MeasuredValues
+    bands : Bands
+        Those to be fitted.
+    directivities : mapping, optional
+        As of `roomfit.identify`.
+    decay_range_db : float
+        As of `roomfit.Settings`.
+
+    Raises
+    ------
+    InputError
+        Nothing was measured, a name is not in the scene, or a position is impossible. What is
+        wrong with single recordings is a finding.
+
+    Examples
+    --------
+    >>> import roomfit
+    >>> scene = roomfit.scene_of(
+    ...     roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster"), {"S": (1, 1, 1)}, {"R": (4, 1, 1)}
+    ... )
+    >>> decay = np.random.default_rng(1).normal(size=24000) * np.exp(-np.arange(24000) / 2400)
+    >>> late = roomfit.Measurement("S", "R", np.append(np.zeros(500), decay), 24000)
+    >>> checked = check_recordings(scene, [late], roomfit.bands_between("octave", 500, 1000))
+    >>> checked.usable.all(), checked.findings[0].sentence.split(": ")[1].split(" ms")[0]
+    (np.True_, 'the direct sound arrives 12.10')
+    """
+    own = measured_scene(scene, measurements)
+    given = [m for m in measurements if isinstance(m, Measurement)]
+    verdicts = arrival_verdicts(own, given)
+    causes = tuple(v.finding for v in verdicts)
+    # what follows from a wrong clock is no second fault: a decay that seems cut short, or to drown
+    responses = with_corrected_clocks(given, verdicts)
+    values = (m for m in measurements if isinstance(m, MeasuredValues))
+    advised: list[Measurement | MeasuredValues] = [*responses, *values]
+    refused: dict[Measurement, InputError] = {}
+    found: Recorded | None = None
+    while found is None and len(refused) < len(measurements):
+        kept = [m for m in advised if m not in refused]
+        try:
+            found = recorded(scene, kept, bands, directivities or {}, decay_range_db)
+        except InputError as error:
+            faulty = next((m for m in responses if m.where == error.where and m in kept), None)
+            if faulty is None:
+                raise
+            refused[faulty] = error
+    known = {f.code for f in causes}
+    others = () if found is None else examine(BEFORE_THE_FIT, found)
+    findings = (
+        *causes,
+        *_unusable(refused, len(given), " ".join(f.sentence for f in causes)),
+        *(f for f in others if f.code not in known),
+        *(() if found is None else schroeder.check(found)),
+    )
+    measured = None if found is None else found.measured
+    return _table(own, dict(zip(given, responses, strict=True)), bands, measured, findings)
+
+
+def _unusable(refused: dict[Measurement, InputError], n_all: int, said: str) -> tuple[Finding, ...]:
+    """Return a finding for each reason; `said` is the cause of all, which is not repeated."""
+    by_reason: dict[str, list[Measurement]] = {}
+    for m, error in refused.items():
+        by_reason.setdefault(error.what, []).append(m)
+    findings = []
+    for what, files in by_reason.items():
+        error = refused[files[0]]
+        names = ", ".join(m.name for m in files[:4]) + (" and more" if files[4:] else "")
+        who = f"all {n_all} files" if len(files) == n_all else f"{len(files)} of {n_all} files"
+        hint = "" if error.hint == said else f" Try: {error.hint}."
+        text = f"Of {who} ({names}): {what}: {error.found}.{hint}"
+        findings.append(
+            Finding(
+                Code.RECORDING_UNUSABLE,
+                About(files=[m.where for m in files], pairs=[pair_of(m) for m in files]),
+                text,
+                {"files": [m.where for m in files]},
+            )
+        )
+    return tuple(findings)
+
+
+def _table(
+    scene: Scene,
+    responses: dict[Measurement, Measurement],
+    bands: Bands,
+    found: Measurements | None,
+    findings: tuple[Finding, ...],
+) -> CheckedRecordings:
+    """Return the table of recordings, those as given to those as advised."""
+    pairs = {} if found is None else {p.measurement: p for p in found.responses}
+    shape = len(responses), len(bands)
+    onset_s, travel_s = np.full(shape[0], np.nan), np.full(shape[0], np.nan)
+    noise_db, range_db = np.full(shape, np.nan), np.full(shape, np.nan)
+    usable, has_t20 = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
+    for i, (m, advised) in enumerate(responses.items()):
+        pair: MeasuredPair | None = pairs.get(advised)
+        if pair is None:
+            continue
+        clock = m.response if m.time_zero == "emission" else pair.response
+        onset_s[i], travel_s[i] = find_onset(clock, m.where), pair.direct_s
+        noise_db[i], range_db[i] = pair.noise.peak_to_noise_db, pair.curve.usable_db
+        usable[i] = pair.noise.tail_time_constant_s > 0.0
+        has_t20[i] = pair.parameters.valid[PARAMETER_NAMES.index("T20_s")]
+    decay_s = (
+        np.full(len(bands), np.nan) if found is None else median_decay_s(found, bands.centres_hz)
+    )
+    return CheckedRecordings(
+        tuple(responses),
+        bands,
+        onset_s,
+        travel_s,
+        noise_db,
+        range_db,
+        usable,
+        has_t20,
+        decay_s,
+        schroeder_hz(decay_s, volume_m3(scene.room.mesh)),
+        findings,
+    )

@@ -1,0 +1,434 @@
+"""The pairs of source and receiver that could be measured: where, and how informative."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from roomfit.base.arguments import check_known
+from roomfit.base.errors import InputError
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.forks import in_forks, in_this_process
+from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress
+from roomfit.design.choose import Criterion, Rules
+from roomfit.design.expected import expected_fit
+from roomfit.design.information import information_of_pair
+from roomfit.design.prior import PriorInformation
+from roomfit.model.patterns import Directivities
+from roomfit.room.scene import (
+    NEAREST_PAIR_M,
+    Point,
+    Room,
+    Scene,
+    check_points,
+    distances_m,
+    is_clear_of_walls,
+)
+from roomfit.settings import Settings
+from roomfit.signals.measurement import Level
+
+Position = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class DesignOptions:
+    """How many measurements to choose, from which candidates, and how they will be made.
+
+    Raises
+    ------
+    InputError
+        A number is below 1, or a name is unknown.
+    """
+
+    number: int | None = None  # pairs to choose; None: 6, or 1 after a fit
+    criterion: Criterion | None = None  # None: "determinant", or "worst" after a fit
+    most_sources: int | None = None  # different sources that a design may have
+    n_candidates: int = 200  # pairs to choose from at most
+    n_random: int = 200  # random designs to compare with
+    n_draws: int = 2  # of the prior absorption, at which information is evaluated
+    sources: tuple[Position, ...] = ()  # new sources, m
+    receivers: tuple[Position, ...] = ()  # new receivers, m
+    new_sources: int = 8  # spread evenly over the room where `sources` lists none
+    grid_m: float | None = None  # spacing of new receivers where none is listed; None: spread
+    source_heights_m: tuple[float, float] = (1.0, 2.0)  # above the lowest point of the room
+    receiver_heights_m: tuple[float, float] = (1.0, 2.0)
+    region_m: tuple[Position, Position] | None = None  # two corners of a box for new positions
+    wall_distance_m: float = 1.0  # least distance of new positions from all walls
+    source_distance_m: float | None = None  # of receivers from their source; None: ISO 3382's
+    receiver_distance_m: float = 2.0  # least distance between two receivers
+    decay_range_db: float = 45.0  # how far decays will be observed above the noise
+    position_sd_m: float = 0.02  # of every coordinate of source and receiver
+    level: Level = "per-source"  # what measurements will share a gain
+
+    def __post_init__(self) -> None:
+        for name, number in (
+            ("candidates", self.n_candidates),
+            ("measurements to choose", self.number),
+            ("sources", self.most_sources),
+            ("draws", self.n_draws),
+        ):
+            if number is not None and number < 1:
+                what = f"the number of {name} is below 1"
+                hint = "leave it out, or write 1 or more"
+                raise InputError(what, found=str(number), needed="1 or more", hint=hint)
+        if self.criterion is not None:
+            check_known("unknown criterion", self.criterion, get_args(Criterion))
+        check_known("unknown level", self.level, get_args(Level))
+
+
+# Points that are tried before a region counts as too narrow.
+_MOST_TRIES = 2**14
+_SAME_POSITION_M = 0.01
+
+
+class Region(NamedTuple):
+    """A box in the room's frame, and how far from all walls a position must be."""
+
+    low_m: FloatArray  # (3,)
+    high_m: FloatArray  # (3,)
+    wall_distance_m: float = 1.0  # ISO 3382-2:2008, 4.3.3: a quarter of a wavelength, normally 1 m
+
+
+def region_of(
+    room: Room,
+    heights_m: tuple[float, float],
+    wall_distance_m: float,
+    box_m: tuple[ArrayLike, ArrayLike] | None = None,
+) -> Region:
+    """Return the region of a room between two heights above its lowest point, cut by a box.
+
+    Raises
+    ------
+    InputError
+        Nothing is left of it.
+    """
+    vertices = room.mesh.vertices_m
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    floor = float(low[2])
+    low = np.maximum(low, [*low[:2], floor + heights_m[0]])
+    high = np.minimum(high, [*high[:2], floor + heights_m[1]])
+    if box_m is not None:
+        low, high = np.maximum(low, box_m[0]), np.minimum(high, box_m[1])
+    if np.any(low > high):
+        raise InputError(
+            "a region ends below its beginning",
+            found=f"from {low.tolist()} to {high.tolist()} m",
+            needed="the lower corner first",
+            hint="exchange its two corners, or name a higher range of heights",
+        )
+    return Region(low, high, wall_distance_m)
+
+
+def spread_positions(room: Room, region: Region, n: int, seed: int) -> FloatArray:
+    """Return n positions spread evenly over a region, shape (n, 3).
+
+    Scrambled Sobol points of the box, those kept that are in the room and clear of its walls.
+
+    Raises
+    ------
+    InputError
+        Hardly any position in the region is allowed.
+    """
+    from scipy.stats import qmc  # heavy
+
+    sampler = qmc.Sobol(3, scramble=True, rng=np.random.default_rng(seed))
+    found = np.zeros((0, 3))
+    tried = 0
+    while len(found) < n and tried < _MOST_TRIES:
+        points = sampler.random(max(256, 1 << (4 * n - 1).bit_length()))
+        tried += len(points)
+        positions = region.low_m + points * (region.high_m - region.low_m)
+        found = np.concatenate(
+            (found, positions[is_clear_of_walls(room, positions, region.wall_distance_m)])
+        )
+    if len(found) < n:
+        raise _too_narrow(region, len(found), n)
+    return found[:n]
+
+
+_MOST_IN_GRID = 20_000
+
+
+def grid_positions(room: Room, region: Region, spacing_m: float) -> FloatArray:
+    """Return the positions of a grid in a region, shape (n, 3).
+
+    The grid is centred in the region, with the same spacing in x, y and z; a region without height
+    has one layer.
+
+    Raises
+    ------
+    InputError
+        No position is allowed.
+    """
+    axes = []
+    steps = [int(side / spacing_m + 1e-9) for side in region.high_m - region.low_m]
+    if math.prod(n + 1 for n in steps) > _MOST_IN_GRID:
+        raise InputError(
+            "a grid of more positions than can be examined",
+            where="grid_m",
+            found=f"{' x '.join(str(n + 1) for n in steps)} positions, {spacing_m:g} m apart",
+            needed=f"at most {_MOST_IN_GRID}",
+            hint="a wider spacing, or region_m",
+        )
+    for low, high, n in zip(region.low_m, region.high_m, steps, strict=True):
+        axes.append(0.5 * (low + high) + spacing_m * (np.arange(n + 1) - 0.5 * n))
+    positions = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    positions = positions[is_clear_of_walls(room, positions, region.wall_distance_m)]
+    if not len(positions):
+        raise _too_narrow(region, 0, 1)
+    return positions
+
+
+def least_source_distance_m(volume_m3: float, speed_m_s: float, decay_s: float) -> float:
+    """Return how far from a source a receiver must be at least: ``2 sqrt(V / (c T))``.
+
+    ISO 3382-1:2009, 4.3.2 and ISO 3382-2:2008, 4.3.3: nearer, direct sound is too strong for a
+    decay to be read from.
+    """
+    return float(2.0 * np.sqrt(volume_m3 / (speed_m_s * decay_s)))
+
+
+def compatible_positions(receivers_m: FloatArray, apart_m: float) -> BoolArray:
+    """Return which receivers may stand in one design: far enough apart, or at one position.
+
+    `receivers_m`, shape (n_pairs, 3): of every pair.
+
+    Returns
+    -------
+    bool array, shape (n_pairs, n_pairs)
+        False on the diagonal.
+    """
+    steps = receivers_m[:, None, :] - receivers_m[None, :, :]
+    distance = np.sqrt(np.sum(steps**2, axis=2))
+    # the same position may be measured from several sources
+    fine = (distance >= apart_m) | (distance < _SAME_POSITION_M)
+    np.fill_diagonal(fine, False)
+    return np.asarray(fine)
+
+
+def _too_narrow(region: Region, found: int, needed: int) -> InputError:
+    return InputError(
+        "the room leaves too little space for candidates",
+        where=f"from {region.low_m.round(2).tolist()} to {region.high_m.round(2).tolist()} m",
+        found=f"{found} positions at least {region.wall_distance_m:g} m from all walls",
+        needed=f"{needed}",
+        hint="lower wall_distance_m or widen the heights in [design]; furniture counts as walls",
+    )
+
+
+# Receivers made for each pair that is wanted: enough that hardly a position serves two sources.
+_RECEIVERS_PER_PAIR = 1.0
+
+
+def design_candidates(
+    existing: Scene,
+    options: DesignOptions,
+    source_distance_m: float,
+    seed: int,
+    *,
+    count_measured: bool = True,
+) -> tuple[Scene, Rules, tuple[Finding, ...]]:
+    """Return the scene of all pairs, those measured already first, and what may stand together.
+
+    Sources and receivers that exist are candidates where they stand. To them come the positions
+    that the options list, or else as many as are needed: receivers on a grid or spread evenly,
+    sources spread evenly. Where there are more pairs than wanted, every source keeps the same
+    share of them.
+
+    Parameters
+    ----------
+    existing : Scene
+        Its pairs have been measured.
+    source_distance_m : float
+        Least distance of a receiver from its source.
+    count_measured : bool
+        Whether measured pairs are put first, to count as information that exists already.
+
+    Raises
+    ------
+    InputError
+        No pair is possible, or a listed position is outside the room or in a wall.
+    """
+    sources = (*existing.sources, *_new_sources(existing, options, seed))
+    receivers = (*existing.receivers, *_new_receivers(existing, options, seed))
+    for kind, points in (("source", sources), ("receiver", receivers)):
+        if not points:
+            raise InputError(
+                f"there is no candidate for a {kind}",
+                found="none",
+                needed=f"[{kind}s.NAME] with a position, or positions in [design]",
+                hint=f"add [{kind}s.NAME] with position = [x, y, z]",
+            )
+        check_points(existing.room, points, ())
+    # existing points come first, so that their indices are those of the existing scene
+    measured = {(int(s), int(r)) for s, r in existing.pairs}
+    every = np.array([(i, j) for i in range(len(sources)) for j in range(len(receivers))])
+    was = np.array([(int(s), int(r)) in measured for s, r in every])
+    whole = Scene(existing.room, sources, receivers, every, existing.air)
+    possible = _far_enough(whole, was, source_distance_m)
+    n, rng = options.n_candidates, np.random.default_rng(seed)
+    possible = possible[even_part(every[possible, 0], n, rng)]
+    fixed = np.flatnonzero(was) if count_measured else np.zeros(0, dtype=np.int64)
+    scene = _used(whole, every[np.concatenate((fixed, possible))])
+    receivers_m = np.array([r.position_m for r in scene.receivers])[scene.pairs[:, 1]]
+    rules = Rules(
+        scene.pairs[:, 0],
+        compatible_positions(receivers_m, max(options.receiver_distance_m, NEAREST_PAIR_M)),
+        np.arange(len(scene.pairs)) >= fixed.size,
+        tuple(range(fixed.size)),
+        options.most_sources,
+    )
+    if possible.size >= n:
+        return scene, rules, ()
+    few = Finding(
+        Code.FEW_CANDIDATES,
+        About(),
+        f"Only {possible.size} pairs of source and receiver are allowed where {n} were asked for.",
+        {"found": possible.size, "asked": n},
+    )
+    return scene, rules, (few,)
+
+
+def _far_enough(whole: Scene, was: BoolArray, source_distance_m: float) -> IntArray:
+    """Return the pairs that have not been measured and whose receiver is far from its source."""
+    distance_m = distances_m(whole)
+    possible = np.flatnonzero(~was & (distance_m >= source_distance_m))
+    if not possible.size:
+        raise InputError(
+            "no pair of source and receiver is far enough apart",
+            found=f"{int((~was).sum())} pairs, the farthest "
+            f"{distance_m[~was].max(initial=0.0):.2f} m apart",
+            needed=f"at least {source_distance_m:.2f} m",
+            hint="set source_distance_m in [design]",
+        )
+    return possible
+
+
+def even_part(source: IntArray, n: int, rng: np.random.Generator) -> IntArray:
+    """Return n of many pairs, drawn so that each source keeps as many as the others, in order.
+
+    `source` has the shape (n_pairs,).
+    """
+    if len(source) <= n:
+        return np.arange(len(source))
+    rank = np.empty(len(source))
+    for s in np.unique(source):
+        own = np.flatnonzero(source == s)
+        rank[own] = rng.permutation(own.size) + rng.random(own.size)
+    return np.sort(np.argsort(rank, kind="stable")[:n])
+
+
+def _new_sources(existing: Scene, options: DesignOptions, seed: int) -> tuple[Point, ...]:
+    if options.sources:
+        positions = np.array(options.sources)
+    elif options.new_sources == 0:
+        return ()
+    else:
+        region = region_of(
+            existing.room, options.source_heights_m, options.wall_distance_m, options.region_m
+        )
+        positions = spread_positions(existing.room, region, options.new_sources, seed)
+    return _named("S", positions, existing.sources, options.position_sd_m)
+
+
+def _new_receivers(existing: Scene, options: DesignOptions, seed: int) -> tuple[Point, ...]:
+    if options.receivers:
+        positions = np.array(options.receivers)
+    else:
+        room = existing.room
+        region = region_of(
+            room, options.receiver_heights_m, options.wall_distance_m, options.region_m
+        )
+        if options.grid_m is not None:
+            positions = grid_positions(room, region, options.grid_m)
+        else:
+            n = int(np.ceil(_RECEIVERS_PER_PAIR * options.n_candidates))
+            positions = spread_positions(room, region, n, seed + 1)
+    return _named("R", positions, existing.receivers, options.position_sd_m)
+
+
+def _named(
+    letter: str, positions_m: FloatArray, existing: tuple[Point, ...], sd_m: float
+) -> tuple[Point, ...]:
+    """Return points named by a letter and a number that is not taken yet."""
+    taken = {p.name for p in existing}
+    numbers = (
+        i for i in range(1, len(positions_m) + len(taken) + 1) if f"{letter}{i}" not in taken
+    )
+    return tuple(Point(f"{letter}{next(numbers)}", at.round(3), sd_m) for at in positions_m)
+
+
+def _used(whole: Scene, pairs: IntArray) -> Scene:
+    """Return the scene of some pairs, without the points that none of them uses."""
+    used_s, s = np.unique(pairs[:, 0], return_inverse=True)
+    used_r, r = np.unique(pairs[:, 1], return_inverse=True)
+    return Scene(
+        whole.room,
+        tuple(whole.sources[i] for i in used_s),
+        tuple(whole.receivers[i] for i in used_r),
+        np.stack((s.reshape(-1), r.reshape(-1)), axis=1),
+        whole.air,
+    )
+
+
+def information_of_candidates(
+    scene: Scene,
+    known: PriorInformation,
+    n_pairs: int,
+    options: DesignOptions,
+    settings: Settings,
+    directivities: Directivities,
+    progress: Progress | None,
+) -> tuple[FloatArray, bool, tuple[Finding, ...]]:
+    """Return the information of every candidate, those of one source traced at once.
+
+    Parameters
+    ----------
+    scene : Scene
+        With all pairs.
+    n_pairs : int
+        How many will have been measured in the end.
+
+    Returns
+    -------
+    matrices : float array, shape (n_pairs, n_draws, n_bands, n + 1, n + 1)
+        See `information_of_pair`.
+    coherent : bool
+        Whether by pressures of image sources.
+    findings : tuple of Finding
+    """
+    fit = expected_fit(
+        scene,
+        known.bands,
+        known.priors,
+        known.typical,
+        settings,
+        directivities=directivities,
+        decay_range_db=options.decay_range_db,
+        position_sd_m=options.position_sd_m,
+    )
+    groups, traced = fit.groups()
+    shown = in_this_process(progress)
+
+    def of_group(number: int) -> tuple[list[FloatArray], tuple[Finding, ...]]:
+        objectives, doubts = traced(groups[number])
+
+        def of_pair(pair: int) -> FloatArray:
+            return information_of_pair(objectives(pair), fit, known, n_pairs - 1)
+
+        found = in_forks(of_pair, range(groups[number].size))
+        if shown is not None:
+            shown((number + 1) / len(groups))
+        return found, doubts
+
+    findings, found = list(fit.plan.findings), list[FloatArray]()
+    for own, doubts in in_forks(of_group, range(len(groups))):
+        reported = {f.code for f in findings}
+        findings += [f for f in doubts if f.code not in reported]
+        found += own
+    # back from the order of the sources to that of the pairs
+    return np.stack(found)[np.argsort(np.concatenate(groups))], fit.coherent, tuple(findings)

@@ -1,0 +1,198 @@
+"""Directivities of loudspeakers from SOFA files (AES69)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError, located
+from roomfit.base.typing import FloatArray
+from roomfit.files.door import read_bytes
+from roomfit.files.responses.hdf5 import Variables, read_sofa_variables, sofa_data, sofa_values
+from roomfit.model.patterns import MeasuredDirectivity, loudspeaker_axes, measured_directivity
+
+_LARGEST = 1e100  # far above any, far below where squares overflow
+
+
+def read_directivity(
+    path: Path, bands: Bands, aim: ArrayLike = (1.0, 0.0, 0.0), up: ArrayLike = (0.0, 0.0, 1.0)
+) -> MeasuredDirectivity:
+    """Return the directivity of a loudspeaker in every band, of unit sound power.
+
+    Read are transfer functions (data type TF, as in FreeFieldDirectivityTF and GeneralTF) and
+    impulse responses (data type FIR) that receivers all around a source have measured, one
+    measurement; energies are means of the squared magnitude over the frequencies of each band.
+
+    Parameters
+    ----------
+    path : Path
+    bands : Bands
+    aim, up : array_like, shape (3,)
+        Where the front and the top of the loudspeaker point in the room. In the file's own frame
+        they are `SourceView` and `SourceUp`, x and z where it does not say.
+
+    Raises
+    ------
+    InputError
+        No SOFA file, no such data, directions that leave a hole, or a band for which the file has
+        no frequency.
+    """
+    content = read_bytes(path, "directivity file")
+    with located(str(path)):
+        sofa, data_type = read_sofa_variables(content)
+        frequencies_hz, magnitude = _spectra(sofa, data_type)
+        if not (magnitude < _LARGEST).all():  # written so that nan is refused, too
+            raise InputError(
+                "a magnitude of the directivity is out of range",
+                found=f"{np.max(magnitude):g}",
+                needed=f"less than {_LARGEST:g}",
+                hint="divide by the magnitude at the front: the level does not matter",
+            )
+        directions = _directions(sofa, magnitude.shape[0])
+        energy = np.empty((len(directions), len(bands)))
+        for band, (low, high) in enumerate(zip(bands.lower_hz, bands.upper_hz, strict=True)):
+            inside = (frequencies_hz >= low) & (frequencies_hz < high)
+            if not inside.any():
+                inside = _nearest(frequencies_hz, low, high, float(bands.centres_hz[band]))
+            energy[:, band] = np.mean(magnitude[:, inside] ** 2, axis=1)
+    return measured_directivity(directions, energy, bands.centres_hz, loudspeaker_axes(aim, up))
+
+
+def _spectra(sofa: Variables, data_type: str) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies (n,) and magnitudes (n_directions, n)."""
+    impulse = sofa_data(sofa, "Data.IR")
+    rate_hz = sofa_values(sofa, "Data.SamplingRate")
+    if impulse is not None and rate_hz is not None and rate_hz.size == 1:
+        samples = _one_measurement(impulse)
+        spectrum = np.abs(np.fft.rfft(samples, axis=1))
+        single_hz = float(rate_hz.reshape(-1)[0])
+        if not 0.0 < single_hz < np.inf:
+            raise InputError(
+                "the sampling rate is out of range",
+                where="Data.SamplingRate",
+                found=f"{single_hz:g} Hz",
+                needed="more than 0 Hz",
+                hint="store Data.SamplingRate in Hz, as 48000",
+            )
+        step_s = 1.0 / single_hz
+        own = np.asarray(np.fft.rfftfreq(samples.shape[1], step_s), dtype=np.float64)
+        return own, np.asarray(spectrum)
+    real = sofa_data(sofa, "Data.Real")
+    imaginary = sofa_data(sofa, "Data.Imag")
+    frequencies = sofa_values(sofa, "N")
+    if real is None or imaginary is None or frequencies is None or real.shape != imaginary.shape:
+        raise InputError(
+            "the SOFA file holds no directivity",
+            found=f"data type {data_type!r}",
+            needed="data type TF with its frequencies, or FIR with a sampling rate",
+            hint="convert it to FreeFieldDirectivityTF, or give another file",
+        )
+    magnitude = np.hypot(_one_measurement(real), _one_measurement(imaginary))
+    if frequencies.size != magnitude.shape[1]:
+        raise InputError(
+            "the SOFA file has another number of frequencies than of values",
+            found=f"{frequencies.size} and {magnitude.shape[1]}",
+            needed=f"{magnitude.shape[1]} frequencies N, one a value",
+            hint="write the file again, with N along the values",
+        )
+    return np.asarray(frequencies.reshape(-1)), np.asarray(magnitude)
+
+
+def _one_measurement(data: FloatArray) -> FloatArray:
+    """Return data as (n_receivers, n): one measurement, or one receiver at many positions."""
+    if 1 in data.shape[:2]:
+        return data.reshape(-1, data.shape[2])
+    what = "the SOFA file is no directivity of one source"
+    needed, hint = "one measurement by many receivers", "keep a single measurement of the source"
+    raise InputError(what, found=f"data of shape {data.shape}", needed=needed, hint=hint)
+
+
+def _directions(sofa: Variables, n: int) -> FloatArray:
+    """Return directions in the loudspeaker's own frame: x front, y left, z top."""
+    positions = _cartesian(sofa, "ReceiverPosition", n)
+    if positions is None:
+        raise InputError(
+            "the SOFA file does not say where its receivers stood",
+            found="no such positions",
+            needed=f"ReceiverPosition of {n} receivers",
+            hint="write ReceiverPosition, one row for each receiver",
+        )
+    # receivers are specified relative to the listener
+    source, listener = (_cartesian(sofa, f"{end}Position", 1) for end in ("Source", "Listener"))
+    positions = positions + (0.0 if listener is None else listener)
+    positions = positions - (0.0 if source is None else source)
+    view, top = (_cartesian(sofa, f"Source{way}", 1) for way in ("View", "Up"))
+    axes = loudspeaker_axes(
+        np.array([1.0, 0.0, 0.0]) if view is None else view[0],
+        np.array([0.0, 0.0, 1.0]) if top is None else top[0],
+    )
+    return np.asarray(positions @ axes.T)
+
+
+def _cartesian(sofa: Variables, name: str, n: int) -> FloatArray | None:
+    """Return n positions as (n, 3) in Cartesian coordinates (m), or None if not so many.
+
+    Refused are coordinates of another type, or in other units than metres and degrees.
+    """
+    values = sofa_values(sofa, name)
+    if values is None or values.size != 3 * n:
+        return None
+    if values.ndim == 3:  # receiver, coordinate, measurement
+        values = np.moveaxis(values, 1, 2)
+    values = values.reshape(n, 3)
+    spherical = _is_spherical(sofa, name)
+    units = sofa[name].attributes.get("Units")
+    # the length of a direction in Cartesian coordinates has no unit that matters
+    if units is not None and (spherical or name.endswith("Position")):
+        _check_units(str(units), spherical, name)
+    if not spherical:
+        return values
+    azimuth, elevation = np.radians(values[:, 0]), np.radians(values[:, 1])
+    across = values[:, 2] * np.cos(elevation)
+    height = values[:, 2] * np.sin(elevation)
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=1)
+
+
+def _is_spherical(sofa: Variables, name: str) -> bool:
+    kind = sofa[name].attributes.get("Type")
+    view = sofa.get(name.replace("Up", "View"))
+    if kind is None and view is not None:  # an Up shares the type of the View
+        kind = view.attributes.get("Type")
+    if kind not in (None, "cartesian", "spherical"):
+        what = "the SOFA file has coordinates of another type"
+        needed = "cartesian or spherical"
+        hint = "directions on a grid instead of coefficients of spherical harmonics"
+        raise InputError(what, where=name, found=f"Type {kind!r}", needed=needed, hint=hint)
+    return kind == "spherical"
+
+
+def _check_units(units: str, spherical: bool, name: str) -> None:
+    """Refuse other units than AES69 has; it is written in several spellings."""
+    names = {"meter": "metre", "m": "metre", "deg": "degree"}
+    words = [word.rstrip("s") for word in units.lower().replace(",", " ").split()]
+    found = [names.get(word, word) for word in words]
+    expected = ["degree", "degree", "metre"] if spherical else ["metre"] * len(found)
+    if found != expected:
+        what = "the SOFA file has coordinates in other units"
+        needed = "degree, degree, metre" if spherical else "metre"
+        hint = f"convert them, and set the attribute Units of {name}"
+        raise InputError(what, where=name, found=repr(units), needed=needed, hint=hint)
+
+
+def _nearest(
+    frequencies_hz: FloatArray, low: float, high: float, centre_hz: float
+) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Return the one frequency nearest to a band, which the band's own centre rounds to."""
+    octaves = np.abs(np.log2(np.maximum(frequencies_hz, 1e-3) / centre_hz))
+    best = int(np.argmin(octaves))
+    if octaves[best] > 1.01 * np.log2(high / low) / 2.0:
+        raise InputError(
+            "the directivity has no value for a band",
+            found=f"{frequencies_hz.min():g} to {frequencies_hz.max():g} Hz",
+            needed=f"a frequency from {low:g} to {high:g} Hz",
+            hint="choose other bands with from_hz and to_hz",
+        )
+    return np.asarray(np.arange(frequencies_hz.size) == best)

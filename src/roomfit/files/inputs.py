@@ -1,0 +1,601 @@
+"""What a campaign file names, read, as the arguments of the functions that answer questions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypedDict
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from roomfit.base.arguments import check_known
+from roomfit.base.bands import Bands, bands_between
+from roomfit.base.errors import InputError, located
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import FloatArray
+from roomfit.files.campaign import Campaign, MeasuredFile, input_files, read_campaign
+from roomfit.files.directivity import read_directivity
+from roomfit.files.door import check_files
+from roomfit.files.iso3382 import read_parameters
+from roomfit.files.responses import read_response
+from roomfit.files.rooms import read_mesh, read_room
+from roomfit.files.rooms.model import RoomSpec
+from roomfit.files.schema import (
+    AreaPrior,
+    AreaSpectrum,
+    MaterialTable,
+    ObjectTable,
+    Prior,
+    SharedDirectivity,
+    SourceDirectivity,
+    Spectrum,
+)
+from roomfit.files.schema import Directivity as FirstOrderTable
+from roomfit.materials.catalogue import (
+    SEATS,
+    broad_prior_findings,
+    catalogue_prior,
+    find_material,
+    material_prior,
+    object_catalogue_area,
+    product_findings,
+)
+from roomfit.materials.priors import MaterialPrior, complete_priors, in_bands, object_prior
+from roomfit.model.patterns import Directivity, UnknownDirectivity, aimed, unit_vector
+from roomfit.room.audience import audience_area_m2, points_on
+from roomfit.room.inside import nearest_triangles
+from roomfit.room.mesh import Mesh, area_vectors_m2, volume_m3
+from roomfit.room.scene import (
+    Room,
+    RoomCheck,
+    Scene,
+    check_mesh,
+    position_findings,
+    room_from_mesh,
+    triangle_material,
+    with_objects,
+    with_states,
+)
+from roomfit.settings import Settings
+from roomfit.signals.iso3382 import MeasuredValues
+from roomfit.signals.measurement import Measurement
+from roomfit.signals.speech import speech_levels
+
+
+def source_directivities(
+    campaign: Campaign, bands: Bands
+) -> dict[str, Directivity | UnknownDirectivity]:
+    """Return the directivity of every source that is not omnidirectional.
+
+    Raises
+    ------
+    InputError
+        An aim without length, or a file that cannot be read.
+    """
+    found = {}
+    for name, table in campaign.directivities.items():
+        with located(f"{campaign.path}, sources.{name}.directivity"):
+            directivity = _directivity(campaign, table, bands)
+        if directivity is not None:
+            found[name] = directivity
+    return found
+
+
+def _directivity(
+    campaign: Campaign, table: SourceDirectivity, bands: Bands
+) -> Directivity | UnknownDirectivity | None:
+    folder = campaign.path.parent
+    if table == "omni":
+        return None
+    if table == "fit":
+        return UnknownDirectivity()
+    if isinstance(table, str):
+        return read_directivity(folder / table, bands)
+    if isinstance(table, FirstOrderTable):
+        known = aimed(table.aim, table.b)
+        return UnknownDirectivity(known.b, table.b_sd) if table.b_sd > 0.0 else known
+    if isinstance(table, SharedDirectivity):
+        shared = campaign.loudspeakers[table.loudspeaker]
+        if shared.directivity == "fit":
+            return UnknownDirectivity(None, shared.b_sd, unit_vector(table.aim), table.loudspeaker)
+        with located(f"loudspeakers.{table.loudspeaker}.directivity"):
+            return read_directivity(folder / shared.directivity, bands, table.aim, table.up)
+    return read_directivity(folder / table.file, bands, table.aim, table.up)
+
+
+def material_priors(
+    campaign: Campaign, materials: tuple[str, ...], mesh: Mesh | None = None
+) -> tuple[MaterialPrior, ...]:
+    """Return what the campaign says of each of the room's materials, in their order.
+
+    Objects among them have areas in the volume of a mesh, which is needed only of these.
+
+    Raises
+    ------
+    InputError
+        The campaign describes a material that the room does not have; or lists that do not have
+        one value per fitted band; or a prior outside its bounds.
+    """
+    with located(str(campaign.path)):
+        return complete_priors(
+            materials,
+            [
+                *(_material_prior(campaign, table, k) for k, table in campaign.materials.items()),
+                *(
+                    object_prior(
+                        k,
+                        campaign.bands,
+                        0.0 if mesh is None else volume_m3(mesh),
+                        **object_areas_m2(campaign, k, mesh),
+                    )
+                    for k in materials
+                    if k in campaign.objects
+                ),
+            ],
+            campaign.bands,
+        )
+
+
+class ObjectAreas(TypedDict):
+    """What is known of the equivalent absorption area of all pieces of an object, in m2."""
+
+    absorption_area_m2: FloatArray | None
+    prior_m2: tuple[FloatArray, FloatArray] | None  # mean and standard deviation
+
+
+def object_areas_m2(campaign: Campaign, name: str, mesh: Mesh | None) -> ObjectAreas:
+    """Return what the campaign says of an object, all of its pieces together.
+
+    Raises
+    ------
+    InputError
+        It is measured in two ways, or its outlines are no blocks on the floor of the mesh.
+    """
+    table = campaign.objects[name]
+    with located(f"objects.{name}"):
+        ways = ("count", "floor_area_m2", "outlines")
+        given = [way for way in ways if getattr(table, way) is not None]
+        if len(given) > 1:
+            raise InputError(
+                "an object is measured in two ways",
+                found=" and ".join(given),
+                needed=f"one of {', '.join(ways)}",
+                hint="keep what the object's absorption was measured by",
+            )
+        known, law = _areas_of_one(table, campaign.bands)
+        n = next((x for x in (table.floor_area_m2, table.count) if x is not None), 1.0)
+        if table.outlines is not None:
+            n = _blocks_m2(table, mesh)[1]
+    return {
+        "absorption_area_m2": None if known is None else n * known,
+        "prior_m2": None if law is None else (n * law[0], n * law[1]),
+    }
+
+
+def _blocks_m2(table: ObjectTable, mesh: Mesh | None) -> tuple[float, float]:
+    """Return the area of an object's blocks of seats, and that with strips along free edges."""
+    if mesh is None:
+        what = "outlines of seats without a room"
+        hint = "without a room give floor_area_m2, strips along free edges included"
+        raise InputError(what, found="outlines", needed="a table [room]", hint=hint)
+    outlines = [np.array(o, dtype=np.float64) for o in table.outlines or ()]
+    return audience_area_m2(mesh, outlines, table.edge_m)
+
+
+def audience_findings(campaign: Campaign, room: Room) -> tuple[Finding, ...]:
+    """Return what area seats and audience absorb with, as blocks and as faces of the drawing.
+
+    Raises
+    ------
+    InputError
+        Seats are drawn as faces of the floor and outlined as a block upon it.
+    """
+    found = []
+    seats = {name: entry for name, table in campaign.materials.items() if (entry := _seats(table))}
+    areas, owner = area_vectors_m2(room.mesh), triangle_material(room)
+    for name, table in campaign.objects.items():
+        if table.outlines is None:
+            continue
+        with located(f"objects.{name}"):
+            own, whole = _blocks_m2(table, room.mesh)
+        on = np.concatenate([points_on(np.array(o, dtype=np.float64)) for o in table.outlines])
+        below = {room.materials[owner[t]] for t in nearest_triangles(room.mesh, on)[1]}
+        if twice := sorted(below & seats.keys()):
+            raise InputError(
+                "the same seats absorb twice",
+                where=f"objects.{name}",
+                found=f"outlines on faces of the material {twice[0]!r}, {seats[twice[0]]!r}",
+                needed="either the outlines, or the material",
+                hint="give the faces the material of the floor",
+            )
+        text = (
+            f"{name}: {own:.1f} m2 of seats absorb as {whole:.1f} m2, with strips of up to "
+            f"{table.edge_m:g} m along their free edges."
+        )
+        found.append(Finding(Code.AUDIENCE_AREA, About((name,)), text, {"area_m2": [own, whole]}))
+    for name in (k for k in room.materials if k in seats):
+        own_areas = areas[owner == room.materials.index(name)]
+        sizes = np.linalg.norm(own_areas, axis=1)
+        upright = float(sizes[np.abs(own_areas[:, 2]) < 0.5 * sizes].sum())
+        text = (
+            f"{name}: {sizes.sum() - upright:.1f} m2 of level and {upright:.1f} m2 of upright "
+            f"faces absorb as {seats[name]!r}. Its coefficients are of the floor that seats take "
+            "with a strip of 0.5 m along free edges, for which the upright faces stand: half of it "
+            "where they are 0.25 m high, 1.6 times where they are 0.8 m high."
+        )
+        evidence = {"level_m2": float(sizes.sum() - upright), "upright_m2": upright}
+        found.append(Finding(Code.AUDIENCE_AREA, About((name,)), text, evidence))
+    return tuple(found)
+
+
+def _seats(table: MaterialTable) -> str:
+    """Return the entry of the catalogue that a material has if that is of seats, else ""."""
+    named = [x for x in (table.absorption, table.prior) if isinstance(x, str)]
+    return named[0] if named and find_material(named[0]).group == SEATS else ""
+
+
+def _areas_of_one(
+    table: ObjectTable, bands: Bands
+) -> tuple[FloatArray | None, tuple[FloatArray, FloatArray] | None]:
+    """Return the known area of a piece or of 1 m2 of floor, and mean and sd of an unknown one."""
+    by_floor = table.floor_area_m2 is not None or table.outlines is not None
+    own, prior = table.absorption_area_m2, table.prior
+    known, law = None, None
+    if isinstance(own, str):
+        known = object_catalogue_area(own, bands, by_floor=by_floor)[0]
+    elif isinstance(own, AreaSpectrum):
+        known = at_bands(own.centres_hz, own.values, bands, "absorption_area_m2")
+    elif own is not None:
+        known = np.asarray(own, dtype=np.float64)
+    if isinstance(prior, str):
+        law = object_catalogue_area(prior, bands, by_floor=by_floor)
+    elif prior is not None:
+        mean, sd = _mean_and_sd(prior, bands)
+        law = np.asarray(mean, dtype=np.float64), np.asarray(sd, dtype=np.float64)
+    return known, law
+
+
+def _material_prior(campaign: Campaign, table: MaterialTable, name: str) -> MaterialPrior:
+    bands, scattering = campaign.bands, table.scattering
+    product = None if table.product is None else campaign.products[table.product]
+    # what is known of a product is stated with it
+    stated = table if product is None else product
+    prior, where = stated.prior, f"materials.{name}"
+    known: ArrayLike | None
+    if isinstance(table.absorption, str):
+        with located(f"{where}.absorption"):
+            known, _ = catalogue_prior(table.absorption, bands)
+    elif isinstance(table.absorption, Spectrum):
+        own = table.absorption
+        known = at_bands(own.centres_hz, own.values, bands, f"{where}.absorption")
+    else:
+        known = table.absorption
+    with nullcontext() if product is None else located(f"products.{table.product}"):
+        found = material_prior(
+            name,
+            bands,
+            absorption=known,
+            prior=prior if prior is None or isinstance(prior, str) else _mean_and_sd(prior, bands),
+            bounds=stated.bounds,
+            scattering=(
+                at_bands(scattering.centres_hz, scattering.values, bands, f"{where}.scattering")
+                if isinstance(scattering, Spectrum)
+                else scattering
+            ),
+            same_absorption_as=table.same_absorption_as,
+            delay_sd_s=None if table.delay_sd_ms is None else 1e-3 * table.delay_sd_ms,
+        )
+    return (
+        found if product is None else replace(found, product=table.product, product_sd=product.sd)
+    )
+
+
+def _mean_and_sd(prior: Prior | AreaPrior, bands: Bands) -> tuple[ArrayLike, ArrayLike]:
+    if prior.centres_hz is None:
+        return prior.mean, prior.sd
+    mean, sd = (
+        at_bands(prior.centres_hz, own, bands, f"prior.{key}") if isinstance(own, list) else own
+        for key, own in (("mean", prior.mean), ("sd", prior.sd))
+    )
+    return mean, sd
+
+
+def at_bands(
+    centres_hz: Sequence[float], values: Sequence[float], bands: Bands, where: str
+) -> FloatArray:
+    """Return values at the bands, interpolated over the logarithm of the frequency.
+
+    `centres_hz`: in any order. Beyond the lowest and the highest, the nearest value.
+
+    Raises
+    ------
+    InputError
+        Not as many values as centres.
+    """
+    if len(centres_hz) != len(values):
+        raise InputError(
+            "not as many values as centres",
+            where=where,
+            found=f"{len(values)} values and {len(centres_hz)} centres",
+            needed="one value for each centre",
+            hint="add the values that lack, or leave centres out that have none",
+        )
+    order = np.argsort(centres_hz)
+    at = np.log(np.array(centres_hz)[order])
+    return np.asarray(np.interp(np.log(bands.centres_hz), at, np.array(values)[order]))
+
+
+def read_measurements(campaign: Campaign) -> tuple[Measurement | MeasuredValues, ...]:
+    """Return everything that a campaign file names as measured, responses first.
+
+    Raises
+    ------
+    InputError
+        A file is missing, broken or empty; a table names a source or a receiver that the campaign
+        does not define; or the campaign names spectra, which hold no absorption in bands.
+    StoreError
+        The disk refuses.
+    """
+    if campaign.spectra:
+        raise InputError(
+            "damped spectra hold impedances, not absorption in bands",
+            where=str(campaign.path),
+            found=str(campaign.spectra[0].path.name),
+            needed="impulse responses (file) or room parameters",
+            hint="roomfit impedance reads this campaign",
+        )
+    return (*map(read_file, campaign.measurements), *_read_tables(campaign))
+
+
+def read_file(file: MeasuredFile) -> Measurement:
+    """Read one impulse response that a campaign names, with what is doubtful about it.
+
+    Raises
+    ------
+    InputError, StoreError
+        See `roomfit.files.responses.read_response`.
+    """
+    spec = file.response
+    response, findings = read_response(spec)
+    return Measurement(
+        file.source,
+        file.receiver,
+        response.pressure,
+        response.sampling_rate_hz,
+        latency_s=response.time_zero_s,
+        time_zero=spec.time_zero,
+        latency_sd_s=file.latency_sd_s,
+        level=file.level,
+        use=file.use,
+        name=spec.path.name,
+        state=file.state,
+        where=spec.where,
+        findings=findings,
+    )
+
+
+def _read_tables(campaign: Campaign) -> list[MeasuredValues]:
+    found: list[MeasuredValues] = []
+    for table in campaign.tables:
+        values, findings = read_parameters(table.path, table.source, table.receiver)
+        for i, own in enumerate(values):
+            _check_names(campaign, own, str(table.path))
+            doubts = findings if i == 0 else ()
+            found.append(replace(own, use=table.use, findings=doubts, state=table.state))
+    return found
+
+
+def _check_names(campaign: Campaign, found: MeasuredValues, where: str) -> None:
+    for kind, name, known in (
+        ("source", found.source, [s.name for s in campaign.sources]),
+        ("receiver", found.receiver, [r.name for r in campaign.receivers]),
+    ):
+        what = f"a table of room parameters names a {kind} that the campaign does not define"
+        hint = f"add [{kind}s.{name}], or choose rows with source and receiver"
+        check_known(what, name, known, where=where, else_try=hint)
+
+
+class IdentifyArguments(TypedDict):
+    """What `roomfit.identify` takes."""
+
+    scene: Scene
+    measurements: tuple[Measurement | MeasuredValues, ...]
+    materials: tuple[MaterialPrior, ...]
+    bands: Bands
+    settings: Settings
+    directivities: dict[str, Directivity | UnknownDirectivity]
+
+
+def load_campaign(path: Path | str) -> IdentifyArguments:
+    """Read a campaign file and every file that it names, as arguments of `roomfit.identify`.
+
+    Raises
+    ------
+    InputError
+        The campaign, the room, or a measured file is not as needed.
+    StoreError
+        The disk refuses.
+
+    Examples
+    --------
+    ``roomfit.identify(**roomfit.load_campaign("campaign.toml"))`` is what the command line does.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> text = '''
+    ... [room]
+    ... shoebox = [6, 5, 3]
+    ... [sources.S]
+    ... position = [1.5, 1.2, 1.5]
+    ... [receivers.R]
+    ... position = [4.0, 3.5, 1.2]
+    ... [[measurements]]
+    ... parameters = "measured.csv"
+    ... '''
+    >>> table = "source,receiver,parameter,500,1000\\nS,R,T30,0.9,0.8\\n"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "campaign.toml"
+    ...     _ = file.write_text(text)
+    ...     _ = file.with_name("measured.csv").write_text(table)
+    ...     arguments = load_campaign(file)
+    >>> arguments["measurements"][0].values["T30_s"]
+    array([0.9, 0.8])
+    """
+    return identify_arguments(read_campaign(Path(path)))
+
+
+def identify_arguments(
+    campaign: Campaign, between_hz: tuple[float, float] | None = None
+) -> IdentifyArguments:
+    """Return a campaign that was read as arguments of `roomfit.identify`, see `load_campaign`.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    between_hz : (lowest, highest), optional
+        Centres of bands to fit in place of the campaign's, of the same kind. Lists with a value for
+        each band stay those of the campaign's, and hold for the ones among them only.
+    """
+    check_files(input_files(campaign), str(campaign.path))
+    room = campaign_room(campaign)
+    own, bands = campaign.bands, campaign.bands
+    if between_hz is not None:
+        bands = bands_between(own.kind, *between_hz)
+    described = campaign
+    if not np.isin(bands.centres_hz, own.centres_hz).all():
+        # all of both: more than a list of the campaign has values for, which is then refused
+        ends_hz = np.concatenate([own.centres_hz, bands.centres_hz])
+        every = bands_between(own.kind, float(ends_hz.min()), float(ends_hz.max()))
+        described = replace(campaign, bands=every)
+    at = np.searchsorted(described.bands.centres_hz, bands.centres_hz)
+    return {
+        "scene": campaign_scene(campaign, room),
+        "measurements": read_measurements(campaign),
+        "materials": in_bands(_room_priors(described, room), at),
+        "bands": bands,
+        "settings": campaign.settings,
+        "directivities": source_directivities(campaign, bands),
+    }
+
+
+def campaign_room(campaign: Campaign) -> Room:
+    """Return the room of a campaign with what was found in reading it."""
+    room, findings = read_room(campaign.room)
+    with located(str(campaign.path)):
+        findings = (*findings, *campaign.findings)
+        described = replace(room, findings=findings, lengths_sd_m=campaign.room.lengths_sd)
+        described = with_states(described, campaign.states)
+        findings = (*findings, *audience_findings(campaign, described))
+        return _furnished(replace(described, findings=findings), campaign)
+
+
+def _room_priors(campaign: Campaign, room: Room) -> tuple[MaterialPrior, ...]:
+    return material_priors(campaign, room.materials, room.mesh)
+
+
+def _furnished(room: Room, campaign: Campaign) -> Room:
+    return with_objects(room, {name: table.states for name, table in campaign.objects.items()})
+
+
+def campaign_scene(campaign: Campaign, room: Room) -> Scene:
+    """Return every source with every receiver that a campaign defines."""
+    n_sources, n_receivers = len(campaign.sources), len(campaign.receivers)
+    pairs = np.stack(np.meshgrid(range(n_sources), range(n_receivers), indexing="ij"), axis=-1)
+    return Scene(
+        room,
+        campaign.sources,
+        campaign.receivers,
+        pairs.reshape(-1, 2).astype(np.int64),
+        campaign.air,
+        groups=campaign.groups,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignInputs:
+    """What a campaign describes and names, each part read from its files when it is asked for.
+
+    Raises
+    ------
+    InputError, StoreError
+        Of every method: a file is missing or broken, or says what cannot be.
+    """
+
+    campaign: Campaign
+
+    def check_files(self) -> None:
+        """Refuse files that are missing, all of them at once."""
+        check_files(input_files(self.campaign), str(self.campaign.path))
+
+    def room(self) -> Room:
+        """Return the room with what was found in reading it."""
+        return campaign_room(self.campaign)
+
+    def scene(self, room: Room) -> Scene:
+        """Return every source with every receiver."""
+        return campaign_scene(self.campaign, room)
+
+    def priors(self, room: Room, bands: Bands | None = None) -> tuple[MaterialPrior, ...]:
+        """Return what is said of each of the room's materials, in some of the campaign's bands."""
+        priors, own = _room_priors(self.campaign, room), self.campaign.bands
+        if bands is None:
+            return priors
+        return in_bands(priors, np.flatnonzero(np.isin(own.centres_hz, bands.centres_hz)))
+
+    def directivities(self, bands: Bands) -> dict[str, Directivity | UnknownDirectivity]:
+        """Return the directivity of every source that is not omnidirectional."""
+        return source_directivities(self.campaign, bands)
+
+    def measurements(self) -> tuple[Measurement | MeasuredValues, ...]:
+        """Return all recordings, then all tables of room parameters."""
+        return read_measurements(self.campaign)
+
+    def speech_db(self) -> FloatArray | None:
+        """Return octave levels of speech and noise, shape (2, 7), None where none are stated."""
+        speech = self.campaign.speech
+        return speech_levels(speech.level_dba, speech.noise_db) if speech else None
+
+
+def check_room(spec: RoomSpec) -> RoomCheck:
+    """Read a room and return all its faults.
+
+    Raises
+    ------
+    InputError
+        The room cannot be read at all, or a key of `spec.materials` matches nothing.
+
+    Examples
+    --------
+    >>> from roomfit.files.rooms.model import RoomSpec
+    >>> check = check_room(RoomSpec(shoebox=(6.0, 5.0, 3.0)))
+    >>> check.traceable, round(check.mean_free_path_m, 2)
+    (True, 2.86)
+    """
+    mesh, findings = read_mesh(spec)
+    return check_mesh(mesh, spec.materials, findings)
+
+
+def check_campaign(campaign: Campaign) -> RoomCheck:
+    """Return all faults of a campaign's room and of the positions of sources and receivers.
+
+    Measured files are not opened. Positions are checked once the room itself has no fault.
+
+    Raises
+    ------
+    InputError
+        The room cannot be read at all; or materials of the campaign and of the room disagree.
+    """
+    spec = campaign.room
+    mesh, findings = read_mesh(spec)
+    check = check_mesh(mesh, spec.materials, findings)
+    if not check.traceable:
+        return check
+    room = _furnished(with_states(room_from_mesh(mesh, spec.materials), campaign.states), campaign)
+    priors = _room_priors(campaign, room)
+    assumed = (*broad_prior_findings(priors), *product_findings(priors))
+    assumed += audience_findings(campaign, room)
+    position_doubts = position_findings(room, campaign.sources, campaign.receivers)
+    return replace(check, findings=(*check.findings, *position_doubts, *assumed))

@@ -1,0 +1,158 @@
+"""Reading measured impulse responses: the ending of the name selects the reader."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from roomfit.base.errors import InputError, located
+from roomfit.base.findings import Finding
+from roomfit.files.door import read_bytes
+from roomfit.files.responses.formats import (
+    read_ita,
+    read_mat,
+    read_npy,
+    read_rew,
+    read_sound,
+    read_wav,
+)
+from roomfit.files.responses.hdf5 import read_sofa
+from roomfit.files.responses.recordings import Recording, ResponseSpec, checked, deconvolved
+from roomfit.signals.response import ImpulseResponse
+
+_WAVES, _SOUNDS = (".wav", ".wave"), (".flac", ".aif", ".aiff", ".aifc", ".w64")
+_READERS = {
+    **dict.fromkeys(_WAVES, read_wav),
+    **dict.fromkeys(_SOUNDS, read_sound),
+    ".ita": read_ita,
+    ".mat": read_mat,
+    ".npy": read_npy,
+    ".sofa": read_sofa,
+    ".txt": read_rew,
+}
+RESPONSE_SUFFIXES = tuple(_READERS)
+SOUND_SUFFIXES = (*_WAVES, *_SOUNDS)
+_KEYS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys((*_WAVES, *_SOUNDS, ".npy", ".ita"), ("channel",)),
+    ".mat": ("channel", "variable", "sampling_rate_variable"),
+    ".sofa": ("measurement", "receiver_index"),
+    ".txt": (),
+}
+_MOST = {".txt": "text_bytes"}
+_RECORDED = (*_WAVES, *_SOUNDS, ".mat", ".ita", ".npy")
+_CHOICES = ("channel", "variable", "sampling_rate_variable", "measurement", "receiver_index")
+
+
+def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, ...]]:
+    """Return one impulse response, checked, with what is doubtful about it.
+
+    Where `spec.time_zero` is "emission", sample 0 lies `spec.latency_s` before emission. Where it
+    is "direct" or "unknown" the file does not contain the time of emission: the same is assumed,
+    and `roomfit.signals.response.time_zero_from_direct` corrects it by the geometry.
+
+    Where `spec.excitation` is given, the file is a recording and is deconvolved first.
+
+    Raises
+    ------
+    InputError
+        The file is missing, of an unknown kind, not what its name says, cut off, silent, too short,
+        not finite; a choice is missing or does not exist; a key does not belong to this kind.
+    StoreError
+        The disk refuses to read the file.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import soundfile
+    >>> decay = np.exp(-np.arange(4800) / 480.0)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "S1_R1.wav"
+    ...     soundfile.write(file, decay, 48000, subtype="DOUBLE")
+    ...     response, findings = read_response(ResponseSpec(file))
+    >>> response.sampling_rate_hz, bool(np.all(response.pressure == decay)), findings
+    (48000.0, True, ())
+    """
+    path = Path(spec.path)
+    kind = path.suffix.lower()
+    if kind not in _READERS:
+        raise InputError(
+            "unknown kind of response file",
+            where=str(path),
+            found=f"ending {path.suffix!r}",
+            needed="a name that ends in .wav, .flac, .aiff, .w64, .mat, .ita, .npy, .sofa, or .txt "
+            "(REW)",
+            hint="export the response as WAV, 32-bit float",
+        )
+    with located(str(path)):
+        _refuse_foreign_keys(spec, kind)
+    content = read_bytes(path, "response file", most=_MOST.get(kind, "file_bytes"))
+    with located(str(path)):
+        recording = _READERS[kind](spec, content)
+        _check_clock(recording, spec)
+    if spec.excitation is not None:
+        recording = deconvolved(recording, _excitation(spec, kind), path, spec.excitation)
+    with located(str(path)):
+        pressure, findings = checked(recording, path.name)
+    time_zero_s = spec.latency_s - recording.delay_s
+    return ImpulseResponse(pressure, recording.sampling_rate_hz, time_zero_s), findings
+
+
+def _excitation(spec: ResponseSpec, kind: str) -> Recording:
+    path = Path(spec.excitation or "")
+    played = path.suffix.lower()
+    if kind not in _RECORDED or played not in (*_WAVES, *_SOUNDS):
+        raise InputError(
+            "an excitation goes with a recording",
+            where=str(spec.path),
+            found=f"a {kind} file with the excitation {path.name}",
+            needed="a recording as sound file, MAT, ITA or NPY, and an excitation as sound file",
+            hint="leave excitation out where the file is a response already",
+        )
+    content = read_bytes(path, "response file")
+    with located(str(path)):
+        return _READERS[played](ResponseSpec(path, channel=spec.excitation_channel), content)
+
+
+def _refuse_foreign_keys(spec: ResponseSpec, kind: str) -> None:
+    """A key that this kind of file cannot obey would be silently lost."""
+    if spec.excitation is None and spec.excitation_channel is not None:
+        raise InputError(
+            "a channel of an excitation without the excitation",
+            needed="excitation = a WAV file",
+            found="excitation_channel alone",
+            hint="name the sweep as it was played, or leave the channel out",
+        )
+    for key in _CHOICES:
+        if getattr(spec, key) is not None and key not in _KEYS[kind]:
+            raise InputError(
+                "a key does not belong to this kind of file",
+                found=f"{key} for a {kind} file",
+                needed=f"only {', '.join(_KEYS[kind]) or 'the path'}",
+                hint="leave it out, or check the name of the file",
+            )
+
+
+def _check_clock(recording: Recording, spec: ResponseSpec) -> None:
+    rate_hz = recording.sampling_rate_hz
+    if not 1000.0 <= rate_hz <= 1e6:
+        raise InputError(
+            "the sampling rate is out of range",
+            found=f"{rate_hz:g} Hz",
+            needed="1000 to 1000000 Hz",
+            hint="state it in Hz: 48000, not 48",
+        )
+    if spec.sampling_rate_hz is not None and abs(spec.sampling_rate_hz / rate_hz - 1.0) > 1e-6:
+        raise InputError(
+            "two sampling rates for one file",
+            found=f"{rate_hz:g} Hz in the file, sampling_rate_hz = {spec.sampling_rate_hz:g}",
+            needed="the same, or no sampling_rate_hz",
+            hint="leave sampling_rate_hz out: it is for files that carry none",
+        )
+    if not np.isfinite(recording.delay_s):
+        raise InputError(
+            "the delay of the response is not a finite number",
+            found=f"{recording.delay_s:g} s",
+            needed="seconds",
+            hint="export the response again",
+        )

@@ -1,0 +1,361 @@
+"""Which response to take from which file, what a reader returns, its checks, and deconvolution."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+
+from roomfit.base.errors import InputError, located
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import FloatArray
+from roomfit.signals.measurement import TimeZero
+from roomfit.signals.response import clipping, clipping_findings
+
+_SHORTEST_S = 0.01
+_LOUDEST, _SOFTEST = 1e12, 1e-30  # their squares are far from the range of a float
+# Below this share of the peak an offset is far below any noise floor that matters (-80 dB).
+_LEAST_OFFSET = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseSpec:
+    """One response in a file, as a campaign names it."""
+
+    path: Path  # a WAV, MAT or SOFA file, or a text file of REW (.txt), recognised by its suffix
+    # WAV: channel; MAT: column. From 0; needed where there are several
+    channel: int | None = None
+    variable: str | None = None  # MAT: name of the array of responses
+    sampling_rate_variable: str | None = None  # MAT: name of the sampling rate in Hz
+    # MAT: the sampling rate itself. Elsewhere it must agree with the file
+    sampling_rate_hz: float | None = None
+    measurement: int | None = None  # SOFA: from 0; needed where there are several
+    receiver_index: int | None = None  # SOFA: from 0; needed where there are several
+    time_zero: TimeZero = "emission"  # what the beginning of the file stands for
+    # delay of the measuring chain: emission lies this long after the first sample (REW: after
+    # REW's own time zero)
+    latency_s: float = 0.0
+    # the WAV file that was played, where `path` (WAV or MAT) is its recording and not yet an
+    # impulse response; emission is the start of this file. It may be `path` itself, where another
+    # channel holds a loopback
+    excitation: Path | None = None
+    # from 0; needed where the excitation has several channels
+    excitation_channel: int | None = None
+
+    @property
+    def where(self) -> str:
+        """The file and the part of it, as findings name them."""
+        chosen = (self.channel, self.variable, self.measurement, self.receiver_index)
+        part = ", ".join(str(c) for c in chosen if c is not None)
+        return f"{self.path}[{part}]" if part else str(self.path)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """One channel of a file."""
+
+    pressure: FloatArray  # (n_samples,); not yet checked: may contain nan
+    sampling_rate_hz: float
+    # of the first sample after the time zero of the file, by the file itself
+    delay_s: float = 0.0
+    findings: tuple[Finding, ...] = ()
+
+
+def pick(kind: str, index: int | None, count: int, key: str) -> int:
+    """Return the index that was asked for, which must exist; 0 where there is only one."""
+    numbers = "0" if count == 1 else f"0 to {count - 1}"
+    if index is None and count == 1:
+        return 0
+    if index is None:
+        raise InputError(
+            f"the file holds several {kind}s and none was chosen",
+            found=f"{count} {kind}s, {numbers}",
+            needed=f"{key} = a number from {numbers}",
+            hint=f"what holds of all files stands once: {key} = 0 under [defaults]",
+        )
+    if not 0 <= index < count:
+        raise InputError(
+            f"the file has no such {kind}",
+            found=f"{key} = {index}",
+            needed=f"{key} = {numbers} ({kind}s are counted from 0)",
+            hint="look at the file in an editor of sound, and count from 0",
+        )
+    return index
+
+
+def checked(recording: Recording, name: str) -> tuple[FloatArray, tuple[Finding, ...]]:
+    """Return the pressure without a constant offset, and a finding for every doubt."""
+    refuse_useless(recording)
+    pressure = recording.pressure
+    offset, offset_findings = _offset(pressure, name)
+    clipped = clipping_findings(pressure, name)
+    return pressure - offset, (*recording.findings, *clipped, *offset_findings)
+
+
+def refuse_useless(recording: Recording) -> None:
+    """Refuse what cannot be sound: too short, not finite, too loud, or nothing but silence."""
+    pressure = recording.pressure
+    duration_s = len(pressure) / recording.sampling_rate_hz
+    if duration_s < _SHORTEST_S:
+        raise InputError(
+            "the response is too short",
+            found=f"{len(pressure)} samples, {1000.0 * duration_s:.3g} ms",
+            needed=f"at least {1000.0 * _SHORTEST_S:g} ms",
+            hint="copy or export the file again, whole",
+        )
+    bad = np.flatnonzero(~np.isfinite(pressure))
+    if bad.size:
+        raise InputError(
+            "the response holds samples that are not finite numbers",
+            found=f"{bad.size} of {len(pressure)}, the first at sample {bad[0]}",
+            needed="finite pressures",
+            hint="look at how the file was made: a division by an empty spectrum leaves nan",
+        )
+    largest = float(np.abs(pressure).max())
+    if largest > _LOUDEST:
+        raise InputError(
+            "the response holds values that no pressure has",
+            found=f"{largest:.3g}",
+            needed=f"at most {_LOUDEST:g} in whatever unit",
+            hint="the file may be damaged, or of another number format than it says",
+        )
+    if np.ptp(pressure) <= _SOFTEST:
+        raise InputError(
+            "the response is silent",
+            found=f"{len(pressure)} samples, all of them {pressure[0] + 0.0:g}",
+            needed="a response, which rises and decays",
+            hint="another channel may hold the response",
+        )
+
+
+def _offset(pressure: FloatArray, name: str) -> tuple[float, tuple[Finding, ...]]:
+    """Return the offset to subtract: one where the quiet end of the file is mostly offset.
+
+    The mean of the whole would be wrong: every response has some. What stays of an offset makes a
+    step at both ends of the file, which low bands take for sound.
+    """
+    end = pressure[-max(1, len(pressure) // 4) :]
+    mean, peak = float(end.mean()), float(np.abs(pressure).max())
+    if abs(mean) <= _LEAST_OFFSET * peak or abs(mean) <= 2.0 * float(end.std()):
+        return 0.0, ()
+    return mean, (
+        Finding(
+            Code.DC_OFFSET,
+            About(files=[name]),
+            f"{name} has a constant offset of {mean:.3g} ({abs(mean) / peak:.2%} of its "
+            "peak); it was subtracted.",
+            {"offset": mean, "relative_to_peak": mean / peak},
+        ),
+    )
+
+
+# Below this share of the excitation's peak (-60 dB, above the noise of a loopback) it is silent.
+_SILENT = 1e-3
+# Kept before the start of the excitation, faded in: the filter rings forth and back at the edges of
+# the band, and cut off at once the ringing would leave a step.
+_LEAD_S = 0.02
+_LEAST_DECAY_S = 0.05
+_BANDS_PER_OCTAVE = 12
+_LOWEST_HZ = 10.0
+_BELOW_FULL = 10.0 ** (-15.0 / 10.0)
+# Share of the strongest line at which the inversion gives up inside the band (-200 dB in power).
+_WITHIN = 1e-5
+# A linear convolution of 60 s at 192 kHz; more is a mistaken file.
+_MOST_SAMPLES = 2**26
+
+
+def deconvolved(
+    recording: Recording,
+    excitation: Recording,
+    path: Path,
+    excitation_path: Path,
+    band_hz: tuple[float, float] | None = None,
+) -> Recording:
+    """Return the impulse response between an excitation and its recording.
+
+    Its time zero is the start of the excitation's file: a recording that began with the playback
+    needs no `latency_s` but that of its converters. The response ends where the recording no
+    longer contains the decay of every frequency: as long after time zero as the recording goes on
+    after the last sound of the excitation. Products of harmonic distortion of a rising sweep come
+    out before time zero [1]_, the second by T ln 2 / ln(f2 / f1), and are cut away but for the
+    last 20 ms; the room's answer to them goes on into the response, the less the longer the sweep.
+
+    Parameters
+    ----------
+    recording, excitation : Recording
+        At the same sampling rate. The excitation may be any broadband signal, or a loopback.
+    path, excitation_path : Path
+        Name both in messages.
+    band_hz : (lowest, highest), optional
+        Outside of which the response goes to nothing; left out: by `band_of`.
+
+    Raises
+    ------
+    InputError
+        Two sampling rates, a recording that ends before the excitation does, silence, or samples
+        that are not finite.
+
+    Notes
+    -----
+    Division of spectra, regularised outside the band in which the excitation has energy [2]_, see
+    `regularised_quotient`: there the response goes to nothing instead of to amplified noise. The
+    filter has no phase.
+
+    References
+    ----------
+    .. [1] A. Farina, "Simultaneous measurement of impulse response and distortion with a
+           swept-sine technique", 108th AES Convention, preprint 5093 (2000).
+    .. [2] S. Mueller and P. Massarani, "Transfer-function measurement with sweeps", J. Audio
+           Eng. Soc. 49, 443-471 (2001).
+    """
+    rate_hz = recording.sampling_rate_hz
+    with located(str(path)):
+        _check_rates(rate_hz, excitation.sampling_rate_hz, excitation_path)
+        refuse_useless(recording)
+    with located(str(excitation_path)):
+        refuse_useless(excitation)
+    with located(str(path)):
+        n_kept = _kept(recording.pressure, excitation.pressure, rate_hz)
+    low_hz, high_hz = band_hz or band_of(excitation.pressure, rate_hz)
+    response = regularised_quotient(
+        recording.pressure, excitation.pressure, rate_hz, (low_hz, high_hz)
+    )
+    n_lead = round(_LEAD_S * rate_hz)
+    pressure = _with_lead(response, n_lead, n_kept)
+    text = (
+        f"{path.name} was deconvolved with {excitation_path.name}, which has energy from "
+        f"{low_hz:.3g} to {high_hz:.4g} Hz; {n_kept / rate_hz:.2f} s of response are left."
+    )
+    evidence = {"low_hz": low_hz, "high_hz": high_hz, "duration_s": n_kept / rate_hz}
+    finding = Finding(Code.DECONVOLVED, About(files=[path.name]), text, evidence)
+    clipped = clipping(
+        recording.pressure, path.name, "The response deconvolved from it is distorted"
+    )
+    findings = (*recording.findings, *excitation.findings, *clipped, finding)
+    return Recording(pressure, rate_hz, recording.delay_s - n_lead / rate_hz, findings)
+
+
+def _check_rates(rate_hz: float, played_hz: float, excitation_path: Path) -> None:
+    if abs(played_hz / rate_hz - 1.0) > 1e-6:
+        raise InputError(
+            "recording and excitation have different sampling rates",
+            found=f"{rate_hz:g} Hz, and {played_hz:g} Hz in {excitation_path}",
+            needed="one rate",
+            hint="take the excitation as it was played, at the rate of the recording",
+        )
+
+
+def _with_lead(response: FloatArray, n_lead: int, n_kept: int) -> FloatArray:
+    """Return the first samples of a circular response, behind its last ones, faded in."""
+    lead = response[len(response) - n_lead :]
+    fade = np.sin(0.5 * np.pi * (np.arange(n_lead) + 0.5) / n_lead) ** 2
+    return np.concatenate([fade * lead, response[:n_kept]])
+
+
+def _kept(recorded: FloatArray, played: FloatArray, rate_hz: float) -> int:
+    """Return how many samples of the response contain all frequencies."""
+    size = np.abs(played - np.median(played))
+    sounding = int(np.flatnonzero(size > _SILENT * size.max())[-1]) + 1
+    if len(recorded) + len(played) > _MOST_SAMPLES:
+        raise InputError(
+            "recording and excitation are too long together",
+            found=f"{len(recorded)} and {len(played)} samples",
+            needed=f"at most {_MOST_SAMPLES}",
+            hint="cut the recording behind the decay, or play a shorter sweep",
+        )
+    if len(recorded) < sounding + _LEAST_DECAY_S * rate_hz:
+        raise InputError(
+            "the recording ends before the decay after the excitation",
+            found=f"{len(recorded) / rate_hz:.4g} s",
+            needed=f"the {sounding / rate_hz:.4g} s of the excitation, and the decay after it",
+            hint="record until the room is silent",
+        )
+    return len(recorded) - sounding
+
+
+def band_of(excitation: FloatArray, rate_hz: float) -> tuple[float, float]:
+    """Return the frequencies between which an excitation has energy, in Hz.
+
+    Its power is summed in twelfths of an octave. The band goes on, from the strongest, while
+    either the power of each or its density per hertz is within 15 dB of the largest: so an
+    exponential sweep (equal power in each) and a linear one (equal density) keep all they have.
+    A loopback through a chain that rolls off keeps what is 15 dB down: the quotient is right there,
+    and its noise 15 dB higher at most, which every band is judged by.
+    """
+    n_lines = next_fast_len(max(len(excitation), int(2.0 * rate_hz)), real=True)
+    power = np.abs(np.fft.rfft(excitation, n_lines)) ** 2
+    n_bands = int(_BANDS_PER_OCTAVE * np.log2(0.5 * rate_hz / _LOWEST_HZ))
+    edges_hz = 0.5 * rate_hz * 2.0 ** (np.arange(-n_bands, 1) / _BANDS_PER_OCTAVE)
+    at = np.round(edges_hz / rate_hz * n_lines).astype(np.int64)
+    at = np.minimum(at, len(power))
+    total = np.diff(np.concatenate(([0.0], np.cumsum(power)))[at])
+    density = total / np.maximum(np.diff(at), 1)
+    full = (total >= _BELOW_FULL * total.max()) | (density >= _BELOW_FULL * density.max())
+    low = high = int(np.argmax(total))
+    while low > 0 and full[low - 1]:
+        low -= 1
+    while high < len(full) - 1 and full[high + 1]:
+        high += 1
+    return float(edges_hz[low]), float(edges_hz[high + 1])
+
+
+def regularised_quotient(
+    recorded: FloatArray, played: FloatArray, rate_hz: float, band_hz: tuple[float, float]
+) -> FloatArray:
+    """Return the quotient of two spectra over time, long enough that nothing wraps onto it.
+
+    ``Y conj(X) / (|X|^2 + beta e^2)`` with the largest ``|X|^2`` as beta; e is 1e-5 within the band
+    and 1 outside it, cross-faded over half an octave [1]_.
+
+    Parameters
+    ----------
+    recorded, played : float array, shapes (n_recorded,) and (n_played,)
+    rate_hz : float
+    band_hz : tuple
+        Lowest and highest frequency at which `played` has energy, Hz.
+
+    Returns
+    -------
+    float array, shape (n,)
+        n >= n_recorded + n_played; what precedes time zero is at the end.
+
+    References
+    ----------
+    .. [1] S. G. Norcross, M. Bouchard and G. A. Soulodre, "Inverse filtering design using a
+           minimal-phase target function from regularization", 121st AES Convention, paper 6929
+           (2006).
+    """
+    n = next_fast_len(len(recorded) + len(played), real=True)
+    played_spectrum = rfft(played, n)
+    power = np.abs(played_spectrum) ** 2
+    regularisation = _regularisation(rfftfreq(n, 1.0 / rate_hz), rate_hz, band_hz)
+    inverse = np.conj(played_spectrum) / (power + power.max() * regularisation**2)
+    return np.asarray(irfft(rfft(recorded, n) * inverse, n), dtype=np.float64)
+
+
+def _regularisation(
+    frequency_hz: FloatArray, rate_hz: float, band_hz: tuple[float, float]
+) -> FloatArray:
+    """Return the regularisation of each line: next to none within the band, one outside it.
+
+    Both are cross-faded as the square of a cosine over half an octave outside the band. Above a
+    band that ends at half the sampling rate there is nothing to fade.
+    """
+    low, high = band_hz
+    inside = np.ones(len(frequency_hz))
+    start, end = (int(np.argmin(np.abs(frequency_hz - f))) for f in (low / np.sqrt(2.0), low))
+    inside[:start] = 0.0
+    inside[start:end] = _rise(end - start)
+    if high < 0.5 * rate_hz:
+        top_hz = min(high * np.sqrt(2.0), 0.5 * rate_hz)
+        start, end = (int(np.argmin(np.abs(frequency_hz - f))) for f in (high, top_hz))
+        inside[start:end] *= _rise(end - start)[::-1]
+        inside[end:] = 0.0
+    return np.asarray(_WITHIN * inside + (1.0 - inside))
+
+
+def _rise(n: int) -> FloatArray:
+    """Return n steps from 0 to 1, neither end among them, as the square of a sine."""
+    return np.asarray(np.sin(0.5 * np.pi * np.arange(1, n + 1) / (n + 1)) ** 2)

@@ -1,0 +1,178 @@
+"""Reading rooms: from a specification to a checked room."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from roomfit.base.arguments import check_known, nearest
+from roomfit.base.errors import InputError, located
+from roomfit.base.findings import Finding
+from roomfit.base.typing import FloatArray, IntArray
+from roomfit.files.door import check_limit
+from roomfit.files.rooms.interchange import read_collada, read_ifc, read_skp, read_usdz
+from roomfit.files.rooms.mesh_formats import (
+    read_3ds,
+    read_ac3d,
+    read_glb,
+    read_obj,
+    read_ply,
+    read_stl,
+)
+from roomfit.files.rooms.model import METRES_PER_UNIT, RoomModel, RoomSpec, in_metres
+from roomfit.files.rooms.tables import read_polygons
+from roomfit.formats.catt import read_catt
+from roomfit.formats.dxf import read_dxf
+from roomfit.formats.roomplan import read_roomplan
+from roomfit.room.build import build_mesh, oriented
+from roomfit.room.mesh import WELD_TOLERANCE_M, Mesh, as_shoebox, refuse, shoebox_mesh
+from roomfit.room.scene import Room, check_mesh, room_from_mesh
+
+READERS: dict[str, Callable[[Path], RoomModel]] = {
+    ".obj": read_obj,
+    ".ac": read_ac3d,
+    ".ply": read_ply,
+    ".3ds": read_3ds,
+    ".stl": read_stl,
+    ".glb": read_glb,
+    ".geo": read_catt,
+    ".dxf": read_dxf,
+    ".dae": read_collada,
+    ".ifc": read_ifc,
+    ".json": read_roomplan,
+    ".usdz": read_usdz,
+    ".skp": read_skp,
+}
+
+
+def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
+    """Read, repair and check a room.
+
+    Returns
+    -------
+    room : Room
+        In metres, z up, normals out of the air. A file's box with a corner at the origin is a
+        shoebox, see `roomfit.room.mesh.as_shoebox`.
+    findings : tuple of Finding
+        What was repaired and what is doubtful; none is serious.
+
+    Raises
+    ------
+    InputError
+        The room cannot be read, or has a fault that forbids tracing it: the first one is raised,
+        `roomfit check` lists them all.
+
+    Examples
+    --------
+    >>> from roomfit.files.rooms.model import RoomSpec
+    >>> room, findings = read_room(RoomSpec(shoebox=(6.0, 5.0, 3.0), materials={"floor": "carpet"}))
+    >>> room.materials[4], len(findings)
+    ('carpet', 0)
+    """
+    mesh, built = read_mesh(spec)
+    findings = check_mesh(mesh, spec.materials, built).findings
+    refuse(findings)
+    room, box = room_from_mesh(mesh, spec.materials), as_shoebox(mesh)
+    if box is None:
+        return room, findings
+    x, y, z = box.vertices_m[-1].tolist()
+    # materials stay in the order of the file
+    own = room.surface_material[[mesh.surfaces.index(s) for s in box.surfaces]]
+    return Room(box, room.materials, own, (x, y, z)), findings
+
+
+def read_mesh(spec: RoomSpec) -> tuple[Mesh, tuple[Finding, ...]]:
+    """Read a room as far as its mesh, welded, triangulated and oriented, with findings.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    """
+    lengths = shoebox_lengths_m(spec)
+    if lengths is not None:
+        with located("[room] shoebox"):
+            return shoebox_mesh(lengths), ()
+    model, where = read_model(spec)
+    vertices_m = in_metres(model, spec.unit, spec.up, where)
+    _check_size(model, vertices_m, where)
+    mesh, built = build_mesh(vertices_m, model.faces)
+    mesh, turned = oriented(mesh)
+    return mesh, (*model.findings, *built, *turned)
+
+
+def shoebox_lengths_m(spec: RoomSpec) -> tuple[float, float, float] | None:
+    """Return the lengths of the box along x, y and z, or None where the room is no shoebox."""
+    if spec.shoebox is None:
+        return None
+    unit = spec.unit or "m"
+    compare = "compare the volume that roomfit check shows"
+    check_known("unknown unit", unit, METRES_PER_UNIT, where="[room] unit", else_try=compare)
+    if spec.up not in (None, "z"):
+        what = "a shoebox stands with z up"
+        hint = "leave up out, and give the height last"
+        raise InputError(what, found=f"up = {spec.up!r}", needed='"z"', hint=hint)
+    x, y, z = (float(length) * METRES_PER_UNIT[unit] for length in spec.shoebox)
+    return x, y, z
+
+
+def read_model(spec: RoomSpec) -> tuple[RoomModel, str]:
+    """Return the polygons of a room file in its own unit and axes, and its name for messages.
+
+    Raises
+    ------
+    InputError
+        The file is of no known format, or cannot be read.
+    """
+    with located(hint="correct the file there, or export it again"):
+        return _model(spec)
+
+
+def _model(spec: RoomSpec) -> tuple[RoomModel, str]:
+    if spec.polygons is not None:
+        own = read_polygons(spec.polygons, spec.unit, spec.materials or ())
+        return own, str(spec.polygons.corners[0])
+    path = Path(spec.file or "")
+    suffix = path.suffix.lower()
+    if suffix not in READERS:
+        like = nearest(suffix, READERS)
+        what = "a room file of unknown format"
+        needed = f"one of {', '.join(READERS)}"
+        hint = f"did you mean {like}?" if like else "export the room as OBJ"
+        raise InputError(what, where=str(path), found=repr(path.suffix), needed=needed, hint=hint)
+    if spec.space is not None:
+        read = read_ifc if suffix == ".ifc" else read_roomplan
+        return read(path, spec.space), str(path)
+    return READERS[suffix](path), str(path)
+
+
+def _check_size(model: RoomModel, vertices_m: FloatArray, where: str) -> None:
+    """Refuse what would take minutes or gigabytes to make a mesh of."""
+    check_limit("corners", len(vertices_m), where)
+    check_limit("faces", len(model.faces), where)
+    lengths = np.array([len(face.corners) for face in model.faces])
+    check_limit("polygon_corners", int(lengths.max(initial=0)), where)
+    check_limit("polygon_pairs", int((lengths[lengths > 100] ** 2).sum()), where)
+    if not (np.abs(vertices_m) < 1e9).all():
+        return  # which no mesh can have
+    from scipy.spatial import cKDTree  # heavy, and a box needs none
+
+    distinct = np.unique(vertices_m, axis=0)
+    if len(distinct):
+        tree = cKDTree(distinct)
+        near = int(tree.count_neighbors(tree, WELD_TOLERANCE_M)) - len(distinct)
+        check_limit("near_pairs", near, where)
+    rings = [np.array(face.corners, dtype=np.int64) for face in model.faces]
+    edges = np.concatenate([np.stack([r, np.roll(r, -1)], axis=1) for r in rings])
+    check_limit("open_edges", _n_open(vertices_m, edges), where)
+
+
+def _n_open(vertices_m: FloatArray, edges: IntArray) -> int:
+    """Return how many edges, shape (n, 2), have not exactly one other between the same points."""
+    known = edges[((edges >= 0) & (edges < len(vertices_m))).all(axis=1)]
+    _, point = np.unique(np.round(vertices_m / WELD_TOLERANCE_M), axis=0, return_inverse=True)
+    ends = np.sort(point.reshape(-1)[known], axis=1)
+    _, times = np.unique(ends, axis=0, return_counts=True)
+    return int(times[times != 2].sum())

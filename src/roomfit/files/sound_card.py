@@ -1,0 +1,89 @@
+"""Playing and recording at once, by the package sounddevice."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from roomfit.base.errors import InputError
+from roomfit.base.typing import FloatArray
+
+
+def sounddevice(load: Callable[[str], Any] = importlib.import_module) -> Any:
+    """Return the module sounddevice, which loads PortAudio.
+
+    Parameters
+    ----------
+    load : callable
+        Imports a module by its name.
+
+    Raises
+    ------
+    InputError
+        The package is missing, or PortAudio, which wheels for Linux do not bring along.
+    """
+    try:
+        return load("sounddevice")
+    except ModuleNotFoundError as error:
+        raise InputError(
+            "measuring needs a package that is not installed",
+            found=f"no module {error.name!r}",
+            needed="the extra measure",
+            hint="pip install 'roomfit[measure]', or measure in the browser: roomfit app",
+        ) from error
+    except OSError as error:
+        raise InputError(
+            "measuring needs a library that is not installed",
+            found=str(error),
+            needed="PortAudio",
+            hint="apt install libportaudio2 (or what your system has), or measure in the browser: "
+            "roomfit app",
+        ) from error
+
+
+@dataclass(frozen=True, slots=True)
+class SoundCard:
+    """One channel out and one in; called, it plays and returns what it recorded meanwhile."""
+
+    backend: Any  # the module sounddevice
+    device: str | int | None = None  # to record with; a number, or part of a name
+    output: str | int | None = None  # to play with; None: `device`, or the default of the system
+
+    def __call__(self, played: FloatArray, rate_hz: float) -> tuple[FloatArray, tuple[str, ...]]:
+        """Return the recording, shape (n_samples,), full scale 1, and faults that were reported.
+
+        Raises
+        ------
+        InputError
+            There is no such device, or it refuses the sampling rate.
+        """
+        both = (self.device, self.device if self.output is None else self.output)
+        try:
+            recorded = self.backend.playrec(
+                played.astype(np.float32)[:, None],
+                samplerate=rate_hz,
+                channels=1,
+                dtype="float32",
+                device=both,
+                blocking=True,
+            )
+            status = self.backend.get_status()
+        except (self.backend.PortAudioError, ValueError) as error:
+            raise InputError(
+                "the sound device cannot be used",
+                where=", ".join("default" if one is None else str(one) for one in both),
+                found=str(error),
+                needed=f"a device that plays and records at {rate_hz:g} Hz",
+                hint="roomfit measure --list names them; --rate sets another sampling rate",
+            ) from error
+        faults = (f"the sound device reports {status}: close other programs",) if status else ()
+        return np.asarray(recorded, dtype=np.float64).reshape(-1), faults
+
+
+def devices_text(backend: Any) -> str:
+    """Return the devices of this machine, one a line, with number, name and channels."""
+    return str(backend.query_devices()) or "there is no sound device"

@@ -1,0 +1,237 @@
+"""Predictions beside measurements and beside what one would guess without a model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.bands import Bands
+from roomfit.base.forks import in_forks
+from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.fit.measurements import Measurements
+from roomfit.model.binned import BinnedPaths, pair_energies, rows_at
+from roomfit.model.observation import spread_over_time
+from roomfit.model.room_parameters import predicted_values
+from roomfit.model.weighing import power_table, window_of_rows
+from roomfit.pressures.response import energy_of_pressures, root_energies
+from roomfit.result import Compared, ComparedPair, Decay
+from roomfit.room.scene import Scene, distances_m, pair_names
+from roomfit.signals.decay import (
+    PARAMETER_NAMES,
+    DecayCurve,
+    echogram_decay_curve,
+    in_jnd,
+    reduced_alike,
+    room_parameters,
+)
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
+from roomfit.signals.measurement import MeasuredPair, Use
+
+
+def compared_values(
+    measured: Sequence[MeasuredValues],
+    predicted: Sequence[FloatArray],
+    fitted: Sequence[MeasuredValues],
+    bands: Bands,
+    names: Sequence[ValueName] = VALUE_NAMES,
+) -> tuple[dict[str, Compared], ...]:
+    """Return measured, predicted and null value of every pair; parameters never measured left out.
+
+    Parameters
+    ----------
+    measured : sequence of MeasuredValues
+    predicted : sequence of float arrays, shape (n_names, n_bands)
+        Of the same pairs.
+    fitted : sequence of MeasuredValues
+        Whose mean, the pair itself left out, is the baseline.
+    """
+    tables = []
+    for m, row in zip(measured, predicted, strict=True):
+        table: dict[str, Compared] = {}
+        for name, values in zip(names, row, strict=True):
+            found = m.at(name, bands.centres_hz)
+            if not np.isfinite(found).any():
+                continue
+            others = np.array([o.at(name, bands.centres_hz) for o in fitted if o is not m])
+            null = _mean_of_known(others.reshape(-1, len(bands)))
+            table[name] = Compared(found, values, null, in_jnd(name, found, values))
+        tables.append(table)
+    return tuple(tables)
+
+
+def _mean_of_known(values: FloatArray) -> FloatArray:
+    known = np.isfinite(values)
+    counts = known.sum(axis=0)
+    sums = np.where(known, values, 0.0).sum(axis=0)
+    return np.asarray(np.where(counts > 0, sums / np.maximum(counts, 1), np.nan))
+
+
+_PICTURE_STEP_S = 2e-3
+
+
+def compare_all(
+    measurements: Measurements,
+    binned: BinnedPaths,
+    absorption: FloatArray,
+    candidates: BoolArray | None = None,
+) -> tuple[tuple[ComparedPair, ...], BoolArray]:
+    """Return measured against predicted for every response, then for every table's pairs.
+
+    And in which bands the pressures of image sources are added in the predicted responses: in those
+    of the candidates where they explain the fitted ones better than energies do, by the mean error
+    in just noticeable differences over all room parameters and pairs.
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials, n_bands)
+    candidates : bool array, shape (n_bands,), optional
+        Bands in which pressures were fitted; left out: none.
+    """
+    scene, bands = measurements.scene, measurements.bands
+    compared = partial(compare_pairs, scene, bands, binned, measurements.responses, absorption)
+    observed, chosen = compared(), np.zeros(len(bands), dtype=np.bool_)
+    if candidates is not None and candidates.any():
+        added = compared(candidates)
+        chosen = _better(candidates, added, observed)
+        if chosen.any():
+            observed = added if np.array_equal(chosen, candidates) else compared(chosen)
+    tabulated = (*measurements.values, *measurements.kept_values)
+    if not tabulated:
+        return observed, chosen
+    predicted = predicted_values(scene, bands, binned, absorption)
+    pair_of = {name: i for i, name in enumerate(pair_names(scene))}
+    rows = [predicted[pair_of[m.pair_name]] for m in tabulated]
+    uses: list[Use] = ["fit" for _ in measurements.values]
+    uses += ["validate" for _ in measurements.kept_values]
+    tables = compared_values(tabulated, rows, measurements.values, bands)
+    of_tables = tuple(
+        ComparedPair(m.source, m.receiver, use, table, None, m.state)
+        for m, use, table in zip(tabulated, uses, tables, strict=True)
+    )
+    return observed + of_tables, chosen
+
+
+def _better(tried: BoolArray, by: Sequence[ComparedPair], of: Sequence[ComparedPair]) -> BoolArray:
+    """Return in which of some bands the first of two predictions is nearer to fitted responses."""
+    fitted = [(x, y) for x, y in zip(by, of, strict=True) if x.use == "fit"]
+    off = [(x.parameters[n].jnd, y.parameters[n].jnd) for x, y in fitted for n in x.parameters]
+    sizes = np.abs(np.array(off).reshape(-1, 2, len(tried)))
+    known = np.isfinite(sizes).all(axis=1, keepdims=True)
+    first, second = np.where(known, sizes, 0.0).sum(axis=0)
+    return np.asarray(tried & (first < second))
+
+
+def compare_pairs(
+    scene: Scene,
+    bands: Bands,
+    binned: BinnedPaths,
+    measured: tuple[MeasuredPair, ...],
+    absorption: FloatArray,
+    by_pressures: BoolArray | None = None,
+) -> tuple[ComparedPair, ...]:
+    """Return measured against predicted for every measurement, fitted or kept for validation.
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials, n_bands)
+    by_pressures : bool array, shape (n_bands,), optional
+        In which bands the pressures of image sources are added; left out: in none.
+    """
+
+    def compared(m: MeasuredPair) -> ComparedPair:
+        # the same reduction on both sides
+        curve = reduced_alike(
+            predicted_curve(scene, bands, binned, m.pair, absorption, by_pressures), m.curve
+        )
+        predicted = room_parameters(curve)
+        others = [
+            o.parameters
+            for o in measured
+            if o.measurement.use == "fit" and o.measurement.state == m.measurement.state
+            if o is not m
+        ]
+        parameters: dict[str, Compared] = {}
+        for name in PARAMETER_NAMES:
+            found, expected = m.parameters.of(name), predicted.of(name)
+            null = _mean_of_known(np.array([o.of(name) for o in others]).reshape(-1, len(bands)))
+            parameters[name] = Compared(found, expected, null, in_jnd(name, found, expected))
+        own = m.measurement
+        decay = _decay(m.curve, curve)
+        return ComparedPair(own.source, own.receiver, own.use, parameters, decay, own.state)
+
+    return tuple(in_forks(compared, measured))
+
+
+def predicted_curve(
+    scene: Scene,
+    bands: Bands,
+    binned: BinnedPaths,
+    pair: int,
+    absorption: FloatArray,
+    by_pressures: BoolArray | None = None,
+) -> DecayCurve:
+    """Return the decay curves that the paths of a pair predict, smeared as the filters would.
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials, n_bands)
+    by_pressures : bool array, shape (n_bands,), optional
+        As of `compare_pairs`.
+    """
+    energy = pair_energies(binned, bands, pair, absorption, attenuation_per_m(scene.air, bands))
+    energy = spread_over_time(bands, energy)
+    if by_pressures is not None and by_pressures.any():
+        added = interference(scene, bands, binned, pair, absorption, by_pressures)
+        energy = np.maximum(energy + added, 0.0)
+    direct_s = float(distances_m(scene)[pair]) / speed_of_sound_m_s(scene.air)
+    return echogram_decay_curve(bands, energy, binned.edges_s, direct_s)
+
+
+def interference(
+    scene: Scene,
+    bands: Bands,
+    binned: BinnedPaths,
+    pair: int,
+    absorption: FloatArray,
+    chosen: BoolArray,
+) -> FloatArray:
+    """Return what the pressures of image sources add to their energies, shape (n_bands, n_bins).
+
+    In the unit of path energies, over time as the filters show them; less than 0 where pressures
+    cancel, and 0 in a band that is not chosen. Images arrive when their lengths say, and walls turn
+    no phase. Rays, which stand for what has no image, add energies alone.
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials, n_bands)
+    chosen : bool array, shape (n_bands,)
+    """
+    edges_s, found = binned.edges_s, np.zeros((len(bands), binned.edges_s.size - 1))
+    speed_m_s, air_per_m = speed_of_sound_m_s(scene.air), attenuation_per_m(scene.air, bands)
+    for band in np.flatnonzero(chosen):
+        one = Bands(bands.kind, bands.centres_hz[band : band + 1])
+        rows = rows_at(binned, bands.centres_hz[band])[pair]
+        image = np.flatnonzero(rows.batch < 0).astype(np.int32)
+        length_m = rows.length_m[image]
+        weight = rows.weight_per_m2[image] * np.exp(-air_per_m[band] * length_m)
+        powers = power_table(np.sqrt(1.0 - absorption[:, band])[None], rows.max_hits)[0]
+        roots = root_energies(weight, image, rows.hits, powers)
+        together = energy_of_pressures(length_m / speed_m_s, roots, edges_s, one)
+        alone = np.bincount(window_of_rows(rows)[image], roots**2, edges_s.size - 1).astype(float)
+        found[band] = together - spread_over_time(one, alone[None])[0]
+    return found
+
+
+def _decay(measured: DecayCurve, predicted: DecayCurve) -> Decay:
+    end_s = min(float(measured.usable_end_s.max()), float(predicted.time_s[-1]))
+    times = np.arange(0.0, max(end_s, 2.0 * _PICTURE_STEP_S), _PICTURE_STEP_S)
+    noise_db = np.where(measured.noise_reached, -measured.usable_db, np.nan)
+    return Decay(times, _at(times, measured), _at(times, predicted), noise_db)
+
+
+def _at(times: FloatArray, curve: DecayCurve) -> FloatArray:
+    """Return the curves in dB at given times; NaN after their usable end."""
+    return np.where(times <= curve.usable_end_s[:, None], curve.levels_db(times), np.nan)

@@ -1,0 +1,745 @@
+"""Whether positions and the lengths of a box are where they are specified, by early reflections.
+
+A group of positions that move together, and each length of a box, is displaced; the image sources
+of low orders are found anew; and the energies in windows are compared under a few steps of
+absorption, gains and directivity. What is specified with a standard deviation of its own is found
+within it; what is not is only suspected, and found out where it is farther off than specified.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from typing import Protocol
+
+import numpy as np
+
+from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.forks import in_forks
+from roomfit.base.logit import logit
+from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.fit.fits import BandFits, Displacement
+from roomfit.fit.measurements import Measurements
+from roomfit.fit.paths import TracedPaths, trim_memory
+from roomfit.fit.scattering import band_factors
+from roomfit.fit.systematics import widened
+from roomfit.materials.priors import MaterialPrior, Scattering
+from roomfit.model.binned import once
+from roomfit.model.directivity import (
+    DirectivityParameters,
+    FittedDirectivity,
+    directed_band,
+    row_bases,
+    with_directivities,
+)
+from roomfit.model.early import DisplacedTerm, FixedPaths, displaced_term, fixed_paths
+from roomfit.model.energy import chosen_rows
+from roomfit.model.observation import DEFAULT_POSITION_SD_M, energy_terms, fitted_in_band
+from roomfit.model.parameters import (
+    Parameters,
+    absorption_of,
+    physical_values,
+    prior_residuals,
+    start_vector,
+)
+from roomfit.model.problem import Objective
+from roomfit.pressures.data_term import FittedGeometry
+from roomfit.room.mesh import box_of, mean_free_path_m, shoebox_mesh
+from roomfit.room.scene import (
+    NEAREST_PAIR_M,
+    NEAREST_WALL_M,
+    Point,
+    Room,
+    Scene,
+    distances_m,
+    position_findings,
+)
+from roomfit.signals.filters import SpreadingKernel, spreading_kernel
+from roomfit.signals.measurement import MeasuredPair
+from roomfit.solver.least_squares import BandFit, score_band
+from roomfit.tracing.image_sources import trace_images
+from roomfit.tracing.paths import Paths
+from roomfit.uncertainty.gaussian import BandEstimate
+
+# Below it a window is longer than what a displacement does to a reflection.
+_LEAST_HZ = 400.0
+# Images of this order and within so many mean free paths of the direct sound move.
+_ORDER, _MEAN_FREE_PATHS = 3, 8.0
+# Windows half as long as those of the fit: 18 cm of a path.
+_PERIODS, _FINE_S = 0.75, 0.05
+_FEWEST_RESPONSES = 4
+# A tree of beams for every geometry takes milliseconds only where walls are few.
+_MOST_TRIANGLES = 60
+# Of a box's lengths, where no standard deviation is specified.
+LENGTH_SD_M = 0.03
+LARGEST_SHIFT_SD = 3.5
+# A wall reflects from so far off the plane that a tape finds, panels and furniture being what they
+# are: joined to every standard deviation. Chosen on one measured room, decision 0035.
+_WALL_SD_M = 0.035
+# Log-likelihood that a displacement beyond what is specified must gain: decision 0035.
+LEAST_GAIN = 10.0
+# Lower bands regained at most 5 of what higher ones lost: decision 0040.
+_RULED_OUT = 50.0
+_GRID_M = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.2])
+# A stated offset is sought at least so far about the best of the grid, to within 2 mm.
+_LEAST_REACH_M, _NEAR_M = 0.06, 2e-3
+_STEP_M = 0.04
+_REACH_M = 0.1  # of one step of a sweep
+_WITHIN_SD = (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0)
+WORTH_TELLING_M = 0.3
+_APART_M = 0.06  # of second differences, smooth over what single windows do
+AXES = "xyz"
+
+
+@dataclass(frozen=True, slots=True)
+class Offset:
+    """One number, in m, that displaces a group of positions along an axis or lengthens a box."""
+
+    group: str  # "" for a length
+    axis: int
+    sd_m: float
+    is_stated: bool  # fitted within its standard deviation; otherwise only suspected
+    sources: frozenset[str] = frozenset()
+    receivers: frozenset[str] = frozenset()
+
+    @property
+    def label(self) -> str:
+        """Its name in results."""
+        return f"{self.group or 'length'} {AXES[self.axis]}"
+
+
+class LogL(Protocol):
+    """Log-likelihood of a vector of offsets; minus infinity where a point leaves the room.
+
+    Roughly also where high bands rule it out, so that the others need not be asked.
+    """
+
+    def __call__(self, shift_m: FloatArray, roughly: bool = False) -> float: ...
+
+
+def offsets_of(scene: Scene) -> tuple[Offset, ...]:
+    """Return what may be displaced: groups that are stated or all positions, and a box's lengths.
+
+    Where nothing is stated, all positions move as one, with the standard deviation of one of them,
+    and each length has 3 cm.
+    """
+    found = []
+    every = [frozenset(p.name for p in points) for points in (scene.sources, scene.receivers)]
+    for group in scene.groups:
+        own = [
+            frozenset(n for n in k if any(fnmatchcase(n, p) for p in group.members)) for k in every
+        ]
+        stated_m = np.broadcast_to(np.asarray(group.sd_m), 3)
+        if any(own):
+            found += [Offset(group.name, a, float(stated_m[a]), True, *own) for a in range(3)]
+    if not any([o.sources, o.receivers] == every for o in found):
+        sds_m = [p.position_sd_m for p in (*scene.sources, *scene.receivers)]
+        known_m = [DEFAULT_POSITION_SD_M if s is None else s for s in sds_m]
+        sd_m = max(float(np.sqrt(np.mean(np.square(known_m)))), 1e-3)
+        found += [Offset("all positions", a, sd_m, False, *every) for a in range(3)]
+    if scene.room.shoebox_m is not None:
+        stated = scene.room.lengths_sd_m
+        found += [
+            Offset("", a, LENGTH_SD_M if stated is None else stated[a], stated is not None)
+            for a in range(3)
+        ]
+    return tuple(o for o in found if o.sd_m > 0.0)
+
+
+def displaced(scene: Scene, offsets: Sequence[Offset], shift_m: FloatArray) -> Scene:
+    """Return the scene with its offsets at the given values.
+
+    Parameters
+    ----------
+    shift_m : float array, shape (n_offsets,)
+        A group's positions move along its axis; a length grows, the corner at the origin kept.
+    """
+
+    def moved(points: tuple[Point, ...], kind: str) -> tuple[Point, ...]:
+        steps_m = np.zeros((len(points), 3))
+        for offset, by_m in zip(offsets, shift_m, strict=True):
+            members = getattr(offset, kind)
+            steps_m[[p.name in members for p in points], offset.axis] += by_m
+        return tuple(
+            replace(p, position_m=p.position_m + step)
+            for p, step in zip(points, steps_m, strict=True)
+        )
+
+    longer_m = np.zeros(3)
+    for offset, by_m in zip(offsets, shift_m, strict=True):
+        longer_m[offset.axis] += 0.0 if offset.group else by_m
+    return replace(
+        scene,
+        room=_lengthened(scene.room, longer_m) if np.any(longer_m) else scene.room,
+        sources=moved(scene.sources, "sources"),
+        receivers=moved(scene.receivers, "receivers"),
+    )
+
+
+def _lengthened(room: Room, by_m: FloatArray) -> Room:
+    x, y, z = (np.array(room.shoebox_m) + by_m).tolist()
+    mesh = replace(room.mesh, vertices_m=shoebox_mesh((x, y, z)).vertices_m)
+    return replace(room, mesh=mesh, shoebox_m=(x, y, z))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DisplacementBand:
+    """One band of an model: what stays, and where its fit starts."""
+
+    band: int
+    kept: FixedPaths
+    parameters: Parameters
+    start: FloatArray  # (n_free,)
+    attenuation_per_m: float
+    files: tuple[MeasuredPair, ...]  # one an observation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DisplacementModel:
+    """A fitted room whose early image sources can be displaced."""
+
+    measured: Measurements
+    traced: TracedPaths
+    offsets: tuple[Offset, ...]
+    moved_m: FloatArray  # (n_offsets,), where the scene already differs from the specified one
+    until_s: float
+    order: int
+    kernel: SpreadingKernel
+    bands: tuple[DisplacementBand, ...]  # the highest first
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Located:
+    """The most likely offsets."""
+
+    shift_m: FloatArray  # (n_offsets,), from the specified scene
+    sd_m: FloatArray  # (n_offsets,), the prior's where it was not asked for
+    beyond: Displacement | None  # what is displaced farther than specified
+
+
+def displacement_model(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    traced: TracedPaths,
+    answers: Sequence[BandEstimate],
+    directivities: tuple[DirectivityParameters | None, Sequence[FittedDirectivity]],
+    offsets: tuple[Offset, ...],
+    moved_m: FloatArray,
+) -> DisplacementModel | None:
+    """Return what is needed to displace a fitted room; None where there is too little to go by.
+
+    Too little are fewer than four responses, no band from 500 Hz, or a room of more than 60
+    triangles that is no box.
+
+    Parameters
+    ----------
+    traced : TracedPaths
+        Without the weights of fitted directivities.
+    answers : sequence of BandEstimate, one a band
+    directivities : tuple of DirectivityParameters or None, and sequence of FittedDirectivity
+        What was unknown of the sources, and what was found.
+    """
+    scene, bands, paths = measured.scene, measured.bands, traced.paths
+    if (
+        sum(m.measurement.use == "fit" for m in measured.responses) < _FEWEST_RESPONSES
+        or (len(scene.room.mesh.triangles) > _MOST_TRIANGLES and box_of(scene.room.mesh) is None)
+        or traced.settings.image_order < 1
+        or not offsets
+    ):
+        return None
+    c = speed_of_sound_m_s(scene.air)
+    reach_m = float(distances_m(scene).max()) + _MEAN_FREE_PATHS * mean_free_path_m(scene.room.mesh)
+    order = min(_ORDER, traced.settings.image_order)
+    limits_s = traced.settings.duration_s, traced.settings.image_until_s
+    until_s = min(reach_m / c, *(s for s in limits_s if s is not None))
+    moves = _early_images(paths, c * until_s, order)
+    air = attenuation_per_m(scene.air, bands)
+    unknown, found = directivities
+    start = np.array([float(np.mean(a.absorption)) for a in answers])
+    responses = _with_gains_of_their_own(measured.responses)
+    made = energy_terms(
+        scene,
+        bands,
+        priors,
+        responses,
+        traced.binned,
+        start,
+        periods=_PERIODS,
+        fine_s=_FINE_S,
+    )
+    bases = None
+    if unknown is not None:
+        bases = row_bases(unknown, scene, paths, traced.binned, ~moves)
+    out = []
+    for band, own in enumerate(made):
+        if own is None or bands.centres_hz[band] < _LEAST_HZ or answers[band].model == "prior":
+            continue
+        (term, parameters), files = own, fitted_in_band(responses, band)
+        ends = scene.pairs[[m.pair for m in files]]
+        term = replace(term, rows=once(ends, (chosen_rows(r, ~moves) for r in term.rows)))
+        directivity, b = None, np.zeros((0, 3))
+        if unknown is not None and bases is not None:
+            directivity = directed_band(unknown, scene, bases, term, files)
+            b = np.stack([d.b[band] for d in found])
+            parameters = with_directivities(parameters, directivity.unknown)
+        parameters = _starting_at(parameters, answers[band].absorption)
+        vector = start_vector(parameters)
+        if directivity is not None:
+            free = b.ravel() - directivity.unknown.mean
+            vector[-b.size :] = np.linalg.solve(directivity.unknown.root, free)
+        values, _ = physical_values(parameters, vector)
+        kept = fixed_paths(term, directivity, values["absorption"], b)
+        out.append(DisplacementBand(band, kept, parameters, vector, float(air[band]), files))
+        del own, term, directivity  # as large as the paths, before the next band has its own
+        trim_memory()
+    if not out:
+        return None
+    kernel, out = spreading_kernel(bands), out[::-1]
+    return DisplacementModel(measured, traced, offsets, moved_m, until_s, order, kernel, tuple(out))
+
+
+def _early_images(paths: Paths, longest_m: float, order: int) -> BoolArray:
+    """Return which paths are of image sources so near and of so few reflections, (n_paths,)."""
+    found = (paths.batch < 0) & (paths.length_m <= longest_m)
+    met = paths.hits_specular[found] + paths.hits_diffuse[found]
+    found[found] = met.sum(axis=1) <= order
+    return found
+
+
+def _with_gains_of_their_own(responses: Sequence[MeasuredPair]) -> tuple[MeasuredPair, ...]:
+    """Return responses of which none shares its unknown gain with another.
+
+    Levels differ by what is no displacement: files that were normalised singly, a loudspeaker
+    that radiates less one way. Arrivals and levels within a response say where its images are.
+    """
+    return tuple(
+        replace(m, measurement=replace(m.measurement, level="per-file"))
+        if m.measurement.level == "per-source"
+        else m
+        for m in responses
+    )
+
+
+def _starting_at(parameters: Parameters, absorption: FloatArray) -> Parameters:
+    block = absorption_of(parameters)
+    margin = 1e-3 * (block.upper - block.lower)
+    inside = np.clip(absorption, block.lower + margin, block.upper - margin)
+    own = replace(block, start=np.where(block.fitted, inside, block.start))
+    return Parameters(tuple(own if b.name == "absorption" else b for b in parameters.blocks))
+
+
+def displaced_terms(model: DisplacementModel, shift_m: FloatArray) -> Iterator[DisplacedTerm]:
+    """Return the windows of every band with the offsets moved on by so much, made one by one."""
+    before, traced = model.measured.scene, model.traced
+    scene = displaced(before, model.offsets, shift_m)
+    c = speed_of_sound_m_s(scene.air)
+    thinned = Scattering(traced.paths.materials, traced.paths.sampling_scattering)
+    images = trace_images(scene, model.order, model.until_s, thinned)
+    bands, directivities = model.measured.bands, model.measured.directivities
+    factors, _ = band_factors(directivities, scene, bands, images, traced.scattering)
+    farther_m = distances_m(scene) - distances_m(before)
+    for own in model.bands:
+        weight = images.weight_per_m2 * np.exp(-own.attenuation_per_m * images.length_m)
+        if factors is not None:
+            weight *= factors[own.band]
+        # a response whose emission is not known stands with its direct sound where this was put
+        late_m = np.array(
+            [0.0 if m.measurement.time_zero == "emission" else farther_m[m.pair] for m in own.files]
+        )
+        times_s = (images.length_m - late_m[:, None]) / c
+        kernel = model.kernel, own.band
+        yield displaced_term(own.kept, images, times_s, weight, kernel)
+
+
+class _LogL:
+    """The log-likelihood of offsets with absorption, gains and directivity near the best.
+
+    Windows follow a normal law whose scale is fitted in each band, so that a model that misses some
+    of them alike at every place neither gains nor loses; neighbours count as for absorption.
+    """
+
+    def __init__(self, model: DisplacementModel) -> None:
+        self.model, self.known = model, dict[bytes, float]()
+        self.vectors, self.least = [b.start for b in model.bands], [-np.inf] * len(model.bands)
+
+    def __call__(self, shift_m: FloatArray, roughly: bool = False) -> float:
+        key = _rounded(shift_m)
+        known = self.known.get(key)
+        if known is None or not (roughly or known > -np.inf):
+            known = self.known[key] = self.evaluated(shift_m, roughly, 2)
+        return known
+
+    def foresee(self, shifts_m: Sequence[FloatArray]) -> None:
+        """Evaluate roughly at many vectors together, so that each is known when it is asked for."""
+        asked = {_rounded(s): s for s in reversed(shifts_m) if _rounded(s) not in self.known}
+        values = in_forks(lambda s: self.evaluated(s, True, 2), list(asked.values()))
+        self.known |= dict(zip(asked, values, strict=True))
+
+    def evaluated(self, shift_m: FloatArray, roughly: bool, max_rounds: int) -> float:
+        model = self.model
+        if not _is_possible(displaced(model.measured.scene, model.offsets, shift_m)):
+            return -np.inf
+        total = 0.0
+        for i, term in enumerate(displaced_terms(model, shift_m)):
+            objective = Objective(model.bands[i].parameters, (term,))
+            fit = score_band(objective, self.vectors[i], max_rounds=max_rounds)
+            prior, _ = prior_residuals(objective.parameters, fit.vector)
+            total += _log_likelihood(objective, fit) - 0.5 * float(prior @ prior)
+            if max_rounds > 2:
+                self.vectors[i], self.least[i] = fit.vector, total - _RULED_OUT
+            elif roughly and total < self.least[i]:
+                return -np.inf
+        return total
+
+
+def _rounded(shift_m: FloatArray) -> bytes:
+    return np.round(shift_m, 4).tobytes()
+
+
+def logl_of(model: DisplacementModel) -> _LogL:
+    """Return the log-likelihood of offsets."""
+    logl, none = _LogL(model), np.zeros(len(model.offsets))
+    logl.known[_rounded(none)] = logl.evaluated(none, False, 12)
+    return logl
+
+
+def _is_possible(scene: Scene) -> bool:
+    """Whether all positions stay in the air of the room."""
+    box_m = scene.room.shoebox_m
+    if box_m is None:
+        return not position_findings(scene.room, scene.sources, scene.receivers)
+    points_m = np.array([p.position_m for p in (*scene.sources, *scene.receivers)])
+    inside = (points_m > NEAREST_WALL_M) & (points_m < np.array(box_m) - NEAREST_WALL_M)
+    return bool(inside.all() and distances_m(scene).min() > NEAREST_PAIR_M)
+
+
+def _log_likelihood(objective: Objective, fit: BandFit) -> float:
+    n = float(np.sum(1.0 / objective.correlation_length()))
+    squares = (fit.measured - fit.expected) ** 2 / fit.variance
+    spread = float(np.mean(np.log(fit.variance)) + np.log(np.mean(squares)))
+    return -0.5 * n * spread
+
+
+def located(model: DisplacementModel) -> Located:
+    """Return the most likely offsets, and what is farther off than specified."""
+    offsets, n = model.offsets, len(model.offsets)
+    stated = np.array([o.is_stated for o in offsets])
+    sd_m = np.array([o.sd_m if o.is_stated else _tolerance_m(o) for o in offsets])
+    logl = logl_of(model)
+
+    def posterior(shift_m: FloatArray, roughly: bool = False) -> float:
+        return logl(shift_m, roughly) - 0.5 * float(np.sum(((model.moved_m + shift_m) / sd_m) ** 2))
+
+    logl.foresee(_about(np.zeros(n), sd_m))
+    shift_m = _swept(posterior, np.zeros(n), sd_m)
+    for _ in range(n if stated.any() else 0):
+        at = _stated_step(model, posterior, shift_m)
+        if at is None:
+            break
+        logl.foresee(_about(at, sd_m))
+        shift_m = _swept(posterior, at, sd_m)
+    found_sd_m, own = np.array([o.sd_m for o in offsets]), np.flatnonzero(stated)
+    if own.size:
+        for k in (*own.tolist(), *own.tolist()):
+            shift_m = _highest(posterior, shift_m, k, max(float(sd_m[k]), _LEAST_REACH_M))
+        found_sd_m[own] = np.sqrt(np.diag(_covariance(posterior, shift_m, own.tolist(), sd_m[own])))
+    beyond = _implausible(model, logl, shift_m)
+    far_m = None if beyond is not None else _farthest(model, logl, shift_m)
+    if far_m is not None:
+        beyond = _named(model, logl, shift_m, far_m)
+    return Located(model.moved_m + shift_m, found_sd_m, beyond)
+
+
+def with_offsets(fits: BandFits, model: DisplacementModel, found: Located) -> BandFits:
+    """Return fits with what is displaced, and with the offsets that were fitted in the geometry.
+
+    Intervals allow for what is left open of these offsets.
+    """
+    own = np.flatnonzero([o.is_stated for o in model.offsets])
+    fits = replace(fits, displacement=found.beyond)
+    if not own.size:
+        return fits
+    none = np.zeros(0)
+    speed = speed_of_sound_m_s(model.measured.scene.air)
+    before = fits.geometry or FittedGeometry((), none, none, none, speed)
+    geometry = replace(
+        before,
+        labels=(*before.labels, *(model.offsets[k].label for k in own)),
+        change=np.concatenate((before.change, model.moved_m[own])),
+        sd=np.concatenate((before.sd, found.sd_m[own])),
+        prior_sd=np.concatenate((before.prior_sd, [model.offsets[k].sd_m for k in own])),
+        n_offsets=own.size,
+    )
+    answers = list(fits.answers)
+    for band, steps in offset_steps(model, found.sd_m).items():
+        answers[band] = widened(answers[band], steps @ steps.T)
+    return replace(fits, geometry=geometry, answers=tuple(answers))
+
+
+def offset_steps(model: DisplacementModel, sd_m: FloatArray) -> dict[int, FloatArray]:
+    """Return how far the logit absorption of a band moves by one sd of each stated offset.
+
+    Half the difference of fits of the early windows with the offset one standard deviation to
+    either side. Bands that are too low to be looked at do not move.
+
+    Parameters
+    ----------
+    sd_m : float array, shape (n_offsets,)
+
+    Returns
+    -------
+    dict from band to float array, shape (n_materials, n_stated)
+        0 for an offset that is not possible to either side.
+    """
+    ways = np.diag(sd_m)[[o.is_stated for o in model.offsets]]
+    n = len(model.measured.scene.room.materials)
+    found = {own.band: np.zeros((n, len(ways))) for own in model.bands}
+    for number, way in enumerate(ways):
+        sides = [displaced(model.measured.scene, model.offsets, s * way) for s in (-1.0, 1.0)]
+        if not all(_is_possible(scene) for scene in sides):
+            continue
+        for sign in (-1.0, 1.0):
+            terms = displaced_terms(model, sign * way)
+            for own, term in zip(model.bands, terms, strict=True):
+                fit = score_band(Objective(own.parameters, (term,)), own.start, max_rounds=12)
+                values, _ = physical_values(own.parameters, fit.vector)
+                found[own.band][:, number] += 0.5 * sign * logit(values["absorption"], 1e-9)
+    return found
+
+
+def _tolerance_m(offset: Offset) -> float:
+    return float(np.hypot(offset.sd_m, _WALL_SD_M))
+
+
+def _log_prior(offset: Offset, by_m: float) -> float:
+    """Return the logarithm of the prior of an offset over that of none.
+
+    Student's t with four degrees of freedom, scaled by what is specified: a likelihood of one model
+    that is maximised over a hundred places gains 20 somewhere.
+    """
+    return -2.5 * float(np.log1p(0.25 * (by_m / _tolerance_m(offset)) ** 2))
+
+
+def _about(shift_m: FloatArray, sd_m: FloatArray) -> list[FloatArray]:
+    """Return where a sweep looks first, one offset after the other."""
+    ways = np.eye(shift_m.size)
+    each = zip(ways, sd_m, strict=True)
+    return [shift_m + t * min(s, _REACH_M) * w for w, s in each for t in _WITHIN_SD]
+
+
+def _swept(logl: LogL, shift_m: FloatArray, sd_m: FloatArray) -> FloatArray:
+    """Maximise the likelihood over one offset at a time, in order of decreasing gain.
+
+    On a grid within its standard deviations, then along a parabola.
+    """
+    ways = np.eye(shift_m.size)
+    grids = [[t * min(s, _REACH_M) for t in _WITHIN_SD] for s in sd_m]
+    first = [logl(s, True) for s in _about(shift_m, sd_m)]
+    gains = np.reshape(first, (-1, len(_WITHIN_SD))).max(axis=1)
+    at, best = np.array(shift_m), logl(shift_m)
+    for k in [i for i in np.argsort(gains)[::-1] if gains[i] > best]:
+        for trial in [at + d * ways[k] for d in grids[k]]:
+            if (found := logl(trial, True)) > best:
+                at, best = trial, found
+        trial = at + _parabola(logl, at, ways[k], best) * ways[k]
+        at, best = (trial, value) if (value := logl(trial)) > best else (at, best)
+    return at
+
+
+def _highest(logl: LogL, shift_m: FloatArray, entry: int, reach_m: float) -> FloatArray:
+    """Return offsets with one of them at its best within a reach; the top is sharp."""
+    from scipy.optimize import minimize_scalar  # heavy, and rarely needed
+
+    way = np.eye(shift_m.size)[entry]
+    found = minimize_scalar(
+        lambda d: -logl(shift_m + d * way),
+        bounds=(-reach_m, reach_m),
+        method="bounded",
+        options={"xatol": _NEAR_M, "maxiter": 20},
+    )
+    at = shift_m + float(found.x) * way
+    return at if logl(at) > logl(shift_m) else shift_m
+
+
+def _parabola(logl: LogL, at: FloatArray, way: FloatArray, here: float) -> float:
+    """Return how far the top of the parabola through three values lies along a way, in m."""
+    ahead, behind = logl(at + _STEP_M * way), logl(at - _STEP_M * way)
+    if not np.isfinite(ahead + behind):
+        return 0.0
+    curvature = 2.0 * here - ahead - behind
+    slope = 0.5 * (ahead - behind)
+    if curvature <= 0.0 or abs(slope) > curvature * _REACH_M / _STEP_M:
+        return float(np.sign(slope) * _REACH_M)
+    return float(_STEP_M * slope / curvature)
+
+
+def _stated_step(
+    model: DisplacementModel, posterior: LogL, shift_m: FloatArray
+) -> FloatArray | None:
+    """Return offsets with one that is stated a step of the grid away, where that is likelier."""
+    here = posterior(shift_m)
+    trials: list[FloatArray] = []
+    for k, offset in enumerate(model.offsets):
+        if offset.is_stated:
+            for d in (*-_GRID_M, *_GRID_M):
+                if abs(d) < 2.0 * LARGEST_SHIFT_SD * offset.sd_m:
+                    trials.append(shift_m + d * np.eye(shift_m.size)[k])
+    values = [posterior(t, True) for t in trials]
+    if not values or max(values) <= here + 0.5:
+        return None
+    return trials[int(np.argmax(values))]
+
+
+def _farthest(model: DisplacementModel, logl: _LogL, shift_m: FloatArray) -> FloatArray | None:
+    """Return where one offset is beyond what is specified and gains most, None where none gains.
+
+    Over its axis as specified; less likely than what is within the specified, it is nowhere. What
+    was to stay within the specified may have gone beyond it step by step: then that is far.
+    """
+    limits_m = np.array([LARGEST_SHIFT_SD * _tolerance_m(o) for o in model.offsets])
+    inside, best, at = logl(shift_m), LEAST_GAIN, None
+    axes, unit = np.array([o.axis for o in model.offsets]), np.eye(shift_m.size)
+    starts_m = np.where(axes[:, None] == axes, -model.moved_m, shift_m)
+    grids = [[d for d in (*-_GRID_M, *_GRID_M) if abs(d) > limit] for limit in limits_m]
+    far = zip(starts_m, unit, grids, strict=True)
+    logl.foresee([start + d * way for start, way, grid in far for d in grid])
+    for k, offset in enumerate(model.offsets):
+        way, start_m, here = unit[k], starts_m[k], logl(starts_m[k])
+        for d in grids[k]:
+            found = logl(start_m + d * way, True)
+            gain = found - here + _log_prior(offset, d)
+            if found > inside and gain > best:
+                best, at = gain, start_m + d * way
+    went = np.abs(model.moved_m + shift_m) > limits_m
+    is_free = np.array([not o.is_stated for o in model.offsets])
+    return shift_m if at is None and np.any(went & is_free) else at
+
+
+def _named(
+    model: DisplacementModel, logl: LogL, inside_m: FloatArray, far_m: FloatArray
+) -> Displacement | None:
+    """Return the significant displacement after refinement, or None.
+
+    All positions that move, a box that is longer, and a wall at the origin that stands elsewhere
+    differ by which of two opposite walls is nearer or farther: the likeliest of them is named, its
+    axis otherwise as specified.
+    """
+    offsets, unit = model.offsets, np.eye(inside_m.size)
+    axis = offsets[int(np.argmax(np.abs(far_m + model.moved_m)))].axis
+    along = [k for k, o in enumerate(offsets) if o.axis == axis]
+    scene = model.measured.scene
+    every = tuple(frozenset(p.name for p in points) for points in (scene.sources, scene.receivers))
+    whole = [k for k in along if (offsets[k].sources, offsets[k].receivers) == every]
+    lengths = [k for k in along if not offsets[k].group]
+    start_m = np.array(inside_m)
+    start_m[along] = -model.moved_m[along]
+    ways = [(k, unit[k]) for k in along]
+    if whole and lengths:
+        ways.append((-1, unit[whole[0]] + unit[lengths[0]]))
+    trials = [
+        (logl(start_m + d * w, True), k, d, w) for k, w in ways for d in (*-_GRID_M, *_GRID_M)
+    ]
+    value, k, size_m, way = max(trials, key=lambda t: t[0])
+    if not np.isfinite(value):  # no single displacement keeps the high bands
+        return None
+    for _ in range(5):  # the top is narrower than the grid
+        step_m = _parabola(logl, start_m + size_m * way, way, value)
+        finer = logl(start_m + (size_m + step_m) * way)
+        if finer <= value:
+            break
+        value, size_m = finer, size_m + step_m
+    shift_m, gain = start_m + size_m * way, value - logl(start_m)
+    entry = lengths[0] if k < 0 else k
+    far = abs(size_m) > LARGEST_SHIFT_SD * _tolerance_m(offsets[entry])
+    if not far or gain + _log_prior(offsets[entry], size_m) <= LEAST_GAIN:
+        return None
+    farther_m: dict[str, tuple[float, float]] | None = None
+    if whole and lengths:
+        pair = [whole[0], lengths[0]]
+        covariance = _covariance(logl, shift_m, pair, np.full(2, 10.0))
+        ends = np.array([[1.0, 0.0], [-1.0, 1.0]])
+        ends_m = ends @ (model.moved_m + shift_m)[pair]
+        deviations_m = np.sqrt(np.diag(ends @ covariance @ ends.T))
+        farther_m = {
+            w: (round(float(x), 3), round(float(s), 3))
+            for w, x, s in zip(_walls(model, axis), ends_m, deviations_m, strict=True)
+            if s < WORTH_TELLING_M
+        }
+    found = float(size_m), _sd_along(logl, shift_m, way)
+    return _displacement(model, k, axis, found, gain, farther_m)
+
+
+def _displacement(
+    model: DisplacementModel,
+    k: int,
+    axis: int,
+    found: tuple[float, float],
+    gain: float,
+    farther_m: Mapping[str, tuple[float, float]] | None,
+) -> Displacement:
+    """Return what stands elsewhere: an offset by its index, or the wall at the origin, -1."""
+    offset, walls = model.offsets[k], _walls(model, axis)
+    if k < 0:
+        return Displacement("wall", frozenset(), axis, *found, LENGTH_SD_M, gain, walls, farther_m)
+    points, kind = offset.sources | offset.receivers, offset.group or "length"
+    return Displacement(kind, points, axis, *found, offset.sd_m, gain, walls, farther_m)
+
+
+def _implausible(model: DisplacementModel, logl: LogL, shift_m: FloatArray) -> Displacement | None:
+    """Return the stated offset that had to move farthest beyond what is plausible."""
+    total_m = model.moved_m + shift_m
+    limits_m = [
+        LARGEST_SHIFT_SD * _tolerance_m(o) if o.is_stated else np.inf for o in model.offsets
+    ]
+    k = int(np.argmax(np.abs(total_m) / limits_m))
+    way = np.eye(total_m.size)[k]
+    if abs(total_m[k]) <= limits_m[k]:
+        return None
+    gain = logl(shift_m) - logl(shift_m - total_m[k] * way)
+    if gain <= LEAST_GAIN:
+        return None
+    found = float(total_m[k]), _sd_along(logl, shift_m, way)
+    return _displacement(model, k, model.offsets[k].axis, found, gain, None)
+
+
+def _walls(model: DisplacementModel, axis: int) -> tuple[str, ...]:
+    """Return the names of a box's walls at both ends of an axis; none of another room."""
+    room = model.measured.scene.room
+    if room.shoebox_m is None:
+        return ()
+    names = []
+    for i in (2 * axis, 2 * axis + 1):
+        surface, material = room.mesh.surfaces[i].name, room.surface_material[i]
+        is_alone = np.count_nonzero(room.surface_material == material) == 1
+        known = room.materials[material]
+        names.append(f"{surface} ({known})" if is_alone and known != surface else surface)
+    return tuple(names)
+
+
+def _sd_along(logl: LogL, at: FloatArray, way: FloatArray) -> float:
+    """Return the standard deviation along a way in m, at most 10."""
+    here, ahead, behind = logl(at), logl(at + _APART_M * way), logl(at - _APART_M * way)
+    curvature = (2.0 * here - ahead - behind) / _APART_M**2
+    return float(1.0 / np.sqrt(max(curvature if np.isfinite(curvature) else 0.0, 1e-2)))
+
+
+def _covariance(
+    logl: LogL, at: FloatArray, entries: Sequence[int], prior_sd_m: FloatArray
+) -> FloatArray:
+    """Return the covariance of some offsets, the others fixed, by second differences."""
+    h, n = _APART_M, len(entries)
+    ways = h * np.eye(at.size)[list(entries)]
+    here = logl(at)
+    ahead, behind = [logl(at + w) for w in ways], [logl(at - w) for w in ways]
+    hessian = np.zeros((n, n))
+    for i in range(n):
+        hessian[i, i] = (2.0 * here - ahead[i] - behind[i]) / h**2
+        for j in range(i):
+            cross = logl(at + ways[i] + ways[j]) - ahead[i] - ahead[j] + here
+            hessian[i, j] = hessian[j, i] = -cross / h**2
+    hessian = np.where(np.isfinite(hessian), hessian, 0.0)
+    # rough as it is, a likelihood cannot know less than the prior
+    scale = np.outer(prior_sd_m, prior_sd_m)
+    values, vectors = np.linalg.eigh(hessian * scale)
+    return np.asarray(scale * ((vectors / np.maximum(values, 1.0)) @ vectors.T))

@@ -1,0 +1,126 @@
+"""Responses as sources of a flat magnitude response would have given them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import fft
+
+from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.bands import Bands
+from roomfit.base.forks import in_forks
+from roomfit.base.typing import FloatArray, IntArray
+from roomfit.model.eyring import schroeder_hz
+from roomfit.pressures.response import image_energies, image_paths
+from roomfit.room.mesh import volume_m3
+from roomfit.room.scene import Scene
+from roomfit.signals.loudspeaker import SourceMagnitude, equalise, power_gain, source_magnitude
+from roomfit.signals.measurement import MeasuredPair
+from roomfit.signals.response import ImpulseResponse
+from roomfit.tracing.paths import Paths, paths_of_pairs
+
+# After the direct sound: how long a response is compared with its image sources.
+_COMPARED_S = 0.1
+SCHROEDER_FACTOR = 2.0
+
+
+def equalise_sources(
+    scene: Scene,
+    bands: Bands,
+    measured: tuple[MeasuredPair, ...],
+    paths: Paths,
+    absorption: FloatArray,
+    *,
+    schroeder_factor: float = SCHROEDER_FACTOR,
+) -> tuple[MeasuredPair, ...]:
+    """Return the measurements with the magnitude response of each source divided out.
+
+    Pressures that add depend on how each reflection's pulse looks within the band, and a
+    loudspeaker that is 4 dB louder at one end of an octave than at the other changes that for all
+    of them. Its magnitude response is what all fitted responses of the source have in common beyond
+    those of the image sources; where that is flat a measurement is returned as it is. So are
+    measurements of absolute level, whose source is calibrated and equalised already.
+
+    Parameters
+    ----------
+    measured : tuple of MeasuredPair
+    paths : Paths
+        With image sources.
+    absorption : float array, shape (n_materials, n_bands)
+        A first estimate.
+    schroeder_factor : float
+        In units of the Schroeder frequency: up to there the estimate is not trusted, since single
+        modes are resolved; 0 where pressures have determined the absorption of the lowest bands.
+    """
+    fitted = [
+        m for m in measured if m.measurement.use == "fit" and m.measurement.level != "absolute"
+    ]
+    # octave filters begin an octave below the centre, others nearer
+    lowest_hz = float(bands.lower_hz[0] ** 2 / bands.exact_centres_hz[0])
+    of_pair = paths_of_pairs(paths)
+
+    def magnitude_of(source: str) -> SourceMagnitude:
+        own = [m for m in fitted if m.measurement.source == source]
+        return source_magnitude(
+            [m.response for m in own],
+            [_expected(scene, bands, m, paths, of_pair, absorption) for m in own],
+            [m.direct_s + _COMPARED_S for m in own],
+            lowest_hz,
+            schroeder_factor * _median_schroeder_hz(scene, own),
+        )
+
+    sources = list(dict.fromkeys(m.measurement.source for m in fitted))
+    magnitudes = dict(zip(sources, in_forks(magnitude_of, sources), strict=True))
+    out = []
+    for m in measured:
+        magnitude = magnitudes.get(m.measurement.source)
+        if m.measurement.level == "absolute" or magnitude is None or not magnitude.level_db.any():
+            out.append(m)
+            continue
+        gain = power_gain(magnitude, np.asarray(bands.centres_hz))
+        noise = replace(m.noise, floor=m.noise.floor * gain, tail_energy=m.noise.tail_energy * gain)
+        out.append(replace(m, response=equalise(m.response, magnitude), noise=noise))
+    return tuple(out)
+
+
+def _median_schroeder_hz(scene: Scene, measured: list[MeasuredPair]) -> float:
+    """Return the Schroeder frequency by the median of all bands' and responses' decays."""
+    constants = np.concatenate([m.noise.tail_time_constant_s for m in measured])
+    falling = constants[constants > 0.0]
+    decay_s = 6.0 * np.log(10.0) * np.median(falling) if falling.size else 0.0
+    return float(schroeder_hz(np.asarray(decay_s), volume_m3(scene.room.mesh)))
+
+
+def _expected(
+    scene: Scene,
+    bands: Bands,
+    m: MeasuredPair,
+    paths: Paths,
+    of_pair: list[IntArray],
+    absorption: FloatArray,
+) -> ImpulseResponse:
+    """Return the pressure of the image sources of a pair, on the time axis of its response."""
+    rate_hz, n = m.response.sampling_rate_hz, m.response.pressure.size
+    weights = _band_weights(bands, fft.rfftfreq(2 * n, 1.0 / rate_hz))
+    attenuation = attenuation_per_m(scene.air, bands)
+    total = np.zeros(n + 1, dtype=np.complex128)
+    c = speed_of_sound_m_s(scene.air)
+    last_m = c * (n / rate_hz - m.response.time_zero_s)
+    images = image_paths(paths, np.array([m.pair]), 0.0, last_m, of_pair)
+    length_m = images.lengths_m()
+    at = np.round((length_m / c + m.response.time_zero_s) * rate_hz).astype(np.int64)
+    inside = (at >= 0) & (at < n)
+    for band, weight in enumerate(weights):
+        energy = image_energies(images, np.minimum(absorption[:, band], 1.0))
+        roots = np.sqrt(energy * np.exp(-attenuation[band] * length_m))[inside]
+        total += weight * fft.rfft(np.bincount(at[inside], roots, n), 2 * n)
+    return replace(m.response, pressure=fft.irfft(total, 2 * n)[:n])
+
+
+def _band_weights(bands: Bands, frequencies_hz: FloatArray) -> FloatArray:
+    """Return the weight of each band's absorption at each frequency, (n_bands, n), of sum 1."""
+    centres = np.log2(bands.exact_centres_hz)
+    octaves = np.clip(np.log2(np.maximum(frequencies_hz, 1.0)), centres[0], centres[-1])
+    own = np.eye(len(bands))
+    return np.stack([np.interp(octaves, centres, row) for row in own])

@@ -1,0 +1,83 @@
+"""What all fits of a room leave: the answer of every band, and records for the checks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from roomfit.base.typing import FloatArray
+from roomfit.fit.directivity import SourceGain
+from roomfit.model.directivity import DirectivityParameters, FittedDirectivity
+from roomfit.pressures.data_term import FittedGeometry
+from roomfit.pressures.score_tests import ChainScores, FreedAbsorption
+from roomfit.signals.measurement import Measurement
+from roomfit.uncertainty.gaussian import BandEstimate
+
+
+class Freed(NamedTuple):
+    """What is gained if something that the settings fix is fitted."""
+
+    gain: float  # of the log-likelihood, over all bands
+    n_unknowns: int  # each that explains nothing gains half a unit on average
+    n_windows: int  # of all bands
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoherentTests:
+    """What fits by pressures measured of the description on the way."""
+
+    outliers: Mapping[Measurement, float] = field(default_factory=dict)  # ratio of misfits
+    position_sd_scale: float = 1.0  # by which standard deviations of positions were inflated
+    freed_delays: Freed | None = None  # None where they were fitted, or not asked for
+    freed_positions: Freed | None = None
+    chain: ChainScores | None = None
+    freed_absorptions: tuple[FreedAbsorption, ...] = ()  # of fixed materials
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Displacement:
+    """What stands elsewhere than specified by more than its standard deviation allows."""
+
+    kind: str  # the name of a group of positions, "length", or "wall": the one at the origin
+    points: frozenset[str]  # sources and receivers of a group; empty for a length or a wall
+    axis: int
+    size_m: float  # along the axis, signed
+    sd_m: float  # at most 10
+    specified_sd_m: float
+    gain: float  # of the log-likelihood
+    walls: tuple[str, ...]  # a box's at both ends of the axis; none of another room
+    # how much farther than specified each of these walls is from all positions, with its standard
+    # deviation, where that is known; None where it was not asked
+    farther_m: Mapping[str, tuple[float, float]] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfaceScore:
+    """What bands ask of places of one plane surface that return more or less than its material."""
+
+    name: str
+    material: int
+    bands: tuple[int, ...]
+    cells_m: FloatArray  # (n_cells, 3), the middle of each
+    returned: (
+        FloatArray  # (n_bands, n_cells), ln(1 - a) in excess of the material's, posterior mean
+    )
+    evidence: float  # logarithm of the Bayes factor of all bands against a uniform surface
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BandFits:
+    """The answer of every band, and what was measured of the description on the way.
+
+    Records only: `roomfit.checks` judges them.
+    """
+
+    answers: tuple[BandEstimate, ...]
+    geometry: FittedGeometry | None = None
+    directivities: tuple[FittedDirectivity, ...] = ()  # one a source; empty where none was fitted
+    unknown_sources: DirectivityParameters | None = None  # those of `directivities`
+    contradicted: tuple[SourceGain, ...] = ()  # of the sources taken for omnidirectional
+    tests: CoherentTests = field(default_factory=CoherentTests)
+    displacement: Displacement | None = None  # beyond what is specified
+    surfaces: tuple[SurfaceScore, ...] = ()  # that pressures tell of

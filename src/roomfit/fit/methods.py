@@ -1,0 +1,138 @@
+"""Which method and which intervals were used, in words; what a certificate can be asked of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError
+from roomfit.base.logit import Z95, expit
+from roomfit.base.typing import FloatArray
+from roomfit.fit.measurements import Measurements
+from roomfit.materials.priors import MaterialPrior, prior_logits
+from roomfit.settings import Settings
+from roomfit.uncertainty.gaussian import BandEstimate
+
+
+def prior_intervals(priors: tuple[MaterialPrior, ...]) -> FloatArray:
+    """Return the prior of absorption as its 95 % interval.
+
+    Returns
+    -------
+    float array, shape (3, n_materials, n_bands)
+        Median, lower and upper bound; three times the value where absorption is fixed. A material
+        that is tied to another has that one's.
+    """
+    by_name = {k.name: k for k in priors}
+    rows = []
+    for prior, mean, sd in zip(priors, *prior_logits(priors), strict=True):
+        own = by_name[prior.tied_to or prior.name]
+        if own.known is not None:
+            rows.append(np.tile(own.known, (3, 1)))
+            continue
+        free = mean + np.outer((0.0, -Z95, Z95), sd)
+        rows.append(own.lower + (own.upper - own.lower) * expit(free))
+    return np.stack(rows, axis=1)
+
+
+def method_chosen(method: str) -> str:
+    """Return what "auto" stands for; every other method is what was asked for."""
+    return "least-squares" if method == "auto" else method
+
+
+def interval_words(answers: Sequence[BandEstimate]) -> str:
+    """Return how the intervals were made, in a few words."""
+    kinds = {kind for a in answers for kind in a.kinds}
+    words = [w for kind, w in (("sampled", "sampled"), ("profile", "profiles")) if kind in kinds]
+    if "gaussian" in kinds or not words:
+        words.append("Gaussian, local" if not words else "else Gaussian")
+    return ", ".join(words)
+
+
+def reasons(method: str, bands: Bands, answers: Sequence[BandEstimate]) -> tuple[str, ...]:
+    """Return sentences on what was chosen and why.
+
+    Parameters
+    ----------
+    method : str
+        As specified: "auto", "least-squares", ...
+    """
+    sentences = []
+    if method == "auto":
+        sentences.append(
+            "Least squares from the absorption that the decays suggest: it has exact derivatives, "
+            "and the other searches compare the same squares."
+        )
+    tried = [a.starts for a in answers if a.starts is not None]
+    if tried:
+        sentences.append(
+            f"Energies were fitted from {tried[0].number} further random starts in each of "
+            f"{len(tried)} bands: {sum(s.agreeing for s in tried)} of "
+            f"{sum(s.number for s in tried)} ended within the intervals of the answer."
+        )
+    proven = [a.certificate.status for a in answers if a.certificate is not None]
+    if proven:
+        sentences.append(
+            f"The global minimum is proven in {proven.count('certified')} of {len(proven)} bands."
+        )
+    elif method == "auto":
+        sentences.append(
+            'The global minimum is not proven: method = "certified" does that for energies.'
+        )
+    kinds = [kind for a in answers for kind in a.kinds if kind in ("profile", "gaussian", "none")]
+    if "profile" in kinds:
+        sentences.append(
+            f"Of {len(kinds)} intervals {sum(len(a.profiles) for a in answers)} are so wide that a "
+            f"Gaussian may fail; {kinds.count('profile')} of them were skew and are those of the "
+            "profile likelihood."
+        )
+    if method == "posterior":
+        done = [a.sampling for a in answers if a.sampling is not None and a.sampling.converged]
+        sentences.append(
+            f"Samples converged in {len(done)} of {len(bands)} bands: "
+            f"{min(s.effective for s in done):.0f} independent ones or more, R-hat at most "
+            f"{max(float(s.r_hat.max()) for s in done):.3f}."
+            if done
+            else "The samples converged in no band."
+        )
+    return tuple(sentences)
+
+
+def check_certifiable(
+    measurements: Measurements, settings: Settings, priors: tuple[MaterialPrior, ...]
+) -> None:
+    """Check that a certificate is asked for only of energies of windows and independent walls.
+
+    Raises
+    ------
+    InputError
+        Pressures or room parameters are to be fitted: they have no bounds over boxes. Or
+        materials share a product: the prior is then no sum over materials.
+    """
+    if settings.method != "certified":
+        return
+    product = next((k for k in priors if k.product is not None), None)
+    if product is not None:
+        raise InputError(
+            "a certificate exists for materials whose priors are independent only",
+            where="identify.method",
+            found=f"{product.name} is of the product {product.product!r}",
+            needed="materials without product",
+            hint='leave out the product, or use method = "least-squares"',
+        )
+    found = []
+    if settings.model == "coherent":
+        found.append('model = "coherent"')
+    if measurements.values:
+        found.append("room parameters that are to be fitted")
+    if found:
+        raise InputError(
+            "a certificate exists for energies of windows only",
+            where="identify.method",
+            found=" and ".join(found),
+            needed='impulse responses alone, and model = "energy" or "auto"',
+            hint="pressures and room parameters are not monotonic in absorption, so that they "
+            'have no bounds over boxes: use method = "least-squares"',
+        )

@@ -1,0 +1,195 @@
+"""The paths of all measured pairs, with the scattering that is specified or that data prefer."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from roomfit.base.cache import Cache
+from roomfit.base.findings import Finding
+from roomfit.base.typing import FloatArray, Progress, part
+from roomfit.fit.measurements import Measurements, time_scales
+from roomfit.fit.scattering import (
+    ChosenScattering,
+    ScatteringTrial,
+    assumed_scattering,
+    band_factors,
+    chosen_scattering,
+    scattering_trial,
+    specified_scattering,
+    tried_scattering,
+)
+from roomfit.fit.trace_plan import TracePlan, cached_trace, is_coherent, plan_trace
+from roomfit.materials.priors import MaterialPrior
+from roomfit.model.binned import BinnedPaths, bin_paths, reweighed
+from roomfit.model.directivity import FittedDirectivity
+from roomfit.model.patterns import directivity_factors
+from roomfit.room.scene import Scene, wall_materials
+from roomfit.settings import Settings
+from roomfit.tracing.image_sources import trace_images
+from roomfit.tracing.paths import Paths, TraceSettings, concatenate, select
+
+Retrace = Callable[[Scene], tuple[Paths, FloatArray | None, BinnedPaths]]
+"""Traces a scene whose positions have moved: paths, their factors in each band, the same binned."""
+
+
+def trim_memory() -> None:
+    """Give back what was freed and glibc keeps for later: arrays of up to 32 MB each."""
+    if sys.platform == "linux":
+        getattr(ctypes.CDLL(None), "malloc_trim", int)(0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TracedPaths:
+    """Paths, the same in fine bins, and the scattering they were traced with."""
+
+    paths: Paths
+    binned: BinnedPaths
+    settings: TraceSettings
+    factors: FloatArray | None  # (n_bands, n_paths), on the weight of every path in every band
+    scattering: FloatArray  # (n_materials, n_bands)
+    # (n_materials,), standard deviation that these have in common, 0 where it was specified
+    scattering_sd: FloatArray
+    # whether image sources of every order reach far enough to be added as pressures
+    far_images: bool
+    fit_until_s: float  # no window of a partly coherent fit ends later
+    # gives paths, factors and bins with the image sources found anew where sources and receivers
+    # have moved; None where all images stay, as in a box, or too few are known
+    again: Retrace | None
+    findings: tuple[Finding, ...]  # of the plan, the cache, rays and their weights
+    chosen_scattering: tuple[ChosenScattering, ...] = ()  # where it was not specified
+    scattering_trial: ScatteringTrial | None = None  # of walls specified as smooth
+
+
+def redirected(
+    measurements: Measurements,
+    traced: TracedPaths,
+    found: Sequence[FittedDirectivity],
+) -> TracedPaths:
+    """Return the same paths with the weights that fitted directivities give them.
+
+    Without factors, which only fits of pressures need: they are in the weights of the rows.
+
+    Parameters
+    ----------
+    found : sequence of FittedDirectivity
+    """
+    scene, bands, paths = measurements.scene, measurements.bands, traced.paths
+    source_of_pair = scene.pairs[:, 0].tolist()
+    known = {name: p for d in found for name, p in d.patterns().items()}
+    sources = [known.get(s.name) for s in scene.sources]
+
+    def factors() -> Iterator[FloatArray]:
+        """Give those of one band after the other: of all bands they are larger than the paths."""
+        for band in range(len(bands)):
+            own = directivity_factors(paths, sources, source_of_pair, band)
+            yield own if traced.factors is None else traced.factors[band] * own
+
+    binned = reweighed(scene, bands, traced.binned, factors())
+    return replace(traced, factors=None, binned=binned)
+
+
+def traced_with(traced: TracedPaths) -> dict[str, float]:
+    """Return how long, with how many rays and in how many groups of bands was traced."""
+    names = ("duration_s", "n_rays", "receiver_radius_m")
+    used = {name: getattr(traced.settings, name) for name in names}
+    return used | {"scattering_groups": len(traced.paths.sampling_scattering)}
+
+
+def _finder(
+    measurements: Measurements, plan: TracePlan, paths: Paths, scattering: FloatArray
+) -> Retrace | None:
+    """Return what finds the image sources of moved points, with the rays of the first trace."""
+    settings, bands = plan.settings, measurements.bands
+    until_s = settings.image_until_s
+    if not settings.n_rays:
+        until_s = until_s or settings.duration_s
+    # of a box with one surface a wall, images strike the same walls wherever the points move
+    if until_s is None or measurements.scene.room.shoebox_m is not None:
+        return None
+    rays = select(paths, paths.batch >= 0)
+
+    def again(moved: Scene) -> tuple[Paths, FloatArray | None, BinnedPaths]:
+        images = trace_images(
+            moved, settings.image_order, until_s, plan.scattering, with_image_transforms=True
+        )
+        both = concatenate([images, rays])
+        factors, _ = band_factors(measurements.directivities, moved, bands, both, scattering)
+        binned = bin_paths(moved, bands, both, settings.duration_s, factors)
+        return both, factors, binned
+
+    return again
+
+
+def traced_paths(
+    measurements: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    settings: Settings,
+    start: FloatArray,
+    cache: Cache | None,
+    progress: Progress | None,
+) -> TracedPaths:
+    """Trace every measured pair for as long as its decay is to be compared.
+
+    Parameters
+    ----------
+    start : float array, shape (n_bands,)
+        Uniform absorption to start from, where scattering has to be chosen first.
+    """
+    scene, bands = measurements.scene, measurements.bands
+    slowest_s, latest_s = time_scales(measurements)
+    coherent = is_coherent(measurements.responses, settings)
+    plan = plan_trace(scene, priors, slowest_s, latest_s, settings, coherent=coherent)
+    priors, assumed_sd, assumed = assumed_scattering(
+        measurements, priors, settings, plan.settings, start
+    )
+    priors, chosen_sd, chosen = chosen_scattering(
+        measurements, priors, settings, plan.settings, start, part(progress, 0.0, 0.5)
+    )
+    tried: ScatteringTrial | None = None
+    if assumed or chosen:
+        plan = plan_trace(
+            scene,
+            priors,
+            slowest_s,
+            latest_s,
+            settings,
+            coherent=coherent,
+            images_until_s=plan.settings.image_until_s,
+        )
+    else:
+        trial = None
+        if not settings.quick:
+            trial = scattering_trial(measurements, priors, settings, plan.settings, start)
+        if trial is not None:
+            tried = tried_scattering(trial[0], wall_materials(scene.room), trial[1])
+        del trial  # with two traces of its own
+    trim_memory()
+    done = part(progress, 0.5 if chosen else 0.0, 1.0)
+    found = cached_trace(scene, plan.settings, plan.scattering, cache, done)
+    paths = found.value.paths
+    scattering = specified_scattering(priors, plan.scattering.coefficients, len(bands))
+    factors, degenerate = band_factors(measurements.directivities, scene, bands, paths, scattering)
+    binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
+    trim_memory()
+    return TracedPaths(
+        paths,
+        binned,
+        plan.settings,
+        factors,
+        scattering,
+        assumed_sd + chosen_sd,
+        plan.far_images,
+        plan.fit_until_s,
+        _finder(measurements, plan, paths, scattering),
+        (
+            *plan.findings,
+            *found.findings,
+            *found.value.findings,
+            *degenerate,
+        ),
+        tuple(c for c in (assumed, chosen) if c is not None),
+        tried,
+    )

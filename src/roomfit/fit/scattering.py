@@ -1,0 +1,507 @@
+"""How much the walls of a room scatter: as specified, or as the energies of responses prefer.
+
+Energies are compared in paths of few rays, which are weighed for every coefficient that is tried
+and traced again where few of them would carry the weight. Coefficients to be fitted take the value
+of the highest likelihood on a grid; unspecified ones take one value together; and walls specified
+as smooth are tried with a coefficient, which raises a doubt where the data gain much. The paths of
+the final trace get a weight in every band, for scattering and for directivity.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from roomfit.base.air import attenuation_per_m
+from roomfit.base.bands import Bands, bands_in_words
+from roomfit.base.errors import InputError
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.logit import Z95
+from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress
+from roomfit.fit.measurements import Measurements
+from roomfit.materials.priors import MaterialPrior, Scattering, in_bands
+from roomfit.model.binned import BinnedPaths, bin_paths
+from roomfit.model.energy import EnergyTerm
+from roomfit.model.observation import energy_terms, with_paths
+from roomfit.model.parameters import Parameters
+from roomfit.model.patterns import Directivities, directivity_factors, known_directivities
+from roomfit.model.problem import Objective
+from roomfit.model.scattering import (
+    LEAST_EFFECTIVE_FRACTION,
+    effective_sample_size,
+    rows_for_band,
+    scattering_weights,
+)
+from roomfit.room.scene import Scene, select_pairs
+from roomfit.settings import Settings
+from roomfit.signals.noise import NoiseEstimate
+from roomfit.solver.least_squares import COMPARED_SD, fit_band
+from roomfit.tracing.paths import Paths, TraceSettings, select
+from roomfit.tracing.trace import trace
+
+_LOG = logging.getLogger("roomfit")
+
+# Takes coefficients (n_materials, n_bands); gives the best log likelihood of each band, (n_bands,).
+ScatteringFit = Callable[[FloatArray], FloatArray]
+
+GRID = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7)
+# Half of the 95 % point of chi-square with one degree of freedom.
+_WITHIN_95 = 1.92
+# Coefficients are compared by energies with three windows counted as one, in place of 1.35: where
+# the model is wrong in a way that all windows share, likelihoods claim more than they know.
+_CAUTION = 0.45
+_MAX_SWEEPS = 2
+# More unknown coefficients than these get one value in common.
+_MAX_SEPARATE = 3
+# Enough to distinguish coefficients that differ by a factor of two, and quick to trace again.
+_FIT_S = 0.3
+
+# For unspecified coefficients: values, middle bands, rays and duration.
+_ASSUMED = (0.05, 0.2, 0.4)
+_ASSUMED_BANDS, _ASSUMED_RAYS = 2, 8_000
+
+# Walls specified as smooth are tried with this coefficient.
+_TRIAL = 0.15
+# The higher a band, the less its energies fluctuate by interference, and the better they determine
+# whether anything arrives between the image sources; higher still, sources are directional.
+_TRIAL_BANDS, _HIGHEST_TRIAL_HZ = 3, 4500.0
+_TRIAL_S = 0.2
+_KEPT_TRACES = 2
+# So many responses tell how walls scatter; of more, every second, third and so on is tried.
+_MOST_TRIED = 50
+
+
+class Retracer:
+    """Binned paths for any scattering: weighed from a trace at hand, or traced where that fails.
+
+    Keeps the last two traces, because a search comes back to the same coefficients band by band.
+    """
+
+    def __init__(self, scene: Scene, bands: Bands, settings: TraceSettings) -> None:
+        self._scene, self._bands, self._settings = scene, bands, settings
+        self._traced: list[tuple[Paths, BinnedPaths]] = []
+
+    def at(self, scattering: Scattering) -> BinnedPaths:
+        """Return paths in bins, from the trace whose effective sample is the largest.
+
+        Parameters
+        ----------
+        scattering : Scattering
+            Of one band, materials in the order of the room.
+        """
+        best_fraction, best = 0.0, None
+        for paths, binned in self._traced:
+            # both kinds of reflection must have been drawn wherever the coefficient is to change
+            (sampled,) = paths.sampling_scattering  # of one group, as traced below
+            is_drawn = (sampled > 0.0) & (sampled < 1.0)
+            if not np.all(is_drawn | (sampled == scattering.coefficients)):
+                continue
+            rows, fraction = rows_for_band(binned.rows, paths, scattering)
+            if fraction > best_fraction:
+                best_fraction, best = fraction, BinnedPaths(binned.edges_s, rows)
+        if best is not None and best_fraction >= LEAST_EFFECTIVE_FRACTION:
+            return best
+        images = None
+        for known, _ in self._traced[-1:]:
+            images = select(known, known.batch < 0)
+        paths = trace(self._scene, self._settings, scattering, known_images=images).paths
+        binned = bin_paths(self._scene, self._bands, paths, self._settings.duration_s)
+        self._traced = [*self._traced, (paths, binned)][-_KEPT_TRACES:]
+        return binned
+
+
+def choose_scattering(
+    fit: ScatteringFit,
+    start: FloatArray,
+    fitted: BoolArray,
+    *,
+    grid: Sequence[float] = GRID,
+    common: bool = True,
+    progress: Progress | None = None,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the scattering coefficients with the highest profile likelihood on a grid.
+
+    The likelihood is summed over bands. First all unknown coefficients move together. With
+    ``common=False`` they are then moved one after the other, each over the whole grid, until none
+    moves or two rounds are done.
+
+    Parameters
+    ----------
+    fit : callable
+        Best log likelihood of every band for given coefficients, whatever the model.
+    start : float array, shape (n_materials, n_bands)
+        Where a coefficient is specified, its value; elsewhere anything.
+    fitted : bool array, shape (n_materials,)
+        Which materials' coefficients are unknown.
+    grid : sequence of float
+        Values to try.
+    common : bool
+        One value for all unknown coefficients.
+
+    Returns
+    -------
+    coefficients, lower, upper : float arrays, shape (n_materials, n_bands)
+        The choice, and the least and the largest grid value whose log likelihood is within 1.92
+        of the best, all else as chosen; where specified, all three are the specified value.
+
+    Raises
+    ------
+    InputError
+        No coefficient is unknown, or the grid is empty or leaves 0 to 1.
+    """
+    values = np.array(sorted(set(grid)))
+    if not np.any(fitted):
+        raise InputError("no scattering is to be fitted", needed="at least one unknown coefficient")
+    if not values.size or not np.all((values >= 0.0) & (values <= 1.0)):
+        raise InputError(
+            "no such scattering coefficients", found=str(tuple(grid)), needed="values from 0 to 1"
+        )
+    _LOG.info("choosing the scattering")
+    unknown = np.flatnonzero(fitted)
+    sweeps = 0 if common else _MAX_SWEEPS
+    n_fits, n_done = len(values) * (1 + sweeps * unknown.size), 0
+    chosen = np.array(start, dtype=np.float64)
+    lower, upper = chosen.copy(), chosen.copy()
+
+    def move(group: IntArray) -> bool:
+        """Move some coefficients together to the best value; return whether that changed them."""
+        nonlocal n_done
+        likelihoods = []
+        for value in values:
+            trial = chosen.copy()
+            trial[group] = value
+            n_done += 1
+            if progress is not None:
+                progress(min(n_done / n_fits, 1.0))
+            likelihoods.append(fit(trial))
+        total = np.array(likelihoods, dtype=np.float64).sum(axis=1)
+        best = int(np.argmax(total))
+        within = values[total >= total[best] - _WITHIN_95]
+        changed = bool(np.any(chosen[group] != values[best]))
+        chosen[group], lower[group], upper[group] = values[best], within[0], within[-1]
+        return changed
+
+    move(unknown)
+    for _ in range(sweeps):
+        changed = [move(one) for one in unknown[:, None]]
+        if not any(changed):
+            break
+    if progress is not None:
+        progress(1.0)
+    return chosen, lower, upper
+
+
+class ScatteringTrial(NamedTuple):
+    """What bands gain if walls that are specified as smooth scatter."""
+
+    materials: tuple[str, ...]  # those that were tried, all at once
+    coefficient: float
+    gains: FloatArray  # (n_bands,), of the log-likelihood
+
+
+def tried_scattering(
+    fit: ScatteringFit, materials: tuple[str, ...], assumed: FloatArray
+) -> ScatteringTrial | None:
+    """Return what is gained if the walls taken for smooth scatter by 0.15; None without any.
+
+    Parameters
+    ----------
+    fit : callable
+        As in `choose_scattering`.
+    assumed : float array, shape (n_materials, n_bands)
+        Coefficients of the model; those that are 0 in every band are tried, all at once.
+    """
+    smooth = ~np.any(assumed > 0.0, axis=1)
+    if not smooth.any():
+        return None
+    without = fit(assumed)
+    gains = fit(np.where(smooth[:, None], _TRIAL, assumed)) - without
+    names = tuple(name for name, is_smooth in zip(materials, smooth, strict=False) if is_smooth)
+    return ScatteringTrial(names, _TRIAL, gains)
+
+
+class ChosenScattering(NamedTuple):
+    """Scattering coefficients that were chosen by likelihood on a grid, or assumed."""
+
+    materials: tuple[str, ...]
+    value: tuple[float, ...]  # one a material
+    lower: tuple[float, ...]  # least that does as well
+    upper: tuple[float, ...]
+    is_fitted: bool  # asked for; otherwise assumed, since nothing was specified
+    has_data: bool  # whether responses were compared
+
+
+def chosen_scattering(
+    measurements: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    settings: Settings,
+    trace_settings: TraceSettings,
+    start: FloatArray,
+    progress: Progress | None,
+) -> tuple[tuple[MaterialPrior, ...], FloatArray, ChosenScattering | None]:
+    """Return the priors with the most likely scattering where it is to be fitted.
+
+    And its standard deviation by material, 0 elsewhere: a quarter of the range of those as likely.
+
+    Energies alone are compared, in paths that are weighed for every trial.
+
+    Parameters
+    ----------
+    trace_settings : TraceSettings
+        As planned for the final trace; fewer rays are used here.
+    start : float array, shape (n_bands,)
+
+    Raises
+    ------
+    InputError
+        There is no response to fit.
+    """
+    fitted = np.array([k.fit_scattering for k in priors])
+    if not fitted.any():
+        return priors, np.zeros(len(priors)), None
+    shortened = _shortened(trace_settings, settings.n_scattering_rays, _FIT_S)
+    every = slice(0, len(measurements.bands))
+    trial = _energy_fit(measurements, priors, settings, shortened, start, every)
+    if trial is None:
+        raise InputError(
+            "scattering cannot be fitted without responses",
+            where="materials",
+            found='scattering = "fit" and room parameters only',
+            needed="impulse responses, or scattering as a number",
+            hint="write scattering = 0.1, or add recordings",
+        )
+    fit, specified = trial
+    common = int(np.count_nonzero(fitted)) > _MAX_SEPARATE
+    s, lower, upper = choose_scattering(fit, specified, fitted, common=common, progress=progress)
+    known = tuple(
+        replace(k, scattering=row) if k.fit_scattering else k
+        for k, row in zip(priors, s, strict=True)
+    )
+    rows = np.flatnonzero(fitted)
+    names = tuple(priors[i].name for i in rows)
+    values, least, most = (tuple(x[rows, 0].tolist()) for x in (s, lower, upper))
+    sds = [_grid_sd(GRID, *ends) for ends in np.stack((lower, upper), axis=2)[:, 0].tolist()]
+    sd = np.where(fitted, sds, 0.0)
+    return known, sd, ChosenScattering(names, values, least, most, True, True)
+
+
+def _grid_sd(grid: Sequence[float], lower: float, upper: float) -> float:
+    """Return the standard deviation of a value known to lie between two of a grid, both included.
+
+    The 95 % interval reaches half of the way to the next values on either side.
+    """
+    values = np.array(sorted(set(grid)))
+    edges = np.concatenate((values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]))
+    first, last = (int(np.argmin(np.abs(values - v))) for v in (lower, upper))
+    return float(edges[last + 1] - edges[first]) / (2.0 * Z95)
+
+
+def assumed_scattering(
+    measurements: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    settings: Settings,
+    trace_settings: TraceSettings,
+    start: FloatArray,
+) -> tuple[tuple[MaterialPrior, ...], FloatArray, ChosenScattering | None]:
+    """Return the priors with a scattering coefficient where it is unspecified.
+
+    One coefficient for all of them: the most likely of five where there are responses; that of the
+    settings where there are none, or where it explains them as well. And its standard deviation by
+    material, 0 elsewhere: as of `chosen_scattering`, or as large as the coefficient itself where
+    there are no responses.
+
+    Parameters
+    ----------
+    start : float array, shape (n_bands,)
+    """
+    unspecified = np.array([k.scattering is None and not k.fit_scattering for k in priors])
+    if not unspecified.any():
+        return priors, np.zeros(len(priors)), None
+    names = tuple(k.name for k, missing in zip(priors, unspecified, strict=True) if missing)
+    value = settings.default_scattering
+    low = high = sd = value
+    n_bands = len(measurements.bands)
+    first = max((n_bands - _ASSUMED_BANDS) // 2, 0)
+    middle = slice(first, min(first + _ASSUMED_BANDS, n_bands))
+    shortened = _shortened(trace_settings, _ASSUMED_RAYS, _TRIAL_S)
+    trial = _energy_fit(measurements, priors, settings, shortened, start, middle)
+    if trial is not None:
+        grid = (0.0, *sorted({*_ASSUMED, value}))
+        best, low, high = (
+            float(x[unspecified][0, 0]) for x in choose_scattering(*trial, unspecified, grid=grid)
+        )
+        value = value if low <= value <= high else best
+        sd = _grid_sd(grid, low, high)
+    known = tuple(
+        replace(k, scattering=np.full(n_bands, value)) if missing else k
+        for k, missing in zip(priors, unspecified, strict=True)
+    )
+    each = ((value,) * len(names), (low,) * len(names), (high,) * len(names))
+    assumed = ChosenScattering(names, *each, False, trial is not None)
+    return known, np.where(unspecified, sd, 0.0), assumed
+
+
+def scattering_trial(
+    measurements: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    settings: Settings,
+    trace_settings: TraceSettings,
+    start: FloatArray,
+) -> tuple[ScatteringFit, FloatArray] | None:
+    """Return what `tried_scattering` compares, None where no wall is specified as smooth.
+
+    A fit of the three highest bands up to 4 kHz, and the specified coefficients there.
+
+    Parameters
+    ----------
+    start : float array, shape (n_bands,)
+    """
+    walls = [k.scattering for k in priors if k.object_volume_m3 is None]
+    if not any(s is not None and not np.any(s > 0.0) for s in walls):
+        return None
+    last = max(int(np.searchsorted(measurements.bands.centres_hz, _HIGHEST_TRIAL_HZ)), 1)
+    chosen = slice(max(last - _TRIAL_BANDS, 0), last)
+    shortened = _shortened(trace_settings, settings.n_scattering_rays, _TRIAL_S)
+    return _energy_fit(measurements, priors, settings, shortened, start, chosen)
+
+
+def _shortened(settings: TraceSettings, n_rays: int, until_s: float) -> TraceSettings:
+    until_s = min(settings.duration_s, until_s)
+    return replace(settings, n_rays=n_rays, duration_s=until_s, keep_image_transforms=False)
+
+
+def _energy_fit(
+    measurements: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    settings: Settings,
+    trace_settings: TraceSettings,
+    start: FloatArray,
+    chosen: slice,
+) -> tuple[ScatteringFit, FloatArray] | None:
+    """Return a fit of the energies in some bands, and the specified coefficients there.
+
+    None where there are no responses to fit. The log likelihood of a band without data is 0.
+    """
+    observed = [m for m in measurements.responses if m.measurement.use == "fit"]
+    if not observed:
+        return None
+    scene, bands = measurements.scene, measurements.bands
+    own = Bands(bands.kind, bands.centres_hz[chosen])
+    known = in_bands(priors, np.arange(chosen.start, chosen.stop))
+    observed = observed[:: -(-len(observed) // _MOST_TRIED)]
+    pairs = np.unique([m.pair for m in observed])
+    scene, responses = select_pairs(scene, pairs), []
+    for m in observed:
+        noise = [getattr(m.noise, f.name)[chosen] for f in fields(NoiseEstimate)]
+        own_end_s = m.fit_end_s[chosen]
+        pair = int(np.searchsorted(pairs, m.pair))
+        responses.append(replace(m, pair=pair, noise=NoiseEstimate(*noise), fit_end_s=own_end_s))
+    retracer = Retracer(scene, own, trace_settings)
+    windows: list[tuple[EnergyTerm, Parameters] | None] = []  # the same for every coefficient
+    air_per_m = attenuation_per_m(scene.air, own)
+
+    def fit(coefficients: FloatArray) -> FloatArray:
+        out = np.zeros(len(own))
+        columns, column_of_band = np.unique(coefficients, axis=1, return_inverse=True)
+        for number, column in enumerate(columns.T):
+            binned = retracer.at(Scattering(scene.room.materials, column))
+            if not windows:
+                made = energy_terms(scene, own, known, tuple(responses), binned, start[chosen])
+                windows.extend(None if w is None else (replace(w[0], rows=()), w[1]) for w in made)
+            for band, found in enumerate(windows):
+                if found is not None and column_of_band.reshape(-1)[band] == number:
+                    term = with_paths(found[0], binned, float(air_per_m[band]))
+                    objective = Objective(found[1], (term,))
+                    fitted = fit_band(objective, settled_sd=COMPARED_SD)
+                    out[band] = _CAUTION * fitted.log_likelihood
+        return out
+
+    default = np.full(len(priors), settings.default_scattering)
+    return fit, specified_scattering(known, default, len(own))
+
+
+def specified_scattering(
+    priors: tuple[MaterialPrior, ...], traced: FloatArray, n_bands: int
+) -> FloatArray:
+    """Return the scattering of each material in each band, that of the trace where unspecified.
+
+    Parameters
+    ----------
+    traced : float array, shape (n_materials,) or (n_groups, n_materials)
+        All groups have the same where it is unspecified.
+
+    Returns
+    -------
+    float array, shape (n_materials, n_bands)
+    """
+    rows = [
+        np.full(n_bands, s0) if k.scattering is None else k.scattering
+        for k, s0 in zip(priors, np.atleast_2d(traced)[0], strict=True)
+    ]
+    return np.stack(rows)
+
+
+def band_factors(
+    directivities: Directivities, scene: Scene, bands: Bands, paths: Paths, scattering: FloatArray
+) -> tuple[FloatArray | None, tuple[Finding, ...]]:
+    """Return the factor of every path in every band, shape (n_bands, n_paths).
+
+    None where all are 1: walls scatter in every band as they did in the trace, and all sources
+    are omnidirectional. With a finding where weights are degenerate.
+
+    Parameters
+    ----------
+    scattering : float array, shape (n_materials, n_bands)
+
+    Raises
+    ------
+    InputError
+        A directivity cannot be read, or a wall was traced smooth and is to scatter.
+    """
+    findings: tuple[Finding, ...] = ()
+    traced = paths.sampling_scattering
+    sources = known_directivities(directivities, scene.sources)
+    is_directed = any(s is not None for s in sources)
+    differs = len(traced) > 1 or np.any(scattering != traced[0][:, None])
+    if not (differs or is_directed):
+        return None, ()
+    factors: FloatArray = np.ones((len(bands), len(paths)))
+    if differs:
+        for band in range(len(bands)):
+            wanted = Scattering(paths.materials, scattering[:, band])
+            factors[band] = scattering_weights(paths, wanted)
+        findings = _degenerate_weight_findings(bands, paths, factors)
+    if is_directed:
+        for band in range(len(bands)):
+            factors[band] *= directivity_factors(paths, sources, scene.pairs[:, 0].tolist(), band)
+    return factors, findings
+
+
+def _degenerate_weight_findings(
+    bands: Bands, paths: Paths, factors: FloatArray
+) -> tuple[Finding, ...]:
+    """Return a finding for bands in which few rays carry nearly all of the weight."""
+    rays = paths.batch >= 0
+    n = int(np.count_nonzero(rays))
+    if n == 0:
+        return ()
+    fractions = np.array([effective_sample_size(row[rays]) / n for row in factors])
+    degenerate = np.flatnonzero(fractions < LEAST_EFFECTIVE_FRACTION)
+    if not degenerate.size:
+        return ()
+    notes = [f"{100 * fractions[j]:.0f} %" for j in degenerate]
+    return (
+        Finding(
+            Code.IMPORTANCE_WEIGHTS_DEGENERATE,
+            About(bands_hz=bands.centres_hz[degenerate].tolist()),
+            "Scattering differs so much from what rays were traced with, the mean over groups of "
+            "bands, that few of them carry the energy: their effective share is "
+            f"{bands_in_words(bands, degenerate, notes)}. Predictions are noisy there; fit these "
+            "bands by themselves.",
+            {"bands_hz": bands.centres_hz[degenerate].tolist()},
+        ),
+    )

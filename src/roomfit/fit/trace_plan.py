@@ -1,0 +1,312 @@
+"""How finely to trace, as fine as the result needs and memory allows; and a trace that is kept."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roomfit.base.air import speed_of_sound_m_s
+from roomfit.base.cache import Cache, Cached, cached
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import FloatArray, Progress
+from roomfit.fit.scattering import specified_scattering
+from roomfit.materials.priors import MaterialPrior, Scattering, sampling_scattering
+from roomfit.model.scattering import effective_fractions, sampling_groups
+from roomfit.room.mesh import box_of, surface_area_m2, volume_m3
+from roomfit.room.scene import Room, Scene, material_areas_m2
+from roomfit.settings import LEAST_SQUARES_METHODS, Settings
+from roomfit.signals.measurement import MeasuredPair
+from roomfit.tracing.image_sources import affordable_duration_s, affordable_order
+from roomfit.tracing.paths import Paths, TraceSettings
+from roomfit.tracing.rays import RayStatistics, Trace, expected_paths, path_bytes
+from roomfit.tracing.trace import fitting_radii_m, trace
+
+_LOG = logging.getLogger("roomfit")
+
+TRACE_CLASSES = (Trace, Paths, RayStatistics, Finding, About, Code)
+
+
+def cached_trace(
+    scene: Scene,
+    settings: TraceSettings,
+    scattering: Scattering,
+    cache: Cache | None,
+    progress: Progress | None = None,
+) -> Cached[Trace]:
+    """Return `roomfit.tracing.trace.trace` of a scene, from the cache where it is there.
+
+    The key holds every number of the scene (mesh, materials, positions, air), the settings with
+    their seed, the scattering, and the code. The paths have the same bits either way.
+
+    Raises
+    ------
+    InputError
+        See `roomfit.tracing.trace.trace`.
+    """
+    _LOG.info("tracing")
+    _LOG.debug(
+        "%d pairs for %.2f s: image sources to order %d, %d rays a source",
+        len(scene.pairs),
+        settings.duration_s,
+        settings.image_order,
+        settings.n_rays,
+    )
+    found = cached(
+        cache,
+        "trace",
+        (scene, settings, scattering),
+        lambda: trace(scene, settings, scattering, progress),
+        TRACE_CLASSES,
+    )
+    _LOG.debug("%d paths%s", len(found.value.paths.pair), ", kept earlier" * found.found)
+    if found.found and progress is not None:
+        progress(1.0)
+    return found
+
+
+_IMAGE_ORDER, _ANY_ORDER = 3, 1000
+# A partly coherent fit asks for image sources as far as its windows go, if they can be had; in a
+# box, where they cost little, as far as energies are compared.
+_COHERENT_UNTIL_S = 0.22
+_LEAST_COHERENT_S = 0.03
+# In a room where they suffice rays are so many, and fewer beside image sources of every order where
+# no wall scatters: there they bring only what is late, where interference does more to a window
+# than a Monte-Carlo error of 5 to 8 %.
+LEAST_RAYS, _BESIDE_IMAGES = 60_000, 1.0 / 3.0
+LEAST_RADIUS_M, _RADIUS_PER_FREE_PATH = 0.5, 0.09
+# The window that decides is 10 dB down, of the 45 that are followed, and a tenth of that time
+# wide. Its data err by 20 % and the fluctuation of the octave of 4 kHz (least of all bands), and
+# rays by a third of that; the energies of crossings vary, so that five count as one.
+_DECIDING_DB, _FOLLOWED_DB, _WINDOW_PER_TIME = 10.0, 45.0, 0.1
+_MODEL_ERROR, _BANDWIDTH_HZ = 0.2, 2828.0
+_OF_THE_DATA, _CROSSINGS_AS_ONE = 1.0 / 3.0, 5.0
+# A trace takes about twice the memory of its paths.
+_MOST_PATH_BYTES = 480e6
+# Image sources of all pairs together, where there is nothing else, and for pressures: 1 GB.
+_MOST_IMAGES_OF_ALL, _MOST_COHERENT_OF_ALL = 10e6, 4e6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TracePlan:
+    """Settings, scattering, and what was assumed in choosing them."""
+
+    settings: TraceSettings
+    scattering: Scattering
+    findings: tuple[Finding, ...]
+    # whether image sources of every order reach far enough to be added as pressures
+    far_images: bool = False
+    fit_until_s: float = np.inf  # no window of a partly coherent fit ends later
+
+
+def plan_trace(
+    scene: Scene,
+    priors: tuple[MaterialPrior, ...],
+    longest_decay_s: float,
+    latest_window_s: float,
+    settings: Settings,
+    *,
+    coherent: bool = False,
+    images_until_s: float | None = None,
+) -> TracePlan:
+    """Choose how to trace.
+
+    A box whose walls do not scatter is done by image sources alone, which are exact; every other
+    room by image sources for the first orders and rays for the rest. For a partly coherent fit
+    there are image sources of every order for as long as they can be enumerated. Sound is followed
+    until the slowest band has fallen by 45 dB, so that T30 can be predicted. Where scattering
+    differs between bands, rays are divided among as few groups of bands as
+    `roomfit.model.scattering.sampling_groups` asks for.
+
+    Rays and the radius of their spheres, where the settings leave them open, follow the room.
+    Windows of a decay 10 dB down are to have a Monte-Carlo error of a third of the data's own,
+    which fixes how often a second some ray crosses a sphere: with N rays and spheres of radius a in
+    a volume V it is ``N pi a**2 c / V``. Where 60,000 rays and 0.5 m bring less, the radius is
+    0.09 of the mean free path, 0.5 m at least and no more than walls and sources permit: it
+    smears arrival times by 0.04 of a mean free path, less than half of the shortest window that
+    rays fill. The number of rays follows, divided by the least effective fraction of any band at
+    that time, up to what fits into 1 GB, with a finding where that is less.
+
+    Image sources are so many a pair as the settings say, and 4 million of all pairs together for
+    pressures, 10 million where there is nothing else: of 200 pairs each has 20,000, which is .2 s
+    of a room of 70 m³.
+
+    Parameters
+    ----------
+    scene : Scene
+    priors : tuple of MaterialPrior, in the order of the room's materials
+    longest_decay_s : float
+        Longest measured reverberation time of any band.
+    latest_window_s : float
+        Where the last usable window of any measurement ends.
+    settings : Settings
+    coherent : bool
+        Whether early reflections are to be added as pressures.
+    images_until_s : float, optional
+        How long image sources of every order can be enumerated, known from another plan.
+    """
+    findings = []
+    unspecified = [k.name for k in priors if k.scattering is None]
+    if unspecified:
+        findings.append(
+            Finding(
+                Code.SCATTERING_ASSUMED,
+                About(materials=unspecified),
+                f"The scattering of {', '.join(unspecified)} is unspecified; "
+                f"{settings.default_scattering:g} was assumed.",
+                {"materials": unspecified, "scattering": settings.default_scattering},
+            )
+        )
+    specified = [sampling_scattering(k) for k in priors]
+    s = [settings.default_scattering if t is None else t for t in specified]
+    duration_s = max(0.75 * longest_decay_s, latest_window_s) + 0.01
+    scattering, fraction = _sampled_scattering(scene, priors, np.array(s), duration_s, settings)
+    reach_m = speed_of_sound_m_s(scene.air) * duration_s
+    n_images = 4.0 / 3.0 * np.pi * reach_m**3 / volume_m3(scene.room.mesh)
+    in_lattice = _in_lattice(scene.room, settings)
+    smooth_box = in_lattice and not np.any(scattering.coefficients)
+    images_alone = smooth_box and n_images <= min(
+        settings.most_images, _MOST_IMAGES_OF_ALL / len(scene.pairs)
+    )
+    fineness = TraceSettings(
+        duration_s=duration_s,
+        n_rays=0,
+        image_order=_ANY_ORDER if images_alone else _IMAGE_ORDER,
+        seed=settings.seed,
+        # what images need to be moved follows from their directions in a box along the axes
+        keep_image_transforms=coherent and scene.room.shoebox_m is None,
+    )
+    until_s = 0.0
+    if coherent and not images_alone:
+        until_s = images_until_s or _images_until_s(scene, duration_s, settings)
+    if until_s > 0.0:
+        fineness = replace(
+            fineness,
+            image_order=_ANY_ORDER,
+            image_until_s=until_s,
+        )
+    elif coherent and not images_alone:
+        findings.append(_few_images())
+    if until_s == 0.0 and not in_lattice:
+        order = affordable_order(scene, _IMAGE_ORDER, duration_s)
+        fineness = replace(fineness, image_order=order)
+    far_images = images_alone or until_s > 0.0
+    if not images_alone:
+        beside_images = until_s > 0.0 and not np.any(scattering.coefficients)
+        fineness, few = _with_rays(scene, fineness, fraction, settings, beside_images=beside_images)
+        findings += few
+    # what is left in a smooth box travels between two hard walls along paths that few rays find
+    fit_until_s = until_s if smooth_box and until_s > 0.0 else np.inf
+    return TracePlan(fineness, scattering, tuple(findings), far_images, fit_until_s)
+
+
+def _in_lattice(room: Room, settings: Settings) -> bool:
+    """Whether image sources form a lattice, and few triangles have to be looked up on a wall."""
+    few = len(room.mesh.triangles) <= settings.most_triangles_for_images
+    return room.shoebox_m is not None or (few and box_of(room.mesh) is not None)
+
+
+def _sampled_scattering(
+    scene: Scene,
+    priors: tuple[MaterialPrior, ...],
+    single: FloatArray,
+    duration_s: float,
+    settings: Settings,
+) -> tuple[Scattering, float]:
+    """Return the coefficients to trace with; and the least fraction of any band 10 dB down."""
+    by_band = specified_scattering(priors, single, priors[0].prior_logit_mean.size)
+    reach_m = speed_of_sound_m_s(scene.air) * duration_s
+    hits = material_areas_m2(scene.room) * reach_m / (4.0 * volume_m3(scene.room.mesh))
+    rng = np.random.default_rng(settings.seed)
+    groups = sampling_groups(by_band, single, hits, rng)
+    fractions = effective_fractions(groups, by_band, _DECIDING_DB / _FOLLOWED_DB * hits, rng)
+    sampled = groups[0] if len(groups) == 1 else groups
+    return Scattering(scene.room.materials, sampled), float(fractions.min())
+
+
+def _with_rays(
+    scene: Scene,
+    fineness: TraceSettings,
+    fraction: float,
+    settings: Settings,
+    *,
+    beside_images: bool,
+) -> tuple[TraceSettings, tuple[Finding, ...]]:
+    """Return the settings with rays and radius: as specified, or as the room needs them."""
+    volume = volume_m3(scene.room.mesh)
+    window_s = _WINDOW_PER_TIME * _DECIDING_DB / _FOLLOWED_DB * fineness.duration_s
+    own_variance = _MODEL_ERROR**2 + 1.0 / (_BANDWIDTH_HZ * window_s)
+    crossings_per_s = _CROSSINGS_AS_ONE / (_OF_THE_DATA**2 * own_variance * window_s)
+    # rays times the square of the radius
+    needed_m2 = crossings_per_s * volume / (np.pi * speed_of_sound_m_s(scene.air) * fraction)
+    radius_m = settings.receiver_radius_m
+    if radius_m is None:
+        radius_m = LEAST_RADIUS_M
+        if needed_m2 > LEAST_RAYS * radius_m**2:
+            wide_m = _RADIUS_PER_FREE_PATH * 4.0 * volume / surface_area_m2(scene.room.mesh)
+            fitting_m, _ = fitting_radii_m(scene, max(wide_m, radius_m))
+            radius_m = max(radius_m, float(fitting_m.min()))
+    stated = settings.n_rays_beside_images if beside_images else settings.n_rays
+    if stated is not None:
+        return replace(fineness, n_rays=stated, receiver_radius_m=radius_m), ()
+    needed = needed_m2 / radius_m**2 * (_BESIDE_IMAGES if beside_images else 1.0)
+    least = round(LEAST_RAYS * (_BESIDE_IMAGES if beside_images else 1.0))
+    fineness = replace(fineness, n_rays=max(least, math.ceil(needed)), receiver_radius_m=radius_m)
+    n_bytes = expected_paths(scene, fineness) * path_bytes(scene)
+    if n_bytes <= _MOST_PATH_BYTES:
+        return fineness, ()
+    affordable = max(int(fineness.n_rays * _MOST_PATH_BYTES / n_bytes), 1)
+    fineness = replace(fineness, n_rays=affordable)
+    if affordable >= needed:
+        return fineness, ()
+    larger = math.sqrt(needed / affordable)
+    return fineness, (
+        Finding(
+            Code.FEW_RAYS,
+            About(),
+            f"{math.ceil(needed):,} rays a source are needed for a Monte-Carlo error of a third of "
+            f"the data's own; 1 GB holds the paths of {affordable:,}, whose error is {larger:.1f} "
+            "times that.",
+            {"needed": math.ceil(needed), "n_rays": affordable, "times_wanted_error": larger},
+        ),
+    )
+
+
+def _few_images() -> Finding:
+    return Finding(
+        Code.FEW_IMAGE_SOURCES,
+        About(),
+        "The room has too many walls to follow image sources of every order for "
+        f"{1000 * _LEAST_COHERENT_S:g} ms: energies are compared, unless the campaign asks for "
+        "pressures.",
+    )
+
+
+def _images_until_s(scene: Scene, duration_s: float, settings: Settings) -> float:
+    """Return how long image sources of every order can be had; 0 where it is not worth while."""
+    c = speed_of_sound_m_s(scene.air)
+    volume = volume_m3(scene.room.mesh)
+    n_images = min(settings.most_coherent_images, _MOST_COHERENT_OF_ALL / len(scene.pairs))
+    affordable_s = (n_images * volume * 0.75 / np.pi) ** (1.0 / 3.0) / c
+    longest_s = min(duration_s, float(affordable_s))
+    if not _in_lattice(scene.room, settings):
+        if len(scene.room.mesh.triangles) > settings.most_triangles_for_images:
+            return 0.0
+        longest_s = affordable_duration_s(scene, min(longest_s, _COHERENT_UNTIL_S))
+    return longest_s if longest_s >= _LEAST_COHERENT_S else 0.0
+
+
+def is_coherent(measured: Sequence[MeasuredPair], settings: Settings) -> bool:
+    """Whether responses are to be fitted with image sources as coherent as their times are known.
+
+    The paper's searches cannot follow the many unknown positions; they compare energies.
+    """
+    return any(m.measurement.use == "fit" for m in measured) and fits_pressures(settings)
+
+
+def fits_pressures(settings: Settings) -> bool:
+    """Whether model and method let pressures be added, if there are responses."""
+    return settings.model != "energy" and settings.method in LEAST_SQUARES_METHODS

@@ -1,0 +1,400 @@
+"""A room traced once, whose energies, decays and room parameters follow from any absorption."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.base.bands import Bands
+from roomfit.base.cache import Cache
+from roomfit.base.errors import InputError
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import BoolArray, FloatArray, Progress
+from roomfit.fit.compare import predicted_curve
+from roomfit.fit.scattering import band_factors, specified_scattering
+from roomfit.fit.trace_plan import LEAST_RAYS, TracePlan, cached_trace, plan_trace
+from roomfit.materials.priors import MaterialPrior, unknown_material
+from roomfit.model.binned import BinnedPaths, bin_paths, pair_energies, rows_at
+from roomfit.model.eyring import eyring_time_s
+from roomfit.model.observation import spread_over_time
+from roomfit.model.patterns import Directivities, known_directivities
+from roomfit.model.reduced_rows import (
+    BINS_TOGETHER,
+    ROWS_OF_A_CASE,
+    ROWS_OF_A_DRAW,
+    ReducedRows,
+    reduced,
+)
+from roomfit.model.room_parameters import (
+    ValuesTerm,
+    predicted_values,
+    scatter_parts,
+    value_terms,
+)
+from roomfit.model.weighing import regrouped_rows, rows_in_air
+from roomfit.room.mesh import surface_area_m2, volume_m3
+from roomfit.room.scene import (
+    Scene,
+    check_points,
+    distances_m,
+    material_areas_m2,
+    pair_names,
+    pair_states,
+    select_pairs,
+)
+from roomfit.settings import Settings
+from roomfit.signals.decay import DecayCurve, room_parameters
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName, value_gradients
+from roomfit.signals.speech import modulation_gradients
+from roomfit.tracing.paths import Paths
+from roomfit.tracing.trace import trace
+from roomfit.uncertainty.posterior import AbsorptionPosterior
+
+# T30 is read from 5 to 35 dB below the start of the decay.
+_NEEDED_DB = 36.0
+_ATTEMPTS = 4
+# Enough to see how far the decay falls; the rays that follow are six times as many, or more.
+_PILOT_RAYS = 10_000
+_LONGER = 1.5
+_LONGEST_S = 30.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TracedRoom:
+    """Paths of every pair of a scene, to be weighed by any absorption.
+
+    Absorption has the shape (n_materials, n_bands), materials in the order of the room, 0 to 1.
+    """
+
+    scene: Scene
+    bands: Bands
+    binned: BinnedPaths
+    key: tuple[object, ...]  # what, besides scene and bands, decided the paths: for caches
+    findings: tuple[Finding, ...]
+    by_pressures: BoolArray  # (n_bands,), where decays add the pressures of image sources
+
+    @property
+    def edges_s(self) -> FloatArray:
+        """Edges of the bins of `energies`, s after emission, shape (n_bins + 1,)."""
+        return self.binned.edges_s
+
+    @property
+    def direct_s(self) -> FloatArray:
+        """Travel time of the direct sound of every pair, shape (n_pairs,)."""
+        return distances_m(self.scene) / speed_of_sound_m_s(self.scene.air)
+
+    @property
+    def areas_m2(self) -> FloatArray:
+        """Area of every material in the room's state, shape (n_materials,)."""
+        return material_areas_m2(self.scene.room, int(pair_states(self.scene)[0]))
+
+    def of_pair(self, pair: int) -> TracedRoom:
+        """Return the same room with one pair alone."""
+        bands_of = {f: (rows[pair],) for f, rows in self.binned.by_band.items()}
+        own = BinnedPaths(self.binned.edges_s, (self.binned.rows[pair],), bands_of)
+        return replace(self, scene=select_pairs(self.scene, slice(pair, pair + 1)), binned=own)
+
+    def energies(self, absorption: FloatArray) -> FloatArray:
+        """Return the energies of every pair in bins of 0.1 ms, shape (n_pairs, n_bands, n_bins).
+
+        In 1/m2: that of the direct sound at a distance r is ``1 / (4 pi r^2)``.
+        """
+        air = attenuation_per_m(self.scene.air, self.bands)
+        pairs = range(len(self.scene.pairs))
+        return np.stack([pair_energies(self.binned, self.bands, i, absorption, air) for i in pairs])
+
+    def predict(
+        self, absorption: FloatArray, names: Sequence[ValueName] = VALUE_NAMES
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return ISO 3382 values and their derivatives by the absorption.
+
+        Returns
+        -------
+        values : float array, shape (n_pairs, n_names, n_bands)
+            In the units of their names.
+        derivatives : float array, shape (n_pairs, n_names, n_bands, n_materials)
+            By the absorption of the same band.
+        """
+        shape = (len(self.scene.pairs), len(names), len(self.bands))
+        values, slopes = np.empty(shape), np.empty((*shape, len(absorption)))
+        for band in range(len(self.bands)):
+            term = _band_term(self, band, names)
+            found, _, by = term.predict({"absorption": absorption[:, band]})
+            values[:, :, band] = found.reshape(shape[:2])
+            slopes[:, :, band] = by["absorption"].reshape(*shape[:2], -1)
+        return values, slopes
+
+    def decay(self, pair: int, absorption: FloatArray) -> tuple[DecayCurve, FloatArray]:
+        """Return a pair's decay curves and room parameters, the latter (n_names, n_bands).
+
+        NaN where the paths do not follow the decay far enough, names in the order of `VALUE_NAMES`.
+        """
+        own = self.of_pair(pair)
+        curve = predicted_curve(own.scene, self.bands, own.binned, 0, absorption, self.by_pressures)
+        strength = predicted_values(own.scene, self.bands, own.binned, absorption, ("G_dB",))[0]
+        for band in np.flatnonzero(self.by_pressures).tolist():
+            strength[0, band] = value_gradients(curve, band, ("G_dB",), derivative=False)[0][0]
+        return curve, np.vstack([room_parameters(curve).values, strength])
+
+    def echogram(self, pair: int, absorption: FloatArray) -> FloatArray:
+        """Return a pair's energies spread over time as by the filters, shape (n_bands, n_bins)."""
+        air = attenuation_per_m(self.scene.air, self.bands)
+        energy = pair_energies(self.binned, self.bands, pair, absorption, air)
+        return spread_over_time(self.bands, energy)
+
+    def scatter(
+        self, pair: int, absorption: FloatArray, weights: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return by how much measured values scatter though the absorption is known.
+
+        Parameters
+        ----------
+        weights : float array, shape (n_bands, 14 + 1), optional
+            Of modulation transfers and the level in a weighted sum, as `room_sti_weights` gives.
+
+        Returns
+        -------
+        sd, common : float arrays, shape (n_names + 1, n_bands)
+            Standard deviation, and the part of the variance that is common to other absorptions: of
+            pressures beside their energies, and of the number of rays. Last stands the weighted
+            sum, zero without weights; NaN where a value is not predicted.
+        """
+        own = self.of_pair(pair)
+        sd = np.zeros((len(VALUE_NAMES) + 1, len(self.bands)))
+        common = np.zeros_like(sd)
+        for band in range(len(self.bands)):
+            one = Bands(self.bands.kind, self.bands.centres_hz[band : band + 1])
+            chosen = absorption[:, band : band + 1]
+            expected = predicted_values(own.scene, one, own.binned, chosen)
+            if not np.isfinite(expected).all():
+                sd[:, band] = np.nan
+                continue
+            term = _band_term(own, band, VALUE_NAMES)
+            read = partial(_read, None if weights is None else weights[band])
+            _, interference, added, tracing = scatter_parts(term, 0, chosen[:, 0], read)
+            steady = added**2 + np.diag(tracing)
+            sd[: added.size, band] = np.sqrt(np.diag(interference) + steady)
+            common[: added.size, band] = steady
+        return sd, common
+
+    def reduced(self, pair: int, absorption: FloatArray, most: int | None = None) -> ReducedRows:
+        """Return a reduced set of rows of one pair, for absorptions near and far from one.
+
+        Parameters
+        ----------
+        most : int, optional
+            At most about so many; left out, 5,000, or more for rooms of many materials.
+        """
+        if most is None:
+            most = max(ROWS_OF_A_DRAW, ROWS_OF_A_CASE * (len(absorption) + 2))
+        edges = self.binned.edges_s
+        first = np.arange(0, edges.size - 1, BINS_TOGETHER)
+        air = attenuation_per_m(self.scene.air, self.bands)
+        rows = []
+        for band, f in enumerate(self.bands.centres_hz):
+            coarse = regrouped_rows(rows_at(self.binned, f)[pair], first)
+            rows.append(reduced(rows_in_air(coarse, float(air[band])), absorption[:, band], most))
+        edges_s = np.append(edges[:-1][::BINS_TOGETHER], edges[-1])
+        return ReducedRows(self.bands, edges_s, float(self.direct_s[pair]), tuple(rows))
+
+
+def _band_term(room: TracedRoom, band: int, names: Sequence[ValueName]) -> ValuesTerm:
+    """Return what predicts the values of all pairs in one band; nothing measured is read of it."""
+    one = Bands(room.bands.kind, room.bands.centres_hz[band : band + 1])
+    anything = dict.fromkeys(names, np.ones(1))
+    as_measured = tuple(
+        MeasuredValues(source, receiver, one.centres_hz, anything, state=state)
+        for source, receiver, state in pair_names(room.scene)
+    )
+    (term,) = value_terms(room.scene, one, as_measured, room.binned, names=names)
+    if term is None:
+        needed, hint = f"one or more of {', '.join(VALUE_NAMES)}", f"{VALUE_NAMES[0]}, for example"
+        raise InputError("no name of a room parameter", found="none", needed=needed, hint=hint)
+    return term
+
+
+def _read(
+    weights: FloatArray | None, curve: DecayCurve, *, derivative: bool = True
+) -> tuple[FloatArray, FloatArray]:
+    """Return the values of a band and their derivatives; below them the weighted sum, if any."""
+    values, gradients = value_gradients(curve, 0, VALUE_NAMES, derivative=derivative)
+    if weights is None:
+        return values, gradients
+    transfer, by_energy = modulation_gradients(curve, 0)
+    together = float(weights[:-1] @ transfer + weights[-1] * values[-1])
+    if derivative:
+        row = weights[:-1] @ by_energy + weights[-1] * gradients[-1]
+        gradients = np.vstack([gradients, row])
+    return np.append(values, together), gradients
+
+
+def check_scene(scene: Scene) -> None:
+    """Refuse a scene without pairs, of several states, or with a position in a wall or outside."""
+    if not len(scene.pairs):
+        what = "the scene has no pair to predict"
+        hint = "give scene_of a source and a receiver"
+        raise InputError(what, found="no pair", needed="a source and a receiver", hint=hint)
+    check_points(scene.room, scene.sources, scene.receivers)
+    if np.unique(pair_states(scene)).size > 1:
+        raise InputError(
+            "a prediction is of one state of the room",
+            found="pairs in several states",
+            needed="a scene whose pair_state is the same everywhere",
+            hint="predict each state with a scene of its own",
+        )
+
+
+def trace_room(
+    scene: Scene,
+    known: AbsorptionPosterior,
+    absorption: FloatArray | None = None,
+    measured_decay_s: float = 0.0,
+    settings: Settings | None = None,
+    cache: Cache | None = None,
+    progress: Progress | None = None,
+) -> TracedRoom:
+    """Trace until every band of every pair has fallen by 36 dB, or for 30 s.
+
+    How long is estimated from Eyring's formula and the measured decay, the longer of both; where
+    walls differ much, sound between the hard ones lasts longer still, which few rays find out
+    before.
+
+    Parameters
+    ----------
+    known : AbsorptionPosterior
+        Bands, scattering and directivities.
+    absorption : float array, shape (n_materials, n_bands), optional
+        The least for which decays are to be followed; left out, that of `known`.
+    measured_decay_s : float
+        Longest measured reverberation time, 0 where none is known.
+    """
+    settings = Settings() if settings is None else settings
+    bands, directivities = known.bands, known.directivities or {}
+    absorption = known.absorption if absorption is None else absorption
+    priors, added = _scattering_priors(known), known.by_pressures
+    added = np.zeros(len(bands), dtype=np.bool_) if added is None else added
+    longest_s = max(measured_decay_s, float(scene_decay_s(scene, bands, absorption).max()))
+
+    beside_images = settings
+    if settings.n_rays_beside_images is None:
+        # so many as without images: a fit ends before what is late, a decay does not
+        n_rays = LEAST_RAYS if settings.n_rays is None else settings.n_rays
+        beside_images = replace(settings, n_rays_beside_images=n_rays)
+
+    def planned() -> TracePlan:
+        own = scene, priors, min(longest_s, _LONGEST_S), 0.0
+        if added.any():
+            plan = plan_trace(*own, beside_images, coherent=True)
+            if plan.far_images:
+                return plan
+        return plan_trace(*own, settings)
+
+    def traced(n_rays: int, cache: Cache | None, progress: Progress | None) -> TracedRoom:
+        plan = planned()
+        fineness = replace(plan.settings, n_rays=min(plan.settings.n_rays, n_rays))
+        found = cached_trace(scene, fineness, plan.scattering, cache, progress)
+        paths = found.value.paths
+        scattering = specified_scattering(priors, plan.scattering.coefficients, len(bands))
+        factors, degenerate = band_factors(directivities, scene, bands, paths, scattering)
+        binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
+        patterns = known_directivities(directivities, scene.sources)
+        key = (plan.settings, scattering, patterns, added.tolist())
+        doubts = (*plan.findings, *found.value.findings, *found.findings, *degenerate)
+        return TracedRoom(scene, bands, binned, key, doubts, added & plan.far_images)
+
+    n_pilots = 2 * _ATTEMPTS if planned().settings.n_rays > _PILOT_RAYS else 0
+    for _ in range(n_pilots):
+        if longest_s >= _LONGEST_S or not _short_bands(traced(_PILOT_RAYS, None, None), absorption):
+            break
+        longest_s *= _LONGER
+    for _ in range(2 if n_pilots else _ATTEMPTS):
+        room = traced(sys.maxsize, cache, progress)
+        short = _short_bands(room, absorption)
+        if not short or longest_s >= _LONGEST_S:
+            break
+        longest_s *= _LONGER
+    return replace(room, findings=(*room.findings, *_short_finding(bands, short)))
+
+
+def coherent_paths(
+    scene: Scene,
+    bands: Bands,
+    priors: tuple[MaterialPrior, ...],
+    directivities: Directivities,
+    duration_s: float,
+    settings: Settings,
+) -> tuple[Paths, FloatArray | None]:
+    """Trace for as long as is asked, image sources as far as they can be added as pressures.
+
+    Parameters
+    ----------
+    priors : tuple of MaterialPrior
+        With the scattering of every material of the room.
+
+    Returns
+    -------
+    paths : Paths
+        Of `LEAST_RAYS` rays at least, where there are any.
+    factors : float array, shape (n_bands, n_paths), or None
+        On the weight of every path in every band.
+    """
+    planned = plan_trace(scene, priors, 0.0, duration_s, settings, coherent=True)
+    n_rays = 0 if planned.settings.n_rays == 0 else max(planned.settings.n_rays, LEAST_RAYS)
+    fineness = replace(planned.settings, n_rays=n_rays, duration_s=duration_s)
+    paths = trace(scene, fineness, planned.scattering).paths
+    scattering = specified_scattering(priors, planned.scattering.coefficients, len(bands))
+    return paths, band_factors(directivities, scene, bands, paths, scattering)[0]
+
+
+def scene_decay_s(scene: Scene, bands: Bands, absorption: FloatArray) -> FloatArray:
+    """Return the reverberation time of a scene by Eyring's formula in every band, (n_bands,)."""
+    mesh = scene.room.mesh
+    state = int(pair_states(scene)[0]) if len(scene.pairs) else 0
+    areas = material_areas_m2(scene.room, state)
+    mean = np.maximum(areas @ absorption / areas.sum(), 1e-4)
+    room = (volume_m3(mesh), surface_area_m2(mesh), speed_of_sound_m_s(scene.air))
+    return eyring_time_s(mean, *room, attenuation_per_m(scene.air, bands))
+
+
+def _scattering_priors(known: AbsorptionPosterior) -> tuple[MaterialPrior, ...]:
+    """Return priors that hold nothing but the scattering, as the plan of a trace reads them."""
+    n = len(known.bands)
+    rows = np.full((len(known.materials), n), np.nan)
+    if known.scattering is not None:
+        rows = known.scattering
+    return tuple(
+        replace(unknown_material(name, n), scattering=None if np.isnan(row).any() else row)
+        for name, row in zip(known.materials, rows, strict=True)
+    )
+
+
+def _short_bands(room: TracedRoom, absorption: FloatArray) -> Sequence[int]:
+    """Return the bands in which the decay of some pair is not followed far enough."""
+    usable_db = np.array(
+        [
+            predicted_curve(room.scene, room.bands, room.binned, i, absorption).usable_db
+            for i in range(len(room.scene.pairs))
+        ]
+    )
+    return [int(j) for j in np.flatnonzero(usable_db.min(axis=0) < _NEEDED_DB)]
+
+
+def _short_finding(bands: Bands, short: Sequence[int]) -> tuple[Finding, ...]:
+    if not short:
+        return ()
+    centres = [float(bands.centres_hz[j]) for j in short]
+    return (
+        Finding(
+            Code.DECAY_NOT_FOLLOWED,
+            About(bands_hz=centres),
+            f"The trace does not follow the decay over 35 dB at "
+            f"{', '.join(f'{f:g}' for f in centres)} Hz: T30 is not predicted there. Some walls "
+            "absorb next to nothing.",
+            {"bands_hz": centres},
+        ),
+    )

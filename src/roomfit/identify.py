@@ -1,0 +1,521 @@
+"""The absorption of a measured room: the whole way from measurements to a result."""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from roomfit.base.air import speed_of_sound_m_s
+from roomfit.base.bands import Bands, bands_between
+from roomfit.base.cache import Cache
+from roomfit.base.errors import InputError, InsufficientDataError, RoomfitError
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.forks import (
+    at_once,
+    beside,
+    count_evaluation,
+    counted_evaluations,
+    in_this_process,
+)
+from roomfit.base.kernels import one_blas_thread
+from roomfit.base.typing import FloatArray, Progress, part
+from roomfit.checks.evidence import Evidence, Recorded
+from roomfit.checks.examine import (
+    AFTER_THE_FIT,
+    BEFORE_THE_FIT,
+    examine,
+    eyring_start,
+    fitted_evidence,
+    recorded,
+)
+from roomfit.checks.verdict import judge
+from roomfit.fit.displacement import (
+    DisplacementModel,
+    Offset,
+    displaced,
+    displacement_model,
+    located,
+    offsets_of,
+    with_offsets,
+)
+from roomfit.fit.fits import BandFits
+from roomfit.fit.measurements import Measurements
+from roomfit.fit.methods import (
+    check_certifiable,
+    interval_words,
+    method_chosen,
+    prior_intervals,
+    reasons,
+)
+from roomfit.fit.paths import TracedPaths, redirected, traced_paths, traced_with, trim_memory
+from roomfit.fit.solve import (
+    chosen_model,
+    coherent_answers,
+    coherent_task,
+    estimate_energies,
+)
+from roomfit.fit.symmetry import mirror_symmetries
+from roomfit.fit.trace_plan import is_coherent
+from roomfit.materials.priors import (
+    MaterialPrior,
+    are_specified,
+    complete_priors,
+    object_volumes_m3,
+    plain_logit_law,
+    prior_logit_law,
+)
+from roomfit.model.patterns import Directivities
+from roomfit.pressures.fit import fit_coherent, initialise
+from roomfit.pressures.surface_scores import surface_scores
+from roomfit.result import Result, with_objects_apart
+from roomfit.room.mesh import volume_m3
+from roomfit.room.scene import (
+    Scene,
+    check_groups,
+    material_areas_m2,
+    plan_in_words,
+    scene_of,
+    shoebox_room,
+    wall_materials,
+)
+from roomfit.settings import LEAST_SQUARES_METHODS, Model, Settings
+from roomfit.signals.iso3382 import MeasuredValues
+from roomfit.signals.measurement import Measurement
+from roomfit.uncertainty.combinations import Combination, determined, inseparable_findings
+from roomfit.uncertainty.gaussian import prior_absorptions
+from roomfit.uncertainty.intervals import INTERVALS, Refinement
+from roomfit.uncertainty.posterior import band_draws
+from roomfit.uncertainty.sampling import check_sampler
+from roomfit.uncertainty.smoothing import smoothed
+
+_LOG = logging.getLogger("roomfit")
+
+
+@one_blas_thread
+def identify(
+    scene: Scene,
+    measurements: Sequence[Measurement | MeasuredValues],
+    materials: Sequence[MaterialPrior] = (),
+    bands: Bands | None = None,
+    *,
+    settings: Settings | None = None,
+    directivities: Directivities | None = None,
+    cache: Cache | None = None,
+    progress: Progress | None = None,
+) -> Result:
+    """Return the absorption of every material of a measured room in every band.
+
+    Traces the room once, fits every band, finds 95 % confidence intervals, and predicts every
+    measured pair.
+
+    Parameters
+    ----------
+    scene : Scene
+        Room, sources, receivers and air; which of its pairs were measured, the measurements say.
+    measurements : sequence of Measurement or MeasuredValues
+        Impulse responses, ISO 3382-1 values, or both.
+    materials : sequence of MaterialPrior, optional
+        What is known of materials before the measurement, in these bands; a material of the room
+        that is not among them has the broad prior (`roomfit.material_prior`).
+    bands : Bands, optional
+        Octaves from 125 Hz to 4 kHz where left out.
+    settings : Settings, optional
+    directivities : mapping from source to directivity, optional
+        Of sources that are not omnidirectional; an `UnknownDirectivity` is fitted.
+    cache : Cache, optional
+        Where a trace is kept, and found again by a run that was stopped.
+    progress : callable, optional
+        Called with the share of the work that is done, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        A name, a position, a response or a prior is not as needed, or the method does not go with
+        the data.
+    InsufficientDataError
+        The data cannot be fitted at all.
+
+    Notes
+    -----
+    The model is that of docs/how-it-works.md; its references stand with each part.
+
+    Examples
+    --------
+    A plastered box whose reverberation time was measured, and nothing else.
+
+    >>> import roomfit
+    >>> room = roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster")
+    >>> scene = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+    >>> measured = roomfit.MeasuredValues("S", "R", [1000.0], {"T20_s": [0.8]})
+    >>> octave, few = roomfit.bands_between("octave", 1000, 1000), roomfit.Settings(n_rays=2000)
+    >>> result = roomfit.identify(scene, [measured], bands=octave, settings=few)
+    >>> bool(0.1 < result.absorption[0, 0] < 0.25)
+    True
+    """
+    began, progress = time.perf_counter(), in_this_process(progress)
+    bands = bands_between("octave", 125.0, 4000.0) if bands is None else bands
+    settings = Settings() if settings is None else settings
+    names = [p.name for p in (*scene.sources, *scene.receivers)]
+    check_groups({g.name: g.members for g in scene.groups}, names)
+    _LOG.info("evaluating the measurements")
+    given = recorded(scene, measurements, bands, directivities or {}, settings.decay_range_db)
+    before = examine(BEFORE_THE_FIT, given)
+    _warn_first(before)
+    if settings.method == "posterior":
+        check_sampler()
+    priors = complete_priors(scene.room.materials, materials, bands)
+    _check_objects(scene, priors)
+    check_certifiable(given.measured, settings, priors)
+    with counted_evaluations() as made:
+        ends = (0.02, 0.22, 0.49, 0.98) if scene.groups else (0.02, 0.45, 0.98, 0.98)
+        early, late, again = (part(progress, *x) for x in itertools.pairwise(ends))
+        used, traced = _traced(given.measured, priors, settings, cache, early)
+        fits = _fits(given.measured, priors, traced, used, late)
+        observed, traced, fits = _with_positions_examined(
+            given, measurements, priors, (traced, fits), settings, cache, again
+        )
+    if observed is not given:  # fitted at other positions than specified
+        before = examine(BEFORE_THE_FIT, observed)
+    trim_memory()
+    if fits.directivities:
+        traced = redirected(observed.measured, traced, fits.directivities)
+    if settings.smoothness_per_octave is not None:
+        smooth = settings.smoothness_per_octave
+        fits = replace(fits, answers=smoothed(fits.answers, priors, bands, smooth))
+    _check_any_fitted(fits)
+    _LOG.info("predicting the measured pairs")
+    trim_memory()
+    evidence = fitted_evidence(observed, priors, traced, fits, settings)
+    after = examine(AFTER_THE_FIT, evidence)
+    doubts = (*_first_answer(settings), *scene.room.findings, *before, *after)
+    result = combine(evidence, doubts)
+    return replace(result, evaluations=made[0], seconds=time.perf_counter() - began)
+
+
+def _check_objects(scene: Scene, priors: tuple[MaterialPrior, ...]) -> None:
+    """Refuse objects of which nothing is stated, or for a room of another volume."""
+    volumes, volume = object_volumes_m3(priors), volume_m3(scene.room.mesh)
+    for name in (k.name for k in priors):
+        is_object = name in scene.room.materials[len(wall_materials(scene.room)) :]
+        stated = volumes.get(name, np.nan)
+        if is_object != (name in volumes) or (is_object and abs(stated / volume - 1.0) > 1e-6):
+            raise InputError(
+                "an object of the room and its absorption area do not belong together",
+                where=f"objects.{name}",
+                found=f"stated for {stated:g} m3" if name in volumes else "no area of it",
+                needed=f"an area for {volume:g} m3 and the object in the room",
+                hint="pass object_prior of materials.priors, and with_objects of the room",
+            )
+
+
+class _OtherModelError(Exception):
+    """A room is being traced for another model than that which was chosen meanwhile."""
+
+
+def _traced(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    settings: Settings,
+    cache: Cache | None,
+    progress: Progress | None,
+) -> tuple[Settings, TracedPaths]:
+    """Return the settings with the chosen model, and the room traced for it.
+
+    In the one process that there may be, the model is chosen first. Beside another, the room is
+    meanwhile traced for the usual outcome, which is given up when another has come out.
+    """
+    start = eyring_start(measured)
+
+    def chosen() -> tuple[Model, int]:
+        with counted_evaluations() as own:  # asked for where another count runs
+            return chosen_model(measured, priors, start, settings), own[0]
+
+    def usual(fraction: float) -> None:
+        if choice.is_done() and choice.result()[0] != settings.model:
+            raise _OtherModelError
+        if progress is not None:
+            progress(fraction)
+
+    is_alone = at_once() == 1
+    with beside(chosen) as choice:
+        if not is_alone:
+            try:
+                with counted_evaluations() as made:
+                    traced = traced_paths(measured, priors, settings, start, cache, usual)
+            except (_OtherModelError, RoomfitError):
+                if choice.result()[0] == settings.model:
+                    raise
+        model, evaluations = choice.result()
+    used = replace(settings, model=model)
+    count_evaluation(evaluations)
+    if not is_alone and used.model == settings.model:
+        count_evaluation(made[0])
+        return used, traced
+    return used, traced_paths(measured, priors, used, start, cache, progress)
+
+
+def _fits(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    traced: TracedPaths,
+    settings: Settings,
+    progress: Progress | None,
+) -> BandFits:
+    """Return the fits of all bands."""
+    start = eyring_start(measured)
+    pressures = is_coherent(measured.responses, settings) and (
+        traced.far_images or settings.model == "coherent"
+    )
+    refine = _refinement(measured, priors, settings)
+    _LOG.info("fitting %s", "pressures and energies" if pressures else "energies")
+    if not pressures:
+        return estimate_energies(measured, priors, traced, start, settings, refine, progress)
+    state = initialise(coherent_task(measured, priors, traced, start, settings), traced)
+    coherent = fit_coherent(state, traced, part(progress, 0.0, 0.75))
+    surfaces = () if settings.quick else surface_scores(coherent)
+    _LOG.info("finding confidence intervals")
+    fits = coherent_answers(coherent, settings, refine, part(progress, 0.75, 1.0))
+    del state, coherent  # with all bands, the most that is in memory
+    trim_memory()
+    return replace(fits, surfaces=surfaces)
+
+
+def _with_positions_examined(
+    given: Recorded,
+    measurements: Sequence[Measurement | MeasuredValues],
+    priors: tuple[MaterialPrior, ...],
+    fitted: tuple[TracedPaths, BandFits],
+    settings: Settings,
+    cache: Cache | None,
+    progress: Progress | None,
+) -> tuple[Recorded, TracedPaths, BandFits]:
+    """Return the room as it was fitted, with what is displaced in it.
+
+    Where offsets are stated, the room is traced and fitted again at the most likely ones.
+    """
+    observed, (traced, fits), measured = given, fitted, given.measured
+    if settings.quick or settings.method not in LEAST_SQUARES_METHODS:
+        return given, traced, fits  # the paper's searches take positions as specified
+    _LOG.info("examining positions and lengths")
+    trim_memory()
+    offsets = offsets_of(measured.scene)
+    is_stated = np.array([o.is_stated for o in offsets], dtype=np.bool_)
+    moved_m = np.zeros(len(offsets))
+    outline = _outline(measured, priors, traced, fits, offsets, moved_m)
+    if is_stated.any() and outline is not None:
+        moved_m = np.where(is_stated, located(outline).shift_m, 0.0)
+        scene = displaced(measured.scene, offsets, moved_m)
+        range_db, patterns = settings.decay_range_db, measured.directivities
+        observed = recorded(scene, measurements, measured.bands, patterns, range_db)
+        measured = observed.measured
+        early, late = part(progress, 0.0, 0.45), part(progress, 0.45, 1.0)
+        used, traced = _traced(measured, priors, settings, cache, early)
+        fits = _fits(measured, priors, traced, used, late)
+        outline = _outline(measured, priors, traced, fits, offsets, moved_m)
+    if outline is not None:
+        fits = with_offsets(fits, outline, located(outline))
+    return observed, traced, fits
+
+
+def _warn_first(findings: Sequence[Finding]) -> None:
+    """Log what voids the answer already, before the minutes that a fit may last."""
+    serious = [f for f in findings if f.code.voids_identifiability]
+    for finding in serious:
+        _LOG.warning("%s: %s", finding.severity, finding.sentence)
+    if serious:
+        _LOG.warning(
+            "the fit goes on, but will call no material identifiable: to set this right first, "
+            "stop it with Ctrl-C"
+        )
+
+
+def _outline(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    traced: TracedPaths,
+    fits: BandFits,
+    offsets: tuple[Offset, ...],
+    moved_m: FloatArray,
+) -> DisplacementModel | None:
+    """Return the fitted room to be displaced, if anything can be."""
+    sources = fits.unknown_sources, fits.directivities
+    return displacement_model(measured, priors, traced, fits.answers, sources, offsets, moved_m)
+
+
+def _check_any_fitted(fits: BandFits) -> None:
+    if all(answer.model == "prior" for answer in fits.answers):
+        raise InsufficientDataError(
+            "no band has enough windows above the noise",
+            needed="in some band, more windows than unknown absorptions and gains",
+            hint="choose other bands with from_hz and to_hz, or measure with less noise",
+        )
+
+
+def _first_answer(settings: Settings) -> tuple[Finding, ...]:
+    if not settings.quick:
+        return ()
+    text = (
+        "A first answer: intervals are Gaussian, and neither misplaced positions nor a fault of "
+        "the chain, nor another scattering than specified, was looked for. Identify without quick "
+        "before relying on it."
+    )
+    return (Finding(Code.FIRST_ANSWER, About(), text),)
+
+
+def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
+    """Return the result of all bands together.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    doubts : sequence of Finding
+        All of them: what they void is not identifiable.
+    """
+    measured, priors, found = evidence.measured, evidence.priors, evidence.fits.answers
+    scene, bands, settings = measured.scene, measured.bands, evidence.settings
+    identifiable = judge(found, doubts, priors, bands)
+    combinations, sentences, shares = _determined(evidence, 0)
+    own = wall_materials(scene.room), bands.centres_hz, identifiable[: shares.shape[1]]
+    void = any(f.code.voids_identifiability for f in doubts)
+    inseparable = () if void else inseparable_findings(*own, combinations)
+    shared = any(k.product is not None or k.tied_to is not None for k in priors)
+    models, (mean, law) = tuple(b.model for b in found), plain_logit_law(priors)
+    whole = Result(
+        bands=bands,
+        materials=scene.room.materials,
+        areas_m2=material_areas_m2(scene.room),
+        absorption=evidence.absorption,
+        lower95=evidence.lower95,
+        upper95=evidence.upper95,
+        identifiable=identifiable,
+        mean_absorption=_room_means(combinations),
+        chi2_reduced=np.array([b.chi2_reduced for b in found]),
+        cost=float(sum(b.cost for b in found)),
+        evaluations=sum(b.evaluations for b in found),  # until all are counted
+        converged=np.array([b.converged for b in found]),
+        pairs=evidence.pairs,
+        findings=(*doubts, *inseparable),
+        method=method_chosen(settings.method),
+        model=next((m for m in ("coherent", "energy", "values") if m in models), "prior"),
+        interval_kind=interval_words(found),
+        speed_of_sound_m_s=speed_of_sound_m_s(scene.air),
+        seed=settings.seed,
+        seconds=0.0,
+        logit_covariance=evidence.logit_covariance,
+        logit_prior=np.array([mean, np.sqrt(np.diagonal(law, axis1=1, axis2=2)).T]),
+        logit_prior_covariance=law if shared else None,
+        prior_specified=are_specified(priors),
+        draws=_draws(evidence),
+        combinations=combinations,
+        sentences=sentences,
+        shares=shares,
+        interval_kinds=tuple(b.kinds for b in found),
+        profiles=tuple(b.profiles for b in found),
+        samples=tuple(b.samples for b in found),
+        sampling=tuple(b.sampling for b in found),
+        prior=prior_intervals(priors),
+        reasons=reasons(settings.method, bands, found),
+        plan=plan_in_words(scene),
+        models=models,
+        scattering=evidence.traced.scattering,
+        geometry=evidence.fits.geometry,
+        directivities=evidence.fits.directivities,
+        certificates=tuple(b.certificate for b in found),
+        costs=tuple(b.costs for b in found),
+        mean_costs=tuple(b.mean_costs for b in found),
+        identifiable_by_rule=np.stack([b.identifiable for b in found], axis=1),
+        eyring_absorption=eyring_start(measured),
+        settings=settings,
+        trace=traced_with(evidence.traced),
+        state_means=_state_means(evidence),
+    )
+    return with_objects_apart(replace(whole, by_pressures=evidence.by_pressures), priors)
+
+
+def _state_means(evidence: Evidence) -> dict[str, FloatArray]:
+    names = [state.name for state in evidence.measured.scene.room.states]
+    return {name: _room_means(_determined(evidence, 1 + i)[0]) for i, name in enumerate(names)}
+
+
+def _determined(
+    evidence: Evidence, state: int
+) -> tuple[tuple[tuple[Combination, ...], ...], tuple[str, ...], FloatArray]:
+    """Return what the data determine of groups of walls in a state of the room."""
+    room = evidence.measured.scene.room
+    n = len(wall_materials(room))
+    mean, law = prior_logit_law(evidence.priors)
+    return determined(
+        wall_materials(room),
+        evidence.absorption[:n],
+        evidence.logit_covariance[:, :n, :n],
+        (mean[:n], law[:, :n, :n]),
+        material_areas_m2(room, state)[:n],
+        evidence.settings.seed,
+        [None if b.samples is None else b.samples[:, :n] for b in evidence.fits.answers],
+        are_specified(evidence.priors)[:n],
+    )
+
+
+def _room_means(found: Sequence[Sequence[Combination]]) -> FloatArray:
+    """Return the mean over the whole room, the first combination of a band, with its bounds."""
+    return np.array([(c[0].value, c[0].lower95, c[0].upper95) for c in found]).T
+
+
+def _draws(evidence: Evidence) -> FloatArray | None:
+    """Return draws of absorption, shape (n_draws, n_materials, n_bands), bands independent.
+
+    None where no band was drawn from with the model itself: predictions draw from the covariance
+    then, as is done here for bands by responses beside others by room parameters alone.
+    """
+    found, priors, settings = evidence.fits.answers, evidence.priors, evidence.settings
+    absorption, covariance = evidence.absorption, evidence.logit_covariance
+    if all(answer.draws is None for answer in found):
+        return None
+    drawn, (mean, prior) = [], plain_logit_law(priors)
+    for band, answer in enumerate(found):
+        rng = np.random.default_rng((settings.seed, band))
+        own = answer.draws
+        if answer.model == "prior":
+            own = prior_absorptions(priors, band, settings.n_draws, rng)
+        if own is None:
+            law = absorption[:, band], covariance[band], mean[:, band], prior[band]
+            own = band_draws(*law, settings.n_draws, rng, specified=are_specified(priors))
+        drawn.append(rng.permutation(own))
+    return np.stack(drawn, axis=2)
+
+
+def _refinement(
+    measured: Measurements, priors: tuple[MaterialPrior, ...], settings: Settings
+) -> Refinement:
+    """Return what is done to every band after its fit; the paper's searches end where they end."""
+    intervals: str = settings.method if settings.method in INTERVALS else "profile"
+    if settings.quick or settings.method in ("simplex", "annealing"):
+        intervals = "gaussian"
+    return Refinement(
+        intervals,
+        settings.seed,
+        tuple(s.exchange for s in mirror_symmetries(measured, priors)),
+        settings.n_draws if settings.posterior_draws is not False else 0,
+        settings.posterior_draws is None,
+    )
+
+
+def compile_kernels() -> None:
+    """Identify a small box, so that the compiled kernels lie on this machine's disk."""
+    rng, rate_hz = np.random.default_rng(1), 16000.0
+    pressure = rng.standard_normal(12000) * np.exp(-np.arange(12000) / 2000.0)
+    pressure[:200] = 0.0
+    scene = scene_of(
+        shoebox_room((6.0, 5.0, 3.0), "walls"), {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)}
+    )
+    identify(
+        scene,
+        [Measurement("S", "R", pressure, rate_hz)],
+        bands=bands_between("octave", 1000, 1000),
+        settings=Settings(n_rays=2000),
+    )

@@ -1,0 +1,285 @@
+"""Sources that radiate as patterns of few unknowns: first order, or third about a known aim.
+
+The unknowns are one vector b a pattern, which sources of one make share: no angles, no bounds.
+Their block stands behind absorption and gain and before the geometry, whose position at the end
+`marginal` relies on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, TypeAlias
+
+import numpy as np
+
+from roomfit.base.arguments import read_only
+from roomfit.base.typing import BoolArray, FloatArray, IntArray
+from roomfit.model.binned import BinnedPaths
+from roomfit.model.energy import PATTERN, EnergyTerm
+from roomfit.model.parameters import Block, Parameters
+from roomfit.model.patterns import Pattern, RowBasis, pattern_basis
+from roomfit.model.problem import DataTerm, Objective, Rows, Values
+from roomfit.pressures.data_term import CoherentTerm
+from roomfit.room.scene import Scene
+from roomfit.signals.measurement import MeasuredPair
+from roomfit.tracing.paths import Paths
+
+DIRECTIVITY = "directivity"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnknownDirectivities:
+    """Priors of the vectors b of some sources, or of loudspeakers that several sources are."""
+
+    sources: tuple[str, ...]
+    mean: FloatArray  # (3 * n_sources,), of b, source after source
+    # (3 * n_sources, 3 * n_sources), ``b = mean + root z`` with z of a unit normal law: times its
+    # transpose, the covariance
+    root: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("mean", "root"):
+            object.__setattr__(self, name, read_only(np.array(getattr(self, name))))
+
+
+def directivity_block(unknown: UnknownDirectivities) -> Block:
+    """Return the block of the free numbers z, shape (3 * n_sources,)."""
+    labels = tuple(f"directivity {s} {axis}" for s in unknown.sources for axis in "xyz")
+    n = len(labels)
+    return Block(
+        DIRECTIVITY,
+        labels,
+        "identity",
+        np.zeros(n),
+        np.ones(n, dtype=np.bool_),
+        np.zeros(n),
+        np.ones(n),
+        np.full(n, -1e6),
+        np.full(n, 1e6),
+    )
+
+
+def with_directivities(parameters: Parameters, unknown: UnknownDirectivities) -> Parameters:
+    """Return parameters that end with the sources' directivity."""
+    blocks = tuple(b for b in parameters.blocks if b.name != DIRECTIVITY)
+    return Parameters((*blocks, directivity_block(unknown)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BandDirectivities:
+    """Unknown directivities in one band, and where its rows leave the sources."""
+
+    unknown: UnknownDirectivities
+    # (n_observations,), which of the unknown sources each observation receives; -1 for one that is
+    # known
+    source: IntArray
+    # (n_rows, 3), one an observation: `pattern_basis` of where the path of each row leaves
+    basis: tuple[RowBasis, ...]
+    aims: tuple[FloatArray | None, ...]  # one an observation
+    images: RowBasis | None = None  # (n_images, 3), the same of image paths of pressures
+
+
+Windows: TypeAlias = EnergyTerm | CoherentTerm
+"""What can be weighed by its sources' directivity: as energies, or as pressures."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DirectedTerm(DataTerm):
+    """Windows as energies or pressures, their paths weighed by their sources' directivity."""
+
+    is_gamma: ClassVar[bool] = True
+    windows: Windows  # with the weights of omnidirectional sources
+    directivity: BandDirectivities
+    # of the last prediction, by its b: the windows with the weights of b, for the variance there
+    _last: dict[bytes, Windows] = field(default_factory=dict, init=False, repr=False)
+
+    def measured(self) -> FloatArray:
+        """Return the measured window energies, shape (n_windows,)."""
+        return self.windows.measured()
+
+    def predict(self, values: Values) -> Rows:
+        """Return what the model expects in every window."""
+        b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
+        own = self._radiated(b)
+        expected, signal, derivatives = own.predict(values)
+        self._last.clear()
+        self._last[b.tobytes()] = own
+        by_pattern = derivatives.pop(PATTERN)
+        slopes = np.zeros((len(by_pattern), b.size))
+        first = 0
+        for s, observed in zip(
+            self.directivity.source, own.as_energies(values).observations, strict=True
+        ):
+            n = observed.energy.size
+            if s >= 0:
+                slopes[first : first + n, 3 * s : 3 * s + 3] = by_pattern[first : first + n]
+            first += n
+        by_free = slopes @ self.directivity.unknown.root
+        return expected, signal, {**derivatives, DIRECTIVITY: by_free}
+
+    def expected(self, values: Values) -> FloatArray:
+        """Return what the model expects in every window, shape (n_windows,)."""
+        return self.radiated(values).expected(values)
+
+    def variance_parts(self, values: Values) -> dict[str, FloatArray]:
+        """Return what the variance of every window is the sum of, by name, (n_windows,) each."""
+        b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
+        own = self._last.pop(b.tobytes(), None)
+        return (self._radiated(b) if own is None else own).variance_parts(values)
+
+    def correlation_length(self, start: Values) -> FloatArray:
+        """Return how many neighbours share the information of each window, shape (n_windows,)."""
+        return self.windows.correlation_length(start)
+
+    def as_energies(self, values: Values) -> EnergyTerm:
+        """Return the windows as energies, with the weights that values give their paths."""
+        return self.radiated(values).as_energies(values)
+
+    def radiated(self, values: Values) -> Windows:
+        """Return the windows with the weights that values give their paths."""
+        return self._radiated(vectors_of(self.directivity.unknown, values[DIRECTIVITY]))
+
+    def _radiated(self, b: FloatArray) -> Windows:
+        """Return the windows with the weights of b."""
+        each = [None if s < 0 else b[s] for s in self.directivity.source]
+        return self.windows.radiated(each, self.directivity.basis, self.directivity.images)
+
+
+def directed(
+    windows: Windows, directivity: BandDirectivities | None
+) -> EnergyTerm | CoherentTerm | DirectedTerm:
+    """Return windows weighed by their sources' directivity, or as they are without any."""
+    if directivity is None:
+        return windows
+    if directivity.images is None:
+        directivity = replace(directivity, images=windows.image_basis(directivity.aims))
+    return DirectedTerm(windows, directivity)
+
+
+def energy_objective(
+    windows: EnergyTerm,
+    parameters: Parameters,
+    directivity: BandDirectivities | None,
+    others: Sequence[DataTerm] = (),
+) -> Objective:
+    """Return the objective of a band's windows as energies, and of its other data if any."""
+    if directivity is not None:
+        parameters = with_directivities(parameters, directivity.unknown)
+    return Objective(parameters, (directed(windows, directivity), *others))
+
+
+def vectors_of(unknown: UnknownDirectivities, free: FloatArray) -> FloatArray:
+    """Return b of every unknown source for free numbers z, shape (n_sources, 3)."""
+    return np.asarray((unknown.mean + unknown.root @ free).reshape(-1, 3))
+
+
+# Of each component of b, where it is unspecified: an omnidirectional source and a cardioid are both
+# within reach.
+DEFAULT_B_SD = 0.5
+# Between bands an octave apart: a loudspeaker keeps its aim, and becomes narrower by and by.
+CORRELATION_PER_OCTAVE = 0.8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DirectivityParameters:
+    """Sources whose directivity is to be found, or the loudspeakers that several of them are."""
+
+    sources: tuple[str, ...]  # names, of loudspeakers where those are shared
+    of_source: IntArray  # (n_scene_sources,), which of them a source of the scene is; -1: none
+    # mean, sd: (n_sources, 3) and (n_sources,), prior of the vectors b, the same in all bands
+    mean: FloatArray
+    sd: FloatArray
+    aims: tuple[FloatArray | None, ...] = ()  # of every source of the scene; empty: none is known
+
+
+def directivity_prior(directivity_parameters: DirectivityParameters) -> UnknownDirectivities:
+    """Return what is known of every source before any data."""
+    root = np.diag(np.repeat(directivity_parameters.sd, 3))
+    return UnknownDirectivities(
+        directivity_parameters.sources, directivity_parameters.mean.ravel(), root
+    )
+
+
+def with_cavity_prior(
+    directivity_parameters: DirectivityParameters, mean: FloatArray, covariance: FloatArray
+) -> UnknownDirectivities:
+    """Return the unknowns under what other bands determine of the free numbers."""
+    start = directivity_prior(directivity_parameters)
+    root = start.root @ np.linalg.cholesky(covariance)
+    return UnknownDirectivities(
+        directivity_parameters.sources, start.mean + start.root @ mean, root
+    )
+
+
+def row_bases(
+    directivity_parameters: DirectivityParameters,
+    scene: Scene,
+    paths: Paths,
+    binned: BinnedPaths,
+    kept: BoolArray | None = None,
+) -> tuple[RowBasis, ...]:
+    """Return `pattern_basis` of the rows of every pair, once for all bands; empty where known.
+
+    And once for all states of the room, whose paths are those of one trace.
+
+    Parameters
+    ----------
+    kept : bool array, shape (n_paths,), optional
+        Of which paths; left out, of all.
+    """
+    aims = directivity_parameters.aims or (None,) * len(scene.sources)
+    found: dict[tuple[int, int], RowBasis] = {}
+    bases = []
+    for rows, (source, receiver) in zip(binned.rows, scene.pairs.tolist(), strict=True):
+        basis: RowBasis = np.zeros((0, 3))
+        if directivity_parameters.of_source[source] >= 0 and rows.path is not None:
+            path = rows.path if kept is None else rows.path[kept[rows.path]]
+            basis = pattern_basis(paths.departure[path], aims[source])
+        like = found.setdefault((source, receiver), basis)
+        bases.append(like if np.array_equal(basis, like) else basis)
+    return tuple(bases)
+
+
+def directed_band(
+    directivity_parameters: DirectivityParameters,
+    scene: Scene,
+    bases: Sequence[RowBasis],
+    energies: EnergyTerm,
+    files: Sequence[MeasuredPair],
+) -> BandDirectivities:
+    """Return where the rows of a band leave the sources, nothing known of these yet.
+
+    Parameters
+    ----------
+    bases : sequence of float arrays, shape (n_rows, 3)
+        `row_bases` of the same binned paths: a band has the first rows of each pair.
+    """
+    number = [int(scene.pairs[m.pair][0]) for m in files]
+    source = directivity_parameters.of_source[number]
+    known = directivity_parameters.aims or (None,) * len(scene.sources)
+    basis = tuple(bases[m.pair][: len(rows)] for rows, m in zip(energies.rows, files, strict=True))
+    unknown, aims = directivity_prior(directivity_parameters), tuple(known[i] for i in number)
+    return BandDirectivities(unknown, source, basis, aims)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedDirectivity:
+    """What was found of how one source radiates, or a loudspeaker that several sources are."""
+
+    source: str  # or the name of the loudspeaker
+    # b, sd: (n_bands, 3), amplitude ``1 + b . u`` in direction u: along the axis, of length 0 where
+    # the source is omnidirectional; and the standard deviation of each component, misfit included.
+    b: FloatArray
+    sd: FloatArray
+    # aim of each source that shares the pattern, which then is of third order; None where it is of
+    # first order and its axis unknown
+    aims: Mapping[str, FloatArray | None] = field(default_factory=dict)
+
+    def patterns(self) -> dict[str, Pattern]:
+        """Return the directivity of each source that has it."""
+        aims = self.aims or {self.source: None}
+        return {
+            name: Pattern(self.b, aim, "" if aim is None else self.source)
+            for name, aim in aims.items()
+        }

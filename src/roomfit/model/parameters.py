@@ -1,0 +1,332 @@
+"""Unknowns as named blocks, each with its transform, its prior, and its part of a Jacobian.
+
+An optimiser sees one vector of free numbers; a problem sees physical values. The transforms keep
+absorption between its bounds and gains above zero. Arrival times are set by one block: positions,
+speed of sound, latency, reflection delays. Its free numbers are multiples of their prior standard
+deviations, so that the prior of the lowest band is the unit normal law; a joint prior carries what
+a band has found to the next.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from roomfit.base.arguments import bool_array, float_array, int_array
+from roomfit.base.errors import InputError
+from roomfit.base.logit import logit
+from roomfit.base.typing import BoolArray, FloatArray, IntArray
+from roomfit.pressures.response import Times
+
+Transform = Literal["identity", "log", "logit"]
+
+GEOMETRY = "geometry"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """One kind of unknown."""
+
+    name: str  # "absorption", "gain", ..
+    labels: tuple[str, ...]  # what each entry belongs to: a material, a source, ..
+    # {"identity", "log", "logit"}, from physical value to free number. "logit" maps the open
+    # interval (lower, upper).
+    transform: Transform
+    # (n,), physical values where a fit starts, or are fixed where `fitted` is false
+    start: FloatArray
+    fitted: BoolArray  # (n,)
+    # prior_mean, prior_sd: (n,), Gaussian prior of the free number; an infinite sd is written as 0
+    # in `prior_weight`
+    prior_mean: FloatArray
+    prior_sd: FloatArray
+    # lower, upper: (n,), physical bounds, used by "logit"
+    lower: FloatArray
+    upper: FloatArray
+    # (n,), entry whose value each entry takes, its own or another's; an entry that follows another
+    # is not fitted itself. None where nothing is tied.
+    leader: IntArray | None = None
+    # (n, n), prior correlation of the free numbers, of finite sd; None where they are independent
+    correlation: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.labels)
+        for name in ("start", "prior_mean", "lower", "upper"):
+            values = float_array(f"{self.name} {name}", getattr(self, name), (n,))
+            object.__setattr__(self, name, values)
+        sd = np.array(self.prior_sd, dtype=np.float64)
+        if sd.shape != (n,) or not np.all(sd > 0.0):
+            raise InputError(
+                f"prior of {self.name} needs a standard deviation above zero",
+                found=str(self.prior_sd),
+                hint="to hold a value fixed, give it as known instead of as a prior",
+            )
+        sd.setflags(write=False)
+        object.__setattr__(self, "prior_sd", sd)
+        object.__setattr__(self, "fitted", bool_array(f"{self.name} fitted", self.fitted, (n,)))
+        if self.leader is not None:
+            leader = int_array(
+                f"{self.name} leaders", self.leader, (n,), np.int64, low=0, high=n - 1
+            )
+            follows = leader != np.arange(n)
+            if np.any(follows & self.fitted) or np.any(follows[leader[follows]]):
+                raise InputError(f"an entry of {self.name} that follows another must not lead")
+            object.__setattr__(self, "leader", leader)
+        if self.correlation is not None:
+            values = float_array(f"{self.name} correlation", self.correlation, (n, n))
+            object.__setattr__(self, "correlation", values)
+        bad = np.flatnonzero(self.lower >= self.upper)
+        if bad.size:
+            i = int(bad[0])
+            raise InputError(
+                "lower bound is not below the upper one",
+                where=f"{self.name} of {self.labels[i]!r}",
+                found=f"{self.lower[i]:g} and {self.upper[i]:g}",
+                needed="lower < upper",
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Marginal:
+    """A Gaussian law of some entries, all others integrated out."""
+
+    mean: FloatArray  # (n,), of free numbers
+    information: FloatArray  # (n, n), inverse of their covariance: symmetric, positive definite
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parameters:
+    """Blocks laid end to end; the free vector has the fitted entries only, in this order."""
+
+    blocks: tuple[Block, ...]
+    # of the fitted geometry, correlated, in place of that block's own prior
+    joint: Marginal | None = None
+
+
+def absorption_of(parameters: Parameters) -> Block:
+    """Return the block of the absorptions, which every problem has."""
+    return next(b for b in parameters.blocks if b.name == "absorption")
+
+
+def leaders(block: Block) -> IntArray:
+    """Return the entry whose value each entry takes, shape (n,)."""
+    return np.arange(len(block.labels)) if block.leader is None else block.leader
+
+
+def to_free(block: Block, values: FloatArray) -> FloatArray:
+    """Return the free numbers of physical values, shape (n,)."""
+    if block.transform == "log":
+        return np.asarray(np.log(values))
+    if block.transform == "logit":
+        share = (values - block.lower) / (block.upper - block.lower)
+        return logit(share, 1e-9)
+    return np.array(values, dtype=np.float64)
+
+
+def to_physical(block: Block, free: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return physical values and their derivative by the free numbers, both of shape (n,)."""
+    if block.transform == "log":
+        values = np.exp(free)
+        return values, values
+    if block.transform == "logit":
+        # exp of a negative number only: no overflow on either side
+        tail = np.exp(-np.abs(free))
+        share = np.where(free >= 0.0, 1.0, tail) / (1.0 + tail)
+        width = block.upper - block.lower
+        return block.lower + width * share, width * tail / (1.0 + tail) ** 2
+    return np.array(free, dtype=np.float64), np.ones_like(free)
+
+
+def position_of(parameters: Parameters, name: str) -> int:
+    """Return where the fitted entries of a block begin in the free vector."""
+    position = 0
+    for block in parameters.blocks:
+        if block.name == name:
+            break
+        position += int(np.count_nonzero(block.fitted))
+    return position
+
+
+def start_vector(parameters: Parameters) -> FloatArray:
+    """Return the free vector at which a fit starts, shape (n_free,)."""
+    return np.concatenate([to_free(b, b.start)[b.fitted] for b in parameters.blocks])
+
+
+def physical_values(
+    parameters: Parameters, vector: FloatArray
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Return every block's physical values, fixed ones included, and their derivatives.
+
+    The derivative of a fixed entry is 0, so a chain rule may run over all entries.
+    """
+    values: dict[str, FloatArray] = {}
+    slopes: dict[str, FloatArray] = {}
+    position = 0
+    for block in parameters.blocks:
+        n = int(np.count_nonzero(block.fitted))
+        free = np.zeros(block.fitted.size)
+        free[block.fitted] = vector[position : position + n]
+        position += n
+        found, slope = to_physical(block, free)
+        # a fixed value is exactly the one given, without a round trip through the transform
+        own, own_slope = (
+            np.where(block.fitted, found, block.start),
+            np.where(block.fitted, slope, 0.0),
+        )
+        leader = leaders(block)
+        values[block.name], slopes[block.name] = own[leader], own_slope[leader]
+    return values, slopes
+
+
+def fitted_columns(parameters: Parameters, jacobians: dict[str, FloatArray]) -> FloatArray:
+    """Return the Jacobian by the free vector from the blocks' own, shape (n_rows, n_free).
+
+    `jacobians` maps block name to derivatives by its free numbers, shape (n_rows, n). What is left
+    out does not depend on that block.
+    """
+    n_rows = len(next(iter(jacobians.values())))
+    columns = []
+    for block in parameters.blocks:
+        jacobian = jacobians.get(block.name, np.zeros((n_rows, len(block.labels))))
+        if block.leader is not None:
+            # what followers change, their leader changes
+            jacobian = jacobian @ np.eye(len(block.labels))[block.leader]
+        columns.append(jacobian[:, block.fitted])
+    return np.concatenate(columns, axis=1)
+
+
+def prior_covariance(block: Block) -> FloatArray:
+    """Return the prior covariance of a block's fitted free numbers, shape (n_fitted, n_fitted)."""
+    sd = block.prior_sd[block.fitted]
+    if block.correlation is None:
+        return np.diag(sd**2)
+    return np.asarray(block.correlation[np.ix_(block.fitted, block.fitted)] * np.outer(sd, sd))
+
+
+def prior_residuals(parameters: Parameters, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what every fitted entry with a finite prior is off its mean, and the Jacobian rows.
+
+    In standard deviations: (free - mean) / sd where priors are independent, the inverse Cholesky
+    root of the covariance times (free - mean) where a block's are correlated.
+
+    Returns
+    -------
+    residuals : float array, shape (n_priors,)
+    jacobian : float array, shape (n_priors, n_free)
+    """
+    mean = np.concatenate([b.prior_mean[b.fitted] for b in parameters.blocks])
+    sd = np.concatenate([b.prior_sd[b.fitted] for b in parameters.blocks])
+    finite = np.isfinite(sd)
+    whitening = np.diag(np.where(finite, 1.0 / np.where(finite, sd, 1.0), 0.0))
+    off = (vector - mean) / sd
+    for block in parameters.blocks:
+        if block.correlation is None:
+            continue
+        first = position_of(parameters, block.name)
+        own = slice(first, first + int(np.count_nonzero(block.fitted)))
+        whitening[own, own] = np.linalg.inv(np.linalg.cholesky(prior_covariance(block)))
+        off[own] = whitening[own, own] @ (vector - mean)[own]
+    if parameters.joint is None:
+        return off[finite], whitening[finite]
+    joint = parameters.joint
+    first = position_of(parameters, GEOMETRY)
+    own = slice(first, first + joint.mean.size)
+    finite[own] = False
+    root = np.zeros((joint.mean.size, vector.size))
+    root[:, own] = np.linalg.cholesky(joint.information).T
+    correlated = root[:, own] @ (vector[own] - joint.mean)
+    return np.concatenate((off[finite], correlated)), np.concatenate((whitening[finite], root))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Geometry:
+    """The unknowns of arrival times and where each observation finds its own."""
+
+    # "source LS1 x", ..., "speed of sound", "latency LS1", "delay wool", ...
+    labels: tuple[str, ...]
+    # (n,), prior standard deviations: m, 1 (of ln c), s and s; 0: an entry is known
+    sd: FloatArray
+    # (n,), which entries may move; one that may not still blurs the coherence by its deviation
+    fitted: BoolArray
+    speed_m_s: float  # prior speed of sound
+    # (n_observations, 8 + n_materials), entries of source (3), receiver (3), ln c, latency and
+    # delays of each observation
+    columns: IntArray
+    # (n,), free numbers of the positions for which paths were traced; None: the specified ones
+    origin: FloatArray | None = None
+
+
+def geometry_block(geometry: Geometry) -> Block:
+    """Return the block of free numbers, zero at the specified geometry, unit normal a priori."""
+    n = len(geometry.labels)
+    return Block(
+        GEOMETRY,
+        geometry.labels,
+        "identity",
+        np.zeros(n),
+        geometry.fitted & (geometry.sd > 0.0),
+        np.zeros(n),
+        np.ones(n),
+        np.full(n, -1e6),
+        np.full(n, 1e6),
+    )
+
+
+def times_of(geometry: Geometry, values: FloatArray) -> Times:
+    """Return positions, speed, latency and delays of the free numbers, shape (n,)."""
+    own = (geometry.sd * values)[geometry.columns]
+    traced = 0.0 if geometry.origin is None else geometry.sd * geometry.origin
+    shifts_m = (geometry.sd * values - traced)[geometry.columns[:, :6]]
+    return Times(
+        np.ascontiguousarray(shifts_m),
+        float(geometry.speed_m_s * np.exp(own[0, 6])),
+        np.ascontiguousarray(own[:, 7]),
+        np.ascontiguousarray(own[0, 8:]),
+    )
+
+
+def local_roots(geometry: Geometry, covariance: FloatArray) -> FloatArray:
+    """Return a root of each observation's covariance in physical units.
+
+    Parameters
+    ----------
+    covariance : float array, shape (n, n)
+        Of the free numbers.
+
+    Returns
+    -------
+    float array, shape (n_observations, 8 + n_materials, 8 + n_materials or n)
+        Times its transpose: the covariance of the observation's own entries.
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    root = geometry.sd[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    # no more columns than rows: a rotation from the right changes no covariance
+    own = np.linalg.qr(np.swapaxes(root[geometry.columns], 1, 2), mode="r")
+    return np.ascontiguousarray(np.swapaxes(own, 1, 2))
+
+
+def whole_covariance(geometry: Geometry, fitted: FloatArray | None = None) -> FloatArray:
+    """Return the covariance of all free numbers; those that are fixed keep their unit variance.
+
+    Parameters
+    ----------
+    fitted : float array, shape (n_fitted, n_fitted), optional
+        Covariance of the fitted entries; left out: the unit normal prior.
+    """
+    n = geometry.sd.size
+    out = np.eye(n)
+    if fitted is not None:
+        free = np.flatnonzero(geometry.fitted & (geometry.sd > 0.0))
+        out[np.ix_(free, free)] = fitted
+    return out
+
+
+def marginal_information(information: FloatArray, first: int) -> FloatArray:
+    """Return the information about the last unknowns when all before `first` are integrated out.
+
+    The Schur complement; shape (n - first, n - first) of (n, n).
+    """
+    cross = information[first:, :first]
+    determined = np.linalg.solve(information[:first, :first], cross.T)
+    return np.asarray(information[first:, first:] - cross @ determined)

@@ -1,0 +1,672 @@
+"""The directivity of sources, measured or of few unknowns, as a factor on the energy of paths.
+
+Factors are relative to an omnidirectional source of the same sound power: their mean over all
+directions is 1, so that an "absolute" level is that of the sound power, not that on the axis of the
+loudspeaker. A first-order source has the amplitude ``a = (1 + b . u) / sqrt(1 + |b|**2 / 3)`` in
+direction u and its square as energy. Pressures are linear in a, energies of paths quadratic: slopes
+by b are exact for both.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, TypeAlias
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import fft
+
+from roomfit.base.arguments import float_array, read_only
+from roomfit.base.errors import InputError
+from roomfit.base.kernels import in_threads, kernel
+from roomfit.base.typing import FloatArray, IntArray
+from roomfit.model.weighing import (
+    NEARLY_BLACK,
+    PIECE,
+    ROWS_WORTH_THREADS,
+    EnergyRows,
+    power_table,
+    reflected_and_attenuation,
+    slope_at_black,
+)
+from roomfit.pressures.response import (
+    TABLE_STEPS,
+    TAPS,
+    BandGrid,
+    ImagePaths,
+    RealArray,
+    Times,
+    image_energies,
+    integrated_products,
+)
+from roomfit.room.scene import Point
+from roomfit.tracing.paths import Paths
+
+
+def amplitude_and_slope(
+    b: FloatArray, departure: NDArray[np.float32] | FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the amplitude a of every direction, (n,), and its derivative by b, (n, 3).
+
+    Parameters
+    ----------
+    b : float array, shape (3,)
+    departure : float array, shape (n, 3)
+        Unit vectors away from the source, or what `pattern_basis` makes of them.
+    """
+    amplitude, slope = np.empty(len(departure)), np.empty((len(departure), 3))
+    fill_amplitudes(np.asarray(b, dtype=np.float64), departure, amplitude, slope)
+    return amplitude, slope
+
+
+@kernel()
+def fill_amplitudes(
+    b: FloatArray,
+    departure: NDArray[np.float32] | FloatArray,
+    amplitude: FloatArray,
+    slope: FloatArray,
+) -> None:
+    """Fill amplitude (n,) and slope (n, 3) in one pass: this is done at every evaluation."""
+    norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
+    root = np.sqrt(norm)
+    for i in range(len(departure)):
+        a = 1.0
+        for k in range(3):
+            a += departure[i, k] * b[k]
+        a /= root
+        amplitude[i] = a
+        for k in range(3):
+            slope[i, k] = departure[i, k] / root - a * b[k] / (3.0 * norm)
+
+
+RowBasis: TypeAlias = NDArray[np.float32] | FloatArray
+"""`pattern_basis` of where paths leave their source, (n_paths, 3)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowPattern:
+    """A directivity of rows: vector b, and `pattern_basis` of where the path of each leaves."""
+
+    b: FloatArray  # (3,)
+    basis: RowBasis  # (n_rows, 3)
+
+    def factor(self) -> FloatArray:
+        """Return the factor on the energy of every row, shape (n_rows,)."""
+        return np.asarray((1.0 + self.basis @ self.b) ** 2 / (1.0 + self.b @ self.b / 3.0))
+
+
+class EnergyParts(NamedTuple):
+    """Energies of one band, and what their variance is made of, for a gain of 1."""
+
+    energy: FloatArray  # (n_windows,), of all rows
+    squares: FloatArray  # (n_windows,), sum of the squares of single image paths
+    batches: FloatArray  # (n_batches, n_windows), energy of the rays of each batch
+    # (n_windows, 2 + n_batches + n_materials + 3), all of these, then the derivative of the energy
+    # by absorption and by b of the source; without the latter where none was asked for
+    columns: FloatArray
+
+
+def weigh_parts(
+    rows: EnergyRows,
+    pattern: RowPattern | None,
+    coefficients: FloatArray,
+    attenuation_per_m: float,
+    *,
+    derivative: bool = False,
+) -> EnergyParts:
+    """Return energies of one band, squares of its image paths and its batches of rays in one pass.
+
+    Rows are ``weight a**2 exp(-m length) product of (1 - a)**hits`` with the amplitude a of each
+    direction. Rays have no squares: they sample very many weak reflections, whose squares vanish.
+    Same bits for any number of threads.
+
+    Parameters
+    ----------
+    pattern : RowPattern or None
+        None for an omnidirectional source.
+    coefficients : float array, shape (n_materials,)
+        Energy absorption, 0 to 1.
+    attenuation_per_m : float
+        Energy attenuation of the air, 0 or more.
+    derivative : bool
+        Whether slopes are wanted.
+    """
+    reflected, attenuation = reflected_and_attenuation(
+        rows, coefficients[:, None], np.array([attenuation_per_m])
+    )
+    n_batches = max(rows.n_batches, rows.largest_batch + 1)
+    first = 2 + n_batches
+    out = np.zeros((rows.n_windows, first + (coefficients.size + 3 if derivative else 0)))
+    b, basis = np.zeros(3), np.zeros((0, 3))
+    if pattern is not None:
+        b, basis = np.array(pattern.b, dtype=np.float64), pattern.basis  # type: ignore[assignment]
+    in_threads(
+        _weigh_windows,
+        rows.n_windows,
+        rows.offsets,
+        (rows.weight_per_m2, rows.length_m, rows.hits, basis, rows.batch),
+        b,
+        reflected[0],
+        power_table(reflected, rows.max_hits)[0],
+        attenuation[0],
+        first,
+        out,
+        worth_it=len(rows) >= ROWS_WORTH_THREADS,
+    )
+    return EnergyParts(out[:, 0].copy(), out[:, 1].copy(), out[:, 2:first].T, out)
+
+
+DirectedRows: TypeAlias = tuple[
+    FloatArray, FloatArray, IntArray, NDArray[np.float32] | FloatArray, IntArray
+]
+"""Weight, length, hits, pattern basis and batch of every row."""
+
+
+@kernel()
+def _weigh_windows(
+    first: int,
+    last: int,
+    offsets: IntArray,
+    rows: DirectedRows,
+    b: FloatArray,
+    reflected: FloatArray,
+    powers: FloatArray,
+    attenuation: float,
+    slopes: int,
+    every: FloatArray,
+) -> None:
+    """Fill the sums of some windows: energy, squares of image paths, every batch, and derivatives.
+
+    The latter from column `slopes` on, by absorption and by b. Of at most `PIECE` rows at a time.
+
+    With q the pattern basis, N = 1 + b b / 3 and c = 1 + b q, the factor of a row is ``c**2 / N``
+    and its derivative by b ``2 c q / N - 2 c**2 b / (3 N**2)``.
+    """
+    weight, length, hits, basis, batch = rows
+    norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
+    n, sums, h3, h4, h5 = hits.shape[1], np.empty(every.shape[1]), 0, 0, 0
+    with_slopes = sums.size > slopes
+    for w in range(first, last):
+        for start in range(offsets[w], offsets[w + 1], PIECE):
+            stop = min(start + PIECE, offsets[w + 1])
+            sums[:] = 0.0
+            energy = squares = x = y = z = 0.0
+            # sums of the first materials stay in registers, which halves the time
+            by0 = by1 = by2 = by3 = by4 = by5 = 0.0
+            for r in range(start, stop):
+                h0 = h1 = h2 = hits[r, 0]
+                own = weight[r] * powers[0, h0]
+                if n > 1:
+                    h1 = hits[r, 1]
+                    own *= powers[1, h1]
+                if n > 2:
+                    h2 = hits[r, 2]
+                    own *= powers[2, h2]
+                if n > 3:
+                    h3 = hits[r, 3]
+                    own *= powers[3, h3]
+                if n > 4:
+                    h4 = hits[r, 4]
+                    own *= powers[4, h4]
+                if n > 5:
+                    h5 = hits[r, 5]
+                    own *= powers[5, h5]
+                for m in range(6, n):
+                    own *= powers[m, hits[r, m]]
+                if attenuation != 0.0:
+                    own *= math.exp(-attenuation * length[r])
+                if len(basis):
+                    c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
+                    once = c * own / norm
+                    own = c * once
+                    x += once * basis[r, 0]
+                    y += once * basis[r, 1]
+                    z += once * basis[r, 2]
+                energy += own
+                if batch[r] < 0:
+                    squares += own * own
+                else:
+                    sums[2 + batch[r]] += own
+                by0 -= own * h0
+                by1 -= own * h1
+                by2 -= own * h2
+                by3 -= own * h3
+                by4 -= own * h4
+                by5 -= own * h5
+                if with_slopes:
+                    for m in range(6, n):
+                        sums[slopes + m] -= own * hits[r, m]
+            sums[0], sums[1] = energy, squares
+            if with_slopes:
+                first_six = (by0, by1, by2, by3, by4, by5)
+                for m in range(min(n, 6)):
+                    sums[slopes + m] = first_six[m]
+                if len(basis):
+                    turned = energy / (3.0 * norm)
+                    sums[slopes + n] = 2.0 * (x - turned * b[0])
+                    sums[slopes + n + 1] = 2.0 * (y - turned * b[1])
+                    sums[slopes + n + 2] = 2.0 * (z - turned * b[2])
+                for m in range(n):
+                    if reflected[m] >= NEARLY_BLACK:
+                        sums[slopes + m] /= reflected[m]
+                        continue
+                    sums[slopes + m] = 0.0
+                    for r in range(start, stop):
+                        own = weight[r]
+                        if len(basis):
+                            c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
+                            own *= c * c / norm
+                        sums[slopes + m] -= slope_at_black(
+                            own, length[r], hits[r], powers, attenuation, m
+                        )
+            for k in range(sums.size):
+                every[w, k] += sums[k]
+
+
+def image_departure(images: ImagePaths) -> NDArray[np.float32]:
+    """Return where every image path leaves its source, unit vectors, shape (n_paths, 3)."""
+    away_m = images.image_to_receiver_m
+    toward = away_m / np.linalg.norm(away_m, axis=1)[:, None]
+    u = np.einsum("nij,ni->nj", images.image_transform.reshape(-1, 3, 3), toward)
+    return np.asarray(u[images.row], dtype=np.float32)
+
+
+def directed_rows(rows: EnergyRows, factor: FloatArray) -> EnergyRows:
+    """Return rows with every weight times a factor of its own, shape (n_rows,), of either sign."""
+    return replace(rows, weight_per_m2=rows.weight_per_m2 * factor)
+
+
+def directed_images(images: ImagePaths, amplitude: FloatArray) -> ImagePaths:
+    """Return images whose pressures are multiplied by amplitudes of either sign, (n_paths,)."""
+    return replace(images, weight=images.weight * amplitude**2, sign=np.sign(amplitude))
+
+
+class DirectedImages(NamedTuple):
+    """Image paths of omnidirectional sources, and a directivity of their sources."""
+
+    images: ImagePaths
+    amplitude: FloatArray  # (n_paths,), 1 where the directivity is known
+    slope: FloatArray  # (n_paths, 3), its derivative by b of the path's own source
+
+
+def image_basis(images: ImagePaths, aims: Sequence[FloatArray | None]) -> RowBasis:
+    """Return `pattern_basis` of image paths, one aim or None an observation, (n_paths, 3)."""
+    parts = np.split(image_departure(images), images.offsets[1:-1])
+    return np.concatenate([pattern_basis(p, aim) for p, aim in zip(parts, aims, strict=True)])
+
+
+def image_amplitudes(
+    images: ImagePaths, b: Sequence[FloatArray | None], basis: RowBasis
+) -> tuple[FloatArray, FloatArray]:
+    """Return amplitude (n,) and slope (n, 3) of every image: 1 and 0 where b is known."""
+    amplitude, slope = np.ones(len(basis)), np.zeros((len(basis), 3))
+    for o, own_b in enumerate(b):
+        if own_b is not None:
+            own = slice(images.offsets[o], images.offsets[o + 1])
+            amplitude[own], slope[own] = amplitude_and_slope(own_b, basis[own])
+    return amplitude, slope
+
+
+def coherent_slopes(
+    directed: DirectedImages,
+    absorption: FloatArray,
+    times: Times,
+    grid: BandGrid,
+    edges_s: tuple[FloatArray, ...],
+) -> FloatArray:
+    """Return the derivative of the energies of the coherent pressure by b of each own source.
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials,)
+    times, grid, edges_s
+        As for `roomfit.pressures.response.coherent_response`.
+
+    Returns
+    -------
+    float array, shape (n_windows, 3)
+        ``2 * integral of y dy/db`` over every window, observations end to end.
+    """
+    images, amplitude, slope = directed
+    root = np.sqrt(image_energies(images, absorption) * images.coherence)
+    heights = np.column_stack([amplitude, slope]) * root[:, None]
+    impulses: Any = np.zeros((len(edges_s), 4, grid.n), dtype=grid.real)
+    rows = images.image_to_receiver_m, images.image_transform, images.hits
+    moved_by = times.shifts_m, times.speed_m_s, times.latency_s, times.delays_s
+    onto = grid.first_s, grid.rate_hz, grid.table, impulses
+    paths = images.offsets, images.row, *rows, heights
+    in_threads(grid_directed_impulses, len(edges_s), *paths, *moved_by, *onto)
+    workers = min(numba.get_num_threads(), 2)
+    spectra = fft.rfft(impulses, axis=-1, workers=workers) * grid.filter.astype(grid.real)
+    pressure = fft.irfft(spectra, grid.n, workers=workers)
+    own, moved = (np.ascontiguousarray(p) for p in (pressure[:, 0], pressure[:, 1:]))
+    return integrated_products(own, moved, grid, edges_s)[1]
+
+
+@kernel(allocates=False)
+def grid_directed_impulses(
+    first: int,
+    last: int,
+    offsets: IntArray,
+    row: IntArray,
+    away: FloatArray,
+    image_transform: RealArray,
+    hits: IntArray,
+    heights: FloatArray,
+    shifts: FloatArray,
+    speed: float,
+    latency: FloatArray,
+    delays: FloatArray,
+    first_s: float,
+    rate_hz: float,
+    table: FloatArray,
+    impulses: RealArray,
+) -> None:
+    """Add impulses of several heights at each path's time to the grids of some observations.
+
+    Parameters
+    ----------
+    offsets, row, away, image_transform, hits, shifts, speed, latency, delays
+        As for `roomfit.pressures.response.grid_impulses`.
+    heights : shape (n_paths, n_columns)
+    impulses : shape (n_observations, n_columns, n_grid)
+        Zeros; filled.
+    """
+    n_grid = impulses.shape[2]
+    for o in range(first, last):
+        own, s = impulses[o], shifts[o]
+        for i in range(offsets[o], offsets[o + 1]):
+            at, square, late = row[i], 0.0, latency[o]
+            for k in range(3):
+                along = away[at, k] + s[3 + k]
+                for j in range(3):
+                    along -= image_transform[at, 3 * k + j] * s[j]
+                square += along * along
+            for m in range(hits.shape[1]):
+                late += hits[at, m] * delays[m]
+            place = (math.sqrt(square) / speed + late - first_s) * rate_hz
+            behind = int(np.floor(place))
+            share = (place - behind) * TABLE_STEPS
+            step = int(share)
+            share -= step
+            for tap in range(TAPS):
+                height = table[step, tap] + share * (table[step + 1, tap] - table[step, tap])
+                g = (behind - TAPS // 2 + 1 + tap) % n_grid
+                for j in range(heights.shape[1]):
+                    own[j, g] += height * heights[i, j]
+
+
+# A measured directivity is interpolated once to a grid of directions so fine, and then linearly.
+_STEP_DEG = 2.5
+_NEIGHBOURS = 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredDirectivity:
+    """Measured energy of a loudspeaker in each direction, of unit sound power."""
+
+    centres_hz: FloatArray  # (n_bands,)
+    # (n_bands, n_polar, n_azimuth), on polar angles from 0 (the axis that the loudspeaker faces) to
+    # pi and azimuths from 0 (left, from up across the axis) to 2 pi, both ends included
+    factor: FloatArray
+    axes: FloatArray  # (3, 3), rows: directions in the room of its front, left and top
+
+    def __post_init__(self) -> None:
+        axes = float_array("axes of a loudspeaker", self.axes, (3, 3), low=-1.0, high=1.0)
+        if not np.allclose(axes @ axes.T, np.eye(3), atol=1e-9):
+            raise InputError("the axes of a loudspeaker are not perpendicular unit vectors")
+        centres = float_array("centres", self.centres_hz, (None,), low=0.0, unit="Hz")
+        factor = float_array("directivity", self.factor, (len(centres), None, None), low=0.0)
+        object.__setattr__(self, "centres_hz", centres)
+        object.__setattr__(self, "factor", factor)
+        object.__setattr__(self, "axes", axes)
+
+
+def loudspeaker_axes(aim: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> FloatArray:
+    """Return unit vectors of front, left and top, rows of (3, 3); `up` need not be square to `aim`.
+
+    Raises
+    ------
+    InputError
+        `up` and `aim` are parallel, or one has no length.
+    """
+    front = float_array("aim", aim, (3,), low=-1e6, high=1e6)
+    left = np.cross(float_array("up", up, (3,), low=-1e6, high=1e6), front)
+    if not np.linalg.norm(left) > 1e-9 * np.linalg.norm(front):
+        raise InputError(
+            "aim and up of a loudspeaker do not determine its orientation",
+            found=f"aim {np.array(aim).tolist()} and up {np.array(up).tolist()}",
+            needed="two directions that are not parallel",
+            hint="a loudspeaker that faces up needs another up",
+        )
+    front, left = front / np.linalg.norm(front), left / np.linalg.norm(left)
+    return np.stack([front, left, np.cross(front, left)])
+
+
+def measured_directivity(
+    directions: FloatArray, energy: FloatArray, centres_hz: FloatArray, axes: FloatArray
+) -> MeasuredDirectivity:
+    """Return a directivity from energies measured in directions spread over the sphere.
+
+    Between directions it is interpolated by radial functions through the nearest sixteen, exact at
+    the measured directions, and never below 0.
+
+    Parameters
+    ----------
+    directions : float array, shape (n_directions, 3)
+        In the loudspeaker's own frame: x front, y left, z top; of any length.
+    energy : float array, shape (n_directions, n_bands)
+        In any unit: the mean over the sphere becomes 1.
+    centres_hz : float array, shape (n_bands,)
+    axes : float array, shape (3, 3)
+        From `loudspeaker_axes`.
+
+    Raises
+    ------
+    InputError
+        Fewer than six directions, some hemisphere without any, or a band without energy.
+    """
+    points = float_array("directions", directions, (None, 3), low=-1e6, high=1e6)
+    length = np.linalg.norm(points, axis=1)
+    values = float_array("energy", energy, (len(points), len(centres_hz)), low=0.0)
+    if len(points) < 6 or not np.all(length > 0.0):
+        what = "too few directions for a directivity"
+        hint = "measure at least front, back, left, right, top and bottom"
+        raise InputError(what, found=str(len(points)), needed="6 or more", hint=hint)
+    points, first = np.unique(np.round(points / length[:, None], 6), axis=0, return_index=True)
+    polar = np.linspace(0.0, np.pi, round(180.0 / _STEP_DEG) + 1)
+    azimuth = np.linspace(0.0, 2.0 * np.pi, round(360.0 / _STEP_DEG) + 1)
+    p, a = (x.ravel() for x in np.meshgrid(polar, azimuth, indexing="ij"))
+    grid = np.stack([np.cos(p), np.sin(p) * np.cos(a), np.sin(p) * np.sin(a)], 1)
+    if np.min(np.max(grid @ points.T, axis=1)) < 0.5:
+        raise InputError(
+            "the directions of a directivity leave a hole wider than 60 degrees",
+            found="a hole",
+            needed="directions all around the loudspeaker",
+            hint="add directions in the hole",
+        )
+    neighbours = min(_NEIGHBOURS, len(points))
+    # linear radial functions in space: as smooth as few directions permit, exact at each of them
+    from scipy.interpolate import RBFInterpolator  # heavy, for measured directivities alone
+
+    smooth = RBFInterpolator(points, values[first], neighbors=neighbours, kernel="linear")
+    factor = np.maximum(smooth(grid), 0.0).T.reshape(-1, polar.size, azimuth.size)
+    mean = sphere_mean(factor)
+    if not np.all(mean > 0.0):
+        raise InputError(
+            "a directivity has a band without energy",
+            found="energy 0 in a band",
+            needed="energy above 0 in every band",
+            hint="leave the band out",
+        )
+    return MeasuredDirectivity(centres_hz, factor / mean[:, None, None], axes)
+
+
+def sphere_mean(factor: FloatArray) -> FloatArray:
+    """Return the mean over all directions of values on the grid, shape (n_bands,)."""
+    polar = np.linspace(0.0, np.pi, factor.shape[1])
+    # exact for what is linear in cos(polar) between grid lines
+    edges = np.concatenate(([0.0], 0.5 * (polar[1:] + polar[:-1]), [np.pi]))
+    share = -0.5 * np.diff(np.cos(edges))
+    return np.asarray(factor[:, :, :-1].mean(axis=2) @ share)
+
+
+def measured_factor(source: MeasuredDirectivity, departure: FloatArray, band: int) -> FloatArray:
+    """Return the factor of one band for directions in the room, shape (n_paths,).
+
+    Parameters
+    ----------
+    departure : float array, shape (n_paths, 3)
+        Unit vectors away from the source.
+    """
+    front, left, top = (departure.astype(np.float64) @ axis for axis in source.axes)
+    table = source.factor[band]
+    polar = np.arctan2(np.hypot(left, top), front) / np.pi * (table.shape[0] - 1)
+    azimuth = (np.arctan2(top, left) / (2.0 * np.pi) % 1.0) * (table.shape[1] - 1)
+    i = np.minimum(polar.astype(np.int64), table.shape[0] - 2)
+    j = np.minimum(azimuth.astype(np.int64), table.shape[1] - 2)
+    x, y = polar - i, azimuth - j
+    near = (1.0 - y) * table[i, j] + y * table[i, j + 1]
+    far = (1.0 - y) * table[i + 1, j] + y * table[i + 1, j + 1]
+    return np.asarray((1.0 - x) * near + x * far)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pattern:
+    """A source with the amplitude ``1 + b . u`` in direction u, of unit sound power.
+
+    Where it is known where the source aims, the amplitude is ``1 + b . q`` instead, with q as
+    `pattern_basis` returns it: of third order, and alike all around the aim.
+    """
+
+    # (3,), along the axis, or (n_bands, 3), as a fit finds it; length 0 is omnidirectional, 1 a
+    # cardioid, far above 1 a figure of eight. Aim and order in one: three unknowns without bounds
+    # and without angles.
+    b: FloatArray
+    aim: FloatArray | None = None  # (3,), unit vector; None: of first order, its axis that of b
+    loudspeaker: str = ""  # whose pattern it is, where sources of one make share b
+
+    def __post_init__(self) -> None:
+        shape = (3,) if np.ndim(self.b) == 1 else (None, 3)
+        b = float_array("directivity", self.b, shape, low=-1e3, high=1e3)
+        object.__setattr__(self, "b", b)
+        if self.aim is not None:
+            object.__setattr__(self, "aim", unit_vector(self.aim))
+
+
+def unit_vector(aim: ArrayLike) -> FloatArray:
+    """Return a direction as a unit vector, shape (3,); an `InputError` where it has no length."""
+    axis = float_array("aim", aim, (3,), low=-1e6, high=1e6)
+    length = float(np.linalg.norm(axis))
+    if length == 0.0:
+        what = "the aim vector of a source has zero length"
+        hint = "write aim = [1, 0, 0] for a loudspeaker that faces x"
+        raise InputError(what, found="0, 0, 0", needed="a direction", hint=hint)
+    return read_only(axis / length)
+
+
+# Legendre polynomials of the orders 1 to 3, scaled to the mean square 1/3 over the sphere, that of
+# the components of a unit vector: patterns of both kinds then have one formula.
+_AXIAL_SCALE = np.sqrt((2.0 * np.arange(1, 4) + 1.0) / 3.0)
+
+
+def pattern_basis(
+    departure: NDArray[np.float32] | FloatArray, aim: FloatArray | None
+) -> NDArray[np.float32] | FloatArray:
+    """Return what the amplitude of a `Pattern` is linear in, shape (n, 3).
+
+    The direction itself, or about a known aim Legendre polynomials of the cosine of the angle to
+    it: a loudspeaker of one or two ways is alike all around its axis, and narrower than any
+    pattern of first order.
+
+    Parameters
+    ----------
+    departure : float array, shape (n, 3)
+        Unit vectors away from the source.
+    aim : float array, shape (3,), or None
+    """
+    if aim is None:
+        return departure
+    cosine = np.clip(departure.astype(np.float64) @ aim, -1.0, 1.0)
+    return np.asarray(np.polynomial.legendre.legvander(cosine, 3)[:, 1:] * _AXIAL_SCALE)
+
+
+def aimed(aim: ArrayLike, b: float) -> Pattern:
+    """Return the first-order directivity with an axis and a strength.
+
+    Parameters
+    ----------
+    aim : array_like, shape (3,)
+        Direction of the axis in the frame of the room, of any length but zero.
+    b : float
+        0 or more: the amplitude on the axis is 1 + b, behind it 1 - b.
+
+    Raises
+    ------
+    InputError
+        The axis has no length.
+    """
+    return Pattern(b * unit_vector(aim))
+
+
+def axial_index_db(b: FloatArray) -> float:
+    """Return by how much a pattern about an aim, b of shape (3,), is louder on its axis, dB."""
+    on_axis = 1.0 + b @ _AXIAL_SCALE
+    return float(10.0 * np.log10(max(on_axis**2, 1e-12) / (1.0 + b @ b / 3.0)))
+
+
+Directivity = Pattern | MeasuredDirectivity
+
+
+def directivity_factors(
+    paths: Paths, sources: Sequence[Directivity | None], source_of_pair: Sequence[int], band: int
+) -> FloatArray:
+    """Return the factor of every path in one band, shape (n_paths,).
+
+    Parameters
+    ----------
+    sources : sequence of Directivity or None
+        Of each source of the scene; None is omnidirectional.
+    source_of_pair : sequence of int
+        First column of the scene's pairs.
+    band : int
+        Of a `Pattern.b` with bands, and of `MeasuredDirectivity.centres_hz`.
+    """
+    factors = np.ones(len(paths))
+    source_of_path = np.asarray(source_of_pair)[paths.pair]
+    for number, source in enumerate(sources):
+        if source is None:
+            continue
+        own = np.flatnonzero(source_of_path == number)
+        departure = paths.departure[own].astype(np.float64)
+        if isinstance(source, Pattern):
+            b = source.b if source.b.ndim == 1 else source.b[band]
+            factors[own] = RowPattern(b, pattern_basis(departure, source.aim)).factor()
+        else:
+            factors[own] = measured_factor(source, departure, band)
+    return factors
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnknownDirectivity:
+    """A directivity that is to be fitted, a `Pattern`, with the prior of its vector b."""
+
+    mean: FloatArray | None = None  # shape (3,); None: unspecified
+    sd: float | None = None  # of each component of b; None: unspecified
+    aim: FloatArray | None = None  # (3,), unit vector: the pattern is of third order about it
+    loudspeaker: str | None = None  # sources of one make share b; they need an aim each
+
+
+# By source; a source that is not among them is omnidirectional.
+Directivities = Mapping[str, Directivity | UnknownDirectivity]
+
+
+def known_directivities(
+    directivities: Directivities, sources: Sequence[Point]
+) -> tuple[Directivity | None, ...]:
+    """Return the directivity of every source; None is omnidirectional, or still to be fitted."""
+    found = [directivities.get(s.name) for s in sources]
+    return tuple(None if isinstance(d, UnknownDirectivity) else d for d in found)

@@ -1,0 +1,313 @@
+"""Traced paths reweighed for another scattering coefficient, band by band."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from roomfit.base.errors import InputError
+from roomfit.base.kernels import in_threads, kernel
+from roomfit.base.typing import FloatArray, IntArray
+from roomfit.materials.priors import Scattering
+from roomfit.model.weighing import EnergyRows, reweighed_rows
+from roomfit.tracing.paths import Paths
+
+# What groups of bands are traced for; a trace of one group is kept where it has this much.
+WANTED_EFFECTIVE_FRACTION = 0.2
+_DRAWN_PATHS = 1000
+# Below it a few paths carry all the weight, and the trace is to be made again.
+LEAST_EFFECTIVE_FRACTION = 0.1
+_SLICES = 8
+_FEWEST_IN_SLICE = 32
+
+
+def scattering_weights(paths: Paths, scattering: Scattering) -> FloatArray:
+    """Return the factor on each path's weight that turns the sampled scattering into another.
+
+    A path with d diffuse and n specular hits on a material was drawn with probability
+    ``s0**d (1 - s0)**n`` and would be with ``s**d (1 - s)**n``, multiplied over materials; the
+    factor is their ratio. Of paths that were drawn with several s0 by turns, in groups of as many
+    rays, the former is the mean over groups, whichever group drew a path (the balance heuristic):
+    no factor exceeds the number of groups times that of any group by itself.
+
+    Parameters
+    ----------
+    paths : Paths
+        Traced with the sampling coefficients s0.
+    scattering : Scattering
+        The coefficients s wanted, materials in the same order.
+
+    Returns
+    -------
+    float array, shape (n_paths,)
+        Exactly 1 where s = s0. See `effective_sample_size` for how far the factors can be trusted.
+
+    Raises
+    ------
+    InputError
+        Other materials, or another s for a material traced with s0 = 0 or 1: of one kind of
+        reflection no path was ever drawn. Of several groups one is enough that draws both.
+
+    References
+    ----------
+    .. [1] E. Veach and L. J. Guibas, "Optimally Combining Sampling Techniques for Monte Carlo
+       Rendering", SIGGRAPH 1995.
+    """
+    _check_drawn(paths, scattering)
+    traced, wanted = paths.sampling_scattering, scattering.coefficients
+    factor, hits = np.empty(len(paths)), (paths.hits_diffuse, paths.hits_specular)
+    if len(traced) > 1:
+        changes = _log_changes(traced, wanted)
+        in_threads(_mixture_ratios, len(paths), changes, *hits, factor)
+        return factor
+    changed = wanted != traced[0]
+    ratios = np.ones((2, len(wanted)))
+    ratios[0, changed] = wanted[changed] / traced[0, changed]
+    ratios[1, changed] = (1.0 - wanted[changed]) / (1.0 - traced[0, changed])
+    in_threads(_ratios_to_the_hits, len(paths), ratios, *hits, factor)
+    return factor
+
+
+def _check_drawn(paths: Paths, scattering: Scattering) -> None:
+    """Refuse other materials, and a scattering of which no path was drawn."""
+    if scattering.materials != paths.materials:
+        raise InputError(
+            "scattering and paths name different materials",
+            found=", ".join(scattering.materials),
+            needed=", ".join(paths.materials),
+            hint="use the scattering that the paths were traced with",
+        )
+    traced, wanted = paths.sampling_scattering, scattering.coefficients
+    undrawn = (traced != wanted) & ((traced == 0.0) | (traced == 1.0))
+    missing = np.flatnonzero(undrawn[np.argmin(undrawn.sum(axis=1))])
+    if missing.size:
+        m = missing[0]
+        raise InputError(
+            "scattering cannot be changed after the trace",
+            where=f"material {paths.materials[m]!r}",
+            found=f"traced with {traced[0, m]:g}, wanted {wanted[m]:g}",
+            needed="a sampling coefficient between 0 and 1",
+            hint="trace again with the coefficient that is wanted",
+        )
+
+
+@kernel(allocates=False)
+def _ratios_to_the_hits(
+    first: int,
+    last: int,
+    ratios: FloatArray,
+    diffuse: IntArray,
+    specular: IntArray,
+    factor: FloatArray,
+) -> None:
+    """Fill the product over materials of both ratios to the power of the hits; 0 ** 0 is 1."""
+    for i in range(first, last):
+        product = 1.0
+        for m in range(ratios.shape[1]):
+            if ratios[0, m] != 1.0:
+                product *= ratios[0, m] ** np.int64(diffuse[i, m])
+                product *= ratios[1, m] ** np.int64(specular[i, m])
+        factor[i] = product
+
+
+@kernel(allocates=False)
+def _mixture_ratios(
+    first: int,
+    last: int,
+    changes: FloatArray,
+    diffuse: IntArray,
+    specular: IntArray,
+    factor: FloatArray,
+) -> None:
+    """Fill the wanted probability of each path over the mean of the traced ones."""
+    n_groups, _, n_materials = changes.shape
+    for i in range(first, last):
+        mean = 0.0
+        for g in range(n_groups):
+            log_ratio = 0.0
+            for m in range(n_materials):
+                log_ratio += diffuse[i, m] * changes[g, 0, m] + specular[i, m] * changes[g, 1, m]
+            mean += math.exp(min(log_ratio, 700.0)) / n_groups
+        factor[i] = 1.0 / mean
+
+
+def _log_changes(traced: FloatArray, wanted: FloatArray) -> FloatArray:
+    """Return log(s0 / s) and log((1 - s0) / (1 - s)), shape (n_groups, 2, n_materials)."""
+    never = 1e-300  # a logarithm that is finite: times no hits it must give 0
+    kinds = [(traced, wanted), (1.0 - traced, 1.0 - wanted)]
+    logs = [np.log(np.maximum(a, never)) - np.log(np.maximum(b, never)) for a, b in kinds]
+    return np.stack(logs, axis=1)
+
+
+def effective_sample_size(factors: FloatArray) -> float:
+    """Return the number of paths of equal weight and equal variance, ``(sum f)**2 / sum f**2``.
+
+    Parameters
+    ----------
+    factors : float array, shape (n_paths,)
+        From `scattering_weights`, of the paths whose energy is to be trusted. 0 for none. Trace
+        again when it falls below about a tenth of their number.
+
+    References
+    ----------
+    .. [1] L. Kish, "Survey Sampling", Wiley (1965).
+
+    Examples
+    --------
+    Three paths, of which one has lost its weight, are worth two.
+
+    >>> effective_sample_size(np.array([1.0, 1.0, 0.0]))
+    2.0
+    """
+    square = float(np.sum(np.square(factors)))
+    return float(np.sum(factors)) ** 2 / square if square > 0.0 else 0.0
+
+
+def rows_for_band(
+    rows: Sequence[EnergyRows], paths: Paths, scattering: Scattering
+) -> tuple[tuple[EnergyRows, ...], float]:
+    """Return rows with the weights that another scattering gives them, and what they are worth.
+
+    Image paths are thinned by ``((1 - s) / (1 - s0)) ** hits`` and stay exact. What they are worth
+    is the least `effective_sample_fraction` of the pairs: trace again, nearer to what is wanted,
+    where that is below `LEAST_EFFECTIVE_FRACTION`.
+
+    Parameters
+    ----------
+    rows : sequence of EnergyRows
+        Made from `paths` by `energy_rows`, of any pairs; merged or squared ones cannot be used.
+    scattering : Scattering
+        What is wanted in this band.
+
+    Raises
+    ------
+    InputError
+        As `scattering_weights`.
+    """
+    if np.array_equal(scattering.coefficients[None], paths.sampling_scattering):
+        return tuple(rows), 1.0
+    factors = scattering_weights(paths, scattering)
+    weighed = tuple(reweighed_rows(r, factors) for r in rows)
+    share = min(
+        (effective_sample_fraction(r, w) for r, w in zip(rows, weighed, strict=True)), default=1.0
+    )
+    return weighed, share
+
+
+def effective_sample_fraction(rows: EnergyRows, weighed: EnergyRows) -> float:
+    """Return the effective sample size of a pair's rays after reweighing, as a share of before.
+
+    Kish's effective number by the new weights over that by the old ones, in eighths of the rays by
+    time, the least of them: weights degenerate with every hit, so that the late part suffers
+    first. At most 1.
+
+    Parameters
+    ----------
+    rows, weighed : EnergyRows
+        The same rows with old and new weights.
+    """
+    rays = np.flatnonzero(rows.batch >= 0)
+    n_slices = int(np.clip(len(rays) // _FEWEST_IN_SLICE, 1, _SLICES))
+    shares = [
+        effective_sample_size(weighed.weight_per_m2[part])
+        / max(effective_sample_size(rows.weight_per_m2[part]), 1e-300)
+        for part in np.array_split(rays, n_slices)
+        if part.size
+    ]
+    return float(min((1.0, *shares)))
+
+
+def sampling_groups(
+    wanted: FloatArray, single: FloatArray, hits: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Return the coefficients to trace with, so that no band loses too many rays to its weights.
+
+    As few groups of neighbouring bands as give every band an effective sample fraction of 0.2
+    after so many hits, each traced with the mean of its bands. Groups divide the bands by equal
+    shares of the distance ``2 asin(sqrt(s))`` that the coefficients go from band to band: of paths
+    with h hits, drawn with s0 and weighed for s, the fraction is near ``exp(-h d**2)`` for
+    coefficients at the distance d, whatever they are. With one group for every coefficient that
+    differs there is no further one, and the fraction is at least 1 over their number.
+
+    Parameters
+    ----------
+    wanted : float array, shape (n_materials, n_bands)
+    single : float array, shape (n_materials,)
+        What one group is traced with: the mean over bands.
+    hits : float array, shape (n_materials,)
+        Expected hits of a late path.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    float array, shape (n_groups, n_materials)
+
+    Examples
+    --------
+    After fifty hits the rays of the mean are worth nothing to the highest band.
+
+    >>> wanted = np.array([[0.1, 0.1, 0.5]])
+    >>> rng = np.random.default_rng(1)
+    >>> groups = sampling_groups(wanted, np.array([0.7 / 3]), np.array([50.0]), rng)
+    >>> groups.tolist()
+    [[0.1], [0.5]]
+    >>> effective_fractions(groups, wanted, np.array([50.0]), rng).round(1).tolist()
+    [0.5, 0.5, 0.5]
+    """
+    groups = single[None]
+    best, largest = groups, 0.0
+    steps = np.diff(2.0 * np.arcsin(np.sqrt(wanted)), axis=1)
+    moved = np.cumsum(np.append(0.0, np.sqrt(hits @ np.square(steps))))
+    n_steps = int(np.count_nonzero(np.diff(moved)))
+    for n_groups in range(1, n_steps + 2):
+        if n_groups > 1:
+            share = np.round(moved / moved[-1] * (n_groups - 1)).astype(np.int64)
+            if n_groups == n_steps + 1:
+                share = np.cumsum(np.append(False, np.diff(moved) > 0.0))
+            groups = np.stack([_means(wanted[:, share == number]) for number in np.unique(share)])
+        fraction = float(effective_fractions(groups, wanted, hits, rng).min())
+        if fraction > largest:
+            best, largest = groups, fraction
+        if fraction >= WANTED_EFFECTIVE_FRACTION:
+            break
+    return best
+
+
+def _means(rows: FloatArray) -> FloatArray:
+    """Return the mean of each row, to the last bit where all of a row are equal."""
+    return np.where(np.ptp(rows, axis=1) == 0.0, rows[:, 0], rows.mean(axis=1))
+
+
+def effective_fractions(
+    groups: FloatArray, wanted: FloatArray, hits: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Return the effective sample fraction that every band will have, shape (n_bands,).
+
+    ``(sum f)**2 / (n sum f**2)`` of the factors f of `scattering_weights` and n rays of all groups
+    together. It is one over the mean of f among paths that are drawn with the band's own
+    scattering, whose numbers of hits follow Poisson's distribution.
+
+    Parameters
+    ----------
+    groups : float array, shape (n_groups, n_materials)
+        What is traced with; all groups have as many rays.
+    wanted : float array, shape (n_materials, n_bands)
+    hits : float array, shape (n_materials,)
+        Expected hits.
+    rng : numpy.random.Generator
+        Not used for a single group.
+    """
+    if len(groups) == 1:  # in closed form; drawn weights would be of few large ones
+        room = np.maximum(groups[0] * (1.0 - groups[0]), 1e-300)[:, None]
+        excess = np.square(wanted - groups[0][:, None]) / room
+        return np.asarray(np.exp(-(hits @ excess)))
+    struck = rng.poisson(hits, (_DRAWN_PATHS, hits.size))
+    found = np.empty(wanted.shape[1])
+    for band, s in enumerate(wanted.T):
+        diffuse = rng.binomial(struck, s)
+        changes = _log_changes(groups, s)
+        drawn = changes[:, 0] @ diffuse.T + changes[:, 1] @ (struck - diffuse).T
+        found[band] = 1.0 / np.mean(1.0 / np.exp(np.minimum(drawn, 700.0)).mean(axis=0))
+    return found

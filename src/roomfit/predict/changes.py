@@ -1,0 +1,221 @@
+"""What if: materials with another absorption than the one that was found."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from roomfit.base.arguments import check_known
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError, located
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import FloatArray
+from roomfit.materials.catalogue import catalogue_prior
+from roomfit.materials.priors import logit_normal, object_absorption
+from roomfit.uncertainty.posterior import AbsorptionPosterior
+
+_NEEDED = (
+    "MATERIAL=0.3, 0.3+-0.05, one value per band, x1.5+-0.2, another material of the room in one "
+    "of its states, or a name of the catalogue; OBJECT=0, or its area in m2"
+)
+_NUMBER = r"(\d+\.?\d*|\.\d+)"
+_VALUE = re.compile(rf"^(x?){_NUMBER}(?:(?:\+-|±){_NUMBER})?$")
+# what is meant as a number, and is none of these; a material may be called 3mm-glass
+_LIKE_NUMBERS = re.compile(r"x?([-+±.,\deE]+|[-+]?(nan|inf))")
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Another absorption for one material."""
+
+    material: str
+    # a new absorption, a factor on the one that was found, or a name: of another material that was
+    # found, else of an entry of the catalogue
+    kind: Literal["value", "factor", "catalogue"]
+    values: tuple[float, ...] = ()  # one for all bands, or one a band
+    sds: tuple[float, ...] = ()  # their standard deviations; left out: none
+    entry: str = ""  # name of a material or in the catalogue
+
+    def __post_init__(self) -> None:
+        if not self.sds:
+            object.__setattr__(self, "sds", (0.0,) * len(self.values))
+        if len(self.sds) != len(self.values) or not all(sd >= 0.0 for sd in self.sds):
+            raise InputError(
+                "a change has not one standard deviation per value",
+                where=self.material,
+                found=f"{', '.join(f'{sd:g}' for sd in self.sds)} for {len(self.values)} values",
+                needed="none, or as many as there are values, 0 or larger",
+                hint="leave the standard deviations out, or give one a value",
+            )
+
+
+def _not_written(text: str) -> InputError:
+    what, hint = "a change is not written as it must be", "write floor=0.3, say, or floor=x1.5"
+    return InputError(what, found=repr(text), needed=_NEEDED, hint=hint)
+
+
+def read_change(text: str) -> Change:
+    """Return a change as it is written on the command line.
+
+    Examples
+    --------
+    >>> read_change("ceiling=0.3+-0.05,0.6")
+    Change(material='ceiling', kind='value', values=(0.3, 0.6), sds=(0.05, 0.0), entry='')
+
+    Raises
+    ------
+    InputError
+        It is not written so.
+    """
+    material, sign, specified = (part.strip() for part in text.partition("="))
+    if not (material and sign and specified):
+        raise _not_written(text)
+    found = [_VALUE.match(part.replace(" ", "")) for part in specified.split(",")]
+    matches = [m for m in found if m is not None]
+    if not matches and _LIKE_NUMBERS.fullmatch(specified):
+        raise _not_written(text)
+    if not matches:
+        return Change(material, "catalogue", entry=specified)
+    factors = {m[1] for m in matches}
+    if len(matches) != len(found) or len(factors) != 1:
+        raise _not_written(text)
+    values = tuple(float(m[2]) for m in matches)
+    sds = tuple(float(m[3] or 0.0) for m in matches)
+    return Change(material, "factor" if factors == {"x"} else "value", values, sds)
+
+
+def change_text(change: Change) -> str:
+    """Return a change in the words of the command line."""
+    if change.kind == "catalogue":
+        return f"{change.material}={change.entry}"
+    mark = "x" if change.kind == "factor" else ""
+    values = [
+        f"{mark}{v:g}" + (f"+-{sd:g}" if sd else "")
+        for v, sd in zip(change.values, change.sds, strict=True)
+    ]
+    return f"{change.material}={','.join(values)}"
+
+
+def changed_draws(
+    posterior: AbsorptionPosterior,
+    draws: FloatArray,
+    changes: Sequence[Change],
+    rng: np.random.Generator,
+) -> tuple[FloatArray, FloatArray, tuple[Finding, ...]]:
+    """Return absorption and its draws after all changes.
+
+    Parameters
+    ----------
+    draws : float array, shape (n_draws, n_materials, n_bands)
+
+    Returns
+    -------
+    absorption : float array, shape (n_materials, n_bands)
+    draws : float array, shape (n_draws, n_materials, n_bands)
+    findings : tuple of Finding
+        `Code.ABSORPTION_CLIPPED` where a factor leads beyond 1.
+
+    Raises
+    ------
+    InputError
+        The room has no such material, it is changed twice, there is not one value a band, an
+        absorption lies outside of 0 to 1, or the catalogue has no such entry.
+    """
+    absorption, drawn = posterior.absorption.copy(), draws.copy()
+    findings: list[Finding] = []
+    visited: set[str] = set()
+    for change in changes:
+        where = change_text(change)
+        index = _index_of(change.material, posterior.materials, where)
+        if change.material in visited:
+            raise InputError(
+                "a material is changed twice",
+                where=where,
+                found=repr(change.material),
+                needed="each material once",
+                hint="keep the last of the two",
+            )
+        visited.add(change.material)
+        # one number a draw for all bands: a material is thicker, or hung closer, at all frequencies
+        z = rng.standard_normal(len(draws))
+        with located(where):
+            if change.kind == "factor":
+                factor, sd = values_per_band(change, posterior.bands, high=np.inf)
+                wanted = absorption[index] * factor
+                absorption[index] = np.minimum(wanted, 1.0)
+                factors = np.maximum(factor + sd * z[:, None], 0.0)
+                drawn[:, index] = np.minimum(drawn[:, index] * factors, 1.0)
+                findings += _clipped(change, wanted, posterior.bands)
+            elif change.entry in posterior.materials:
+                # what was found of it, with all that it shares with the others
+                other = posterior.materials.index(change.entry)
+                absorption[index] = posterior.absorption[other]
+                drawn[:, index] = draws[:, other]
+            else:
+                if change.kind == "catalogue":
+                    if change.material in posterior.objects:
+                        raise InputError(
+                            "an object is changed to an entry of the catalogue",
+                            found=change.entry,
+                            needed="its equivalent absorption area in m2, 0 where it is not there",
+                            hint=f"write {change.material}=0, or its area in m2",
+                        )
+                    mean, sd = catalogue_prior(change.entry, posterior.bands)
+                elif change.material in posterior.objects:
+                    # areas in m2, as the absorption that they stand for in the room
+                    volume_m3 = posterior.objects[change.material]
+                    area_m2, sd_m2 = values_per_band(change, posterior.bands, high=1e5)
+                    mean = object_absorption(area_m2, volume_m3)
+                    sd = object_absorption(area_m2 + sd_m2, volume_m3) - mean
+                else:
+                    mean, sd = values_per_band(change, posterior.bands, high=1.0)
+                absorption[index] = mean
+                drawn[:, index] = logit_normal(mean, sd, z)
+    return absorption, drawn, tuple(findings)
+
+
+def _index_of(material: str, materials: tuple[str, ...], where: str) -> int:
+    what = "a change names a material that the room does not have"
+    check_known(what, material, materials, where=where)
+    return materials.index(material)
+
+
+def values_per_band(change: Change, bands: Bands, high: float) -> tuple[FloatArray, FloatArray]:
+    """Return values and standard deviations of a change, one a band; refuse another number."""
+    values, sds = np.array(change.values), np.array(change.sds)
+    if values.size not in (1, len(bands)):
+        raise InputError(
+            "a change has not one value per predicted band",
+            found=f"{values.size} values",
+            needed=f"1 or {len(bands)}: {', '.join(f'{f:g}' for f in bands.centres_hz)} Hz",
+            hint="write one value for all bands",
+        )
+    if not (np.all(values >= 0.0) and np.all(values <= high)):
+        is_area = 1.0 < high < np.inf
+        raise InputError(
+            f"absorption {'area' if is_area else 'coefficient'} out of range",
+            found=f"{values.max():g}",
+            needed=f"0 to {high:g} m2" if is_area else "0 <= a <= 1 (energy, dimensionless)",
+            hint="if these are percentages, divide by 100",
+        )
+    return np.broadcast_to(values, len(bands)).copy(), np.broadcast_to(sds, len(bands)).copy()
+
+
+def _clipped(change: Change, wanted: FloatArray, bands: Bands) -> tuple[Finding, ...]:
+    over = np.flatnonzero(wanted > 1.0)
+    if not over.size:
+        return ()
+    where = ", ".join(f"{bands.centres_hz[j]:g} Hz ({wanted[j]:.2f})" for j in over)
+    return (
+        Finding(
+            Code.ABSORPTION_CLIPPED,
+            About(materials=[change.material], bands_hz=bands.centres_hz[over].tolist()),
+            f"The change {change_text(change)} would make the absorption larger than 1 at {where}; "
+            "1 was taken.",
+            {"material": change.material, "bands_hz": bands.centres_hz[over].tolist()},
+        ),
+    )

@@ -1,0 +1,176 @@
+"""Maps: predictions over a horizontal plane, and how wide their intervals are there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from roomfit.base.errors import InputError
+from roomfit.base.table import Column, Table
+from roomfit.base.typing import FloatArray, IntArray
+from roomfit.predict.other_walls import Predicted
+from roomfit.predict.tables import PredictedPair, named_values
+from roomfit.report.decay_times import mid_mean, mid_words
+from roomfit.report.figures import literal, new_figure
+from roomfit.report.wording import parameter
+from roomfit.room.scene import Point, Scene, is_clear_of_walls, pair_states
+
+_MAPPED = ("T30_s", "EDT_s", "C80_dB", "D50_percent", "STI", "G_dB")
+
+
+def grid_scene(scene: Scene, height_m: float, spacing_m: float) -> Scene:
+    """Return a scene whose receivers are a grid over the room, each with every source.
+
+    The grid is centred in the room's box. Left out are points outside of the room or within 10 cm
+    of a wall, and of each source those nearer than 50 cm, where direct sound is all there is.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of which room, sources, air and the state of the first pair are kept.
+    height_m : float
+        Above the lowest point of the room.
+    spacing_m : float
+        Above 0.
+
+    Returns
+    -------
+    Scene
+        Receivers have the names ``G1``, ``G2``, ...: x by x, y rising.
+
+    Raises
+    ------
+    InputError
+        A length is no positive number, no point is in the room and half a metre from a source, or
+        there are more than 2000 pairs.
+
+    Examples
+    --------
+    >>> import roomfit
+    >>> room = roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster")
+    >>> hall = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+    >>> [receiver.position_m.tolist() for receiver in grid_scene(hall, 1.2, 3.0).receivers]
+    [[1.5, 2.5, 1.2], [4.5, 2.5, 1.2]]
+    """
+    if not (0.0 < height_m < np.inf and 0.0 < spacing_m < np.inf):
+        raise InputError(
+            "a grid needs a height and a spacing",
+            found=f"{height_m:g} m and {spacing_m:g} m",
+            needed="both above 0, as 1.2,0.5",
+            hint="--grid 1.2,0.5 is 1.2 m above the floor, a point every 0.5 m",
+        )
+    vertices = scene.room.mesh.vertices_m
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    counts = np.floor(np.maximum((high - low)[:2] / spacing_m + 1e-9, 1.0))
+    most = 2000
+    if counts.max() > most or counts.prod() * len(scene.sources) > most:
+        raise InputError(
+            "a grid of more pairs than can be predicted",
+            found=f"{counts[0]:g} x {counts[1]:g} points, {len(scene.sources)} sources",
+            needed=f"at most {most} pairs",
+            hint="a wider spacing",
+        )
+    axes = [
+        0.5 * (low[k] + high[k]) + spacing_m * (np.arange(n) - 0.5 * (n - 1))
+        for k, n in enumerate(counts)
+    ]
+    x, y = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
+    points = np.stack((x, y, np.full(x.size, low[2] + height_m)), axis=1)
+    sources_m = np.array([s.position_m for s in scene.sources]).reshape(-1, 1, 3)
+    is_far = np.linalg.norm(points - sources_m, axis=2) >= 0.5  # (n_sources, n_points)
+    kept = is_clear_of_walls(scene.room, points, 0.1) & is_far.any(axis=0)
+    if not kept.any():
+        raise InputError(
+            "no point of the grid can be predicted",
+            found=f"height {height_m:g} m, spacing {spacing_m:g} m",
+            needed="points 10 cm within the room and 50 cm from a source",
+            hint="a height below the ceiling, or a smaller spacing",
+        )
+    receivers = tuple(Point(f"G{i}", at.round(4)) for i, at in enumerate(points[kept], start=1))
+    pairs = np.argwhere(is_far[:, kept])
+    states = np.full(len(pairs), pair_states(scene)[0] if len(scene.pairs) else 0)
+    return replace(scene, receivers=receivers, pairs=pairs, pair_state=states, groups=())
+
+
+def grid_records(predicted: Predicted, scene: Scene) -> Table:
+    """Return the content of grid.csv: a row for each source, point, parameter and band.
+
+    The speech transmission index, which has no band, has an empty one.
+    """
+    positions = {p.name: p.position_m for p in scene.receivers}
+    rows = []
+    for pair in predicted.pairs:
+        for name, v in named_values(pair.parameters, pair.sti).items():
+            bands = [None] if name == "STI" else predicted.bands.centres_hz.tolist()
+            for band_hz, *numbers in zip(bands, v.predicted, v.lower95, v.upper95, strict=True):
+                if name in _MAPPED:
+                    width = numbers[2] - numbers[1]
+                    at_m = positions[pair.receiver]
+                    rows.append((pair.source, *at_m, name, band_hz, *numbers, width))
+    columns = (
+        *("source", Column("x_m", ".3f"), Column("y_m", ".3f"), Column("z_m", ".3f")),
+        *("parameter", Column("band_hz"), "predicted", "lower95", "upper95", "width95"),
+    )
+    return Table("", columns, rows, form=".4f")
+
+
+def grid_figure(predicted: Predicted, scene: Scene, source: str) -> Figure:
+    """Return maps of one source: each parameter, and beside it the width of its 95 % interval.
+
+    Means of 500 and 1000 Hz, or of the bands nearest to them.
+    """
+    pairs = [p for p in predicted.pairs if p.source == source]
+    known = [n for n in _MAPPED if any(np.isfinite(v).any() for v in _of(predicted, pairs, n))]
+    positions = {p.name: p.position_m for p in scene.receivers}
+    at_m = np.array([positions[p.receiver] for p in pairs])
+    here_m = next(p.position_m for p in scene.sources if p.name == source)
+    x_m, y_m, cells = _cells(at_m[:, :2])
+    figure = new_figure(9.0, 2.8 * len(known) + 0.6)
+    panels = figure.subplots(len(known), 2, squeeze=False)
+    for row, name in zip(panels, known, strict=True):
+        value, width = _of(predicted, pairs, name)
+        how, where = parameter(name), f", {mid_words(predicted.bands.centres_hz)}"
+        unit = f" ({how.unit})" if how.unit else ""
+        words = f"{how.symbol}{unit}{where if name != 'STI' else ''}"
+        titles = (words, f"width of its 95 % interval{unit}")
+        for axes, numbers, title in zip(row, (value, width), titles, strict=True):
+            table = np.full((y_m.size, x_m.size), np.nan)
+            table[cells[:, 1], cells[:, 0]] = numbers
+            drawn = axes.pcolormesh(x_m, y_m, table, shading="nearest", cmap="viridis")
+            axes.plot(*here_m[:2], "k*", ms=9)
+            axes.set_title(title, fontsize=9)
+            axes.set_aspect("equal")
+            figure.colorbar(drawn, ax=axes)
+    figure.suptitle(f"From {literal(source, 30)}, {at_m[0, 2]:.2f} m high; x and y in m")
+    return figure
+
+
+def _cells(at_m: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return x and y of evenly spaced cells, and the cell of every point, (n, 2).
+
+    Where no point of a whole row lies in the room, the row is there, and empty.
+    """
+    first = at_m.min(axis=0)
+    gaps = np.concatenate([np.diff(np.unique(column)) for column in at_m.T])
+    step = float(gaps[gaps > 1e-6].min(initial=np.inf))
+    if not np.isfinite(step):
+        return at_m[:1, 0], at_m[:1, 1], np.zeros((len(at_m), 2), dtype=np.int64)
+    cells = np.rint((at_m - first) / step).astype(np.int64)
+    x_m, y_m = (first[i] + step * np.arange(cells[:, i].max() + 1) for i in (0, 1))
+    return x_m, y_m, cells
+
+
+def _of(
+    predicted: Predicted, pairs: list[PredictedPair], name: str
+) -> tuple[FloatArray, FloatArray]:
+    """Return a parameter of every pair at mid frequencies, and the width of its interval."""
+    centres_hz = np.array([1000.0]) if name == "STI" else predicted.bands.centres_hz
+    rows = []
+    for pair in pairs:
+        v = named_values(pair.parameters, pair.sti).get(name)
+        both = () if v is None else (v.predicted, v.upper95 - v.lower95)
+        rows.append([mid_mean(centres_hz, x) for x in both] or [np.nan, np.nan])
+    value, width = np.array(rows).T
+    return value, width

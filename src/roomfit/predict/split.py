@@ -1,0 +1,263 @@
+"""How the absorption that was measured is split among walls, where the data do not say it.
+
+What a change does hangs on the share of what is changed in the absorption of the room before it. A
+decay determines the sum; where the prior alone decides the shares, or where the result is doubted,
+predictions must hold for every split that leaves the sum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from roomfit.base.bands import Bands
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import BoolArray, FloatArray, IntArray
+from roomfit.checks.verdict import voids_walls
+from roomfit.materials.catalogue import suggested_entries
+from roomfit.uncertainty.combinations import area_shares
+from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption, draw_prior
+
+# The exponent -log(1 - a) of what absorbs 95 %: a wall takes no larger share of the sum.
+_MOST_EXPONENT = 3.0
+# Of the sum of a state's own walls, where walls that it has in common with others take all of it.
+_LEAST_LEFT = 0.05
+# Areas that differ by less are those of one room described twice.
+_SAME_AREA = 0.05
+
+
+def doubted_walls(posterior: AbsorptionPosterior) -> BoolArray:
+    """Return of which materials findings take identifiability, (n_materials, n_bands)."""
+    void = [f for f in posterior.result_findings if voids_walls(f)]
+    centres = posterior.bands.centres_hz.tolist()
+    rows = [
+        [any(f.about.concerns(m, c) for f in void) for c in centres] for m in posterior.materials
+    ]
+    return np.array(rows, dtype=np.bool_).reshape(len(posterior.materials), len(centres))
+
+
+def open_splits(
+    posterior: AbsorptionPosterior,
+    draws: FloatArray,
+    dominated: Sequence[Finding],
+    areas_m2: FloatArray,
+    seed: int,
+) -> FloatArray:
+    """Return draws that hold what a change may do where the data do not say how walls share.
+
+    Every second draw has another split: one wall takes a share of the absorption of the room that
+    is drawn evenly from none to all, as far as 95 % absorption allows it; all others keep their
+    proportions, and the sum of the exponents ``-S log(1 - a)`` over the walls stays. The wall is
+    one of those that findings of the result doubt in the band, or of those of which the prior
+    decides.
+
+    Parameters
+    ----------
+    draws : float array, shape (n_draws, n_materials, n_bands)
+    dominated : sequence of Finding
+        From `prior_dominated`, of the materials that are changed.
+    areas_m2 : float array, shape (n_states, n_materials)
+        In the room that was measured, by its states. What an earlier state has stays as it is
+        there, and the other walls of a state share what that leaves of its sum.
+    seed : int
+        Of the splits.
+
+    Returns
+    -------
+    float array, shape (n_draws, n_materials, n_bands)
+    """
+    found = draws.copy()
+    z = np.random.default_rng([seed, 5]).random((2, len(areas_m2), len(draws)))
+    is_doubted = doubted_walls(posterior)
+    for band, centre in enumerate(posterior.bands.centres_hz.tolist()):
+        named = [any(f.about.concerns(m, centre) for f in dominated) for m in posterior.materials]
+        open_ = np.array(named) | is_doubted[:, band]
+        left = np.diag(posterior.logit_covariance[band]) > 0.0
+        for state, areas in enumerate(areas_m2):
+            own, other = left & (areas > 0.0), ~left & (areas > 0.0)
+            walls = np.flatnonzero(own & open_)
+            left = left & ~own
+            for draw in range(1, len(draws) if walls.size else 0, 2):
+                total = _exponents(draws[draw, :, band], areas)
+                kept = _exponents(found[draw, :, band], areas)[other].sum()
+                which = walls[int(z[0, state, draw] * walls.size)] == np.flatnonzero(own)
+                sum_left = max(total.sum() - kept, _LEAST_LEFT * total[own].sum())
+                parts = _other_split(total[own], areas[own], which, z[1, state, draw], sum_left)
+                found[draw, own, band] = -np.expm1(-parts / areas[own])
+    return found
+
+
+def _exponents(absorption: FloatArray, areas_m2: FloatArray) -> FloatArray:
+    """Return ``-S log(1 - a)`` of every wall."""
+    return -areas_m2 * np.log1p(-np.minimum(absorption, 1.0 - 1e-9))
+
+
+def _other_split(
+    parts: FloatArray, areas_m2: FloatArray, wall: BoolArray, share: float, total: float
+) -> FloatArray:
+    """Return exponents of another sum, of which one wall has a share and others what is left."""
+    taken = share * min(total, _MOST_EXPONENT * float(areas_m2[wall].sum()))
+    rest = max(float(parts[~wall].sum()), 1e-12 * float(parts.sum()))
+    return np.where(wall, taken, parts * (total - taken) / rest)
+
+
+def for_another_room(
+    posterior: AbsorptionPosterior, areas_m2: dict[str, float], n_draws: int, seed: int
+) -> tuple[AbsorptionPosterior, tuple[Finding, ...]]:
+    """Return a result as it is to predict a room with other areas from, see `open_splits`.
+
+    Parameters
+    ----------
+    posterior : AbsorptionPosterior
+        With all materials of the room that was measured; as it is where their areas are not known.
+    areas_m2 : dict of material to area
+        In the room that is predicted.
+    """
+    own = posterior.areas_m2
+    if own is None:
+        return posterior, ()
+    there = np.array([areas_m2.get(name, 0.0) for name in posterior.materials])
+    is_other = np.abs(there - own) > _SAME_AREA * np.maximum(there, own)
+    if not is_other.any():
+        return posterior, ()
+    # that its pressures add was seen in the room that was measured
+    posterior = replace(posterior, by_pressures=None)
+    rng = np.random.default_rng(seed)
+    draws = draw_absorption(posterior, n_draws, rng)
+    changed = [name for name, other in zip(posterior.materials, is_other, strict=True) if other]
+    dominated = prior_dominated(posterior, draws, changed, own, rng)
+    if not dominated and not doubted_walls(posterior).any():
+        return posterior, ()
+    return replace(
+        posterior, draws=open_splits(posterior, draws, dominated, own[None], seed)
+    ), dominated
+
+
+def for_another_state(
+    posterior: AbsorptionPosterior, areas_m2: FloatArray, n_draws: int, seed: int
+) -> AbsorptionPosterior:
+    """Return a result as it is to predict a state that was not fitted from, see `open_splits`.
+
+    Parameters
+    ----------
+    areas_m2 : float array, shape (n_states, n_materials)
+        Of the states that were fitted.
+    """
+    if not doubted_walls(posterior).any():
+        return posterior
+    draws = draw_absorption(posterior, n_draws, np.random.default_rng(seed))
+    return replace(posterior, draws=open_splits(posterior, draws, (), areas_m2, seed))
+
+
+# A share that is known no better than this, and hardly better than before the measurement.
+_WIDE_RATIO = 3.0
+_LARGE_SHARE = 0.05
+_LEFT_OF_PRIOR = 0.5
+_MORE_PAIRS = (
+    "and identify again; or measure more pairs, which `roomfit design` with --result names."
+)
+_WITH_POSITIONS = "or measure responses with positions, which tell walls apart."
+
+
+def prior_dominated(
+    posterior: AbsorptionPosterior,
+    draws: FloatArray,
+    changed: Sequence[str],
+    areas_m2: FloatArray,
+    rng: np.random.Generator,
+    *,
+    from_times: bool = False,
+) -> tuple[Finding, ...]:
+    """Return a finding for each changed material of whose weight in the room the data say little.
+
+    What a change does hangs on the share of the material in the absorption of the room before it.
+    Where the 95 % interval of that share reaches 5 %, spans more than a factor of 3, and its
+    standard deviation is above half of the prior's, the prior decides; where the posterior comes
+    without its prior, the first two count.
+
+    Parameters
+    ----------
+    draws : float array, shape (n_draws, n_materials, n_bands)
+        Of the posterior, before the change.
+    changed : sequence of str
+        Materials that are exchanged, or of which there is more or less afterwards.
+    areas_m2 : float array, shape (n_materials,)
+        In the room before.
+    from_times : bool
+        Whether decay times are all that was measured, which no further pair adds to.
+    """
+    shares = _band_shares(areas_m2, draws)
+    low, high = np.quantile(shares, (0.025, 0.975), axis=0)
+    is_wide = (high > _WIDE_RATIO * low) & (high >= _LARGE_SHARE)
+    drawn, before = draw_prior(posterior, len(draws), rng), None
+    if drawn is not None:
+        prior = _band_shares(areas_m2, drawn)
+        before = np.quantile(prior, (0.025, 0.975), axis=0)
+        is_wide &= np.std(shares, axis=0) > _LEFT_OF_PRIOR * np.std(prior, axis=0)
+    found = _band_shares(areas_m2, posterior.absorption[None])[0]
+    findings = []
+    for name in changed:
+        i = posterior.materials.index(name)
+        at = np.flatnonzero(is_wide[i])
+        if at.size:
+            of_prior = None if before is None else before[:, i]
+            own = found[i], low[i], high[i]
+            more = _WITH_POSITIONS if from_times else _MORE_PAIRS
+            findings.append(_prior_dominated(name, posterior.bands, at, own, of_prior, more))
+    return tuple(findings)
+
+
+def _prior_dominated(
+    name: str,
+    bands: Bands,
+    at: IntArray,
+    shares: tuple[FloatArray, FloatArray, FloatArray],
+    before: FloatArray | None,
+    more: str,
+) -> Finding:
+    """Return the finding of one material in the bands `at`.
+
+    Parameters
+    ----------
+    shares : float arrays, shape (n_bands,) each
+        The most likely share, and its 95 % bounds.
+    before : float array, shape (2, n_bands), or None
+        Bounds before anything was measured.
+    more : str
+        What else would tell, in words.
+    """
+    found, low, high = shares
+    b = int(at[np.argmax(high[at] - low[at])])
+    centres_hz = bands.centres_hz
+    known = ""
+    if before is not None:
+        known = f" ({_percents(before[0, b], before[1, b])} before anything was measured)"
+    entries = ", ".join(f'"{e}"' for e in suggested_entries(name)) or "a name of the catalogue"
+    return Finding(
+        Code.CHANGE_PRIOR_DOMINATED,
+        About(materials=[name], bands_hz=centres_hz[at].tolist()),
+        f"What a change of {name} does hangs on its prior at "
+        f"{', '.join(f'{f:g}' for f in centres_hz[at])} Hz: before the change its share in "
+        f"the absorption of the room is {_percents(low[b], high[b])} at "
+        f"{centres_hz[b]:g} Hz{known}. State what is known of it: "
+        f'[materials."{name}"] prior = '
+        f"{entries}, or a mean and a standard deviation, {more}",
+        {
+            "material": name,
+            "bands_hz": centres_hz[at].tolist(),
+            "share": found[at].tolist(),
+            "share_lower95": low[at].tolist(),
+            "share_upper95": high[at].tolist(),
+        },
+    )
+
+
+def _band_shares(areas_m2: FloatArray, draws: FloatArray) -> FloatArray:
+    parts = areas_m2[:, None] * draws
+    return np.stack([area_shares(parts[:, :, b]) for b in range(parts.shape[2])], axis=2)
+
+
+def _percents(low: float, high: float) -> str:
+    return f"{100 * low:.0f} to {100 * high:.0f} %"

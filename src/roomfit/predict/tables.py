@@ -1,0 +1,399 @@
+"""Tables of a prediction: intervals, means, what a change does, what is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+from scipy.special import ndtri
+
+from roomfit.base.bands import Bands
+from roomfit.base.findings import Finding
+from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.fit.measurements import observe
+from roomfit.model.room_parameters import model_sd
+from roomfit.predict.decay import PairNumbers, PredictedDecay
+from roomfit.room.scene import Scene, pair_names
+from roomfit.signals.decay import FIT_RANGES_DB, DecayCurve, in_jnd
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
+from roomfit.signals.measurement import Measurement, Use
+from roomfit.signals.speech import modulation_transfer, room_sti, sti_missing
+
+# Steps of equal probability by which noise widens every draw.
+_STEPS = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
+_RATIO = "ratio"  # of decay times
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ValueChange:
+    """One room parameter before a change, and what the change does; all of shape (n_bands,)."""
+
+    before: FloatArray  # at the most likely absorption as it was found
+    before_lower95: FloatArray  # where a measurement before the change is expected
+    before_upper95: FloatArray
+    # after over before of EDT, T20 and T30, after minus before of all else; the interval is that of
+    # the absorption alone, in which what is common to both cancels
+    change: FloatArray
+    change_lower95: FloatArray
+    change_upper95: FloatArray
+    # what was measured before, carried over by the change; a measurement after it is expected
+    # between the two, NaN where nothing was measured
+    carried: FloatArray
+    carried_lower95: FloatArray
+    carried_upper95: FloatArray
+
+
+# Of an energy: what is known of a level no better than by a factor of 2.
+_FACTOR, _FACTOR_DB = 2.0, 3.0103
+
+
+def is_undetermined(name: str, change: ValueChange) -> BoolArray:
+    """Return in which bands not even the sign of a change, or its size by a factor of 2, is known.
+
+    Of decay times, and of levels in dB; of others there is no factor, and nothing is said.
+    """
+    low, high = change.change_lower95, change.change_upper95
+    if name in FIT_RANGES_DB:
+        return np.asarray((low < 1.0) & (high > 1.0) & (high > _FACTOR * low))
+    return np.asarray((low < 0.0) & (high > 0.0) & (high > low + _FACTOR_DB) & name.endswith("_dB"))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedValue:
+    """One room parameter in every band; all arrays of shape (n_bands,), NaN where unknown."""
+
+    predicted: FloatArray  # at the most likely absorption; the interval reaches to it at least
+    lower95: FloatArray  # a measurement is expected between these two, 95 of 100 times
+    upper95: FloatArray
+    sd_absorption: FloatArray  # part of the spread, from what is not known of the absorption
+    # part of the spread, from reflections that interfere, from the number of rays, and from the
+    # error that the model is granted
+    sd_rest: FloatArray
+    measured: FloatArray
+    # predicted minus measured in just noticeable differences; of a changed room what was predicted
+    # before the change, NaN where that is not known
+    jnd: FloatArray
+    mean_of_others: FloatArray  # over the other fitted measurements: a baseline
+    change: ValueChange | None = None  # where materials were changed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedPair:
+    """What is predicted between one source and one receiver; twice where it was measured twice."""
+
+    source: str
+    receiver: str
+    use: Use | None  # of its measurement; None where there is none
+    parameters: Mapping[ValueName, PredictedValue]
+    decay: PredictedDecay
+    sti: PredictedValue | None = None  # shape (1,), where the bands give it
+
+
+def named_values(
+    table: Mapping[ValueName, PredictedValue], sti: PredictedValue | None
+) -> dict[str, PredictedValue]:
+    """Return parameters by name, the speech transmission index last."""
+    named: dict[str, PredictedValue] = {str(name): v for name, v in table.items()}
+    return named | ({} if sti is None else {"STI": sti})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObservedPair:
+    """What was measured of a pair."""
+
+    source: str
+    receiver: str
+    use: Use
+    values: FloatArray  # (n_names, n_bands), in the order of VALUE_NAMES, NaN where unknown
+    sd: FloatArray  # (n_names, n_bands), stated with the values; 0 where none is
+    curve: DecayCurve | None  # None where room parameters were measured and no response
+    sti: float = np.nan
+
+
+def observed_pairs(
+    scene: Scene, measurements: Sequence[Measurement | MeasuredValues], bands: Bands
+) -> tuple[tuple[ObservedPair, ...], tuple[Finding, ...]]:
+    """Return what was measured, responses before tables of values."""
+    measured, findings = observe(
+        scene, [m for m in measurements if isinstance(m, Measurement)], bands
+    )
+    found = []
+    for m in measured:
+        # the level of a measurement is a question of its calibration: G is not read from responses
+        values = np.vstack([m.parameters.values, np.full(len(bands), np.nan)])
+        own = m.measurement
+        found.append(ObservedPair(own.source, own.receiver, own.use, values, 0.0 * values, m.curve))
+    for t in measurements:
+        if isinstance(t, MeasuredValues):
+            findings += t.findings
+            values = np.stack([t.at(name, bands.centres_hz) for name in VALUE_NAMES])
+            sds = np.nan_to_num([t.spread_at(name, bands.centres_hz) for name in VALUE_NAMES])
+            found.append(ObservedPair(t.source, t.receiver, t.use, values, sds, None))
+    return tuple(found), findings
+
+
+def with_sti(
+    scene: Scene,
+    bands: Bands,
+    observed: Sequence[ObservedPair],
+    numbers: Sequence[PairNumbers],
+    speech_db: FloatArray | None,
+) -> tuple[ObservedPair, ...]:
+    """Return what was measured with its speech transmission index, at the levels predicted."""
+    if sti_missing(bands):
+        return tuple(observed)
+    pairs = [p[:2] for p in pair_names(scene)]
+    found = []
+    for o in observed:
+        if o.curve is not None:
+            strength_db = numbers[pairs.index((o.source, o.receiver))].values[-1]
+            index = room_sti(bands, modulation_transfer(o.curve), strength_db, speech_db)
+            o = replace(o, sti=float(index))
+        found.append(o)
+    return tuple(found)
+
+
+def predicted_pairs(
+    scene: Scene,
+    bands: Bands,
+    numbers: Sequence[Sequence[PairNumbers]],
+    observed_pairs: Sequence[ObservedPair],
+) -> tuple[PredictedPair, ...]:
+    """Return every pair of the scene, once for each of its measurements, or once without."""
+    found = []
+    nothing = np.full((len(VALUE_NAMES), len(bands)), np.nan)
+    unknown = np.full((1, 1), np.nan)
+    for i, (source, receiver, _) in enumerate(pair_names(scene)):
+        states = [of_state[i] for of_state in numbers]
+        measured = [m for m in observed_pairs if (m.source, m.receiver) == (source, receiver)]
+        rows: list[ObservedPair | None] = [*measured] or [None]
+        for m in rows:
+            values, sd, mean, index, mean_index = nothing, nothing, nothing, unknown, unknown
+            if m is not None:
+                others = [o for o in observed_pairs if o.use == "fit" and o is not m]
+                values, sd, mean = m.values, m.sd, _mean([o.values for o in others], nothing.shape)
+                index = np.full((1, 1), m.sti)
+                mean_index = _mean([np.array(o.sti) for o in others], (1, 1))
+            use = None if m is None else m.use
+            decay = _decay(states[0], m)
+            if len(states) > 1:
+                decay = replace(decay, before_db=states[1].decay.predicted_db)
+            table = _table(VALUE_NAMES, states, values, sd, mean)
+            of_speech = [n.sti for n in states if n.sti is not None]
+            sti = None
+            if of_speech:
+                sti = _table(("STI",), of_speech, index, np.zeros((1, 1)), mean_index)["STI"]
+            found.append(PredictedPair(source, receiver, use, table, decay, sti))
+    return tuple(found)
+
+
+def predicted_means(
+    scene: Scene,
+    numbers: Sequence[Sequence[PairNumbers]],
+    observed_pairs: Sequence[ObservedPair],
+) -> tuple[dict[ValueName, PredictedValue], PredictedValue | None]:
+    """Return means over the measured pairs of each band, over all where none was measured."""
+    of_pairs = [
+        [m for m in observed_pairs if (m.source, m.receiver) == p[:2]] for p in pair_names(scene)
+    ]
+    shape = numbers[0][0].values.shape
+    measured = np.array([_mean([m.values for m in own], shape) for own in of_pairs])
+    sd = np.nan_to_num([_mean([m.sd for m in own], shape) for own in of_pairs])
+    means = _mean_table(VALUE_NAMES, numbers, measured, sd)
+    of_speech = [[n.sti for n in of_state if n.sti is not None] for of_state in numbers]
+    if not of_speech[0]:
+        return means, None
+    index = np.array([_mean([np.array(m.sti) for m in own], (1, 1)) for own in of_pairs])
+    return means, _mean_table(("STI",), of_speech, index, np.zeros_like(index))["STI"]
+
+
+def _mean_table(
+    names: Sequence[N],
+    numbers: Sequence[Sequence[PairNumbers]],
+    measured: FloatArray,
+    measured_sd: FloatArray,
+) -> dict[N, PredictedValue]:
+    """Return the means of some parameters.
+
+    Parameters
+    ----------
+    measured, measured_sd : float arrays, shape (n_pairs, n_names, n_bands)
+    """
+    chosen = np.isfinite(measured)
+    for of_state in numbers:
+        chosen &= np.isfinite([n.values for n in of_state])
+    chosen |= ~chosen.any(axis=0)
+    weights = chosen / chosen.sum(axis=0)
+    observed = np.where(np.isfinite(measured).any(axis=0), _weighted(weights, measured), np.nan)
+    states = [
+        PairNumbers(
+            _weighted(weights, np.array([n.values for n in of_state])),
+            _weighted(weights[:, None], np.array([n.draws for n in of_state])),
+            np.sqrt(_weighted(weights**2, np.array([n.noise_sd for n in of_state]) ** 2)),
+            of_state[0].decay,
+            common_noise=_weighted(weights**2, np.array([n.common_noise for n in of_state])),
+            model_scale=of_state[0].model_scale,
+        )
+        for of_state in numbers
+    ]
+    sd = np.sqrt(_weighted(weights**2, measured_sd**2))
+    return _table(names, states, observed, sd, np.full_like(observed, np.nan))
+
+
+def _weighted(weights: FloatArray, values: FloatArray) -> FloatArray:
+    """Sum over the first axis; what has no weight may be unknown."""
+    return np.asarray(np.where(weights > 0.0, weights * values, 0.0).sum(axis=0))
+
+
+N = TypeVar("N", bound=str)
+K = TypeVar("K")
+V = TypeVar("V", PredictedValue, PredictedValue | None)
+
+
+def _table(
+    names: Sequence[N],
+    states: Sequence[PairNumbers],
+    measured: FloatArray,
+    measured_sd: FloatArray,
+    mean_of_others: FloatArray,
+) -> dict[N, PredictedValue]:
+    """Return predictions with their intervals, and what a change does where there are two states.
+
+    Parameters
+    ----------
+    states : sequence of PairNumbers
+        With the changes, and without where they are compared.
+    measured, measured_sd, mean_of_others : float arrays, shape (n_names, n_bands)
+    """
+    after = states[0]
+    table = {}
+    for row, name in enumerate(names):
+        # the model is wrong in the same way everywhere
+        error_sd = after.model_scale[row] * model_sd(name, after.values[row])
+        rest_sd = np.hypot(after.noise_sd[row], error_sd)
+        table[name] = PredictedValue(
+            after.values[row],
+            *_interval(name, after.values[row], after.draws[:, row], rest_sd),
+            np.std(after.draws[:, row], axis=0),
+            rest_sd,
+            measured[row],
+            in_jnd(name, measured[row], states[-1].values[row]),
+            mean_of_others[row],
+            _change(name, row, states, measured[row], measured_sd[row])
+            if len(states) > 1
+            else None,
+        )
+    return table
+
+
+def without_jnd(table: Mapping[K, V]) -> dict[K, V]:
+    return {
+        name: v if v is None else replace(v, jnd=np.full_like(v.jnd, np.nan))
+        for name, v in table.items()
+    }
+
+
+def _change(
+    name: str,
+    row: int,
+    states: Sequence[PairNumbers],
+    measured: FloatArray,
+    measured_sd: FloatArray,
+) -> ValueChange:
+    """Return what a change does, draw by draw: the error that both states share is in neither.
+
+    Notes
+    -----
+    The change is that of a measured value: what interference of both states does not share,
+    ``s^2 + t^2 - 2 r s t``, is in its interval.
+
+    A measured value departs from its prediction by errors of the absorption and of the model, which
+    stay when walls change, and by how reflections interfere, which changes with them. The share
+    that is carried over is the coefficient of regression of the departure after on that before:
+    ``(c + m^2 + r s t) / (v + m^2 + s^2 + u^2)`` with v the variance of the draws before, c their
+    covariance with those after, m the model's error, s and t the scatter of both states and r its
+    correlation, u the stated standard deviation; of times in logarithms.
+    """
+    after, before = states
+    old, new, drawn_old, drawn_new = (
+        before.values[row], after.values[row], before.draws[:, row], after.draws[:, row]
+    )  # fmt: skip
+    error_sd = before.model_scale[row] * model_sd(name, before.values[row])
+    sds = before.noise_sd[row], after.noise_sd[row], error_sd, measured_sd
+    in_ratios = name in FIT_RANGES_DB
+    scales = (old, new, old, measured) if in_ratios else (1.0,) * 4
+    with np.errstate(divide="ignore", invalid="ignore"):  # unknown values
+        s, t, model, stated = (sd / scale for sd, scale in zip(sds, scales, strict=True))
+        change, drawn = (
+            (new / old, drawn_new / drawn_old) if in_ratios else (new - old, drawn_new - drawn_old)
+        )
+        both = after.common_noise[row] / (scales[0] * scales[1])
+        x, y = (np.log(d) if in_ratios else d for d in (drawn_old, drawn_new))
+        shared = np.mean((x - x.mean(axis=0)) * (y - y.mean(axis=0)), axis=0) + model**2 + both
+        share = np.clip(shared / (x.var(axis=0) + model**2 + s**2 + stated**2), 0.0, 1.0)
+        rest = (1.0 - share) ** 2 * model**2 + t**2 + share**2 * (s**2 + stated**2)
+        rest_sd = np.sqrt(rest - 2.0 * share * both)
+        if in_ratios:
+            carried = new * (measured / old) ** share
+            carried_draws, rest_sd = drawn_new * (measured / drawn_old) ** share, rest_sd * carried
+        else:
+            carried = np.clip(new + share * (measured - old), *_range(name))
+            carried_draws = drawn_new + share * (measured - drawn_old)
+        apart_sd = np.sqrt(np.maximum(s**2 + t**2 - 2.0 * both, 0.0)) * (change if in_ratios else 1)
+    ends = carried, carried  # unknown where nothing was measured
+    if np.isfinite(measured).any():
+        ends = _interval(name, carried, carried_draws, rest_sd)
+    return ValueChange(
+        old,
+        *_interval(name, old, drawn_old, np.hypot(sds[0], sds[2])),
+        change,
+        # no direction is said to be determined that the likeliest absorption contradicts
+        *_interval(_RATIO if in_ratios else "difference", change, drawn, apart_sd),
+        carried,
+        *ends,
+    )
+
+
+def _interval(
+    name: str, likeliest: FloatArray, draws: FloatArray, rest_sd: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the quantiles of all draws, each widened by noise, of shape (n_bands,) each.
+
+    Decay times, and ratios of them, are widened by factors, of the same relative variance: where
+    few modes decay that is half of the value, and a sum would reach down to a time of 0.
+    """
+    steps = _STEPS[:, None] / np.std(_STEPS)
+    if name in FIT_RANGES_DB or name == _RATIO:
+        with np.errstate(divide="ignore", invalid="ignore"):  # unknown values
+            relative = np.log1p((rest_sd / likeliest) ** 2)
+        wide = draws[:, None, :] * np.exp(steps * np.sqrt(relative))
+    else:
+        wide = draws[:, None, :] + steps * rest_sd
+    low, high = np.quantile(wide.reshape(-1, rest_sd.size), (0.025, 0.975), axis=0)
+    # of several answers that explain the data alike the likeliest may lie aside of most
+    low, high = np.fmin(low, likeliest), np.fmax(high, likeliest)
+    return np.clip(low, *_range(name)), np.clip(high, *_range(name))
+
+
+def _range(name: str) -> tuple[float, float]:
+    """Return the least and the most that a room parameter can be."""
+    most = {"D50_percent": 100.0, "STI": 1.0}.get(name, np.inf)
+    return 0.0 if name in FIT_RANGES_DB or np.isfinite(most) else -np.inf, most
+
+
+def _mean(rows: Sequence[FloatArray], shape: tuple[int, ...]) -> FloatArray:
+    """Return the mean of what is known, NaN where nothing is."""
+    stacked = np.array(rows, dtype=np.float64).reshape(-1, *shape)
+    known = np.isfinite(stacked)
+    with np.errstate(invalid="ignore"):  # nothing is known
+        return np.asarray(np.where(known, stacked, 0.0).sum(axis=0) / known.sum(axis=0))
+
+
+def _decay(own: PairNumbers, m: ObservedPair | None) -> PredictedDecay:
+    if m is None or m.curve is None:
+        return own.decay
+    usable = own.decay.time_s <= m.curve.usable_end_s[:, None]
+    measured = np.where(usable, m.curve.levels_db(own.decay.time_s), np.nan)
+    return replace(own.decay, measured_db=measured)

@@ -1,0 +1,492 @@
+"""The surface of a room as triangles that keep the names, groups and materials of their file.
+
+Polygons are cut into triangles, corners welded, edges matched, and volume, area and mean free path
+measured. A fault is a finding so serious that a room cannot be traced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Any, NamedTuple
+
+import mapbox_earcut
+import numpy as np
+from numpy.typing import ArrayLike
+
+from roomfit.base.arguments import float_array, int_array
+from roomfit.base.errors import InputError
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import FloatArray, IntArray
+
+
+def fault(
+    code: Code,
+    what: str,
+    *,
+    where: str | None = None,
+    found: str | None = None,
+    needed: str | None = None,
+    hint: str | None = None,
+    points_m: Iterable[FloatArray] = (),
+    **evidence: Any,
+) -> Finding:
+    """Return a finding of a serious code with the error that it becomes where it stops a command.
+
+    `roomfit check` lists all faults of a room; everything else stops at the first, see `refuse`.
+    """
+    parts = {"where": where, "found": found, "needed": needed, "try": hint}
+    given_parts = {key: text for key, text in parts.items() if text}
+    place = f" at {where}" if where else ""
+    count = f": {found}" if found else ""
+    return Finding(
+        code,
+        about_points(points_m),
+        f"{what}{place}{count}.",
+        {"what": what, **given_parts, **evidence},
+        error=InputError(what, where=where, found=found, needed=needed, hint=hint),
+    )
+
+
+_MOST_POINTS = 100
+
+
+def about_points(points_m: Iterable[FloatArray]) -> About:
+    """Return what concerns places in the room, the first hundred of them."""
+    return About(points_m=[(p[0], p[1], p[2]) for p in islice(points_m, _MOST_POINTS)])
+
+
+def refuse(findings: Iterable[Finding]) -> None:
+    """Raise the first serious finding as an error; return where there is none.
+
+    Raises
+    ------
+    InputError
+        Says what, where, found, needed and try, and how many more faults there are.
+    """
+    serious = [f for f in findings if f.severity == "serious"]
+    if not serious:
+        return
+    error = serious[0].error or InputError(serious[0].sentence)
+    hints = [error.hint] if error.hint else []
+    if len(serious) > 1:
+        others = sorted({f.code for f in serious[1:]})
+        hints.append(f"there are {len(serious) - 1} more faults ({', '.join(others)})")
+    raise InputError(
+        error.what,
+        where=error.where,
+        found=error.found,
+        needed=error.needed,
+        hint="; ".join(hints) or None,
+        points_m=serious[0].about.points_m,
+    )
+
+
+def place(point_m: FloatArray) -> str:
+    """Return a point as text, in metres to the millimetre.
+
+    Examples
+    --------
+    >>> place(np.array([1.0, 2.5, -0.00001]))
+    '(1.000, 2.500, 0.000) m'
+    """
+    x, y, z = np.round(np.asarray(point_m, dtype=np.float64), 3) + 0.0  # no "-0.000"
+    return f"({x:.3f}, {y:.3f}, {z:.3f}) m"
+
+
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """The faces of a file that share a name, a group and a material."""
+
+    name: str  # Of surface, object or plane in the file; "west", "floor", ... for a shoebox
+    group: str | None = None  # In the file, where it has groups
+    file_material: str | None = None
+    # A sheet in the air that reflects on both sides, such as a curtain. It encloses nothing, so it
+    # is left out of volume and closure checks; its area counts twice.
+    double_sided: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mesh:
+    """Triangles in metres, z up, normals pointing out of the air (so a room has volume > 0)."""
+
+    vertices_m: FloatArray  # (n_vertices, 3)
+    triangles: IntArray  # int32 (n_triangles, 3), corners, counter-clockwise from outside the room
+    triangle_surface: IntArray  # int32 (n_triangles,), index into `surfaces`
+    surfaces: tuple[Surface, ...]
+
+    def __post_init__(self) -> None:
+        vertices = float_array("vertices", self.vertices_m, (None, 3), low=-1e6, high=1e6, unit="m")
+        triangles = int_array("triangles", self.triangles, (None, 3), low=0, high=len(vertices) - 1)
+        if len(triangles) == 0:
+            what = "a mesh without faces"
+            hint = "export the room with its surfaces, not lines or points alone"
+            raise InputError(what, found="no triangle", needed="at least one triangle", hint=hint)
+        owner = int_array(
+            "surface of each triangle",
+            self.triangle_surface,
+            (len(triangles),),
+            low=0,
+            high=len(self.surfaces) - 1,
+        )
+        object.__setattr__(self, "vertices_m", vertices)
+        object.__setattr__(self, "triangles", triangles)
+        object.__setattr__(self, "triangle_surface", owner)
+        object.__setattr__(self, "surfaces", tuple(self.surfaces))
+
+
+def corners_m(mesh: Mesh) -> FloatArray:
+    """Return the corners of every triangle, shape (n_triangles, 3 corners, 3)."""
+    return np.asarray(mesh.vertices_m[mesh.triangles])
+
+
+def area_vectors_m2(mesh: Mesh) -> FloatArray:
+    """Return normal times area of every triangle, shape (n_triangles, 3); it points outwards."""
+    a, b, c = np.moveaxis(corners_m(mesh), 1, 0)
+    return np.asarray(0.5 * np.cross(b - a, c - a))
+
+
+def triangle_areas_m2(mesh: Mesh) -> FloatArray:
+    """Return the area of one side of every triangle, shape (n_triangles,)."""
+    return np.asarray(np.linalg.norm(area_vectors_m2(mesh), axis=1))
+
+
+def is_double_sided(mesh: Mesh) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Return for every triangle whether it is a double-sided sheet, shape (n_triangles,)."""
+    flags = np.array([s.double_sided for s in mesh.surfaces], dtype=np.bool_)
+    return np.asarray(flags[mesh.triangle_surface])
+
+
+def volume_m3(mesh: Mesh) -> float:
+    """Return the enclosed volume; negative where the normals point into the air.
+
+    The divergence theorem over the triangles that enclose (sheets in the air are left out). It is
+    taken about the middle of the room: exact for a closed mesh wherever that is, and for a mesh
+    with small gaps the choice that counts each missing piece least.
+    """
+    walls = ~is_double_sided(mesh)
+    if not walls.any():
+        return 0.0
+    vectors = area_vectors_m2(mesh)[walls]
+    middles = corners_m(mesh)[walls].mean(axis=1)
+    areas = np.linalg.norm(vectors, axis=1)
+    total = areas.sum()
+    middle = (areas @ middles) / total if total > 0.0 else middles.mean(axis=0)
+    return float(np.einsum("ij,ij->", middles - middle, vectors) / 3.0)
+
+
+def surface_area_m2(mesh: Mesh) -> float:
+    """Return the area that sound can strike: both sides of sheets in the air, one of walls."""
+    return float(triangle_areas_m2(mesh) @ np.where(is_double_sided(mesh), 2.0, 1.0))
+
+
+def mean_free_path_m(mesh: Mesh) -> float:
+    """Return the mean distance between two reflections in a diffuse field, ``4 V / S`` [1]_.
+
+    References
+    ----------
+    .. [1] C. W. Kosten, "The mean free path in room acoustics", Acustica 10, 245-250 (1960).
+    """
+    return 4.0 * volume_m3(mesh) / surface_area_m2(mesh)
+
+
+_NO_AREA = 1e-12  # of the squared perimeter: what rounding leaves of a polygon without area
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Triangulation:
+    """The triangles of one polygon."""
+
+    triangles: IntArray  # (n_triangles, 3), corners in the polygon's sense; empty without area
+    area_m2: float  # Of the polygon's projection along its normal
+    off_plane_m: float  # Largest distance of a corner from the best plane
+    crosses_itself: bool  # The triangles do not cover the polygon's area
+
+
+def area_vector_m2(corners_m: FloatArray) -> FloatArray:
+    """Return normal times area of a polygon, shape (3,), by Newell's sum over its edges.
+
+    Counter-clockwise corners give a vector that points to the viewer. Exact for flat polygons of
+    any outline; the area of a warped one is that of its shadow along the mean normal.
+
+    `corners_m` has the shape (n_corners, 3).
+    """
+    from_first = corners_m - corners_m[0]
+    return np.asarray(0.5 * np.cross(from_first, np.roll(from_first, -1, axis=0)).sum(axis=0))
+
+
+def triangulate(corners_m: FloatArray) -> Triangulation:
+    """Cut a polygon into triangles with the ear-cutting method.
+
+    The polygon may be concave, have corners that stand on a straight line, or the same corner
+    twice. A fan from the first corner, as many readers cut it, would cover the notch of an
+    L-shaped floor.
+
+    `corners_m`, shape (n_corners, 3): in order around the polygon, the last one not repeating the
+    first.
+    """
+    vector = area_vector_m2(corners_m)
+    area = float(np.linalg.norm(vector))
+    edges = np.roll(corners_m, -1, axis=0) - corners_m
+    perimeter = float(np.linalg.norm(edges, axis=1).sum())
+    if len(corners_m) < 3 or not area > _NO_AREA * perimeter**2:
+        return Triangulation(np.zeros((0, 3), dtype=np.int64), area, 0.0, False)
+    normal = vector / area
+    from_middle = corners_m - corners_m.mean(axis=0)
+    off_plane = float(np.abs(from_middle @ normal).max())
+    if len(corners_m) == 3:
+        return Triangulation(np.array([[0, 1, 2]]), area, off_plane, False)
+    flat = np.ascontiguousarray(from_middle @ plane_axes(normal).T)
+    ring = np.array([len(flat)], dtype=np.uint32)
+    cut = mapbox_earcut.triangulate_float64(flat, ring).astype(np.int64).reshape(-1, 3)
+    a, b, c = (flat[cut[:, k]] for k in range(3))
+    ab, ac = b - a, c - a
+    twice = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
+    cut[twice < 0.0] = cut[twice < 0.0][:, ::-1]
+    covered = 0.5 * float(np.abs(twice).sum())
+    triangles = cut[np.abs(twice) > _NO_AREA * perimeter**2]
+    return Triangulation(triangles, area, off_plane, abs(covered - area) > 1e-6 * area)
+
+
+def plane_axes(normal: FloatArray) -> FloatArray:
+    """Return two unit vectors that with the normal form a right-handed frame, shape (2, 3)."""
+    helper = np.zeros(3)
+    helper[np.argmin(np.abs(normal))] = 1.0
+    u = np.cross(helper, normal)
+    u /= np.linalg.norm(u)
+    return np.array([u, np.cross(normal, u)])
+
+
+SHOEBOX_SURFACES = ("west", "east", "south", "north", "floor", "ceiling")
+
+# corner k of the unit box stands at the binary digits of k: x = bit 0, y = bit 1, z = bit 2
+_QUADS = (
+    *((0, 4, 6, 2), (1, 3, 7, 5)),  # west x = 0, east
+    *((0, 1, 5, 4), (2, 6, 7, 3)),  # south y = 0, north
+    *((0, 2, 3, 1), (4, 5, 7, 6)),  # floor z = 0, ceiling
+)
+
+
+def shoebox_mesh(lengths_m: ArrayLike) -> Mesh:
+    """Return a box with one corner at the origin.
+
+    Parameters
+    ----------
+    lengths_m : array_like, shape (3,)
+        Lengths along x, y and z, each 1 mm to 10 km.
+
+    Returns
+    -------
+    Mesh
+        12 triangles, outward normals; surfaces west (x = 0), east, south (y = 0), north, floor
+        and ceiling, in that order. Each carries its own name as material; the four upright ones
+        form the group "walls", so that one key can name them all.
+
+    Examples
+    --------
+    >>> box = shoebox_mesh((6.0, 5.0, 3.0))
+    >>> round(volume_m3(box), 9), surface_area_m2(box), round(mean_free_path_m(box), 3)
+    (90.0, 126.0, 2.857)
+    """
+    lengths = float_array("length of the box", lengths_m, (3,), low=1e-3, high=1e4, unit="m")
+    corners = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)]) * lengths
+    triangles = [t for a, b, c, d in _QUADS for t in ((a, b, c), (a, c, d))]
+    surfaces = tuple(
+        Surface(name, "walls" if i < 4 else None, name) for i, name in enumerate(SHOEBOX_SURFACES)
+    )
+    return Mesh(corners, np.array(triangles), np.repeat(np.arange(6), 2), surfaces)
+
+
+# Corners nearer than 0.1 mm are one corner. An absolute length, because what is welded is the
+# rounding of drawing programs (six decimals of a metre, three of a millimetre), which does not grow
+# with the room, and because it must stay far below any wavelength (21 mm at 16 kHz).
+WELD_TOLERANCE_M = 1e-4
+
+
+class Box(NamedTuple):
+    """A box anywhere: a point x stands ``axes @ (x - origin_m)`` from one of its corners."""
+
+    origin_m: FloatArray  # (3,), that corner
+    axes: FloatArray  # (3, 3), unit vectors along its edges from there, one a row, right-handed
+    lengths_m: FloatArray  # (3,)
+    wall: IntArray  # (n_triangles,), of each: 2 axis for the wall at 0, 2 axis + 1 for the other
+
+
+def box_of(mesh: Mesh) -> Box | None:
+    """Return the box that a mesh is, wherever it stands and however it is turned; None for no box.
+
+    Every triangle lies in one of six planes and faces out of the box, and those of a plane cover
+    it once. A door flush in a wall is part of that; a niche, a sheet or furniture is not. What a
+    box encloses is known at once, and its image sources form a lattice.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Normals out of the air.
+
+    Returns
+    -------
+    Box or None
+        The third axis is the one nearest to z, the first of the others that nearest to x.
+    """
+    vectors = area_vectors_m2(mesh)
+    if is_double_sided(mesh).any():
+        return None
+    first = _facing(vectors)
+    second = _facing(vectors - np.outer(vectors @ first, first))
+    axes = np.array([first, second, np.cross(first, second)])
+    axes = axes[np.argsort(np.abs(axes[:, 2]), kind="stable")]
+    x = axes[int(np.abs(axes[1, 0]) > np.abs(axes[0, 0]))]
+    x, z = x * np.copysign(1.0, x[0]), axes[2] * np.copysign(1.0, axes[2, 2])
+    axes = np.array([x, np.cross(z, x), z])
+    corners = corners_m(mesh) @ axes.T
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    lengths = high - low
+    planes = np.stack([low, high], axis=1).ravel()
+    heights = corners[:, :, [0, 0, 1, 1, 2, 2]] - planes
+    lies_in = np.abs(heights).max(axis=1) <= WELD_TOLERANCE_M  # (n_triangles, 6)
+    if lengths.min() < 1e-3 or not np.all(lies_in.sum(axis=1) == 1):
+        return None
+    wall = np.argmax(lies_in, axis=1)
+    outwards = np.einsum("ni,ni->n", vectors, axes[wall // 2]) * np.where(wall % 2, 1.0, -1.0)
+    whole = np.repeat(np.prod(lengths) / lengths, 2)
+    once = np.allclose(np.bincount(wall, outwards, 6), whole, rtol=1e-3)
+    if np.any(outwards < 0.0) or not once or unmatched(edges_of(mesh)).size:
+        return None
+    return Box(low @ axes, axes, lengths, wall)
+
+
+def _facing(vectors: FloatArray) -> FloatArray:
+    """Return the direction, (3,), of the walls that are parallel to the largest triangle."""
+    sizes = np.linalg.norm(vectors, axis=1)
+    largest = vectors[np.argmax(sizes)]
+    along = vectors @ largest
+    # all of them: the normal of a small triangle is as uncertain as its corners are
+    near = np.abs(along) > 0.9 * sizes * sizes.max()
+    total = np.sign(along[near]) @ vectors[near]
+    return np.asarray(total / max(np.linalg.norm(total), 1e-300))
+
+
+def as_shoebox(mesh: Mesh) -> Mesh | None:
+    """Return the same box as `shoebox_mesh` orders it; None where the mesh is no such box.
+
+    It is one that `box_of` finds at the origin, edges along the axes, each wall one surface. Its
+    walls have names, and lengths that can be fitted.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Normals out of the air.
+
+    Returns
+    -------
+    Mesh or None
+        Surfaces west, east, south, north, floor and ceiling under the names that they had; the
+        lengths are its last vertex.
+    """
+    box = box_of(mesh)
+    if box is None:
+        return None
+    pairs = np.unique(np.column_stack([box.wall, mesh.triangle_surface]), axis=0)
+    off_m = np.abs(box.origin_m).max() + np.abs((box.axes - np.eye(3)) * box.lengths_m).max()
+    if off_m > WELD_TOLERANCE_M or len(pairs) != 6:
+        return None
+    named = tuple(mesh.surfaces[s] for s in pairs[:, 1])
+    return replace(shoebox_mesh(np.max(mesh.vertices_m, axis=0)), surfaces=named)
+
+
+def weld(points_m: FloatArray) -> IntArray:
+    """Return for every point the index of the point that stands for it, shape (n_points,).
+
+    Points nearer than the tolerance belong together, and so do chains of them. The earliest point
+    stands for its group, so that coordinates of the file stay as they were written.
+
+    `points_m` has the shape (n_points, 3).
+    """
+    from scipy.sparse import coo_matrix, csgraph
+    from scipy.spatial import cKDTree  # heavy, and a box needs none of them
+
+    # equal points first: a file that repeats each corner for every face has thousands of pairs
+    _, first, inverse = np.unique(points_m, axis=0, return_index=True, return_inverse=True)
+    pairs = cKDTree(points_m[first]).query_pairs(WELD_TOLERANCE_M, output_type="ndarray")
+    n = len(first)
+    links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    n_groups, group = csgraph.connected_components(links, directed=False)
+    earliest = np.full(n_groups, len(points_m))
+    np.minimum.at(earliest, group, first)
+    return np.asarray(earliest[group[inverse.reshape(-1)]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """Directed edges of the enclosing triangles (sheets in the air are left out).
+
+    An edge on which corners of others stand is split there, so that edges match piece by piece.
+    """
+
+    ends: IntArray  # (n_edges, 2), corner from which and to which each edge runs
+    triangle: IntArray  # (n_edges,), triangle whose border it is
+    line: IntArray  # (n_edges,), equal for edges between the same two corners, of either sense
+
+
+def edges_of(mesh: Mesh) -> Edges:
+    """Return the directed edges, split wherever a corner stands on one within the tolerance."""
+    enclosing = np.flatnonzero(~is_double_sided(mesh))
+    corners = mesh.triangles[enclosing].astype(np.int64)
+    ends: IntArray = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2)
+    triangle: IntArray = np.repeat(enclosing, 3)
+    lonely = np.flatnonzero(np.bincount(_lines(ends))[_lines(ends)] != 2)
+    if len(lonely):
+        ends, triangle = _split(mesh.vertices_m, ends, triangle, lonely)
+    return Edges(ends, triangle, _lines(ends))
+
+
+def unmatched(edges: Edges) -> IntArray:
+    """Return the indices of edges that no other edge runs along in the opposite direction.
+
+    None are left in a closed, consistently oriented mesh.
+    """
+    if not len(edges.ends):
+        return np.zeros(0, dtype=np.int64)
+    forward = np.where(edges.ends[:, 0] < edges.ends[:, 1], 1, -1)
+    balance = np.bincount(edges.line, forward)
+    return np.flatnonzero(balance[edges.line] * forward > 0)
+
+
+def _lines(ends: IntArray) -> IntArray:
+    if not len(ends):
+        return np.zeros(0, dtype=np.int64)
+    _, line = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
+    return np.asarray(line.reshape(-1))
+
+
+def _split(
+    vertices_m: FloatArray, ends: IntArray, triangle: IntArray, lonely: IntArray
+) -> tuple[IntArray, IntArray]:
+    from scipy.spatial import cKDTree
+
+    posts = np.unique(ends[lonely])
+    tree = cKDTree(vertices_m[posts])
+    pieces, owners = [np.delete(ends, lonely, axis=0)], [np.delete(triangle, lonely)]
+    for edge in lonely:
+        a, b = vertices_m[ends[edge]]
+        near = tree.query_ball_point((a + b) / 2, np.linalg.norm(b - a) / 2)
+        chain = _chain(vertices_m, ends[edge], posts[near])
+        pieces.append(np.stack([chain[:-1], chain[1:]], axis=1))
+        owners.append(np.full(len(chain) - 1, triangle[edge]))
+    return np.concatenate(pieces), np.concatenate(owners)
+
+
+def _chain(vertices_m: FloatArray, ends: IntArray, posts: IntArray) -> IntArray:
+    """Return the corners along an edge, from its start to its end, both included."""
+    start, end = vertices_m[ends]
+    length = np.linalg.norm(end - start)
+    direction = (end - start) / length
+    from_start = vertices_m[posts] - start
+    along = from_start @ direction
+    aside = np.linalg.norm(from_start - along[:, None] * direction, axis=1)
+    within = (along > WELD_TOLERANCE_M) & (along < length - WELD_TOLERANCE_M)
+    on_edge = (aside < WELD_TOLERANCE_M) & within
+    between = posts[on_edge][np.argsort(along[on_edge])]
+    return np.concatenate([ends[:1], between, ends[1:]])

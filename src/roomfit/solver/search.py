@@ -1,0 +1,397 @@
+"""Searches of the unit box after Suh (2001): downhill simplex, and simulated annealing with it.
+
+Where that text, equations (2) to (10), is incomplete or unusual, this is what is done here. Of the
+simplex:
+
+- A failed contraction: the paper is silent. The simplex shrinks to half its size towards its lowest
+  vertex, as Nelder and Mead (1965) have it.
+- The order of operations: as printed, every reflection below the highest vertex is taken, and the
+  expansion is tried only where the reflection has *failed*, which doubles a step in a direction
+  that has just proved wrong. Nelder and Mead expand where the reflection is the best point so far,
+  and contract where it is no better than the second highest. Theirs is the default.
+- Bounds: a point outside the unit box counts as infinitely bad and is not evaluated. Moving it to
+  the wall instead would flatten the simplex into the wall, out of which no reflection leads.
+- The test is (6), the spread of the errors. The relative difference of test (7) is not taken: where
+  the lowest error is 0, as with data made by the model itself, only rounding meets it. A simplex
+  too small for further change in any coordinate ends the search as well.
+
+Of annealing, where the paper gives the rule of acceptance and the schedule alone:
+
+- A next state is the current one plus an even random step in every coordinate, mirrored at the
+  walls of the box. The largest step grows where more than six trials in ten are accepted and
+  shrinks where fewer than four are (Corana et al. 1987); every fifth step may still be as long as
+  half the box, for a walk of short steps alone never leaves a valley before it has cooled.
+- Each temperature gets a fixed number of trials for every unknown. The first temperature is the
+  spread of the error over random points unless it is given: 1e6 is only right for errors of about
+  that size.
+- The walk finds valleys and the simplex their bottoms: a simplex starts at the best state of each
+  quarter of the schedule, since a cold walk may have ended in the wrong valley of two, and the
+  lowest goes on with fresh edges from its own answer until nothing is gained. (A simplex that has
+  lost its shape stops short in more than four or five dimensions; fresh edges cure that.)
+
+References
+----------
+.. [1] J. S. Suh, "In-situ determination of absorption coefficients in a room" (2001).
+.. [2] J. A. Nelder, R. Mead, "A simplex method for function minimization", Computer Journal 7,
+       308-313 (1965).
+.. [3] N. Metropolis et al., "Equation of state calculations by fast computing machines", J. Chem.
+       Phys. 21, 1087-1092 (1953).
+.. [4] A. Corana et al., "Minimizing multimodal functions of continuous variables with the
+       'simulated annealing' algorithm", ACM Trans. Math. Softw. 13, 262-280 (1987).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from roomfit.base.arguments import float_array
+from roomfit.base.typing import FloatArray
+from roomfit.solver.ending import Ending
+
+ErrorFunction: TypeAlias = Callable[[FloatArray], float]
+"""Error of one point of the unit box, shape (n,); lower is better."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Where a search ended."""
+
+    x: FloatArray  # (n,), best point found, within the unit box
+    cost: float  # error there
+    evaluations: int  # how often the error was computed, with or without its derivative
+    iterations: int  # steps of the method, in its own sense
+    ending: Ending
+    # (n_visited, n), points at which the search stood, in order; what "stood" means, each method
+    # says
+    trail: FloatArray
+    trail_cost: FloatArray  # (n_visited,)
+
+
+class Counted:
+    """An error function that counts its calls and is infinite outside the unit box.
+
+    A point outside costs nothing, because nothing is computed there.
+    """
+
+    def __init__(self, error: ErrorFunction) -> None:
+        self._error = error
+        self.evaluations = 0
+
+    def __call__(self, x: FloatArray) -> float:
+        if x.min() < 0.0 or x.max() > 1.0:
+            return np.inf
+        self.evaluations += 1
+        return float(self._error(x))
+
+
+def best_of(fits: Sequence[Fit]) -> Fit:
+    """Return the fit of lowest cost with the work and the trails of all."""
+    best = min(fits, key=lambda fit: fit.cost)
+    return Fit(
+        best.x,
+        best.cost,
+        sum(fit.evaluations for fit in fits),
+        sum(fit.iterations for fit in fits),
+        best.ending,
+        np.concatenate([fit.trail for fit in fits]),
+        np.concatenate([fit.trail_cost for fit in fits]),
+    )
+
+
+Order = Literal["nelder-mead", "as-printed"]
+
+# alpha, gamma and beta of equations (3) to (5), and the factor after a failed contraction
+_REFLECTION, _EXPANSION, _CONTRACTION, _SHRINKAGE = 1.0, 2.0, 0.5, 0.5
+# Below this extent the error no longer changes by more than its own rounding.
+_COLLAPSED = 1e-11
+
+
+@dataclass(frozen=True, slots=True)
+class SimplexSettings:
+    """How the simplex moves and when it stops."""
+
+    order: Order = "nelder-mead"  # which operation is tried when, see the module's text
+    tolerance: float = 1e-6  # tau of test (6), in the unit of the error
+    max_evaluations: int = 20_000
+
+
+@dataclass(slots=True)
+class Simplex:
+    """The vertices and their errors, lowest first; the state of a search."""
+
+    vertices: FloatArray  # (n + 1, n)
+    errors: FloatArray  # (n + 1,)
+
+    def sort(self) -> None:
+        """Bring the lowest vertex to the front and the highest to the end."""
+        order = np.argsort(self.errors, kind="stable")
+        self.vertices, self.errors = self.vertices[order], self.errors[order]
+
+    def replace_highest(self, x: FloatArray, error: float) -> None:
+        """Replace the highest vertex by a new one."""
+        self.vertices[-1], self.errors[-1] = x, error
+
+
+def downhill_simplex(
+    error: ErrorFunction, start: FloatArray, settings: SimplexSettings | None = None
+) -> Fit:
+    """Move a simplex downhill until its vertices agree.
+
+    Parameters
+    ----------
+    error : callable
+        Takes a point of the unit box, shape (n,).
+    start : float array, shape (n + 1, n)
+        Vertices of the first simplex, within the unit box, not all in one plane.
+
+    Returns
+    -------
+    Fit
+        The trail holds the lowest vertex of every simplex, as Table 2 of the paper does.
+    """
+    settings = SimplexSettings() if settings is None else settings
+    n = np.shape(start)[-1]
+    vertices = np.array(float_array("simplex", start, (n + 1, n), low=0.0, high=1.0))
+    counted = Counted(error)
+    state = Simplex(vertices, np.array([counted(v) for v in vertices]))
+    state.sort()
+    trail, costs = [state.vertices[0].copy()], [state.errors[0]]
+    ending = _ending(state, counted, settings)
+    while ending is None:
+        move_once(state, counted, settings.order)
+        trail.append(state.vertices[0].copy())
+        costs.append(state.errors[0])
+        ending = _ending(state, counted, settings)
+    return Fit(
+        state.vertices[0],
+        float(state.errors[0]),
+        counted.evaluations,
+        len(trail) - 1,
+        ending,
+        np.array(trail),
+        np.array(costs),
+    )
+
+
+def move_once(state: Simplex, error: ErrorFunction, order: Order) -> None:
+    """Replace the highest vertex of a sorted simplex by a lower point, or shrink; sort again."""
+    centroid = state.vertices[:-1].mean(axis=0)  # (2)
+    if order == "as-printed":
+        _move_as_printed(state, error, centroid)
+    else:
+        _move_nelder_mead(state, error, centroid)
+    state.sort()
+
+
+def simplex_around(x: FloatArray, size: float) -> FloatArray:
+    """Return a simplex with one vertex at `x` and its n edges along the axes.
+
+    Parameters
+    ----------
+    x : float array, shape (n,)
+        Within the unit box.
+    size : float
+        Length of each edge, at most 0.5; the edge points to the farther wall.
+
+    The result has the shape (n + 1, n).
+    """
+    edges = np.diag(np.where(x <= 0.5, size, -size))
+    return np.concatenate((x[None, :], x + edges))
+
+
+def random_simplex(n: int, rng: np.random.Generator) -> FloatArray:
+    """Return a simplex with edges of 0.3 at a point drawn evenly from the unit box, (n + 1, n)."""
+    return simplex_around(rng.random(n), 0.3)
+
+
+def _move_nelder_mead(state: Simplex, error: ErrorFunction, centroid: FloatArray) -> None:
+    away = centroid - state.vertices[-1]
+    x_r = centroid + _REFLECTION * away  # (3)
+    e_r = error(x_r)
+    if e_r < state.errors[0]:
+        x_e = centroid + _EXPANSION * away  # (4)
+        e_e = error(x_e)
+        state.replace_highest(*((x_e, e_e) if e_e < e_r else (x_r, e_r)))
+        return
+    if e_r < state.errors[-2]:
+        state.replace_highest(x_r, e_r)
+        return
+    if e_r < state.errors[-1]:
+        state.replace_highest(x_r, e_r)
+    _contract(state, error, centroid)
+
+
+def _move_as_printed(state: Simplex, error: ErrorFunction, centroid: FloatArray) -> None:
+    away = centroid - state.vertices[-1]
+    for factor in (_REFLECTION, _EXPANSION):  # (3), then (4)
+        x = centroid + factor * away
+        e = error(x)
+        if e < state.errors[-1]:
+            state.replace_highest(x, e)
+            return
+    _contract(state, error, centroid)
+
+
+def _contract(state: Simplex, error: ErrorFunction, centroid: FloatArray) -> None:
+    x_c = centroid + _CONTRACTION * (state.vertices[-1] - centroid)  # (5)
+    e_c = error(x_c)
+    if e_c < state.errors[-1]:
+        state.replace_highest(x_c, e_c)
+        return
+    lowest = state.vertices[0]
+    state.vertices[1:] = lowest + _SHRINKAGE * (state.vertices[1:] - lowest)
+    state.errors[1:] = [error(v) for v in state.vertices[1:]]
+
+
+def spread(state: Simplex, error: ErrorFunction) -> float:
+    """Return the left side of equation (6): rms difference from the error at the centroid.
+
+    The centroid distinguishes a small simplex from one that lies evenly across a minimum.
+    """
+    at_centroid = error(state.vertices[:-1].mean(axis=0))
+    return float(np.sqrt(np.mean((state.errors - at_centroid) ** 2)))
+
+
+def _ending(state: Simplex, counted: Counted, settings: SimplexSettings) -> Ending | None:
+    if spread(state, counted) <= settings.tolerance:
+        return Ending.CONVERGED
+    if np.ptp(state.vertices, axis=0).max() <= _COLLAPSED:
+        return Ending.COLLAPSED
+    if counted.evaluations >= settings.max_evaluations:
+        return Ending.OUT_OF_EVALUATIONS
+    return None
+
+
+_SMALLEST_STEP, _LARGEST_STEP = 1e-3, 0.5
+_LONG_EVERY = 5
+_EDGE = 0.1
+_MOST_RESTARTS = 10  # of the simplex, from its own answer
+
+
+def accepts(change: float, temperature: float, rng: np.random.Generator) -> bool:
+    """Return whether a step that changes the error by `change` is taken, by equation (10).
+
+    ``T log(random) < -(E_n - E_c)``: always where the error falls, and with probability
+    ``exp(-change / T)`` where it rises.
+    """
+    # 1 - random lies in (0, 1], whose logarithm is finite
+    return temperature * math.log(1.0 - rng.random()) < -change
+
+
+class _Level(NamedTuple):
+    """State at the end of a temperature, the lowest met there, and the share of accepted trials."""
+
+    x: FloatArray
+    error: float
+    lowest_x: FloatArray
+    lowest_error: float
+    accepted: float
+
+
+def anneal(
+    error: ErrorFunction,
+    n: int,
+    rng: np.random.Generator,
+    *,
+    start_temperature: float | None = None,
+    cooling: float = 0.9,
+    levels: int = 60,
+    trials_per_unknown: int = 10,
+) -> Fit:
+    """Walk the unit box while it cools, then go downhill from the best point met.
+
+    Parameters
+    ----------
+    error : callable
+        Takes a point of the unit box, shape (n,).
+    n : int
+        Number of unknowns.
+    start_temperature : float, optional
+        In the unit of the error; None takes the spread of the error over random points.
+    cooling : float
+        Factor from one temperature to the next.
+    levels : int
+        How many temperatures.
+    trials_per_unknown : int
+        Trials at each temperature for every unknown.
+
+    Returns
+    -------
+    Fit
+        The trail holds the state at the end of each temperature, then the simplexes' own trails.
+    """
+    counted = Counted(error)
+    samples = rng.random((10 * n, n))
+    errors = np.array([counted(x) for x in samples])
+    temperature = start_temperature or max(float(np.std(errors)), np.finfo(float).tiny)
+    start = int(np.argmin(errors))
+    x, e, step = samples[start], float(errors[start]), _LARGEST_STEP
+    walk: list[_Level] = []
+    for _ in range(levels):
+        proposals = rng.uniform(-step, step, (trials_per_unknown * n, n))
+        proposals[::_LONG_EVERY] *= _LARGEST_STEP / step
+        walk.append(_walk_at(counted, x, e, temperature, proposals, rng))
+        x, e, _, _, accepted = walk[-1]
+        if accepted > 0.6:
+            step = min(1.5 * step, _LARGEST_STEP)
+        elif accepted < 0.4:
+            step = max(step / 1.5, _SMALLEST_STEP)
+        temperature *= cooling
+    # from the lowest state of each quarter of the schedule
+    bounds = np.linspace(0, levels, 5).round().astype(int)
+    quarters = (walk[a:b] for a, b in itertools.pairwise(bounds) if b > a)
+    starts = [min(quarter, key=lambda level: level.lowest_error).lowest_x for quarter in quarters]
+    polished = _polish(error, starts)
+    return Fit(
+        polished.x,
+        polished.cost,
+        counted.evaluations + polished.evaluations,
+        levels * trials_per_unknown * n + polished.iterations,
+        polished.ending,
+        np.concatenate(([level.x for level in walk], polished.trail)),
+        np.concatenate(([level.error for level in walk], polished.trail_cost)),
+    )
+
+
+def _walk_at(
+    error: Counted,
+    x: FloatArray,
+    e: float,
+    temperature: float,
+    proposals: FloatArray,
+    rng: np.random.Generator,
+) -> _Level:
+    """Walk at one temperature; `proposals` are the steps to try, shape (n_trials, n)."""
+    lowest_x, lowest = x, e
+    accepted = 0
+    for proposal in proposals:
+        # at most half a box outside, folded back through the wall it left
+        next_x = np.asarray(1.0 - np.abs(1.0 - np.abs(x + proposal)))
+        next_e = error(next_x)
+        if accepts(next_e - e, temperature, rng):
+            x, e = next_x, next_e
+            accepted += 1
+            if e < lowest:
+                lowest_x, lowest = x, e
+    return _Level(x, e, lowest_x, lowest, accepted / len(proposals))
+
+
+def _polish(error: ErrorFunction, starts: list[FloatArray]) -> Fit:
+    """Descend from every start, and from the lowest end again until that gains nothing more."""
+    settings = SimplexSettings()
+    fits = [downhill_simplex(error, simplex_around(x, _EDGE), settings) for x in starts]
+    edge = _EDGE
+    for _ in range(_MOST_RESTARTS):
+        last = best_of(fits)
+        edge *= 0.5
+        again = downhill_simplex(error, simplex_around(last.x, edge), settings)
+        fits.append(again)
+        if last.cost - again.cost <= settings.tolerance:
+            break
+    return best_of(fits)

@@ -1,0 +1,457 @@
+"""What to hang where, so that a room meets its targets, and how likely it then does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from roomfit.base.arguments import check_range
+from roomfit.base.bands import Bands
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.kernels import one_blas_thread
+from roomfit.base.typing import BoolArray, FloatArray, Progress
+from roomfit.predict.decay import moved
+from roomfit.predict.diffuse import PreparedField, field_values, in_rows
+from roomfit.predict.other_walls import numbers_at
+from roomfit.predict.tables import PredictedValue, named_values, predicted_means
+from roomfit.result import result_doubts
+from roomfit.room.scene import pair_names
+from roomfit.signals.iso3382 import VALUE_NAMES, ValueName
+from roomfit.treat.question import (
+    ChangingRoom,
+    Product,
+    Question,
+    Surface,
+    Target,
+    is_time,
+    limits_of,
+    question_of,
+    rows_of,
+    treated,
+    treated_draws,
+)
+from roomfit.treat.search import MET, best_arrangement, excess, scale_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+_MARGIN_ROUNDS = 6  # a margin hangs on the arrangement, and that on the margin
+# Means by parameter, and the speech transmission index.
+_Means = tuple[dict[ValueName, PredictedValue], PredictedValue | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Hung:
+    """A product on a surface."""
+
+    surface: str
+    product: str
+    area_m2: float
+    share: float  # of the surface
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Arrangement:
+    """One answer, and what it does."""
+
+    hung: tuple[Hung, ...]
+    cost: float
+    mean: Mapping[ValueName, PredictedValue]  # over all pairs, with what was before
+    # (n_targets,), that a measurement after it meets the target in all its bands; and all targets
+    probability: FloatArray
+    before: FloatArray  # (n_targets,), the same without any treatment
+    joint: float
+    missed: tuple[str, ...]  # what the likeliest prediction misses, in words
+    # what the spread of the least likely target is due to: share of its variance
+    decisive: tuple[tuple[str, float], ...]
+    sti: PredictedValue | None = None  # as `mean`, of shape (1,), where the bands give it
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether all targets are met with a probability of 95 %."""
+        return self.joint >= 0.95
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Treatment:
+    """The best arrangements, cheapest first; or the one that misses least."""
+
+    bands: Bands
+    targets: tuple[Target, ...]
+    arrangements: tuple[Arrangement, ...]
+    is_met: bool  # by the likeliest prediction; each as likely as asked for where that is above 0.5
+    room: ChangingRoom
+    findings: tuple[Finding, ...]
+    # pairs to be measured for the absorption on which a target hangs, in words, by `roomfit.design`
+    to_measure: tuple[str, ...] = ()
+    before: str = "predicted before"  # what stands before in the means, in words
+    asked: float = 0.5  # probability of each target in each band
+
+    def __str__(self) -> str:
+        """Return arrangements, what they do, and how likely it is enough."""
+        from roomfit.treat.output import treatment_text
+
+        return treatment_text(self)
+
+    def plot(self) -> Figure:
+        """Return the room and what the first arrangement does in every band."""
+        from roomfit.treat.output import treatment_figure
+
+        return treatment_figure(self)
+
+
+@one_blas_thread
+def treat(
+    room: ChangingRoom,
+    surfaces: Sequence[Surface],
+    products: Sequence[Product],
+    targets: Sequence[Target],
+    *,
+    number: int = 3,
+    probability: float = 0.5,
+    most_cost: float = np.inf,
+    progress: Progress | None = None,
+) -> Treatment:
+    """Choose what to hang where.
+
+    The cheapest arrangements of whole pieces, each of another set of products and surfaces, with
+    which a measured mean over all pairs meets each target in each of its bands at least as likely
+    as asked for.
+
+    Parameters
+    ----------
+    room : PreparedRoom or PreparedField
+        From `roomfit.predict.other_walls.prepare_prediction`, of any pairs; or, of T30 alone, from
+        `roomfit.predict.diffuse.prepare_field`.
+    surfaces, products, targets : sequences of Surface, Product and Target
+    number : int
+        How many arrangements.
+    probability : float
+        0.5 to 0.99: of each target in each band.
+    most_cost : float
+        What all of it may cost.
+
+    Raises
+    ------
+    InputError
+        See `question_of`; or the probability is out of range.
+
+    Notes
+    -----
+    A surface that is covered in part has the area-weighted mean of what covers it and of itself,
+    wherever the pieces hang: in a diffuse field its energy. The probability is of a measurement
+    after the treatment: over common draws of what is not known of the room and of the products,
+    with interference, the number of rays and the error that `predict` grants its model. Of pairs
+    that were measured before, what was measured is carried over.
+    """
+    check_range("the probability of meeting a target", probability, 0.5, 0.99)
+    in_words, room = _before_in_words(room), as_measured(room)
+    question = question_of(room, surfaces, products, targets)
+    known: dict[tuple[float, ...], _Outcome] = {}
+
+    def best(margin: FloatArray, excluded: Sequence[BoolArray] = ()) -> _Outcome:
+        # margins go to and fro between two arrangements, and an alternative may be one of them
+        found = best_arrangement(question, margin, excluded, most_cost)
+        key = tuple(found[0].tolist())
+        known[key] = known.get(key) or _outcome(question, *found, probability)
+        return known[key]
+
+    margin = np.zeros(len(question.target))
+    tried = [best(margin)]
+    for _ in range(_MARGIN_ROUNDS if probability > 0.5 else 0):
+        margin = _margin(question, tried[-1], probability)
+        tried.append(best(margin))
+        if tried[-1] is tried[-2]:
+            break
+    met = [one for one in tried if not one.missed]
+    first = min(met or tried[-1:], key=lambda one: one.cost)
+    found, excluded = [first], []
+    while met and first.pieces.any() and len(found) < number:
+        excluded.append(found[-1].pieces > 0)
+        other = best(margin, excluded)
+        if other.missed or any(np.array_equal(other.pieces > 0, e) for e in excluded):
+            break
+        found.append(other)
+        if progress is not None:
+            progress(len(found) / number)
+    found.sort(key=lambda one: one.cost)
+    bare = 0.0 * question.cost
+    nothing = known.get(tuple(bare.tolist())) or _outcome(question, bare, 0.0 * margin, probability)
+    before, _ = _of_targets(question, nothing.odds)
+    arrangements = tuple(_arrangement(question, one, before) for one in found)
+    doubts = (
+        *result_doubts(room.absorption, room.scene.room.findings),
+        *_of_the_room(room, arrangements),
+        *_findings(question, arrangements, first, probability),
+    )
+    return Treatment(
+        room.absorption.bands, question.targets, arrangements, bool(met), room, doubts,
+        before=in_words, asked=probability,
+    )  # fmt: skip
+
+
+def _of_the_room(room: ChangingRoom, arrangements: Sequence[Arrangement]) -> tuple[Finding, ...]:
+    """Return what is left out, and what the prior alone says of surfaces that are covered."""
+    if isinstance(room, PreparedField):
+        return room.findings
+    covered = {h.surface for a in arrangements for h in a.hung}
+    dominated = tuple(f for f in room.dominated if covered & set(f.about.materials))
+    return tuple(f for f in room.absorption.findings if f.code is Code.RESULT_DOUBTED) + dominated
+
+
+def _before_in_words(room: ChangingRoom) -> str:
+    """Return what the mean of T30 before is: measured in every band and pair, in some, in none."""
+    if isinstance(room, PreparedField):
+        known = np.isfinite(room.measured_s)
+    else:
+        at = VALUE_NAMES.index("T30_s")
+        found = {(o.source, o.receiver): np.isfinite(o.values[at]) for o in room.observed}
+        nothing = np.zeros(len(room.absorption.bands), dtype=np.bool_)
+        known = np.array([found.get(n[:2], nothing) for n in pair_names(room.scene)])
+    if not known.any():
+        return "predicted before"
+    return "measured before" if known.all() else "before, measured where it was"
+
+
+def as_measured(room: ChangingRoom) -> ChangingRoom:
+    """Return a room whose measured pairs have what was measured before any change.
+
+    What a treatment does to them is then carried over from there, and what the model says wrongly
+    of the room as it is cancels. A diffuse field keeps what was measured by itself.
+    """
+    if isinstance(room, PreparedField):
+        return room
+    before = []
+    for name, own in zip(pair_names(room.scene), room.before, strict=True):
+        rows = [o.values for o in room.observed if (o.source, o.receiver) == name[:2]]
+        values = own.values
+        if rows:
+            measured = np.ma.masked_invalid(rows).mean(axis=0)
+            values = np.where(np.isnan(values), np.nan, measured.filled(np.nan))
+            values = np.where(np.isnan(values), own.values, values)
+        sti = own.sti
+        index = [o.sti for o in room.observed if (o.source, o.receiver) == name[:2]]
+        if sti is not None and np.isfinite(index).any():
+            middle = np.full((1, 1), np.nanmean(index))
+            sti = replace(sti, values=middle, draws=middle + (sti.draws - sti.values))
+        drawn = moved(values, own.draws, own.values)
+        before.append(replace(own, values=values, draws=drawn, sti=sti))
+    return replace(room, before=tuple(before), observed=())
+
+
+class _Outcome(NamedTuple):
+    """What an arrangement does, evaluated once for search, verdict and display."""
+
+    pieces: FloatArray  # (n_candidates,), how many of each hang
+    numbers: FloatArray  # (n_rows,), the likeliest prediction
+    cost: float
+    means: _Means
+    rows: FloatArray  # (n_draws, n_rows)
+    odds: FloatArray  # as `rows`, that each draw is measured within its limits
+    missed: tuple[str, ...]  # in words
+
+
+def _outcome(
+    question: Question, pieces: FloatArray, numbers: FloatArray, probability: float
+) -> _Outcome:
+    """Return what an arrangement does, with draws and odds of every row."""
+    means, drawn = _means_and_draws(
+        question.room, treated(question, pieces), treated_draws(question, pieces)
+    )
+    rows = rows_of(question, drawn)
+    odds = _odds(question, means, numbers, rows)
+    missed = _missed(question, numbers, odds.mean(axis=0), probability)
+    return _Outcome(pieces, numbers, float(question.cost @ pieces), means, rows, odds, missed)
+
+
+def _of_targets(question: Question, odds: FloatArray) -> tuple[FloatArray, float]:
+    """Return the odds of each target in all its bands, (n_targets,), and of all targets."""
+    of, n = np.array(question.target), len(question.targets)
+    each = np.array([np.mean(np.prod(odds[:, of == t], axis=1)) for t in range(n)])
+    return each, float(np.mean(np.prod(odds, axis=1)))
+
+
+def _odds(question: Question, means: _Means, numbers: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return the probability that each draw is measured within its limits, as `rows`."""
+    sd, ends = _rest_sd(question, means, numbers), limits_of(question)
+    drawn, low, high = (_in_logs(question, x) for x in (rows, *ends))
+    return np.asarray(np.nan_to_num(ndtr((high - drawn) / sd) - ndtr((low - drawn) / sd)))
+
+
+def _in_logs(question: Question, rows: FloatArray) -> FloatArray:
+    """Return decay times as logarithms, all else as it is: on this scale the rest is a sum."""
+    return np.where(is_time(question), np.log(np.maximum(rows, 1e-9)), rows)
+
+
+def _means_and_draws(
+    room: ChangingRoom, absorption: FloatArray, draws: FloatArray
+) -> tuple[_Means, FloatArray]:
+    """Return the means over all pairs, and draws of them, (n_draws, n_names + 1, n_bands)."""
+    if isinstance(room, PreparedField):
+        values, drawn_s = field_values(room, absorption, draws)
+        drawn = in_rows(drawn_s)
+        return (values, None), np.concatenate([drawn, np.full_like(drawn[:, :1], np.nan)], axis=1)
+    after = numbers_at(room, absorption, draws)
+    means = predicted_means(room.scene, [after, room.before], ())
+    drawn = np.asarray(np.ma.masked_invalid([n.draws for n in after]).mean(axis=0).filled(np.nan))
+    index = np.full((len(drawn), 1, 1), np.nan)
+    if means[1] is not None:
+        index = np.mean([n.sti.draws for n in after if n.sti is not None], axis=0)
+    index = np.broadcast_to(index, (len(drawn), 1, drawn.shape[2]))
+    return means, np.concatenate([drawn, index], axis=1)
+
+
+def _rest_sd(question: Question, means: _Means, numbers: FloatArray) -> FloatArray:
+    """Return of each row the spread that is not the absorption's, alike in all its bands.
+
+    Of logarithms of decay times, as their intervals are widened: a time is never 0.
+    """
+    table = named_values(*means)
+    own = [
+        np.broadcast_to(table[question.targets[t].parameter].sd_rest, question.weights.shape[1])
+        for t in question.target
+    ]
+    found = (question.weights * np.nan_to_num(own)).sum(axis=1)
+    share = np.divide(found, numbers, out=np.zeros_like(found), where=numbers > 0.0)
+    found = np.where(is_time(question), np.sqrt(np.log1p(share**2)), found)
+    return np.asarray(np.maximum(found, 1e-9))
+
+
+def _margin(question: Question, one: _Outcome, probability: float) -> FloatArray:
+    """Return by how much each row must keep its limits to meet them with some probability.
+
+    The quantile of what may be measured, beside the likeliest number: draws are not symmetric
+    about it.
+    """
+    rows = one.rows
+    steps = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
+    sd = _rest_sd(question, one.means, one.numbers)
+    wide = _in_logs(question, rows)[:, None] + (steps / np.std(steps))[:, None] * sd
+    ends = np.quantile(wide.reshape(-1, rows.shape[1]), (1.0 - probability, probability), axis=0)
+    ends = np.where(is_time(question), np.exp(ends), ends)
+    low, high = limits_of(question)
+    below, above = np.nan_to_num((one.numbers - ends[0], ends[1] - one.numbers))
+    wide = np.maximum(
+        np.where(np.isfinite(low), below, -np.inf), np.where(np.isfinite(high), above, -np.inf)
+    )
+    return np.asarray(wide + MET * scale_of(question))  # what the search lets pass is made up for
+
+
+def _arrangement(question: Question, one: _Outcome, before: FloatArray) -> Arrangement:
+    pieces, (odds, joint) = one.pieces, _of_targets(question, one.odds)
+    materials = question.room.absorption.materials
+    hung = []
+    for c in np.flatnonzero(pieces):
+        m, area = question.surface[c], float(pieces[c] * question.piece_m2[c])
+        name = question.products[question.product[c]].name
+        hung.append(Hung(materials[m], name, area, area / float(question.areas_m2[m])))
+    return Arrangement(
+        tuple(hung),
+        one.cost,
+        one.means[0],
+        odds,
+        before,
+        joint,
+        one.missed,
+        _decisive(question, pieces, one.rows[:, np.array(question.target) == np.argmin(odds)]),
+        one.means[1],
+    )
+
+
+def _missed(
+    question: Question, numbers: FloatArray, odds: FloatArray, probability: float
+) -> tuple[str, ...]:
+    """Return in words what the likeliest prediction misses, or what is less likely than asked."""
+    low, high = limits_of(question)
+    short = odds < probability
+    if probability <= 0.5:
+        short = excess(question, numbers, np.zeros(len(numbers))) > 0.0
+    lines = []
+    for r in np.flatnonzero(short):
+        target = question.targets[question.target[r]]
+        at = question.room.absorption.bands.centres_hz[question.weights[r] > 0.0]
+        limit = low[r] if numbers[r] < low[r] or np.isinf(high[r]) else high[r]
+        found, needed = apart(numbers[r], limit, 2)
+        line = f"{target.parameter} at {', '.join(f'{f:g}' for f in at)} Hz is {found}, "
+        if probability > 0.5:
+            likely, asked = apart(100.0 * odds[r], 100.0 * probability, 0)
+            line += f"met with a probability of {likely} %, {asked} % was needed"
+        else:
+            line += f"{needed} was needed"
+        lines.append(line)
+    return tuple(lines)
+
+
+def apart(value: float, other: float, decimals: int) -> tuple[str, str]:
+    """Return two numbers with so many decimals, or as many more as tell them apart, 4 at most.
+
+    Examples
+    --------
+    >>> apart(0.634, 0.63, 2), apart(79.7, 80.0, 0), apart(0.5, 0.63, 2)
+    (('0.634', '0.630'), ('79.7', '80.0'), ('0.50', '0.63'))
+    """
+    for n in range(decimals, 4):
+        if f"{value:.{n}f}" != f"{other:.{n}f}":
+            return f"{value:.{n}f}", f"{other:.{n}f}"
+    return f"{value:.4f}", f"{other:.4f}"
+
+
+def _decisive(
+    question: Question, pieces: FloatArray, rows: FloatArray
+) -> tuple[tuple[str, float], ...]:
+    """Return whose absorption goes with the draws of some rows: largest squared correlations."""
+    room = question.room
+    used = sorted({question.product[c] for c in np.flatnonzero(pieces)})
+    names = [*room.absorption.materials, *(question.products[p].name for p in used)]
+    drawn = np.concatenate([room.draws, question.drawn[:, used]], axis=1)
+    y = np.asarray(np.nanmean(rows, axis=1))
+    at = question.weights.sum(axis=0) > 0.0
+    shares = []
+    for i, name in enumerate(names):
+        x = np.asarray(np.log(np.maximum(drawn[:, i][:, at], 1e-4)).mean(axis=1))
+        spread = float(np.std(x) * np.std(y))
+        if spread > 1e-12:
+            share = float(np.mean((x - x.mean()) * (y - y.mean())) / spread) ** 2
+            shares.append((name, share))
+    best: dict[str, float] = {}
+    for name, share in shares:  # a product that is a material of the room is one of them
+        best[name] = max(share, best.get(name, 0.0))
+    return tuple(sorted(best.items(), key=lambda pair: -pair[1])[:3])
+
+
+def _findings(
+    question: Question,
+    arrangements: Sequence[Arrangement],
+    first: _Outcome,
+    probability: float,
+) -> tuple[Finding, ...]:
+    found = []
+    if first.missed:
+        used = float((first.pieces * question.piece_m2).sum())
+        missed = first.missed
+        likely = f" with a probability of {100.0 * probability:g} %" if probability > 0.5 else ""
+        free = sum(question.free_m2.values())
+        sentence = (
+            f"The targets cannot be met{likely} with these products on {free:.4g} m2: "
+            f"{'; '.join(missed[:4])}. The arrangement shown misses least, with {used:.4g} m2."
+        )
+        found.append(Finding(Code.TARGET_NOT_MET, About(), sentence, {"missed": list(missed)}))
+    partly = [
+        f"{h.surface} ({100 * h.share:.0f} %)"
+        for a in arrangements
+        for h in a.hung
+        if 0.02 < h.share < 0.98
+    ]
+    if partly:
+        sentence = (
+            f"Covered in part, as {', '.join(dict.fromkeys(partly))}: predicted with the mean of "
+            "its absorption by area, wherever on it the pieces hang. Pieces near a source or a "
+            "receiver may do more early on; divide the surface in the model to see it."
+        )
+        found.append(Finding(Code.SURFACE_COVERED_IN_PART, About(), sentence, {"surfaces": partly}))
+    return tuple(found)

@@ -1,0 +1,176 @@
+"""Checks as a whole: one form, laws that are stated, and what a new one takes."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import roomfit
+from roomfit.base.bands import Bands
+from roomfit.base.findings import About, Code, Finding
+from roomfit.checks import examine as checks
+from roomfit.checks.examine import AFTER_THE_FIT, BEFORE_THE_FIT
+from roomfit.checks.verdict import judge, voided
+from roomfit.materials.priors import unknown_material
+from roomfit.uncertainty.gaussian import prior_only_band
+
+FOLDER = Path(checks.__file__).parent
+EVERY = (*BEFORE_THE_FIT, *AFTER_THE_FIT)
+MODULES = sorted({check.__module__ for check in EVERY})
+
+
+# Form.
+
+
+def test_every_check_stands_once_in_one_of_the_two_tuples():
+    """Functions named check or check_... of the modules, but for that of recordings as a whole."""
+    assert len(set(EVERY)) == len(EVERY)
+    found = {
+        f"roomfit.checks.{path.stem}.{node.name}"
+        for path in FOLDER.glob("*.py")
+        if path.stem != "usable"
+        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.FunctionDef) and re.fullmatch(r"check(_\w+)?", node.name)
+    }
+    assert found == {f"{check.__module__}.{check.__name__}" for check in EVERY}
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_a_module_states_the_law_of_every_code_that_it_raises(name):
+    """Levels of significance are probabilities."""
+    module = sys.modules[name]
+    tree = ast.parse(Path(str(module.__file__)).read_text(encoding="utf-8"))
+    raised = {
+        code.attr
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id == "Finding"
+        for code in ast.walk(node.args[0])
+        if isinstance(code, ast.Attribute)
+        and isinstance(code.value, ast.Name)
+        and code.value.id == "Code"
+    }
+    laws = getattr(module, "LAWS", {})
+    assert {code.name for code in laws} == raised
+    for law in laws.values():
+        assert law.null and law.statistic
+        assert law.level is None or 0.0 < law.level <= 0.05
+
+
+# The verdict.
+
+BANDS = Bands("octave", [500.0, 1000.0])
+PRIORS = (
+    unknown_material("floor", 2),
+    unknown_material("walls", 2),
+    replace(unknown_material("door", 2), known=np.array([0.1, 0.1])),
+)
+
+
+def verdict(*findings: Finding) -> np.ndarray:
+    """Return the verdict on bands that the rule calls identifiable throughout."""
+    one = prior_only_band(PRIORS, 0)
+    answers = [replace(one, identifiable=np.ones(3, dtype=np.bool_))] * 2
+    return judge(answers, findings, PRIORS, BANDS)
+
+
+def test_without_a_finding_the_rule_decides():
+    assert verdict().all()
+
+
+def test_a_finding_voids_what_it_is_about_and_nothing_else():
+    """A decay its band, a reflection its material there; what is fixed stays."""
+    about = About(bands_hz=[500.0])
+    decay = Finding(Code.DECAY_NOT_REPRODUCED, about, "It is not.")
+    assert verdict(decay).tolist() == [[False, True], [False, True], [True, True]]
+    about = About(materials=["floor"], bands_hz=[1000.0])
+    grave, slight = (
+        Finding(Code.REFLECTION_DISAGREES, about, "It does.", graded=g)
+        for g in ("serious", "warning")
+    )
+    assert verdict(grave).tolist() == [[True, False], [True, True], [True, True]]
+    assert verdict(slight).all()
+
+
+def test_an_ambiguity_voids_its_entries_where_these_are_not_all_of_its_materials_and_bands():
+    entries = [("floor", 500.0), ("walls", 500.0), ("walls", 1000.0)]
+    about = About(["floor", "walls"], [500.0, 1000.0], entries=entries)
+    found = voided(Finding(Code.MIRROR_AMBIGUITY, about, "It is."), PRIORS, BANDS)
+    assert found.tolist() == [[True, False], [True, True], [False, False]]
+
+
+def test_a_contradicted_absorption_is_voided_although_it_is_fixed():
+    about = About(materials=["door"], bands_hz=[500.0])
+    assert not verdict(Finding(Code.FIXED_ABSORPTION_CONTRADICTED, about, "It is.")).any()
+
+
+def test_only_the_verdict_decides_what_a_finding_voids():
+    """No other module of the science asks a code what it voids in order to void it."""
+    source, asking = FOLDER.parent, set()
+    for path in source.rglob("*.py"):
+        if "voids_its_own" in path.read_text(encoding="utf-8"):
+            asking.add(path.relative_to(source).as_posix())
+    assert asking == {"findings.py", "diagnostics/verdict.py"}
+
+
+# A new check.
+
+CHECK = '''"""Whether a room is too small to be believed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from roomfit.checks.evidence import Law, Recorded
+from roomfit.base.findings import About, Code, Finding
+
+LAWS = {Code.ROOM_TINY: Law("rooms are large", "volume")}
+
+
+def check(evidence: Recorded) -> Iterator[Finding]:
+    """Yield a finding, always."""
+    yield Finding(Code.ROOM_TINY, About(), f"{len(evidence.measured.values)} table, tiny.")
+'''
+RUN = """
+import roomfit
+room = roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster")
+scene = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+measured = roomfit.MeasuredValues("S", "R", [1000.0], {"T20_s": [0.8]})
+octave, few = roomfit.bands_between("octave", 1000, 1000), roomfit.Settings(n_rays=2000)
+result = roomfit.identify(scene, [measured], bands=octave, settings=few)
+print([f.sentence for f in result.findings if f.code == "room-tiny"])
+"""
+
+
+def changed(path: Path, old: str, new: str) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    path.write_text(text.replace(old, new), encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_a_new_finding_takes_its_file_its_line_and_its_code(tmp_path):
+    """Three files of a copy of the package; a row of docs/findings.md says what it means."""
+    copy = tmp_path / "roomfit"
+    shutil.copytree(Path(roomfit.__file__).parent, copy)
+    (copy / "diagnostics" / "size.py").write_text(CHECK, encoding="utf-8")
+    path = copy / "diagnostics" / "checks.py"
+    changed(path, "    schroeder,\n", "    schroeder,\n    size,\n")
+    changed(path, "    wall_positions.check,\n", "    wall_positions.check,\n    size.check,\n")
+    exchanged = '    EXCHANGED = "exchanged", "serious", _VOIDS\n'
+    changed(copy / "findings.py", exchanged, exchanged + '    ROOM_TINY = "room-tiny", "info"\n')
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", RUN], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.stdout.strip() == "['1 table, tiny.']", done.stderr

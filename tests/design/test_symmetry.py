@@ -1,0 +1,112 @@
+"""Pairs on a plane of symmetry: what it costs, and where to move them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from roomfit.base.air import Air
+from roomfit.base.bands import bands_between
+from roomfit.base.findings import Code
+from roomfit.cli.commands import check_campaign_recordings
+from roomfit.design.candidates import DesignOptions
+from roomfit.design.positions import design
+from roomfit.design.symmetry import plane_findings
+from roomfit.files.campaign import read_campaign
+from roomfit.fit.symmetry import mirror_planes
+from roomfit.materials.priors import complete_priors
+from roomfit.room.scene import Scene, scene_of, shoebox_room
+from roomfit.settings import Settings
+from small_campaign import small_responses, write_wav
+
+SIDES = ("west", "east", "south", "north", "floor", "ceiling")
+SIZE_M = (6.4, 5.2, 2.8)
+OCTAVE, FEW = bands_between("octave", 500, 1000), Settings(n_rays=2000)
+
+
+def scene(heights_m, materials=None, size_m=SIZE_M):
+    """Return four sources about one receiver, all at such heights, off the upright planes."""
+    sources = {
+        f"S{i}": (3.9 + 1.5 * np.cos(a), 2.1 + 1.4 * np.sin(a), heights_m[0])
+        for i, a in enumerate((0.3, 1.4, 2.6, 4.0))
+    }
+    room = shoebox_room(size_m, materials or {side: side for side in SIDES})
+    return scene_of(room, sources, {"M": (3.9, 2.1, heights_m[1])})
+
+
+def found(own):
+    priors = complete_priors(own.room.materials, (), OCTAVE)
+    return plane_findings(own, priors, OCTAVE, FEW)
+
+
+def test_pairs_at_half_height_are_told_what_floor_and_ceiling_lose():
+    """The finding's expectation where it says to move is that of a scene set up there."""
+    (finding,) = found(scene((1.4, 1.4)))
+    assert finding.code is Code.ON_SYMMETRY_PLANE
+    assert set(finding.about.materials) == {"floor", "ceiling"}
+    evidence = finding.evidence
+    np.testing.assert_allclose(evidence["normal"], (0.0, 0.0, 1.0), atol=1e-12)
+    assert evidence["offset_m"] == pytest.approx(1.4)
+    assert evidence["move"] == ["M"] and evidence["by_m"] == pytest.approx(0.56)
+    assert evidence["half_width_moved"] < 0.9 * evidence["half_width"]
+    assert "z = 1.40 m" in finding.sentence and "M 0.56 m off the plane" in finding.sentence
+    assert not found(scene((1.4, 1.4 + evidence["by_m"])))
+
+
+@pytest.mark.parametrize(
+    "own",
+    [
+        scene((1.4, 1.1)),
+        scene((1.2, 1.2)),
+        # both are one material: nothing to tell apart
+        scene((1.4, 1.4), {**{s: s for s in SIDES}, "floor": "tiles", "ceiling": "tiles"}),
+    ],
+)
+def test_pairs_off_the_plane_or_of_equal_walls_are_not_warned(own):
+    assert not mirror_planes(own) and not found(own)
+
+
+def test_a_pair_mirrored_into_its_reverse_counts_and_turned_by_an_axis_does_not():
+    """Source below and receiver above: by reciprocity the pair is its own image in z = 1.4 m.
+
+    That of the source in the axis is no plane: of the four symmetries here one is a plane.
+    """
+    room = shoebox_room(SIZE_M, {side: side for side in SIDES})
+    own = scene_of(room, {"S": (2.0, 1.7, 1.0)}, {"R": (2.0, 1.7, 1.8)})
+    ((symmetry, normal),) = mirror_planes(own)
+    np.testing.assert_allclose(np.abs(normal), (0.0, 0.0, 1.0), atol=1e-12)
+    assert symmetry.centre_m[2] == pytest.approx(1.4)
+
+
+def test_a_design_at_half_height_alone_says_so_and_one_at_all_heights_does_not():
+    room = shoebox_room(SIZE_M, {side: side for side in SIDES})
+    for heights_m, expected in (((1.4, 1.4), 1), ((1.0, 2.0), 0)):
+        options = DesignOptions(
+            number=3, n_candidates=12, new_sources=3, n_draws=1, n_random=0,
+            source_heights_m=heights_m, receiver_heights_m=heights_m, receiver_distance_m=0.5,
+            source_distance_m=1.0,
+        )  # fmt: skip
+        empty = Scene(room, (), (), np.zeros((0, 2), dtype=np.int64), Air())
+        plan = design(empty, bands=OCTAVE, options=options, settings=FEW)
+        codes = [f.code for f in plan.findings]
+        assert codes.count(Code.ON_SYMMETRY_PLANE) == expected
+
+
+def test_the_check_of_a_campaign_says_it_beside_what_it_says_of_recordings(tmp_path):
+    """Of recordings that were made elsewhere: positions alone are what it is about."""
+    pressure = next(iter(small_responses().values()))
+    for height, raised in ((1.4, True), (1.15, False)):
+        own = scene((height, height))
+        text = f"[room]\nshoebox = {list(SIZE_M)}\n[identify]\nfrom_hz = 500\nto_hz = 1000\n"
+        text += "[room.materials]\n" + "".join(f'{side} = "{side}"\n' for side in SIDES)
+        text += f"[receivers.M]\nposition = {own.receivers[0].position_m.tolist()}\n"
+        for s in own.sources:
+            text += f"[sources.{s.name}]\nposition = {s.position_m.tolist()}\n[[measurements]]\n"
+            text += f'source = "{s.name}"\nreceiver = "M"\nfile = "{s.name}.wav"\n'
+            write_wav(tmp_path / f"{s.name}.wav", pressure)
+        path = tmp_path / "campaign.toml"
+        path.write_text(text, encoding="utf-8")
+        checked = check_campaign_recordings(read_campaign(path))
+        found = [f for f in checked.findings if f.code is Code.ON_SYMMETRY_PLANE]
+        assert len(found) == raised
+        assert ("plane of symmetry z = 1.40 m" in str(checked)) == raised

@@ -1,0 +1,446 @@
+"""Whatever is wrong with a campaign: exit code 2, one message that helps, and nothing written."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Code
+from roomfit.files.inputs import load_campaign
+from roomfit.predict.changes import read_change
+from small_campaign import (
+    ABSORPTION,
+    MATERIALS,
+    RATE_HZ,
+    box_obj,
+    run_command,
+    small_responses,
+    write_campaign,
+    write_wav,
+)
+
+CARPET = "[materials.carpet]"
+AIR = "[air]\nhumidity_percent = 150\n[identify]"
+SHOEBOX = "shoebox = [3.9, 3.1, 2.5]"
+OBJ = 'file = "room.obj"\nunit = "m"'
+FIRST_FILE = 'file = "LS1_MP1.wav"'
+SOURCE = "position = [1.0, 1.2, 1.1]"
+BOTH_FILES = (
+    '[[measurements]]\nsource = "LS1"\nreceiver = "MP1"\nfile = "LS1_MP1.wav"\n'
+    '[[measurements]]\nsource = "LS1"\nreceiver = "MP2"\nfile = "LS1_MP2.wav"\n'
+)
+
+
+@pytest.fixture
+def refusal(tmp_path, monkeypatch, capsys):
+    """Run a campaign that must be refused, and return the one message that is shown."""
+
+    def run(campaign: Path) -> str:
+        before = sorted(tmp_path.rglob("*"))
+        code = run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "deep" / "out")
+        shown = capsys.readouterr()
+        assert code == 2, shown.err
+        assert shown.out == ""
+        assert sorted(tmp_path.rglob("*")) == before
+        return one_message(shown.err)
+
+    return run
+
+
+def one_message(text: str) -> str:
+    """Return the text after checking that it is a sentence and rows of what, where, found ..."""
+    assert "Traceback" not in text
+    text = re.sub(r"^\d+:\d\d  .*\n", "", text, flags=re.MULTILINE)  # the stages before it
+    what, *rows = text.rstrip("\n").split("\n")
+    assert what
+    assert not what.startswith(" ")
+    assert not what.endswith(".")
+    keys = [row[:10].strip() for row in rows]
+    order = ["where", "found", "needed", "try"]
+    assert keys == [k for k in order if k in keys], text
+    assert len(keys) >= 2, text
+    assert all(row[10:].strip() for row in rows)
+    return text
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        # the file itself
+        ("[room]", "[room", r"not valid TOML(?s:.*)line 2"),
+        ("shoebox", "shoebocks", r"unknown key(?s:.*)room.shoebocks(?s:.*)did you mean 'shoebox'"),
+        (SHOEBOX, "shoebox = [3.9, 3.1]", r"too short(?s:.*)room.shoebox\n(?s:.*)3 values"),
+        (SOURCE, "position = [1.0, 'a', 1.1]", r"sources.LS1.position\[2\](?s:.*)number"),
+        ("position = [2.9, 2.2, 1.3]", "", r"lacks a key(?s:.*)receivers.MP1\n(?s:.*)'position'"),
+        # names
+        (BOTH_FILES, "", r"no measurement(?s:.*)\[\[measurements\]\]"),
+        ("[receivers.MP1]", "[sources.LS1]\nposition = [1, 1, 1]\n[receivers.MP1]", "LS1.*twice"),
+        ('"MP2"\nfile', '"MP22"\nfile', r"not defined(?s:.*)'MP22'(?s:.*)did you mean 'MP2'"),
+        ('"MP2"\nfile = "LS1_MP2.wav"', '"MP1"\nfile = "LS1_MP1.wav"', r"stands twice"),
+        ('"LS1_MP2.wav"', '"LS1_MP1.wav"', r"two pairs have the same(?s:.*)LS1_MP1.wav"),
+        ("[materials.carpet]", "[materials.carpit]", r"not have(?s:.*)mean 'carpet'"),
+        ("floor = ", "flor = ", r"does not exist(?s:.*)'flor'(?s:.*)mean 'floor'"),
+        # numbers
+        (CARPET, f"{CARPET}\nbounds = [0.8, 0.2]", "lower bound.*(?s:.*)0.8"),
+        (CARPET, f"{CARPET}\nabsorption = 12", r"carpet.absorption(?s:.*)12"),
+        (
+            CARPET,
+            f"{CARPET}\nabsorption = [0.1, -0.2]",
+            r"carpet.absorption\[2\](?s:.*)-0.2(?s:.*)0 or more",
+        ),
+        (
+            CARPET,
+            f"{CARPET}\nabsorption = [0.1, 0.2, 0.3]",
+            r"campaign.toml, materials.carpet.absorption(?s:.*)3 values(?s:.*)2 values",
+        ),
+        ("to_hz = 1000", "to_hz = 4000", r"above half the sampling rate(?s:.*)4000 Hz(?s:.*)to_hz"),
+        ("to_hz = 1000", "to_hz = 300", r"lowest band lies above(?s:.*)from_hz <= to_hz"),
+        ("from_hz = 500", "bands = []", r"identify.bands(?s:.*)\[\]"),
+        ("to_hz = 1000", "to_hz = 1000\nseed = 1e30", r"identify.seed"),
+        ("to_hz = 1000", "to_hz = 1000\nmethod = 'magic'", r"identify.method(?s:.*)'simplex'"),
+        ("[identify]", AIR, r"campaign.toml, air(?s:.*)150"),
+        # the room
+        (SHOEBOX, f'{SHOEBOX}\nunit = "yard"', r"unknown unit(?s:.*)'yard'(?s:.*)mm"),
+        (SHOEBOX, "shoebox = [3.9, -3.1, 2.5]", r"shoebox, index \[1\](?s:.*)is 3.1 meant"),
+        (SHOEBOX, 'file = "room.obj"', r"the room file does not exist(?s:.*)room.obj"),
+        # positions
+        (SOURCE, "position = [1.0, 1.2, 11.0]", r"'LS1' stands outside the room(?s:.*)ceiling"),
+        (SOURCE, "position = [0.002, 1.2, 1.1]", r"'LS1' stands in a wall(?s:.*)'west'"),
+        (SOURCE, "position = [2.9, 2.2, 1.3]", r"'LS1' stands where receiver 'MP1' is"),
+        # files
+        (FIRST_FILE, 'file = "none.wav"', r"does not exist(?s:.*)none.wav(?s:.*)relative"),
+        (FIRST_FILE, f"{FIRST_FILE}\nchannel = 3", r"no such channel(?s:.*)3(?s:.*)channel = 0"),
+        (FIRST_FILE, 'file = "a.ogg"', r"unknown kind(?s:.*)'.ogg'(?s:.*)\.wav"),
+        (FIRST_FILE, f"{FIRST_FILE}\nlatency_s = 5.0", r"ends before the direct sound"),
+        (FIRST_FILE, f"{FIRST_FILE}\nlatency_s = 23.0", r"measurements\[1\].latency_s(?s:.*)10"),
+    ],
+)  # fmt: skip
+def test_a_fault_in_the_campaign_is_reported_in_one_message(refusal, tmp_path, old, new, words):
+    message = refusal(write_campaign(tmp_path / "campaign", (old, new)))
+    assert re.search(words, message), message
+
+
+@pytest.mark.parametrize(
+    ("content", "unit", "words"),
+    [
+        (box_obj(without="ceiling"), "m", ("the mesh leaks", "rays lost")),
+        (box_obj(more="f 1 2 2"), "m", ("without area", "ceiling")),
+        (box_obj(), "mm", ("are in different units", "check unit", "taken as millimetres")),
+        (box_obj(), "yard", ("unknown unit", "'yard'")),
+        (box_obj(), None, ("unit of the room file is not known", 'unit = "m"')),
+        ("v 0 0 0\n", "m", ("no faces", "room.obj")),
+        ("this is no room\n", "m", ("room.obj",)),
+    ],
+    ids=["leak", "zero-area", "wrong-unit", "unknown-unit", "no-unit", "no-faces", "no-room"],
+)
+def test_a_fault_in_the_room_file_is_reported_with_its_place(
+    refusal, tmp_path, content, unit, words
+):
+    specified = 'file = "room.obj"' + (f'\nunit = "{unit}"' if unit else "")
+    campaign = write_campaign(tmp_path / "campaign", (SHOEBOX, specified), (MATERIALS, ""))
+    (tmp_path / "campaign" / "room.obj").write_text(content)
+    message = refusal(campaign)
+    assert all(word in message for word in words), message
+
+
+def cut(seconds: float) -> np.ndarray:
+    return small_responses()["MP1"][: int(seconds * RATE_HZ)]
+
+
+def sweep() -> np.ndarray:
+    """An exponential sweep from 50 Hz to 3 kHz within 0.5 s."""
+    share = np.arange(RATE_HZ // 2) / (RATE_HZ // 2)
+    return 0.5 * np.sin(2 * np.pi * 50 * 0.5 / np.log(60) * (60.0**share - 1.0))
+
+
+@pytest.mark.parametrize(
+    ("pressure", "rate_hz", "words"),
+    [
+        (np.zeros(4000), RATE_HZ, "silent"),
+        (cut(0.05), RATE_HZ, "the decay is cut short"),
+        (cut(0.005), RATE_HZ, "too short"),
+        (sweep(), RATE_HZ, "deconvolution"),
+        (np.stack([cut(0.5), cut(0.5)], axis=1), RATE_HZ, "channel = a number from 0 to 1"),
+        (np.append(cut(0.4), np.nan), RATE_HZ, "not finite"),
+        (np.repeat(cut(0.5), 2), 2 * RATE_HZ, "different sampling rates"),
+        (np.random.default_rng(1).standard_normal(4000), RATE_HZ, "not like an impulse response"),
+    ],
+    ids=["silent", "cut-decay", "too-short", "sweep", "channels", "nan", "rates", "noise"],
+)
+def test_a_file_that_is_no_response_is_refused_by_name(refusal, tmp_path, pressure, rate_hz, words):
+    campaign = write_campaign(tmp_path / "campaign")
+    write_wav(tmp_path / "campaign" / "LS1_MP1.wav", pressure, rate_hz)
+    message = refusal(campaign)
+    assert words in message
+    assert "LS1_MP" in message
+
+
+@pytest.mark.parametrize(
+    ("size", "words"),
+    [(9000, "cut off"), (30, "LS1_MP1.wav"), (0, "empty")],
+)
+def test_a_truncated_wav_is_refused_although_readers_open_it(refusal, tmp_path, size, words):
+    campaign = write_campaign(tmp_path / "campaign")
+    wav = tmp_path / "campaign" / "LS1_MP1.wav"
+    wav.write_bytes(wav.read_bytes()[:size])
+    assert words in refusal(campaign)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (b"\xff\xfe[\x00r\x00", "TOML in UTF-8"),
+        (None, "give the file in it"),
+        (b"", "the campaign file is empty"),
+        (b"[identify]\nfrom_hz = 500\nto_hz = 250\n", "exchange the two"),
+    ],
+    ids=["UTF-16", "folder", "empty", "bands"],
+)
+def test_what_is_given_for_a_campaign_is_named_with_what_to_try(refusal, tmp_path, given, words):
+    campaign = write_campaign(tmp_path / "campaign")
+    if given is None:
+        campaign = campaign.parent
+    elif b"identify" in given:
+        text = campaign.read_text()
+        campaign.write_text(text[: text.index("[identify]")] + given.decode())
+    else:
+        campaign.write_bytes(given)
+    message = refusal(campaign)
+    assert words in message
+    assert "\n  found " in message and "\n  try " in message
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"hello\n" * 100, None, b"RIFF"], ids=["empty", "text", "folder", "head"]
+)
+def test_what_is_given_for_a_recording_is_named_with_what_to_try(refusal, tmp_path, content):
+    campaign = write_campaign(tmp_path / "campaign")
+    wav = tmp_path / "campaign" / "LS1_MP1.wav"
+    wav.unlink()
+    if content is None:
+        wav.mkdir()
+    else:
+        wav.write_bytes(content)
+    message = refusal(campaign)
+    assert all(f"\n  {key} " in message for key in ("where", "found", "try"))
+    assert "LS1_MP1.wav" in message
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("[room]\n", "the result is not JSON"),
+        ("{}", "this is no result of roomfit"),
+        ('{"format": "roomfit-result", "format_version": 9}', "cannot read that result"),
+    ],
+)
+def test_what_is_given_for_a_result_is_named_with_what_to_try(
+    tmp_path, monkeypatch, capsys, content, words
+):
+    (tmp_path / "r.json").write_text(content)
+    given = (tmp_path / "r.json", "--format", "catt", "--out", tmp_path / "w.geo")
+    assert run_command(monkeypatch, "export", *given) == 2
+    message = one_message(capsys.readouterr().err)
+    assert words in message and "r.json" in message
+    assert "\n  needed " in message and "\n  try " in message
+    assert [p.name for p in tmp_path.iterdir()] == ["r.json"]
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder that takes no file")
+def test_an_output_folder_where_none_can_be_made_is_refused_without_names_of_ours(
+    tmp_path, monkeypatch, capsys
+):
+    campaign = write_campaign(tmp_path / "campaign")
+    assert run_command(monkeypatch, "identify", campaign, "--out", "/proc/out") == 2
+    message = one_message(capsys.readouterr().err)
+    assert "the output folder cannot be made\n  where   /proc/out\n" in message
+    assert ".roomfit" not in message and "\n  try " in message
+
+
+def test_a_mat_file_without_a_sampling_rate_is_refused(refusal, tmp_path):
+    campaign = write_campaign(
+        tmp_path / "campaign", (FIRST_FILE, 'file = "a.mat"\nvariable = "RIR"')
+    )
+    savemat(tmp_path / "campaign" / "a.mat", {"RIR": small_responses()["MP1"]})
+    message = refusal(campaign)
+    assert "sampling rate of the MAT file is missing" in message
+    assert "sampling_rate_hz" in message
+
+
+def test_a_response_shorter_than_the_travel_of_its_direct_sound_is_refused(refusal, tmp_path):
+    """From one end to the other of a hall of 60 m sound takes 170 ms; the file lasts 100 ms."""
+    campaign = write_campaign(
+        tmp_path / "campaign",
+        (SHOEBOX, "shoebox = [60.0, 20.0, 10.0]"),
+        ("position = [2.9, 2.2, 1.3]", "position = [59.0, 2.2, 1.3]"),
+    )
+    write_wav(tmp_path / "campaign" / "LS1_MP1.wav", cut(0.1))
+    message = refusal(campaign)
+    assert "ends before the direct sound arrives" in message
+    assert "100.0 ms after emission" in message
+    assert "168.6 ms" in message
+
+
+def test_an_output_folder_with_earlier_results_is_left_alone(tmp_path, monkeypatch, capsys):
+    campaign = write_campaign(tmp_path / "campaign")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "result.json").write_text("a long night's work")
+    assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out") == 2
+    message = one_message(capsys.readouterr().err)
+    assert "--overwrite" in message
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["result.json"]
+    assert (tmp_path / "out" / "result.json").read_text() == "a long night's work"
+
+
+@pytest.mark.parametrize("place", ["file", "file/out"])
+def test_an_output_folder_in_the_place_of_a_file_is_refused(tmp_path, monkeypatch, capsys, place):
+    campaign = write_campaign(tmp_path / "campaign")
+    (tmp_path / "file").write_text("x")
+    assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / place) == 2
+    assert "file" in one_message(capsys.readouterr().err)
+    assert (tmp_path / "file").read_text() == "x"
+
+
+def test_a_broken_campaign_leaves_the_earlier_results_although_overwrite_was_asked(
+    tmp_path, monkeypatch, capsys
+):
+    campaign = write_campaign(tmp_path / "campaign", ('"MP2"\nfile', '"MP9"\nfile'))
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "result.json").write_text("old")
+    code = run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out", "--overwrite")
+    assert code == 2
+    assert (tmp_path / "out" / "result.json").read_text() == "old"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("when", ["trace", "write_result", "png"])
+def test_an_interruption_ends_with_130_and_leaves_no_result(tmp_path, monkeypatch, capsys, when):
+    """Before the trace ends, before the tables are written, and between tables and pictures."""
+    import roomfit.files.results
+    import roomfit.fit.trace_plan
+    import roomfit.report.figures
+
+    def interrupted(*_args: object, **_settings: object) -> None:
+        raise KeyboardInterrupt
+
+    owners = {
+        "trace": roomfit.fit.trace_plan,
+        "write_result": roomfit.files.results,
+        "png": roomfit.report.figures,
+    }
+    monkeypatch.setattr(owners[when], when, interrupted)
+    campaign = write_campaign(tmp_path / "campaign")
+    before = files_of(tmp_path)
+    assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "a" / "out") == 130
+    assert "interrupted" in capsys.readouterr().err
+    assert files_of(tmp_path) == before
+
+
+def files_of(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.rglob("*") if p.is_file())
+
+
+@pytest.mark.slow
+def test_a_receiver_sphere_that_cuts_a_wall_is_shrunk_with_a_finding(tmp_path):
+    """20 cm from the wall a sphere of 50 cm does not fit; scattering walls call for rays."""
+    from roomfit.identify import identify
+
+    campaign = write_campaign(
+        tmp_path / "campaign",
+        ("scattering = 0.0", "scattering = 0.3"),
+        ("position = [2.9, 2.2, 1.3]", "position = [3.7, 2.2, 1.3]"),
+    )
+    shrunk = [
+        f
+        for f in identify(**load_campaign(campaign)).findings
+        if f.code == Code.RECEIVER_SPHERE_SHRUNK and f.evidence["receiver"] == "MP1"
+    ]
+    assert len(shrunk) == 1
+    assert 0.19 < shrunk[0].evidence["used_m"] <= 0.2
+    assert "'MP1'" in shrunk[0].sentence or "MP1" in shrunk[0].sentence
+
+
+@pytest.mark.slow
+def test_time_zero_metres_from_the_geometry_is_a_serious_finding(tmp_path):
+    from roomfit.identify import identify
+
+    campaign = write_campaign(tmp_path / "campaign", (FIRST_FILE, f"{FIRST_FILE}\nlatency_s=-0.02"))
+    late = [
+        f for f in identify(**load_campaign(campaign)).findings if f.code is Code.TIME_ZERO_MISMATCH
+    ]
+    # 20 ms at 344 m/s
+    assert max(f.evidence["difference_m"] for f in late) == pytest.approx(6.9, abs=0.2)
+    assert any(f.severity == "serious" for f in late)
+
+
+@pytest.mark.slow
+def test_as_a_program_of_its_own_the_message_is_all_that_is_shown(tmp_path):
+    """In a process of its own: no warning of any library stands beside the message."""
+    campaign = write_campaign(tmp_path / "campaign")
+    write_wav(tmp_path / "campaign" / "LS1_MP1.wav", np.zeros(4000))
+    done = subprocess.run(
+        [sys.executable, "-m", "roomfit", "identify", campaign, "--out", tmp_path / "out"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert "silent" in one_message(done.stderr)
+    assert not (tmp_path / "out").exists()
+
+
+def test_all_files_that_are_missing_are_reported_at_once_before_one_is_read(refusal, tmp_path):
+    campaign = write_campaign(
+        tmp_path / "campaign",
+        (FIRST_FILE, 'file = "none.wav"'),
+        (SOURCE, f'{SOURCE}\ndirectivity = "/dev/zero"'),
+        (SHOEBOX, OBJ),
+        (MATERIALS, ""),
+    )
+    (tmp_path / "campaign" / "LS1_MP2.wav").write_bytes(b"")
+    message = refusal(campaign)
+    for part in ("4 files", "room.obj does not", "none.wav does", "MP2.wav is empty", "a device"):
+        assert part in message
+
+
+def test_a_file_that_changes_between_two_readings_is_refused(tmp_path):
+    from roomfit.files.door import files_read, read_bytes, reading_noted
+
+    file = tmp_path / "a.wav"
+    with reading_noted():
+        for content in (b"one", b"one", b"two"):
+            file.write_bytes(content)
+            if content == b"two":
+                with pytest.raises(InputError, match="changed while it was in use"):
+                    read_bytes(file, "response file")
+            else:
+                assert read_bytes(file, "response file") == content
+        assert files_read() == {file: hashlib.sha256(b"one").hexdigest()}
+    assert files_read() == {}
+
+
+@pytest.mark.parametrize("written", ["1e300", "0.3+-1e300", "xnan", "-0.5", "inf", "0.3,,0.4"])
+def test_a_change_that_is_no_number_is_not_taken_for_a_material(written):
+    with pytest.raises(InputError, match=r"not written as it must be(?s:.*)MATERIAL=0.3"):
+        read_change(f"carpet={written}")
+    assert read_change("carpet=3mm-glass").entry == "3mm-glass"
+
+
+@pytest.mark.slow
+def test_a_room_of_which_everything_is_known_is_identified_and_reported(tmp_path, monkeypatch):
+    """Nothing is fitted: the answer is what was specified, and no interval has a width."""
+    known = [(f"[materials.{m}]", f"[materials.{m}]\nabsorption = 0.3") for m in ABSORPTION]
+    campaign = write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 500"), *known)
+    assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out") == 0
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert {m["absorption"][0] for m in result["materials"].values()} == {0.3}

@@ -1,0 +1,324 @@
+"""`roomfit init`: a first campaign from file names, a room and positions, blanks where unknown."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roomfit.base.errors import InputError
+from roomfit.files.campaign import FILL_IN, blanks, read_campaign
+from roomfit.files.draft import (
+    draft_campaign,
+    likely_units,
+    likely_up,
+    matching_files,
+    plausible_units,
+    read_positions,
+)
+from roomfit.files.rooms import read_model
+from roomfit.files.rooms.model import METRES_PER_UNIT, RoomSpec
+from small_campaign import (
+    LENGTHS_M,
+    RECEIVERS_M,
+    SOURCE_M,
+    box_obj,
+    run_command,
+    small_responses,
+    write_wav,
+)
+
+
+def scaled_obj(factor: float, *, y_up: bool = False, header: str = "", names: bool = True) -> str:
+    """The box of 3.9 x 3.1 x 2.5 m with its coordinates in another unit, perhaps lying."""
+    lines = []
+    for line in box_obj().splitlines():
+        if line.startswith("v "):
+            x, y, z = (factor * float(word) for word in line.split()[1:])
+            line = f"v {x} {z} {-y}" if y_up else f"v {x} {y} {z}"
+        elif not names and line[:2] in ("g ", "us"):
+            line = line.split()[0] + " part" + str(len(lines))
+        lines.append(line)
+    return header + "\n".join(lines) + "\n"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "ir").mkdir()
+    for name, pressure in small_responses().items():
+        write_wav(tmp_path / "ir" / f"LS1_{name}.wav", pressure)
+    rows = {"LS1": SOURCE_M, **RECEIVERS_M}
+    lines = [
+        ";".join([n, *(f"{100 * x:.1f}".replace(".", ",") for x in at)]) for n, at in rows.items()
+    ]
+    (tmp_path / "positions.csv").write_text("\n".join(["name;x [cm];y [cm];z [cm]", *lines]))
+    (tmp_path / "room.obj").write_text(scaled_obj(1 / 0.0254, y_up=True))
+    return tmp_path
+
+
+def test_files_a_drawing_in_inches_and_positions_in_centimetres_become_a_campaign(
+    folder, monkeypatch, capsys
+):
+    """Nothing is left to fill in, and room and positions come back in metres with z up."""
+    arguments = ("--recordings", "ir/{source}_{receiver}.wav", "--positions")
+    assert run_command(
+        monkeypatch, "init", folder, "--room", folder / "room.obj", "--unit", "in", *arguments,
+        folder / "positions.csv",
+    ) == 0  # fmt: skip
+    assert "1 source, 2 receivers, ir/{source}_{receiver}.wav" in capsys.readouterr().out
+    campaign = read_campaign(folder / "campaign.toml")
+    assert (campaign.room.unit, campaign.room.up) == ("in", "y")
+    assert {p.name: tuple(p.position_m) for p in campaign.receivers} == RECEIVERS_M
+    assert [m.response.path.name for m in campaign.measurements] == ["LS1_MP1.wav", "LS1_MP2.wav"]
+    assert run_command(monkeypatch, "check", folder / "campaign.toml") == 1
+    # the recordings have 8 kHz
+    assert "4000 Hz, whose filter ends at 7943 Hz" in " ".join(capsys.readouterr().out.split())
+    text = (folder / "campaign.toml").read_text()
+    text = text.replace("from_hz = 125", "from_hz = 500").replace("to_hz = 4000", "to_hz = 1000")
+    (folder / "campaign.toml").write_text(text)
+    assert run_command(monkeypatch, "check", folder / "campaign.toml") == 0
+    assert "30.22 m3" in capsys.readouterr().out
+
+
+def test_what_is_not_known_is_a_blank_that_identify_lists(folder, monkeypatch, capsys):
+    assert run_command(monkeypatch, "init", folder, "--shoebox", 3.9, 3.1, 2.5,
+                       "--recordings", "ir/{source}_{receiver}.wav") == 0  # fmt: skip
+    listed = "sources.LS1.position, receivers.MP1.position, receivers.MP2.position"
+    assert f"to be filled in: {listed}" in capsys.readouterr().out
+    assert run_command(monkeypatch, "identify", folder / "campaign.toml", "--out", "x") == 2
+    assert f"found   {FILL_IN} for {listed}" in capsys.readouterr().err
+
+
+def test_an_empty_folder_gives_a_campaign_of_blanks(tmp_path):
+    text = draft_campaign(None, matching_files(tmp_path, None), folder=tmp_path)
+    assert blanks(tomllib.loads(text)) == [
+        "room.shoebox", "sources.S1.position", "receivers.R1.position", "measurements[1].file",
+    ]  # fmt: skip
+
+
+def test_a_campaign_that_is_there_is_kept_unless_overwriting_was_asked(folder, monkeypatch, capsys):
+    file = folder / "campaign.toml"
+    file.write_text("mine")
+    assert run_command(monkeypatch, "init", folder) == 2
+    assert "add --overwrite" in capsys.readouterr().err
+    assert file.read_text() == "mine"
+    assert run_command(monkeypatch, "init", folder, "--overwrite") == 0
+    assert file.read_text() != "mine"
+
+
+@pytest.mark.parametrize(
+    ("header", "unit"),
+    [("# File units = meters\n", "m"), ("# Units: inches\n", "in"), ("# unit cm\n", "cm")],
+)
+def test_a_header_that_states_the_unit_decides(tmp_path, header, unit):
+    file = tmp_path / "room.obj"
+    file.write_text(scaled_obj(1.0, header=header))
+    assert likely_units(file) == {unit: "by the header of the file"}
+
+
+@pytest.mark.parametrize("unit", METRES_PER_UNIT)
+def test_the_true_unit_of_a_room_is_among_the_plausible_ones(unit):
+    """From a studio to a concert hall, whatever its unit."""
+    for lengths in ((2.5, 2.0, 2.2), LENGTHS_M, (12.0, 9.0, 4.0), (45.0, 25.0, 18.0)):
+        assert unit in plausible_units(np.array(lengths) / METRES_PER_UNIT[unit])
+
+
+def test_a_unit_in_doubt_is_refused_with_the_rooms_that_it_would_be(tmp_path):
+    """20 x 16 x 9: a hall in metres, or a living room in feet."""
+    (tmp_path / "room.obj").write_text(scaled_obj(3.7))
+    with pytest.raises(InputError, match="unit of the room file is in doubt") as caught:
+        draft_campaign(RoomSpec(file=tmp_path / "room.obj"), {}, folder=tmp_path)
+    assert "m: the room is then 14.4 x 11.5 x 9.25 m; ft:" in str(caught.value.hint)
+    assert caught.value.needed == "a unit (--unit), one of m, ft"
+
+
+@pytest.mark.parametrize("names", [True, False])
+@pytest.mark.parametrize("y_up", [True, False])
+def test_floor_and_ceiling_are_level_or_else_a_room_is_the_least_high(tmp_path, names, y_up):
+    file = tmp_path / "room.obj"
+    file.write_text(scaled_obj(1.0, y_up=y_up, names=names))
+    model, _ = read_model(RoomSpec(file=file))
+    model.vertices[:, 0 if y_up else 1] *= 1.6  # a longer room
+    if y_up:
+        model.vertices[:, 2] *= 1.6
+    assert likely_up(model)[0] == ("y" if y_up else "z")
+
+
+def test_materials_are_listed_with_area_surfaces_and_an_entry_by_their_names(tmp_path):
+    text = box_obj().replace("usemtl carpet", "usemtl Moquette").replace("tiles", "Akustikdecke")
+    (tmp_path / "room.obj").write_text(text)
+    spec = RoomSpec(file=tmp_path / "room.obj", unit="m")
+    drafted = draft_campaign(spec, {}, folder=tmp_path)
+    assert '[materials."Moquette"]  # 12.1 m2: floor\n# prior = "carpet-heavy-on' in drafted
+    assert '# prior = "ceiling-tile-suspended"' in drafted
+    assert tomllib.loads(drafted)["materials"] == {"walls": {}, "Moquette": {}, "Akustikdecke": {}}
+
+
+@pytest.mark.parametrize(
+    ("template", "words"),
+    [
+        ("ir/{source}.wav", "a template of recordings without source or receiver"),
+        ("ir/{source}-{receiver}.wav", "LS1_MP1.wav, LS1_MP2.wav"),
+        ("elsewhere/{source}_{receiver}.wav", "no recordings"),
+    ],
+)
+def test_a_template_that_fits_nothing_says_what_is_there(folder, template, words):
+    with pytest.raises(InputError) as caught:
+        matching_files(folder, template)
+    assert words in str(caught.value)
+
+
+def test_a_name_is_split_where_both_parts_are_known(tmp_path):
+    """Else at the first place: names of sources and receivers may hold what stands between."""
+    for name in ("s000_150_M.wav", "S030_150_M_2.wav", "other_one_M.wav"):
+        (tmp_path / name).touch()
+    known = ("S000_150", "S030_150", "M", "M_2")
+    found = matching_files(tmp_path, "{source}_{receiver}.wav", known)
+    assert found == {
+        "s000_150_M.wav": ("S000_150", "M"),
+        "S030_150_M_2.wav": ("S030_150", "M_2"),
+        "other_one_M.wav": ("other", "one_M"),
+    }
+    apart = matching_files(tmp_path, "{source}_{receiver}.wav")
+    assert apart["s000_150_M.wav"] == ("s000", "150_M")
+
+
+def test_other_text_and_several_separators_are_taken(tmp_path):
+    for name in ("2024 hall S1 at R2 take3.wav", "2024 hall S1 at R3 take1.wav", "sweep.wav"):
+        (tmp_path / name).touch()
+    found = matching_files(tmp_path, "* hall {source} at {receiver} take*.wav")
+    assert list(found.values()) == [("S1", "R2"), ("S1", "R3")]
+
+
+@pytest.mark.parametrize("line", ["R2,1,2", "R2,1,x,3", "R1,1,2,3", "R2,nan,2,3"])
+def test_a_line_of_positions_that_is_none_is_refused_with_its_number(tmp_path, line):
+    file = tmp_path / "p.csv"
+    file.write_text(f"R1,1,2,3\n{line}\n")
+    with pytest.raises(InputError, match="line 2"):
+        read_positions(file)
+
+
+def names_of(folder: Path, *files: str) -> Path:
+    for file in files:
+        (folder / file).parent.mkdir(exist_ok=True)
+        (folder / file).write_bytes(b"x")
+    return folder
+
+
+def test_what_macos_and_others_leave_among_recordings_is_passed_over(tmp_path):
+    """A hidden twin, a sweep and a note do not spoil the shape that the others have."""
+    names = ["LS1_MP1.wav", "LS1_MP2.wav", "LS1_MP3.wav"]
+    names_of(tmp_path, *names, "._LS1_MP1.wav", "sweep.wav", "notes.docx", ".DS_Store")
+    expected = {name: ("LS1", name[4:7]) for name in names}
+    assert matching_files(tmp_path, None) == expected
+    assert matching_files(tmp_path, "{source}_{receiver}.wav") == expected
+
+
+def test_recordings_in_the_only_folder_below_are_found(tmp_path):
+    names_of(tmp_path, "Messung 1/LS1_MP1.wav", "Messung 1/LS1_MP2.wav", "plan.pdf", "old/x.docx")
+    found = matching_files(tmp_path, None)
+    assert found["Messung 1/LS1_MP2.wav"] == ("LS1", "MP2")
+    names_of(tmp_path, "Messung 2/LS1_MP1.wav")
+    with pytest.raises(InputError, match=r"several folders(?s:.*)Messung 1 \(2 files\)"):
+        matching_files(tmp_path, None)
+
+
+@pytest.mark.parametrize(
+    ("name", "pair"),
+    [
+        ("LS1_MP1.wav", ("LS1", "MP1")),
+        ("2024-05-03 Saal LS1 - MP1 take2.wav", ("LS1", "MP1")),
+        ("ls1-mp10.wav", ("LS1", "MP10")),  # not MP1
+        ("Bu\N{COMBINING DIAERESIS}hne links_MP1.wav", ("B\u00fchne links", "MP1")),
+        ("MP1.wav", None),
+        ("LS1_MP1_MP10.wav", None),
+    ],
+)
+def test_names_of_positions_are_found_in_names_of_files(tmp_path, name, pair):
+    """As whole words, in either form of an umlaut, the source first; others are left out."""
+    known = ["LS1", "MP1", "MP10", "B\u00fchne links"]
+    names_of(tmp_path, name, "LS1 MP10 again.wav")
+    found = matching_files(tmp_path, None, known)
+    assert found["LS1 MP10 again.wav"] == ("LS1", "MP10")
+    assert found.get(name) == pair
+
+
+def test_decimal_commas_between_commas_are_refused_and_a_unit_is_read_from_any_column(tmp_path):
+    """1,20,1,50,1,10 was read as x = 1, y = 20, z = 1."""
+    path = tmp_path / "p.csv"
+    path.write_text("name,x,y,z\nLS1,1,20,1,50,1,10\n")
+    with pytest.raises(InputError, match="semicolons"):
+        read_positions(path)
+    path.write_text("name,x,y,z [cm]\nLS1,120,150,110\n")
+    assert read_positions(path) == {"LS1": (1.2, 1.5, 1.1)}
+
+
+def test_init_says_what_it_left_out_and_what_may_be_missing(folder, monkeypatch, capsys):
+    """A hall as a stranger has it: recordings below, a drawing and a table beside them."""
+    monkeypatch.chdir(folder)
+    (folder / "ir" / "sweep.wav").write_bytes(b"x")
+    assert run_command(monkeypatch, "init", ".") == 0
+    said = capsys.readouterr().out
+    assert "left out, names that do not fit: ir/sweep.wav" in said
+    assert "perhaps: roomfit init . --room room.obj --positions positions.csv --overwrite\n" in said
+    (folder / "more.csv").write_text((folder / "positions.csv").read_text() + "\nMP9;1;1;1\n")
+    room = ("--room", "room.obj", "--unit", "in")
+    again = ("--positions", "more.csv", "--overwrite")
+    assert run_command(monkeypatch, "init", ".", *room, *again) == 0
+    said = capsys.readouterr().out
+    assert "positions that no recording names: MP9" in said and "FILL" not in said
+    assert blanks(tomllib.loads((folder / "campaign.toml").read_text())) == []
+
+
+def test_decay_times_alone_become_a_campaign_that_reverberation_reads(
+    tmp_path, monkeypatch, capsys
+):
+    """Frequencies may be written with their unit, as in a report."""
+    monkeypatch.chdir(tmp_path)
+    box = ("--shoebox", "20", "14", "7")
+    (tmp_path / "T30.csv").write_text("Ort;500 Hz;1 kHz\nT30;1,5;1,4\n")
+    assert run_command(monkeypatch, "init", ".", *box) == 0
+    line = "perhaps: roomfit init . --shoebox 20 14 7 --decay-times T30.csv --overwrite\n"
+    assert line in capsys.readouterr().out
+    elsewhere = ("init", "hall", *box, "--decay-times")
+    assert run_command(monkeypatch, *elsewhere, "absent.csv") == 2
+    assert not (tmp_path / "hall").exists()
+    assert run_command(monkeypatch, *elsewhere, "T30.csv") == 0  # the folder is made
+    assert run_command(monkeypatch, "reverberation", "hall/campaign.toml") == 0
+    assert run_command(monkeypatch, "init", "measurd") == 2
+    assert "there is no such folder of recordings" in capsys.readouterr().err
+    own = ("init", ".", *box, "--decay-times", "T30.csv", "--overwrite")
+    assert run_command(monkeypatch, *own) == 0
+    assert "then: roomfit reverberation campaign.toml" in capsys.readouterr().out
+    assert run_command(monkeypatch, "reverberation", "campaign.toml") == 0
+    said = capsys.readouterr().out
+    assert "1000" in said and "1.40 +- 0.07" in said
+    assert run_command(monkeypatch, *own, "--recordings", "{source}_{receiver}.wav") == 2
+    assert "one or the other" in capsys.readouterr().err
+
+
+def test_positions_in_another_unit_than_said_are_refused_with_the_unit(folder, monkeypatch, capsys):
+    """Without its heading the table has centimetres, which as metres lie far outside."""
+    text = (folder / "positions.csv").read_text()
+    (folder / "bare.csv").write_text(text.partition("\n")[2])
+    own = ("init", folder, "--room", folder / "room.obj", "--unit", "in", "--positions")
+    assert run_command(monkeypatch, *own, folder / "bare.csv") == 2
+    said = capsys.readouterr().err
+    assert "0 of 3 positions within the room, all of them in cm" in said
+    assert "name,x [cm]" in said and not (folder / "campaign.toml").exists()
+
+
+def test_a_draft_names_its_project_after_the_folder(tmp_path):
+    """Also where the folder's name has letters that TOML would take for its own."""
+    folder = tmp_path / 'Saal "West" 2'
+    folder.mkdir()
+    (folder / "t30.csv").write_text("place,500\nseat,1.1\n")
+    text = draft_campaign(
+        RoomSpec(shoebox=(6.0, 5.0, 3.0)), {}, folder=folder, decay_times=folder / "t30.csv"
+    )
+    (folder / "campaign.toml").write_text(text)
+    campaign = read_campaign(folder / "campaign.toml", to_fit=False, decay_times=True)
+    assert campaign.project.title == 'Saal "West" 2'
+    assert campaign.project.client is None and '# client = ""' in text

@@ -1,0 +1,531 @@
+"""Exports: every format read back by something that roomfit did not write."""
+
+from __future__ import annotations
+
+import configparser
+import csv
+import json
+import pickle
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+
+from report_cases import answer_of, finding, scene_of
+from roomfit.base.bands import bands_between
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Code
+from roomfit.cli.commands import export_result
+from roomfit.files.encoding import input_digests
+from roomfit.files.exports import (
+    FORMATS,
+    RAVEN_BANDS,
+    posterior_tree,
+    read_material_table,
+    resample,
+    short_names,
+)
+from roomfit.files.results import absorption_csv
+from small_campaign import run_command
+
+OCTAVES = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
+ABSORPTION = {
+    "carpet, grey": [0.021, 0.06, 0.144, 0.37, 0.6, 0.65],
+    "Wand grün": [0.0004, 0.012, 0.02, 0.03, 0.04, 0.05],
+    "a very long name of a ceiling": [0.7, 0.75, 0.65, 0.9, 0.999, 1.0],
+}
+
+
+def write_result(folder: Path, scattering: float | None = None) -> Path:
+    materials = {
+        name: {
+            "absorption": alphas,
+            "lower95": [0.5 * a for a in alphas],
+            "upper95": [min(1.0, 1.5 * a) for a in alphas],
+            "identifiable": [name != "Wand grün" or i != 1 for i in range(6)],
+            "area_m2": 10.0,
+        }
+        for name, alphas in ABSORPTION.items()
+    }
+    if scattering is not None:
+        for material in materials.values():
+            material["scattering"] = [scattering] * 6
+    content = {
+        "format": "roomfit-result",
+        "format_version": 1,
+        "bands_hz": OCTAVES,
+        "materials": materials,
+    }
+    path = folder / "result.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+def write_table(folder: Path) -> Path:
+    path = folder / "absorption.csv"
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["material", "band_hz", "absorption", "lower95", "upper95", "identifiable"])
+        for name, alphas in ABSORPTION.items():
+            for f, a in zip(OCTAVES, alphas, strict=True):
+                writer.writerow([name, f, a, 0.5 * a, min(1.0, 1.5 * a), "true"])
+    return path
+
+
+def test_json_and_csv_of_a_result_are_the_same_table(tmp_path):
+    a, b = (read_material_table(w(tmp_path)) for w in (write_result, write_table))
+    assert a.names == b.names
+    assert a.bands.centres_hz.tolist() == b.bands.centres_hz.tolist() == OCTAVES
+    np.testing.assert_array_equal(a.absorption, b.absorption)
+    np.testing.assert_array_equal(a.upper95, b.upper95)
+    assert not np.all(a.identifiable)
+    assert np.all(b.identifiable)
+
+
+def test_pyroomacoustics_takes_the_materials(tmp_path):
+    pra = pytest.importorskip("pyroomacoustics")
+    export_result(write_result(tmp_path, 0.25), "pyroomacoustics", tmp_path / "m.json")
+    content = json.loads((tmp_path / "m.json").read_text(encoding="utf-8"))
+    for name, alphas in ABSORPTION.items():
+        material = pra.Material(**content[name])
+        np.testing.assert_allclose(material.absorption_coeffs, alphas, atol=6e-6)
+        np.testing.assert_allclose(material.scattering_coeffs, 0.25)
+        np.testing.assert_array_equal(material.energy_absorption["center_freqs"], OCTAVES)
+    room = pra.ShoeBox([4.0, 3.0, 2.5], fs=16000, materials=material, max_order=1)
+    # its own bands begin at 125 Hz, too: what was written is what its walls have
+    np.testing.assert_allclose(room.walls[0].absorption.ravel()[:6], alphas, atol=1e-4)
+
+
+def test_raven_files_are_ini_files_with_31_third_octaves(tmp_path):
+    out = tmp_path / "raven"
+    written = export_result(write_result(tmp_path, 0.3), "raven", out)
+    names = sorted(p.name for p in out.iterdir() if p.name != ".roomfit-files")
+    assert names == sorted(p.name for p in written.files)
+    parser = configparser.ConfigParser()
+    parser.read(out / "carpet_grey.mat", encoding="utf-8")
+    assert parser["Material"]["name"] == "carpet_grey"
+    values = [float(v) for v in parser["Material"]["absorp"].split(",")]
+    scatter = [float(v) for v in parser["Material"]["scatter"].split(",")]
+    filled = [int(v) for v in parser["Material"]["interpol"].split(",")]
+    assert len(values) == len(scatter) == len(filled) == 31
+    alphas = ABSORPTION["carpet, grey"]
+    at = [i for i, flag in enumerate(filled) if flag == 0]
+    assert at == [8, 11, 14, 17, 20, 23]  # 125 Hz is the ninth third octave from 20 Hz
+    np.testing.assert_allclose([values[i] for i in at], alphas, atol=6e-5)
+    # a third of the way from 125 to 250 Hz, and beyond both ends
+    assert values[9] == pytest.approx(2 / 3 * alphas[0] + alphas[1] / 3, abs=6e-5)
+    assert set(values[:8]) == {round(alphas[0], 4)}
+    assert set(values[24:]) == {round(alphas[-1], 4)}
+    np.testing.assert_allclose(scatter, 0.3)
+    parser.read(out / "Wand_grun.mat", encoding="utf-8")
+    assert parser["Material"]["notes"].endswith("not determined at 250 Hz")
+
+
+def test_raven_bands_are_those_of_a_published_set(real_data):
+    text = (real_data / "bras_cr2/materials_fitted/mat_CR2_floor.csv").read_text()
+    centres = [float(v) for v in text.splitlines()[0].split(",")]
+    assert RAVEN_BANDS.centres_hz.tolist() == centres
+
+
+def test_raven_bands_are_the_31_third_octaves_from_20_hz_to_20_khz():
+    """Nominal centres, as IEC 61260-1 has them."""
+    decade = np.array([20, 25, 31.5, 40, 50, 63, 80, 100, 125, 160])
+    expected = np.concatenate([decade, 10 * decade, 100 * decade, [20_000]])
+    np.testing.assert_array_equal(RAVEN_BANDS.centres_hz, expected)
+
+
+def test_catt_lines_follow_its_grammar(tmp_path):
+    """Name of at most 15 letters, digits and _; six whole percents, a colon, two more; colour."""
+    export_result(write_result(tmp_path, 0.3), "catt", tmp_path / "materials.geo")
+    numbers = r"<((?: ?\d{1,2}){6}) :((?: \d{1,2}){2})>"
+    grammar = re.compile(
+        rf"ABS ([A-Za-z][A-Za-z0-9_]{{0,14}}) = {numbers} L {numbers}"
+        r" \{\d{1,3} \d{1,3} \d{1,3}\} ;(.*)"
+    )
+    lines = (tmp_path / "materials.geo").read_bytes().decode().split("\r\n")
+    found = [grammar.fullmatch(line) for line in lines if line and not line.startswith(";")]
+    assert len(found) == 3
+    assert all(found)
+    names = [m.group(1) for m in found]
+    assert len(set(names)) == 3
+    assert names[0] == "carpet_grey"
+    for match, alphas in zip(found, ABSORPTION.values(), strict=True):
+        percents = [int(v) for v in match.group(2).split()]
+        expected = np.clip(np.round(100 * np.array(alphas)), 1, 99)
+        assert percents == expected.tolist()
+        assert match.group(3).split() == [str(percents[-1])] * 2  # 8 and 16 kHz: held
+        assert match.group(4).split() == ["30"] * 6
+        exact = [float(v) for v in match.group(6).split(":")[-1].split()]
+        np.testing.assert_allclose(exact[:6], alphas, atol=6e-5)
+    assert any("Nothing was fitted at 8000, 16000 Hz" in line for line in lines)
+
+
+ISIMPA_LINE = re.compile(r"(\w+) = <((?: \d{1,2}){6}) >(?: L <((?: \d{1,2}){6}) >)?")
+
+
+def test_isimpa_lines_look_like_those_of_its_manual(tmp_path):
+    manual = "linoleum = < 2 3 3 4 6 5 > L < 30 27 24 21 18 15 >"
+    assert ISIMPA_LINE.fullmatch(manual)
+    export_result(write_result(tmp_path, 0.3), "isimpa", tmp_path / "materials.txt")
+    lines = (tmp_path / "materials.txt").read_text(encoding="ascii").splitlines()
+    found = [ISIMPA_LINE.fullmatch(line) for line in lines]
+    assert len(found) == 3
+    assert all(found)
+    assert found[0].group(2).split() == ["2", "6", "14", "37", "60", "65"]
+    assert found[0].group(3).split() == ["30"] * 6
+
+
+def test_odeon_rows_are_read_as_another_program_reads_its_library(tmp_path):
+    """A line that begins with a tabulator holds the values, any other one number and name."""
+    export_result(write_result(tmp_path), "odeon", tmp_path / "room.Li8")
+    names, values = [], []
+    for line in (tmp_path / "room.Li8").read_bytes().decode().splitlines():
+        fields = line.split("\t")
+        if fields[0]:
+            names.append(fields[0].split(" ", 1))
+        else:
+            values.append([float(v) for v in fields[1:]])
+    assert [n for _, n in names] == list(ABSORPTION)
+    assert len({int(number) for number, _ in names}) == 3
+    for row, alphas in zip(values, ABSORPTION.values(), strict=True):
+        np.testing.assert_allclose(row, [alphas[0], *alphas, alphas[-1]], atol=6e-6)
+
+
+def test_the_wide_table_holds_values_and_intervals(tmp_path):
+    export_result(write_result(tmp_path), "csv", tmp_path / "wide.csv")
+    with (tmp_path / "wide.csv").open(newline="", encoding="utf-8") as stream:
+        rows = {(r["material"], r["quantity"]): r for r in csv.DictReader(stream)}
+    assert float(rows["carpet, grey", "absorption"]["1000"]) == pytest.approx(0.37)
+    assert float(rows["carpet, grey", "upper95"]["125"]) == pytest.approx(0.0315)
+    assert rows["Wand grün", "identifiable"]["250"] == "false"
+    assert rows["Wand grün", "identifiable"]["500"] == "true"
+    assert ("Wand grün", "scattering") not in rows
+
+
+@pytest.mark.parametrize("wanted", FORMATS)
+def test_what_the_data_do_not_hold_is_reported_with_every_format(tmp_path, wanted):
+    written = export_result(write_result(tmp_path), wanted, tmp_path / "out")
+    doubt = {f.code: f for f in written.findings}[Code.EXPORT_NOT_IDENTIFIABLE]
+    assert doubt.evidence["materials"] == {"Wand grün": [250.0]}
+    assumed = Code.EXPORT_SCATTERING_ASSUMED in {f.code for f in written.findings}
+    assert assumed == (wanted not in ("csv", "odeon"))
+
+
+def test_an_octave_is_the_mean_of_its_thirds():
+    thirds, octaves = bands_between("third-octave", 100, 315), bands_between("octave", 125, 500)
+    values = np.array([[0.1, 0.2, 0.3, 0.4, 0.6, 0.8]])
+    got, filled = resample(values, thirds, octaves)
+    np.testing.assert_allclose(got, [[0.2, 0.6, 0.8]])
+    assert filled.tolist() == [False, False, True]
+
+
+def test_a_gap_between_octaves_is_bridged_and_reported():
+    octaves = bands_between("octave", 125, 1000)
+    there = np.array([0, 3])
+    bands = type(octaves)("octave", octaves.centres_hz[there])
+    got, filled = resample(np.array([[0.1, 0.7]]), bands, octaves)
+    # exact octaves are equally wide in the logarithm
+    np.testing.assert_allclose(got, [[0.1, 0.3, 0.5, 0.7]])
+    assert filled.tolist() == [False, True, True, False]
+
+
+@given(
+    st.sampled_from(["octave", "third-octave"]),
+    st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4),
+)
+def test_other_bands_never_leave_the_range_of_the_values(kind, values):
+    bands = bands_between("octave", 250, 2000)
+    wanted = bands_between(kind, 31.5, 16000)
+    got, _ = resample(np.array([values]), bands, wanted)
+    assert np.min(got) >= min(values) - 1e-12
+    assert np.max(got) <= max(values) + 1e-12
+
+
+@given(st.lists(st.text(max_size=30), max_size=12, unique=True), st.integers(6, 15))
+def test_short_names_are_short_and_different(names, longest):
+    short = short_names(tuple(names), longest)
+    assert list(short) == names
+    assert len({s.lower() for s in short.values()}) == len(names)
+    for s in short.values():
+        assert re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", s)
+        assert len(s) <= longest
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "not JSON"),
+        ("[]", "no result of roomfit"),
+        ('{"format": "roomfit-result", "format_version": 2}', "cannot read that result"),
+        ('{"format": "roomfit-result", "format_version": 1}', "incomplete"),
+        (
+            '{"format": "roomfit-result", "format_version": 1, "bands_hz": [125], "materials": '
+            '{"a": {"absorption": [1.5], "lower95": [0], "upper95": [1], "identifiable": [true]}}}',
+            "out of range",
+        ),
+        (
+            '{"format": "roomfit-result", "format_version": 1, "bands_hz": [125], "materials": '
+            '{"a": {"absorption": [NaN], "lower95": [0], "upper95": [1], "identifiable": [true]}}}',
+            "out of range",
+        ),
+        (
+            '{"format": "roomfit-result", "format_version": 1, "bands_hz": [125, 250], '
+            '"materials": {"a": {"absorption": [0.1], "lower95": [0], "upper95": [1], '
+            '"identifiable": [true]}}}',
+            "wrong shape",
+        ),
+    ],
+)
+def test_a_result_that_cannot_be_exported_is_refused(tmp_path, text, words):
+    (tmp_path / "result.json").write_text(text)
+    with pytest.raises(InputError, match=words) as refused:
+        export_result(tmp_path / "result.json", "csv", tmp_path / "out.csv")
+    assert "result.json" in str(refused.value)
+    assert [p.name for p in tmp_path.iterdir()] == ["result.json"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "is empty"),
+        ("\n", "lacks columns"),
+        ("material,band_hz\nwall,125\n", "lacks columns"),
+        ("material,band_hz,absorption,lower95,upper95,identifiable\na,125,x,0,1,true\n", "number"),
+        (
+            "material,band_hz,absorption,lower95,upper95,identifiable\n"
+            "a,125,0.1,0,1,true\nb,250,0.1,0,1,true\n",
+            "not complete",
+        ),
+    ],
+)
+def test_a_table_that_cannot_be_exported_is_refused(tmp_path, text, words):
+    (tmp_path / "absorption.csv").write_text(text)
+    with pytest.raises(InputError, match=words):
+        read_material_table(tmp_path / "absorption.csv")
+
+
+def with_parameters(folder: Path) -> Path:
+    """Return a result with a pair, a fit and a finding whose sentence looks like a formula."""
+    path = write_result(folder)
+    content = json.loads(path.read_text())
+    compared = {k: [1.0] * 5 + [None] for k in ("measured", "predicted", "jnd", "mean_of_others")}
+    content["pairs"] = [
+        {"source": "S", "receiver": "R", "use": "fit", "parameters": {"T20_s": compared}}
+    ]
+    content["fit"] = {"phi": [1.0] * 6, "converged": [True] * 6, "models": ["energy"] * 6}
+    content["findings"] = [{"severity": "info", "code": "x", "sentence": "=cmd|'/c calc'!A1\x07"}]
+    content["materials"]["=1+1"] = content["materials"].pop("carpet, grey")
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_a_workbook_has_a_sheet_a_table_and_no_formula(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    out = tmp_path / "result.xlsx"
+    export_result(with_parameters(tmp_path), "excel", out)
+    book = openpyxl.load_workbook(out)
+    assert book.sheetnames == [
+        *("absorption", "absorption by band", "room parameters", "fit", "findings")
+    ]
+    cells = [cell for sheet in book for row in sheet for cell in row]
+    assert not [c for c in cells if c.data_type == "f"]
+    assert not [c.value for c in cells if isinstance(c.value, str) and c.value[:1] in "=+-@"]
+    rows = list(book["absorption"].values)
+    assert rows[0] == ("material", "band_hz", "absorption", "lower95", "upper95", "identifiable")
+    found = {(r[0], r[1]): r[2] for r in rows[1:]}
+    assert found["Wand grün", 250.0] == 0.012 and found["'=1+1", 125.0] == 0.021
+    assert len(found) == 18
+    assert next(iter(book["absorption by band"].values))[1:] == tuple(OCTAVES)
+    measured = list(book["room parameters"].values)
+    assert measured[1] == ("S", "R", "fit", "T20_s", 125.0, 1.0, 1.0, 1.0, 1.0)
+    assert measured[6][5] is None
+    assert list(book["findings"].values)[1][2] == "'=cmd|'/c calc'!A1?"
+
+
+def test_without_openpyxl_the_message_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    with pytest.raises(InputError, match=r"roomfit\[excel\]"):
+        export_result(write_result(tmp_path), "excel", tmp_path / "a.xlsx")
+    assert not (tmp_path / "a.xlsx").exists()
+
+
+CAMPAIGN = """
+[room]
+shoebox = [6, 5, 3]
+[room.materials]
+walls = "Wand grün"
+floor = "carpet, grey"
+ceiling = "not fitted"
+[sources.S]
+position = [1, 1, 1]
+[receivers.R]
+position = [4, 3, 1]
+"""
+
+
+def test_gltf_is_the_room_with_its_absorption_in_extras(tmp_path):
+    """Read back by trimesh: areas, and the y axis up."""
+    campaign, out = tmp_path / "campaign.toml", tmp_path / "room.gltf"
+    campaign.write_text(CAMPAIGN, encoding="utf-8")
+    export_result(write_result(tmp_path, 0.2), "gltf", out, campaign_file=campaign)
+    content = json.loads(out.read_text(encoding="utf-8"))
+    extras = {m["name"]: m.get("extras") for m in content["materials"]}
+    assert extras["not fitted"] is None
+    assert extras["carpet, grey"]["roomfit"]["absorption"] == ABSORPTION["carpet, grey"]
+    assert extras["carpet, grey"]["roomfit"]["bands_hz"] == OCTAVES
+    assert extras["carpet, grey"]["roomfit"]["scattering"] == [0.2] * 6
+    assert extras["Wand grün"]["roomfit"]["identifiable"][1] is False
+    scene = trimesh.load(out)
+    np.testing.assert_allclose(scene.bounds, [[0.0, 0.0, -5.0], [6.0, 3.0, 0.0]], atol=1e-6)
+    areas = {m.visual.material.name: m.area for m in scene.geometry.values()}
+    expected = {"Wand grün": 66.0, "carpet, grey": 30.0, "not fitted": 30.0}
+    assert areas == pytest.approx(expected)
+
+
+def test_gltf_needs_the_campaign_of_the_result(tmp_path):
+    result, out = write_result(tmp_path), tmp_path / "room.gltf"
+    with pytest.raises(InputError, match="--campaign"):
+        export_result(result, "gltf", out)
+    other = tmp_path / "campaign.toml"
+    other.write_text(CAMPAIGN.replace("Wand grün", "a").replace("carpet, grey", "b"))
+    with pytest.raises(InputError, match="no material in common"):
+        export_result(result, "gltf", out, campaign_file=other)
+
+
+@pytest.mark.parametrize("place", ["", "..", "../campaign"])
+def test_gltf_finds_the_campaign_that_lies_beside_its_result(tmp_path, place):
+    """By its digest and those of all that it names; one that was changed is not taken."""
+    folder = tmp_path / "rooms" / "result"
+    near = (folder / place).resolve()
+    folder.mkdir(parents=True)
+    near.mkdir(exist_ok=True)
+    campaign, walls = near / "campaign.toml", near / "walls.csv"
+    campaign.write_text(CAMPAIGN, encoding="utf-8")
+    walls.write_text("1")
+    result, out = write_result(folder, 0.2), tmp_path / "room.gltf"
+    content = json.loads(result.read_text(encoding="utf-8"))
+    content["provenance"] = {"inputs_sha256": input_digests((campaign, walls))}
+    result.write_text(json.dumps(content), encoding="utf-8")
+    export_result(result, "glTF", out)
+    assert "not fitted" in out.read_text(encoding="utf-8")
+    walls.write_text("2")
+    with pytest.raises(InputError, match=r"no campaign\.toml beside it"):
+        export_result(result, "gltf", out, overwrite=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "short"),
+    [("I-Simpa", "isimpa"), ("CATT-Acoustic", "catt"), ("ODEON", "odeon"), ("CSV", "csv")],
+)
+def test_a_format_may_be_called_as_its_program_calls_itself(tmp_path, name, short):
+    result = write_result(tmp_path)
+    for wanted in (name, short):
+        export_result(result, wanted, tmp_path / wanted)
+    assert (tmp_path / name).read_bytes() == (tmp_path / short).read_bytes()
+
+
+def test_a_result_is_an_xarray_data_set():
+    """With the intervals of materials, priors and the mean of the room."""
+    pytest.importorskip("xarray")
+    plain = answer_of(scene_of())
+    prior = np.sort(np.random.default_rng(2).uniform(size=(3, *plain.absorption.shape)), axis=0)
+    kinds = (("gaussian", "profile", "given"),) * 6
+    data = replace(plain, prior=prior, interval_kinds=kinds).to_xarray()
+    place = {"material": "floor", "band_hz": 500.0}
+    for name, values in (
+        ("absorption", plain.absorption),
+        ("upper95", plain.upper95),
+        ("prior_lower95", prior[1]),
+    ):
+        assert data[name].sel(place) == values[1, 2], name
+    assert data["interval"].sel(place) == "profile"
+    means = [float(data[f"mean_absorption{x}"][2]) for x in ("", "_lower95", "_upper95")]
+    assert means == plain.mean_absorption[:, 2].tolist()
+    assert dict(data.sizes) == {"material": 3, "band_hz": 6}
+    assert data["area_m2"].values.tolist() == plain.areas_m2.tolist()
+    assert not {"interval", "prior"} & set(plain.to_xarray())
+
+
+def known_law():
+    """Return an answer of which the law is known: two materials together, one given."""
+    plain = answer_of(scene_of())
+    one = np.array([[0.09, -0.05, 0.0], [-0.05, 0.09, 0.0], [0.0, 0.0, 0.0]])
+    prior = np.stack([np.full((3, 6), -1.0), np.full((3, 6), 0.5)])
+    return replace(plain, logit_covariance=np.tile(one, (6, 1, 1)), logit_prior=prior)
+
+
+def test_posterior_and_prior_are_a_tree_as_arviz_takes_it():
+    xarray = pytest.importorskip("xarray")
+    answer = known_law()
+    tree = posterior_tree(answer, 50, np.random.default_rng(4))
+    assert isinstance(tree, xarray.DataTree)
+    assert set(tree.children) == {"posterior", "prior", "constant_data"}
+    for group in ("posterior", "prior"):
+        own = tree[group]["absorption"]
+        assert own.dims == ("chain", "draw", "material", "band_hz")
+        assert own.shape == (1, 50, 3, 6)
+    given = tree["posterior"]["absorption"].sel(material="ceiling", band_hz=500.0)
+    assert set(given.values.ravel().tolist()) == {answer.absorption[2, 2]}
+
+
+def test_without_xarray_a_tree_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(InputError, match="pip install xarray"):
+        posterior_tree(known_law(), 4, np.random.default_rng(1))
+
+
+def test_without_xarray_the_message_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(InputError, match="pip install xarray"):
+        answer_of(scene_of()).to_xarray()
+
+
+def test_the_command_writes_and_keeps_what_is_there(tmp_path, monkeypatch, capsys):
+    result, out = write_result(tmp_path), tmp_path / "walls.geo"
+    call = ("export", result, "--format", "catt", "--out", out)
+    assert run_command(monkeypatch, *call) == 0
+    reported = capsys.readouterr().out
+    assert str(out) in reported
+    assert "does not determine Wand grün at 250 Hz" in reported
+    before = out.read_bytes()
+    assert run_command(monkeypatch, *call, "--scattering", "0.4") == 2
+    assert "exists" in capsys.readouterr().err
+    assert out.read_bytes() == before
+    assert run_command(monkeypatch, *call, "--scattering", "0.4", "--overwrite") == 0
+    assert b"L <40 40" in out.read_bytes()
+    for wanted, place, words in (
+        ("ease", tmp_path / "a", "no such format"),
+        ("csv", tmp_path, "something else is in its place"),
+        ("csv", tmp_path / "no" / "a.csv", "does not exist"),
+        ("raven", tmp_path, "not empty"),
+    ):
+        assert run_command(monkeypatch, "export", result, "--format", wanted, "--out", place) == 2
+        assert words in capsys.readouterr().err
+    missing = tmp_path / "missing.json"
+    assert run_command(monkeypatch, "export", missing, "--format", "csv", "--out", "x") == 2
+    assert "does not exist" in capsys.readouterr().err
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["result.json", "walls.geo"]
+
+
+def test_a_result_in_memory_is_exported_as_its_file_is_and_survives_a_pickle(tmp_path):
+    """The same text either way; a finding's evidence, which is a view, comes through."""
+    doubt = finding("warning", "Look at the floor.")
+    answer = replace(answer_of(scene_of()), findings=(doubt,), scattering=None)
+    again = pickle.loads(pickle.dumps(answer))
+    assert again.findings[0].sentence == doubt.sentence
+    assert again.findings[0].evidence == doubt.evidence
+    np.testing.assert_array_equal(again.absorption, answer.absorption)
+    (tmp_path / "absorption.csv").write_text(absorption_csv(answer))
+    export_result(tmp_path / "absorption.csv", "isimpa", tmp_path / "file.txt")
+    export_result(again, "isimpa", tmp_path / "memory.txt")
+    assert (tmp_path / "memory.txt").read_text() == (tmp_path / "file.txt").read_text()
+    with pytest.raises(InputError, match="made from the files of a result"):
+        export_result(again, "pdf", tmp_path / "report.pdf")
+    assert len(repr(answer).splitlines()) <= 10
+    assert f"{int(answer.identifiable.sum())} of {answer.identifiable.size}" in repr(answer)

@@ -1,0 +1,155 @@
+"""Audio objects of the ITA-Toolbox, and what structures and objects of MAT files hold."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+
+from roomfit.base.errors import InputError
+from roomfit.files.responses import read_response
+from roomfit.files.responses.formats import mat5_arrays
+from roomfit.files.responses.recordings import ResponseSpec
+
+DATA = Path(scipy.io.__file__).parent / "matlab/tests/data"
+
+
+def decay(n: int = 2000, seed: int = 1) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal(n) * np.exp(-np.arange(n) / 300.0)
+
+
+def audio(columns: np.ndarray, **changes: object) -> dict[str, object]:
+    """Return what `itaAudio.saveobj` puts into a structure, as far as scipy can write it."""
+    entries = {"classname": "itaAudio", "classrevision": np.nan, "comment": "hall"}
+    entries |= {"history": np.array(["ita_read"], dtype=object), "userData": np.zeros((0, 0))}
+    entries |= {"domain": "time", "data": columns, "dimensions": float(columns.shape[1])}
+    entries |= {"channelNames": np.array(["a", "b"], dtype=object), "dataType": "double"}
+    entries |= {"dataFactor": 1.0, "samplingRate": 44_100.0, "signalType": "energy"}
+    return {k: v for k, v in (entries | changes).items() if v is not None}
+
+
+def write_ita(path: Path, content: object, *, compressed: bool = True) -> Path:
+    with path.open("wb") as stream:
+        scipy.io.savemat(stream, {"ITA_TOOLBOX_AUDIO_OBJECT": content}, do_compression=compressed)
+    return path
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_channel_of_an_audio_object_is_a_response(tmp_path, compressed):
+    columns = np.stack([decay(seed=1), decay(seed=2)], axis=1)
+    path = write_ita(tmp_path / "a.ita", audio(columns), compressed=compressed)
+    response, findings = read_response(ResponseSpec(path, channel=1))
+    np.testing.assert_array_equal(response.pressure, columns[:, 1])
+    assert (response.sampling_rate_hz, findings) == (44_100.0, ())
+    with pytest.raises(InputError, match="several channels"):
+        read_response(ResponseSpec(path))
+
+
+def test_samples_that_were_stored_as_integers_get_their_scale_back(tmp_path):
+    """`dataFactor` is that of the class: 1 where the samples are doubles, and may be missing."""
+    columns = np.round(3000.0 * decay()[:, None]).astype("i2")
+    path = write_ita(tmp_path / "a.ita", audio(columns, dataFactor=1e-4))
+    response, _ = read_response(ResponseSpec(path))
+    np.testing.assert_allclose(response.pressure, 1e-4 * columns[:, 0], rtol=1e-12)
+    path = write_ita(tmp_path / "b.ita", audio(columns, dataFactor=None))
+    np.testing.assert_array_equal(read_response(ResponseSpec(path))[0].pressure, columns[:, 0])
+
+
+@pytest.mark.parametrize(
+    ("content", "found"),
+    [
+        (audio(decay()[:, None], domain="freq"), "freq"),
+        (audio(decay()[:, None] + 1j), "complex numbers"),
+        (audio(decay()[:, None], samplingRate=None), "dataFactor"),
+        (np.array([audio(decay()[:, None]), audio(decay()[:, None])]), "a cell array"),
+        (1.0, r"\(1, 1\)"),
+    ],
+)
+def test_what_is_no_single_response_in_time_is_refused_with_what_to_export(
+    tmp_path, content, found
+):
+    path = write_ita(tmp_path / "a.ita", content)
+    with pytest.raises(InputError, match=f"audio object(?s:.*){found}(?s:.*)a.timeData") as refused:
+        read_response(ResponseSpec(path))
+    text = str(refused.value)
+    assert all(part in text for part in ("a.ita", "found", "needed", "try"))
+
+
+def element(kind: int, data: bytes) -> bytes:
+    return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+
+def matrix(kind: int, shape: tuple[int, int], name: bytes, *rest: bytes) -> bytes:
+    head = element(6, struct.pack("<II", kind, 0)) + element(5, struct.pack("<ii", *shape))
+    return element(14, b"".join([head, element(1, name), *rest]))
+
+
+def numbers(name: bytes, values: np.ndarray) -> bytes:
+    rows, columns = values.shape
+    return matrix(6, (rows, columns), name, element(9, values.astype("<f8").tobytes("F")))
+
+
+def test_coordinates_which_are_objects_are_passed_over(tmp_path):
+    """Of class itaCoordinates in the toolbox's files, in a form that only MATLAB understands."""
+    samples = decay()[:, None]
+    opaque = element(6, struct.pack("<II", 17, 0)) + element(1, b"") + element(1, b"MCOS")
+    opaque += element(1, b"itaCoordinates") + numbers(b"", np.ones((6, 1)))
+    text = matrix(4, (1, 4), b"", element(16, b"time"))
+    fields = [opaque_field := element(14, opaque), text, numbers(b"", samples)]
+    fields += [numbers(b"", np.full((1, 1), 48_000.0)), element(14, b"")]
+    names = [b"channelCoordinates", b"domain", b"data", b"samplingRate", b"userData"]
+    listed = b"".join(name.ljust(32, b"\0") for name in names)
+    size = element(5, struct.pack("<i", 32))
+    whole = matrix(2, (1, 1), b"ITA_TOOLBOX_AUDIO_OBJECT", size, element(1, listed), *fields)
+    at_root = element(14, opaque.replace(element(1, b""), element(1, b"place")))
+    path = tmp_path / "a.ita"
+    # behind them MATLAB keeps a variable without a name, to which objects refer
+    rest = at_root + numbers(b"", np.ones((8, 1)))
+    path.write_bytes(b"MATLAB 5.0".ljust(124) + b"\0\1IM" + whole + rest)
+    response, _ = read_response(ResponseSpec(path))
+    np.testing.assert_array_equal(response.pressure, samples[:, 0])
+    assert response.sampling_rate_hz == 48_000.0
+    found = mat5_arrays(path.read_bytes())
+    of_class = "an object of class itaCoordinates"
+    assert found["place"] == found["ITA_TOOLBOX_AUDIO_OBJECT.channelCoordinates"] == of_class
+    assert "" not in found and opaque_field in path.read_bytes()
+
+
+def test_fields_of_a_structure_that_matlab_itself_wrote_are_read():
+    """MATLAB 7.4's, of scipy's own tests."""
+    path = DATA / "teststruct_7.4_GLNX86.mat"
+    if not path.exists():
+        pytest.skip("scipy came without its tests")
+    found = mat5_arrays(path.read_bytes())
+    expected = [[np.sqrt(2.0), np.exp(1.0), np.pi]]
+    np.testing.assert_allclose(found["teststruct.doublefield"], expected, rtol=1e-15)
+    assert found["teststruct.stringfield"] == "text 'Rats live on no evil star.'"
+    assert found["teststruct.complexfield"] == "complex numbers"
+
+
+def test_every_file_of_matlab_at_hand_is_read_or_refused_in_words():
+    """Versions 5 to 7.4: nested structures, cells, functions, objects, sparse and empty arrays."""
+    files = [p for p in sorted(DATA.glob("*.mat")) if p.read_bytes()[126:128] in (b"IM", b"MI")]
+    if not files:
+        pytest.skip("scipy came without its tests")
+    refused = []
+    for path in files:
+        try:
+            mat5_arrays(path.read_bytes())
+        except ValueError:
+            refused.append(path.name)
+    damaged = ("bad_", "broken_", "corrupted_", "malformed", "miuint32_for")  # on purpose
+    # HDF5, for another reader
+    wrong = [name for name in refused if not name.startswith((*damaged, "testhdf5"))]
+    assert len(files) > 50 and wrong == []
+
+
+def test_a_field_of_a_structure_is_a_variable_of_a_campaign(tmp_path):
+    path = tmp_path / "a.mat"
+    scipy.io.savemat(path, {"take": {"h": decay()[:, None], "fs": 48_000.0}})
+    spec = ResponseSpec(path, variable="take.h", sampling_rate_variable="take.fs")
+    response, _ = read_response(spec)
+    np.testing.assert_array_equal(response.pressure, decay())

@@ -1,0 +1,51 @@
+"""Writing leaves the old file or the new one, never half of one."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from roomfit.base.cache import (
+    check_output_folder,
+    write_bytes_atomically,
+    write_json_atomically,
+    write_text_atomically,
+)
+from roomfit.base.errors import InputError, StoreError
+
+
+def test_a_file_is_replaced_whole_and_nothing_is_left_beside_it(tmp_path):
+    target = tmp_path / "a.txt"
+    write_text_atomically(target, "old")
+    write_bytes_atomically(target, b"new")
+    assert target.read_text() == "new"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_content_that_cannot_be_written_leaves_the_old_file(tmp_path):
+    target = tmp_path / "a.json"
+    write_json_atomically(target, {"x": 1})
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_json_atomically(target, {"x": float("nan")})
+    assert json.loads(target.read_text())["x"] == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_a_folder_that_does_not_exist_is_the_disks_turn(tmp_path):
+    with pytest.raises(StoreError, match="cannot be written"):
+        write_text_atomically(tmp_path / "missing" / "a.txt", "x")
+
+
+def test_an_output_folder_with_something_in_it_is_refused_unless_permitted(tmp_path):
+    (tmp_path / "earlier.txt").write_text("result of a long night")
+    with pytest.raises(InputError, match=r"exists and is not empty(?s:.*)--overwrite"):
+        check_output_folder(tmp_path)
+    check_output_folder(tmp_path, overwrite=True)
+    assert (tmp_path / "earlier.txt").exists()
+
+
+def test_an_output_folder_in_the_place_of_a_file_is_refused(tmp_path):
+    (tmp_path / "f").write_text("x")
+    with pytest.raises(InputError, match="is a file"):
+        check_output_folder(tmp_path / "f", overwrite=True)

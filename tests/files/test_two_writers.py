@@ -1,0 +1,183 @@
+"""A campaign that two processes change keeps what both have written."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from roomfit.app import project, recordings
+from roomfit.base.errors import FolderInUseError, InputError
+from roomfit.cli.commands import draft_to_folder
+from roomfit.files import edits
+from roomfit.files.edits import Edit, sole_editor
+from roomfit.files.rooms.model import RoomSpec
+
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="locks of POSIX")
+
+
+@pytest.fixture
+def box(tmp_path: Path) -> Path:
+    project.set_room(tmp_path, shoebox=(6.0, 5.0, 3.0))
+    return tmp_path
+
+
+def started(program: str, *arguments: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", program, *map(str, arguments)],
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+def hidden(folder: Path) -> list[str]:
+    return [p.name for p in folder.iterdir() if p.name.startswith(".")]
+
+
+_WRITER = """
+import sys
+from pathlib import Path
+from roomfit.app import project
+folder, who = Path(sys.argv[1]), sys.argv[2]
+print("ready", flush=True)
+while not (folder / "go").exists():
+    pass
+for n in range(8):
+    project.name_measured(folder, f"S{who}", f"{who}{n}")
+    project.set_position(folder, "receivers", f"{who}{n}", (n, 1, 1))
+"""
+
+
+@pytest.mark.slow
+def test_two_processes_that_write_many_times_lose_nothing(box: Path) -> None:
+    """New keys of their own, and rows of one list, which are numbered by what is there."""
+    both = [started(_WRITER, box, who) for who in "ab"]
+    assert [one.stdout.readline() for one in both if one.stdout] == ["ready\n"] * 2
+    (box / "go").touch()
+    assert [one.wait(300) for one in both] == [0, 0]
+    for one in both:
+        assert one.stdout is not None
+        one.stdout.close()
+    content = project.campaign_content(box)
+    wanted = {f"{who}{n}": [n, 1, 1] for who in "ab" for n in range(8)}
+    assert {name: table["position"] for name, table in content["receivers"].items()} == wanted
+    rows = [(row["source"], row["receiver"], row["file"]) for row in content["measurements"]]
+    assert len(rows) == 16
+    assert set(rows) == {(f"S{r[0]}", r, f"recordings/S{r[0]}_{r}.wav") for r in wanted}
+    assert hidden(box) == []
+
+
+@POSIX
+def test_the_lock_of_a_killed_process_is_free(box: Path) -> None:
+    """And that of one which lives is waited for, and then refused."""
+    program = (
+        "import sys, time; from pathlib import Path; from roomfit.files.edits import sole_editor\n"
+        "with sole_editor(Path(sys.argv[1])):\n    print('in', flush=True); time.sleep(600)\n"
+    )
+    file = project.campaign_file(box)
+    other = started(program, file)
+    assert other.stdout is not None and other.stdout.readline() == "in\n"
+    refused = pytest.raises(FolderInUseError, match=r"another run is writing[^§]*campaign\.toml")
+    with refused, sole_editor(file, wait_s=0.1):
+        pass
+    os.kill(other.pid, signal.SIGKILL)
+    other.wait()
+    other.stdout.close()
+    project.set_bands(box, 250.0, 1000.0)
+    assert project.bands(box) == (250.0, 1000.0)
+    assert hidden(box) == []
+
+
+def edit_key(folder: Path) -> None:
+    project.set_bands(folder, 250.0, 1000.0)
+
+
+def name_rows(folder: Path) -> None:
+    recordings.name_recordings(folder, {"S1": (1.0, 1.0, 1.0)})
+
+
+CHANGES: dict[str, Callable[[Path], None]] = {
+    "a key": edit_key,
+    "names": name_rows,
+    "a room": lambda folder: project.set_room(folder, shoebox=(5.0, 4.0, 3.0)),
+    "materials": lambda folder: project.forget_unused_materials(folder, ["walls"]),
+    "a measured pair": lambda folder: project.name_measured(folder, "S1", "R1"),
+    "decay times": lambda folder: project.set_decay_times(folder, "t.csv"),
+}
+
+
+def while_held(file: Path, text: str, change: Callable[[], object]) -> None:
+    """Begin a change while another holds the file, which writes a text before it lets go."""
+    taken = threading.Event()
+
+    def other() -> None:
+        with sole_editor(file):
+            taken.set()
+            time.sleep(0.3)
+            file.write_text(text)
+
+    thread = threading.Thread(target=other)
+    thread.start()
+    taken.wait(30)
+    try:
+        change()
+    finally:
+        thread.join()
+
+
+@POSIX
+@pytest.mark.parametrize("name", CHANGES)
+def test_what_another_writes_is_read_before_it_is_changed(box: Path, name: str) -> None:
+    file = project.campaign_file(box)
+    (box / "recordings").mkdir()
+    (box / "recordings" / "S1_R1.wav").touch()
+    before = file.read_text()
+    text = edits.edited_text(before, [Edit(("air",), "temperature_c", 17.5)])
+    text = edits.edited_text(text, [Edit(("materials", "gone"), "prior", "brick")])
+    while_held(file, text, lambda: CHANGES[name](box))
+    content = tomllib.loads(file.read_text())
+    assert content["air"] == {"temperature_c": 17.5}
+    assert file.read_text() != text
+    CHANGES[name](box)
+    assert tomllib.loads(file.read_text()) == content  # nothing was left to be done
+
+
+@POSIX
+def test_a_remedy_and_a_step_back_are_refused_where_another_has_written(box: Path) -> None:
+    file = project.campaign_file(box)
+    text = file.read_text() + "# of another\n"
+    wanted = edits.preview(file, [Edit(("air",), "temperature_c", 17.5)])
+    with pytest.raises(InputError, match="has changed since this was shown"):
+        while_held(file, text, lambda: edits.apply(file, wanted))
+    assert file.read_text() == text
+    edits.apply(file, edits.preview(file, [Edit(("air",), "temperature_c", 17.5)]))
+    with pytest.raises(InputError, match="nothing can be undone"):
+        while_held(file, text, lambda: edits.undo(file))
+    assert file.read_text() == text
+
+
+@POSIX
+def test_a_first_campaign_does_not_replace_one_that_has_come_meanwhile(tmp_path: Path) -> None:
+    file = tmp_path / "campaign.toml"
+    (tmp_path / "S_R.wav").touch()
+    room = RoomSpec(shoebox=(5.0, 4.0, 3.0))
+    with pytest.raises(InputError, match="the file to write exists"):
+        while_held(file, "# of another\n", lambda: draft_to_folder(tmp_path, room))
+    assert file.read_text() == "# of another\n"
+
+
+def test_a_folder_in_the_place_of_the_campaign_is_to_be_renamed(tmp_path: Path) -> None:
+    (tmp_path / "campaign.toml").mkdir()
+    with pytest.raises(InputError) as refused:
+        draft_to_folder(tmp_path, RoomSpec(shoebox=(5.0, 4.0, 3.0)))
+    assert refused.value.found == "a folder"
+    assert refused.value.hint == "rename what is there, or choose another name"

@@ -1,0 +1,314 @@
+"""Errors that all windows of a band share: against fits of data that contain them, and others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from coherent_cases import SPEED_M_S, objective_of, small_scene, small_term, with_data
+from roomfit.base.air import Air, attenuation_per_m, pressure_decay_per_m, speed_of_sound_m_s
+from roomfit.base.bands import Bands, bands_between
+from roomfit.base.logit import Z95, expit, logit
+from roomfit.base.typing import FloatArray
+from roomfit.demo.boxes import SyntheticBox, pressure_response
+from roomfit.fit.systematics import (
+    DECAY_PROBABILITIES,
+    DECAY_SDS,
+    air_error,
+    decay_error,
+    decay_error_sds,
+    decay_rate,
+    lost_coherence,
+    shared_errors,
+    with_decay_errors,
+    with_shared_errors,
+)
+from roomfit.materials.priors import unknown_material
+from roomfit.model.energy import EnergyTerm
+from roomfit.model.parameters import start_vector
+from roomfit.pressures.data_term import CoherentTerm, fully_coherent
+from roomfit.pressures.sequential import CoherentBand
+from roomfit.signals.filters import frequency_response, window_energies
+from roomfit.signals.response import ImpulseResponse
+from roomfit.solver.least_squares import BandFit, DecayRate, score_band
+from roomfit.uncertainty.gaussian import (
+    BandEstimate,
+    add_covariance,
+    answer_steps,
+    prior_only_band,
+)
+
+CENTRE_HZ = 1000.0
+_PRIORS = (unknown_material("wall", 1), unknown_material("floor", 1))
+
+
+def energies() -> EnergyTerm:
+    """Return the energies of a small box with the data that its start expects."""
+    problem = replace(small_term(CENTRE_HZ).energies, model_error=0.1)
+    whole = objective_of(problem)
+    expected = whole.predict(start_vector(whole.parameters)).expected
+    observed, first = [], 0
+    for o in problem.observations:
+        observed.append(replace(o, energy=expected[first : first + o.energy.size]))
+        first += o.energy.size
+    return replace(problem, observations=tuple(observed))
+
+
+def _with_data(problem: EnergyTerm, factor: FloatArray) -> EnergyTerm:
+    sizes = np.cumsum([o.energy.size for o in problem.observations])[:-1]
+    parts = zip(problem.observations, np.split(factor, sizes), strict=True)
+    return replace(problem, observations=tuple(replace(o, energy=o.energy * f) for o, f in parts))
+
+
+def _converged(term: EnergyTerm) -> BandFit:
+    problem = objective_of(term)
+    return score_band(problem, start_vector(problem.parameters), max_rounds=36)
+
+
+def test_the_answer_moves_as_predicted_by_an_error_of_all_windows() -> None:
+    """Against fits of data that contain the error: a decay that is faster by 1 % at 20 ms.
+
+    The first order of what moves the answer by a few hundredths of a logit; both directions of the
+    change together take out the second.
+    """
+    plain = energies()
+    fit = _converged(plain)
+    time_s = np.concatenate([0.5 * (o.edges_s[1:] + o.edges_s[:-1]) for o in plain.observations])
+    error = -0.01 * time_s / 0.02
+    objective = objective_of(plain)
+    jacobian = objective.predict(fit.vector).jacobian
+    (predicted,) = answer_steps(objective, fit, jacobian, (plain.measured() * error)[:, None]).T
+    up, down = (_converged(_with_data(plain, 1.0 + s * error)).vector for s in (1.0, -1.0))
+    observed = 0.5 * (up - down)
+    # weights that follow the answer are neglected: a few percent of the step, or a few thousandths
+    # of the standard deviation of what the data hardly determine
+    sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
+    assert np.all(np.abs(predicted - observed) <= 0.1 * np.abs(observed) + 0.003 * sd)
+
+
+def test_a_shared_error_adds_its_own_step_to_the_covariance() -> None:
+    """And only that, whatever the misfit."""
+    fit = replace(_converged(energies()), chi2_reduced=1.7)
+    steps = np.array([[0.3, 0.0], [-0.1, 0.2], [0.0, 0.1], [0.05, 0.0]])
+    wider = add_covariance(fit, steps)
+    more = np.linalg.inv(wider.information) - np.linalg.inv(fit.information)
+    np.testing.assert_allclose(more * 1.7, steps @ steps.T, atol=1e-9)
+    assert add_covariance(fit, np.zeros((4, 1))) is fit
+
+
+@pytest.mark.parametrize("kind", ["octave", "third-octave"])
+def test_the_error_of_the_air_covers_its_mean_over_a_band(kind: str) -> None:
+    """Against ISO 9613-1 averaged over the filter: as much, or up to three times as much."""
+    air, problem = Air(), energies()
+    bands = bands_between("octave" if kind == "octave" else "third-octave", 500, 4000)
+    middle = np.concatenate([0.5 * (o.edges_s[1:] + o.edges_s[:-1]) for o in problem.observations])
+    for band, centre in enumerate(bands.exact_centres_hz):
+        own = Bands(bands.kind, bands.centres_hz[band : band + 1])
+        frequencies = np.linspace(0.4 * centre, 2.2 * centre, 4001)
+        weight = frequency_response(own, frequencies)[0] ** 2
+        mean = np.average(2.0 * pressure_decay_per_m(air, frequencies), weights=weight)
+        off = (mean - attenuation_per_m(air, own)[0]) * speed_of_sound_m_s(air) * middle
+        error = air_error(air, bands, band, problem)
+        assert np.all(error <= 0.0)
+        late = middle > 0.01
+        assert np.all(-error[late] >= off[late]) and np.all(-error[late] <= 3.0 * off[late])
+
+
+def _band(term: CoherentTerm) -> tuple[CoherentBand, BandFit]:
+    """Return a band and a fit that ended at its start."""
+    problem = objective_of(term)
+    vector = start_vector(problem.parameters)
+    own = with_data(term, problem.predict(vector).expected)
+    fit = score_band(objective_of(own), vector, max_rounds=0)
+    return CoherentBand(objective_of(own.energies), fit, own), fit
+
+
+def test_nothing_is_lost_where_all_is_coherent() -> None:
+    """A band whose arrival times are known has no error of that kind."""
+    band, fit = _band(fully_coherent(small_term(CENTRE_HZ)))
+    np.testing.assert_allclose(lost_coherence(band, fit), 0.0, atol=1e-9)
+
+
+def test_lost_coherence_is_what_pressures_of_images_lack_or_have_beyond_their_energies() -> None:
+    """Against the pressures of an own list of images, filtered, in slots of 40 ms."""
+    scene = small_scene()
+    band, fit = _band(small_term(CENTRE_HZ))
+    octaves = bands_between("octave", 500, 2000)
+    walls = np.array([0.2, 0.2, 0.2, 0.2, 0.4, 0.1])
+    truth = SyntheticBox(
+        *((4.0, 3.1, 2.5), octaves.centres_hz, np.tile(walls[:, None], 3), np.zeros(3)), SPEED_M_S
+    )
+    own = Bands("octave", np.array([CENTRE_HZ]))
+    pressures, rate_hz = [], 24_000.0
+    for (_, r), observed in zip(scene.pairs, band.coherent.energies.observations, strict=True):
+        ends = scene.sources[0].position_m, scene.receivers[r].position_m
+        samples = pressure_response(truth, *ends, 0.1, rate_hz, np.zeros(3))
+        response = ImpulseResponse(samples, rate_hz)
+        pressures.append(window_energies(own, response, observed.edges_s)[0])
+    energy = fit.expected
+    # the gain at the start; a path's energy at 1 m is 1 / (4 pi), its pressure as well
+    whole = 2.0 * 4.0 * np.pi * np.concatenate(pressures)
+    middle = np.concatenate(
+        [0.5 * (o.edges_s[1:] + o.edges_s[:-1]) for o in band.coherent.energies.observations]
+    )
+    for low, high in ((0.0, 0.04), (0.04, 0.08)):
+        slot = (middle >= low) & (middle < high)
+        weight = (energy / fit.variance)[slot]
+        share = weight @ (whole - energy)[slot] / (weight @ energy[slot])
+        reported = lost_coherence(band, fit)[slot]
+        assert np.ptp(reported) == 0.0
+        assert abs(reported[0] - share) < 0.01
+    # 24 % of the energy is missing there: it is not nothing that was compared
+    assert reported[0] < -0.2
+
+
+def _middles_s(term: EnergyTerm) -> FloatArray:
+    return np.concatenate([0.5 * (o.edges_s[1:] + o.edges_s[:-1]) for o in term.observations])
+
+
+def test_the_error_of_a_decay_is_its_rate_times_the_time() -> None:
+    """Of windows that hold an exponential decay, to the curvature within a window."""
+    term, rate_per_s = energies(), 23.0
+    edges = [o.edges_s for o in term.observations]
+    signal = np.concatenate([-np.diff(np.exp(-rate_per_s * e)) for e in edges])
+    found = decay_error(term, signal)
+    np.testing.assert_allclose(found, -rate_per_s * _middles_s(term), rtol=0.02)
+
+
+def _rate(change: float) -> DecayRate:
+    """Return what data say whose rate is so much larger than that of the walls."""
+    term = energies()
+    signal = np.concatenate([o.energy for o in term.observations])
+    slope = decay_error(term, signal)
+    fit = _converged(_with_data(term, np.exp(change * slope)))
+    problem = objective_of(_with_data(term, np.exp(change * slope)))
+    jacobian = problem.jacobian(fit.vector)
+    error = (fit.expected * decay_error(term, fit.expected))[:, None]
+    return decay_rate(problem, fit, jacobian, error)
+
+
+def test_the_information_on_the_rate_is_that_of_a_further_unknown() -> None:
+    """Against the Schur complement of the rate in the information of all unknowns."""
+    term = energies()
+    problem, fit = objective_of(term), _converged(term)
+    jacobian = problem.jacobian(fit.vector)
+    error = fit.expected * decay_error(term, fit.expected)
+    weight = 1.0 / (problem.correlation_length() * fit.variance)
+    across = jacobian.T @ (weight * error)
+    whole = np.block([[fit.information, across[:, None]], [across, np.sum(weight * error**2)]])
+    variance = np.linalg.inv(whole)[-1, -1]
+    found = decay_rate(problem, fit, jacobian, error[:, None])
+    np.testing.assert_allclose(found.information, 1.0 / variance / max(fit.chi2_reduced, 1.0))
+    # as unknowns move when the rate is held that much higher
+    np.testing.assert_allclose(found.step, np.linalg.solve(fit.information, across))
+
+
+def test_data_that_agree_with_the_rate_leave_the_mean_of_both_priors() -> None:
+    """Without a residual the posterior is the mixture of two normal laws of known variances.
+
+    The priors of the walls leave a residual of 1 % of it.
+    """
+    rate = _rate(0.0)
+    variance = 1.0 / (rate.information + DECAY_SDS**-2)
+    weight = DECAY_PROBABILITIES * np.sqrt(variance) / DECAY_SDS
+    (found,) = decay_error_sds([rate])
+    np.testing.assert_allclose(found**2, weight @ variance / weight.sum(), rtol=0.02)
+    assert found < np.sqrt(DECAY_PROBABILITIES @ DECAY_SDS**2)
+
+
+def test_data_that_contradict_the_rate_of_the_walls_enlarge_the_term() -> None:
+    """The farther off, the larger, and never beyond the wide prior: first order ends there."""
+    sizes = [float(decay_error_sds([_rate(change)])[0]) for change in (0.0, 1.5)]
+    assert sizes[0] < sizes[1]
+    # known to 0.05: 0, 1, 3 and 60 of these off
+    known = [DecayRate(400.0, z * 20.0, np.zeros(1)) for z in (0.0, 1.0, 3.0, 60.0)]
+    sizes = [float(decay_error_sds([rate])[0]) for rate in known]
+    assert sizes[0] < sizes[1] < sizes[2] < sizes[3]
+    assert sizes[3] == pytest.approx(DECAY_SDS.max())
+
+
+def test_all_bands_say_whether_a_room_decays_as_its_model_does() -> None:
+    """One band in six off by 2.5 standard deviations is chance; six off by 2.5 are none."""
+    usual, off = (DecayRate(400.0, z * 20.0, np.zeros(1)) for z in (0.3, 2.5))
+    alone = decay_error_sds([off])[0]
+    beside_others = decay_error_sds([off, *[usual] * 5])
+    everywhere = decay_error_sds([off] * 6)
+    assert beside_others[0] < 0.25 * alone < 0.3 * everywhere[0]
+    # which is what its data say, nearly without a prior: 2.5 +- 1 standard deviations of 0.05
+    np.testing.assert_allclose(everywhere, 0.05 * np.hypot(2.5, 1.0), rtol=0.06)
+
+
+def _answer(a: FloatArray, rate: DecayRate) -> BandEstimate:
+    wide = prior_only_band(_PRIORS, 0)
+    return replace(
+        wide,
+        absorption=a,
+        lower95=a - 0.01,
+        upper95=a + 0.01,
+        identifiable=np.array([True, True]),
+        logit_mean=logit(a),
+        logit_covariance=np.diag([1e-3, 1e-3]),
+        costs={"": np.full(2, 0.1), "noise": np.full(2, 0.05)},
+        mean_costs={"": 0.005, "noise": 0.003},
+        decay=rate,
+    )
+
+
+def test_the_decay_term_widens_answers_along_their_shift_alone() -> None:
+    """In absorption: the mean by what the rate moves it, walls by their own share, named as such.
+
+    A wall of 0.02 that a change moves by 0.035 is not 0 to 0.4, as its logit's first order says.
+    """
+    a, areas = np.array([0.02, 0.2]), np.array([1.0, 3.0])
+    rate = DecayRate(1e-9, 0.0, np.array([0.07, 0.06]) / 0.2)  # nothing known: mixture of priors
+    size = float(np.sqrt(DECAY_PROBABILITIES @ DECAY_SDS**2))
+    before = _answer(a, rate)
+    (after,) = with_decay_errors([before], areas, _PRIORS)
+    more = Z95 * size * (areas @ rate.step) / areas.sum()
+    one_sd = expit(logit(a) + np.sqrt(np.diag(after.logit_covariance - before.logit_covariance)))
+    np.testing.assert_allclose(one_sd, a + size * rate.step, rtol=1e-6)
+    assert 0.1 < after.upper95[0] < 0.16 and after.lower95[0] > 0.0
+    assert not after.identifiable[0]  # its logit is known no better than half its prior's
+    assert after.identifiable[1]
+    np.testing.assert_array_equal(after.costs["decay"], before.costs[""])
+    assert after.mean_costs["decay"] == 0.005
+    np.testing.assert_allclose(after.mean_costs[""], np.hypot(0.005, more / Z95))
+    assert np.all(after.costs["noise"] < after.costs[""])
+    np.testing.assert_array_equal(after.absorption, a)
+
+
+def test_what_returns_little_is_as_uncertain_as_what_absorbs_little() -> None:
+    """Absorption a and reflection 1 - a have mirrored intervals."""
+    priors, areas, rate = _PRIORS, np.ones(2), DecayRate(1e-9, 0.0, np.array([0.3, 0.2]))
+    a = np.array([0.03, 0.2])
+    (low,) = with_decay_errors([_answer(a, rate)], areas, priors)
+    (high,) = with_decay_errors([_answer(1.0 - a, rate._replace(step=-rate.step))], areas, priors)
+    np.testing.assert_allclose(low.upper95, 1.0 - high.lower95)
+    np.testing.assert_allclose(low.lower95, 1.0 - high.upper95)
+
+
+def test_what_is_fixed_stays_beside_a_rate_that_is_not() -> None:
+    """And an answer without windows stays as it is."""
+    rate = DecayRate(1e-9, 0.0, np.array([0.2, 0.3]))
+    fixed = _answer(np.array([0.1, 0.2]), rate)
+    fixed = replace(fixed, lower95=fixed.absorption, upper95=fixed.absorption)
+    without = replace(fixed, decay=None)
+    found = with_decay_errors([fixed, without], np.ones(2), _PRIORS)
+    np.testing.assert_array_equal(found[0].upper95, fixed.upper95)
+    assert np.all(found[0].identifiable)
+    assert found[1] is without
+
+
+def test_a_fit_keeps_the_rate_of_decay_apart_from_its_other_errors() -> None:
+    """Its information is that of rays, air and scattering; the rate waits for the other bands."""
+    term = energies()
+    problem, fit = objective_of(term), _converged(term)
+    shared = shared_errors(problem, fit, (0, 0), np.zeros((fit.measured.size, 2)))
+    wider = with_shared_errors(problem, fit, shared)
+    without = {name: errors for name, errors in shared.items() if name != "decay"}
+    jacobian = problem.jacobian(fit.vector)
+    steps = answer_steps(problem, fit, jacobian, np.concatenate(list(without.values()), axis=1))
+    np.testing.assert_allclose(wider.information, add_covariance(fit, steps).information)
+    assert wider.decay is not None and wider.decay.step.shape == fit.vector.shape

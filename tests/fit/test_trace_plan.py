@@ -1,0 +1,285 @@
+"""How finely a campaign is traced: image sources where rays would miss what counts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from boxes_in_space import box_with_doors, room_with_doors, rotation
+from images_reference import BOX_MATERIALS, SPEED_M_S, box_room, scene_of
+from roomfit.base.findings import Code
+from roomfit.demo.boxes import SyntheticBox, box_images
+from roomfit.fit.trace_plan import TracePlan, plan_trace
+from roomfit.materials.priors import MaterialPrior, Scattering, uniform_scattering
+from roomfit.room.scene import Scene, shoebox_room
+from roomfit.room.scene import scene_of as named_scene
+from roomfit.settings import Settings
+from roomfit.tracing.paths import TraceSettings
+from roomfit.tracing.trace import trace
+from roomfit.tracing.walls import ray_key
+
+LENGTHS_M = (5.7, 6.5, 2.7)
+SOURCE, RECEIVER = [1.2, 1.5, 1.1], [4.1, 4.9, 1.6]
+ALPHA = np.array([0.1, 0.9, 0.02, 0.02, 0.9, 0.15])
+
+
+def plan(scattering: float, longest_s: float) -> TracePlan:
+    """Return the plan of a partly coherent fit whose walls all scatter alike."""
+    scene = scene_of(box_room(LENGTHS_M), [SOURCE], [RECEIVER])
+    priors = tuple(
+        MaterialPrior(name, np.zeros(1), np.ones(1), scattering=np.array([scattering]))
+        for name in BOX_MATERIALS
+    )
+    return plan_trace(scene, priors, longest_s, longest_s, Settings(), coherent=True)
+
+
+def test_what_flutters_between_hard_walls_is_late_and_still_exact() -> None:
+    """Energy without any diffuse hit from 0.22 to 0.3 s, against the lattice of another module.
+
+    Rays find it by luck: of sixty thousand few stay between two walls for so long.
+    """
+    planned = plan(0.15, 0.35)
+    scene = scene_of(box_room(LENGTHS_M), [SOURCE], [RECEIVER])
+    paths = trace(scene, planned.settings, planned.scattering).paths
+    t = paths.length_m / SPEED_M_S
+    late = (t > 0.22) & (t < 0.3) & ~paths.hits_diffuse.any(axis=1)
+    found = paths.weight_per_m2 * np.prod((1.0 - ALPHA) ** paths.hits_specular, axis=1)
+    truth = SyntheticBox(LENGTHS_M, np.ones(1), ALPHA[:, None], np.zeros(1), SPEED_M_S)
+    lengths, hits = box_images(truth, np.array(SOURCE), np.array(RECEIVER), 0.3)
+    kept = np.prod(((1.0 - ALPHA) * 0.85) ** hits, axis=1) / (4.0 * np.pi * lengths**2)
+    expected = kept[lengths > 0.22 * SPEED_M_S].sum()
+    np.testing.assert_allclose(found[late].sum(), expected, rtol=1e-6)
+
+
+def test_no_window_ends_later_than_the_image_sources_of_a_smooth_box() -> None:
+    """They are as many as can be had: 60,000 a pair, by the volume of a ball.
+
+    Where walls scatter, rays bring what is later.
+    """
+    for scattering in (0.0, 0.15):
+        long = plan(scattering, 2.0)
+        until_s = long.settings.image_until_s
+        assert until_s is not None
+        count = 4.0 / 3.0 * np.pi * (SPEED_M_S * until_s) ** 3 / np.prod(LENGTHS_M)
+        np.testing.assert_allclose(count, 60_000, rtol=1e-6)
+        assert long.fit_until_s == (np.inf if scattering else until_s)
+
+
+def test_many_pairs_share_the_image_sources_that_fit_into_memory() -> None:
+    """Two hundred have 20,000 each for pressures, four million together; eight have their 60,000.
+
+    Where images are all there is, eight pairs have their 400,000, and 200 have rays beside fewer.
+    """
+    room = box_room(LENGTHS_M)
+    prior = MaterialPrior("x", np.zeros(1), np.ones(1), scattering=np.zeros(1))
+    priors = tuple(replace(prior, name=name) for name in BOX_MATERIALS)
+    for n_receivers, expected in ((8, 60_000), (200, 20_000)):
+        places = [[1.2 + 0.01 * i, 4.9, 1.6] for i in range(n_receivers)]
+        scene = scene_of(room, [SOURCE], places)
+        until_s = plan_trace(scene, priors, 2.0, 2.0, Settings(), coherent=True)
+        reach_m = SPEED_M_S * (until_s.settings.image_until_s or 0.0)
+        count = 4.0 / 3.0 * np.pi * reach_m**3 / np.prod(LENGTHS_M)
+        np.testing.assert_allclose(count, expected, rtol=1e-6)
+        # up to 0.37 s: 200,000 images a pair
+        alone = plan_trace(scene, priors, 0.35, 0.35, Settings(), coherent=True)
+        assert (alone.settings.n_rays == 0) == (n_receivers == 8)
+
+
+TURN, BY_M = rotation(30.0), np.array([2.3, -1.7, 0.4])
+DOORS = {0: (0.2, 0.35, 0.0, 0.75), 2: (0.3, 0.7, 0.3, 0.75)}
+
+
+def turned_scene(lengths_m: tuple[float, float, float] = LENGTHS_M) -> Scene:
+    """The same pair in the same box, off the origin and turned, with a door and a window."""
+    room = room_with_doors(box_with_doors(lengths_m, DOORS, TURN, BY_M))
+    return scene_of(room, [TURN @ SOURCE + BY_M], [TURN @ RECEIVER + BY_M])
+
+
+def plan_of(scene: Scene, scattering: float, longest_s: float, settings: Settings) -> TracePlan:
+    s = np.array([scattering])
+    priors = tuple(
+        MaterialPrior(name, np.zeros(1), np.ones(1), scattering=s) for name in scene.room.materials
+    )
+    return plan_trace(scene, priors, longest_s, longest_s, settings, coherent=True)
+
+
+@pytest.mark.parametrize("longest_s", [0.35, 2.0])
+@pytest.mark.parametrize("scattering", [0.0, 0.15])
+def test_a_turned_box_with_a_door_has_images_as_far_as_one_that_is_typed(
+    scattering: float, longest_s: float
+) -> None:
+    """Alone where they suffice; moved images keep the product of their reflections."""
+    typed, turned = (
+        plan_of(scene, scattering, longest_s, Settings())
+        for scene in (scene_of(box_room(LENGTHS_M), [SOURCE], [RECEIVER]), turned_scene())
+    )
+    assert (typed.settings.n_rays == 0) == (scattering == 0.0 and longest_s < 1.0)
+    for plan in (typed, turned):
+        assert plan.far_images
+        assert plan.settings.image_order == typed.settings.image_order
+        assert (plan.settings.n_rays == 0) == (typed.settings.n_rays == 0)
+    reaches = [
+        (p.settings.image_until_s or np.inf, p.fit_until_s, p.settings.duration_s)
+        for p in (typed, turned)
+    ]
+    np.testing.assert_allclose(*reaches, rtol=1e-9)
+    assert turned.settings.keep_image_transforms and not typed.settings.keep_image_transforms
+
+
+def test_a_box_of_very_many_triangles_is_traced_by_rays_after_the_first_orders() -> None:
+    """Each hit on a wall with a door would be looked up among all triangles of the wall."""
+    found = plan_of(turned_scene(), 0.0, 0.35, Settings(most_triangles_for_images=20))
+    assert found.settings.image_order == 3 and found.settings.n_rays > 0 and not found.far_images
+
+
+def test_walls_that_scatter_ask_for_more_rays() -> None:
+    """Then rays bring most of the energy, not only what comes late."""
+    assert plan(0.15, 0.35).settings.n_rays == 60_000
+    assert plan(0.0, 2.0).settings.n_rays == 20_000
+
+
+def values_plan(
+    lengths_m: tuple[float, float, float],
+    decay_s: float,
+    scattering: tuple[float, ...] = (0.2, 0.2),
+    n_receivers: int = 1,
+    settings: Settings | None = None,
+) -> TracePlan:
+    """Return the plan for room parameters of one source, in a box of one material."""
+    room = shoebox_room(lengths_m, "plaster")
+    place = np.array([[0.2, 0.3, 0.5]])
+    rows = place + np.linspace(0.0, 1.0, n_receivers)[:, None] * [[0.5, 0.3, 0.0]]
+    rows = (rows + np.array([0.1, 0.1, 0.0])) * lengths_m
+    receivers = {f"R{i}": tuple(p) for i, p in enumerate(rows)}
+    scene = named_scene(room, {"S": tuple(place[0] * lengths_m)}, receivers)
+    n = len(scattering)
+    prior = MaterialPrior("plaster", np.zeros(n), np.ones(n), scattering=np.array(scattering))
+    return plan_trace(scene, (prior,), decay_s, 0.0, settings or Settings())
+
+
+def crossings_per_s(planned: TracePlan, lengths_m: tuple[float, ...]) -> float:
+    """Return how often a second some ray crosses a sphere in a diffuse field."""
+    used = planned.settings
+    area = np.pi * used.receiver_radius_m**2
+    return float(used.n_rays * area * SPEED_M_S / np.prod(lengths_m))
+
+
+def test_small_rooms_keep_their_rays_and_large_ones_their_crossings() -> None:
+    """To 300 m3 60,000 rays and 0.5 m; beyond, as many crossings a second in any volume."""
+    for lengths, decay_s in (
+        ((5.0, 4.0, 3.0), 0.4),
+        ((8.0, 6.0, 3.5), 0.6),
+        ((9.0, 8.0, 4.0), 1.0),
+    ):
+        used = values_plan(lengths, decay_s).settings
+        assert (used.n_rays, used.receiver_radius_m) == (60_000, 0.5)
+    halls = (13.0, 10.0, 7.0), (26.0, 16.0, 8.0), (40.0, 25.0, 12.0), (40.0, 30.0, 3.0)
+    plans = [values_plan(lengths, 1.5) for lengths in halls]
+    found = [crossings_per_s(p, lengths) for p, lengths in zip(plans, halls, strict=True)]
+    np.testing.assert_allclose(found, found[0], rtol=0.02)
+    # windows of 0.025 s, 10 dB down, of which the data know 22 %: five crossings count as one
+    own = 0.2**2 + 1.0 / (2828.0 * 0.025)
+    np.testing.assert_allclose(found[0], 9.0 * 5.0 / own / 0.025, rtol=0.03)
+    radii = [p.settings.receiver_radius_m for p in plans]
+    assert radii[0] < radii[1] < radii[2] and radii[3] == 0.5
+    for lengths, radius_m in zip(halls, radii, strict=True):
+        x, y, z = lengths
+        free_path_m = 2.0 * x * y * z / (x * y + y * z + z * x)
+        assert abs(radius_m - max(0.5, 0.09 * free_path_m)) < 1e-9
+
+
+def test_spheres_stay_clear_of_walls_and_the_radius_that_is_stated_is_used() -> None:
+    """Fewer crossings a ray mean more rays."""
+    lengths = (40.0, 25.0, 12.0)
+    free = values_plan(lengths, 1.5).settings
+    room = shoebox_room(lengths, "plaster")
+    near = named_scene(
+        room, {"S": (8.0, 8.0, 2.0)}, {"R": (20.0, 12.0, 0.8), "Q": (22.0, 9.0, 5.0)}
+    )
+    prior = MaterialPrior("plaster", np.zeros(1), np.ones(1), scattering=np.array([0.2]))
+    used = plan_trace(near, (prior,), 1.5, 0.0, Settings()).settings
+    assert 0.79 < used.receiver_radius_m <= 0.8 < free.receiver_radius_m
+    for one in (used, values_plan(lengths, 1.5, settings=Settings(receiver_radius_m=0.6)).settings):
+        ratio = one.n_rays * one.receiver_radius_m**2 / (free.n_rays * free.receiver_radius_m**2)
+        assert abs(ratio - 1.0) < 1e-3
+    stated = values_plan(
+        lengths, 1.5, settings=Settings(n_rays=700, receiver_radius_m=0.3)
+    ).settings
+    assert (stated.n_rays, stated.receiver_radius_m) == (700, 0.3)
+
+
+def test_bands_that_scatter_apart_are_traced_in_groups_with_more_rays() -> None:
+    """A ray that is worth half to some band is sent twice; equal bands are one group."""
+    lengths, octaves = (26.0, 16.0, 8.0), (0.1, 0.1, 0.15, 0.2, 0.4, 0.6)
+    alike, apart = values_plan(lengths, 1.5), values_plan(lengths, 1.5, octaves)
+    assert alike.scattering.coefficients.tolist() == [0.2]
+    assert 1 < len(apart.scattering.coefficients) < 6
+    assert 1.2 < apart.settings.n_rays / alike.settings.n_rays < 4.0
+
+
+def test_more_than_a_gigabyte_is_refused_with_the_error_that_remains() -> None:
+    """Six hundred pairs: rays are fewer, and half a gigabyte of paths makes a trace of one."""
+    lengths = (26.0, 16.0, 8.0)
+    one, many = (values_plan(lengths, 1.5, n_receivers=n) for n in (1, 600))
+    assert not one.findings
+    (finding,) = many.findings
+    assert finding.code is Code.FEW_RAYS
+    share = many.settings.n_rays / one.settings.n_rays
+    assert 0.1 < share < 0.9
+    assert abs(finding.evidence["times_wanted_error"] ** 2 * share - 1.0) < 0.01
+    # pairs times crossings times seconds times bytes a path
+    n_paths = 600 * crossings_per_s(many, lengths) * many.settings.duration_s
+    assert n_paths * 52 < 1.02 * 2**29
+    # what is stated is done
+    asked = values_plan(lengths, 1.5, n_receivers=600, settings=Settings(n_rays=60_000))
+    assert asked.settings.n_rays == 60_000 and not asked.findings
+
+
+def test_the_first_trace_takes_the_seed_of_the_settings() -> None:
+    """Two seeds lead to other directions and other walks, from the plan to the paths.
+
+    With one group of scattering coefficients and with two, and where a seed is far above 2^32.
+    """
+    scene = scene_of(box_room(LENGTHS_M), [SOURCE], [RECEIVER])
+    alike = tuple(
+        MaterialPrior(name, np.zeros(2), np.ones(2), scattering=np.array([0.2, 0.2]))
+        for name in BOX_MATERIALS
+    )
+    apart = tuple(replace(p, scattering=np.array([0.05, 0.8])) for p in alike)
+    for priors in (alike, apart):
+        found = []
+        for seed in (1, 2, 2**62 + 1):
+            planned = plan_trace(scene, priors, 0.4, 0.0, Settings(seed=seed, n_rays=4000))
+            assert planned.settings.seed == seed
+            settings = replace(
+                planned.settings, duration_s=0.02, n_rays=400, image_order=0, image_until_s=None
+            )
+            paths = trace(scene, settings, planned.scattering).paths
+            found.append((paths.length_m, paths.departure))
+        for one, other in combinations(found, 2):
+            assert not np.array_equal(one[0], other[0])
+            # the same ray leaves in another direction
+            assert not np.isin(one[1], other[1]).all()
+        again = trace(scene, settings, planned.scattering).paths
+        np.testing.assert_array_equal(again.length_m, found[-1][0])
+
+
+def test_walks_after_the_start_depend_on_the_seed_and_on_the_group() -> None:
+    """On the same directions: a ray that scatters everywhere goes another way."""
+    keys = {ray_key(seed, source, 7) for seed in (1, 2, 3) for source in (0, 1)}
+    assert len(keys) == 6
+    scene = scene_of(box_room(LENGTHS_M), [SOURCE], [RECEIVER])
+    settings = TraceSettings(0.2, n_rays=2000, image_order=0, directions="fibonacci")
+    one, other = (
+        trace(scene, replace(settings, seed=s), uniform_scattering(BOX_MATERIALS, 1.0)).paths
+        for s in (1, 2)
+    )
+    assert not np.array_equal(one.length_m, other.length_m)
+    # two groups of one coefficient are not the same rays twice
+    twice = Scattering(BOX_MATERIALS, np.full((2, len(BOX_MATERIALS)), 0.9))
+    paths = trace(scene, replace(settings, directions="sobol"), twice).paths
+    late = paths.length_m[paths.hits_diffuse.any(axis=1)]
+    assert np.unique(late).size > 0.99 * late.size

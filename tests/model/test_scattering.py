@@ -1,0 +1,238 @@
+"""Rows weighed for another scattering in each band, and the slope of their energies by it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from images_reference import SPEED_M_S, box_room, scene_of
+from rays_reference import monte_carlo_sd, with_scattering
+from roomfit.base.errors import InputError
+from roomfit.base.typing import FloatArray
+from roomfit.materials.priors import Scattering, uniform_scattering
+from roomfit.model.scattering import (
+    LEAST_EFFECTIVE_FRACTION,
+    effective_fractions,
+    effective_sample_fraction,
+    effective_sample_size,
+    rows_for_band,
+    sampling_groups,
+    scattering_weights,
+)
+from roomfit.model.weighing import EnergyRows, energy_rows, merge_equal_rows, regrouped_rows, weigh
+from roomfit.room.scene import scene_of as roomfit_scene_of
+from roomfit.room.scene import shoebox_room
+from roomfit.tracing.paths import Paths, TraceSettings, hits
+from roomfit.tracing.trace import trace
+
+EDGES_S = np.linspace(0.0, 0.06, 13)
+NO_AIR = np.zeros(1)
+
+
+@pytest.fixture(scope="module", params=["spheres", "rain"])
+def paths(request: pytest.FixtureRequest) -> Paths:
+    """Two pairs in a box, images to order 2 and rays, traced with s = 0.3."""
+    scene = scene_of(box_room(), [[1.2, 1.5, 1.1]], [[4.1, 2.9, 1.2], [2.3, 3.7, 1.4]])
+    settings = TraceSettings(0.06, 2**13, 2, 0.4, estimator=request.param)
+    return trace(scene, settings, uniform_scattering(scene.room.materials, 0.3)).paths
+
+
+def rows_of(paths: Paths) -> list[EnergyRows]:
+    """Sort both pairs into windows."""
+    return [energy_rows(paths, pair, EDGES_S, SPEED_M_S) for pair in range(2)]
+
+
+def of(paths: Paths, s: FloatArray) -> Scattering:
+    """Name the materials."""
+    return Scattering(paths.materials, s)
+
+
+def test_rows_weighed_anew_are_the_rows_of_paths_weighed_anew(paths):
+    """Grouped into coarser windows as well."""
+    wanted = of(paths, np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.0]))
+    band, _ = rows_for_band(rows_of(paths), paths, wanted)
+    coarse, _ = rows_for_band(
+        [regrouped_rows(r, np.arange(0, r.n_windows, 3)) for r in rows_of(paths)], paths, wanted
+    )
+    for pair, rows in enumerate(band):
+        other = energy_rows(with_scattering(paths, wanted), pair, EDGES_S, SPEED_M_S)
+        np.testing.assert_array_equal(rows.weight_per_m2, other.weight_per_m2)
+        np.testing.assert_array_equal(coarse[pair].weight_per_m2, other.weight_per_m2)
+        assert rows.hits is not None
+
+
+def test_more_scattering_takes_from_the_images_what_it_gives_to_the_rays(paths):
+    """All walls alike and no absorption: images lose, and the expected sum stays in the late part.
+
+    The steady rate c / V of a room without absorption holds for any s, so that the slope of the
+    late energy is small against the energy: allowed is 0.5 of it per unit of s, from 8192 rays.
+    """
+    none = np.zeros((6, 1))
+
+    def energies(s: float) -> list[FloatArray]:
+        rows = rows_for_band(rows_of(paths), paths, of(paths, np.full(6, s)))[0]
+        return [weigh(r, none, NO_AIR, derivative=False).energy for r in rows]
+
+    for low, energy, high in zip(energies(0.299), energies(0.3), energies(0.301), strict=True):
+        slope = (high - low) / 0.002
+        late = slice(4, None)
+        assert abs(slope[0, late].sum()) < 0.5 * energy[0, late].sum()
+
+
+def test_the_sample_share_falls_as_the_wanted_scattering_leaves_the_traced_one(paths):
+    """One where nothing changes, below the limit where the trace has to be made again."""
+    shares = [
+        rows_for_band(rows_of(paths), paths, of(paths, np.full(6, s)))[1]
+        for s in (0.3, 0.35, 0.5, 0.8)
+    ]
+    assert shares[0] == 1.0
+    assert np.all(np.diff(shares) <= 0.0)
+    assert shares[2] < shares[1]
+    assert shares[1] > 0.5
+    assert shares[-1] < LEAST_EFFECTIVE_FRACTION
+
+
+def test_the_sample_share_is_kishs_number_of_weights(paths):
+    """Half of the rays without weight: half of the sample."""
+    rows = rows_of(paths)[0]
+    even = np.where(rows.batch >= 0, 1.0, 5.0)
+    before = EnergyRows(*_columns(rows, even))
+    ray = np.cumsum(rows.batch >= 0)
+    after = EnergyRows(*_columns(rows, even * (ray % 2)))
+    assert effective_sample_fraction(before, after) == pytest.approx(0.5, abs=0.01)
+
+
+def _columns(rows: EnergyRows, weight: FloatArray) -> tuple[object, ...]:
+    return (
+        *(rows.materials, rows.n_windows, rows.offsets, weight),
+        *(rows.hits, rows.length_m, rows.batch, rows.n_batches),
+    )
+
+
+def test_merged_rows_are_refused(paths):
+    """They are no paths."""
+    merged = [merge_equal_rows(r) for r in rows_of(paths)]
+    with pytest.raises(InputError, match="no single paths"):
+        rows_for_band(merged, paths, of(paths, np.full(6, 0.2)))
+
+
+TWO = np.array([[0.0, 0.1, 0.2, 0.3, 0.6, 1.0], [0.5, 0.1, 0.6, 0.3, 0.2, 1.0]])
+
+
+def traced_in_groups(groups: FloatArray, seed: int = 1) -> Paths:
+    """Return one pair's paths, rays of several groups and images."""
+    scene = scene_of(box_room(), [[1.2, 1.5, 1.1]], [[4.1, 2.9, 1.2]])
+    settings = TraceSettings(0.06, 2**14, 2, 0.4, seed=seed)
+    return trace(scene, settings, Scattering(scene.room.materials, groups)).paths
+
+
+@pytest.mark.parametrize("band", [0, 1])
+def test_rays_of_two_groups_bring_the_energies_of_a_trace_with_either(band):
+    """Every window with a Monte-Carlo error, within 4.5 standard errors of both traces.
+
+    16 batches a trace, so about 30 degrees of freedom: 11 windows in 2 bands exceed it by chance
+    once in 500 runs. Images are exact to rounding, also where one group scatters all or nothing.
+    """
+    absorbed, edges = np.full((6, 1), 0.2), EDGES_S
+    own = traced_in_groups(TWO[band], seed=2)
+    both = traced_in_groups(TWO)
+    assert both.sampling_scattering.shape == (2, 6)
+    both = with_scattering(both, of(both, TWO[band]))
+    images = [p.weight_per_m2[p.batch < 0] for p in (own, both)]
+    np.testing.assert_allclose(images[1], images[0], rtol=1e-12)
+    rows = [energy_rows(p, 0, edges, SPEED_M_S) for p in (own, both)]
+    energy = [weigh(r, absorbed, NO_AIR, derivative=False).energy[0] for r in rows]
+    error = [monte_carlo_sd(r, absorbed, NO_AIR)[0] for r in rows]
+    noisy = error[0] > 1e-9 * energy[0]
+    assert noisy.sum() > 8
+    z = (energy[1] - energy[0])[noisy] / np.hypot(*error)[noisy]
+    assert np.abs(z).max() < 4.5
+
+
+def test_weights_of_a_mixture_are_those_of_its_definition(paths):
+    """The wanted probability of all hits over the mean of both groups' own."""
+    mixed = replace(paths, sampling_scattering=TWO)
+    wanted = np.array([0.4, 0.1, 0.3, 0.35, 0.3, 1.0])
+    kinds = paths.hits_diffuse.astype(float), paths.hits_specular.astype(float)
+
+    def probability(s: FloatArray) -> FloatArray:
+        return np.prod(s ** kinds[0] * (1.0 - s) ** kinds[1], axis=1)
+
+    drawn = np.mean([probability(s) for s in TWO], axis=0)
+    possible = drawn > 0.0
+    found = scattering_weights(mixed, of(paths, wanted))
+    np.testing.assert_allclose(found[possible], (probability(wanted) / drawn)[possible], rtol=1e-9)
+    with pytest.raises(InputError, match="cannot be changed"):
+        scattering_weights(mixed, of(paths, np.full(6, 0.5)))
+
+
+def test_groups_keep_a_fifth_of_the_rays_for_every_band():
+    """Forty random tables of octaves; where a fifth cannot be had every band has its own group."""
+    rng = np.random.default_rng(5)
+    most = 0
+    for _ in range(40):
+        n_materials = int(rng.integers(1, 8))
+        ends = rng.uniform(0.02, 0.95, (n_materials, 2))
+        wanted = np.clip(
+            np.linspace(ends[:, 0], ends[:, 1], 6, axis=1)
+            + rng.normal(0.0, 0.03, (n_materials, 6)),
+            0.0,
+            1.0,
+        )
+        hits = rng.dirichlet(np.ones(n_materials)) * rng.uniform(10.0, 70.0)
+        groups = sampling_groups(wanted, wanted.mean(axis=1), hits, rng)
+        fractions = effective_fractions(groups, wanted, hits, rng)
+        most = max(most, len(groups))
+        # the check draws other paths than the choice: 1000 of them err by a few per cent
+        assert fractions.min() > 0.18 or (len(groups) == 6 and fractions.min() > 0.155)
+    assert most > 2
+
+
+@pytest.mark.parametrize(("hits", "n_groups"), [(6.0, 1), (6.8, 2)])
+def test_bands_have_one_group_as_long_as_a_fifth_of_the_rays_counts(hits, n_groups):
+    """exp(-hits / 4) of them for a band whose paths scatter by 0.4 in place of 0.2."""
+    wanted, single = np.array([[0.1, 0.1, 0.4]]), np.array([0.2])
+    rng = np.random.default_rng(1)
+    own = effective_fractions(single[None], wanted, np.array([hits]), rng).min()
+    assert own == pytest.approx(np.exp(-0.25 * hits), rel=0.02)
+    assert len(sampling_groups(wanted, single, np.array([hits]), rng)) == n_groups
+
+
+def test_equal_bands_are_one_group_traced_as_before():
+    """Nothing to reweigh; and two bands that repeat one another need two groups at most."""
+    rng, hits = np.random.default_rng(1), np.array([300.0, 200.0])
+    same = np.tile([[0.3], [0.1]], 6)
+    np.testing.assert_array_equal(sampling_groups(same, same[:, 0], hits, rng), [[0.3, 0.1]])
+    two = np.array([[0.1, 0.1, 0.1, 0.7, 0.7], [0.2] * 5])
+    groups = sampling_groups(two, two.mean(axis=1), hits, rng)
+    np.testing.assert_array_equal(groups, [[0.1, 0.2], [0.7, 0.2]])
+
+
+def test_the_fraction_that_is_expected_is_that_of_a_trace():
+    """Rays with 20 hits of one material: Kish's fraction of their factors, within a tenth.
+
+    Before, drawn with the mean alone, a band had less than a tenth of the rays.
+    """
+    room = shoebox_room((5.0, 4.0, 3.0), "plaster")
+    scene = roomfit_scene_of(room, {"S": (1.0, 1.2, 1.1)}, {"R": (3.5, 2.5, 1.4)})
+    wanted = np.array([[0.1, 0.2, 0.4, 0.6]])
+    settings = TraceSettings(0.25, 30_000, 2)
+    for groups in (wanted.mean(axis=1)[None], np.array([[0.15], [0.5]])):
+        found = trace(scene, settings, Scattering(("plaster",), groups)).paths
+        n_hits = hits(found)[:, 0]
+        chosen = n_hits == 20
+        for band, s in enumerate(wanted[0]):
+            factor = scattering_weights(found, Scattering(("plaster",), [s]))[chosen]
+            fraction = effective_sample_size(factor) / factor.size
+            # of a number of hits that is known, where the rule takes it as Poisson's
+            d = np.random.default_rng(3).binomial(20, s, 20_000)
+            drawn = np.mean(
+                [(g / s) ** d * ((1 - g) / (1 - s)) ** (20 - d) for g in groups[:, 0]], 0
+            )
+            expected = 1.0 / np.mean(1.0 / drawn)
+            if expected > 0.15:
+                assert fraction == pytest.approx(expected, rel=0.1)
+            rule = effective_fractions(groups, wanted, np.array([20.0]), np.random.default_rng(3))
+            assert rule[band] < 1.1 * expected

@@ -1,0 +1,265 @@
+"""A room before and after one wall is changed: what is carried over, what is undetermined."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from changes import JUDGED, inside, known_change, mean_of, predicted_change, wrong_directions
+from roomfit.base.bands import Bands
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Code
+from roomfit.base.logit import logit
+from roomfit.files.campaign import read_campaign
+from roomfit.files.inputs import check_campaign
+from roomfit.materials.catalogue import broad_prior_findings, suggested_entries
+from roomfit.materials.priors import DEFAULT_LOGIT_SD, unknown_material
+from roomfit.predict.campaign import predict_arguments
+from roomfit.predict.changes import Change, read_change
+from roomfit.predict.other_walls import predict
+from roomfit.predict.output import COLUMNS, change_figure, predicted_content, predicted_csv
+from roomfit.predict.split import prior_dominated
+from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
+from small_campaign import ABSORPTION, write_campaign
+
+BANDS = Bands("octave", np.array([500.0, 1000.0]))
+NAMES = tuple(ABSORPTION)
+
+
+def posterior(sd: float, materials: tuple[str, ...] = NAMES) -> AbsorptionPosterior:
+    """Return independent materials, all with one standard deviation of logit absorption."""
+    a = np.array([[ABSORPTION[n]] * 2 for n in materials])
+    low, high = (1.0 / (1.0 + np.exp(-(logit(a) + s * 1.96 * sd))) for s in (-1, 1))
+    covariance = np.stack([np.eye(len(materials)) * sd**2] * 2)
+    return AbsorptionPosterior(materials, BANDS, a, low, high, covariance)
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    return read_campaign(write_campaign(tmp_path_factory.mktemp("change") / "campaign"))
+
+
+def changed(campaign, known, *texts: str, n_draws: int = 32):
+    few = replace(campaign, settings=replace(campaign.settings, n_draws=n_draws))
+    return predict(**predict_arguments(few, known, [read_change(t) for t in texts]))
+
+
+@pytest.mark.slow
+def test_what_is_carried_over_lies_between_the_model_and_all_of_what_was_measured(campaign):
+    """Times by their ratio, levels by their difference, of pairs and of the mean over them.
+
+    Of the mean, whose interference averages out, more than of most pairs.
+    """
+    found = changed(campaign, posterior(0.1), "carpet=0.1")
+    plain = changed(campaign, posterior(0.1))
+    shares = []
+    for one, unchanged in zip(
+        (found.mean, *(p.parameters for p in found.pairs)),
+        (plain.mean, *(p.parameters for p in plain.pairs)),
+        strict=True,
+    ):
+        for name, v in one.items():
+            c = v.change
+            if name in ("T20_s", "T30_s", "EDT_s"):
+                np.testing.assert_allclose(c.change, v.predicted / c.before)
+                whole, ends = v.measured * c.change, v.predicted
+            else:
+                np.testing.assert_allclose(c.change, v.predicted - c.before)
+                whole, ends = v.measured + c.change, v.predicted
+            if np.all(np.isfinite(whole)):
+                low, high = np.minimum(whole, ends), np.maximum(whole, ends)
+                assert np.all((low - 1e-9 <= c.carried) & (c.carried <= high + 1e-9))
+            shares.append(np.divide(c.carried - ends, whole - ends))
+            # the same room without a change; its trace is as long as the change needs, at least
+            np.testing.assert_allclose(c.before, unchanged[name].predicted, rtol=0.02, atol=0.05)
+            assert unchanged[name].change is None
+    of_mean, *of_pairs = np.array(shares).reshape(len(found.pairs) + 1, -1, 2)
+    known = np.isfinite(of_mean).all(axis=1)
+    assert np.nanmean(of_mean[known]) > np.nanmean(np.array(of_pairs)[:, known])
+    assert np.all(np.isnan(found.mean["G_dB"].change.carried))  # of which nothing was measured
+
+
+def test_what_is_common_to_both_states_cancels_in_the_change(campaign):
+    """Walls unknown by a factor of two leave T20 open by as much, its ratio by a third of that.
+
+    Another carpet reflects anew even where it absorbs as the one before.
+    """
+    known = posterior(0.0)
+    covariance = np.zeros((2, 3, 3))
+    covariance[:, 0, 0] = 0.4**2
+    v = changed(campaign, replace(known, logit_covariance=covariance), "carpet=x1.02").mean["T20_s"]
+    spread = np.log(v.change.before_upper95 / v.change.before_lower95)
+    assert np.all(np.log(v.change.change_upper95 / v.change.change_lower95) < 0.4 * spread)
+    carried = np.log(v.change.carried_upper95 / v.change.carried_lower95)
+    assert np.all(carried < 0.8 * spread)
+
+
+def test_no_change_is_carried_over_as_it_was_and_has_no_direction(campaign):
+    found = changed(campaign, posterior(0.3), "carpet=x1")
+    for v in found.mean.values():
+        neutral = 1.0 if v.change.change[0] > 0.5 else 0.0
+        np.testing.assert_allclose(v.change.change, neutral, atol=1e-9)
+    (said,) = [f for f in found.findings if f.code is Code.MATERIALS_CHANGED]
+    assert "has no determined direction at 500, 1000 Hz" in said.sentence
+    assert "rises" not in said.sentence and "falls" not in said.sentence
+
+
+@pytest.mark.slow
+def test_a_direction_is_said_where_the_data_support_it_and_not_where_they_do_not(campaign):
+    """Walls of 0.15 become 0.1: known within some per cent T rises; unknown, it may fall."""
+    sure = changed(campaign, posterior(0.05), "walls=0.1")
+    (said,) = [f for f in sure.findings if f.code is Code.MATERIALS_CHANGED]
+    assert "the mean of T30 rises at 500, 1000 Hz" in said.sentence
+    assert said.evidence["directions"]["C80_dB"] == {"falls": [500.0, 1000.0]}
+    known = posterior(0.05)
+    covariance = known.logit_covariance.copy()
+    covariance[:, 0, 0] = DEFAULT_LOGIT_SD**2
+    unsure = changed(campaign, replace(known, logit_covariance=covariance), "walls=0.1")
+    (said,) = [f for f in unsure.findings if f.code is Code.MATERIALS_CHANGED]
+    assert set(said.evidence["directions"]["T30_s"]) == {"has no determined direction"}
+    assert "T30 has no determined direction" in str(unsure)
+
+
+def test_a_share_that_only_the_prior_knows_is_named_with_what_would_cure_it():
+    """Ten equal areas each: a decay fixes the sum of three absorptions and nothing of its parts."""
+    materials = ("walls", "curtain", "floor")
+    mean = np.full((3, 2), logit(np.array(0.15)))
+    sd = np.full((3, 2), DEFAULT_LOGIT_SD)
+    a = np.full((3, 2), 0.15)
+    precision = np.eye(3) / DEFAULT_LOGIT_SD**2
+    decay = precision + np.ones((3, 3)) / 0.05**2
+    apart = precision + np.eye(3) / 0.1**2
+
+    def found(information, prior_sd=sd):
+        covariance = np.stack([np.linalg.inv(information)] * 2)
+        known = AbsorptionPosterior(materials, BANDS, a, a * 0.5, a * 2, covariance, mean, prior_sd)
+        draws = draw_absorption(known, 400, np.random.default_rng(1))
+        areas, rng = np.full(3, 10.0), np.random.default_rng(2)
+        return prior_dominated(known, draws, ["curtain"], areas, rng)
+
+    (one,) = found(decay)
+    assert one.code is Code.CHANGE_PRIOR_DOMINATED
+    assert one.evidence["bands_hz"] == [500.0, 1000.0]
+    assert one.evidence["share"] == pytest.approx([1 / 3, 1 / 3])
+    low, high = one.evidence["share_lower95"][0], one.evidence["share_upper95"][0]
+    assert low < 0.12 and high > 0.6
+    assert f"{100 * low:.0f} to {100 * high:.0f} %" in one.sentence
+    assert "curtain-medium-draped" in one.sentence and "roomfit design" in one.sentence
+    # known one by one within a tenth, or stated within a fifth: nothing to say
+    assert found(apart) == ()
+    narrow = np.full((3, 2), 0.2)
+    stated = np.eye(3) / 0.2**2 + np.ones((3, 3)) / 0.05**2
+    assert found(stated, narrow) == ()
+
+
+def test_a_material_that_was_not_found_is_predicted_but_not_compared(campaign):
+    found = changed(campaign, posterior(0.05, ("walls", "tiles")), "carpet=0.3+-0.05")
+    assert not found.compares_states
+    assert found.mean["T20_s"].change is None
+    assert found.lower95[1, 0] > 0.15 and found.upper95[1, 0] < 0.5
+    with pytest.raises(InputError, match="before and after"):
+        change_figure(found)
+
+
+@pytest.mark.slow
+def test_files_and_text_hold_all_four(campaign, tmp_path):
+    found = changed(campaign, posterior(0.1), "carpet=x0.5+-0.1,x0.6+-0.1")
+    content = json.loads(json.dumps(predicted_content(found, ()), default=list))
+    of_mean = content["mean"]["T20_s"]
+    assert of_mean["carried_lower95"][0] < of_mean["carried"][0] < of_mean["carried_upper95"][0]
+    rows = list(csv.DictReader(predicted_csv(found).splitlines()))
+    assert tuple(rows[0]) == COLUMNS
+    row = next(r for r in rows if r["parameter"] == "C80_dB")
+    expected = found.pairs[0].parameters["C80_dB"].change.carried[0]
+    assert float(row["carried"]) == pytest.approx(expected, abs=1e-4)
+    for words in ("measured before", "model before", "carried over", "change %", "change dB"):
+        assert words in str(found) and words in found._repr_html_()
+    titles = [a.get_title() for a in change_figure(found).axes]
+    assert "T30 s" in titles and "C80 dB" in titles
+    plain = changed(campaign, posterior(0.1), n_draws=4)
+    assert next(csv.DictReader(predicted_csv(plain).splitlines()))["carried"] == ""
+    assert "carried" not in predicted_content(plain, ())["mean"]["T20_s"]
+
+
+def test_a_standard_deviation_may_be_left_out_and_must_fit_the_values(campaign):
+    few = replace(campaign, settings=replace(campaign.settings, n_draws=2))
+    one = predict(**predict_arguments(few, posterior(0.0), [Change("carpet", "value", (0.3, 0.4))]))
+    assert one.absorption[1].tolist() == [0.3, 0.4]
+    assert one.changes == ("carpet=0.3,0.4",)
+    for sds in ((0.1, 0.2), (-0.1,)):
+        with pytest.raises(InputError, match="one standard deviation per value"):
+            Change("carpet", "value", (0.3,), sds)
+
+
+@pytest.mark.slow
+def test_in_boxes_of_known_walls_the_changed_room_lies_inside_and_no_direction_is_wrong():
+    """Pressures of image sources, one wall of which gets a third of its absorption; broad priors.
+
+    Fitted to ISO 3382 values of the state before. Of eight boxes 96 % of the means and 97 % of the
+    pairs' values were held. Values of one box move together: three boxes that hold 95 of 100 each
+    hold 90 % of the values together in all but about one of seven draws of seeds; these are fixed.
+    """
+    held, changes_held, n_stated, n_doubted = [], [], 0, 0
+    for seed in (1, 2, 3):
+        case = known_change(seed)
+        found = predicted_change(case)
+        true = {n: (mean_of(case.values_before, n), mean_of(case.values_after, n)) for n in JUDGED}
+        stated, wrong = wrong_directions(found, {n: a - b for n, (b, a) in true.items()})
+        assert wrong == 0
+        n_stated += stated
+        for name, (before, after) in true.items():
+            c = found.mean[name].change
+            held.append(inside(c.carried_lower95, after, c.carried_upper95))
+            change = after / before if name in ("T20_s", "T30_s", "EDT_s") else after - before
+            changes_held.append(inside(c.change_lower95, change, c.change_upper95))
+        n_doubted += Code.CHANGE_PRIOR_DOMINATED in {f.code for f in found.findings}
+    assert np.concatenate(held).mean() >= 0.9 <= np.concatenate(changes_held).mean()
+    assert n_doubted >= 2  # values say little of single walls
+    assert n_stated < 3 * len(JUDGED) * 2
+
+
+# ---------------------------------------------------------------- names of materials
+
+
+@pytest.mark.parametrize(
+    ("name", "entry"),
+    [
+        ("curtain(open)", "curtain-medium-draped"),
+        ("Vorhang", "curtain-medium-draped"),
+        ("carpet on concrete", "carpet-heavy-on-concrete"),
+        ("Teppichboden", "carpet-heavy-on-concrete"),
+        ("plaster_wall", "plaster-on-masonry"),
+        ("Akustikputz", "acoustic-plaster"),
+        ("gypsum board", "plasterboard-on-studs"),
+        ("Holz", "wood-panelling-10-mm"),
+        ("wooden door", "door-wood-solid"),
+        ("Glaswolle", "mineral-wool-50-mm"),
+        ("windowglass", "glass-3-4-mm"),
+        ("Türen", "door-wood-solid"),
+        ("Rideaux côté cour", "curtain-medium-draped"),
+        ("Porte en bois", "door-wood-solid"),
+        ("Laine de verre", "mineral-wool-50-mm"),
+        ("Plâtre", "plaster-on-masonry"),
+        ("Béton", "concrete-smooth"),
+    ],
+)
+def test_entries_are_suggested_by_the_name_of_a_material(name, entry):
+    assert suggested_entries(name)[0] == entry
+
+
+def test_nothing_is_suggested_for_a_name_that_says_nothing():
+    assert suggested_entries("wall 3") == suggested_entries("wilhelmi") == ()
+
+
+def test_the_check_of_a_campaign_says_that_a_broad_prior_was_taken(campaign):
+    (said,) = [f for f in check_campaign(campaign).findings if f.code is Code.BROAD_PRIOR_ASSUMED]
+    assert said.evidence["materials"] == ["walls", "carpet", "tiles"]
+    assert "carpet: carpet-heavy-on-concrete" in said.sentence
+    known = replace(unknown_material("walls", 2), known=np.full(2, 0.1))
+    tied = replace(unknown_material("floor", 2), tied_to="walls")
+    stated = replace(unknown_material("curtain", 2), specified=True)
+    assert broad_prior_findings((known, tied, stated)) == ()

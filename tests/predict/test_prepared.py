@@ -1,0 +1,133 @@
+"""Many changes of one room: what `predict` says of each, in a fraction of its time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roomfit.base.bands import bands_between
+from roomfit.base.errors import InputError
+from roomfit.files.campaign import read_campaign
+from roomfit.model import reduced_rows
+from roomfit.predict.campaign import predict_arguments
+from roomfit.predict.changes import read_change
+from roomfit.predict.decay import RELATIVE
+from roomfit.predict.other_walls import numbers_at, predict, predict_change, prepare_prediction
+from roomfit.signals.decay import jnd_of
+from roomfit.signals.iso3382 import VALUE_NAMES
+from roomfit.uncertainty.posterior import AbsorptionPosterior
+from small_campaign import ABSORPTION, write_campaign
+
+CHANGES = ("walls=0.3+-0.03", "carpet=x0.6", "tiles=0.6+-0.05", "carpet=0.7,0.8")
+
+
+@pytest.fixture(scope="module")
+def given(tmp_path_factory):
+    campaign = read_campaign(write_campaign(tmp_path_factory.mktemp("prepared") / "campaign"))
+    a = np.array([[x] * 2 for x in ABSORPTION.values()])
+    low, high = (1.0 / (1.0 + (1.0 / a - 1.0) * np.exp(s * 0.196)) for s in (1.0, -1.0))
+    covariance = np.stack([0.01 * np.eye(len(a))] * 2)
+    bands = bands_between("octave", 500, 1000)
+    known = AbsorptionPosterior(tuple(ABSORPTION), bands, a, low, high, covariance)
+    found = predict_arguments(campaign, known)
+    found["settings"] = replace(found["settings"], n_draws=64)
+    found.pop("changes")
+    return found
+
+
+@pytest.fixture(scope="module")
+def room(given):
+    return prepare_prediction(alternatives=[[read_change(c)] for c in CHANGES], **given)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("text", CHANGES)
+def test_a_prepared_room_predicts_a_change_as_predict_does(given, room, text):
+    """Means within a third of a just noticeable difference, widths of intervals within a quarter.
+
+    Few paths and the scatter carried over from the room before are all that differs; draws are the
+    same. Changes are up to ten just noticeable differences.
+    """
+    change = [read_change(text)]
+    found, expected = predict_change(room, change), predict(changes=change, **given)
+    assert [f.code for f in found.findings] == [f.code for f in expected.findings]
+    np.testing.assert_array_equal(found.absorption, expected.absorption)
+    np.testing.assert_array_equal(found.lower95, expected.lower95)
+    for name, one in expected.mean.items():
+        other, unit = found.mean[name], jnd_of(name, one.predicted)
+        width = one.upper95 - one.lower95
+        assert np.all(np.abs(other.predicted - one.predicted) < 0.34 * unit), name
+        np.testing.assert_allclose(other.upper95 - other.lower95, width, rtol=0.25)
+        relative = np.where(RELATIVE[VALUE_NAMES.index(name)], one.change.before, 1.0)
+        moved = relative * (other.change.change - one.change.change)
+        assert np.all(np.abs(moved) < 0.34 * jnd_of(name, one.change.before)), name
+        np.testing.assert_array_equal(other.change.before, one.change.before)
+    for own, theirs in zip(found.pairs, expected.pairs, strict=True):
+        for name, one in theirs.parameters.items():
+            unit = jnd_of(name, one.predicted)
+            assert np.all(np.abs(own.parameters[name].predicted - one.predicted) < unit), name
+
+
+def test_without_a_change_it_is_the_prediction_itself(given, room):
+    found, expected = predict_change(room), predict(**given)
+    for name, one in expected.mean.items():
+        np.testing.assert_array_equal(found.mean[name].upper95, one.upper95)
+
+
+def test_equal_changes_give_equal_bits_and_nothing_is_left_of_others(room):
+    first, other, again = (predict_change(room, [read_change(CHANGES[i])]) for i in (0, 2, 0))
+    np.testing.assert_array_equal(first.mean["T30_s"].upper95, again.mean["T30_s"].upper95)
+    assert np.any(first.mean["T30_s"].upper95 != other.mean["T30_s"].upper95)
+
+
+def test_few_rows_bring_the_energies_of_all_of_them(room):
+    """Each wall changed, all of them, and cases between: whole energies within 1 %."""
+    a = room.absorption.absorption
+    traced = room.traced
+    few = traced.reduced(0, a, 1500)
+    assert all(len(rows) <= 1500 < len(traced.binned.rows[0]) for rows in few.by_band)
+    edges_s = traced.binned.edges_s
+    every_s = edges_s[:-1][:: reduced_rows.BINS_TOGETHER]
+    np.testing.assert_array_equal(few.edges_s, [*every_s, edges_s[-1]])
+    far = np.where(a < 0.4, 0.6, 0.15)
+    points = [a, far, 0.5 * (a + far)]
+    points += [np.where(np.arange(len(a))[:, None] == m, far, a) for m in range(len(a))]
+    for point, energy in zip(points, few.energies(np.array(points)), strict=True):
+        every = traced.energies(point)[0]
+        np.testing.assert_allclose(energy.sum(axis=1), every.sum(axis=1), rtol=0.01)
+
+
+def test_what_is_not_known_before_a_change_is_said(given):
+    """Without an absorption of the carpet there is nothing from which to carry over."""
+    known = given["absorption"]
+    i = known.materials.index("carpet")
+    covariance = known.logit_covariance.copy()
+    covariance[:, i] = covariance[:, :, i] = 0.0
+    low, high = known.lower95.copy(), known.upper95.copy()
+    low[i], high[i] = 0.0, 1.0
+    unknown = replace(known, logit_covariance=covariance, lower95=low, upper95=high)
+    change = read_change("carpet=0.4")
+    room = prepare_prediction(alternatives=[[change]], **(given | {"absorption": unknown}))
+    with pytest.raises(InputError, match="not known before the change"):
+        numbers_at(room, known.absorption, room.draws)
+    assert predict_change(room, [change], exact=True).mean["T30_s"].change is None
+
+
+def test_means_and_pairs_are_the_same_where_pairs_are_not_compared(room):
+    """Bit by bit; what is left out is what a change does to every pair, and what states share."""
+    bare, change = replace(room, observed=()), [read_change(CHANGES[0])]
+    whole, brief = predict_change(bare, change), predict_change(bare, change, compare_pairs=False)
+    pairs = zip(whole.pairs, brief.pairs, strict=True)
+    tables = [(whole.mean, brief.mean), *((p.parameters, q.parameters) for p, q in pairs)]
+    for table, other in tables:
+        for name, value in table.items():
+            for key in ("predicted", "lower95", "upper95"):
+                np.testing.assert_array_equal(getattr(other[name], key), getattr(value, key))
+    one, other = (found.mean["C80_dB"].change for found in (whole, brief))
+    for key in ("before_upper95", "change", "carried"):
+        np.testing.assert_array_equal(getattr(other, key), getattr(one, key))
+    assert np.all(other.change_lower95 <= one.change_lower95)
+    assert np.all(other.change_upper95 >= one.change_upper95)
+    assert all(p.parameters["C80_dB"].change is None for p in brief.pairs)

@@ -1,0 +1,122 @@
+"""`roomfit check` tells what a room is like and names each fault; positions are checked as well."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Code
+from roomfit.files.inputs import check_room
+from roomfit.files.rooms import read_room
+from roomfit.files.rooms.model import RoomSpec
+from roomfit.report.text import room_text
+from roomfit.room.mesh import refuse
+from roomfit.room.scene import Point, position_findings
+from small_campaign import run_command
+
+BOX = """usemtl plaster
+v 0 0 0
+v 5 0 0
+v 0 4 0
+v 5 4 0
+v 0 0 3
+v 5 0 3
+v 0 4 3
+v 5 4 3
+f 1 5 7 3
+f 2 4 8 6
+f 1 2 6 5
+f 3 7 8 4
+usemtl carpet
+f 1 3 4 2
+usemtl tiles
+f 5 6 8 7
+"""
+
+
+def box_file(folder: Path, text: str = BOX) -> Path:
+    path = folder / "box.obj"
+    path.write_text(text)
+    return path
+
+
+def test_a_sound_room_is_described_in_numbers_and_leaves_with_zero(tmp_path, monkeypatch, capsys):
+    """V = 60 m3, S = 94 m2, 4V/S = 2.553 m; 54 m2 of wall are 57.4 %."""
+    assert run_command(monkeypatch, "check", box_file(tmp_path), "--unit", "m") == 0
+    output = capsys.readouterr().out
+    for text in ("5.00 x 4.00 x 3.00 m", "60.00 m3", "94.00 m2", "2.553 m", "closed, no ray lost"):
+        assert text in output
+    assert "plaster        54.00  57.4 %" in output
+    assert "The room can be traced." in output
+
+
+def test_all_faults_are_listed_at_once_and_leave_with_two(tmp_path, monkeypatch, capsys):
+    """The ceiling is missing, a face has no area, and one more has no material."""
+    text = BOX.replace("f 5 6 8 7\n", "f 5 5 6\n").replace("usemtl carpet\n", "")
+    text = "v 9 9 9\n".join(["", text.replace("usemtl plaster\n", "")]).replace("v 9 9 9\n", "", 1)
+    assert run_command(monkeypatch, "check", box_file(tmp_path, text), "--unit", "m") == 2
+    listed = capsys.readouterr().out.split("faults that forbid tracing")[1]
+    for what in ("faces without area", "surfaces without a material", "the mesh leaks"):
+        assert what in listed
+    assert "(1.667, 0.000, 3.000) m" in listed
+
+
+def test_a_room_with_a_leak_is_refused_with_the_other_faults_counted(tmp_path):
+    """What identify sees: the first fault as an error."""
+    text = BOX.replace("f 5 6 8 7\n", "f 5 5 6\n")
+
+    with pytest.raises(InputError, match=r"faces without area(.*\n)*.*1 more faults \(leak\)"):
+        read_room(RoomSpec(file=box_file(tmp_path, text), unit="m"))
+
+
+def test_approximate_volumes_and_sheets_are_said_to_be(tmp_path):
+    """A pinhole in the ceiling leaves a warning."""
+    hole = "v 2 2 3\nv 2.05 2 3\nv 2.05 2.05 3\nv 2 2.05 3\n"
+    ring = "f 5 6 10 9\nf 6 8 11 10\nf 8 7 12 11\nf 7 5 9 12\n"
+    text = BOX.replace("f 1 5 7 3", hole + "f 1 5 7 3").replace("f 5 6 8 7\n", ring)
+    check = check_room(RoomSpec(file=box_file(tmp_path, text), unit="m"))
+
+    assert check.traceable
+    assert not check.closed
+    assert "(approximate: the mesh is not closed)" in room_text("box", check)
+
+
+def test_a_missing_unit_is_one_message_and_no_traceback(tmp_path):
+    """The whole program, as a user starts it."""
+    command = [sys.executable, "-m", "roomfit", "check", str(box_file(tmp_path))]
+    result = subprocess.run(
+        command, capture_output=True, text=True, check=False, env=os.environ | {"COLUMNS": "100"}
+    )
+
+    assert result.returncode == 2
+    assert result.stdout == ""
+    assert result.stderr.startswith("the unit of the room file is not known\n  where ")
+    assert "Traceback" not in result.stderr
+
+
+def test_points_outside_in_walls_and_upon_each_other_are_faults_with_their_place():
+    """A 5 x 4 x 3 m box: one good pair, one of each fault."""
+    room, _ = read_room(RoomSpec(shoebox=(5, 4, 3)))
+    sources = (Point("S1", np.array([1.0, 1, 1])), Point("S2", np.array([6.0, 1, 1])))
+    receivers = (
+        Point("R1", np.array([4.0, 3, 1])),
+        Point("R2", np.array([2.0, 2, 2.996])),
+        Point("R3", np.array([1.0, 1, 1.004])),
+    )
+    assert not position_findings(room, sources[:1], receivers[:1])
+
+    findings = position_findings(room, sources, receivers)
+
+    assert [f.code for f in findings] == [
+        Code.POSITION_OUTSIDE, Code.POSITION_IN_WALL, Code.SOURCE_AT_RECEIVER,
+    ]  # fmt: skip
+    with pytest.raises(InputError, match=r"source 'S2' stands outside(.*\n)*.*1 m from .*'east'"):
+        refuse(findings)
+    assert "4.0 mm from surface 'ceiling'" in findings[1].sentence
+    assert "4.0 mm apart" in findings[2].sentence

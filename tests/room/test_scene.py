@@ -1,0 +1,269 @@
+"""Rooms and scenes made from names: what is named, what is left out, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roomfit.base.air import Air
+from roomfit.base.errors import InputError
+from roomfit.base.findings import About, Code, Finding
+from roomfit.room.mesh import SHOEBOX_SURFACES, Mesh, refuse, volume_m3
+from roomfit.room.scene import (
+    Point,
+    axis_findings,
+    check_mesh,
+    distances_m,
+    is_clear_of_walls,
+    material_areas,
+    material_areas_m2,
+    material_findings,
+    materials_of_surfaces,
+    object_pairs,
+    pair_names,
+    plan_in_words,
+    position_findings,
+    scene_of,
+    shoebox_room,
+    with_objects,
+    with_states,
+)
+
+LENGTHS_M = (6.0, 5.0, 3.0)
+SOURCES = {"LS1": (1.0, 1.0, 1.5)}
+RECEIVERS = {"MP1": (4.0, 3.0, 1.2), "MP2": (2.0, 4.0, 1.2)}
+
+
+@pytest.fixture(scope="module")
+def room():
+    return shoebox_room(LENGTHS_M, "plaster")
+
+
+def test_one_name_is_the_material_of_all_surfaces(room):
+    assert room.materials == ("plaster",)
+    assert room.shoebox_m == LENGTHS_M
+    assert volume_m3(room.mesh) == pytest.approx(90.0, rel=1e-14)
+    assert material_areas_m2(room).tolist() == [126.0]
+
+
+def test_surfaces_that_are_not_named_are_materials_of_their_own():
+    room = shoebox_room(LENGTHS_M, {"walls": "plaster", "south": "curtain"})
+    assert room.materials == ("plaster", "curtain", "floor", "ceiling")
+    # west 15, east 15 and north 18 m2; the curtain in the south takes its wall from the group
+    assert material_areas_m2(room).tolist() == [48.0, 18.0, 30.0, 30.0]
+    assert [s.name for s in room.mesh.surfaces] == list(SHOEBOX_SURFACES)
+
+
+def test_a_surface_that_a_box_does_not_have_is_refused():
+    with pytest.raises(InputError, match="surface that does not exist") as refused:
+        shoebox_room(LENGTHS_M, {"flor": "carpet"})
+    assert "did you mean 'floor'?" in str(refused.value)
+
+
+def test_every_source_goes_with_every_receiver_where_no_pairs_are_named(room):
+    scene = scene_of(room, SOURCES | {"LS2": (5, 4, 2)}, RECEIVERS)
+    assert scene.pairs.tolist() == [[0, 0], [0, 1], [1, 0], [1, 1]]
+    assert [p.name for p in scene.sources] == ["LS1", "LS2"]
+    assert scene.air == Air()
+    np.testing.assert_array_equal(scene.receivers[1].position_m, [2.0, 4.0, 1.2])
+
+
+def test_points_and_named_pairs_and_air_are_kept_as_specified(room):
+    sources = (Point("LS1", np.array([1.0, 1.0, 1.5]), 0.02),)
+    air = Air(temperature_c=15.0)
+    scene = scene_of(room, sources, RECEIVERS, [("LS1", "MP2")], air)
+    assert scene.pairs.tolist() == [[0, 1]]
+    assert scene.sources == sources
+    assert scene.air is air
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"pairs": [("LS1", "MP3")]}, "a pair names a receiver that the scene does not have"),
+        ({"pairs": [("MP1", "MP2")]}, "a pair names a source that the scene does not have"),
+        ({"pairs": []}, "a scene without pairs"),
+        ({"receivers": {}}, "a scene without pairs"),
+        ({"receivers": {"MP1": (7, 3, 1)}}, "stands outside the room"),
+        ({"receivers": {"MP1": (1.0, 1.0, 1.5)}}, "stands where receiver 'MP1' is"),
+        ({"receivers": {"MP1": (4.0, 3.0)}}, "position of MP1 has the wrong shape"),
+        ({"receivers": {"MP1": (4.0, np.nan, 1.0)}}, "position of MP1 is out of range"),
+        (
+            {"sources": [Point("a", np.ones(3)), Point("a", 2 * np.ones(3))]},
+            "two sources have the same name",
+        ),
+    ],
+)
+def test_a_scene_that_cannot_be_is_refused(room, changes, message):
+    arguments = {"sources": SOURCES, "receivers": RECEIVERS} | changes
+    with pytest.raises(InputError, match=message):
+        scene_of(room, **arguments)
+
+
+def test_a_pair_that_is_nearly_named_right_gets_a_hint(room):
+    with pytest.raises(InputError, match=r"found\s+'MP_1'") as refused:
+        scene_of(room, SOURCES, RECEIVERS, [("LS1", "MP_1")])
+    assert "did you mean 'MP1'?" in str(refused.value)
+
+
+def test_a_plan_and_its_mirror_image_read_differently(room):
+    """Distances by hand from the nearer wall; in a room that is no box from the nearest one."""
+    lengths = np.array(LENGTHS_M)
+    right = scene_of(room, {"LS1": (1.2, 0.8, 0.9)}, {"MP1": (4.0, 3.0, 1.2)})
+    left = scene_of(room, {"LS1": (lengths[0] - 1.2, 0.8, 0.9)}, {"MP1": (4.0, 3.0, 1.2)})
+    assert plan_in_words(right)[0] == (
+        "LS1 stands 1.20 m from west (plaster), 0.80 m from south (plaster), 0.90 m from floor "
+        "(plaster)."
+    )
+    assert "1.20 m from east" in plan_in_words(left)[0]
+    other = replace(right, room=replace(room, shoebox_m=None))
+    assert plan_in_words(other)[0] == (
+        "LS1 stands 0.80 m from south (plaster), the nearest surface, and 0.90 m above the lowest "
+        "point of the room."
+    )
+
+
+@pytest.mark.parametrize(
+    ("n", "n_outside", "misread"),
+    [(2, 1, False), (2, 2, True), (3, 2, True), (6, 2, False), (6, 3, True), (7, 3, False),
+     (7, 4, True)],
+)  # fmt: skip
+def test_positions_are_misread_where_half_of_them_are_outside_and_all_inside_in_other_units(
+    room, n, n_outside, misread
+):
+    """Two at least. In feet what is within 19.7, 16.4 and 9.8 is inside, in metres 6, 5 and 3."""
+    at = [(10.0 + 0.5 * i, 4.0, 1.0) for i in range(n_outside)]
+    at += [(1.0 + 0.5 * i, 4.0, 1.0) for i in range(n - n_outside)]
+    points = [Point(f"p{i}", np.array(p)) for i, p in enumerate(at)]
+    found = position_findings(room, points[:1], points[1:])
+    told = [f for f in found if f.code is Code.POSITIONS_MISREAD]
+    assert bool(told) == misread
+    if misread:
+        text = str(told[0].sentence)
+        assert f"{n_outside} of {n} positions" in text and "taken as feet" in text
+
+
+@pytest.mark.parametrize(
+    ("position_m", "words"),
+    [
+        ((120.0, 100.0, 60.0), "as inches"), ((300.0, 250.0, 150.0), "as centimetres"),
+        ((5900.0, 3000.0, 1500.0), "as millimetres"),
+        ((13.0, 31.0, -22.0), "with y up"), ((13.0, 31.0, 22.0), "as x, z, y"),
+        ((22.0, 13.0, 31.0), "as y, x, z"),
+    ],
+)  # fmt: skip
+def test_other_units_and_axes_are_named(room, position_m, words):
+    """Axes in a room that stands elsewhere, since all that is positive is in it in some unit."""
+    if words.startswith(("as x", "as y", "with")):
+        mesh = replace(room.mesh, vertices_m=room.mesh.vertices_m + np.array([10.0, 20.0, 30.0]))
+        room = replace(room, mesh=mesh, shoebox_m=None)
+    points = [Point(n, np.array(position_m) + d) for n, d in (("S", 0.0), ("R", 0.1))]
+    (told,) = (
+        f
+        for f in position_findings(room, points[:1], points[1:])
+        if f.code is Code.POSITIONS_MISREAD
+    )
+    assert words in told.sentence
+
+
+def test_a_point_is_in_a_wall_within_a_centimetre_and_two_are_one_within_a_centimetre(room):
+    for off_m, clear in ((0.0099, False), (0.0101, True)):
+        near = (Point("S", np.array([off_m, 2.0, 1.0])), Point("R", np.array([3.0, 2.0, 1.0])))
+        assert (not position_findings(room, near[:1], near[1:])) == clear
+        pair = (Point("S", np.array([3.0 + off_m, 2.0, 1.0])), near[1])
+        assert (not position_findings(room, pair[:1], pair[1:])) == clear
+    where = np.array([[0.5, 2.0, 1.0], [0.49, 2.0, 1.0], [-1.0, 2.0, 1.0], [3.0, 2.5, 2.5]])
+    assert is_clear_of_walls(room, where, 0.5).tolist() == [True, False, False, True]
+
+
+def bare_box() -> Mesh:
+    """Return the box, whose floor and south have no material, and a sheet counted twice."""
+    mesh = shoebox_room(LENGTHS_M, "plaster").mesh
+    own = {"floor": None, "south": "", "north": "sheet", "east": "wood"}
+    surfaces = tuple(
+        replace(s, file_material=own.get(s.name, "stone"), double_sided=s.name == "north")
+        for s in mesh.surfaces
+    )
+    return replace(mesh, surfaces=surfaces)
+
+
+def test_surfaces_without_a_material_are_a_fault_with_their_number_area_and_first_place():
+    mesh = bare_box()
+    (found,) = material_findings(mesh, {})
+    assert "2 surfaces, 48.00 m2" in found.sentence
+    with pytest.raises(InputError) as refused:
+        refuse((found,))
+    # the first in the order of the mesh: corners (0, 0, 0), (6, 0, 0) and (6, 0, 3)
+    assert "'south' near (4.000, 0.000, 1.000) m" in str(refused.value)
+    assert '"south" = "plaster"' in str(refused.value)
+    points_m = np.array(found.about.points_m)
+    assert points_m.shape == (4, 3)
+    np.testing.assert_array_equal((points_m[:, 1] == 0.0) | (points_m[:, 2] == 0.0), True)
+    assert material_findings(mesh, {"floor": "carpet", "south": "plaster"}) == ()
+    with pytest.raises(InputError, match=r"does not exist(.|\n)*'roof'"):
+        material_findings(mesh, {"roof": "tiles"})
+    with pytest.raises(InputError, match="without a name"):
+        material_findings(mesh, {"floor": ""})
+
+
+def test_areas_of_materials_come_largest_first_and_those_of_sheets_twice():
+    """West 15, east 15, south and north 18, floor and ceiling 30 m2."""
+    found = material_areas(bare_box(), {"walls": "paint", "north": "curtain"})
+    assert list(found.items()) == [
+        ("paint", 48.0), ("curtain", 36.0), (None, 30.0), ("stone", 30.0),
+    ]  # fmt: skip
+
+
+def test_a_room_is_described_by_its_numbers_and_told_what_forbids_tracing_it():
+    mesh = bare_box()
+    found = check_mesh(replace(mesh, surfaces=shoebox_room(LENGTHS_M, "p").mesh.surfaces), {})
+    assert found.size_m == LENGTHS_M and found.n_triangles == 12 and found.n_surfaces == 6
+    assert found.volume_m3 == pytest.approx(90.0) and found.surface_m2 == pytest.approx(126.0)
+    assert found.mean_free_path_m == pytest.approx(4 * 90.0 / 126.0)
+    assert found.closed and found.traceable and found.findings == ()
+    earlier = (Finding(Code.FIRST_ANSWER, About(), "before"),)
+    faulty = check_mesh(replace(mesh, surfaces=tuple(
+        replace(s, double_sided=False) for s in mesh.surfaces
+    )), {}, earlier)  # fmt: skip
+    assert [f.code for f in faulty.findings[:2]] == [Code.FIRST_ANSWER, Code.NO_MATERIAL]
+    assert not faulty.traceable
+
+
+@pytest.mark.parametrize(("axes", "axis"), [((0, 1, 2), None), ((0, 2, 1), "y"), ((2, 1, 0), "x")])
+def test_a_floor_that_stands_upright_makes_one_ask_which_axis_points_up(axes, axis):
+    mesh = shoebox_room(LENGTHS_M, "plaster").mesh
+    turned = replace(mesh, vertices_m=mesh.vertices_m[:, list(axes)])
+    found = axis_findings(turned)
+    assert [f.evidence for f in found] == (
+        [] if axis is None else [{"surfaces": "floor, ceiling", "axis": axis}]
+    )
+    nameless = tuple(replace(s, name=f"s{i}", file_material=None) for i, s in
+                     enumerate(mesh.surfaces))  # fmt: skip
+    assert axis_findings(replace(turned, surfaces=nameless)) == ()
+
+
+def test_states_change_the_surfaces_that_they_name_and_share_what_they_have_in_common():
+    room = shoebox_room(LENGTHS_M, {"walls": "plaster", "floor": "carpet"})
+    states = with_states(room, {"a": {"north": "felt", "walls": "wood"}, "b": {"floor": "felt"}})
+    assert states.materials == ("plaster", "carpet", "ceiling", "wood", "felt")
+    assert materials_of_surfaces(states).tolist() == [
+        [0, 0, 0, 0, 1, 2], [3, 3, 3, 4, 1, 2], [0, 0, 0, 0, 4, 2],
+    ]  # fmt: skip
+    assert material_areas_m2(states, 1).tolist() == [0.0, 30.0, 30.0, 48.0, 18.0]
+    seated = with_objects(states, {"people": ["", "b"], "seats": None})
+    scene = scene_of(seated, SOURCES, RECEIVERS)
+    scene = replace(scene, pairs=[[0, 0], [0, 1], [0, 0]], pair_state=[0, 1, 2])
+    there = object_pairs(scene)
+    assert there[:, :5].sum() == 0
+    assert there[:, 5:].tolist() == [[True, True], [False, True], [True, True]]
+    assert object_pairs(scene_of(states, SOURCES, RECEIVERS)) is None
+    assert pair_names(scene) == [("LS1", "MP1", ""), ("LS1", "MP2", "a"), ("LS1", "MP1", "b")]
+    np.testing.assert_allclose(distances_m(scene), [np.sqrt(13.09), np.sqrt(10.09), np.sqrt(13.09)])
+    with pytest.raises(InputError, match="after objects"):
+        with_states(seated, {"c": {}})
+    with pytest.raises(InputError, match="state"):
+        with_objects(states, {"people": ["x"]})
+    with pytest.raises(InputError, match=r"same name|name of a material"):
+        with_objects(states, {"felt": None})

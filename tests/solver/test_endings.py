@@ -1,0 +1,99 @@
+"""Every fit says how it ended, and running out of damping is not convergence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from posterior_cases import Linear, linear_case
+from roomfit.base.typing import FloatArray
+from roomfit.model.problem import Prediction
+from roomfit.solver.ending import Ending
+from roomfit.solver.least_squares import (
+    fit_band,
+    score_band,
+)
+from roomfit.solver.levenberg_marquardt import MarquardtSettings, levenberg_marquardt
+from roomfit.uncertainty.gaussian import FittedBand, band_estimate
+from roomfit.uncertainty.intervals import Refinement
+
+
+def decay_residuals(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Samples of 0.3 exp(-2 t) and their derivative by amplitude and rate, in units of 0.001."""
+    t = np.linspace(0.0, 2.0, 30)
+    e = np.exp(-x[1] * t)
+    rows = np.stack((e, -x[0] * t * e), axis=1)
+    return 1e3 * (x[0] * e - 0.3 * np.exp(-2.0 * t)) + np.cos(40.0 * t), 1e3 * rows
+
+
+def test_every_evaluation_counts_and_too_few_steps_say_so() -> None:
+    """One at the start, one a trial step."""
+    calls = 0
+
+    def watched(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        nonlocal calls
+        calls += 1
+        return decay_residuals(x)
+
+    found = levenberg_marquardt(watched, np.array([0.5, 1.0]), MarquardtSettings(max_trials=2))
+    assert found.ending is Ending.OUT_OF_STEPS
+    assert found.evaluations == calls == 3
+
+
+class WrongSign(Linear):
+    """A linear problem with a derivative of the wrong sign."""
+
+    def predict(self, vector: FloatArray) -> Prediction:
+        found = super().predict(vector)
+        return replace(found, jacobian=-found.jacobian)
+
+
+def test_a_band_with_a_wrong_derivative_is_not_called_converged() -> None:
+    """Both ways to fit a band say that the damping ran out; with the right one they converge."""
+    right = linear_case(0)
+    wrong = WrongSign(right.matrix, right.observed, right.sd, right.parameters)
+    start = np.zeros(right.matrix.shape[1])
+    for problem, converged in ((right, True), (wrong, False)):
+        fits = (
+            fit_band(problem),
+            score_band(problem, start, max_rounds=36),
+        )
+        for fit in fits:
+            assert fit.converged is converged
+            if not converged:
+                assert fit.ending is Ending.OUT_OF_DAMPING
+
+
+class Counting(Linear):
+    """A linear problem that counts its own predictions."""
+
+    made = 0
+
+    def predict(self, vector: FloatArray) -> Prediction:
+        Counting.made += 1
+        return super().predict(vector)
+
+
+def test_the_evaluations_of_a_band_are_all_that_were_made() -> None:
+    """Counted by the problem itself."""
+    case = linear_case(0)
+    problem = Counting(case.matrix, case.observed, case.sd, case.parameters)
+    Counting.made = 0
+    assert fit_band(problem).evaluations == Counting.made
+    Counting.made = 0
+    start = np.zeros(case.matrix.shape[1])
+    assert score_band(problem, start, max_rounds=36).evaluations == Counting.made
+
+
+def test_mirror_images_and_profiles_add_their_evaluations_to_the_answer() -> None:
+    """Counted by the problem itself, over a fit, one exchange of materials and its profiles."""
+    case = linear_case(3, n_geometry=0, n_data=6)
+    problem = Counting(0.2 * case.matrix, case.observed, case.sd, case.parameters)
+    Counting.made = 0
+    fit = fit_band(problem)
+    answer = band_estimate(problem.parameters, fit, "energy")
+    refine = Refinement("profile", 1, exchanges=(np.array([1, 0, 2]),))
+    refined = refine(FittedBand(answer, problem, fit))
+    assert refined.profiles
+    assert refined.evaluations == Counting.made > fit.evaluations

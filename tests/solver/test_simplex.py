@@ -1,0 +1,230 @@
+"""Equations (2) to (7) by hand, against scipy, and where the paper leaves room."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+from roomfit.base.typing import FloatArray
+from roomfit.solver.ending import Ending
+from roomfit.solver.search import (
+    Simplex,
+    SimplexSettings,
+    downhill_simplex,
+    move_once,
+    random_simplex,
+    simplex_around,
+    spread,
+)
+
+# lowest, second highest, highest; the centroid of the first two is (0.3, 0.2)
+VERTICES = np.array([[0.2, 0.2], [0.4, 0.2], [0.3, 0.5]])
+ERRORS = np.array([1.0, 2.0, 3.0])
+# the candidates of the first move, by (3), (4) and (5) on paper
+REFLECTED, EXPANDED = (0.3, -0.1), (0.3, -0.4)
+CONTRACTED, CONTRACTED_FROM_REFLECTED = (0.3, 0.35), (0.3, 0.05)
+
+
+def table(**errors: float) -> tuple[Callable[[FloatArray], float], list[str]]:
+    """Return an error function that knows the candidates by name, and the list of those asked."""
+    names = {
+        "reflected": REFLECTED,
+        "expanded": EXPANDED,
+        "contracted": CONTRACTED,
+        "contracted_from_reflected": CONTRACTED_FROM_REFLECTED,
+        "shrunk_second": (0.3, 0.2),
+        "shrunk_highest": (0.25, 0.35),
+        "shrunk_reflected": (0.25, 0.05),
+    }
+    asked: list[str] = []
+
+    def error(x: FloatArray) -> float:
+        name = next(n for n, point in names.items() if np.allclose(x, point, rtol=0, atol=1e-12))
+        asked.append(name)
+        return errors[name]
+
+    return error, asked
+
+
+def moved(order: str, **errors: float) -> tuple[FloatArray, list[str]]:
+    """Return the vertices after one move, lowest first, and what was evaluated."""
+    error, asked = table(**errors)
+    state = Simplex(VERTICES.copy(), ERRORS.copy())
+    move_once(state, error, order)  # type: ignore[arg-type]
+    return state.vertices, asked
+
+
+def test_a_reflection_between_lowest_and_second_highest_is_taken_as_it_is() -> None:
+    """Equation (3) with alpha = 1, in either order of operations."""
+    for order in ("nelder-mead", "as-printed"):
+        vertices, asked = moved(order, reflected=1.5)
+        np.testing.assert_allclose(vertices, [[0.2, 0.2], REFLECTED, [0.4, 0.2]], atol=1e-12)
+        assert asked == ["reflected"]
+
+
+@pytest.mark.parametrize(("expanded", "kept"), [(0.1, EXPANDED), (0.7, REFLECTED)])
+def test_nelder_and_mead_expand_where_the_reflection_is_the_best_so_far(
+    expanded: float, kept: tuple[float, float]
+) -> None:
+    """Equation (4) with gamma = 2; the better of the two points stays."""
+    vertices, asked = moved("nelder-mead", reflected=0.5, expanded=expanded)
+    np.testing.assert_allclose(vertices[0], kept, atol=1e-12)
+    assert asked == ["reflected", "expanded"]
+
+
+def test_the_printed_order_takes_the_best_reflection_without_expanding() -> None:
+    """As printed, any reflection below the highest vertex ends the move."""
+    vertices, asked = moved("as-printed", reflected=0.5)
+    np.testing.assert_allclose(vertices[0], REFLECTED, atol=1e-12)
+    assert asked == ["reflected"]
+
+
+def test_the_printed_order_expands_where_the_reflection_has_failed() -> None:
+    """As printed: reflection above the highest vertex, expansion below it."""
+    vertices, asked = moved("as-printed", reflected=4.0, expanded=2.5)
+    np.testing.assert_allclose(vertices[2], EXPANDED, atol=1e-12)
+    assert asked == ["reflected", "expanded"]
+
+
+def test_the_printed_order_contracts_where_both_have_failed() -> None:
+    """Equation (5) with beta = 1/2: half way from the centroid to the highest vertex."""
+    vertices, asked = moved("as-printed", reflected=4.0, expanded=5.0, contracted=2.5)
+    np.testing.assert_allclose(vertices[2], CONTRACTED, atol=1e-12)
+    assert asked == ["reflected", "expanded", "contracted"]
+
+
+def test_nelder_and_mead_contract_from_the_better_of_highest_and_reflected() -> None:
+    """A reflection that only beats the highest vertex takes its place before the contraction."""
+    inside, _ = moved("nelder-mead", reflected=4.0, contracted=2.5)
+    np.testing.assert_allclose(inside[2], CONTRACTED, atol=1e-12)
+    outside, _ = moved("nelder-mead", reflected=2.8, contracted_from_reflected=2.5)
+    np.testing.assert_allclose(outside[2], CONTRACTED_FROM_REFLECTED, atol=1e-12)
+
+
+def test_after_a_failed_contraction_the_simplex_halves_towards_its_lowest_vertex() -> None:
+    """The paper is silent here; Nelder and Mead (1965) shrink."""
+    after = {"contracted": 6.0, "shrunk_second": 1.2, "shrunk_highest": 1.4}
+    expected = [[0.2, 0.2], [0.3, 0.2], [0.25, 0.35]]
+    vertices, _ = moved("nelder-mead", reflected=4.0, **after)
+    np.testing.assert_allclose(vertices, expected, atol=1e-12)
+    vertices, _ = moved("as-printed", reflected=4.0, expanded=5.0, **after)
+    np.testing.assert_allclose(vertices, expected, atol=1e-12)
+
+
+def bowl(x: FloatArray) -> float:
+    """An askew quadratic with its minimum 0.5 at (0.35, 0.6)."""
+    a, b = x[0] - 0.35, x[1] - 0.6
+    return float(0.5 + 3.0 * a * a + 2.0 * a * b + b * b)
+
+
+def rosenbrock(x: FloatArray) -> float:
+    """Rosenbrock's banana on [-2, 2]^2, brought into the unit box; minimum 0 at (0.75, 0.75)."""
+    a, b = 4.0 * x - 2.0
+    return float((1.0 - a) ** 2 + 100.0 * (b - a * a) ** 2)
+
+
+@pytest.mark.parametrize("function", [bowl, rosenbrock])
+@pytest.mark.parametrize("iterations", [1, 2, 5, 10, 20])
+def test_it_visits_the_points_of_scipys_nelder_mead(
+    function: Callable[[FloatArray], float], iterations: int
+) -> None:
+    """Move for move, as long as no contraction fails (there scipy drops the reflected point)."""
+    start = np.array([[0.3, 0.4], [0.4, 0.4], [0.3, 0.5]])
+    ours = downhill_simplex(function, start, SimplexSettings(tolerance=1e-300))
+    # scipy counts its first simplex as an iteration
+    options = {"initial_simplex": start, "maxiter": iterations + 1, "xatol": 0.0, "fatol": 0.0}
+    theirs = minimize(function, start[0], method="Nelder-Mead", options=options)
+    np.testing.assert_allclose(ours.trail[iterations], theirs.x, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("order", ["nelder-mead", "as-printed"])
+@pytest.mark.parametrize("function", [bowl, rosenbrock])
+def test_both_orders_find_the_minimum_of_known_functions(
+    function: Callable[[FloatArray], float], order: str
+) -> None:
+    """To 1e-3 in place: errors within 1e-10 leave sqrt(1e-10 / curvature) at most 1e-4 or so."""
+    settings = SimplexSettings(order=order, tolerance=1e-10)  # type: ignore[arg-type]
+    fit = downhill_simplex(function, simplex_around(np.array([0.2, 0.3]), 0.1), settings)
+    true = (0.35, 0.6) if function is bowl else (0.75, 0.75)
+    np.testing.assert_allclose(fit.x, true, atol=1e-3)
+    assert fit.ending.converged
+
+
+def test_spread_is_equation_6_written_out() -> None:
+    """Root mean square over all n + 1 vertices of E(x) - E(centroid of all but the highest)."""
+    state = Simplex(VERTICES.copy(), np.array([bowl(v) for v in VERTICES]))
+    state.sort()
+    centroid = (state.vertices[0] + state.vertices[1]) / 2.0
+    total = sum((bowl(v) - bowl(centroid)) ** 2 for v in state.vertices)
+    assert spread(state, bowl) == pytest.approx((total / 3.0) ** 0.5, rel=1e-14)
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-8])
+def test_the_convergence_test_ends_the_search_where_it_first_holds(tolerance: float) -> None:
+    """The last simplex passes the test."""
+    fit = downhill_simplex(bowl, VERTICES, SimplexSettings(tolerance=tolerance))
+    assert fit.ending is Ending.CONVERGED
+    # a test of differences of E leaves the minimum itself as uncertain as the tolerance
+    assert fit.cost - 0.5 <= 10.0 * tolerance
+
+
+def test_a_simplex_too_small_to_change_ends_the_search() -> None:
+    """A tolerance that no difference of errors meets ends by collapse, at the minimum."""
+    fit = downhill_simplex(
+        lambda x: float(np.max(np.abs(x - 0.4))), VERTICES, SimplexSettings(tolerance=0.0)
+    )
+    assert fit.ending is Ending.COLLAPSED
+    np.testing.assert_allclose(fit.x, 0.4, atol=1e-9)
+
+
+def test_nothing_is_evaluated_outside_the_unit_box() -> None:
+    """The minimum of this slope lies in a corner; every point asked for lies inside."""
+    asked: list[FloatArray] = []
+
+    def slope(x: FloatArray) -> float:
+        asked.append(x.copy())
+        return float(x[0] + 2.0 * x[1])
+
+    fit = downhill_simplex(slope, VERTICES, SimplexSettings(tolerance=1e-9))
+    assert np.min(asked) >= 0.0 and np.max(asked) <= 1.0
+    assert fit.evaluations == len(asked)
+    np.testing.assert_allclose(fit.x, 0.0, atol=1e-6)
+
+
+def test_a_search_out_of_evaluations_says_so_and_what_to_do() -> None:
+    """It ends within one move (at most n + 3 evaluations) of its limit."""
+    fit = downhill_simplex(rosenbrock, VERTICES, SimplexSettings(max_evaluations=30))
+    assert not fit.ending.converged
+    assert "start again" in fit.ending.advice
+    assert 30 <= fit.evaluations <= 35
+
+
+@given(
+    n=st.integers(1, 5),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_a_bowl_of_any_dimension_is_descended(n: int, seed: int) -> None:
+    """Random minimum within the box, curvatures between 1 and 5, random start."""
+    rng = np.random.default_rng(seed)
+    true, curvature = rng.uniform(0.2, 0.8, n), rng.uniform(1.0, 5.0, n)
+    fit = downhill_simplex(
+        lambda x: float(curvature @ (x - true) ** 2),
+        random_simplex(n, rng),
+        SimplexSettings(tolerance=1e-10),
+    )
+    np.testing.assert_allclose(fit.x, true, atol=1e-3)
+
+
+@given(n=st.integers(1, 8), seed=st.integers(0, 2**32 - 1), size=st.floats(1e-3, 0.5))
+def test_a_simplex_around_a_point_lies_in_the_box_and_has_a_volume(
+    n: int, seed: int, size: float
+) -> None:
+    """Its edges are orthogonal, so the determinant is size to the n in absolute value."""
+    vertices = simplex_around(np.random.default_rng(seed).random(n), size)
+    assert vertices.min() >= 0.0 and vertices.max() <= 1.0
+    assert abs(np.linalg.det(vertices[1:] - vertices[0])) == pytest.approx(size**n, rel=1e-9)
