@@ -44,8 +44,8 @@ RunCommand = Callable[..., None]
 """Runs one command of roomfit: its arguments; the last one names the output folder."""
 
 # What the commands are called: the one line to change when one is renamed.
-DEMO, IDENTIFY, IMPEDANCE, PREDICT, DESIGN, COVERAGE, PAPER, REVERBERATION, TREAT = (
-    *("demo", "identify", "impedance", "predict", "design", "coverage", "paper"),
+DEMO, IDENTIFY, IMPEDANCE, PREDICT, DESIGN, PAPER, REVERBERATION, TREAT = (
+    *("demo", "identify", "impedance", "predict", "design", "paper"),
     *("reverberation", "treat"),
 )
 
@@ -404,7 +404,6 @@ def _what_follows(folder: Path, run: RunCommand) -> None:
     )
     chosen = ("--candidates", 40, "--choose", 1, "--result", found)
     run(DESIGN, campaign, *chosen, "--out", folder / "designed")
-    run(COVERAGE, campaign, "--replicates", 1, "--snr-db", 50, "--out", folder / "covered")
     wanted = _written(folder / "treatment.toml", _treatment("tiles", 0.25))
     run(TREAT, campaign, wanted, "--absorption", found, "--out", folder / "treated")
 
@@ -474,7 +473,7 @@ CASES = (
     Case("certified", "least squares with a certificate, one octave", _certified),
     Case("posterior", "samples of the posterior, one octave", _posterior),
     Case("impedance", "impedances of three materials from damped spectra", _impedance),
-    Case("follow-up", "prediction, design, coverage and a treatment after a fit", _what_follows),
+    Case("follow-up", "prediction, design and a treatment after a fit", _what_follows),
     Case("states", "two states, objects in one, smooth over bands, and a prediction", _states),
     Case("decay-times", "mean absorption, prediction and treatment by decay times", _decay_times),
     Case("hall", "speech, a map, seats and a standard in a hall of known absorption", _hall),

@@ -15,21 +15,15 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.special import betaincinv
 
 from _other_box import write_other_box
 from roomfit.base.errors import InsufficientDataError
-from roomfit.base.table import text_of
-from roomfit.coverage.output import coverage_table, verdict
-from roomfit.coverage.statistics import (
-    CoverageSample,
-    coverage_rows,
-    grouped_proportion,
-    scaled_errors,
-)
+from roomfit.base.logit import Z95, logit
 from roomfit.files.inputs import load_campaign
 from roomfit.identify import identify
 from roomfit.materials.priors import DEFAULT_MEAN
@@ -68,7 +62,71 @@ def polyhedron(seed: int) -> Room:
     return Room(answer, synthetic.absorption[np.ix_(rows, columns)])
 
 
-def pooled(rooms: list[Room]) -> CoverageSample:
+@dataclass(frozen=True)
+class Pooled:
+    """Answers to rooms whose absorption is known, each (n_rooms, MOST_MATERIALS, n_bands)."""
+
+    true: np.ndarray
+    absorption: np.ndarray
+    lower95: np.ndarray
+    upper95: np.ndarray
+    identifiable: np.ndarray
+    has_interval: np.ndarray  # not where a room has no such material, or nothing was fitted
+
+
+@dataclass(frozen=True)
+class Proportion:
+    """A proportion with its own 95 % interval, 0 to 1 where there is nothing to count."""
+
+    count: int
+    of: int
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        if not self.of:
+            return "-"
+        return f"{100 * self.count / self.of:.0f} ({100 * self.low:.0f} to {100 * self.high:.0f}) %"
+
+
+def grouped_proportion(hit: np.ndarray, counted: np.ndarray) -> Proportion:
+    """Return a proportion of values that come in groups, (n_groups, ...), with its 95 % interval.
+
+    Values of one room are correlated, so that they count less than as many independent ones. The
+    interval is that of C. J. Clopper, E. S. Pearson, Biometrika 26, 404-413 (1934), for the number
+    over the design effect, the variance of a group's sum over what independent values would have
+    (J. N. K. Rao, A. J. Scott, Biometrics 48, 577-585, 1992), never below one.
+    """
+    groups = len(counted)
+    sizes = counted.reshape(groups, -1).sum(axis=1)
+    hits = (hit & counted).reshape(groups, -1).sum(axis=1)
+    n, k = int(sizes.sum()), int(hits.sum())
+    if n == 0:
+        return Proportion(0, 0, 0.0, 1.0)
+    p = k / n
+    effect = 1.0
+    if groups > 1 and 0 < k < n:
+        spread = groups / (groups - 1) * float(np.sum((hits - p * sizes) ** 2)) / n**2
+        effect = max(spread / (p * (1.0 - p) / n), 1.0)
+    effective, count = n / effect, k / effect
+    low = float(betaincinv(count, effective - count + 1.0, 0.025)) if k > 0 else 0.0
+    high = float(betaincinv(count + 1.0, effective - count, 0.975)) if k < n else 1.0
+    return Proportion(k, n, low, high)
+
+
+def scaled_errors(found: Pooled, counted: np.ndarray) -> np.ndarray:
+    """Return errors of those counted in standard deviations of logit absorption, (n_counted,).
+
+    Each by the side of the interval on which the true value lies, so that one within +-1.96 lies
+    in its 95 % interval; standard normal where intervals are right.
+    """
+    middle, true = logit(found.absorption), logit(found.true)
+    up, down = logit(found.upper95) - middle, middle - logit(found.lower95)
+    z = Z95 * (true - middle) / np.maximum(np.where(true > middle, up, down), 1e-12)
+    return np.asarray(z[counted])
+
+
+def pooled(rooms: list[Room]) -> Pooled:
     """Return all rooms in one record; materials that a room does not have are not counted."""
     n_bands = len(rooms[0].answer.bands)
 
@@ -79,39 +137,54 @@ def pooled(rooms: list[Room]) -> CoverageSample:
         return out
 
     fitted = [np.array([m != "prior" for m in r.answer.models]) for r in rooms]
-    return CoverageSample(
-        tuple(f"material {i + 1}" for i in range(MOST_MATERIALS)),
-        rooms[0].answer.bands,
+    return Pooled(
         stacked([r.true for r in rooms]),
         stacked([r.answer.absorption for r in rooms]),
         stacked([r.answer.lower95 for r in rooms]),
         stacked([r.answer.upper95 for r in rooms]),
         stacked([r.answer.identifiable for r in rooms]),
         stacked([np.tile(f, (len(r.true), 1)) for f, r in zip(fitted, rooms, strict=True)]),
-        np.full((MOST_MATERIALS, n_bands), DEFAULT_MEAN),
-        np.array([r.answer.mean_absorption[0] for r in rooms]),
-        np.array([r.answer.chi2_reduced for r in rooms]),
     )
 
 
 def show(rooms: list[Room]) -> None:
     """Print the pooled table, and intervals by group."""
     found = pooled(rooms)
-    rows = coverage_rows(found)
+    bands = rooms[0].answer.bands.centres_hz
+    uniform = np.array([r.answer.mean_absorption[0] for r in rooms])[:, None, :]
     print(f"{len(rooms)} rooms (uniform: the area mean of each answer)")
-    print(text_of(coverage_table(rows)))
-    print(verdict(rows[-1]))
+    print(
+        f"{'band':8}{'95 % intervals hold':>22}{'identifiable':>14}{'of these outside':>20}"
+        f"{'width':>8}{'|error|':>9}{'prior':>8}{'uniform':>9}"
+    )
+    covered = (found.lower95 <= found.true) & (found.true <= found.upper95)
+    for name, chosen in [(f"{f:g} Hz", bands == f) for f in bands] + [("all", bands > 0.0)]:
+        counted = found.has_interval & chosen
+        sure = counted & found.identifiable
+        shown = (
+            found.upper95 - found.lower95,
+            np.abs(found.absorption - found.true),
+            np.abs(DEFAULT_MEAN - found.true),
+            np.abs(uniform - found.true),
+        )
+        width, error, prior, mean = (f"{np.median(values[counted]):.3f}" for values in shown)
+        print(
+            f"{name:8}{grouped_proportion(covered, counted)!s:>22}"
+            f"{100 * sure.sum() / max(counted.sum(), 1):12.0f} %"
+            f"{grouped_proportion(~covered, sure)!s:>20}{width:>8}{error:>9}{prior:>8}{mean:>9}"
+        )
     _show_parts(found, rooms)
 
 
-def _show_parts(found: CoverageSample, rooms: list[Room]) -> None:
+def _show_parts(found: Pooled, rooms: list[Room]) -> None:
     """Print how far off values are in units of their intervals, for parts of them."""
     kinds = np.full(found.has_interval.shape, "none", dtype="U9")
     for i, room in enumerate(rooms):
         for j, own in enumerate(room.answer.interval_kinds):
             kinds[i, : len(own), j] = own
-    phi, bands = found.chi2_reduced[:, None, :], np.array(found.bands.centres_hz)
-    parts = {kind: kinds == kind for kind in ("gaussian", "profile", "sampled", "none")}
+    phi = np.array([r.answer.chi2_reduced for r in rooms])[:, None, :]
+    bands = rooms[0].answer.bands.centres_hz
+    parts = {kind: kinds == kind for kind in ("gaussian", "profile", "none")}
     parts |= {
         "phi below 1": np.broadcast_to(phi < 1.0, kinds.shape),
         "phi 1 to 1.3": np.broadcast_to((phi >= 1.0) & (phi < 1.3), kinds.shape),
@@ -128,13 +201,13 @@ def _show_parts(found: CoverageSample, rooms: list[Room]) -> None:
             continue
         covered = (found.lower95 <= found.true) & (found.true <= found.upper95)
         share = grouped_proportion(covered, counted)
-        z = scaled_errors(replace(found, has_interval=counted))
+        z = scaled_errors(found, counted)
         width = np.median((found.upper95 - found.lower95)[counted])
         error = np.median(np.abs(found.absorption - found.true)[counted])
         spread = float(np.sqrt(np.mean(z**2)))
         print(
-            f"{name:16}{share.of:6} {100 * share.value:5.1f} %  {spread:12.2f}  {width:15.3f}"
-            f"  {error:12.4f}"
+            f"{name:16}{share.of:6} {100 * share.count / share.of:5.1f} %  {spread:12.2f}"
+            f"  {width:15.3f}  {error:12.4f}"
         )
 
 

@@ -16,7 +16,6 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / "roomfit"
 SATELLITES = (
     "app",
     "batch",
-    "coverage",
     "demo",
     "design",
     "impedance",

@@ -39,7 +39,6 @@ LONGEST = (
     "test_batch.py",
     "test_shape.py",
     "fit/test_displacement.py",
-    "coverage/test_coverage.py",
     "predict/test_known_change.py",
     "report/test_html.py",
     "fit/test_states.py",

@@ -55,7 +55,6 @@ AREAS = {
     "scattering weights",
     "seeds",
     "certificate",
-    "coverage",
     "displacement",
     "doors",
     "impedance",

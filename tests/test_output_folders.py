@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from roomfit.base.cache import shared_folder, sole_writer, whole_output_folder
+from roomfit.base.cache import sole_writer, whole_output_folder
 from roomfit.base.errors import InputError, StoreError
 from small_campaign import run_command
 
@@ -273,9 +273,7 @@ def test_output_to_a_full_device_is_reported(tmp_path):
 
 @pytest.mark.slow
 @POSIX
-@pytest.mark.parametrize(
-    "command", ["identify", "predict", "design", "coverage", "paper", "impedance"]
-)
+@pytest.mark.parametrize("command", ["identify", "predict", "design", "paper", "impedance"])
 def test_a_command_killed_at_any_step_leaves_the_old_result_or_the_new_one(tmp_path, command):
     """Whole, beside strangers' files, and the next run removes what is left."""
     program = Path(__file__).parent / "helpers" / "killed_commands.py"
@@ -289,41 +287,6 @@ def test_a_command_killed_at_any_step_leaves_the_old_result_or_the_new_one(tmp_p
     found = json.loads(done.stdout)
     assert len(found) > 20 and found[0] == "old" and found[-1] == "new"
     assert found == sorted(found, reverse=True)  # once the new one is there, it stays
-
-
-@pytest.mark.slow
-@POSIX
-def test_no_replicate_is_lost_while_another_run_puts_its_tables_into_the_folder(tmp_path):
-    """`roomfit coverage` may run on several machines into one folder."""
-    program = (
-        "import sys; from pathlib import Path\n"
-        "from killed_commands import replicate\n"
-        "from roomfit.coverage.estimate import write_replicate\n"
-        "print('in', flush=True)\n"
-        "for number in range(40):\n"
-        "    write_replicate(Path(sys.argv[1]), replicate(number))\n"
-    )
-    out = tmp_path / "out"
-    other = subprocess.Popen(
-        [sys.executable, "-c", program, str(out)],
-        # a folder of tests is called like a package that Numba looks for
-        env=ENVIRONMENT | {"PYTHONPATH": _PATHS[1]},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-    )
-    assert other.stdout is not None and other.stdout.readline() == b"in\n"
-    while other.poll() is None:
-        with (
-            shared_folder(out, alone=True) as locked,
-            whole_output_folder(out, overwrite=True) as folder,
-        ):
-            assert locked
-            (folder / "coverage.csv").write_text("table")
-    _, said = other.communicate()
-    assert other.returncode == 0, said
-    assert len(list((out / "replicates").iterdir())) == 40
-    assert (out / "coverage.csv").read_text() == "table"
-    assert [p.name for p in tmp_path.iterdir()] == ["out"]
 
 
 @POSIX

@@ -13,24 +13,9 @@ from pathlib import Path
 import pytest
 
 from cluster_tasks import number_into
-from roomfit.base import workers
-from roomfit.base.workers import bundled, cluster_pool, in_pool
+from roomfit.base.workers import cluster_pool, in_pool
 
 HELPERS = Path(__file__).parent / "helpers"
-
-
-def test_bundles_hold_every_task_once_and_last_long_enough() -> None:
-    known: list[float] = []
-    tasks = [partial(int, n) for n in range(40)]
-    sizes, numbers = [], []
-    for bundle in bundled(tasks, lambda: known[-1] if known else None):
-        numbers += bundle()
-        sizes.append(len(bundle.args[0]))
-        if len(sizes) == 2:
-            known.append(0.4)
-    assert numbers == list(range(40))
-    assert sizes[:2] == [1, 1]
-    assert all(size * 0.4 >= workers.SHORTEST_TASK_S for size in sizes[2:-1])
 
 
 class Cluster:

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from roomfit.base.findings import Finding
     from roomfit.checks.usable import check_recordings
     from roomfit.cli.commands import export_result
-    from roomfit.coverage.estimate import estimate_coverage
-    from roomfit.coverage.synthetic_room import CoverageSettings
     from roomfit.design.campaign import design_arguments
     from roomfit.design.candidates import DesignOptions
     from roomfit.design.positions import design
@@ -53,7 +51,6 @@ __version__ = "0.1.0"
 __all__ = [
     "Air",
     "Bands",
-    "CoverageSettings",
     "DesignOptions",
     "Finding",
     "ImpedanceSettings",
@@ -75,7 +72,6 @@ __all__ = [
     "check_recordings",
     "design",
     "design_arguments",
-    "estimate_coverage",
     "export_result",
     "identify",
     "identify_impedance",
@@ -102,11 +98,9 @@ _HOME = {
     "Bands": "base.bands",
     "bands_between": "base.bands",
     "InsufficientDataError": "base.errors",
-    "CoverageSettings": "coverage.synthetic_room",
     "design": "design.positions",
     "design_arguments": "design.campaign",
     "DesignOptions": "design.candidates",
-    "estimate_coverage": "coverage.estimate",
     "export_result": "cli.commands",
     "Finding": "base.findings",
     "identify": "identify",

@@ -85,7 +85,7 @@ def test_an_export_and_a_result_that_is_read_wait_for_no_compiler(tmp_path):
     assert "LOADED []" in done.stdout, done.stdout + done.stderr
 
 
-COMMANDS = ("app", "batch", "cache", "catalogue", "check", "compare", "coverage", "demo",
+COMMANDS = ("app", "batch", "cache", "catalogue", "check", "compare", "demo",
             "design", "export", "identify", "impedance", "init", "listen", "measure", "paper",
             "predict", "reverberation", "schema", "treat")  # fmt: skip
 
@@ -116,7 +116,6 @@ def test_help_lists_every_command_and_no_former_name(monkeypatch, capsys):
         (("fly",), "try     roomfit --help"),
         (("demo", "--seed", "x"), "--seed: 'x' is not a whole number"),
         (("identify", "a", "--out", "b", "--bands", "low"), "--bands: 'low' is not a number"),
-        (("coverage", "a", "--out", "b", "--snr-db", "x"), "--snr-db: 'x' is not a number"),
         (("paper", "--out", "b", "--workers", "0"), "--workers: 0 is less than 1"),
     ],
 )
@@ -132,13 +131,6 @@ def test_a_wrong_call_ends_with_2_and_how_to_call(monkeypatch, capsys, arguments
 def test_no_command_at_all_shows_the_help_and_ends_with_2(monkeypatch, capsys):
     assert run_command(monkeypatch) == 2
     assert capsys.readouterr().out.startswith("usage: roomfit")
-
-
-def test_the_former_name_of_a_command_answers_with_the_new_one(monkeypatch, capsys):
-    assert run_command(monkeypatch, "calibrate", "a.toml", "--out", "b") == 2
-    message = capsys.readouterr().err
-    assert message.startswith("the command 'calibrate' is now called 'coverage'\n")
-    assert "  try     roomfit coverage ..." in message
 
 
 def test_identify_writes_every_file_and_prints_what_they_say(tmp_path, monkeypatch, capsys):

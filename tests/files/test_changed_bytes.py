@@ -142,7 +142,7 @@ def test_a_changed_result_is_refused_with_a_sentence_and_taken_as_edited(tmp_pat
     assert "0.50000" in out.read_text()
 
 
-@pytest.mark.parametrize("command", ["predict", "listen", "treat", "design", "compare", "coverage"])
+@pytest.mark.parametrize("command", ["predict", "listen", "treat", "design", "compare"])
 def test_every_command_that_reads_a_result_takes_an_edited_one_on_request(
     tmp_path, monkeypatch, capsys, command
 ):
@@ -153,7 +153,7 @@ def test_every_command_that_reads_a_result_takes_an_edited_one_on_request(
     path.write_text(json.dumps(content))
     campaign = write_campaign(tmp_path / "room")
     beside = {"treat": [tmp_path / "none.toml"], "compare": []}.get(command, [])
-    own = {"design": "--result", "coverage": "--from"}.get(command, "--absorption")
+    own = "--result" if command == "design" else "--absorption"
     arguments = [path, path] if command == "compare" else [campaign, *beside, own, path]
     if command == "treat":
         beside[0].write_text("")

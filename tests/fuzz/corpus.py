@@ -144,7 +144,6 @@ def corpus() -> dict[str, bytes]:
     geo = examples()["box.geo"]
     deep = b"[" * 200_000 + b"]" * 200_000
     digits = b"9" * 5000
-    replicate = examples()["replicate.json"]
     return {
         "constants that double each other--box.geo": _constants(),
         "brackets without end--box.geo": _geo_plane(f"1 2 3 / ({')' * 15_000})"),
@@ -189,8 +188,6 @@ def corpus() -> dict[str, bytes]:
         "5,000 digits--scan.json": scan_json().replace(b"2.6", digits),
         "100,000 walls--scan.json": json.dumps({"walls": scan()["walls"] * 17_000}).encode(),
         "a floor of 20,000 corners--scan.json": _scanned_floor(20_000),
-        "deep--replicate.json": replicate.rstrip()[:-1] + b', "deep": ' + deep + b"}",
-        "5,000 digits--replicate.json": replicate.replace(b"0.3", digits),
         "deep--campaign.toml": campaign().replace(b"[5, 4, 3]", deep),
         "5,000 digits--campaign.toml": campaign().replace(b"[5, 4, 3]", digits),
     }

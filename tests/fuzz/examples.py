@@ -229,19 +229,6 @@ def absorption() -> bytes:
     return "\n".join([head, *rows, ""]).encode()
 
 
-def replicate() -> bytes:
-    from roomfit.base.findings import Code
-    from roomfit.coverage.estimate import Found, Replicate, write_replicate
-
-    table, row = np.full((1, 2), 0.3), np.array([0.2, 0.3])
-    sure = np.array([[True, False]])
-    codes = (Code.LEAK,)
-    found = Found(table, table, table, sure, row, row, ("energy", "prior"), codes)
-    with tempfile.TemporaryDirectory() as folder:
-        path = write_replicate(Path(folder), Replicate(0, "d", "box", table, None, found, 1.0))
-        return path.read_bytes()
-
-
 def campaign() -> bytes:
     return b"""format_version = 1
 [room]
@@ -317,6 +304,5 @@ def examples() -> dict[str, bytes]:
         "parameters.csv": parameters(),
         "result.json": result(),
         "absorption.csv": absorption(),
-        "replicate.json": replicate(),
         "campaign.toml": campaign(),
     }

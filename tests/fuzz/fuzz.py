@@ -171,7 +171,6 @@ def readers(folder: Path) -> dict[str, Callable[[Path], object]]:
     import numpy as np
 
     from roomfit.base.bands import bands_between
-    from roomfit.coverage.estimate import FOLDER, read_replicate
     from roomfit.files.campaign import read_campaign
     from roomfit.files.directivity import read_directivity
     from roomfit.files.exports import read_material_table
@@ -206,12 +205,6 @@ def readers(folder: Path) -> dict[str, Callable[[Path], object]]:
     def result(path: Path) -> object:
         return read_material_table(path), read_result(path)
 
-    def replicate(path: Path) -> object:
-        place = folder / FOLDER / "0000.json"
-        place.parent.mkdir(exist_ok=True)
-        place.write_bytes(path.read_bytes())
-        return read_replicate(folder, 0, "d")
-
     def campaign(path: Path) -> object:
         place = good / "tried.toml"
         place.write_bytes(path.read_bytes())
@@ -237,7 +230,6 @@ def readers(folder: Path) -> dict[str, Callable[[Path], object]]:
         "parameters.csv": read_parameters,
         "result.json": result,
         "absorption.csv": result,
-        "replicate.json": replicate,
         "campaign.toml": campaign,
     }
 

@@ -18,7 +18,6 @@ from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
-import numpy as np
 from roomfit.table import Table
 
 from roomfit.settings import Settings
@@ -55,19 +54,6 @@ def writes(*names: str) -> Callable[..., None]:
             write_text_atomically(folder / name, WORD[0])
 
     return write
-
-
-def replicate(number: int) -> Any:
-    from roomfit.coverage.estimate import Replicate
-
-    return Replicate(number, "d", "box", np.zeros((1, 1)), "refused", None, 0.0)
-
-
-def covered(_: Any, out: Path, *__: Any, **___: Any) -> Any:
-    from roomfit.coverage.estimate import write_replicate
-
-    write_replicate(out, replicate(0 if WORD[0] == "old" else 1))
-    return SimpleNamespace(found=None)
 
 
 PREDICTIONS = "roomfit.predictions."
@@ -110,12 +96,6 @@ STUBS: dict[str, dict[str, Any]] = {
         "roomfit.experiment_design.output.design_map": nothing,
         "roomfit.experiment_design.output.design_gain": nothing,
     },
-    "coverage": {
-        "roomfit.coverage.estimate.estimate_coverage": covered,
-        "roomfit.coverage.output.coverage_records": word_as_table,
-        "roomfit.coverage.output.coverage_figure": nothing,
-        "roomfit.coverage.output.coverage_json": lambda _: {"word": WORD[0]},
-    },
     "paper": {
         "roomfit.suh2001.output.repeat_paper": nothing,
         "roomfit.suh2001.output._tables": lambda _: {"methods": word_as_table()},
@@ -148,7 +128,6 @@ def run(command: str, out: Path) -> None:
         "identify": lambda: commands.identify_to_folder(campaign, out, overwrite=True),
         "predict": lambda: predictions.predict_to_folder(campaign, campaign, out, overwrite=True),
         "design": lambda: commands.design_to_folder(campaign, out, overwrite=True),
-        "coverage": lambda: commands.estimate_coverage_to_folder(campaign, out),
         "paper": lambda: run_paper(out, overwrite=True),
         "impedance": lambda: impedance_to_folder(campaign, out, overwrite=True),
     }
@@ -188,10 +167,9 @@ def forked(command: str, out: Path, killed_at: int = 0) -> bool:
 
 
 def content(out: Path) -> dict[str, str]:
-    """Return the result's own files; replicates are results by themselves."""
+    """Return the result's own files."""
     files = (p for p in out.rglob("*") if p.is_file() and p.name != ".roomfit-files")
-    named = {p.relative_to(out).as_posix(): p.read_text() for p in files}
-    return {name: text for name, text in named.items() if not name.startswith("replicates/")}
+    return {p.relative_to(out).as_posix(): p.read_text() for p in files}
 
 
 def outcomes(command: str, folder: Path) -> Iterator[str]:
@@ -212,7 +190,6 @@ def outcomes(command: str, folder: Path) -> Iterator[str]:
         found = content(out)
         assert found.pop("notes.txt", "") == "mine", (step, sorted(found))
         assert found in saved.values(), (step, found)
-        assert command != "coverage" or (out / "replicates" / "0000.json").exists(), step
         # the next run goes on, and removes what is left
         run(command, out)
         assert content(out) == saved["new"] | {"notes.txt": "mine"}, step

@@ -10,7 +10,6 @@ import pytest
 from roomfit.base.air import Air
 from roomfit.base.bands import bands_between
 from roomfit.base.errors import InputError
-from roomfit.coverage.statistics import CoverageSample, grouped_proportion, scaled_errors
 from roomfit.fit.solve import prior_speed_sd
 from roomfit.predict.changes import Change, changed_draws
 from roomfit.settings import Settings
@@ -32,40 +31,6 @@ def test_draws_of_a_factor_stay_between_0_and_1():
     assert drawn.min() == 0.0 and drawn.max() == 1.0  # a factor of -1 and of 3 are drawn
     np.testing.assert_array_equal(drawn[:, 1], draws[:, 1])
     assert [f.about.bands_hz for f in findings] == [(1000.0,)]
-
-
-# Coverage.
-
-
-def test_an_error_is_scaled_by_the_side_of_the_interval_on_which_the_truth_lies():
-    """An interval from -1 to +3 standard units of the logit about its middle."""
-
-    def expit(x):
-        return 1.0 / (1.0 + np.exp(-x))
-
-    true = np.array([-1.5, -0.5, 0.0, 1.5, 4.5]).reshape(5, 1, 1)
-    ones = np.ones((5, 1, 1))
-    sample = CoverageSample(
-        ("walls",), bands_between("octave", 500, 500), expit(true), 0.5 * ones, expit(-ones),
-        expit(3.0 * ones), ones > 0.0, ones > 0.0, 0.5 * np.ones((1, 1)), 0.5 * np.ones((5, 1)),
-        np.ones((5, 1)),
-    )  # fmt: skip
-    in_bounds = [-1.5, -0.5, 0.0, 0.5, 1.5]  # of the side: below by 1, above by 3
-    np.testing.assert_allclose(scaled_errors(sample), 1.959964 * np.array(in_bounds), rtol=1e-6)
-
-
-def test_the_spread_of_groups_has_bessels_factor():
-    """Of 5 groups of 8 values that are alike within: the effective number is 4 for 5 groups.
-
-    The variance of a group's sum about p, with n - 1 below, is what the design effect compares.
-    """
-    hit = np.repeat(np.array([1, 1, 1, 0, 0]) > 0, 8).reshape(5, 8)
-    found = grouped_proportion(hit, np.ones_like(hit))
-    from scipy.stats import beta
-
-    n, k = 4.0, 4.0 * 0.6
-    assert found.low == pytest.approx(beta.ppf(0.025, k, n - k + 1.0), rel=1e-9)
-    assert found.high == pytest.approx(beta.ppf(0.975, k + 1.0, n - k), rel=1e-9)
 
 
 # What enters a fit.
@@ -90,10 +55,3 @@ def test_absorption_outside_0_to_1_is_refused_wherever_it_is_stated(name, value)
     given[name] = np.where(np.arange(given[name].size) == 1, value, 0.5).reshape(given[name].shape)
     with pytest.raises(InputError, match="absorption" if name == "absorption" else name):
         AbsorptionPosterior(("wall",), bands, **given)
-
-
-def test_of_nothing_counted_no_share_is_known():
-    """Its interval is all that a share can be."""
-    found = grouped_proportion(np.ones((3, 2), np.bool_), np.zeros((3, 2), np.bool_))
-    assert (found.count, found.of, found.low, found.high) == (0, 0, 0.0, 1.0)
-    assert np.isnan(found.value)

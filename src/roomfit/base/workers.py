@@ -48,7 +48,6 @@ TASKS_A_THREAD = 4
 # A cluster is asked no more often how many threads it has: workers come and go.
 _THREADS_FOR_S = 5.0
 # Below it the work of the scheduler (a few ms a task) and of a worker's turn shows.
-SHORTEST_TASK_S = 5.0
 _CONNECTING_S = 20
 # What a worker of the own cluster is given to end by itself.
 _ENDING_S = 0.5
@@ -195,26 +194,6 @@ def in_pool(
         if progress is not None:
             progress(len(results) / len(tasks))
     return [results[number] for number in range(len(tasks))]
-
-
-def bundled(
-    tasks: Sequence[Callable[[], T]], seconds_each: Callable[[], float | None]
-) -> Iterator[Callable[[], list[T]]]:
-    """Yield tasks in bundles that take `SHORTEST_TASK_S` or longer, in their order.
-
-    `seconds_each`: what a task has taken until now; None while that is not known, and tasks go one
-    by one.
-    """
-    at = 0
-    while at < len(tasks):
-        each = seconds_each()
-        size = 1 if each is None else int(SHORTEST_TASK_S / max(each, 1e-3)) + 1
-        yield partial(_one_after_another, tuple(tasks[at : at + size]))
-        at += size
-
-
-def _one_after_another(tasks: tuple[Callable[[], T], ...]) -> list[T]:
-    return [task() for task in tasks]
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 import roomfit
-from roomfit.base.errors import InputError, RoomfitError, StoreError
+from roomfit.base.errors import RoomfitError, StoreError
 from roomfit.cli import (
     app,
     batch,
@@ -28,7 +28,6 @@ from roomfit.cli import (
     catalogue,
     check,
     compare,
-    coverage,
     demo,
     design,
     export,
@@ -53,7 +52,6 @@ _COMMANDS = (
     catalogue,
     check,
     compare,
-    coverage,
     demo,
     design,
     export,
@@ -68,7 +66,6 @@ _COMMANDS = (
     schema,
     treat,
 )
-_RENAMED = {"calibrate": "coverage"}
 _INTERRUPTED = 130
 _INSIST_S = 1.0
 
@@ -202,10 +199,6 @@ def _parsed(arguments: list[str]) -> argparse.Namespace:
         sys.stdout.write(parser.format_help())
         sys.exit(2)
     name = arguments[0]
-    if name in _RENAMED:
-        what = f"the command {name!r} is now called {_RENAMED[name]!r}"
-        needed = _RENAMED[name]
-        raise InputError(what, found=name, needed=needed, hint=f"roomfit {_RENAMED[name]} ...")
     if name.startswith("-"):
         parser.refuse_unknown_options(arguments)
         return parser.parse_args(arguments)

@@ -21,12 +21,10 @@ import numpy as np
 from roomfit.base.cache import (
     check_output_folder,
     make_folder,
-    shared_folder,
     sole_writer,
     user_cache,
     whole_output_folder,
     write_bytes_atomically,
-    write_json_atomically,
     write_text_atomically,
 )
 from roomfit.base.errors import InputError, located
@@ -39,8 +37,6 @@ from roomfit.settings import Settings
 if TYPE_CHECKING:
     from roomfit.base.findings import Finding
     from roomfit.checks.usable import CheckedRecordings
-    from roomfit.coverage.estimate import CoverageResult
-    from roomfit.coverage.synthetic_room import CoverageSettings
     from roomfit.design.positions import Design
     from roomfit.files.campaign import Campaign
     from roomfit.files.remedies import Advice
@@ -497,39 +493,6 @@ def design_to_folder(
         write_bytes_atomically(folder / "design_map.png", png(design_map(answer)))
         write_bytes_atomically(folder / "design_gain.png", png(design_gain(answer)))
     return answer
-
-
-def estimate_coverage_to_folder(
-    campaign_file: Path,
-    out: Path,
-    settings: CoverageSettings | None = None,
-    *,
-    progress: Progress | None = None,
-) -> CoverageResult:
-    """Estimate coverage and write coverage.json, coverage.csv and coverage.png.
-
-    They are of all replicates in the folder, whichever run has made them.
-
-    Raises
-    ------
-    InputError, InsufficientDataError, StoreError
-        See `roomfit.estimate_coverage`.
-    """
-    from roomfit.coverage.estimate import estimate_coverage
-    from roomfit.coverage.output import coverage_figure, coverage_json, coverage_records
-    from roomfit.files.campaign import read_campaign
-    from roomfit.report.figures import png
-
-    result = estimate_coverage(read_campaign(campaign_file), out, settings, progress=progress)
-    picture = png(coverage_figure(result.found))
-    with shared_folder(out, alone=True) as locked:
-        # without locks other runs may add replicates at this moment: files one by one
-        place = whole_output_folder(out, overwrite=True) if locked else nullcontext(out)
-        with place as folder:
-            write_text_atomically(folder / "coverage.csv", csv_of(coverage_records(result)))
-            write_bytes_atomically(folder / "coverage.png", picture)
-            write_json_atomically(folder / "coverage.json", coverage_json(result))
-    return result
 
 
 @sole_writer
