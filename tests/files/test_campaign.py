@@ -136,6 +136,21 @@ def test_everything_that_a_key_may_be_is_named(tmp_path, line, words):
         campaign_from(tmp_path, f"{GOOD}\n{line}\n")
 
 
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (
+            "smoothness_per_octave = 0.5",
+            r"earlier version(?s:.*)'smoothness_per_octave'(?s:.*)leave",
+        ),
+        ('method = "simplx"', r"identify.method(?s:.*)'simplx'"),
+    ],
+)
+def test_a_key_of_an_earlier_version_is_refused_by_what_to_do_without_it(tmp_path, line, words):
+    with pytest.raises(InputError, match=words):
+        campaign_from(tmp_path, f"{GOOD}\n[identify]\n{line}\n")
+
+
 NAMED = GOOD + (
     '[products.p]\n[loudspeakers.l]\n[groups.g]\nmembers = ["*"]\nsd = 0.1\n'
     '[[states]]\nname = "s"\nmaterials = {north = "m"}\n'

@@ -518,7 +518,6 @@ def _settings(path: Path, table: CampaignTable) -> Settings:
             seed=own.seed,
             positions=own.positions,
             reflection_delays=own.wall_delays,
-            smoothness_per_octave=own.smoothness_per_octave,
             temperature_sd_c=table.air.temperature_sd_c,
             **stated,
         )

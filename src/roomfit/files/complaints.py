@@ -14,7 +14,7 @@ from pydantic_core import ErrorDetails
 
 from roomfit.base.arguments import did_you_mean
 from roomfit.base.errors import InputError
-from roomfit.files.schema import BECAUSE
+from roomfit.files.schema import BECAUSE, GONE
 
 
 def explained(path: Path, error: ValidationError, table: type[BaseModel]) -> InputError:
@@ -46,6 +46,14 @@ def explained(path: Path, error: ValidationError, table: type[BaseModel]) -> Inp
             hint=_meaning(table, place),
         )
     where = f"{path}, {_key_path(place)}"
+    if (advice := _gone(table, first)) is not None:
+        return InputError(
+            "a key or value of the campaign file is of an earlier version",
+            where=where,
+            found=repr(place[-1] if first["type"] == "extra_forbidden" else first["input"]),
+            needed="keys and values of this version",
+            hint=advice,
+        )
     if first["type"] == "extra_forbidden":
         key = str(first["loc"][-1])
         known = _known_keys(table, first["loc"][:-1])
@@ -75,6 +83,19 @@ def explained(path: Path, error: ValidationError, table: type[BaseModel]) -> Inp
         needed=", or ".join(dict.fromkeys(needed)),
         hint=(_reason(table, place) if ranged else None) or _meaning(table, place),
     )
+
+
+def _gone(table: type[BaseModel], complaint: ErrorDetails) -> str | None:
+    """Return what to do without a key, or a value, that earlier versions had."""
+    place, model, known = _place(complaint), table, []
+    for part in place[:-1]:
+        field = model.model_fields.get(str(part))
+        if field is not None:
+            known.append(str(part))
+            model = next(iter(_models_within(field.annotation)), model)
+    key = ".".join([*known, str(place[-1])]) if place else ""
+    is_value = complaint["type"] == "literal_error"
+    return GONE.get(f"{key} = {complaint['input']}" if is_value else key)
 
 
 def _in_our_words(message: str) -> str:

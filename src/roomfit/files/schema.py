@@ -13,6 +13,17 @@ from pydantic import BaseModel, ConfigDict, Field
 from roomfit.materials.priors import PRODUCT_SD, PRODUCT_SDS
 from roomfit.settings import SETTING_LIMITS, Method
 
+GONE = {
+    "identify.method = certified": "no minimum is proven any more; leave method out",
+    "identify.method = posterior": "no posterior is sampled any more; leave method out, and "
+    "intervals come from profiles",
+    "identify.smoothness_per_octave": "bands are fitted by themselves; leave the key out",
+}
+"""Keys of earlier versions, and their values as ``key = value``, with what to do without them.
+
+Names of materials, sources and so on are left out: ``materials.NAME.key`` is ``materials.key``.
+"""
+
 BECAUSE = "because"  # why the range of a number ends where it does, in its schema
 
 
@@ -366,10 +377,6 @@ class IdentifyTable(Table):
     """Whether positions, speed of sound and latencies are fitted within their priors."""
     wall_delays: bool = True
     """Whether delays of reflections are fitted."""
-    smoothness_per_octave: (
-        Annotated[float, _limited(*SETTING_LIMITS["smoothness_per_octave"])] | None
-    ) = None
-    """Standard deviation by which logit absorption changes from octave to octave."""
     seed: Annotated[int, _limited(*SETTING_LIMITS["seed"])] = 1
     """Of rays and annealing."""
 
