@@ -171,15 +171,16 @@ def reduced(rows: EnergyRows, absorption: FloatArray, most: int) -> EnergyRows:
     cases = np.vstack(
         [absorption, np.where(np.eye(len(far), dtype=np.bool_), far, absorption), far]
     )
-    energy = np.exp(rows.hits @ np.log(np.maximum(1.0 - cases.T, 1e-9)))
-    energy *= rows.weight_per_m2[:, None]
-    after = np.cumsum(energy[::-1], axis=0)[::-1]
-    is_low = np.all(after < 10.0 ** (-0.1 * _FOLLOWED_DB) * after[0], axis=1)
+    # a case a row: sums along rows are four times as fast as across them
+    energy = np.exp(rows.hits @ np.log(np.maximum(1.0 - cases.T, 1e-9))).T.copy()
+    energy *= rows.weight_per_m2
+    after = np.cumsum(energy[:, ::-1], axis=1)[:, ::-1]
+    is_low = np.all(after < 10.0 ** (-0.1 * _FOLLOWED_DB) * after[:, :1], axis=0)
     last = int(window_of_rows(rows)[np.argmax(is_low)]) if is_low.any() else rows.n_windows
     ends = rows.offsets[np.append(np.arange(0, last, BINS_TOGETHER), last)]
     weight, n_each = np.zeros(len(rows)), most / (ends.size - 1)
     for begin, end in pairwise(ends.tolist()):
-        weight[begin:end] = _calibrated(energy[begin:end], n_each)
+        weight[begin:end] = _calibrated(energy[:, begin:end], n_each)
     kept = np.flatnonzero(weight)
     counts = np.bincount(window_of_rows(rows)[kept], minlength=rows.n_windows)
     return EnergyRows(
@@ -196,24 +197,24 @@ def reduced(rows: EnergyRows, absorption: FloatArray, most: int) -> EnergyRows:
 def _calibrated(energy: FloatArray, n_each: float) -> FloatArray:
     """Return factors on the rows of one stretch, 0 for those that are left out.
 
-    Parameters
-    ----------
-    energy : float array, shape (n_rows, n_cases)
-    n_each : float
-        About how many rows are to be kept.
+    `energy` has the shape (n_cases, n_rows); about `n_each` rows are to be kept.
     """
-    total = energy.sum(axis=0)
-    share = energy * np.divide(1.0, total, out=0.0 * total, where=total > 0.0)
-    size = share.max(axis=1, initial=0.0)
-    chance = np.zeros(size.size)
+    total = energy.sum(axis=1)
+    share = energy * np.divide(1.0, total, out=0.0 * total, where=total > 0.0)[:, None]
+    size = share.max(axis=0, initial=0.0)
+    chance, rest = np.zeros(size.size), size.copy()
     for _ in range(4):  # what is certain leaves more for the others
-        is_sure, left = chance >= 1.0, max(n_each - np.sum(chance >= 1.0), 1.0)
-        rest = np.where(is_sure, 0.0, size)
-        chance = np.where(is_sure, 1.0, left * rest / max(rest.sum(), 1e-300))
+        is_sure = chance >= 1.0
+        n_sure = np.count_nonzero(is_sure)
+        rest[is_sure] = 0.0
+        chance = max(n_each - n_sure, 1.0) * rest / max(rest.sum(), 1e-300)
+        chance[is_sure] = 1.0
+        if not n_sure and not np.any(chance >= 1.0):
+            break
     chance = np.minimum(chance, 1.0)
     taken = np.diff(np.floor(np.cumsum(chance) + 0.5), prepend=0.0) > 0.0
-    z, c = share[taken], 1.0 / chance[taken]
-    shift = np.linalg.lstsq(z.T @ (c[:, None] * z), (total > 0.0) - c @ z, rcond=1e-6)[0]
+    z, c = share[:, taken], 1.0 / chance[taken]
+    shift = np.linalg.lstsq((z * c) @ z.T, (total > 0.0) - z @ c, rcond=1e-6)[0]
     weight = np.zeros(size.size)
-    weight[taken] = c * np.clip(1.0 + z @ shift, 0.2, 5.0)
+    weight[taken] = c * np.clip(1.0 + shift @ z, 0.2, 5.0)
     return weight
