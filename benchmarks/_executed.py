@@ -29,7 +29,7 @@ SOURCE = REPOSITORY / "src" / "roomfit"
 
 # The packages that decide numbers: not those that read and write files, show or start something.
 NUMERICAL = (
-    *("air", "bands", "batch", "certified", "diagnostics", "experiment_design"),
+    *("air", "bands", "batch", "diagnostics", "experiment_design"),
     *("eyring", "geometry", "identification", "impedance", "inversion", "logit", "materials"),
     *("measurement", "objective", "prediction", "response", "scene", "signals", "solvers"),
     *("suh2001", "synthetic", "tracing", "treatment", "uncertainty"),

@@ -340,15 +340,6 @@ def _scattering(folder: Path, run: RunCommand) -> None:
     _identify(run, campaign, folder)
 
 
-def _certified(folder: Path, run: RunCommand) -> None:
-    campaign = _write_box(
-        folder,
-        identify='from_hz = 500\nto_hz = 500\nmethod = "certified"',
-        materials={"tiles": "absorption = 0.3"},
-    )
-    _identify(run, campaign, folder)
-
-
 def _posterior(folder: Path, run: RunCommand) -> None:
     campaign = _write_box(
         folder,
@@ -470,7 +461,6 @@ CASES = (
     ),
     Case("directivity", "first-order directivity of the source fitted", _directivity),
     Case("scattering", "scattering of the walls fitted", _scattering),
-    Case("certified", "least squares with a certificate, one octave", _certified),
     Case("posterior", "samples of the posterior, one octave", _posterior),
     Case("impedance", "impedances of three materials from damped spectra", _impedance),
     Case("follow-up", "prediction, design and a treatment after a fit", _what_follows),

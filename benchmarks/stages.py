@@ -47,7 +47,6 @@ STAGES = (
     ("energies, where they decide", coherent, "fit_band"),
     ("score tests of the chain", coherent, "chain_scores"),
     ("errors that windows share", coherent, "with_shared_errors"),
-    ("certificates", solve, "affordable_certificate"),
     ("energies, without pressures", solve, "fitted_band"),
     ("profiles", intervals, "profiled"),
     ("mirror images", intervals, "_mirrored"),

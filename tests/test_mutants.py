@@ -54,7 +54,6 @@ AREAS = {
     "scans and seats",
     "scattering weights",
     "seeds",
-    "certificate",
     "displacement",
     "doors",
     "impedance",

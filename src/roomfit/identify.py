@@ -46,7 +46,6 @@ from roomfit.fit.displacement import (
 from roomfit.fit.fits import BandFits
 from roomfit.fit.measurements import Measurements
 from roomfit.fit.methods import (
-    check_certifiable,
     interval_words,
     method_chosen,
     prior_intervals,
@@ -170,7 +169,6 @@ def identify(
         check_sampler()
     priors = complete_priors(scene.room.materials, materials, bands)
     _check_objects(scene, priors)
-    check_certifiable(given.measured, settings, priors)
     with counted_evaluations() as made:
         ends = (0.02, 0.22, 0.49, 0.98) if scene.groups else (0.02, 0.45, 0.98, 0.98)
         early, late, again = (part(progress, *x) for x in itertools.pairwise(ends))
@@ -425,7 +423,6 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
         scattering=evidence.traced.scattering,
         geometry=evidence.fits.geometry,
         directivities=evidence.fits.directivities,
-        certificates=tuple(b.certificate for b in found),
         costs=tuple(b.costs for b in found),
         mean_costs=tuple(b.mean_costs for b in found),
         identifiable_by_rule=np.stack([b.identifiable for b in found], axis=1),

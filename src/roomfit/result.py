@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
     from roomfit.base.table import Table
     from roomfit.model.directivity import FittedDirectivity
-    from roomfit.paper.certificate_record import Certificate
 
     # compiled, and nobody who reads a result waits for it
     from roomfit.pressures.data_term import FittedGeometry
@@ -129,8 +128,6 @@ class Result:
     scattering: FloatArray | None = None  # (n_materials, n_bands): specified, assumed or fitted
     geometry: FittedGeometry | None = None  # None where arrival times were not fitted
     directivities: tuple[FittedDirectivity, ...] = ()  # of the sources for which it was fitted
-    # by band, what was proven of the lowest cost of energies with their weights fixed
-    certificates: tuple[Certificate | None, ...] = ()
     sentences: tuple[str, ...] = ()  # by band, which groups of materials the data determine
     # (3, n_materials, n_bands), share of each material in the room's absorption with its bounds
     shares: FloatArray | None = None
@@ -426,22 +423,3 @@ def result_doubts(
     about = About(bands_hz=() if voids else at_hz)
     evidence = {"codes": [c.value for c in voids], "chi2_reduced": np.round(misfit, 2).tolist()}
     return (Finding(Code.RESULT_DOUBTED, about, text, evidence), *repeated)
-
-
-def certificate_distance(answer: Result, band: int) -> float:
-    """Return the largest difference of any absorption from the certified minimiser's.
-
-    An answer from pressures is not the minimiser of energies: this is how far apart they are.
-    0 where every absorption is known, so that none was found.
-
-    `band`: one with a certificate.
-    """
-    proof = answer.certificates[band]
-    assert proof is not None  # noqa: S101 - the caller's promise
-    best = dict(zip(proof.coordinates, proof.clusters[0].minimiser, strict=True))
-    differences = (
-        abs(float(best[name]) - float(answer.absorption[i, band]))
-        for i, name in enumerate(answer.materials)
-        if name in best
-    )
-    return max(differences, default=0.0)

@@ -9,10 +9,10 @@ from typing import Any, Literal, get_args
 from roomfit.base.arguments import check_known
 from roomfit.base.errors import InputError
 
-Method = Literal["auto", "simplex", "annealing", "least-squares", "certified", "posterior"]
+Method = Literal["auto", "simplex", "annealing", "least-squares", "posterior"]
 Model = Literal["auto", "energy", "coherent"]
 Positions = Literal["auto", "fit", "fixed"]
-# The paper's searches cannot follow many unknowns beside absorption; a certificate has no bounds.
+# The paper's searches cannot follow many unknowns beside absorption.
 LEAST_SQUARES_METHODS: tuple[Method, ...] = ("auto", "least-squares", "posterior")
 # Relative standard deviation of the speed of sound where nothing is specified.
 SPEED_OF_SOUND_SD = 2e-3

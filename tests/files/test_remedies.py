@@ -310,7 +310,7 @@ def test_lines_that_are_shown_are_those_that_are_written_and_choices_have_number
     assert advice(found, own) == {}, "an answer is not lost with its campaign"
 
 
-@pytest.mark.parametrize("code", [Code.COORDINATES_SCALED, Code.DECAY_BENT, Code.NOT_CERTIFIED])
+@pytest.mark.parametrize("code", [Code.COORDINATES_SCALED, Code.DECAY_BENT])
 def test_a_finding_that_nothing_written_can_help_has_no_remedy(tmp_path: Path, code: Code) -> None:
     assert remedies(doubt(code, {"factor": 0.3048}), campaign_of(tmp_path, ROOM)) == ()
 

@@ -140,7 +140,6 @@ def test_a_known_wall_tells_of_the_others_of_its_product():
     np.testing.assert_allclose(mean[1], MEAN + gain * (logit(np.array([0.4, 0.2])) - MEAN))
     np.testing.assert_allclose(covariance[:, 1, 1], 2.34 - gain * 2.25)
     np.testing.assert_array_equal(covariance[:, 0, 1], 0.0)
-    # certificates need no more than that the unknown ones are independent
     assert absorption_block(known, 0, 0.2).correlation is None
 
 

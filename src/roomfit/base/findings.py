@@ -81,8 +81,6 @@ class Code(StrEnum):
     DECAY_NOT_REPRODUCED = "decay-not-reproduced", "serious", _VOIDS_ITS_OWN
     REFLECTION_DISAGREES = "reflection-disagrees", ("warning", "serious"), _VOIDS_ITS_OWN
     FIT_NOT_CONVERGED = "fit-not-converged", "warning"
-    NOT_CERTIFIED = "not-certified", "warning"
-    MULTIPLE_MINIMA_CERTIFIED = "multiple-minima-certified", "warning"
     MULTIPLE_MINIMA_MULTISTART = "multiple-minima-multistart", "warning"
     SAMPLING_NOT_CONVERGED = "sampling-not-converged", "warning"
     PRIOR_DOMINATED = "prior-dominated", "warning"

@@ -105,7 +105,6 @@ AFTER_THE_FIT: tuple[FittedCheck, ...] = (
     misfit.check_bands,
     convergence.check_fits,
     misfit.check,
-    minima.check_certificates,
     minima.check_starts,
     convergence.check_samples,
     prior.check,

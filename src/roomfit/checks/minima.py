@@ -1,4 +1,4 @@
-"""Whether energies have one minimum: by random starts, and by the search for a certificate."""
+"""Whether energies have one minimum: by random starts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 from roomfit.base.findings import About, Code, Finding
 from roomfit.checks.evidence import Evidence, Law
-from roomfit.paper.certificate_record import certificate_findings
 
 LAWS = {
     Code.MULTIPLE_MINIMA_MULTISTART: Law(
@@ -14,12 +13,6 @@ LAWS = {
         "ends of fits from random starts",
     )
 }
-
-
-def check_certificates(evidence: Evidence) -> Iterator[Finding]:
-    """Yield findings for bands whose lowest minimum is not proven, or has equals."""
-    certificates = [e.certificate for e in evidence.fits.answers]
-    yield from certificate_findings(evidence.measured.bands, certificates)
 
 
 def check_starts(evidence: Evidence) -> Iterator[Finding]:

@@ -254,7 +254,7 @@ RESULT_KEYS = {
     "share_upper95 prior interval",
     "posterior": "materials logit_mean logit_covariance prior_logit_mean prior_logit_sd "
     "prior_logit_covariance draws prior_specified",
-    "fit": "method model cost models phi by_pressures evaluations converged seconds certified seed "
+    "fit": "method model cost models phi by_pressures evaluations converged seconds seed "
     "intervals method_chosen reasons sampling",
     "pairs": "source receiver use state parameters sti",
     "findings": "code severity sentence about evidence",

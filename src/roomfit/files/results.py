@@ -43,14 +43,12 @@ from roomfit.result import (
     ObjectAreas,
     Result,
     absorption_posterior,
-    certificate_distance,
     departures_jnd,
 )
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
 
 if TYPE_CHECKING:  # compiled: reading a result does not wait for it
     from roomfit.model.patterns import Pattern
-    from roomfit.paper.certificate_record import Certificate
     from roomfit.pressures.data_term import FittedGeometry
     from roomfit.uncertainty.combinations import Combination, Difference
 
@@ -397,7 +395,6 @@ def _fit(answer: Result) -> dict[str, Any]:
         "evaluations": answer.evaluations,
         "converged": answer.converged,
         "seconds": round(answer.seconds, 3),
-        "certified": _certified(answer),
         "seed": answer.seed,
         "intervals": answer.interval_kind,
         "method_chosen": answer.method,
@@ -507,57 +504,6 @@ def _combinations(answer: Result) -> list[dict[str, Any]]:
         for centre, band, sentence in bands
         for number, c in enumerate(band)
     ]
-
-
-def _certified(answer: Result) -> dict[str, Any] | None:
-    """What was proven of the cost of energies with their weights fixed: bands add up."""
-    proven = [
-        (centre, certificate_content(proof) | {"distance": certificate_distance(answer, j)})
-        for j, (centre, proof) in enumerate(
-            zip(answer.bands.centres_hz, answer.certificates, strict=False)
-        )
-        if proof is not None
-    ]
-    if not proven:
-        return None
-    sums = ("value", "lower_bound", "delta", "open", "boxes", "seconds")
-    statuses = {content["status"] for _, content in proven}
-    return {
-        "status": next(s for s in ("stopped", "unresolved", "certified") if s in statuses),
-        "objective": "energies of the windows, weights held",
-        **{name: sum(content[name] for _, content in proven) for name in sums},
-        "clusters": [
-            {"band_hz": centre, **cluster}
-            for centre, content in proven
-            for cluster in content.pop("clusters")
-        ],
-        "bands": [{"band_hz": centre, **content} for centre, content in proven],
-    }
-
-
-def certificate_content(certificate: Certificate) -> dict[str, Any]:
-    """Return the content of a certificate; absorptions and gains in the order of the names."""
-    return {
-        "status": certificate.status,
-        "sentence": certificate.sentence,
-        "unknowns": certificate.coordinates,
-        "value": certificate.value,
-        "lower_bound": certificate.lower_bound,
-        "delta": certificate.delta,
-        "clusters": [
-            {
-                "lower": c.lower,
-                "upper": c.upper,
-                "minimiser": c.minimiser,
-                "value": c.value,
-                "unique": c.unique,
-            }
-            for c in certificate.clusters
-        ],
-        "open": certificate.n_open,
-        "boxes": certificate.boxes,
-        "seconds": round(certificate.seconds, 3),
-    }
 
 
 def _geometry(geometry: FittedGeometry) -> dict[str, Any]:

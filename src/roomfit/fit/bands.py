@@ -17,7 +17,6 @@ from roomfit.model.parameters import (
     start_vector,
 )
 from roomfit.model.problem import Objective
-from roomfit.paper.certificate_record import Certificate
 from roomfit.settings import Settings
 from roomfit.solver.least_squares import (
     BandFit,
@@ -110,9 +109,8 @@ def fitted_band(
     Parameters
     ----------
     settings : Settings
-        Method and seed. "auto" is least squares, with a proof where one is affordable. The
-        paper's two methods search for the first squares' minimum. "certified" is least squares with
-        a proof.
+        Method and seed. "auto" is least squares from several starts. The paper's two methods
+        search for the first squares' minimum.
     shared_covariance : callable, optional
         Makes intervals allow for errors that a fit cannot see.
     """
@@ -120,32 +118,16 @@ def fitted_band(
         return FittedBand(prior_only_band(priors, band))
     method, seed = settings.method, settings.seed
     starts: Starts | None = None
-    proof: Certificate | None = None
     model = "energy" if objective.is_gamma().any() else "values"
-    if method == "certified":
-        from roomfit.paper.certificate import certified_fit  # heavy: kernels of its own
-
-        fit, proof = certified_fit(objective, progress=progress)
-        model = "energy"
-    else:
-        solver = _solver(objective.parameters, method, np.random.default_rng(seed))
-        fit = fit_band(objective, solver, max_rounds=settings.max_rounds, progress=progress)
-        if method == "auto" and fit.vector.size and only_energies(objective) is not None:
-            fit, starts = from_random_starts(
-                objective, fit, np.random.default_rng(seed), settings.n_random_starts
-            )
-    if method == "auto":
-        proof = affordable_certificate(objective, fit.vector)
+    solver = _solver(objective.parameters, method, np.random.default_rng(seed))
+    fit = fit_band(objective, solver, max_rounds=settings.max_rounds, progress=progress)
+    if method == "auto" and fit.vector.size and only_energies(objective) is not None:
+        fit, starts = from_random_starts(
+            objective, fit, np.random.default_rng(seed), settings.n_random_starts
+        )
     noisy = fit if shared_covariance is None else shared_covariance(band, objective, fit)
     own = band_estimate(objective.parameters, noisy, model)
-    return FittedBand(replace(own, starts=starts, certificate=proof), objective, fit)
-
-
-def affordable_certificate(objective: Objective, vector: FloatArray) -> Certificate | None:
-    """Return what is proven of a band's energies near a fit, where that takes a moment."""
-    from roomfit.paper.certificate import affordable_certificate as certificate  # heavy
-
-    return certificate(objective, vector)
+    return FittedBand(replace(own, starts=starts), objective, fit)
 
 
 def _solver(parameters: Parameters, method: str, rng: np.random.Generator) -> Solver:

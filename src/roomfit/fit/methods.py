@@ -1,4 +1,4 @@
-"""Which method and which intervals were used, in words; what a certificate can be asked of."""
+"""Which method and which intervals were used, in words."""
 
 from __future__ import annotations
 
@@ -7,12 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from roomfit.base.bands import Bands
-from roomfit.base.errors import InputError
 from roomfit.base.logit import Z95, expit
 from roomfit.base.typing import FloatArray
-from roomfit.fit.measurements import Measurements
 from roomfit.materials.priors import MaterialPrior, prior_logits
-from roomfit.settings import Settings
 from roomfit.uncertainty.gaussian import BandEstimate
 
 
@@ -72,15 +69,6 @@ def reasons(method: str, bands: Bands, answers: Sequence[BandEstimate]) -> tuple
             f"{len(tried)} bands: {sum(s.agreeing for s in tried)} of "
             f"{sum(s.number for s in tried)} ended within the intervals of the answer."
         )
-    proven = [a.certificate.status for a in answers if a.certificate is not None]
-    if proven:
-        sentences.append(
-            f"The global minimum is proven in {proven.count('certified')} of {len(proven)} bands."
-        )
-    elif method == "auto":
-        sentences.append(
-            'The global minimum is not proven: method = "certified" does that for energies.'
-        )
     kinds = [kind for a in answers for kind in a.kinds if kind in ("profile", "gaussian", "none")]
     if "profile" in kinds:
         sentences.append(
@@ -98,41 +86,3 @@ def reasons(method: str, bands: Bands, answers: Sequence[BandEstimate]) -> tuple
             else "The samples converged in no band."
         )
     return tuple(sentences)
-
-
-def check_certifiable(
-    measurements: Measurements, settings: Settings, priors: tuple[MaterialPrior, ...]
-) -> None:
-    """Check that a certificate is asked for only of energies of windows and independent walls.
-
-    Raises
-    ------
-    InputError
-        Pressures or room parameters are to be fitted: they have no bounds over boxes. Or
-        materials share a product: the prior is then no sum over materials.
-    """
-    if settings.method != "certified":
-        return
-    product = next((k for k in priors if k.product is not None), None)
-    if product is not None:
-        raise InputError(
-            "a certificate exists for materials whose priors are independent only",
-            where="identify.method",
-            found=f"{product.name} is of the product {product.product!r}",
-            needed="materials without product",
-            hint='leave out the product, or use method = "least-squares"',
-        )
-    found = []
-    if settings.model == "coherent":
-        found.append('model = "coherent"')
-    if measurements.values:
-        found.append("room parameters that are to be fitted")
-    if found:
-        raise InputError(
-            "a certificate exists for energies of windows only",
-            where="identify.method",
-            found=" and ".join(found),
-            needed='impulse responses alone, and model = "energy" or "auto"',
-            hint="pressures and room parameters are not monotonic in absorption, so that they "
-            'have no bounds over boxes: use method = "least-squares"',
-        )

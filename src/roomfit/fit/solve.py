@@ -11,7 +11,7 @@ import numpy as np
 from roomfit.base.air import Air, relative_speed_sd
 from roomfit.base.forks import in_forks
 from roomfit.base.typing import BoolArray, FloatArray, Progress, part
-from roomfit.fit.bands import affordable_certificate, fitted_band
+from roomfit.fit.bands import fitted_band
 from roomfit.fit.directivity import (
     DirectivityScore,
     band_directivities,
@@ -136,7 +136,7 @@ def estimate_energies(
         directivities = directed_energies(measured, priors, traced, start, unknown)
         objective_of = energy_objectives(measured, priors, traced, start, directivities)
         score = None
-        if tested is not None and settings.method != "certified":  # a proof is of what was asked
+        if tested is not None:
             score = source_scorer(measured, traced, tested)
         shared, n = shared_error_covariance(measured, traced), len(measured.bands)
 
@@ -337,24 +337,12 @@ def decided(
     energy: Sequence[BandEstimate | None],
     coherent: Sequence[BandEstimate | None],
 ) -> tuple[BandEstimate | None, ...]:
-    """Return each band's estimate by the model of larger evidence, None without data.
-
-    With what is proven of its energies alone, where that is affordable.
-    """
+    """Return each band's estimate by the model of larger evidence, None without data."""
     task = fit.state.task
-    chosen = [
+    return tuple(
         _decided(*each, task.settings)
         for each in zip(energy, coherent, fit.log_evidences, strict=True)
-    ]
-    if task.settings.model != "auto":
-        return tuple(chosen)
-    out: list[BandEstimate | None] = []
-    for answer, band in zip(chosen, fit.state.bands, strict=True):
-        if answer is not None and band is not None:
-            proof = affordable_certificate(band.energies, band.energy_fit.vector)
-            answer = replace(answer, certificate=proof)
-        out.append(answer)
-    return tuple(out)
+    )
 
 
 def _decided(

@@ -7,15 +7,10 @@ the certificate. The proof holds for the weights of the answer, so that fit and 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
-from roomfit.base.errors import InputError
-from roomfit.base.typing import FloatArray, IntArray, Progress
-from roomfit.model.energy import EnergyTerm, only_energies, weighed
-from roomfit.model.parameters import Parameters, physical_values
-from roomfit.model.problem import Objective
+from roomfit.base.typing import FloatArray, IntArray
 from roomfit.paper.certificate_record import Certificate, Cluster, Status
 from roomfit.paper.convex import descend, is_convex, total_misfit
 from roomfit.paper.global_search import (
@@ -29,14 +24,8 @@ from roomfit.paper.global_search import (
 )
 from roomfit.paper.question import (
     GlobalProblem,
-    energy_global_problem,
-    free_vector,
-    is_certifiable,
     to_absorption,
 )
-from roomfit.solver.ending import Ending
-from roomfit.solver.least_squares import BandFit, Solver, fit_band
-from roomfit.solver.levenberg_marquardt import Minimum, ResidualFunction
 
 # Descents within a cluster: from its boxes of lowest bounds.
 _DESCENTS = 24
@@ -155,129 +144,3 @@ def _sentence(status: Status, value: float, bound: float, found: Searched, n: in
         f"Certified: no absorption has a misfit below {bound:.6g}, {value:.6g} was found, and only "
         f"{where} within {found.delta:.3g} of it."
     )
-
-
-# Of half the weighted squares: one standard deviation costs 0.5.
-_LEAST_DELTA = 0.02
-# Of boxes left over; narrower ones would locate minima better, and take longer.
-_WIDTH = 0.25
-# Weights change with the answer: certify, fit again from the best minimum, certify again.
-_ROUNDS = 2
-# What one band may cost; rows of all windows, paths of equal hits as one.
-_MOST_BOXES, _MOST_SECONDS, MOST_ROWS = 200_000, 60.0, 400_000
-
-# What a proof that was not asked for may cost. With more unknowns it took a minute.
-_AFFORDABLE_BOXES, _AFFORDABLE_SECONDS, _AFFORDABLE_ROWS = 3_000, 2.0, 60_000
-_AFFORDABLE_UNKNOWNS = 3
-# Half of what one standard deviation costs: finer proofs take many times as many boxes.
-_AFFORDABLE_DELTA = 0.25
-
-
-def certified_fit(
-    objective: Objective, *, progress: Progress | None = None
-) -> tuple[BandFit, Certificate | None]:
-    """Fit one band by least squares, and prove how low its cost can be.
-
-    Where the search finds a lower minimum, the fit starts again from there, and the proof is made
-    again with the weights of the new answer. There is none where nothing is unknown.
-
-    Raises
-    ------
-    InputError
-        The band holds other data than energies, or too many rows.
-    """
-    energies, parameters = only_energies(objective), objective.parameters
-    if energies is None:
-        raise InputError(
-            "only energies can be certified",
-            found="room parameters, or pressures that are added",
-            needed='impulse responses alone, method = "certified" and model = "energy" or "auto"',
-            hint='use method = "least-squares"',
-        )
-    fit = fit_band(objective)
-    if not fit.vector.size:
-        return fit, None
-    for number in range(_ROUNDS):
-        global_problem = energy_global_problem(energies, parameters, fit.vector)
-        if len(global_problem.weight) > MOST_ROWS:
-            raise InputError(
-                "too many rows for a certificate",
-                found=f"{len(global_problem.weight)} at {energies.centre_hz:g} Hz",
-                needed=f"at most {MOST_ROWS}",
-                hint='fewer materials, fewer pairs, or method = "least-squares"',
-            )
-        delta = tracing_delta(energies, parameters, fit.vector, global_problem.precision)
-        settings = SearchSettings(
-            delta, width=_WIDTH, max_boxes=_MOST_BOXES, max_seconds=_MOST_SECONDS
-        )
-        certificate = certify(global_problem, settings)
-        if progress is not None:
-            progress((number + 1) / _ROUNDS)
-        if fit.cost <= certificate.value + 1e-3 + 0.01 * delta:
-            break
-        place, before = free_vector(parameters, certificate.clusters[0].minimiser), fit.evaluations
-        fit = fit_band(objective, _staying_at(place))
-        fit = replace(fit, evaluations=before + fit.evaluations)
-    return fit, certificate
-
-
-def affordable_certificate(objective: Objective, vector: FloatArray) -> Certificate | None:
-    """Return what is proven of a band's energies near a fit, where that takes two seconds at most.
-
-    None where other data are fitted, more than three numbers are unknown, there are too many rows,
-    or the search is not complete after two seconds.
-
-    `vector`, shape (n_free,): the fit; its weights are kept.
-    """
-    few = 0 < vector.size <= _AFFORDABLE_UNKNOWNS
-    energies, parameters = only_energies(objective), objective.parameters
-    if not few or energies is None or not is_certifiable(energies, parameters):
-        return None
-    global_problem = energy_global_problem(energies, parameters, vector)
-    if len(global_problem.weight) > _AFFORDABLE_ROWS:
-        return None
-    delta = tracing_delta(energies, parameters, vector, global_problem.precision)
-    settings = SearchSettings(
-        max(delta, _AFFORDABLE_DELTA),
-        width=_WIDTH,
-        max_boxes=_AFFORDABLE_BOXES,
-        max_seconds=_AFFORDABLE_SECONDS,
-    )
-    certificate = certify(global_problem, settings)
-    return certificate if certificate.status == "certified" else None
-
-
-def _staying_at(place: FloatArray) -> Solver:
-    def stay(residuals: ResidualFunction, _start: FloatArray) -> Minimum:
-        values, _ = residuals(place)
-        return Minimum(place, 0.5 * float(values @ values), 1, Ending.CONVERGED)
-
-    return stay
-
-
-def tracing_delta(
-    energies: EnergyTerm, parameters: Parameters, vector: FloatArray, precision: FloatArray
-) -> float:
-    """Return how much of a cost may be due to the rays: less cannot be distinguished.
-
-    Other rays change window energies by errors e of variance v, and the cost ``sum c (r + e)**2``
-    by ``sum c v`` on average, give or take twice ``(sum (2 c r)**2 v) ** 0.5``.
-
-    Parameters
-    ----------
-    vector : float array, shape (n_free,)
-    precision : float array, shape (n_windows,)
-        c.
-
-    Returns
-    -------
-    float
-        Not below 0.02, a 25th of what one standard deviation costs.
-    """
-    values, _ = physical_values(parameters, vector)
-    gains = np.append(values["gain"], 1.0)
-    paths = zip(energies.observations, weighed(energies, values["absorption"]), strict=True)
-    variance = np.concatenate([gains[o.gain] ** 2 * found.tracing for o, found in paths])
-    off = energies.predict(values)[0] - energies.measured()
-    linear = float(np.sqrt(np.sum((2.0 * precision * off) ** 2 * variance)))
-    return max(float(np.sum(precision * variance)) + 2.0 * linear, _LEAST_DELTA)

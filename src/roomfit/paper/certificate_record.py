@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from roomfit.base.bands import Bands
-from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray
 
 Status = Literal["certified", "stopped", "unresolved"]
@@ -48,36 +45,3 @@ class Certificate:
     n_open: int  # boxes still to be examined when the search stopped
     boxes: int  # examined
     seconds: float
-
-
-def certificate_findings(
-    bands: Bands, certificates: Sequence[Certificate | None]
-) -> tuple[Finding, ...]:
-    """Return a finding for bands without proof, and one for those with several answers."""
-    findings = []
-    named = [(float(f), c) for f, c in zip(bands.centres_hz, certificates, strict=True)]
-    open_ = [(f, c) for f, c in named if c is not None and c.status != "certified"]
-    if open_:
-        listed = ", ".join(f"{f:g} Hz (at most {c.value - c.lower_bound:.2g})" for f, c in open_)
-        findings.append(
-            Finding(
-                Code.NOT_CERTIFIED,
-                About(bands_hz=[f for f, _ in open_]),
-                "The search for a better answer was stopped before it was complete; the cost could "
-                f"be lower at {listed}.",
-                {"bands_hz": [f for f, _ in open_]},
-            )
-        )
-    several = [(f, c) for f, c in named if c is not None and len(c.clusters) > 1]
-    if several:
-        listed = ", ".join(f"{f:g} Hz ({len(c.clusters)} minima)" for f, c in several)
-        findings.append(
-            Finding(
-                Code.MULTIPLE_MINIMA_CERTIFIED,
-                About(bands_hz=[f for f, _ in several]),
-                f"Absorptions far apart explain the energies within what rays resolve: {listed}. "
-                "The intervals are about one of them; fit.certified lists all.",
-                {"bands_hz": [f for f, _ in several]},
-            )
-        )
-    return tuple(findings)

@@ -26,7 +26,7 @@ from roomfit.base.cache import (
 )
 from roomfit.base.table import Column, Table, Value, csv_of, text_of
 from roomfit.base.typing import FloatArray, Progress
-from roomfit.files.results import certificate_content
+from roomfit.paper.certificate_record import Certificate
 from roomfit.paper.independent import (
     MEASUREMENT_PARTS,
     MEASUREMENT_RAYS,
@@ -125,7 +125,7 @@ def paper_json(result: PaperResult) -> dict[str, Any]:
         },
         "identified": [_identified_content(record) for record in result.records],
         "walls_apart": _walls_apart_content(result),
-        "certified": {name: certificate_content(c) for name, c in result.certificates.items()},
+        "certified": {name: _certificate_content(c) for name, c in result.certificates.items()},
         "independent_rays": {
             "measurement_rays": MEASUREMENT_RAYS * MEASUREMENT_PARTS,
             "repeats": result.independent[0].repeats,
@@ -135,6 +135,22 @@ def paper_json(result: PaperResult) -> dict[str, Any]:
             "truth": {str(n): list(division.true_absorption) for n, division in DIVISIONS.items()},
             "rows": [asdict(row) for row in result.independent],
         },
+    }
+
+
+def _certificate_content(certificate: Certificate) -> dict[str, Any]:
+    """Return the content of a certificate; absorptions in the order of the names."""
+    return {
+        "status": certificate.status,
+        "sentence": certificate.sentence,
+        "unknowns": certificate.coordinates,
+        "value": certificate.value,
+        "lower_bound": certificate.lower_bound,
+        "delta": certificate.delta,
+        "clusters": [asdict(c) for c in certificate.clusters],
+        "open": certificate.n_open,
+        "boxes": certificate.boxes,
+        "seconds": round(certificate.seconds, 3),
     }
 
 

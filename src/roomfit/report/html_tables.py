@@ -1,6 +1,6 @@
 """The tables of the report, as text in cells.
 
-Absorption with intervals, shares and absorption areas; the fit and its certificate; errors of
+Absorption with intervals, shares and absorption areas; the fit; errors of
 predictions beside those of the baseline, and pair by pair in just noticeable differences; the
 room's materials and positions; fitted directivities.
 """
@@ -38,7 +38,7 @@ from roomfit.report.wording import (
     parameter,
     shortened,
 )
-from roomfit.result import Compared, ComparedPair, Result, Use, certificate_distance
+from roomfit.result import Compared, ComparedPair, Result, Use
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import Room, Scene, material_areas_m2, wall_materials
 from roomfit.signals.decay import in_jnd
@@ -286,36 +286,6 @@ def condition_tables(answer: Result) -> tuple[Table, ...]:
 def _known_or(cell: Cell, reason: str) -> Cell:
     """Return a cell, with the reason below it where nothing is known."""
     return Cell(DASH, (reason,), "missing") if cell.text == DASH else cell
-
-
-_STATUS = {"certified": "proven", "stopped": "stopped early", "unresolved": "not resolved"}
-
-
-def certificate_tables(answer: Result) -> tuple[Table, ...]:
-    """Return one table with a row a band, or none where nothing was to be proven."""
-    rows = []
-    for band, proof in enumerate(answer.certificates):
-        if proof is None:
-            continue
-        minimisers = [
-            ", ".join(
-                f"{name} {number(float(value), 2)}"
-                for name, value in zip(proof.coordinates, cluster.minimiser, strict=True)
-            )
-            for cluster in proof.clusters
-        ]
-        minima = Cell(str(len(minimisers)), tuple(minimisers))
-        proven = (_STATUS[proof.status], proof.value, proof.lower_bound, minima)
-        at = hertz(float(answer.bands.centres_hz[band]))
-        rows.append((at, *proven, certificate_distance(answer, band)))
-    if not rows:
-        return ()
-    costs = ("lowest cost found", "proven bound", "minima", "answer differs by")
-    caption = (
-        "How low the cost of the energies can be, their weights fixed, and in how many regions "
-        "it comes within what other rays would change"
-    )
-    return (Table(caption, ("band", "status", *costs), rows, form=".3f"),)
 
 
 NEAR_JND, FAR_JND = 1.0, 2.0

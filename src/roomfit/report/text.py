@@ -44,7 +44,6 @@ def answer_text(answer: Result, advice: Advice | None = None) -> str:
         shares_table(answer),
         directivity_text(answer),
         offsets_text(answer),
-        certificate_text(answer),
         costs_text(answer),
         pairs_table(answer),
         plan_text(answer),
@@ -188,23 +187,6 @@ def offsets_text(answer: Result) -> str:
             f"(specified within {found.prior_sd[i]:.3f} m)"
         )
     return "\n".join(lines)
-
-
-def certificate_text(answer: Result) -> str:
-    """Return what was proven of the cost in each band, and the minima that come near the lowest."""
-    lines = []
-    for centre, proof in zip(answer.bands.centres_hz, answer.certificates, strict=False):
-        if proof is None:
-            continue
-        lines.append(f"{centre:>6g} Hz  {proof.sentence}")
-        for cluster in proof.clusters if len(proof.clusters) > 1 else ():
-            at = ", ".join(
-                f"{name} {value:.2f}"
-                for name, value in zip(proof.coordinates, cluster.minimiser, strict=True)
-            )
-            lines.append(f"           {cluster.value:.4g} at {at}")
-    head = ["Cost of the energies with their weights fixed:"] if lines else []
-    return "\n".join(head + lines)
 
 
 def _names(materials: tuple[str, ...], chosen: BoolArray) -> str:

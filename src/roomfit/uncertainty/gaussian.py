@@ -37,7 +37,6 @@ from roomfit.model.parameters import (
     to_physical,
 )
 from roomfit.model.problem import Objective
-from roomfit.paper.certificate_record import Certificate
 from roomfit.solver.ending import Ending
 from roomfit.solver.least_squares import BandFit, DecayRate
 from roomfit.uncertainty.profile import Profile
@@ -357,7 +356,6 @@ class BandEstimate:
     model: str  # "energy", "coherent", "values", or "prior" where nothing was fitted
     # free numbers of the sources' unknown directivity, (n,), and their covariance, misfit included
     directivity: tuple[FloatArray, FloatArray] | None = None
-    certificate: Certificate | None = None
     # how each interval was made: "gaussian", "profile", "sampled", "given", or "none" where the
     # data determine nothing; empty: all Gaussian
     kinds: tuple[str, ...] = ()
