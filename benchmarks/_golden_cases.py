@@ -340,15 +340,6 @@ def _scattering(folder: Path, run: RunCommand) -> None:
     _identify(run, campaign, folder)
 
 
-def _posterior(folder: Path, run: RunCommand) -> None:
-    campaign = _write_box(
-        folder,
-        identify='from_hz = 500\nto_hz = 500\nmodel = "energy"\nmethod = "posterior"',
-        materials={"tiles": "prior = {mean = [0.5], sd = [0.02]}"},
-    )
-    _identify(run, campaign, folder)
-
-
 def _impedance(folder: Path, run: RunCommand) -> None:
     scene = box_scene()
     model = wave_model(scene, _IMPEDANCE_HZ, _TAU_S)
@@ -409,7 +400,7 @@ def _treatment(surface: str, t30_s: float) -> str:
 
 
 def _states(folder: Path, run: RunCommand) -> None:
-    smooth = 'from_hz = 500\nto_hz = 1000\nmodel = "energy"\nsmoothness_per_octave = 0.5'
+    smooth = 'from_hz = 500\nto_hz = 1000\nmodel = "energy"'
     campaign = _write_box(folder, identify=smooth)
     covered = _responses(("MP3",), None, {**_ABSORPTION, "carpet": 0.7})["MP3"]
     _write_wav(folder / "covered.wav", covered)
@@ -461,7 +452,6 @@ CASES = (
     ),
     Case("directivity", "first-order directivity of the source fitted", _directivity),
     Case("scattering", "scattering of the walls fitted", _scattering),
-    Case("posterior", "samples of the posterior, one octave", _posterior),
     Case("impedance", "impedances of three materials from damped spectra", _impedance),
     Case("follow-up", "prediction, design and a treatment after a fit", _what_follows),
     Case("states", "two states, objects in one, smooth over bands, and a prediction", _states),

@@ -1,7 +1,7 @@
 """Measured rooms: how well pairs that were not fitted are predicted, beside the null model.
 
     python benchmarks/measured_rooms.py FOLDER [--room ROOM ...] [--model MODEL]
-        [--seed SEED] [--smoothness SD]
+        [--seed SEED]
 
 FOLDER holds `dechorate` (six responses S1_M1.wav ... and positions.csv, Di Carlo et al. 2021),
 `tudelft_inhouse` (five loudspeakers with eight microphones each) and `bras_cr2` (scene9.ac, one
@@ -294,14 +294,11 @@ def main() -> None:
     parser.add_argument("--room", nargs="+", choices=list(ROOMS), default=list(ROOMS))
     parser.add_argument("--model", choices=["auto", "energy", "coherent"], default="auto")
     parser.add_argument("--seed", type=int, default=1, help="of the rays")
-    parser.add_argument("--smoothness", type=float, help="smoothness_per_octave of the campaign")
     asked = parser.parse_args()
     if asked.folder is None:
         print("no folder of measurements given: nothing to do")
         return
     ending = f'\n[identify]\nmodel = "{asked.model}"\nseed = {asked.seed}\n'
-    if asked.smoothness is not None:
-        ending += f"smoothness_per_octave = {asked.smoothness}\n"
     for room in asked.room:
         ROOMS[room](asked.folder, ending)
 

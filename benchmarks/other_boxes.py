@@ -2,8 +2,8 @@
 
     python benchmarks/other_boxes.py [--seeds 1 2 3 4 5] [--pairs 8] [--position-error 0.01]
         [--unfitted] [--energy] [--no-delays] [--c-error 0] [--delay-ms 0] [--top-hz 4000]
-        [--third-octaves] [--strength 0] [--directivity omni] [--posterior] [--quick]
-        [--smoothness SD] [--objects A] [--kept]
+        [--third-octaves] [--strength 0] [--directivity omni] [--quick]
+        [--objects A] [--kept]
 
 What is run and timed is `roomfit identify` on campaign files, without writing its folder.
 
@@ -12,10 +12,8 @@ Boxes of 4.5-9 x 3.6-7 x 2.4-3.8 m, no two sides alike, six materials from 0.01 
 the walls that absorb more than a half delay what they reflect; the other program cannot, so those
 data are made by `roomfit.demo.boxes`'s images. --strength gives every source the
 other program's cardioid of that |b|, 30 degrees off the middle of the room; --directivity says
-what the campaign tells of it. --posterior identifies every box a second time with
-`method = "posterior"`, and shows the table of either, and what became of the samples. --quick shows
-the first answer beside the full one, and how much wider its intervals are. --smoothness
-tells by how much logit absorption changes from octave to octave; it does by 0.4 there. --objects
+what the campaign tells of it. --quick shows
+the first answer beside the full one, and how much wider its intervals are. --objects
 puts an absorption of A m2 into every room, in the octaves of 500 and 1000 Hz: the campaigns are
 fitted without a word of it, and with its prior of mean and standard deviation A. --kept fits every
 second response and predicts the others: errors of room parameters in just noticeable differences,
@@ -189,8 +187,6 @@ def main() -> None:
     parser.add_argument("--energy", action="store_true", help="energies alone")
     parser.add_argument("--no-delays", action="store_true", help="walls that do not delay")
     parser.add_argument("--third-octaves", action="store_true")
-    parser.add_argument("--smoothness", type=float, help="smoothness_per_octave of the campaign")
-    parser.add_argument("--posterior", action="store_true", help="sampled intervals beside")
     parser.add_argument("--quick", action="store_true", help="first answers beside")
     parser.add_argument("--objects", type=float, default=0.0, help="m2 in every room")
     parser.add_argument("--kept", action="store_true", help="every second response is predicted")
@@ -198,10 +194,8 @@ def main() -> None:
     more = 'positions = "fixed"\n' if arguments.unfitted else ""
     more += "wall_delays = false\n" if arguments.no_delays else ""
     more += 'model = "energy"\n' if arguments.energy else ""
-    if arguments.smoothness is not None:
-        more += f"smoothness_per_octave = {arguments.smoothness}\n"
     between_hz = (500.0, 1000.0) if arguments.objects else (125.0, arguments.top_hz)
-    done, sampled, first, furnished = [], [], [], []
+    done, first, furnished = [], [], []
     for seed in arguments.seeds:
         with tempfile.TemporaryDirectory() as folder:
             box = write_other_box(
@@ -226,8 +220,6 @@ def main() -> None:
                 prior = f"prior = {{mean = {arguments.objects}, sd = {arguments.objects}}}"
                 furnished.append(outcome(box, False, f"[objects.things]\n{prior}\n"))
                 _show_objects(furnished[-1], arguments.objects)
-            if arguments.posterior:
-                sampled.append(outcome(box, False, 'method = "posterior"\n'))
         answer = done[-1].answer
         phi = " ".join(f"{p:.2f}" for p in answer.chi2_reduced)
         print(f"seed {seed}: {done[-1].seconds:.1f} s, phi {phi}", end="  ")
@@ -235,13 +227,10 @@ def main() -> None:
         print(" ".join(answer.models), *sorted(codes))
         if arguments.delay_ms and answer.geometry is not None:
             _show_delays(done[-1])
-        if sampled:
-            _show_samples(sampled[-1])
     show(done)
     if arguments.kept:
         show_kept(done)
     for name, others in (
-        ("sampled", sampled),
         ("first answers", first),
         ("with objects", furnished),
     ):
@@ -268,18 +257,6 @@ def _show_objects(o: Outcome, true_m2: float) -> None:
 def _widths(answer: Result) -> np.ndarray:
     """Return the widths of all intervals, shape (n_materials, n_bands)."""
     return answer.upper95 - answer.lower95
-
-
-def _show_samples(o: Outcome) -> None:
-    """Print what became of each band's samples."""
-    bands = (
-        f"{f:g} Hz {s.evaluations} evaluations tau {s.autocorrelation.max():.0f} "
-        f"R-hat {s.r_hat.max():.3f} acceptance {s.acceptance:.2f}"
-        + ("" if s.converged else " NOT at rest")
-        for f, s in zip(o.answer.bands.centres_hz, o.answer.sampling, strict=True)
-        if s is not None
-    )
-    print(f"   posterior {o.seconds:.1f} s: " + "; ".join(bands), flush=True)
 
 
 def _show_delays(o: Outcome) -> None:

@@ -70,7 +70,6 @@ from roomfit.materials.priors import (
 )
 from roomfit.model.patterns import Directivities
 from roomfit.pressures.fit import fit_coherent, initialise
-from roomfit.pressures.surface_scores import surface_scores
 from roomfit.result import Result, with_objects_apart
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import (
@@ -87,10 +86,8 @@ from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.signals.measurement import Measurement
 from roomfit.uncertainty.combinations import Combination, determined, inseparable_findings
 from roomfit.uncertainty.gaussian import prior_absorptions
-from roomfit.uncertainty.intervals import INTERVALS, Refinement
+from roomfit.uncertainty.intervals import Refinement
 from roomfit.uncertainty.posterior import band_draws
-from roomfit.uncertainty.sampling import check_sampler
-from roomfit.uncertainty.smoothing import smoothed
 
 _LOG = logging.getLogger("roomfit")
 
@@ -165,8 +162,6 @@ def identify(
     given = recorded(scene, measurements, bands, directivities or {}, settings.decay_range_db)
     before = examine(BEFORE_THE_FIT, given)
     _warn_first(before)
-    if settings.method == "posterior":
-        check_sampler()
     priors = complete_priors(scene.room.materials, materials, bands)
     _check_objects(scene, priors)
     with counted_evaluations() as made:
@@ -182,9 +177,6 @@ def identify(
     trim_memory()
     if fits.directivities:
         traced = redirected(observed.measured, traced, fits.directivities)
-    if settings.smoothness_per_octave is not None:
-        smooth = settings.smoothness_per_octave
-        fits = replace(fits, answers=smoothed(fits.answers, priors, bands, smooth))
     _check_any_fitted(fits)
     _LOG.info("predicting the measured pairs")
     trim_memory()
@@ -275,12 +267,11 @@ def _fits(
         return estimate_energies(measured, priors, traced, start, settings, refine, progress)
     state = initialise(coherent_task(measured, priors, traced, start, settings), traced)
     coherent = fit_coherent(state, traced, part(progress, 0.0, 0.75))
-    surfaces = () if settings.quick else surface_scores(coherent)
     _LOG.info("finding confidence intervals")
     fits = coherent_answers(coherent, settings, refine, part(progress, 0.75, 1.0))
     del state, coherent  # with all bands, the most that is in memory
     trim_memory()
-    return replace(fits, surfaces=surfaces)
+    return fits
 
 
 def _with_positions_examined(
@@ -414,10 +405,8 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
         shares=shares,
         interval_kinds=tuple(b.kinds for b in found),
         profiles=tuple(b.profiles for b in found),
-        samples=tuple(b.samples for b in found),
-        sampling=tuple(b.sampling for b in found),
         prior=prior_intervals(priors),
-        reasons=reasons(settings.method, bands, found),
+        reasons=reasons(settings.method, found),
         plan=plan_in_words(scene),
         models=models,
         scattering=evidence.traced.scattering,
@@ -453,7 +442,6 @@ def _determined(
         (mean[:n], law[:, :n, :n]),
         material_areas_m2(room, state)[:n],
         evidence.settings.seed,
-        [None if b.samples is None else b.samples[:, :n] for b in evidence.fits.answers],
         are_specified(evidence.priors)[:n],
     )
 
@@ -490,7 +478,7 @@ def _refinement(
     measured: Measurements, priors: tuple[MaterialPrior, ...], settings: Settings
 ) -> Refinement:
     """Return what is done to every band after its fit; the paper's searches end where they end."""
-    intervals: str = settings.method if settings.method in INTERVALS else "profile"
+    intervals = "profile"
     if settings.quick or settings.method in ("simplex", "annealing"):
         intervals = "gaussian"
     return Refinement(

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from roomfit.pressures.data_term import FittedGeometry
     from roomfit.uncertainty.combinations import Combination
     from roomfit.uncertainty.profile import Profile
-    from roomfit.uncertainty.sampling import Sampled
 
 Use = Literal["fit", "validate"]
 
@@ -104,7 +103,7 @@ class Result:
     mean_absorption: FloatArray
     chi2_reduced: FloatArray  # (n_bands,); above 2 the model does not fit
     cost: float  # sum over bands of half the squared weighted residuals, priors included
-    evaluations: int  # of every fit, trial, profile and sample: how often data were predicted
+    evaluations: int  # of every fit, trial, profile and draw: how often data were predicted
     converged: BoolArray  # (n_bands,)
     pairs: tuple[ComparedPair, ...]
     findings: tuple[Finding, ...]
@@ -131,11 +130,9 @@ class Result:
     sentences: tuple[str, ...] = ()  # by band, which groups of materials the data determine
     # (3, n_materials, n_bands), share of each material in the room's absorption with its bounds
     shares: FloatArray | None = None
-    # by band and material, "gaussian", "profile", "sampled", "given", or "none" where undetermined
+    # by band and material, "gaussian", "profile", "given", or "none" where undetermined
     interval_kinds: tuple[tuple[str, ...], ...] = ()
     profiles: tuple[tuple[Profile, ...], ...] = ()  # by band; `entry` counts materials
-    samples: tuple[FloatArray | None, ...] = ()  # by band, (n_draws, n_materials), of the posterior
-    sampling: tuple[Sampled | None, ...] = ()  # by band
     prior: FloatArray | None = None  # (3, n_materials, n_bands), prior median and 95 % bounds
     reasons: tuple[str, ...] = ()  # what was chosen, and why
     plan: tuple[str, ...] = ()  # where each source and receiver was taken to stand, in words
@@ -348,7 +345,6 @@ def with_objects_apart(whole: Result, priors: Sequence[MaterialPrior]) -> Result
         profiles=tuple(tuple(p for p in b if p.entry < n) for b in whole.profiles),
         costs=tuple({k: v[:n] for k, v in band.items()} for band in whole.costs),
         interval_kinds=tuple(kinds[:n] for kinds in whole.interval_kinds),
-        samples=tuple(None if s is None else s[:, :n] for s in whole.samples),
         objects=ObjectAreas(
             names[n:], area_m2, lower95_m2, upper95_m2, whole.identifiable[n:], posterior
         ),

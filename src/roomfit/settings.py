@@ -9,11 +9,11 @@ from typing import Any, Literal, get_args
 from roomfit.base.arguments import check_known
 from roomfit.base.errors import InputError
 
-Method = Literal["auto", "simplex", "annealing", "least-squares", "posterior"]
+Method = Literal["auto", "simplex", "annealing", "least-squares"]
 Model = Literal["auto", "energy", "coherent"]
 Positions = Literal["auto", "fit", "fixed"]
 # The paper's searches cannot follow many unknowns beside absorption.
-LEAST_SQUARES_METHODS: tuple[Method, ...] = ("auto", "least-squares", "posterior")
+LEAST_SQUARES_METHODS: tuple[Method, ...] = ("auto", "least-squares")
 # Relative standard deviation of the speed of sound where nothing is specified.
 SPEED_OF_SOUND_SD = 2e-3
 DECAY_RANGE_DB = 50.0
@@ -38,7 +38,6 @@ SETTING_LIMITS: Mapping[str, tuple[float, float, str]] = {
     "speed_of_sound_sd": (1e-6, 0.2, "relative; air in a room is between -20 and 50 degrees"),
     "decay_range_db": (10.0, 200.0, "dB; less holds no decay, more no recording"),
     "max_rounds": (1, 10_000, "a fit that needs more does not converge"),
-    "smoothness_per_octave": (1e-3, 1e3, "in logit: below, all bands are equal, above, unlinked"),
     "temperature_sd_c": (0.0, 30.0, "degrees; rooms are between -20 and 50"),
 }
 
@@ -65,7 +64,6 @@ class Settings:
     seed: int = 1  # of every random number, 0 to 2**63 - 1
     positions: Positions = "auto"  # whether positions move within their standard deviation
     reflection_delays: bool = True  # whether walls may delay what they reflect
-    smoothness_per_octave: float | None = None  # sd of the change of logit absorption, > 0
     temperature_sd_c: float | None = None  # standard deviation of the air's temperature, K
     # Left out, these follow volume and decay of the room (`roomfit.fit.trace_plan`).
     n_rays: int | None = None  # rays a source, 60,000 at least

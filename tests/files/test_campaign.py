@@ -89,6 +89,8 @@ def test_rays_follow_the_room_unless_a_campaign_states_them(tmp_path):
         ("[room]", "[identify]\nfrom_hz = 900\nto_hz = 300\n[room]", "above the highest"),
         ("[room]", "[identify]\nbands = [120, 240]\n[room]", "not a centre"),
         ("[room]", "[identify]\nmethod = 'magic'\n[room]", "identify.method"),
+        ("[room]", "[identify]\nmethod = 'posterior'\n[room]", r"any more(?s:.*)profiles"),
+        ("[room]", "[identify]\nsmoothness_per_octave = 0.5\n[room]", r"by themselves"),
         ("[room]", "[air]\ntemperature_c = 120\n[room]", r"temperature(?s:.*)120"),
     ],
 )  # fmt: skip

@@ -297,16 +297,6 @@ def test_octaves_are_those_of_the_standard():
     assert bands_between("octave", 63, 8000).centres_hz.tolist() == list(OCTAVES_HZ)
 
 
-def test_steps_from_octave_to_octave_are_what_the_docs_recommend_for_smoothness():
-    """Root mean square of all entries' steps in logit absorption, 125 Hz to 4 kHz."""
-    steps = np.array([np.diff(e.logit_mean[1:7]) for e in catalogue().entries])
-    low, high = steps[:, :3], steps[:, 3:]
-    assert np.sqrt(np.mean(steps**2)) == pytest.approx(0.7, abs=0.05)
-    assert np.sqrt(np.mean(low**2)) == pytest.approx(0.85, abs=0.05)
-    assert np.sqrt(np.mean(high**2)) == pytest.approx(0.4, abs=0.05)
-    assert np.mean(np.abs(steps) > 1.4) == pytest.approx(0.06, abs=0.02)
-
-
 def test_between_octaves_an_entry_is_interpolated_in_logit_and_beyond_them_held_and_widened():
     """By the logarithm of frequency; every octave beyond adds its variance."""
     entry = find_material("brick-unglazed")

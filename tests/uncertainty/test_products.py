@@ -34,7 +34,6 @@ from roomfit.uncertainty.gaussian import (
 from roomfit.uncertainty.other_room import room_posterior
 from roomfit.uncertainty.posterior import AbsorptionPosterior, band_draws, prior_law
 from roomfit.uncertainty.sampling import log_posterior, surrogate
-from roomfit.uncertainty.smoothing import smooth_over_bands, smoothed
 
 pytestmark = pytest.mark.usefixtures("exact_fits")
 
@@ -256,49 +255,6 @@ def test_the_sampled_law_has_the_same_prior():
 
     one, other = fit.vector, fit.vector + np.array([0.5, -0.5, 0.2])
     assert law(other) - law(one) == pytest.approx(by_hand(other) - by_hand(one), rel=1e-9)
-
-
-def test_bands_are_linked_under_the_law_of_the_product():
-    """The joint prior written out: correlation of bands times that of walls."""
-    rng = np.random.default_rng(7)
-    bands = bands_between("octave", 250, 2000)
-    n_bands, step = len(bands), 0.6
-    _, law = prior_logit_law(panels())
-    prior, mean = np.tile(law[0], (n_bands, 1, 1)), rng.normal(size=(n_bands, 3))
-    roots = rng.normal(size=(n_bands, 3, 3))
-    data = roots @ np.swapaxes(roots, 1, 2)
-    observed = rng.normal(size=(n_bands, 3))
-    covariances = np.linalg.inv(data + np.linalg.inv(prior))
-    pull = np.einsum("bij,bj->bi", data, observed)
-    alone = pull + np.einsum("bij,bj->bi", np.linalg.inv(prior), mean)
-    means = np.einsum("bij,bj->bi", covariances, alone)
-    got_means, got = smooth_over_bands(means, covariances, mean, prior, step, bands)
-
-    octaves = np.diff(np.log2(bands.exact_centres_hz))
-    variance = np.diag(law[0])
-    r = 1.0 - step**2 * octaves[:, None] / (2.0 * variance)
-    joint = np.zeros((n_bands, 3, n_bands, 3))
-    for p in range(n_bands):
-        for q in range(n_bands):
-            between = np.prod(r[min(p, q) : max(p, q)], axis=0)
-            joint[p, :, q, :] = law[0] * np.sqrt(np.outer(between, between))
-    joint = joint.reshape(3 * n_bands, -1)
-    seen = np.zeros((n_bands, 3, n_bands, 3))
-    for b in range(n_bands):
-        seen[b, :, b, :] = data[b]
-    after = np.linalg.inv(np.linalg.inv(joint) + seen.reshape(joint.shape))
-    right = np.linalg.solve(joint, mean.ravel()) + pull.ravel()
-    np.testing.assert_allclose(got_means.ravel(), after @ right, atol=1e-8)
-    blocks = after.reshape(n_bands, 3, n_bands, 3)
-    for b in range(n_bands):
-        np.testing.assert_allclose(got[b], blocks[b, :, b, :], atol=1e-8)
-
-
-def test_smoothing_of_nothing_leaves_the_prior():
-    walls = panels()
-    answers = [prior_only_band(walls, band) for band in range(2)]
-    for before, after in zip(answers, smoothed(answers, walls, BANDS, 0.5), strict=True):
-        np.testing.assert_allclose(after.logit_covariance, before.logit_covariance, atol=1e-9)
 
 
 def test_a_prediction_in_another_order_takes_the_law_along():

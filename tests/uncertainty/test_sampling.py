@@ -1,57 +1,27 @@
-"""Samples of posteriors against quadrature, closed forms and what a sampler must obey."""
+"""The density of a posterior and its surrogate against closed forms."""
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import pytest
 
 from posterior_cases import Linear, decay_case, linear_case, surrogate_log_density
-from roomfit.base.errors import InputError
 from roomfit.model.parameters import Parameters, prior_residuals
 from roomfit.model.problem import Prediction
 from roomfit.solver.least_squares import fit_band
-from roomfit.uncertainty.gaussian import band_estimate
-from roomfit.uncertainty.intervals import sampled
 from roomfit.uncertainty.sampling import (
-    autocorrelation_steps,
-    check_sampler,
     exponent_slopes,
     exponents,
     log_posterior,
     prior_information,
-    sample,
-    split_r_hat,
     surrogate,
 )
 
 
 def fitted(problem):
     return fit_band(problem)
-
-
-def test_r_hat_of_chains_that_agree_and_of_chains_that_do_not():
-    """Equal halves: sqrt((h - 1) / h). Two constant-variance chains d apart: worked out by hand."""
-    steps = np.tile([-1.0, 1.0], 50)
-    together = np.stack([steps, steps], axis=1)[:, :, None]
-    assert split_r_hat(together)[0] == pytest.approx(np.sqrt(49.0 / 50.0))
-    within = 50.0 / 49.0
-    # four halves at 0, 0, d, d: variance of their means d^2 / 3
-    apart = together + np.array([0.0, 3.0])[None, :, None]
-    assert split_r_hat(apart)[0] == pytest.approx(np.sqrt((49.0 / 50.0 * within + 3.0) / within))
-
-
-def test_autocorrelation_of_a_process_of_first_order():
-    """(1 + r) / (1 - r) = 4 for r = 0.6; 40 chains of 2000 steps leave 5 %, three times that."""
-    rng = np.random.default_rng(1)
-    chain = np.zeros((2000, 40, 1))
-    for i in range(1, 2000):
-        chain[i] = 0.6 * chain[i - 1] + 0.8 * rng.standard_normal((40, 1))
-    assert autocorrelation_steps(chain)[0] == pytest.approx(4.0, rel=0.15)
-    assert autocorrelation_steps(rng.standard_normal((500, 20, 2))).max() < 1.5
 
 
 def test_arrival_times_are_integrated_out_exactly_where_all_is_linear():
@@ -182,95 +152,6 @@ def test_a_compiled_walk_gains_what_the_readable_law_says():
         assert np.mean(there != points) > 0.5
 
 
-def test_samples_have_the_quantiles_of_a_quadrature():
-    """Two absorptions near 0 and in the middle, seen in twelve windows.
-
-    Some 1000 independent samples place a cumulative probability of 2.5, 50 or 97.5 % within 0.5 to
-    1.6 points (one sigma); four of them.
-    """
-    problem = decay_case(np.random.default_rng(4), np.array([0.03, 0.4]), gain=False)
-    fit = fitted(problem)
-    law = log_posterior(problem, fit)
-    found = sample(
-        law,
-        surrogate(law, fit),
-        np.random.default_rng(1),
-        autocorrelations=40.0,
-        inner_steps=(20, 400),
-    )
-    assert found.converged
-    assert found.effective > 400
-    axis, step = np.linspace(-9.0, 4.2, 45), 0.3
-    density = np.array([[law(np.array([x, y])) for y in axis] for x in axis])
-    density = np.exp(density - density.max())
-    for entry, marginal in enumerate((density.sum(axis=1), density.sum(axis=0))):
-        cumulative = np.cumsum(marginal) / marginal.sum()
-        for quantile in (0.025, 0.5, 0.975):
-            at = np.quantile(found.draws[:, entry], quantile)
-            true = np.interp(at, axis + 0.5 * step, cumulative)
-            sigma = np.sqrt(quantile * (1.0 - quantile) / found.effective)
-            assert abs(true - quantile) < 4.0 * sigma + 0.003, (entry, quantile, true)
-
-
-def test_equal_seeds_give_equal_samples_and_too_few_evaluations_are_reported():
-    problem = decay_case(np.random.default_rng(5), np.array([0.2, 0.4]))
-    fit = fitted(problem)
-    law = log_posterior(problem, fit)
-    few = partial(sample, law, surrogate(law, fit), most_evaluations=150, inner_steps=(5, 20))
-    reported = []
-    one, other = (few(np.random.default_rng(7), progress=reported.append) for _ in range(2))
-    np.testing.assert_array_equal(one.draws, other.draws)
-    assert not one.converged
-    assert one.evaluations <= 150
-    assert reported
-    assert all(0.0 <= x <= 1.0 for x in reported)
-
-    answer = band_estimate(problem.parameters, fit, "energy")
-    kept = sampled(problem.parameters, one, answer)
-    np.testing.assert_array_equal(kept.lower95, answer.lower95)
-    assert kept.sampling is one
-    assert kept.samples is None
-
-
-def test_an_answer_by_samples_has_their_quantiles():
-    problem = decay_case(np.random.default_rng(5), np.array([0.2, 0.4]))
-    fit = fitted(problem)
-    law = log_posterior(problem, fit)
-    found = sample(law, surrogate(law, fit), np.random.default_rng(7), inner_steps=(5, 20))
-    answer = band_estimate(problem.parameters, fit, "energy")
-    better = sampled(problem.parameters, found, answer)
-    draws = 1.0 / (1.0 + np.exp(-found.draws[:, :2]))
-    np.testing.assert_allclose(better.lower95, np.quantile(draws, 0.025, axis=0))
-    np.testing.assert_allclose(better.absorption, np.median(draws, axis=0))
-    assert better.kinds == ("sampled", "sampled")
-    assert better.samples is not None
-    assert len(better.samples) <= 2048
-
-
-def test_without_the_sampler_the_extra_is_named(monkeypatch):
-    monkeypatch.setitem(sys.modules, "emcee", None)
-    with pytest.raises(InputError, match="posterior"):
-        check_sampler()
-
-
-def test_an_interrupt_ends_the_sampling_at_once_and_in_silence(capsys):
-    problem = decay_case(np.random.default_rng(5), np.array([0.2, 0.4]))
-    fit = fitted(problem)
-    law = log_posterior(problem, fit)
-    calls = []
-
-    def interrupted(kept):
-        calls.append(kept)
-        if len(calls) == 40:
-            raise KeyboardInterrupt
-        return law(kept)
-
-    with pytest.raises(KeyboardInterrupt):
-        sample(interrupted, surrogate(law, fit), np.random.default_rng(7))
-    assert len(calls) == 40
-    assert capsys.readouterr().out == ""
-
-
 def test_a_fit_of_a_band_is_half_done_when_its_logarithms_are():
     told: list[float] = []
     problem = linear_case(5)
@@ -318,29 +199,3 @@ def test_a_walk_between_bounds_gains_what_the_readable_law_says():
         assert np.isfinite(law(edge))
         edge[0] = -40.0
         assert law(edge) == -np.inf
-
-
-def test_weights_that_are_kept_are_those_of_a_fit_by_the_shape_of_energies():
-    """The variance of an energy grows with its square; that of a value stays as it was."""
-    energies = decay_case(np.random.default_rng(3), np.array([0.2, 0.5]))
-    values = linear_case(3, n_geometry=0)
-    for problem in (energies, values):
-        fit = fitted(problem)
-        law = replace(log_posterior(problem, fit), fixed_weights=fit)
-        there = 1.7 * fit.expected
-        expected = fit.variance * (1.7**2 if problem is energies else 1.0)
-        np.testing.assert_allclose(law._variance(fit.vector, there), expected)
-        free = replace(law, fixed_weights=None)
-        np.testing.assert_allclose(free._variance(fit.vector, there), problem.variance(fit.vector))
-
-
-def test_chains_that_stand_still_agree_and_those_that_alternate_forget_at_once():
-    """One step, or less than one, counts as one."""
-    still = np.ones((20, 3, 1))
-    assert split_r_hat(still)[0] == 1.0 == autocorrelation_steps(still)[0]
-    turning = np.tile([-1.0, 1.0], 50)[:, None, None] * np.ones((1, 2, 1))
-    assert autocorrelation_steps(turning)[0] == 1.0
-    # of an odd number of steps the one in the middle is in no half
-    odd = np.concatenate((np.tile([-1.0, 1.0], 10), [99.0], np.tile([-1.0, 1.0], 10)))
-    whole = np.tile([-1.0, 1.0], 20)
-    assert split_r_hat(odd[:, None, None]) == split_r_hat(whole[:, None, None])

@@ -82,7 +82,6 @@ class Code(StrEnum):
     REFLECTION_DISAGREES = "reflection-disagrees", ("warning", "serious"), _VOIDS_ITS_OWN
     FIT_NOT_CONVERGED = "fit-not-converged", "warning"
     MULTIPLE_MINIMA_MULTISTART = "multiple-minima-multistart", "warning"
-    SAMPLING_NOT_CONVERGED = "sampling-not-converged", "warning"
     PRIOR_DOMINATED = "prior-dominated", "warning"
     BAND_NOT_FITTED = "band-not-fitted", "warning"
     MATERIAL_NOT_REACHED = "material-not-reached", "warning"
@@ -102,7 +101,6 @@ class Code(StrEnum):
     SOURCE_NOT_OMNIDIRECTIONAL = "source-not-omnidirectional", "serious", _VOIDS
     SOURCE_PATTERN_FITTED = "source-pattern-fitted", "warning"
     SCATTERING_UNDERESTIMATED = "scattering-underestimated", "serious", _VOIDS
-    ABSORPTION_NOT_UNIFORM = "absorption-not-uniform", "serious", _VOIDS_ITS_OWN
     LEVELS_NOT_LINEAR = "levels-not-linear", "serious", _VOIDS
     DECAY_BENT = "decay-bent", "serious", _VOIDS
     NOISE_GATED = "noise-gated", "serious", _VOIDS

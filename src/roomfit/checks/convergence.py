@@ -1,4 +1,4 @@
-"""Whether fits and samples converged."""
+"""Whether fits converged."""
 
 from __future__ import annotations
 
@@ -10,13 +10,10 @@ from roomfit.checks.evidence import Evidence, Law
 
 LAWS = {
     Code.FIT_NOT_CONVERGED: Law("the fit converged", "rounds of updated weights"),
-    Code.SAMPLING_NOT_CONVERGED: Law(
-        "chains sample one law", "R-hat, and samples per autocorrelation time"
-    ),
 }
 
 
-def check_fits(evidence: Evidence) -> Iterator[Finding]:
+def check(evidence: Evidence) -> Iterator[Finding]:
     """Yield a finding for the bands whose fits did not converge."""
     bands, answers = evidence.measured.bands, evidence.fits.answers
     slow = [j for j, a in enumerate(answers) if not a.converged]
@@ -34,32 +31,3 @@ def check_fits(evidence: Evidence) -> Iterator[Finding]:
                 "moved": [list(answers[j].moved) for j in slow],
             },
         )
-
-
-def check_samples(evidence: Evidence) -> Iterator[Finding]:
-    """Yield a finding for the bands whose samples did not converge."""
-    bands = evidence.measured.bands
-    samplings = {
-        j: a.sampling
-        for j, a in enumerate(evidence.fits.answers)
-        if a.sampling is not None and not a.sampling.converged
-    }
-    if not samplings:
-        return
-    bad = list(samplings)
-    notes = [
-        f"{s.evaluations} evaluations, autocorrelation {s.autocorrelation.max():.0f} steps, "
-        f"R-hat {s.r_hat.max():.2f}"
-        for s in samplings.values()
-    ]
-    yield Finding(
-        Code.SAMPLING_NOT_CONVERGED,
-        About(bands_hz=bands.centres_hz[bad].tolist()),
-        "The samples of the posterior did not converge within the evaluations allowed: "
-        f"{bands_in_words(bands, bad, notes)}. The intervals there are Gaussian.",
-        {
-            "bands_hz": bands.centres_hz[bad].tolist(),
-            "evaluations": [s.evaluations for s in samplings.values()],
-            "largest_r_hat": [round(float(s.r_hat.max()), 4) for s in samplings.values()],
-        },
-    )

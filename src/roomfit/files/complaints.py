@@ -16,12 +16,6 @@ from roomfit.base.arguments import did_you_mean
 from roomfit.base.errors import InputError
 from roomfit.files.schema import BECAUSE, GONE
 
-# Key and value that earlier versions took: what became of them.
-GONE_VALUES = {
-    ("identify.method", "certified"): "the lowest cost is proven for the paper's rooms alone "
-    '(roomfit paper); method = "auto" fits energies from several starts',
-}
-
 
 def explained(path: Path, error: ValidationError, table: type[BaseModel]) -> InputError:
     """Turn pydantic's most telling complaint into one message in our words.
@@ -77,15 +71,6 @@ def explained(path: Path, error: ValidationError, table: type[BaseModel]) -> Inp
             found="no such key",
             needed=repr(str(place[-1])),
             hint=_meaning(table, place),
-        )
-    gone = GONE_VALUES.get((_key_path(place), str(first.get("input"))))
-    if gone is not None:
-        return InputError(
-            "the campaign file has a value that this version does not know any more",
-            where=where,
-            found=repr(first.get("input")),
-            needed=_in_our_words(first["msg"]),
-            hint=gone,
         )
     # where several kinds are taken, a number of the right kind but out of its range says most
     same = [c for c in complaints if _place(c) == place]

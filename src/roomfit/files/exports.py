@@ -255,7 +255,7 @@ RESULT_KEYS = {
     "posterior": "materials logit_mean logit_covariance prior_logit_mean prior_logit_sd "
     "prior_logit_covariance draws prior_specified",
     "fit": "method model cost models phi by_pressures evaluations converged seconds seed "
-    "intervals method_chosen reasons sampling",
+    "intervals method_chosen reasons",
     "pairs": "source receiver use state parameters sti",
     "findings": "code severity sentence about evidence",
 }

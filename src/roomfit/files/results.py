@@ -399,7 +399,6 @@ def _fit(answer: Result) -> dict[str, Any]:
         "intervals": answer.interval_kind,
         "method_chosen": answer.method,
         "reasons": answer.reasons,
-        **({"sampling": _sampling(answer)} if any(answer.sampling) else {}),
     }
 
 
@@ -459,23 +458,6 @@ def _material(answer: Result, i: int) -> dict[str, Any]:
     if answer.interval_kinds and all(answer.interval_kinds):
         content["interval"] = [kinds[i] for kinds in answer.interval_kinds]
     return content
-
-
-def _sampling(answer: Result) -> list[dict[str, Any]]:
-    """Diagnostics of the samples of each band."""
-    return [
-        {
-            "band_hz": centre,
-            "converged": s.converged,
-            "evaluations": s.evaluations,
-            "independent": round(s.effective, 1),
-            "autocorrelation": round(float(s.autocorrelation.max()), 2),
-            "r_hat": round(float(s.r_hat.max()), 4),
-            "acceptance": round(s.acceptance, 3),
-        }
-        for centre, s in zip(answer.bands.centres_hz, answer.sampling, strict=False)
-        if s is not None
-    ]
 
 
 def _combinations(answer: Result) -> list[dict[str, Any]]:

@@ -422,7 +422,7 @@ def _check_fittable(measurements: Measurements, settings: Settings, source: str)
             "directivity is fitted by least squares only",
             where=where,
             found=f"method = {settings.method!r}",
-            needed='method = "auto", "least-squares" or "posterior", or a specified directivity',
+            needed='method = "auto" or "least-squares", or a specified directivity',
             hint="leave method out",
         )
     if measurements.values:

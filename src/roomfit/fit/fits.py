@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from roomfit.base.typing import FloatArray
 from roomfit.fit.directivity import SourceGain
 from roomfit.model.directivity import DirectivityParameters, FittedDirectivity
 from roomfit.pressures.data_term import FittedGeometry
@@ -53,20 +52,6 @@ class Displacement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SurfaceScore:
-    """What bands ask of places of one plane surface that return more or less than its material."""
-
-    name: str
-    material: int
-    bands: tuple[int, ...]
-    cells_m: FloatArray  # (n_cells, 3), the middle of each
-    returned: (
-        FloatArray  # (n_bands, n_cells), ln(1 - a) in excess of the material's, posterior mean
-    )
-    evidence: float  # logarithm of the Bayes factor of all bands against a uniform surface
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class BandFits:
     """The answer of every band, and what was measured of the description on the way.
 
@@ -80,4 +65,3 @@ class BandFits:
     contradicted: tuple[SourceGain, ...] = ()  # of the sources taken for omnidirectional
     tests: CoherentTests = field(default_factory=CoherentTests)
     displacement: Displacement | None = None  # beyond what is specified
-    surfaces: tuple[SurfaceScore, ...] = ()  # that pressures tell of

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from roomfit.base.bands import Bands
 from roomfit.base.logit import Z95, expit
 from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import MaterialPrior, prior_logits
@@ -42,13 +41,13 @@ def method_chosen(method: str) -> str:
 def interval_words(answers: Sequence[BandEstimate]) -> str:
     """Return how the intervals were made, in a few words."""
     kinds = {kind for a in answers for kind in a.kinds}
-    words = [w for kind, w in (("sampled", "sampled"), ("profile", "profiles")) if kind in kinds]
+    words = ["profiles"] if "profile" in kinds else []
     if "gaussian" in kinds or not words:
         words.append("Gaussian, local" if not words else "else Gaussian")
     return ", ".join(words)
 
 
-def reasons(method: str, bands: Bands, answers: Sequence[BandEstimate]) -> tuple[str, ...]:
+def reasons(method: str, answers: Sequence[BandEstimate]) -> tuple[str, ...]:
     """Return sentences on what was chosen and why.
 
     Parameters
@@ -75,14 +74,5 @@ def reasons(method: str, bands: Bands, answers: Sequence[BandEstimate]) -> tuple
             f"Of {len(kinds)} intervals {sum(len(a.profiles) for a in answers)} are so wide that a "
             f"Gaussian may fail; {kinds.count('profile')} of them were skew and are those of the "
             "profile likelihood."
-        )
-    if method == "posterior":
-        done = [a.sampling for a in answers if a.sampling is not None and a.sampling.converged]
-        sentences.append(
-            f"Samples converged in {len(done)} of {len(bands)} bands: "
-            f"{min(s.effective for s in done):.0f} independent ones or more, R-hat at most "
-            f"{max(float(s.r_hat.max()) for s in done):.3f}."
-            if done
-            else "The samples converged in no band."
         )
     return tuple(sentences)

@@ -1,6 +1,6 @@
 """Every figure of an answer, drawn once by matplotlib: a PNG file, or SVG in the report.
 
-Absorption, identifiability, profiles of the likelihood, samples of the posterior and decay curves;
+Absorption, identifiability, profiles of the likelihood and decay curves;
 what figures of other modules share stands above them.
 """
 
@@ -50,9 +50,9 @@ def write_pictures(
     progress: Progress | None = None,
     figures: Mapping[str, Figure] | None = None,
 ) -> None:
-    """Write absorption, what is identifiable, profiles, samples and decays as PNG files.
+    """Write absorption, what is identifiable, profiles and decays as PNG files.
 
-    Profiles and samples only where there are some; decays of the first twelve pairs.
+    Profiles only where there are some; decays of the first twelve pairs.
 
     Parameters
     ----------
@@ -94,11 +94,9 @@ def answer_figures(answer: Result, **more: Figure | None) -> dict[str, Figure]:
         "absorption": absorption_figure(answer),
         "identifiable": identifiability_figure(answer),
     }
-    bent, corner = profiles_figure(answer), corner_figure(answer)
+    bent = profiles_figure(answer)
     if bent is not None:
         found["profiles"] = bent
-    if corner is not None:
-        found[f"corner_{corner[0]:g}_hz"] = corner[1]
     pairs = [pair for pair in answer.pairs if has_curves(pair)]
     if pairs:
         found["decays"] = decay_figure(answer, *pairs)
@@ -143,30 +141,6 @@ def shown_profiles(answer: Result) -> list[tuple[int, Profile]]:
     worth = [answer.upper95[p.entry, b] - answer.lower95[p.entry, b] for b, p in bent]
     chosen = sorted(np.argsort(worth)[-MOST_PROFILES:])
     return [bent[i] for i in chosen]
-
-
-def most_tied_band(samples: Sequence[FloatArray | None]) -> int | None:
-    """Return the sampled band in which two materials are correlated most, None if none is.
-
-    Examples
-    --------
-    >>> x = np.linspace(0.0, 1.0, 50)
-    >>> most_tied_band([None, np.stack([x, x**0.5], axis=1), np.stack([x, x % 0.1], axis=1)])
-    1
-    """
-    best: tuple[float, int] | None = None
-    for band, draws in enumerate(samples):
-        if draws is None:
-            continue
-        free = draws[:, np.ptp(draws, axis=0) > 0.0]
-        n = free.shape[1]
-        if n < 1:
-            continue
-        tied = np.abs(np.corrcoef(free.T)).reshape(n, n) - np.eye(n)
-        most = float(tied.max())
-        if best is None or most > best[0]:
-            best = (most, band)
-    return None if best is None else best[1]
 
 
 # M. Okabe, K. Ito, "Color Universal Design" (2008), without the yellow that vanishes on white
@@ -638,49 +612,6 @@ def profiles_figure(answer: Result) -> Figure | None:
     up = "rise of the cost, all else fitted again"
     frame_panels(figure, panels, "absorption coefficient", up, each_x=True)
     return figure
-
-
-def corner_figure(answer: Result) -> tuple[float, Figure] | None:
-    """Return the centre of the sampled band whose materials are correlated most, and its samples.
-
-    Each material against each other, six at most, histograms on the diagonal; None where nothing
-    was sampled.
-    """
-    band = most_tied_band(answer.samples)
-    if band is None:
-        return None
-    draws = answer.samples[band]
-    assert draws is not None  # noqa: S101 - the band was chosen among the sampled ones
-    free = np.flatnonzero(np.ptp(draws, axis=0) > 0.0)[:_MOST_MATERIALS]
-    n = free.size
-    figure = new_figure(1.6 * n + 0.6, 1.5 * n + 0.6)
-    panels = figure.subplots(n, n, squeeze=False, sharex="col")
-    clouds = max(n * (n - 1) // 2, 1)
-    step = -(-len(draws) // min(_MOST_DRAWS, _DRAWS_IN_ALL // clouds))
-    for row in range(n):
-        for column in range(n):
-            axes = panels[row, column]
-            if column > row:
-                axes.set_visible(False)
-                continue
-            x = draws[:, free[column]]
-            if row == column:
-                axes.hist(x, bins=30, color=OKABE_ITO[4], histtype="stepfilled")
-                axes.axvline(answer.absorption[free[row], band], color=OKABE_ITO[1], lw=1.2)
-                axes.set_yticks([])
-            else:
-                y = draws[:, free[row]]
-                axes.plot(x[::step], y[::step], ".", ms=2.0, color=OKABE_ITO[0], alpha=0.5)
-            if column == 0 and row > 0:
-                axes.set_ylabel(literal(answer.materials[free[row]], 18), fontsize=8)
-            elif column > 0:
-                axes.set_yticklabels([])
-            if row == n - 1:
-                axes.set_xlabel(literal(answer.materials[free[column]], 18), fontsize=8)
-            axes.tick_params(labelsize=7)
-    centre = float(answer.bands.centres_hz[band])
-    figure.suptitle(f"Samples of the absorption coefficients at {centre:g} Hz", fontsize=10)
-    return centre, figure
 
 
 # ---------------------------------------------------------------- decay curves

@@ -726,19 +726,6 @@ def _certainty(drawn: Mapping[str, Figure]) -> tuple[Markup, ...]:
                 "changes fast.",
             )
         )
-    for name in (n for n in drawn if n.startswith("corner_")):
-        centre = hertz(float(name.split("_")[1]))
-        drawings.append(
-            drawing(
-                drawn[name],
-                "corner",
-                f"Samples of the absorption coefficients at {centre}, each material against each "
-                "other.",
-                f"Samples of the posterior at {centre}, the band whose materials are correlated "
-                "most: each point is one set of absorption coefficients that explains the data. "
-                "Narrow clouds along a slope: only a sum is known.",
-            )
-        )
     return tuple(drawings)
 
 

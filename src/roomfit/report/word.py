@@ -23,7 +23,7 @@ _TABLE_STYLE = "Light List Accent 1"
 _WIDTH_MM, _HEIGHT_MM, _MARGIN_MM = 210, 297, 20  # A4
 _CELL_PT, _SMALL_PT = 8, 7
 _GREY = "6B6B6B"
-_PICTURES = {"decay": r"decay_\d+_.*", "corner": r"corner_.*_hz"}
+_PICTURES = {"decay": r"decay_\d+_.*"}
 _EARLIEST = (1980, 1, 1, 0, 0, 0)  # of an archive: equal reports are equal files
 
 

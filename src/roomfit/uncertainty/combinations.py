@@ -259,7 +259,7 @@ def find_combinations(
     within : float
         Above 0.
     draws : float array, shape (n_draws, n_materials), optional
-        Of the posterior, where it was sampled.
+        Of the posterior.
 
     Raises
     ------
@@ -471,7 +471,6 @@ def determined(
     logit_prior: tuple[FloatArray, FloatArray],
     areas_m2: FloatArray,
     seed: int,
-    samples: Sequence[FloatArray | None] = (),
     specified: BoolArray | None = None,
 ) -> tuple[tuple[tuple[Combination, ...], ...], tuple[str, ...], FloatArray]:
     """Return what every band determines, where single materials may not be.
@@ -486,8 +485,6 @@ def determined(
         Prior mean and covariance of logit absorption, see
         `roomfit.materials.priors.prior_logit_law`.
     areas_m2 : float array, shape (n_materials,)
-    samples : sequence of float array, shape (n_draws, n_materials), or None, one a band
-        Draws of absorption where the posterior was sampled.
     specified : bool array, shape (n_materials,), optional
         Whose prior was specified; see `roomfit.uncertainty.posterior.band_draws`.
 
@@ -504,10 +501,8 @@ def determined(
     def of_band(band: int) -> tuple[tuple[Combination, ...], str, FloatArray]:
         covariance = logit_covariance[band]
         a, prior = absorption[:, band], (logit_prior[0][:, band], logit_prior[1][band])
-        drawn = samples[band] if band < len(samples) else None
-        if drawn is None:
-            rng = np.random.default_rng(seed)
-            drawn = band_draws(a, covariance, prior[0], prior[1], N_DRAWS, rng, specified=specified)
+        rng = np.random.default_rng(seed)
+        drawn = band_draws(a, covariance, prior[0], prior[1], N_DRAWS, rng, specified=specified)
         rng = np.random.default_rng(seed)
         found = find_combinations(areas_m2, a, covariance, prior[0], prior[1], rng, draws=drawn)
         sentence = band_sentence(materials, found, undetermined_groups(covariance, prior[1]))

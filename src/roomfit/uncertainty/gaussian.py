@@ -40,7 +40,6 @@ from roomfit.model.problem import Objective
 from roomfit.solver.ending import Ending
 from roomfit.solver.least_squares import BandFit, DecayRate
 from roomfit.uncertainty.profile import Profile
-from roomfit.uncertainty.sampling import Sampled
 
 WIDEST_IDENTIFIABLE = 0.2
 LARGEST_CHI2_REDUCED = 2.0
@@ -351,17 +350,15 @@ class BandEstimate:
     logit_covariance: FloatArray
     chi2_reduced: float  # 0 where nothing was fitted, and so the cost
     cost: float
-    evaluations: int  # of the model with its derivative: fits, starts, profiles, samples
+    evaluations: int  # of the model with its derivative: fits, starts, profiles, draws
     ending: Ending
     model: str  # "energy", "coherent", "values", or "prior" where nothing was fitted
     # free numbers of the sources' unknown directivity, (n,), and their covariance, misfit included
     directivity: tuple[FloatArray, FloatArray] | None = None
-    # how each interval was made: "gaussian", "profile", "sampled", "given", or "none" where the
+    # how each interval was made: "gaussian", "profile", "given", or "none" where the
     # data determine nothing; empty: all Gaussian
     kinds: tuple[str, ...] = ()
     profiles: tuple[Profile, ...] = ()  # of some absorptions, `entry` counting materials
-    samples: FloatArray | None = None  # (n_draws, n_materials), of a posterior that converged
-    sampling: Sampled | None = None
     # (n_draws, n_materials), of the posterior, for predictions; None: not drawn
     draws: FloatArray | None = None
     mirrors: tuple[MirrorTrial, ...] = ()  # one a symmetry

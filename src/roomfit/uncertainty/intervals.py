@@ -1,4 +1,4 @@
-"""Intervals of a fitted band where a Gaussian does not suffice: profiles and samples."""
+"""Intervals of a fitted band where a Gaussian does not suffice, and draws for predictions."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from roomfit.base.logit import Z95, expit, logit
+from roomfit.base.logit import Z95, expit
 from roomfit.base.typing import FloatArray, IntArray, Progress
 from roomfit.model.parameters import (
     Parameters,
@@ -24,19 +24,12 @@ from roomfit.solver.least_squares import BandFit, score_band
 from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, MirrorTrial, is_identifiable
 from roomfit.uncertainty.population import posterior_draws
 from roomfit.uncertainty.profile import may_be_bent, profile
-from roomfit.uncertainty.sampling import (
-    Sampled,
-    absorption_columns,
-    log_posterior,
-    sample,
-    surrogate,
-)
+from roomfit.uncertainty.sampling import absorption_columns
 
 # A profile never narrows either side of an interval, in the logit, to less than this of the
 # Gaussian's: a skew likelihood halves a side at most in every case examined, and what asks for
 # more is rather an error of the weights.
 LEAST_SIDE = 0.5
-_DRAWS_KEPT = 2048
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +55,7 @@ class Refinement:
             rng, parameters = np.random.default_rng(self.seed), objective.parameters
             found = posterior_draws(objective, fit, self.n_draws, rng)
             beyond = _beyond_fit(parameters, fit, answer)
-            draws, _ = _absorptions(parameters, found.draws, answer, beyond, rng)
+            draws = _absorptions(parameters, found.draws, answer, beyond, rng)
             evaluations = answer.evaluations + found.evaluations
             answer = replace(answer, draws=draws, evaluations=evaluations)
         return INTERVALS[self.intervals](objective, fit, answer, self, progress)
@@ -72,24 +65,6 @@ IntervalMethod: TypeAlias = Callable[
     [Objective, BandFit, BandEstimate, Refinement, Progress | None], BandEstimate
 ]
 """From a band's objective, fit and Gaussian estimate to its estimate with other intervals."""
-
-
-def by_samples(
-    objective: Objective,
-    fit: BandFit,
-    answer: BandEstimate,
-    settings: Refinement,
-    progress: Progress | None = None,
-) -> BandEstimate:
-    """Return the answer by samples of the posterior, see `sampled`."""
-    law = log_posterior(objective, fit)
-    near = surrogate(law, fit)
-    found = sample(law, near, np.random.default_rng(settings.seed), progress=progress)
-    # the curvature of the surrogate's windows takes one prediction an unknown, and one more
-    more = 0 if near.windows is None else 1 + near.centre.size
-    answer = replace(answer, evaluations=answer.evaluations + more)
-    beyond = _beyond_fit(objective.parameters, fit, answer)
-    return sampled(objective.parameters, found, answer, beyond)
 
 
 def profiled(
@@ -146,10 +121,10 @@ def _absorptions(
     parameters: Parameters,
     draws: FloatArray,
     answer: BandEstimate,
-    beyond: FloatArray | None,
+    beyond: FloatArray,
     rng: np.random.Generator,
-) -> tuple[FloatArray, FloatArray]:
-    """Return absorptions of draws of free vectors, and the logits they were made of.
+) -> FloatArray:
+    """Return absorptions of draws of free vectors.
 
     They are scattered by the covariance `beyond`, of what the law drawn from does not include.
     """
@@ -157,13 +132,13 @@ def _absorptions(
     first, fitted = absorption_columns(parameters)
     low, high = block.lower[fitted], block.upper[fitted]
     free = draws[:, first : first + fitted.size]
-    if beyond is not None and beyond.any():
+    if beyond.any():
         size, directions = np.linalg.eigh(beyond)
         root = directions * np.sqrt(np.maximum(size, 0.0))
         free = free + rng.standard_normal(free.shape) @ root.T
     found = np.tile(answer.absorption, (len(draws), 1))
     found[:, fitted] = low + (high - low) * expit(free)
-    return found[:, leaders(block)], free
+    return found[:, leaders(block)]
 
 
 def _beyond_fit(parameters: Parameters, fit: BandFit, answer: BandEstimate) -> FloatArray:
@@ -179,49 +154,6 @@ def _beyond_fit(parameters: Parameters, fit: BandFit, answer: BandEstimate) -> F
     # what is left by rounding is no noise
     size = np.where(size > 1e-9 * max(float(np.trace(plain)), 1e-300), size, 0.0)
     return np.asarray((directions * size) @ directions.T)
-
-
-def sampled(
-    parameters: Parameters, found: Sampled, answer: BandEstimate, beyond: FloatArray | None = None
-) -> BandEstimate:
-    """Return the answer by samples: medians, quantiles, covariance; as it was where they fail.
-
-    Where the walkers did not converge the Gaussian answer stays, and `sampling` says so.
-
-    Parameters
-    ----------
-    beyond : float array, shape (n_fitted, n_fitted), optional
-        Covariance of the logits that the sampled law does not include; samples are scattered by it.
-    """
-    answer = replace(answer, evaluations=answer.evaluations + found.evaluations)
-    if not found.converged:
-        return replace(answer, sampling=found)
-    block = absorption_of(parameters)
-    fitted = np.flatnonzero(block.fitted)
-    chosen = np.linspace(0, len(found.draws) - 1, min(_DRAWS_KEPT, len(found.draws))).astype(int)
-    draws, free = _absorptions(parameters, found.draws, answer, beyond, np.random.default_rng(1))
-    lower, median, upper = np.quantile(draws, (0.025, 0.5, 0.975), axis=0)
-    own = np.zeros((block.fitted.size, block.fitted.size))
-    own[np.ix_(fitted, fitted)] = np.cov(free.T).reshape(fitted.size, fitted.size)
-    leader = leaders(block)
-    fixed = ~block.fitted[leader]
-    unspecified = (answer.lower95 == 0.0) & (answer.upper95 == 1.0) & ~fixed
-    lower, upper = np.where(unspecified, 0.0, lower), np.where(unspecified, 1.0, upper)
-    covariance = own[np.ix_(leader, leader)]
-    sd = np.sqrt(np.diag(covariance))
-    sure = is_identifiable(answer.chi2_reduced, lower, upper, sd, block.prior_sd[leader])
-    return replace(
-        answer,
-        absorption=np.where(fixed, answer.absorption, median),
-        lower95=np.where(fixed, answer.absorption, lower),
-        upper95=np.where(fixed, answer.absorption, upper),
-        identifiable=sure | fixed,
-        logit_mean=np.where(fixed, answer.logit_mean, logit(median)),
-        logit_covariance=covariance,
-        kinds=tuple(k if k in ("given", "none") else "sampled" for k in answer.kinds),
-        samples=draws[chosen],
-        sampling=found,
-    )
 
 
 def _mirrored(objective: Objective, fit: BandFit, exchange: IntArray) -> MirrorTrial:
@@ -242,6 +174,5 @@ def _mirrored(objective: Objective, fit: BandFit, exchange: IntArray) -> MirrorT
 INTERVALS: Mapping[str, IntervalMethod] = {
     "gaussian": lambda _objective, _fit, answer, _settings, _progress: answer,
     "profile": profiled,
-    "posterior": by_samples,
 }
 """How intervals are made of a fit, by name; a method of that name in the settings chooses it."""

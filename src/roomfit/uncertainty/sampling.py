@@ -1,22 +1,18 @@
-"""Samples of a band's posterior by walkers, and whether they have converged.
+"""The density of a band's posterior, and a law near to it under which walks cost no evaluation.
 
-Arrival times are integrated out. Proposals are compiled walks under a surrogate, a law near to the
-posterior that takes no evaluation.
+Arrival times are integrated out.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from roomfit.base.arguments import float_array
-from roomfit.base.errors import InputError
 from roomfit.base.kernels import kernel
-from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress
+from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.model.parameters import (
     GEOMETRY,
     Parameters,
@@ -27,69 +23,6 @@ from roomfit.model.parameters import (
 )
 from roomfit.model.problem import Objective, Prediction
 from roomfit.solver.least_squares import BandFit
-
-
-def split_r_hat(chains: FloatArray) -> FloatArray:
-    """Return Gelman and Rubin's R-hat of chains cut in halves, for each unknown.
-
-    The root of how much larger the variance over all halves is than the mean variance within one:
-    1 where all halves agree [1]_.
-
-    Parameters
-    ----------
-    chains : float array, shape (n_steps, n_chains, n_unknowns)
-        4 steps or more.
-
-    Returns
-    -------
-    float array, shape (n_unknowns,)
-        1 where nothing moves and all agree.
-
-    References
-    ----------
-    .. [1] A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013, section 11.4.
-    """
-    checked = float_array("chains", chains, (None, None, None))
-    half = len(checked) // 2
-    parts = np.concatenate((checked[:half], checked[-half:]), axis=1)
-    within = parts.var(axis=0, ddof=1).mean(axis=0)
-    between = parts.mean(axis=0).var(axis=0, ddof=1)
-    pooled = (half - 1) / half * within + between
-    return np.asarray(np.sqrt(np.where(within > 0.0, pooled / np.where(within > 0, within, 1), 1)))
-
-
-def autocorrelation_steps(chains: FloatArray) -> FloatArray:
-    """Return the integrated autocorrelation time of each unknown in steps, 1 or more.
-
-    The autocorrelation is averaged over the chains and summed up to the first lag beyond five times
-    the sum [1]_.
-
-    Parameters
-    ----------
-    chains : float array, shape (n_steps, n_chains, n_unknowns)
-
-    Returns
-    -------
-    float array, shape (n_unknowns,)
-
-    References
-    ----------
-    .. [1] A. Sokal, "Monte Carlo methods in statistical mechanics", in: Functional Integration,
-           1997, section 3; as in emcee.
-    """
-    checked = float_array("chains", chains, (None, None, None))
-    n = len(checked)
-    away = checked - checked.mean(axis=(0, 1))
-    spectrum = np.abs(np.fft.rfft(away, 2 * n, axis=0)) ** 2
-    # dividing by n at every lag, as usual, keeps far lags quiet
-    correlation = np.fft.irfft(spectrum, axis=0)[:n].mean(axis=1)
-    size = correlation[0]
-    correlation = np.where(size > 0.0, correlation / np.where(size > 0.0, size, 1.0), 0.0)
-    sums = 2.0 * np.cumsum(correlation, axis=0) - 1.0
-    enough = np.arange(n)[:, None] >= 5.0 * sums
-    last = np.where(enough.any(axis=0), enough.argmax(axis=0), n - 1)
-    return np.maximum(sums[last, np.arange(sums.shape[1])], 1.0)
-
 
 # An absorption this near to 1 or 0 can no longer be distinguished from it.
 FARTHEST_FREE = 40.0
@@ -497,167 +430,3 @@ def _curvature(objective: Objective, slopes: FloatArray, vector: FloatArray) -> 
         there = _signal_slopes(objective, objective.predict(moved), moved)
         out[:, :, k] = (there - slopes) / max(float(step[1, k] - step[0, k]), 1e-12)
     return 0.5 * (out + out.transpose(0, 2, 1))
-
-
-# Of the first steps; the walkers begin close to the posterior.
-_FORGOTTEN = 0.2
-_LOOK_EVERY = 10
-# How much alike the halves of all walkers must be (`split_r_hat`).
-_LARGEST_R_HAT = 1.1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sampled:
-    """Draws from a posterior and what is known of their quality."""
-
-    draws: FloatArray  # (n_draws, n_kept), the first steps left out
-    # autocorrelation, r_hat: (n_kept,)
-    autocorrelation: FloatArray
-    r_hat: FloatArray
-    # draws over the longest autocorrelation time: as many independent ones are worth as much
-    effective: float
-    acceptance: float  # share of proposals that were taken
-    evaluations: int
-    converged: bool  # whether the walkers have walked long enough and agree
-
-
-def sample(
-    posterior: LogPosterior,
-    near: Surrogate,
-    rng: np.random.Generator,
-    *,
-    most_evaluations: int = 6_000,
-    autocorrelations: float = 20.0,
-    inner_steps: tuple[int, ...] | None = None,
-    progress: Progress | None = None,
-) -> Sampled:
-    """Return draws from a posterior by an ensemble of walkers [1]_.
-
-    Of five proposals four are walks under the surrogate, weighed by how it differs from the
-    posterior; the fifth is a difference of two other walkers [2]_, which needs no surrogate and
-    frees what it leaves behind. Ends as soon as the samples are good enough, or the evaluations
-    are used up: `Sampled.converged` says which.
-
-    Parameters
-    ----------
-    rng : numpy Generator
-        The only source of chance: equal generators give equal draws.
-    most_evaluations : int
-        Of the posterior.
-    autocorrelations : float
-        How many times longer than the autocorrelation every walker must have walked.
-    inner_steps : tuple of int, optional
-        Steps under the surrogate between two evaluations, one of them at random: where the
-        surrogate is far from the posterior only short walks are taken. None for
-        `Surrogate.usual_steps`.
-
-    Raises
-    ------
-    InputError
-        The extra `posterior` is not installed.
-
-    References
-    ----------
-    .. [1] D. Foreman-Mackey et al., "emcee: the MCMC hammer", PASP 125, 306-312 (2013).
-    .. [2] C. J. F. ter Braak, "A Markov chain Monte Carlo version of the genetic algorithm
-           differential evolution", Stat. Comput. 16, 239-249 (2006).
-    """
-    emcee = _emcee()
-    walkers = max(2 * near.centre.size + 2, 12)
-    quiet = _Quiet(posterior)
-    surrogate_move = _surrogate_move(emcee, near, inner_steps or near.usual_steps, rng)
-    moves = [(surrogate_move, 0.8), (emcee.moves.DEMove(), 0.2)]
-    sampler = emcee.EnsembleSampler(walkers, near.centre.size, quiet, moves=moves)
-    legacy = np.random.RandomState(rng.integers(2**31))
-    # the walkers begin all over the surrogate
-    root = np.linalg.cholesky(near.covariance)
-    spread = near.centre + 0.5 * rng.standard_normal((walkers, near.centre.size)) @ root.T
-    positions, _ = near.walk(spread, 400, rng)
-    start = emcee.State(positions, random_state=legacy.get_state())
-    steps = max(most_evaluations // walkers - 1, _LOOK_EVERY)
-    found: Sampled | None = None
-    for number, _ in enumerate(sampler.sample(start, iterations=steps), start=1):
-        if quiet.interrupted:
-            raise KeyboardInterrupt
-        if number % _LOOK_EVERY and number < steps:
-            continue
-        chain = np.asarray(sampler.get_chain(discard=int(_FORGOTTEN * number)))
-        r_hat, length = split_r_hat(chain), autocorrelation_steps(chain)
-        longest = float(length.max())
-        found = Sampled(
-            chain.reshape(-1, near.centre.size),
-            length,
-            r_hat,
-            len(chain) * walkers / longest,
-            float(np.mean(sampler.acceptance_fraction)),
-            walkers * (number + 1),
-            bool(len(chain) >= autocorrelations * longest and np.all(r_hat <= _LARGEST_R_HAT)),
-        )
-        if progress is not None:
-            share = longest * autocorrelations / len(chain)
-            progress(min(max(number / steps, 1.0 / max(share, 1.0)), 1.0))
-        if found.converged:
-            break
-    assert found is not None  # noqa: S101 - the loop judges its last step
-    return found
-
-
-class _Quiet:
-    """A posterior that an interrupt leaves quickly: the sampler would print it as its own error."""
-
-    def __init__(self, posterior: LogPosterior) -> None:
-        self.posterior = posterior
-        self.interrupted = False
-
-    def __call__(self, kept: FloatArray) -> float:
-        if self.interrupted:
-            return -np.inf
-        try:
-            return self.posterior(kept)
-        except KeyboardInterrupt:
-            self.interrupted = True
-            return -np.inf
-
-
-def _surrogate_move(
-    emcee: Any, near: Surrogate, steps: tuple[int, ...], rng: np.random.Generator
-) -> Any:
-    """Return a move that walks under the surrogate; its class needs the lazily imported emcee."""
-
-    def proposal(
-        positions: FloatArray, _others: Any, _random: Any
-    ) -> tuple[FloatArray, FloatArray]:
-        there, gain = near.walk(np.asarray(positions), int(rng.choice(steps)), rng)
-        # the walk is reversible under the surrogate: to be undone as likely as it is less likely
-        return there, -gain
-
-    class SurrogateMove(emcee.moves.RedBlueMove):  # type: ignore[misc, name-defined, unused-ignore]
-        get_proposal: Callable[..., Any] = staticmethod(proposal)
-
-    return SurrogateMove()
-
-
-def check_sampler() -> None:
-    """Refuse to sample where the sampler is missing, before anything else takes its time.
-
-    Raises
-    ------
-    InputError
-        The extra `posterior` is not installed.
-    """
-    _emcee()
-
-
-def _emcee() -> Any:
-    """Import the sampler only when it is needed."""
-    try:
-        import emcee
-    except ImportError as error:
-        raise InputError(
-            "sampling the posterior needs the package emcee",
-            where="identify.method",
-            found='method = "posterior" without it',
-            needed="the extra `posterior`",
-            hint='pip install "roomfit[posterior]", or method = "least-squares"',
-        ) from error
-    return emcee
