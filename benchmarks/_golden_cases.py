@@ -273,7 +273,7 @@ def _set_bands(campaign: Path, from_hz: int, to_hz: int) -> None:
 
 
 def _identify(run: RunCommand, campaign: Path, folder: Path, name: str = "result") -> Path:
-    run(IDENTIFY, campaign, "--no-cache", "--out", folder / name)
+    run(IDENTIFY, campaign, "--out", folder / name)
     return folder / name
 
 
@@ -381,7 +381,7 @@ def _what_follows(folder: Path, run: RunCommand) -> None:
     found = _identify(run, campaign, folder) / "result.json"
     change = ("--set", "carpet=0.2+-0.05")
     run(
-        *(PREDICT, campaign, "--absorption", found, *change, "--no-cache"),
+        *(PREDICT, campaign, "--absorption", found, *change),
         *("--out", folder / "predicted"),
     )
     chosen = ("--candidates", 40, "--choose", 1, "--result", found)
@@ -408,7 +408,7 @@ def _states(folder: Path, run: RunCommand) -> None:
     campaign.write_text(campaign.read_text() + place + _COVERED)
     found = _identify(run, campaign, folder) / "result.json"
     run(
-        *(PREDICT, campaign, "--absorption", found, "--state", "covered", "--no-cache"),
+        *(PREDICT, campaign, "--absorption", found, "--state", "covered"),
         *("--doubted", "--out", folder / "predicted"),
     )
 
@@ -430,7 +430,7 @@ def _hall(folder: Path, run: RunCommand) -> None:
             a = f"{first * (1.0 + 0.1 * i):.3f}"
             rows.append(f"{name},{band_hz},{a},{a},{a},true")
     known = _written(folder / "known.csv", "\n".join(rows) + "\n")
-    predict = (PREDICT, campaign, "--absorption", known, "--no-cache")
+    predict = (PREDICT, campaign, "--absorption", known)
     run(*predict, "--set", "bricks=0.3+-0.05", "--out", folder / "predicted")
     run(*predict, "--grid", "1.2,4", "--out", folder / "mapped")
     wanted = _written(folder / "treatment.toml", _HALL_TREATMENT)

@@ -48,10 +48,10 @@ class Run(NamedTuple):
 def words_of(job: str, campaign: Path, folder: Path, *, quick: bool) -> list[str]:
     """Return the command of a job, without where it writes and its number of threads."""
     if job == "identify":
-        return ["identify", str(campaign), "--no-cache", *["--quick"] * quick]
+        return ["identify", str(campaign), *["--quick"] * quick]
     found = ["--absorption", str(folder / "fit" / "result.json")]
     if job == "predict":
-        return ["predict", str(campaign), *found, "--no-cache", "--set", "brick=curtain"]
+        return ["predict", str(campaign), *found, "--set", "brick=curtain"]
     if job == "design":
         return ["design", str(campaign), "--result", found[1]]
     text = treatment_text(["brick", "panelling"], 0.7, [500, 1000])
@@ -65,10 +65,7 @@ def measured(words: list[str], out: Path, threads: int) -> Run:
     command += ["--overwrite", "--quiet", "--threads", str(threads)]
     load, before = os.getloadavg()[0], resource.getrusage(resource.RUSAGE_CHILDREN)
     began, most = time.perf_counter(), 0
-    environment = {**os.environ, "ROOMFIT_CACHE": "off"}
-    process = subprocess.Popen(
-        command, stdout=subprocess.DEVNULL, start_new_session=True, env=environment
-    )
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, start_new_session=True)
     while process.poll() is None:
         most = max(most, group_bytes(process.pid))
         time.sleep(_EVERY_S)

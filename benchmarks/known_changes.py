@@ -376,7 +376,7 @@ def first_reflections(case: Case, result: Result, *, on_axis: bool) -> str:
     priors = complete_priors(scene.room.materials, (), result.bands)
     settings = roomfit.Settings(model="energy", n_rays=5000)
     start = np.full(len(result.bands), 0.2)
-    traced = traced_paths(measured, priors, settings, start, None, None)
+    traced = traced_paths(measured, priors, settings, start, None)
     found = isolated_reflections(measured, traced, result.absorption)
     if on_axis:
         found = tuple(r for r in found if departs_like_direct_sound(scene, r))

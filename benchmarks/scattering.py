@@ -79,7 +79,7 @@ def choice(campaign: Path) -> ChosenScattering:
     measured = collect_measurements(scene, given["measurements"], bands, {})
     priors = complete_priors(scene.room.materials, (), bands)
     start = eyring_start(measured)
-    traced = traced_paths(measured, priors, given["settings"], start, None, None)
+    traced = traced_paths(measured, priors, given["settings"], start, None)
     return traced.chosen_scattering[0]
 
 

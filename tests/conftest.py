@@ -13,9 +13,6 @@ settings.register_profile(
     "roomfit", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("roomfit")
-# No test writes into the folder of whoever runs it, nor does any process that a test starts; those
-# of the cache name a folder of their own.
-os.environ["ROOMFIT_CACHE"] = "off"
 # A shell without job control, and nohup, start what they start with signals ignored, which the
 # processes that tests start would inherit: tests that interrupt a command would wait in vain.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -35,7 +32,6 @@ LONGEST = (
     "fit/test_identify_rooms.py",
     "predict/test_predict.py",
     "test_workers.py",
-    "test_cache.py",
     "test_batch.py",
     "test_shape.py",
     "fit/test_displacement.py",

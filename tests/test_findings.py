@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 import roomfit.base.findings
-from roomfit.base.cache import load_record, save_record
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding, code_of
 
@@ -180,13 +179,3 @@ def test_an_unknown_code_in_a_file_is_reported_in_five_parts(text):
 def test_a_code_keeps_its_kind_between_processes_and_in_json():
     assert pickle.loads(pickle.dumps(Code.LEAK)) is Code.LEAK
     assert json.loads(json.dumps({Code.LEAK: [Code.NOT_CLOSED]})) == {"leak": ["not-closed"]}
-
-
-def test_a_cached_finding_comes_back_with_its_code(tmp_path):
-    """A string in its place would void nothing."""
-    reported = Finding(Code.RAYS_ESCAPED, About(), "They left.", {"n_escaped": 3}, graded="serious")
-    save_record(tmp_path / "a.npz", reported)
-    back = load_record(tmp_path / "a.npz", (Finding, About, Code))
-    assert back.code is Code.RAYS_ESCAPED
-    assert (back.sentence, back.severity) == ("They left.", "serious")
-    assert dict(back.evidence) == {"n_escaped": 3}

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from roomfit.base.cache import sole_writer, whole_output_folder
 from roomfit.base.errors import InputError, StoreError
+from roomfit.base.whole_files import sole_writer, whole_output_folder
 from small_campaign import run_command
 
 # processes of these tests import their helpers, too
@@ -159,11 +159,21 @@ def test_a_folder_in_the_place_of_a_new_file_is_not_lost(tmp_path):
     assert content_of(tmp_path / "out") == {"result.json/notes.txt": "mine"}
 
 
+def test_an_error_while_overwriting_removes_nothing(tmp_path):
+    write(tmp_path / "out", OLD)
+    with pytest.raises(RuntimeError), whole_output_folder(tmp_path / "out", overwrite=True):
+        raise RuntimeError
+    assert content_of(tmp_path / "out") == OLD
+    with pytest.raises(InputError, match="not empty"), whole_output_folder(tmp_path / "out"):
+        pass
+
+
 @POSIX
 def test_a_second_run_into_the_same_folder_is_refused_until_the_first_ends(tmp_path):
     """However the first ends: here it is killed."""
     program = (
-        "import sys, time; from pathlib import Path; from roomfit.base.cache import sole_writer\n"
+        "import sys, time; from pathlib import Path\n"
+        "from roomfit.base.whole_files import sole_writer\n"
         "@sole_writer\ndef command(out):\n    print('in', flush=True); time.sleep(600)\n"
         "command(Path(sys.argv[1]))"
     )
@@ -186,7 +196,7 @@ def test_a_second_run_into_the_same_folder_is_refused_until_the_first_ends(tmp_p
 def test_a_request_to_end_leaves_nothing(tmp_path, number):
     program = (
         "import sys, time, roomfit.cli as cli; from pathlib import Path\n"
-        "from roomfit.base.cache import whole_output_folder\n"
+        "from roomfit.base.whole_files import whole_output_folder\n"
         "def run(options):\n"
         "    with whole_output_folder(Path(sys.argv[1])) as folder:\n"
         "        (folder / 'half').write_text('x'); print('in', flush=True); time.sleep(600)\n"

@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from roomfit.base import workers
-from roomfit.base.cache import locked
 from roomfit.base.errors import FolderInUseError, InputError
+from roomfit.base.whole_files import locked
 from roomfit.base.workers import check_memory
 from roomfit.batch.rooms import identify_rooms, room_tasks, rooms_text
 

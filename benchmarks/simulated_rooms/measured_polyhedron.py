@@ -14,9 +14,9 @@ import numpy as np
 
 from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import bands_between
-from roomfit.base.cache import write_text_atomically
 from roomfit.base.errors import InputError
 from roomfit.base.typing import FloatArray, Progress
+from roomfit.base.whole_files import write_text_atomically
 from roomfit.demo.boxes import add_noise
 from roomfit.demo.polyhedra import Cells, SyntheticPolyhedron, pressure_responses
 from simulated_rooms.other_turned_box import other_responses

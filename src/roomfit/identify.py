@@ -12,7 +12,6 @@ import numpy as np
 
 from roomfit.base.air import speed_of_sound_m_s
 from roomfit.base.bands import Bands, bands_between
-from roomfit.base.cache import Cache
 from roomfit.base.errors import InputError, InsufficientDataError, RoomfitError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.forks import (
@@ -101,7 +100,6 @@ def identify(
     *,
     settings: Settings | None = None,
     directivities: Directivities | None = None,
-    cache: Cache | None = None,
     progress: Progress | None = None,
 ) -> Result:
     """Return the absorption of every material of a measured room in every band.
@@ -123,8 +121,6 @@ def identify(
     settings : Settings, optional
     directivities : mapping from source to directivity, optional
         Of sources that are not omnidirectional; an `UnknownDirectivity` is fitted.
-    cache : Cache, optional
-        Where a trace is kept, and found again by a run that was stopped.
     progress : callable, optional
         Called with the share of the work that is done, 0 to 1.
 
@@ -167,10 +163,10 @@ def identify(
     with counted_evaluations() as made:
         ends = (0.02, 0.22, 0.49, 0.98) if scene.groups else (0.02, 0.45, 0.98, 0.98)
         early, late, again = (part(progress, *x) for x in itertools.pairwise(ends))
-        used, traced = _traced(given.measured, priors, settings, cache, early)
+        used, traced = _traced(given.measured, priors, settings, early)
         fits = _fits(given.measured, priors, traced, used, late)
         observed, traced, fits = _with_positions_examined(
-            given, measurements, priors, (traced, fits), settings, cache, again
+            given, measurements, priors, (traced, fits), settings, again
         )
     if observed is not given:  # fitted at other positions than specified
         before = examine(BEFORE_THE_FIT, observed)
@@ -211,7 +207,6 @@ def _traced(
     measured: Measurements,
     priors: tuple[MaterialPrior, ...],
     settings: Settings,
-    cache: Cache | None,
     progress: Progress | None,
 ) -> tuple[Settings, TracedPaths]:
     """Return the settings with the chosen model, and the room traced for it.
@@ -236,7 +231,7 @@ def _traced(
         if not is_alone:
             try:
                 with counted_evaluations() as made:
-                    traced = traced_paths(measured, priors, settings, start, cache, usual)
+                    traced = traced_paths(measured, priors, settings, start, usual)
             except (_OtherModelError, RoomfitError):
                 if choice.result()[0] == settings.model:
                     raise
@@ -246,7 +241,7 @@ def _traced(
     if not is_alone and used.model == settings.model:
         count_evaluation(made[0])
         return used, traced
-    return used, traced_paths(measured, priors, used, start, cache, progress)
+    return used, traced_paths(measured, priors, used, start, progress)
 
 
 def _fits(
@@ -280,7 +275,6 @@ def _with_positions_examined(
     priors: tuple[MaterialPrior, ...],
     fitted: tuple[TracedPaths, BandFits],
     settings: Settings,
-    cache: Cache | None,
     progress: Progress | None,
 ) -> tuple[Recorded, TracedPaths, BandFits]:
     """Return the room as it was fitted, with what is displaced in it.
@@ -303,7 +297,7 @@ def _with_positions_examined(
         observed = recorded(scene, measurements, measured.bands, patterns, range_db)
         measured = observed.measured
         early, late = part(progress, 0.0, 0.45), part(progress, 0.45, 1.0)
-        used, traced = _traced(measured, priors, settings, cache, early)
+        used, traced = _traced(measured, priors, settings, early)
         fits = _fits(measured, priors, traced, used, late)
         outline = _outline(measured, priors, traced, fits, offsets, moved_m)
     if outline is not None:

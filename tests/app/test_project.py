@@ -18,10 +18,10 @@ import soundfile
 
 from roomfit.app import project, recordings, views
 from roomfit.app.jobs import Job, Jobs, Worker
-from roomfit.base.cache import write_json_atomically
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray
+from roomfit.base.whole_files import write_json_atomically
 from roomfit.files.campaign import read_campaign
 from roomfit.files.draft import draft_campaign
 from roomfit.files.edits import Edit, Preview, apply, can_undo, edited_text, preview, undo

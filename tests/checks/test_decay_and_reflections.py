@@ -154,7 +154,7 @@ def measured_box():
     materials = [roomfit.material_prior(n, HIGH, scattering=0.0) for n in WALLS]
     priors = complete_priors(room.materials, materials, HIGH)
     settings = Settings(n_rays=500, n_rays_beside_images=500, n_scattering_rays=500)
-    traced = traced_paths(measured, priors, settings, np.full(2, 0.3), None, None)
+    traced = traced_paths(measured, priors, settings, np.full(2, 0.3), None)
     return measured, priors, traced
 
 

@@ -177,7 +177,7 @@ def found_in(seed: int, change=lambda x, _: x, known: float | None = None) -> li
         priors[-1] = replace(priors[-1], known=np.full(len(BANDS), known))
     measured = collect_measurements(scene, files, BANDS, {})
     settings, start = roomfit.Settings(), np.full(len(BANDS), 0.3)
-    traced = traced_paths(measured, tuple(priors), settings, start, None, None)
+    traced = traced_paths(measured, tuple(priors), settings, start, None)
     task = coherent_task(measured, tuple(priors), traced, start, settings)
     asked = {Code.LEVELS_NOT_LINEAR, Code.DECAY_BENT, Code.FIXED_ABSORPTION_CONTRADICTED}
     return [

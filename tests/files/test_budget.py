@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from report_cases import answer_of, read_page, scene_of
-from roomfit.base.cache import json_text
 from roomfit.base.errors import InputError
 from roomfit.base.logit import Z95
+from roomfit.base.whole_files import json_text
 from roomfit.cli.commands import export_result
 from roomfit.files.budget import (
     AFTER,

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 
 import pytest
 
-from roomfit.base.cache import (
+from roomfit.base.errors import InputError, StoreError
+from roomfit.base.whole_files import (
     check_output_folder,
     write_bytes_atomically,
     write_json_atomically,
     write_text_atomically,
 )
-from roomfit.base.errors import InputError, StoreError
 
 
 def test_a_file_is_replaced_whole_and_nothing_is_left_beside_it(tmp_path):
@@ -21,6 +22,17 @@ def test_a_file_is_replaced_whole_and_nothing_is_left_beside_it(tmp_path):
     write_bytes_atomically(target, b"new")
     assert target.read_text() == "new"
     assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_who_has_the_old_file_open_or_under_another_name_keeps_it(tmp_path):
+    path, other = tmp_path / "a.json", tmp_path / "b.json"
+    path.write_bytes(b"old content")
+    os.link(path, other)
+    with path.open("rb") as reader:
+        write_bytes_atomically(path, b"new")
+        assert reader.read() == b"old content"
+    assert other.read_bytes() == b"old content"
+    assert path.read_bytes() == b"new"
 
 
 def test_content_that_cannot_be_written_leaves_the_old_file(tmp_path):

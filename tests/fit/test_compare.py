@@ -56,7 +56,7 @@ def collected(responses: list[np.ndarray]) -> Measurements:
 def traced(measured: Measurements) -> TracedPaths:
     materials = [roomfit.material_prior(n, BANDS, scattering=0.0) for n in WALLS]
     priors = complete_priors(measured.scene.room.materials, materials, BANDS)
-    return traced_paths(measured, priors, SETTINGS, np.full(len(BANDS), 0.3), None, None)
+    return traced_paths(measured, priors, SETTINGS, np.full(len(BANDS), 0.3), None)
 
 
 @pytest.fixture(scope="module")

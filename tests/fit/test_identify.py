@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roomfit.base.cache import json_text
 from roomfit.base.findings import About, Code, Finding
+from roomfit.base.whole_files import json_text
 from roomfit.files.campaign import input_files, read_campaign
 from roomfit.files.inputs import identify_arguments, load_campaign
 from roomfit.files.results import result_content

@@ -47,7 +47,7 @@ def empty(*_: Any, **__: Any) -> dict[str, Any]:
 
 
 def writes(*names: str) -> Callable[..., None]:
-    from roomfit.base.cache import write_text_atomically
+    from roomfit.base.whole_files import write_text_atomically
 
     def write(folder: Path, *_: Any) -> None:
         for name in names:

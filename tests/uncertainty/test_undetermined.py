@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from report_cases import answer_of, scene_of
-from roomfit.base.cache import json_text
+from roomfit.base.whole_files import json_text
 from roomfit.files.results import result_content
 from roomfit.report.html_tables import share_tables
 from roomfit.report.text import separable_text, shares_table

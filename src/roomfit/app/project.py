@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from roomfit.base.arguments import check_known, check_name
-from roomfit.base.cache import write_text_atomically
 from roomfit.base.errors import InputError
+from roomfit.base.whole_files import write_text_atomically
 from roomfit.cli.commands import export_result
 from roomfit.files.campaign import FILL_IN, Campaign, blanks, read_campaign, read_toml
 from roomfit.files.draft import draft_campaign

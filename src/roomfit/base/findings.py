@@ -144,8 +144,6 @@ class Code(StrEnum):
 
     IMPORTANCE_WEIGHTS_DEGENERATE = "importance-weights-degenerate", "warning"
     FEW_RAYS = "few-rays", "warning"
-    CACHE_FILE_DAMAGED = "cache-file-damaged", "info"
-    CACHE_NOT_WRITTEN = "cache-not-written", "info"
     RECEIVER_SPHERE_SHRUNK = "receiver-sphere-shrunk", ("info", "warning")
     RAYS_ESCAPED = "rays-escaped", ("warning", "serious")
 

@@ -33,7 +33,6 @@ from typing import Any, TypeVar
 
 import numba
 
-from roomfit.base.cache import code_digest
 from roomfit.base.errors import InputError, InsufficientDataError, StoreError
 from roomfit.base.forks import end_with_parent, interrupts_deferred
 from roomfit.base.kernels import keep_one_blas_thread
@@ -433,12 +432,11 @@ def _distributed() -> Any:
 
 
 def about_this_process() -> dict[str, str]:
-    """Return the versions that decide numbers, and the digest of roomfit's own code."""
+    """Return the versions that decide numbers."""
     python = ".".join(str(part) for part in sys.version_info[:2])
     return {
         "Python": python,
         **{name: version(name) for name in ("roomfit", "numba", "numpy", "scipy")},
-        "code of roomfit": code_digest()[:12],
     }
 
 

@@ -1,35 +1,32 @@
 """Many rooms: each is identified into a folder of its own, and one table shows them all.
 
-A room's folder carries the digest of all that decides its answer, the code included, and comes into
-being whole. A run that was stopped goes on where it was, a room that is done twice does no harm,
-and one that fails stops no other.
+A room's folder carries the digest of all that decides its answer, the version of roomfit included,
+and comes into being whole. A run that was stopped goes on where it was, a room that is done twice
+does no harm, and one that fails stops no other.
 """
 
 from __future__ import annotations
 
 import glob
+import hashlib
+import json
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 from urllib.parse import quote
 
 import numpy as np
 
-from roomfit.base.cache import (
-    code_digest,
-    digest,
-    make_folder,
-    write_json_atomically,
-    write_text_atomically,
-)
 from roomfit.base.errors import FolderInUseError, InputError, RoomfitError, StoreError
 from roomfit.base.table import Cell, Column, Table, Value, csv_of, text_of, written
 from roomfit.base.typing import Progress
+from roomfit.base.whole_files import make_folder, write_json_atomically, write_text_atomically
 from roomfit.base.workers import completed, keep_one_thread, result_of
 from roomfit.cli.commands import identify_to_folder
 from roomfit.files.campaign import input_files, read_campaign
@@ -121,7 +118,8 @@ def room_tasks(campaigns: Sequence[Path], *, quick: bool = False) -> tuple[RoomT
         try:
             files = input_files(read_campaign(path))
             kind = "batch, first answers" if quick else "batch"
-            address = digest(code_digest(), kind, input_digests(files))
+            decisive = json.dumps([version("roomfit"), kind, input_digests(files)])
+            address = hashlib.sha256(decisive.encode()).hexdigest()
         except RoomfitError as error:
             tasks.append(RoomTask(name, path, "", str(error)))
         else:

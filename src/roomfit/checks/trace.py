@@ -1,4 +1,4 @@
-"""What planning and tracing the paths raised: rays, images, weights, and the cache."""
+"""What planning and tracing the paths raised: rays, images and weights."""
 
 from __future__ import annotations
 

@@ -24,7 +24,6 @@ from roomfit.base.errors import RoomfitError, StoreError
 from roomfit.cli import (
     app,
     batch,
-    cache,
     catalogue,
     check,
     compare,
@@ -48,7 +47,6 @@ from roomfit.cli.terminal import drop_output, warn
 _COMMANDS = (
     app,
     batch,
-    cache,
     catalogue,
     check,
     compare,

@@ -18,18 +18,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from roomfit.base.cache import (
+from roomfit.base.errors import InputError, located
+from roomfit.base.table import csv_of
+from roomfit.base.typing import FloatArray, Progress, part
+from roomfit.base.whole_files import (
     check_output_folder,
     make_folder,
     sole_writer,
-    user_cache,
     whole_output_folder,
     write_bytes_atomically,
     write_text_atomically,
 )
-from roomfit.base.errors import InputError, located
-from roomfit.base.table import csv_of
-from roomfit.base.typing import FloatArray, Progress, part
 from roomfit.files.door import files_read, read_bytes, read_text, reading_noted
 from roomfit.files.encoding import ResultFile, input_digests, path_of
 from roomfit.settings import Settings
@@ -504,7 +503,6 @@ def identify_to_folder(
     between_hz: tuple[float, float] | None = None,
     quick: bool = False,
     overwrite: bool = False,
-    keep: bool = True,
     progress: Progress | None = None,
     answered: Callable[[Result, Advice], None] | None = None,
 ) -> Result:
@@ -521,8 +519,6 @@ def identify_to_folder(
         A first answer, see `Settings.quick`, without pictures beside the report.
     overwrite : bool
         Write into a folder that is not empty.
-    keep : bool
-        Keep the trace in the user's cache, so that a run that was interrupted continues from it.
     progress, answered : callable, optional
         `answered` is called with the answer, and with what its findings advise to write into the
         campaign, before report and pictures are drawn.
@@ -550,9 +546,8 @@ def identify_to_folder(
     arguments = identify_arguments(campaign, between_hz)
     arguments["settings"] = replace(arguments["settings"], quick=quick)
     check_disk_room(out, len(arguments["measurements"]))
-    cache = user_cache() if keep else None
     with located(str(campaign_file)):
-        answer = identify(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
+        answer = identify(**arguments, progress=part(progress, 0.0, 0.95))
     advised = advice(answer.findings, campaign)
     if answered is not None:
         answered(answer, advised)

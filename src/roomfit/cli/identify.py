@@ -35,7 +35,6 @@ def add(commands: Commands) -> None:
     )
     parser.add_threads()
     parser.add_overwrite()
-    parser.add_argument("--no-cache", action="store_true", help="Neither use nor keep a trace.")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -59,7 +58,6 @@ def run(options: argparse.Namespace) -> None:
             between_hz=options.bands,
             quick=options.quick,
             overwrite=options.overwrite,
-            keep=not options.no_cache,
             progress=line.enter_context(shown_progress("identifying")),
             answered=show,
         )

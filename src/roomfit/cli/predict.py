@@ -35,9 +35,6 @@ def add(commands: Commands) -> None:
     parser.add_doubted()
     parser.add_threads()
     parser.add_overwrite()
-    parser.add_argument(
-        "--no-cache", action="store_true", help="Neither use nor keep intermediate results."
-    )
 
 
 def _grid(text: str) -> tuple[float, float]:
@@ -62,7 +59,6 @@ def run(options: argparse.Namespace) -> None:
             changes,
             wanted=wanted,
             overwrite=options.overwrite,
-            use_cache=not options.no_cache,
             progress=progress,
         )
     say(str(predicted))

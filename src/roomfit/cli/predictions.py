@@ -14,20 +14,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from roomfit.base.cache import (
-    check_output_folder,
-    sole_writer,
-    user_cache,
-    whole_output_folder,
-    write_bytes_atomically,
-    write_json_atomically,
-    write_text_atomically,
-)
 from roomfit.base.errors import InputError, InsufficientDataError, located
 from roomfit.base.findings import Code, Finding
 from roomfit.base.forks import in_forks
 from roomfit.base.table import csv_of
 from roomfit.base.typing import FloatArray, Progress, part
+from roomfit.base.whole_files import (
+    check_output_folder,
+    sole_writer,
+    whole_output_folder,
+    write_bytes_atomically,
+    write_json_atomically,
+    write_text_atomically,
+)
 from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.door import files_read, reading_noted
 
@@ -100,14 +99,12 @@ def predict_to_folder(
     *,
     wanted: WantedPairs | None = None,
     overwrite: bool = False,
-    use_cache: bool = True,
     progress: Progress | None = None,
 ) -> Predicted:
     """Predict a campaign; write predicted.json, .csv, .html and pictures into a folder.
 
     Pictures of the first 24 pairs; the files contain all. Of a grid maps in place of them, a
-    picture a source, and grid.csv. A run that was interrupted continues from its last finished
-    step, unless `use_cache` is false.
+    picture a source, and grid.csv.
 
     Parameters
     ----------
@@ -148,9 +145,8 @@ def predict_to_folder(
         n_pairs = len(arguments["scene"].pairs)
         # without its picture a pair takes a tenth: 20 kB with seven bands
         check_disk_room(out, min(n_pairs, most_drawn) + n_pairs // 10)
-        cache = user_cache() if use_cache else None
         with located(str(campaign_file)):
-            predicted = predict(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
+            predicted = predict(**arguments, progress=part(progress, 0.0, 0.95))
     with whole_output_folder(out, overwrite=overwrite) as folder:
         write_predicted(folder, predicted, files_read())
         if predicted.compares_states:
@@ -350,7 +346,6 @@ def _treat_traced(
             given["measurements"],
             speech_db=given["speech_db"],
             settings=given["settings"],
-            cache=user_cache(),
             progress=part(progress, 0.0, 0.9),
         )
         return treat(room, **asked, progress=part(progress, 0.9, 1.0)), doubts

@@ -18,8 +18,8 @@ import numpy as np
 
 from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import bands_between
-from roomfit.base.cache import write_text_atomically
 from roomfit.base.typing import BoolArray, ComplexArray, FloatArray, Progress
+from roomfit.base.whole_files import write_text_atomically
 
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
-from roomfit.base.cache import write_json_atomically, write_text_atomically
 from roomfit.base.table import Column, Table, csv_of, html_of, text_of
 from roomfit.base.typing import FloatArray
+from roomfit.base.whole_files import write_json_atomically, write_text_atomically
 from roomfit.files.encoding import finding_content, numbers_or_null, provenance
 from roomfit.report.figures import OKABE_ITO, figure_legend, new_figure
 from roomfit.report.room_figure import outline_m

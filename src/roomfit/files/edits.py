@@ -21,8 +21,8 @@ from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
-from roomfit.base.cache import locked, write_json_atomically, write_text_atomically
 from roomfit.base.errors import InputError, located
+from roomfit.base.whole_files import locked, write_json_atomically, write_text_atomically
 from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.door import read_text
 

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from roomfit.base.arguments import check_known
-from roomfit.base.cache import CONTENT_DIGEST, content_digest
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding, code_of
 from roomfit.base.typing import FloatArray
+from roomfit.base.whole_files import CONTENT_DIGEST, content_digest
 from roomfit.files.door import files_read, json_content, read_bytes, read_text
 
 

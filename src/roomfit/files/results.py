@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from roomfit.base.bands import Bands
-from roomfit.base.cache import nearest_existing, write_json_atomically, write_text_atomically
 from roomfit.base.errors import InputError, StoreError, located
 from roomfit.base.logit import logit
 from roomfit.base.table import csv_of
 from roomfit.base.typing import FloatArray
+from roomfit.base.whole_files import nearest_existing, write_json_atomically, write_text_atomically
 from roomfit.files.door import complete
 from roomfit.files.encoding import (
     ResultFile,
@@ -313,7 +313,7 @@ def result_content(
 
     The first of the inputs is the campaign; the others are named relative to its folder.
     ``posterior`` is the Gaussian of logit absorption in each band, where the answer has it.
-    `roomfit.base.cache.json_text` turns it into text.
+    `roomfit.base.whole_files.json_text` turns it into text.
     """
     content: dict[str, Any] = {
         "format": "roomfit-result",

@@ -7,7 +7,6 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from roomfit.base.cache import Cache
 from roomfit.base.findings import Finding
 from roomfit.base.typing import FloatArray, Progress, part
 from roomfit.fit.measurements import Measurements, time_scales
@@ -21,7 +20,7 @@ from roomfit.fit.scattering import (
     specified_scattering,
     tried_scattering,
 )
-from roomfit.fit.trace_plan import TracePlan, cached_trace, is_coherent, plan_trace
+from roomfit.fit.trace_plan import TracePlan, is_coherent, plan_trace, planned_trace
 from roomfit.materials.priors import MaterialPrior
 from roomfit.model.binned import BinnedPaths, bin_paths, reweighed
 from roomfit.model.directivity import FittedDirectivity
@@ -58,7 +57,7 @@ class TracedPaths:
     # gives paths, factors and bins with the image sources found anew where sources and receivers
     # have moved; None where all images stay, as in a box, or too few are known
     again: Retrace | None
-    findings: tuple[Finding, ...]  # of the plan, the cache, rays and their weights
+    findings: tuple[Finding, ...]  # of the plan, rays and their weights
     chosen_scattering: tuple[ChosenScattering, ...] = ()  # where it was not specified
     scattering_trial: ScatteringTrial | None = None  # of walls specified as smooth
 
@@ -128,7 +127,6 @@ def traced_paths(
     priors: tuple[MaterialPrior, ...],
     settings: Settings,
     start: FloatArray,
-    cache: Cache | None,
     progress: Progress | None,
 ) -> TracedPaths:
     """Trace every measured pair for as long as its decay is to be compared.
@@ -168,8 +166,8 @@ def traced_paths(
         del trial  # with two traces of its own
     trim_memory()
     done = part(progress, 0.5 if chosen else 0.0, 1.0)
-    found = cached_trace(scene, plan.settings, plan.scattering, cache, done)
-    paths = found.value.paths
+    found = planned_trace(scene, plan.settings, plan.scattering, done)
+    paths = found.paths
     scattering = specified_scattering(priors, plan.scattering.coefficients, len(bands))
     factors, degenerate = band_factors(measurements.directivities, scene, bands, paths, scattering)
     binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
@@ -184,12 +182,7 @@ def traced_paths(
         plan.far_images,
         plan.fit_until_s,
         _finder(measurements, plan, paths, scattering),
-        (
-            *plan.findings,
-            *found.findings,
-            *found.value.findings,
-            *degenerate,
-        ),
+        (*plan.findings, *found.findings, *degenerate),
         tuple(c for c in (assumed, chosen) if c is not None),
         tried,
     )

@@ -262,7 +262,7 @@ def chosen_model(
     }
     quick = replace(settings, quick=True, **most)
     priors = tuple(replace(k, fit_scattering=False) for k in priors)
-    traced = replace(traced_paths(few, priors, quick, start, None, None), again=None)
+    traced = replace(traced_paths(few, priors, quick, start, None), again=None)
     if not traced.far_images:
         return settings.model
     task = coherent_task(few, priors, traced, start, quick)

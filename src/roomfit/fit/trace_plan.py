@@ -1,4 +1,4 @@
-"""How finely to trace, as fine as the result needs and memory allows; and a trace that is kept."""
+"""How finely to trace, as fine as the result needs and memory allows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from roomfit.base.air import speed_of_sound_m_s
-from roomfit.base.cache import Cache, Cached, cached
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray, Progress
 from roomfit.fit.scattering import specified_scattering
@@ -21,32 +20,20 @@ from roomfit.room.scene import Room, Scene, material_areas_m2
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.signals.measurement import MeasuredPair
 from roomfit.tracing.image_sources import affordable_duration_s, affordable_order
-from roomfit.tracing.paths import Paths, TraceSettings
-from roomfit.tracing.rays import RayStatistics, Trace, expected_paths, path_bytes
+from roomfit.tracing.paths import TraceSettings
+from roomfit.tracing.rays import Trace, expected_paths, path_bytes
 from roomfit.tracing.trace import fitting_radii_m, trace
 
 _LOG = logging.getLogger("roomfit")
 
-TRACE_CLASSES = (Trace, Paths, RayStatistics, Finding, About, Code)
 
-
-def cached_trace(
+def planned_trace(
     scene: Scene,
     settings: TraceSettings,
     scattering: Scattering,
-    cache: Cache | None,
     progress: Progress | None = None,
-) -> Cached[Trace]:
-    """Return `roomfit.tracing.trace.trace` of a scene, from the cache where it is there.
-
-    The key holds every number of the scene (mesh, materials, positions, air), the settings with
-    their seed, the scattering, and the code. The paths have the same bits either way.
-
-    Raises
-    ------
-    InputError
-        See `roomfit.tracing.trace.trace`.
-    """
+) -> Trace:
+    """Return `roomfit.tracing.trace.trace` of a scene, and log what it takes."""
     _LOG.info("tracing")
     _LOG.debug(
         "%d pairs for %.2f s: image sources to order %d, %d rays a source",
@@ -55,16 +42,8 @@ def cached_trace(
         settings.image_order,
         settings.n_rays,
     )
-    found = cached(
-        cache,
-        "trace",
-        (scene, settings, scattering),
-        lambda: trace(scene, settings, scattering, progress),
-        TRACE_CLASSES,
-    )
-    _LOG.debug("%d paths%s", len(found.value.paths.pair), ", kept earlier" * found.found)
-    if found.found and progress is not None:
-        progress(1.0)
+    found = trace(scene, settings, scattering, progress)
+    _LOG.debug("%d paths", len(found.paths.pair))
     return found
 
 

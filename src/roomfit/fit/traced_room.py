@@ -11,18 +11,17 @@ import numpy as np
 
 from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import Bands
-from roomfit.base.cache import Cache
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import BoolArray, FloatArray, Progress
 from roomfit.fit.compare import predicted_curve
 from roomfit.fit.scattering import band_factors, specified_scattering
-from roomfit.fit.trace_plan import LEAST_RAYS, TracePlan, cached_trace, plan_trace
+from roomfit.fit.trace_plan import LEAST_RAYS, TracePlan, plan_trace, planned_trace
 from roomfit.materials.priors import MaterialPrior, unknown_material
 from roomfit.model.binned import BinnedPaths, bin_paths, pair_energies, rows_at
 from roomfit.model.eyring import eyring_time_s
 from roomfit.model.observation import spread_over_time
-from roomfit.model.patterns import Directivities, known_directivities
+from roomfit.model.patterns import Directivities
 from roomfit.model.reduced_rows import (
     BINS_TOGETHER,
     ROWS_OF_A_CASE,
@@ -74,7 +73,6 @@ class TracedRoom:
     scene: Scene
     bands: Bands
     binned: BinnedPaths
-    key: tuple[object, ...]  # what, besides scene and bands, decided the paths: for caches
     findings: tuple[Finding, ...]
     by_pressures: BoolArray  # (n_bands,), where decays add the pressures of image sources
 
@@ -255,7 +253,6 @@ def trace_room(
     absorption: FloatArray | None = None,
     measured_decay_s: float = 0.0,
     settings: Settings | None = None,
-    cache: Cache | None = None,
     progress: Progress | None = None,
 ) -> TracedRoom:
     """Trace until every band of every pair has fallen by 36 dB, or for 30 s.
@@ -294,26 +291,24 @@ def trace_room(
                 return plan
         return plan_trace(*own, settings)
 
-    def traced(n_rays: int, cache: Cache | None, progress: Progress | None) -> TracedRoom:
+    def traced(n_rays: int, progress: Progress | None) -> TracedRoom:
         plan = planned()
         fineness = replace(plan.settings, n_rays=min(plan.settings.n_rays, n_rays))
-        found = cached_trace(scene, fineness, plan.scattering, cache, progress)
-        paths = found.value.paths
+        found = planned_trace(scene, fineness, plan.scattering, progress)
+        paths = found.paths
         scattering = specified_scattering(priors, plan.scattering.coefficients, len(bands))
         factors, degenerate = band_factors(directivities, scene, bands, paths, scattering)
         binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
-        patterns = known_directivities(directivities, scene.sources)
-        key = (plan.settings, scattering, patterns, added.tolist())
-        doubts = (*plan.findings, *found.value.findings, *found.findings, *degenerate)
-        return TracedRoom(scene, bands, binned, key, doubts, added & plan.far_images)
+        doubts = (*plan.findings, *found.findings, *degenerate)
+        return TracedRoom(scene, bands, binned, doubts, added & plan.far_images)
 
     n_pilots = 2 * _ATTEMPTS if planned().settings.n_rays > _PILOT_RAYS else 0
     for _ in range(n_pilots):
-        if longest_s >= _LONGEST_S or not _short_bands(traced(_PILOT_RAYS, None, None), absorption):
+        if longest_s >= _LONGEST_S or not _short_bands(traced(_PILOT_RAYS, None), absorption):
             break
         longest_s *= _LONGER
     for _ in range(2 if n_pilots else _ATTEMPTS):
-        room = traced(sys.maxsize, cache, progress)
+        room = traced(sys.maxsize, progress)
         short = _short_bands(room, absorption)
         if not short or longest_s >= _LONGEST_S:
             break

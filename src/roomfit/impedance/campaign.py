@@ -15,10 +15,10 @@ import numpy as np
 
 from roomfit.base.air import relative_speed_sd, speed_of_sound_m_s
 from roomfit.base.arguments import check_known
-from roomfit.base.cache import check_output_folder, sole_writer
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
 from roomfit.base.typing import ComplexArray, FloatArray, Progress, part
+from roomfit.base.whole_files import check_output_folder, sole_writer
 from roomfit.files.campaign import (
     Campaign,
     MeasuredFile,

@@ -11,14 +11,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 
-from roomfit.base.cache import (
+from roomfit.base.table import Column, Table, Value, csv_of
+from roomfit.base.typing import ComplexArray, FloatArray
+from roomfit.base.whole_files import (
     whole_output_folder,
     write_bytes_atomically,
     write_json_atomically,
     write_text_atomically,
 )
-from roomfit.base.table import Column, Table, Value, csv_of
-from roomfit.base.typing import ComplexArray, FloatArray
 from roomfit.files.encoding import (
     finding_content,
     number_or_null,

@@ -16,7 +16,9 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import LogFormatterSciNotation, MultipleLocator
 
-from roomfit.base.cache import (
+from roomfit.base.table import Column, Table, Value, csv_of, text_of
+from roomfit.base.typing import FloatArray, Progress
+from roomfit.base.whole_files import (
     check_output_folder,
     sole_writer,
     whole_output_folder,
@@ -24,8 +26,6 @@ from roomfit.base.cache import (
     write_json_atomically,
     write_text_atomically,
 )
-from roomfit.base.table import Column, Table, Value, csv_of, text_of
-from roomfit.base.typing import FloatArray, Progress
 from roomfit.paper.certificate_record import Certificate
 from roomfit.paper.independent import (
     MEASUREMENT_PARTS,

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy import fft
 
-from roomfit.base.cache import Cache
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Finding
 from roomfit.base.kernels import one_blas_thread
@@ -96,7 +95,6 @@ def listen(
     measurements: Sequence[Measurement],
     *,
     settings: Settings | None = None,
-    cache: Cache | None = None,
     progress: Progress | None = None,
 ) -> tuple[tuple[ChangedResponse, ...], tuple[Finding, ...]]:
     """Return measured responses as they would be after a change of materials.
@@ -106,7 +104,7 @@ def listen(
 
     Parameters
     ----------
-    scene, absorption, changes, settings, cache, progress
+    scene, absorption, changes, settings, progress
         As of `roomfit.predict`; without changes the samples come back as they are.
     measurements : sequence of Measurement
         Of pairs of the scene, all at one sampling rate.
@@ -137,7 +135,7 @@ def listen(
     observed, doubts = observe(scene, measurements, absorption.bands)
     times = [m.parameters.of("T30_s") for m in observed]
     longest_s = max((float(np.nanmax(row)) for row in times if np.isfinite(row).any()), default=0.0)
-    room = trace_room(scene, absorption, np.minimum(old, new), longest_s, settings, cache, progress)
+    room = trace_room(scene, absorption, np.minimum(old, new), longest_s, settings, progress)
     found = tuple(_changed_response(room, m, old, new) for m in observed)
     rests_on = result_doubts(absorption)
     return found, (*rests_on, *absorption.findings, *findings, *doubts, *room.findings)

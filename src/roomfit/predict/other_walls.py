@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from roomfit.base.bands import Bands
-from roomfit.base.cache import Cache, cached
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.forks import in_forks, in_this_process
@@ -27,7 +26,6 @@ from roomfit.predict.changes import Change, change_text, changed_draws
 from roomfit.predict.decay import (
     LatestBands,
     PairNumbers,
-    PredictedDecay,
     changed_numbers,
     pair_numbers,
 )
@@ -131,7 +129,6 @@ def predict(
     *,
     speech_db: FloatArray | None = None,
     settings: Settings | None = None,
-    cache: Cache | None = None,
     progress: Progress | None = None,
 ) -> Predicted:
     """Predict the room parameters of every pair of a scene, with 95 % intervals.
@@ -164,8 +161,6 @@ def predict(
         index is that of the room, without noise, masking and threshold.
     settings : Settings, optional
         `Settings.n_draws` draws of the absorption stand behind the intervals.
-    cache : Cache, optional
-        Keeps the trace and the numbers of every finished pair.
     progress : callable, optional
         Called with the share of the work that is done, 0 to 1.
 
@@ -214,11 +209,10 @@ def predict(
         measurements,
         speech_db=speech_db,
         settings=settings,
-        cache=cache,
         progress=part(progress, 0.0, 0.75 if changes else 1.0),
     )
     done = part(progress, 0.75, 1.0)
-    found = predict_change(prepared, changes, exact=True, cache=cache, progress=done)
+    found = predict_change(prepared, changes, exact=True, progress=done)
     return replace(found, seconds=time.perf_counter() - began)
 
 
@@ -257,14 +251,13 @@ def prepare_prediction(
     *,
     speech_db: FloatArray | None = None,
     settings: Settings | None = None,
-    cache: Cache | None = None,
     progress: Progress | None = None,
 ) -> PreparedRoom:
     """Trace and predict a room as it was found, ready for many changes by `predict_change`.
 
     Parameters
     ----------
-    scene, absorption, measurements, speech_db, settings, cache, progress
+    scene, absorption, measurements, speech_db, settings, progress
         As of `predict`.
     alternatives : sequence of sequences of Change
         Changes that may be asked for: decays are followed as long as with the hardest of them.
@@ -282,7 +275,7 @@ def prepare_prediction(
     least, is_known = _least_absorption(absorption, draws, alternatives, rng)
     observed, measured_findings = observed_pairs(scene, measurements, absorption.bands)
     longest_s, done = _longest_s(observed), part(progress, 0.02, 0.6)
-    traced = trace_room(scene, absorption, least, longest_s, settings, cache, done)
+    traced = trace_room(scene, absorption, least, longest_s, settings, done)
     bands, found = absorption.bands, absorption.absorption
     few = tuple(in_forks(partial(traced.reduced, absorption=found), range(len(scene.pairs))))
     energies = [f.energies(found[None]) for f in few]
@@ -295,12 +288,11 @@ def prepare_prediction(
     )  # fmt: skip
     if not is_known:
         return room
-    before, cache_findings = _exact_numbers(room, found, draws, cache, part(progress, 0.6, 1.0))
+    before = _exact_numbers(room, found, draws, part(progress, 0.6, 1.0))
     return replace(
         room,
         before=before,
         observed=with_sti(scene, bands, observed, before, speech_db),
-        findings=(*room.findings, *cache_findings),
     )
 
 
@@ -343,31 +335,21 @@ def _exact_numbers(
     room: PreparedRoom,
     absorption: FloatArray,
     draws: FloatArray,
-    cache: Cache | None,
     progress: Progress | None,
-) -> tuple[tuple[PairNumbers, ...], tuple[Finding, ...]]:
-    """Return the numbers of every pair from all paths, and what happened to the cache."""
-    scene, bands = room.scene, room.absorption.bands
+) -> tuple[PairNumbers, ...]:
+    """Return the numbers of every pair from all paths."""
+    n_pairs = len(room.scene.pairs)
     _LOG.info("predicting")
     shown = in_this_process(progress)
 
-    def of_pair(i: int) -> tuple[PairNumbers, tuple[Finding, ...]]:
-        one = cached(
-            cache,
-            "pair",
-            (scene, room.traced.key, bands, i, absorption, draws, room.speech_db),
-            lambda: pair_numbers(room.traced, i, room.few[i], absorption, draws, room.speech_db),
-            (PairNumbers, PredictedDecay),
-        )
+    def of_pair(i: int) -> PairNumbers:
+        one = pair_numbers(room.traced, i, room.few[i], absorption, draws, room.speech_db)
         if shown is not None:
-            shown((i + 1) / len(scene.pairs))
-        return one.value, one.findings
+            shown((i + 1) / n_pairs)
+        return one
 
-    numbers, findings = zip(*in_forks(of_pair, range(len(scene.pairs))), strict=True)
-    added = room.traced.by_pressures
-    return with_misfit(numbers, room.absorption.fitted_jnd, added), tuple(
-        f for own in findings for f in own
-    )
+    numbers = tuple(in_forks(of_pair, range(n_pairs)))
+    return with_misfit(numbers, room.absorption.fitted_jnd, room.traced.by_pressures)
 
 
 def numbers_at(
@@ -411,7 +393,6 @@ def predict_change(
     *,
     exact: bool = False,
     compare_pairs: bool = True,
-    cache: Cache | None = None,
     progress: Progress | None = None,
 ) -> Predicted:
     """Predict a prepared room with changes, as `predict` does.
@@ -429,7 +410,7 @@ def predict_change(
         Also what changes do to every pair by itself; else, sooner, what they do to the means. Where
         nothing was measured interference is then taken to be another after the change, so that
         intervals of changes are too wide.
-    cache, progress
+    progress
         For what is exact.
 
     Raises
@@ -444,8 +425,7 @@ def predict_change(
     changed = [names.index(c.material) for c in changes]
     numbers: list[tuple[PairNumbers, ...]] = [room.before]
     if changes and exact:
-        after, cache_findings = _exact_numbers(room, expected, drawn, cache, progress)
-        doubts += cache_findings
+        after = _exact_numbers(room, expected, drawn, progress)
         numbers = [after, room.before] if room.before else [after]
     elif changes:
         numbers = [numbers_at(room, expected, drawn), room.before]

@@ -13,11 +13,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from roomfit.base.bands import Bands
-from roomfit.base.cache import write_json_atomically, write_text_atomically
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code, Finding
 from roomfit.base.table import Cell, Column, Table, Value, csv_of, html_of, text_of
 from roomfit.base.typing import FloatArray
+from roomfit.base.whole_files import write_json_atomically, write_text_atomically
 from roomfit.files.encoding import finding_content, finding_of, numbers_or_null, provenance
 from roomfit.predict.answer import DecayAnswer, decay_answer
 from roomfit.predict.changes import Change, change_text

@@ -32,9 +32,9 @@ from matplotlib.text import Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from matplotlib.transforms import IdentityTransform
 
-from roomfit.base.cache import write_bytes_atomically
 from roomfit.base.logit import expit
 from roomfit.base.typing import FloatArray, Progress
+from roomfit.base.whole_files import write_bytes_atomically
 from roomfit.report.wording import decay_time_key, number, parameter, short_hertz, shortened
 from roomfit.result import ComparedPair, Decay, Result
 from roomfit.uncertainty.gaussian import WIDEST_IDENTIFIABLE

@@ -13,11 +13,11 @@ from matplotlib.colors import to_hex, to_rgb, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from roomfit.base.cache import (
+from roomfit.base.table import Cell, Column, Table, csv_of, text_of
+from roomfit.base.whole_files import (
     write_json_atomically,
     write_text_atomically,
 )
-from roomfit.base.table import Cell, Column, Table, csv_of, text_of
 from roomfit.files.encoding import finding_content, number_or_null, provenance
 from roomfit.predict.answer import DecayAnswer, decay_answer
 from roomfit.predict.output import (

@@ -1,0 +1,405 @@
+"""Files and output folders that are whole or absent.
+
+Each is written under another name and renamed when it is complete, so that an interrupted run
+leaves no half of one.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import hashlib
+import json
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from functools import wraps
+from glob import escape
+from inspect import signature
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+
+from roomfit.base.errors import FolderInUseError, InputError, StoreError
+
+if sys.platform != "win32":
+    import fcntl
+
+CONTENT_DIGEST = "content_sha256"
+# Of what the C library exchanges two names with: Linux and macOS.
+_AT_CWD, _RENAME_EXCHANGE, _RENAME_SWAP = -100, 2, 2
+# Within an output folder: the names of the result's own files.
+_LIST = ".roomfit-files"
+
+
+def check_output_folder(path: Path, *, overwrite: bool = False) -> None:
+    """Refuse a folder that results cannot go into, before the work and without making it."""
+    path = Path(path)
+    nearest = _nearest_folder(path)
+    try:
+        filled = path.is_dir() and any(path.iterdir())
+    except OSError as error:
+        raise _cannot_be_made(path, error) from error
+    if filled and not overwrite:
+        what = "the output folder exists and is not empty"
+        needed = "a new or an empty folder, so that no earlier result is lost"
+        hint = "choose another folder, or add --overwrite"
+        raise InputError(what, where=str(path), found="files in it", needed=needed, hint=hint)
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise StoreError(
+            "the output folder cannot be written to",
+            where=str(path),
+            found=f"no permission to write in {nearest}",
+            hint="choose another folder",
+        )
+
+
+def _nearest_folder(path: Path) -> Path:
+    try:
+        nearest = nearest_existing(path)
+    except OSError as error:
+        raise _cannot_be_made(path, error) from error
+    if not nearest.is_dir():
+        raise InputError(
+            "the output folder is a file" if nearest == path else "the output folder is in a file",
+            where=str(path),
+            found=f"{nearest} is a file",
+            needed="a folder, or a name that is free",
+            hint="choose another name",
+        )
+    return nearest
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder where there is none; errors as of `check_output_folder`."""
+    _nearest_folder(path)
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _cannot_be_made(path, error) from error
+
+
+@contextmanager
+def whole_output_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """Give a folder to fill, which takes its final name when the block ends without an error.
+
+    Until then it has a hidden name on the same disk. An error or an interruption within the block
+    leaves nothing: neither the folder nor a changed file of an earlier one. With `overwrite`, the
+    new folder and an earlier one change places in one step, so that either the old result is there
+    or the new one, whole. The new one has a list of its files, ``.roomfit-files``; files that the
+    earlier list names and this run did not write are gone, and all others stay.
+
+    Where the system cannot exchange folders (Windows, some network disks), the old one is renamed
+    first: a run that is killed between the two leaves it under a hidden name, and the next run puts
+    it back. The current folder of the process, and a disk of its own, cannot be renamed: there
+    files are replaced one by one.
+    """
+    check_output_folder(path, overwrite=overwrite)
+    path = Path(path).resolve()
+    parent = nearest_existing(path.parent)
+    with _hidden_folder(parent, f".{path.name}.making-") as aside:
+        yield aside
+        try:
+            written = sorted(p.relative_to(aside).as_posix() for p in aside.rglob("*"))
+            (aside / _LIST).write_text(json.dumps(written), encoding="utf-8")
+            _put_in_place(aside, path)
+        except OSError as error:
+            raise StoreError(
+                "the results cannot be put into the output folder",
+                where=str(path),
+                found=str(error),
+            ) from error
+
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def sole_writer(command: Callable[P, T]) -> Callable[P, T]:
+    """Let a command run only while no other run writes into the folder that is its argument `out`.
+
+    `FolderInUseError` otherwise. What killed runs have left behind is removed.
+    """
+    wanted = signature(command)
+    place = "out" if "out" in wanted.parameters else "folder"
+
+    @wraps(command)
+    def alone(*args: P.args, **kwargs: P.kwargs) -> T:
+        path = Path(wanted.bind(*args, **kwargs).arguments[place]).resolve()
+        parent = nearest_existing(path.parent)
+        if not (parent.is_dir() and os.access(parent, os.W_OK | os.X_OK)):
+            return command(*args, **kwargs)  # which refuses
+        with locked(path):
+            _recover(path, parent)
+            return command(*args, **kwargs)
+
+    return alone
+
+
+@contextmanager
+def locked(path: Path, wait_s: float = 1.0) -> Iterator[None]:
+    """Hold a file, or a folder that may still be to be made, by a lock in a hidden file beside it.
+
+    The system frees it when its process ends, however that comes about. `FolderInUseError` where
+    another run has held it all the time that this one waited.
+    """
+    mark = hashlib.sha256(os.fsencode(path)).hexdigest()[:16]
+    lock = nearest_existing(path.parent) / f".roomfit-{mark}.lock"
+    try:
+        descriptor, taken = _opened(lock, wait_s)
+    except OSError as error:
+        raise _cannot_be_made(path, error) from error
+    if not taken:
+        os.close(descriptor)
+        what, found = "another run is writing to this place", f"a run that holds {lock.name}"
+        hint = "wait for it, end it, or choose another place"
+        raise FolderInUseError(what, where=str(path), found=found, needed="one run", hint=hint)
+    try:
+        yield
+    finally:
+        # removed while it is held: whoever waits with the old file open looks again, and what has
+        # its name after that may be the lock of another; Windows removes no open file
+        if sys.platform == "win32":
+            os.close(descriptor)
+            _remove(lock)
+        else:
+            _remove(lock)
+            os.close(descriptor)
+
+
+def _opened(lock: Path, wait_s: float) -> tuple[int, bool]:
+    """Open a lock file and take it; return its descriptor, and whether it is taken."""
+    while True:
+        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        taken = _try_lock(descriptor, wait_s)
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(descriptor), lock.stat()):
+                return descriptor, taken
+        os.close(descriptor)  # its last owner has just removed it
+
+
+def _try_lock(descriptor: int, wait_s: float = 0.0) -> bool:
+    """Return whether an open file, or on POSIX a folder, could be locked; True without locks."""
+    until_s = time.monotonic() + wait_s
+    while True:
+        try:
+            if sys.platform != "win32":
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            else:
+                import msvcrt
+
+                msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+            return True
+        except OSError as error:
+            is_free = error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
+            if is_free or time.monotonic() >= until_s:
+                return is_free
+            time.sleep(0.002)  # copies of a killed run hold its locks until they have died
+
+
+@contextmanager
+def _hidden_folder(parent: Path, prefix: str) -> Iterator[Path]:
+    """Give a new folder, which is removed at the end if it is still there.
+
+    It is locked as long as this process lives, by which `_remove_leftovers` knows dead ones.
+    """
+    try:
+        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
+    except OSError as error:
+        raise _cannot_be_made(parent, error) from error
+    descriptor = -1 if sys.platform == "win32" else os.open(folder, os.O_RDONLY)
+    try:
+        if descriptor >= 0:
+            _try_lock(descriptor)
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        if descriptor >= 0:
+            os.close(descriptor)
+
+
+def _remove_leftovers(parent: Path, prefix: str) -> None:
+    """Remove the hidden folders of runs that were killed; those of living ones are locked."""
+    # Windows locks no folders
+    for folder in () if sys.platform == "win32" else parent.glob(f"{escape(prefix)}????????"):
+        with suppress(OSError):
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            if _try_lock(descriptor, wait_s=1.0):
+                shutil.rmtree(folder, ignore_errors=True)
+            os.close(descriptor)
+
+
+def _recover(path: Path, parent: Path) -> None:
+    """Put back what a killed run had moved away, and remove what it left."""
+    for old in parent.glob(f".{escape(path.name)}.old-????????"):
+        if path.exists():
+            shutil.rmtree(old, ignore_errors=True)
+        else:
+            old.rename(path)
+    _remove_leftovers(parent, f".{path.name}.making-")
+
+
+def _put_in_place(aside: Path, path: Path) -> None:
+    """Give a folder its final name; where one of that name exists, the two change places."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _give_usual_permissions(aside, 0o777)
+    if not path.exists():
+        aside.rename(path)
+        return
+    if Path.cwd().is_relative_to(path) or path.is_mount():
+        _replace_one_by_one(aside, path)
+        return
+    _carry_over(path, aside)
+    shutil.copymode(path, aside)
+    if not _exchange(aside, path):
+        old = Path(tempfile.mkdtemp(prefix=f".{path.name}.old-", dir=path.parent))
+        old.rmdir()
+        path.rename(old)
+        try:
+            aside.rename(path)
+        except OSError:
+            old.rename(path)
+            raise
+        old.rename(aside)  # which is removed
+
+
+def _earlier(path: Path) -> set[str]:
+    """Return the files and folders that an earlier result names as its own."""
+    try:
+        return set(json.loads((path / _LIST).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError, RecursionError):
+        return set()  # of another version, or no result at all: nothing is removed
+
+
+def _foreign(path: Path, aside: Path) -> Iterator[Path]:
+    """Yield what of a folder neither an earlier result's list nor the new result names."""
+    earlier = _earlier(path) | {_LIST}
+    for here, folders, files in os.walk(path):
+        for name in (*folders, *files):
+            own = Path(here, name).relative_to(path)
+            if own.as_posix() in earlier:
+                continue
+            if not (aside / own).exists():
+                yield own
+            elif name in folders and not (aside / own).is_dir():
+                raise FileExistsError(errno.EEXIST, "a folder is in the place of a file", str(own))
+
+
+def _carry_over(path: Path, aside: Path) -> None:
+    """Enter into the new folder what is not the result's, as further names of the same files."""
+    for own in _foreign(path, aside):
+        source, place = path / own, aside / own
+        place.parent.mkdir(parents=True, exist_ok=True)
+        if source.is_dir() and not source.is_symlink():
+            place.mkdir()
+            shutil.copystat(source, place)
+            continue
+        try:
+            os.link(source, place, follow_symlinks=False)
+        except (OSError, NotImplementedError):  # a disk without links
+            shutil.copy2(source, place, follow_symlinks=False)
+
+
+def _replace_one_by_one(aside: Path, path: Path) -> None:
+    """Move every file into a folder, and remove what only the earlier list names."""
+    written = {p.relative_to(aside) for p in aside.rglob("*") if p.is_file()}
+    names = {Path(name) for name in _earlier(path)} - written
+    stale = [p for p in path.rglob("*") if p.relative_to(path) in names and p.is_file()]
+    for own in sorted(written):
+        (path / own).parent.mkdir(parents=True, exist_ok=True)
+        (aside / own).replace(path / own)
+    for file in stale:
+        file.unlink()
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Let two folders change names in one step; return False where the system cannot."""
+    names = (os.fsencode(one), os.fsencode(other))
+    try:
+        library = ctypes.CDLL(None, use_errno=True)
+        if sys.platform == "darwin":
+            return bool(library.renamex_np(*names, _RENAME_SWAP) == 0)
+        return bool(library.renameat2(_AT_CWD, names[0], _AT_CWD, names[1], _RENAME_EXCHANGE) == 0)
+    except (AttributeError, OSError, TypeError):
+        return False
+
+
+def write_bytes_atomically(path: Path, content: bytes) -> Path:
+    """Write a file under another name and rename it: readers find the old file or the new one."""
+    path = Path(path)
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        aside = Path(name)
+        try:
+            with os.fdopen(handle, "wb") as stream:
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+            _give_usual_permissions(aside, 0o666)
+            aside.replace(path)
+        finally:
+            _remove(aside)
+    except OSError as error:
+        raise StoreError("a file cannot be written", where=str(path), found=str(error)) from error
+    return path
+
+
+def write_text_atomically(path: Path, text: str) -> Path:
+    """Write UTF-8, ? for bytes of names that are none; see `write_bytes_atomically`."""
+    return write_bytes_atomically(path, text.encode(errors="replace"))
+
+
+def write_json_atomically(path: Path, content: Mapping[str, Any]) -> Path:
+    """Write `json_text` to a file, with `content_digest`; see `write_bytes_atomically`."""
+    whole = {**content, CONTENT_DIGEST: content_digest(content)}
+    return write_text_atomically(path, json_text(whole))
+
+
+def content_digest(content: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of the JSON text, without spaces, of all but the digest itself."""
+    rest = {key: value for key, value in content.items() if key != CONTENT_DIGEST}
+    text = json.dumps(rest, separators=(",", ":"), default=_listed)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def json_text(content: Any) -> str:
+    """Return JSON that any parser reads: unknown is None, never NaN; arrays become lists."""
+    return json.dumps(content, indent=1, allow_nan=False, default=_listed) + "\n"
+
+
+def _listed(value: object) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} has no form in JSON")
+
+
+def nearest_existing(path: Path) -> Path:
+    """Return the path itself, or the nearest folder above it that exists."""
+    return next((p for p in (path, *path.absolute().parents) if p.exists()), Path.cwd())
+
+
+def _cannot_be_made(path: Path, error: OSError) -> StoreError:
+    return StoreError(
+        "the output folder cannot be made",
+        where=str(path),
+        found=error.strerror or str(error),
+        needed="a folder in which files may be written",
+        hint="choose another place, or change who may write there",
+    )
+
+
+def _give_usual_permissions(path: Path, most: int) -> None:
+    """Give the permissions of any new file; temporary ones are readable by their owner only."""
+    umask = os.umask(0)
+    os.umask(umask)
+    path.chmod(most & ~umask)
+
+
+def _remove(path: Path) -> None:
+    with suppress(OSError):  # on a disk that is read-only: it is not used in any case
+        path.unlink(missing_ok=True)
