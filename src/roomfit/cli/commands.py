@@ -88,9 +88,7 @@ def check_campaign_recordings(
             own["settings"].decay_range_db,
         )
     fitted = {m.pair_name[:2] for m in own["measurements"] if m.use == "fit"}
-    alike = plane_findings(
-        named_pairs(own["scene"], fitted), own["materials"], own["bands"], own["settings"]
-    )
+    alike = plane_findings(named_pairs(own["scene"], fitted))
     checked = replace(checked, findings=(*checked.findings, *alike))
     if out is not None:
         from roomfit.fit.measurements import measured_scene

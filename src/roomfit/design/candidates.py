@@ -7,18 +7,12 @@ from dataclasses import dataclass
 from typing import NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from roomfit.base.arguments import check_known
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
-from roomfit.base.forks import in_forks, in_this_process
-from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress
+from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.design.choose import Criterion, Rules
-from roomfit.design.expected import expected_fit
-from roomfit.design.information import information_of_pair
-from roomfit.design.prior import PriorInformation
-from roomfit.model.patterns import Directivities
 from roomfit.room.scene import (
     NEAREST_PAIR_M,
     Point,
@@ -28,7 +22,6 @@ from roomfit.room.scene import (
     distances_m,
     is_clear_of_walls,
 )
-from roomfit.settings import Settings
 from roomfit.signals.measurement import Level
 
 Position = tuple[float, float, float]
@@ -93,26 +86,15 @@ class Region(NamedTuple):
     wall_distance_m: float = 1.0  # ISO 3382-2:2008, 4.3.3: a quarter of a wavelength, normally 1 m
 
 
-def region_of(
-    room: Room,
-    heights_m: tuple[float, float],
-    wall_distance_m: float,
-    box_m: tuple[ArrayLike, ArrayLike] | None = None,
-) -> Region:
-    """Return the region of a room between two heights above its lowest point, cut by a box.
-
-    Raises
-    ------
-    InputError
-        Nothing is left of it.
-    """
+def region_of(room: Room, heights_m: tuple[float, float], options: DesignOptions) -> Region:
+    """Return the region of a room between two heights above its lowest point, cut by a box."""
     vertices = room.mesh.vertices_m
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     floor = float(low[2])
     low = np.maximum(low, [*low[:2], floor + heights_m[0]])
     high = np.minimum(high, [*high[:2], floor + heights_m[1]])
-    if box_m is not None:
-        low, high = np.maximum(low, box_m[0]), np.minimum(high, box_m[1])
+    if options.region_m is not None:
+        low, high = np.maximum(low, options.region_m[0]), np.minimum(high, options.region_m[1])
     if np.any(low > high):
         raise InputError(
             "a region ends below its beginning",
@@ -120,31 +102,24 @@ def region_of(
             needed="the lower corner first",
             hint="exchange its two corners, or name a higher range of heights",
         )
-    return Region(low, high, wall_distance_m)
+    return Region(low, high, options.wall_distance_m)
 
 
 def spread_positions(room: Room, region: Region, n: int, seed: int) -> FloatArray:
     """Return n positions spread evenly over a region, shape (n, 3).
 
     Scrambled Sobol points of the box, those kept that are in the room and clear of its walls.
-
-    Raises
-    ------
-    InputError
-        Hardly any position in the region is allowed.
     """
     from scipy.stats import qmc  # heavy
 
     sampler = qmc.Sobol(3, scramble=True, rng=np.random.default_rng(seed))
-    found = np.zeros((0, 3))
-    tried = 0
+    found, tried = np.zeros((0, 3)), 0
     while len(found) < n and tried < _MOST_TRIES:
         points = sampler.random(max(256, 1 << (4 * n - 1).bit_length()))
         tried += len(points)
         positions = region.low_m + points * (region.high_m - region.low_m)
-        found = np.concatenate(
-            (found, positions[is_clear_of_walls(room, positions, region.wall_distance_m)])
-        )
+        clear = is_clear_of_walls(room, positions, region.wall_distance_m)
+        found = np.concatenate((found, positions[clear]))
     if len(found) < n:
         raise _too_narrow(region, len(found), n)
     return found[:n]
@@ -158,13 +133,7 @@ def grid_positions(room: Room, region: Region, spacing_m: float) -> FloatArray:
 
     The grid is centred in the region, with the same spacing in x, y and z; a region without height
     has one layer.
-
-    Raises
-    ------
-    InputError
-        No position is allowed.
     """
-    axes = []
     steps = [int(side / spacing_m + 1e-9) for side in region.high_m - region.low_m]
     if math.prod(n + 1 for n in steps) > _MOST_IN_GRID:
         raise InputError(
@@ -174,8 +143,10 @@ def grid_positions(room: Room, region: Region, spacing_m: float) -> FloatArray:
             needed=f"at most {_MOST_IN_GRID}",
             hint="a wider spacing, or region_m",
         )
-    for low, high, n in zip(region.low_m, region.high_m, steps, strict=True):
-        axes.append(0.5 * (low + high) + spacing_m * (np.arange(n + 1) - 0.5 * n))
+    axes = [
+        0.5 * (low + high) + spacing_m * (np.arange(n + 1) - 0.5 * n)
+        for low, high, n in zip(region.low_m, region.high_m, steps, strict=True)
+    ]
     positions = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     positions = positions[is_clear_of_walls(room, positions, region.wall_distance_m)]
     if not len(positions):
@@ -193,14 +164,9 @@ def least_source_distance_m(volume_m3: float, speed_m_s: float, decay_s: float) 
 
 
 def compatible_positions(receivers_m: FloatArray, apart_m: float) -> BoolArray:
-    """Return which receivers may stand in one design: far enough apart, or at one position.
+    """Return which receivers, (n_pairs, 3), may stand in one design: far apart, or at one position.
 
-    `receivers_m`, shape (n_pairs, 3): of every pair.
-
-    Returns
-    -------
-    bool array, shape (n_pairs, n_pairs)
-        False on the diagonal.
+    Of shape (n_pairs, n_pairs), False on the diagonal.
     """
     steps = receivers_m[:, None, :] - receivers_m[None, :, :]
     distance = np.sqrt(np.sum(steps**2, axis=2))
@@ -220,10 +186,6 @@ def _too_narrow(region: Region, found: int, needed: int) -> InputError:
     )
 
 
-# Receivers made for each pair that is wanted: enough that hardly a position serves two sources.
-_RECEIVERS_PER_PAIR = 1.0
-
-
 def design_candidates(
     existing: Scene,
     options: DesignOptions,
@@ -232,26 +194,14 @@ def design_candidates(
     *,
     count_measured: bool = True,
 ) -> tuple[Scene, Rules, tuple[Finding, ...]]:
-    """Return the scene of all pairs, those measured already first, and what may stand together.
+    """Return the scene of all pairs, the rules for them, and whether there are few.
 
     Sources and receivers that exist are candidates where they stand. To them come the positions
     that the options list, or else as many as are needed: receivers on a grid or spread evenly,
     sources spread evenly. Where there are more pairs than wanted, every source keeps the same
     share of them.
 
-    Parameters
-    ----------
-    existing : Scene
-        Its pairs have been measured.
-    source_distance_m : float
-        Least distance of a receiver from its source.
-    count_measured : bool
-        Whether measured pairs are put first, to count as information that exists already.
-
-    Raises
-    ------
-    InputError
-        No pair is possible, or a listed position is outside the room or in a wall.
+    The pairs of `existing` have been measured; they are put first where they count.
     """
     sources = (*existing.sources, *_new_sources(existing, options, seed))
     receivers = (*existing.receivers, *_new_receivers(existing, options, seed))
@@ -328,9 +278,7 @@ def _new_sources(existing: Scene, options: DesignOptions, seed: int) -> tuple[Po
     elif options.new_sources == 0:
         return ()
     else:
-        region = region_of(
-            existing.room, options.source_heights_m, options.wall_distance_m, options.region_m
-        )
+        region = region_of(existing.room, options.source_heights_m, options)
         positions = spread_positions(existing.room, region, options.new_sources, seed)
     return _named("S", positions, existing.sources, options.position_sd_m)
 
@@ -339,15 +287,11 @@ def _new_receivers(existing: Scene, options: DesignOptions, seed: int) -> tuple[
     if options.receivers:
         positions = np.array(options.receivers)
     else:
-        room = existing.room
-        region = region_of(
-            room, options.receiver_heights_m, options.wall_distance_m, options.region_m
-        )
+        region = region_of(existing.room, options.receiver_heights_m, options)
         if options.grid_m is not None:
-            positions = grid_positions(room, region, options.grid_m)
-        else:
-            n = int(np.ceil(_RECEIVERS_PER_PAIR * options.n_candidates))
-            positions = spread_positions(room, region, n, seed + 1)
+            positions = grid_positions(existing.room, region, options.grid_m)
+        else:  # one for each pair that is wanted: hardly a position serves two sources
+            positions = spread_positions(existing.room, region, options.n_candidates, seed + 1)
     return _named("R", positions, existing.receivers, options.position_sd_m)
 
 
@@ -373,62 +317,3 @@ def _used(whole: Scene, pairs: IntArray) -> Scene:
         np.stack((s.reshape(-1), r.reshape(-1)), axis=1),
         whole.air,
     )
-
-
-def information_of_candidates(
-    scene: Scene,
-    known: PriorInformation,
-    n_pairs: int,
-    options: DesignOptions,
-    settings: Settings,
-    directivities: Directivities,
-    progress: Progress | None,
-) -> tuple[FloatArray, bool, tuple[Finding, ...]]:
-    """Return the information of every candidate, those of one source traced at once.
-
-    Parameters
-    ----------
-    scene : Scene
-        With all pairs.
-    n_pairs : int
-        How many will have been measured in the end.
-
-    Returns
-    -------
-    matrices : float array, shape (n_pairs, n_draws, n_bands, n + 1, n + 1)
-        See `information_of_pair`.
-    coherent : bool
-        Whether by pressures of image sources.
-    findings : tuple of Finding
-    """
-    fit = expected_fit(
-        scene,
-        known.bands,
-        known.priors,
-        known.typical,
-        settings,
-        directivities=directivities,
-        decay_range_db=options.decay_range_db,
-        position_sd_m=options.position_sd_m,
-    )
-    groups, traced = fit.groups()
-    shown = in_this_process(progress)
-
-    def of_group(number: int) -> tuple[list[FloatArray], tuple[Finding, ...]]:
-        objectives, doubts = traced(groups[number])
-
-        def of_pair(pair: int) -> FloatArray:
-            return information_of_pair(objectives(pair), fit, known, n_pairs - 1)
-
-        found = in_forks(of_pair, range(groups[number].size))
-        if shown is not None:
-            shown((number + 1) / len(groups))
-        return found, doubts
-
-    findings, found = list(fit.plan.findings), list[FloatArray]()
-    for own, doubts in in_forks(of_group, range(len(groups))):
-        reported = {f.code for f in findings}
-        findings += [f for f in doubts if f.code not in reported]
-        found += own
-    # back from the order of the sources to that of the pairs
-    return np.stack(found)[np.argsort(np.concatenate(groups))], fit.coherent, tuple(findings)

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
 
 from roomfit.base.errors import InputError
+from roomfit.base.logit import Z95, expit
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
-from roomfit.design.information import (
-    PairInformation,
-    information_of,
-    interval_widths,
-    without_gain,
-)
 from roomfit.design.prior import Unknowns
 
 Criterion = Literal["determinant", "mean", "worst"]
@@ -26,6 +20,18 @@ _LEAST_GAIN = 1e-9
 _MOST_EXCHANGES = 100
 _RANDOM_STARTS = 4
 _TRIES = 100  # of random designs, before so many pairs are said to be impossible
+# Of a gain: next to nothing, so that a pair without energy does not divide by zero.
+_LEAST_GAIN_INFORMATION = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairInformation:
+    """Fisher information of a measurement of each pair of source and receiver, by itself."""
+
+    # (n_pairs, n_draws, n_bands, n + 1, n + 1): of the n unknowns and, last, the log of the gain
+    matrices: FloatArray
+    # (n_pairs,): pairs of one number share one unknown gain in each band; -1: the level is known
+    gain: IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +47,52 @@ class Rules:
     most_sources: int | None = None  # how many different sources a design may have
 
 
+def without_gain(matrices: FloatArray) -> FloatArray:
+    """Return the information about the absorptions when the gain is found along with them.
+
+    The Schur complement of the last row and column, shape (..., n, n) of (..., n + 1, n + 1).
+    """
+    cross = matrices[..., :-1, -1]
+    own = matrices[..., -1, -1] + _LEAST_GAIN_INFORMATION
+    taken = cross[..., :, None] * cross[..., None, :] / own[..., None, None]
+    return np.asarray(matrices[..., :-1, :-1] - taken)
+
+
+def information_of(
+    unknowns: Unknowns, pairs: PairInformation, chosen: list[int] | IntArray
+) -> FloatArray:
+    """Return the information after some pairs are measured, (n_draws, n_bands, n, n).
+
+    Pairs that share a gain have more information together than the sum of each alone.
+    """
+    total = unknowns.information.copy()
+    picked = np.asarray(chosen, dtype=np.int64)
+    gains = pairs.gain[picked]
+    for gain in np.unique(gains):
+        own = pairs.matrices[picked[gains == gain]].sum(axis=0)
+        total += own[..., :-1, :-1] if gain < 0 else without_gain(own)
+    return np.asarray(total)
+
+
+def interval_widths(unknowns: Unknowns, information: FloatArray) -> FloatArray:
+    """Return the expected width of each unknown's 95 % interval, shape (..., n_bands, n).
+
+    The mean over the draws of information (..., n_draws, n_bands, n, n); symmetric in logit.
+    """
+    covariance = np.linalg.inv(information)
+    reach = Z95 * np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    ends = [expit(unknowns.logit + sign * reach) for sign in (1.0, -1.0)]
+    width = (unknowns.upper - unknowns.lower) * (ends[0] - ends[1])
+    return np.asarray(width.mean(axis=-3))
+
+
+def material_widths(unknowns: Unknowns, information: FloatArray) -> FloatArray:
+    """Return `interval_widths` of every material, known ones 0, shape (n_materials, n_bands)."""
+    widths = interval_widths(unknowns, information)
+    padded = np.concatenate((widths, np.zeros((len(widths), 1))), axis=1)
+    return np.asarray(padded[:, unknowns.number].T)
+
+
 def allowed(rules: Rules, chosen: list[int]) -> BoolArray:
     """Return which pairs may be added to those that are chosen or fixed, shape (n_pairs,)."""
     mask = rules.candidate & rules.compatible[[*rules.fixed, *chosen]].all(axis=0)
@@ -52,15 +104,11 @@ def allowed(rules: Rules, chosen: list[int]) -> BoolArray:
 
 
 def score(unknowns: Unknowns, information: FloatArray, criterion: Criterion) -> FloatArray:
-    """Return what a criterion makes of some information, the lower the better, shape (...).
+    """Return what a criterion makes of information (..., n_draws, n_bands, n, n); lower is better.
 
-    Parameters
-    ----------
-    information : float array, shape (..., n_draws, n_bands, n, n)
-    criterion : {"determinant", "mean", "worst"}
-        Mean log determinant of the covariance of the logits (D-optimal); mean width of the 95 %
-        intervals over materials and bands (A-optimal in absorption); the widest of them. All are
-        means over the draws.
+    "determinant": mean log determinant of the covariance of the logits (D-optimal); "mean": mean
+    width of the 95 % intervals over materials and bands (A-optimal in absorption); "worst": the
+    widest of them. All are means over the draws.
     """
     if criterion == "determinant":
         return np.asarray(-np.linalg.slogdet(information)[1].mean(axis=(-1, -2)))
@@ -73,19 +121,50 @@ def score(unknowns: Unknowns, information: FloatArray, criterion: Criterion) -> 
     return np.asarray(widths.max(axis=(-1, -2)) + _MEAN_BESIDE_WORST * mean)
 
 
-def scores_of_additions(
-    unknowns: Unknowns, pairs: PairInformation, chosen: list[int], criterion: Criterion
-) -> FloatArray:
-    """Return the score of a design with each of the pairs added in turn, shape (n_pairs,)."""
-    total = np.empty(pairs.matrices.shape[:3] + unknowns.information.shape[-2:])
-    picked = np.array(chosen, dtype=np.int64)
-    for gain in np.unique(pairs.gain):
-        own = np.flatnonzero(pairs.gain == gain)
-        sharing = pairs.gain[picked] == gain
-        rest = information_of(unknowns, pairs, picked[~sharing])
-        together = pairs.matrices[own] + pairs.matrices[picked[sharing]].sum(axis=0)
-        total[own] = rest + (together[..., :-1, :-1] if gain < 0 else without_gain(together))
-    return score(unknowns, total, criterion)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Choice:
+    """What is chosen from, and by which criterion."""
+
+    unknowns: Unknowns
+    pairs: PairInformation
+    rules: Rules
+    criterion: Criterion
+
+    def best_addition(self, chosen: list[int], mask: BoolArray) -> tuple[float, int]:
+        """Return the lowest score that the addition of an allowed pair reaches, and which."""
+        pairs, picked = self.pairs, np.array([*self.rules.fixed, *chosen], dtype=np.int64)
+        total = np.empty(pairs.matrices.shape[:3] + self.unknowns.information.shape[-2:])
+        for gain in np.unique(pairs.gain):
+            own = np.flatnonzero(pairs.gain == gain)
+            sharing = pairs.gain[picked] == gain
+            rest = information_of(self.unknowns, pairs, picked[~sharing])
+            together = pairs.matrices[own] + pairs.matrices[picked[sharing]].sum(axis=0)
+            total[own] = rest + (together[..., :-1, :-1] if gain < 0 else without_gain(together))
+        scores = np.where(mask, score(self.unknowns, total, self.criterion), np.inf)
+        at = int(np.argmin(scores))
+        return float(scores[at]), at
+
+    def greedy(self, n: int) -> list[int]:
+        """Return the best pair, the best beside it, ...; fewer than n where none can be added."""
+        chosen: list[int] = []
+        while len(chosen) < n and (mask := allowed(self.rules, chosen)).any():
+            chosen.append(self.best_addition(chosen, mask)[1])
+        return chosen
+
+    def exchanged(self, chosen: list[int]) -> tuple[float, list[int]]:
+        """Return score and design after single exchanges, the best first, until none helps."""
+        information = information_of(self.unknowns, self.pairs, [*self.rules.fixed, *chosen])
+        now = float(score(self.unknowns, information, self.criterion))
+        for _ in range(_MOST_EXCHANGES):
+            found = []
+            for i in range(len(chosen)):
+                rest = chosen[:i] + chosen[i + 1 :]
+                found.append((*self.best_addition(rest, allowed(self.rules, rest)), i))
+            best, at, index = min(found)
+            if best > now - _LEAST_GAIN:
+                break
+            chosen, now = [*chosen[:index], at, *chosen[index + 1 :]], best
+        return now, chosen
 
 
 def choose(
@@ -97,26 +176,12 @@ def choose(
     *,
     rng: np.random.Generator,
 ) -> tuple[int, ...]:
-    """Return the pairs to measure, the most informative first.
+    """Return n pairs to measure, the most informative first; refuse more than the rules allow.
 
     Greedily one after the other; then each is exchanged for the best other one, as long as that
     helps [1]_. Pairs that share a gain help each other, which neither step looks ahead for: so
     random designs are bettered by exchanges as well, and the best of all is taken. At last its
     pairs are put in order, greedily again.
-
-    Parameters
-    ----------
-    n : int
-        How many, 1 or more.
-    criterion : {"determinant", "mean", "worst"}
-        See `score`.
-    rng : numpy.random.Generator
-        Draws the random designs.
-
-    Raises
-    ------
-    InputError
-        The rules do not allow so many.
 
     References
     ----------
@@ -124,57 +189,24 @@ def choose(
            time as in R. D. Cook, C. J. Nachtsheim, "A comparison of algorithms for constructing
            exact D-optimal designs", Technometrics 22, 315-324 (1980).
     """
-
-    def best_addition(chosen: list[int], mask: BoolArray) -> tuple[float, int]:
-        together = [*rules.fixed, *chosen]
-        scores = scores_of_additions(unknowns, pairs, together, criterion)
-        scores = np.where(mask, scores, np.inf)
-        at = int(np.argmin(scores))
-        return float(scores[at]), at
-
-    greedy = _greedy(rules, n, best_addition)
+    choice = _Choice(unknowns, pairs, rules, criterion)
+    greedy = choice.greedy(n)
     designs = [greedy if len(greedy) == n else possible_design(rules, n)]
     for _ in range(_RANDOM_STARTS if n > 1 else 0):
         drawn = random_design(rules, n, rng)
         if len(drawn) == n:
             designs.append(list(drawn))
-    found = []
-    for chosen in designs:
-        information = information_of(unknowns, pairs, [*rules.fixed, *chosen])
-        now = float(score(unknowns, information, criterion))
-        found.append(_exchanged(rules, chosen, now, best_addition))
-    _, best = min(found, key=lambda one: one[0])
+    _, best = min((choice.exchanged(chosen) for chosen in designs), key=lambda one: one[0])
     order: list[int] = []
     while len(order) < n:
         mask = np.zeros(len(pairs.gain), dtype=np.bool_)
         mask[[c for c in best if c not in order]] = True
-        order.append(best_addition(order, mask)[1])
+        order.append(choice.best_addition(order, mask)[1])
     return tuple(order)
 
 
-BestAddition: TypeAlias = Callable[[list[int], BoolArray], tuple[float, int]]
-"""Of chosen pairs, and those allowed: the lowest score that an addition reaches, and which."""
-
-
-def _greedy(rules: Rules, n: int, best_addition: BestAddition) -> list[int]:
-    """Return the best pair, the best beside it, ...; fewer than n where none is left to add."""
-    chosen: list[int] = []
-    for _ in range(n):
-        mask = allowed(rules, chosen)
-        if not mask.any():
-            break
-        chosen.append(best_addition(chosen, mask)[1])
-    return chosen
-
-
 def possible_design(rules: Rules, n: int) -> list[int]:
-    """Return some design that the rules allow, without any information: in no time.
-
-    Raises
-    ------
-    InputError
-        None of a hundred random designs has as many pairs.
-    """
+    """Return some design that the rules allow, without any information: in no time."""
     rng, most = np.random.default_rng(1), 0
     for _ in range(_TRIES):
         found = random_design(rules, n, rng)
@@ -187,22 +219,6 @@ def possible_design(rules: Rules, n: int) -> list[int]:
         needed=f"{n} positions that keep the rules",
         hint="choose fewer, give more candidates, or lower the least distances in [design]",
     )
-
-
-def _exchanged(
-    rules: Rules, chosen: list[int], now: float, best_addition: BestAddition
-) -> tuple[float, list[int]]:
-    """Return score and design after single exchanges, the best first, until none helps."""
-    for _ in range(_MOST_EXCHANGES):
-        found = []
-        for i in range(len(chosen)):
-            rest = chosen[:i] + chosen[i + 1 :]
-            found.append((*best_addition(rest, allowed(rules, rest)), i))
-        best, at, index = min(found)
-        if best > now - _LEAST_GAIN:
-            break
-        chosen, now = [*chosen[:index], at, *chosen[index + 1 :]], best
-    return now, chosen
 
 
 def random_design(rules: Rules, n: int, rng: np.random.Generator) -> tuple[int, ...]:

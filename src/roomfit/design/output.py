@@ -79,7 +79,6 @@ def design_content(design: Design, inputs: Iterable[Path]) -> dict[str, Any]:
         "random": _random(design),
         "candidates": len(design.scene.pairs) - design.n_fixed,
         "assumed": {
-            "model": design.model,
             "criterion": design.criterion,
             "draws": design.n_draws,
             **_by_material(design, design.absorption, "absorption", "absorption_area_m2"),
@@ -245,10 +244,6 @@ _CRITERIA = {
     "mean": "the mean interval",
     "worst": "the widest interval",
 }
-_MODELS = {
-    "coherent": "pressures of image sources, added as far as arrival times are known",
-    "energy": "energies of reflections",
-}
 
 
 def design_text(design: Design) -> str:
@@ -263,8 +258,7 @@ def _opening(design: Design) -> str:
     before = "a finished fit" if design.after_fit else f"{design.n_fixed} measured pairs"
     known = f", after {before}" if design.after_fit or design.n_fixed else ""
     return (
-        f"{len(design.chosen)} of {n} pairs, chosen for {_CRITERIA[design.criterion]}{known};\n"
-        f"by {_MODELS[design.model]}.\n"
+        f"{len(design.chosen)} of {n} pairs, chosen for {_CRITERIA[design.criterion]}{known}.\n"
         f"Receivers at least {design.source_distance_m:.2f} m from their source and "
         f"{design.receiver_distance_m:g} m from each other."
     )

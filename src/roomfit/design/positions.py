@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,31 +16,24 @@ from roomfit.base.errors import InputError
 from roomfit.base.findings import Finding
 from roomfit.base.kernels import one_blas_thread
 from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress, part
-from roomfit.design.candidates import (
-    DesignOptions,
-    design_candidates,
-    information_of_candidates,
-    least_source_distance_m,
-)
+from roomfit.design.candidates import DesignOptions, design_candidates, least_source_distance_m
 from roomfit.design.choose import (
     Criterion,
+    PairInformation,
     Rules,
     choose,
+    information_of,
+    material_widths,
     possible_design,
     random_design,
 )
-from roomfit.design.information import (
-    PairInformation,
-    information_of,
-    interval_widths,
-    material_widths,
-)
+from roomfit.design.expected import information_of_candidates
 from roomfit.design.prior import (
     PriorInformation,
     information_from_fit,
     information_from_priors,
 )
-from roomfit.design.symmetry import planes_of
+from roomfit.design.symmetry import plane_findings
 from roomfit.fit.traced_room import scene_decay_s
 from roomfit.materials.priors import MaterialPrior, complete_priors, object_area_m2
 from roomfit.model.patterns import Directivities
@@ -48,7 +41,6 @@ from roomfit.result import result_doubts
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import Scene, select_pairs, wall_materials
 from roomfit.settings import Settings
-from roomfit.signals.measurement import Level
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 if TYPE_CHECKING:
@@ -76,7 +68,6 @@ class Design:
     # compared; NaN where one ended early
     random_means: FloatArray
     criterion: Criterion
-    model: Literal["energy", "coherent"]  # what the fit is expected to compare
     absorption: FloatArray  # (n_materials, n_bands), the middle of the prior; of an object in m2
     n_draws: int
     after_fit: bool  # whether the widths before are those of a finished fit
@@ -138,10 +129,9 @@ def design(
 ) -> Design:
     """Choose the pairs of source and receiver with most information on the absorption.
 
-    The room is traced once for all candidates. Their Fisher information comes from the noise
-    model of the fit, at several draws of the absorption; gains and, where pressures will be added,
-    positions, latency, speed of sound and delays of walls are unknown as they are in a fit.
-    Measured pairs count, by the same model; or the covariance of a finished fit does.
+    The room is traced once for all candidates. Their Fisher information comes from energies and
+    the noise model of the fit, at several draws of the absorption; gains are unknown as they are
+    in a fit. Measured pairs count, by the same model; or the covariance of a finished fit does.
 
     Parameters
     ----------
@@ -149,25 +139,16 @@ def design(
         Room and air, sources and receivers that exist, and the pairs that have been measured and
         are fitted; there need be none.
     materials : sequence of MaterialPrior, optional
-        What is known of materials, in these bands; the broad prior for those that are left out.
+        In these bands; the broad prior for those that are left out.
     bands : Bands, optional
         To be fitted. Left out: those of `absorption`, or octaves from 125 Hz to 4 kHz.
     absorption : AbsorptionPosterior, optional
         A finished fit, of exactly the room's materials in their order and of these bands. Where
         its reduced chi-square is above 1, new measurements inform less by that factor.
     directivities : mapping from source to directivity, optional
-        Of existing sources that are not omnidirectional.
     options : DesignOptions, optional
-        How many to choose from which candidates, and what is to become small.
     settings : Settings, optional
         Of the fit to come.
-    progress : callable, optional
-        Called with the share of the work that is done, 0 to 1.
-
-    Returns
-    -------
-    Design
-        Shapes and units stand with its fields.
 
     Raises
     ------
@@ -207,20 +188,25 @@ def design(
     n = options.number or (_NUMBER_AFTER_FIT if after_fit else _NUMBER)
     possible_design(rules, n)  # before all is computed
     _LOG.info("evaluating %d candidates", len(candidates.pairs) - len(rules.fixed))
-    n_pairs = n + len({(int(s), int(r)) for s, r in scene.pairs})
-    work = options, settings, directivities or {}, part(progress, 0.0, 0.95)
-    matrices, coherent, doubts = information_of_candidates(candidates, known, n_pairs, *work)
+    matrices, doubts = information_of_candidates(
+        candidates, known, options, settings, directivities or {}, part(progress, 0.0, 0.95)
+    )
     if absorption is not None and absorption.chi2_reduced is not None:
         matrices = matrices / np.maximum(absorption.chi2_reduced, 1.0)[:, None, None]
-    pairs = PairInformation(matrices, _gains(options.level, candidates))
+    number = np.arange(len(candidates.pairs))
+    sharing = {"per-source": candidates.pairs[:, 0], "per-file": number}
+    pairs = PairInformation(matrices, sharing.get(options.level, np.full(number.size, -1)))
     criterion = options.criterion or ("worst" if after_fit else "determinant")
     _LOG.info("choosing")
     rng = np.random.default_rng(settings.seed)
     chosen = choose(known.unknowns, pairs, rules, n, criterion, rng=rng)
-    of_fit = () if absorption is None else _doubts(absorption, scene)
+    of_fit: tuple[Finding, ...] = ()
+    if absorption is not None:
+        of_fit = result_doubts(absorption, scene.room.findings, "design")
+        of_fit = (*of_fit, *absorption.findings)
     # after a fit one more pair stands beside others, whose positions are not known here
-    used = () if after_fit else (*rules.fixed, *chosen)
-    doubts = (*doubts, *_on_planes(candidates, used, known, settings))
+    used = np.array([] if after_fit else [*rules.fixed, *chosen], dtype=np.int64)
+    doubts = (*doubts, *plane_findings(select_pairs(candidates, used)))
     areas_m2, middle = _in_m2(scene, known.typical), known.typical
     return Design(
         scene=candidates,
@@ -229,10 +215,11 @@ def design(
         bands=known.bands,
         materials=scene.room.materials,
         to_find=known.unknowns.number >= 0,
-        widths=_widths(scene, known, pairs, [*rules.fixed], chosen),
-        random_means=_random_means(scene, known, pairs, rules, n, options, settings.seed),
+        widths=_widths(scene, known, pairs, rules, chosen),
+        random_means=_random_means(
+            scene, known, pairs, rules, (options.n_random, n + 1), settings.seed
+        ),
         criterion=criterion,
-        model="coherent" if coherent else "energy",
         absorption=np.vstack((middle[: len(middle) - len(areas_m2)], areas_m2)),
         n_draws=len(known.draws),
         after_fit=after_fit,
@@ -243,18 +230,6 @@ def design(
         seed=settings.seed,
         seconds=time.perf_counter() - began,
     )
-
-
-def _on_planes(
-    candidates: Scene, used: Sequence[int], known: PriorInformation, settings: Settings
-) -> tuple[Finding, ...]:
-    """Return the planes of symmetry on which all pairs stand that are used."""
-    return planes_of(select_pairs(candidates, np.array(used, dtype=np.int64)), known, settings)
-
-
-def _doubts(absorption: AbsorptionPosterior, scene: Scene) -> tuple[Finding, ...]:
-    """Return what doubts the finished fit, and how it was put together."""
-    return (*result_doubts(absorption, scene.room.findings, "design"), *absorption.findings)
 
 
 def _prior_information(
@@ -292,13 +267,6 @@ def _source_distance_m(scene: Scene, options: DesignOptions, known: PriorInforma
     return least_source_distance_m(volume, speed_of_sound_m_s(scene.air), decay_s)
 
 
-def _gains(level: Level, scene: Scene) -> IntArray:
-    n = len(scene.pairs)
-    if level == "per-source":
-        return np.asarray(scene.pairs[:, 0])
-    return np.arange(n) if level == "per-file" else np.full(n, -1)
-
-
 def _compared(scene: Scene, to_find: BoolArray) -> BoolArray:
     """Return of which materials widths are averaged: of walls in absorption, objects are in m2."""
     walls = to_find & (np.arange(to_find.size) < len(wall_materials(scene.room)))
@@ -318,17 +286,17 @@ def _widths(
     scene: Scene,
     known: PriorInformation,
     pairs: PairInformation,
-    fixed: list[int],
+    rules: Rules,
     chosen: tuple[int, ...],
 ) -> FloatArray:
     """Return the widths before and after each of the chosen, (n + 1, n_materials, n_bands).
 
     Of objects those of their areas in m2.
     """
-    unknowns, middle, found = known.unknowns, known.typical, []
+    middle, found = known.typical, []
     for i in range(len(chosen) + 1):
-        information = information_of(unknowns, pairs, [*fixed, *chosen[:i]])
-        widths = material_widths(unknowns, interval_widths(unknowns, information))
+        information = information_of(known.unknowns, pairs, [*rules.fixed, *chosen[:i]])
+        widths = material_widths(known.unknowns, information)
         half = 0.5 * np.minimum(widths, 2.0 * (1.0 - middle) - 1e-9)
         areas_m2 = _in_m2(scene, middle + half) - _in_m2(scene, middle - half)
         found.append(np.vstack((widths[: len(widths) - len(areas_m2)], areas_m2)))
@@ -340,16 +308,14 @@ def _random_means(
     known: PriorInformation,
     pairs: PairInformation,
     rules: Rules,
-    n: int,
-    options: DesignOptions,
+    shape: tuple[int, int],
     seed: int,
 ) -> FloatArray:
-    """Return the mean widths of random designs, (n_random, n + 1), NaN where one ends early."""
-    rng = np.random.default_rng(seed)
-    out: FloatArray = np.full((options.n_random, n + 1), np.nan)
+    """Return mean widths of random designs, (n_random, n_chosen + 1), NaN where one ends early."""
+    rng, out = np.random.default_rng(seed), np.full(shape, np.nan)
     compared = _compared(scene, known.unknowns.number >= 0)
     for row in out:
-        drawn = random_design(rules, n, rng)
-        widths = _widths(scene, known, pairs, [*rules.fixed], drawn)
+        drawn = random_design(rules, shape[1] - 1, rng)
+        widths = _widths(scene, known, pairs, rules, drawn)
         row[: len(drawn) + 1] = widths[:, compared].mean(axis=(1, 2))
     return out

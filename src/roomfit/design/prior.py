@@ -83,13 +83,7 @@ def information_from_fit(
 
     Bounds are left to the fit: intervals afterwards are those of plain logit absorption, as the
     result's covariance is.
-
-    Parameters
-    ----------
-    specified : tuple of MaterialPrior
-        In the bands of the fit; ties and delays of walls are taken from them.
-    found : AbsorptionPosterior
-        Of exactly these materials.
+    Ties and delays of walls are taken from what is specified, in the bands of the fit.
     """
     variance = np.diagonal(found.logit_covariance, axis1=1, axis2=2).T
     priors = tuple(
