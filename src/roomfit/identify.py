@@ -351,14 +351,7 @@ def _first_answer(settings: Settings) -> tuple[Finding, ...]:
 
 
 def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
-    """Return the result of all bands together.
-
-    Parameters
-    ----------
-    evidence : Evidence
-    doubts : sequence of Finding
-        All of them: what they void is not identifiable.
-    """
+    """Return the result of all bands together."""
     measured, priors, found = evidence.measured, evidence.priors, evidence.fits.answers
     scene, bands, settings = measured.scene, measured.bands, evidence.settings
     identifiable = judge(found, doubts, priors, bands)

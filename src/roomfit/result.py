@@ -200,13 +200,7 @@ class Result:
         return absorption_records(self.materials, self.bands, values, self.identifiable)
 
     def to_dataframe(self) -> Any:
-        """Return a pandas data frame of one row a material and band, as absorption.csv.
-
-        Raises
-        ------
-        InputError
-            pandas, on which roomfit does not depend, is not installed.
-        """
+        """Return a pandas data frame of one row a material and band, as absorption.csv."""
         from roomfit.base.table import data_frame
 
         return data_frame(self.records(), "absorption.csv")
@@ -219,11 +213,6 @@ class Result:
         and ``band_hz``; ``area_m2`` has ``material``; ``mean_absorption`` with its bounds and
         ``chi2_reduced`` have ``band_hz``. What the result does not know is left out.
         `roomfit.files.exports.posterior_tree` has draws of posterior and prior.
-
-        Raises
-        ------
-        InputError
-            xarray, on which roomfit does not depend, is not installed.
         """
         from roomfit.base.table import optional_package
 
@@ -252,11 +241,7 @@ def absorption_records(
 ) -> Table:
     """Return the content of absorption.csv: one row a material and band.
 
-    Parameters
-    ----------
-    values : float array, shape (3, n_materials, n_bands)
-        Absorption, its lower and its upper 95 % bound.
-    identifiable : bool array, shape (n_materials, n_bands)
+    Shapes: `values` (3, n_materials, n_bands), `identifiable` (n_materials, n_bands).
     """
     from roomfit.base.table import Column, Table
 
@@ -320,15 +305,7 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
 
 
 def with_objects_apart(whole: Result, priors: Sequence[MaterialPrior]) -> Result:
-    """Return a result whose materials are those of surfaces, objects with their areas in m2.
-
-    Parameters
-    ----------
-    whole : Result
-        With objects, if any, as the last of its materials.
-    priors : sequence of MaterialPrior
-        Of all of its materials.
-    """
+    """Return a result whose materials are those of surfaces, objects with their areas in m2."""
     volumes = object_volumes_m3(priors)
     if not volumes:
         return whole

@@ -50,13 +50,6 @@ def from_random_starts(
 
     Starts are drawn evenly over absorption, gains as in the fit. Those whose first round ends where
     that of the usual start does are not followed any further.
-
-    Parameters
-    ----------
-    objective : Objective
-    fit : BandFit
-    rng : numpy Generator
-    number : int
     """
     usual = first_round(objective, start_vector(objective.parameters))
     evaluations = fit.evaluations + usual.evaluations
@@ -104,16 +97,7 @@ def fitted_band(
     progress: Progress | None = None,
     shared_covariance: SharedCovariance | None = None,
 ) -> FittedBand:
-    """Return a band with its fit; without data, with its prior.
-
-    Parameters
-    ----------
-    settings : Settings
-        Method and seed. "auto" is least squares from several starts. The paper's two methods
-        search for the first squares' minimum.
-    shared_covariance : callable, optional
-        Makes intervals allow for errors that a fit cannot see.
-    """
+    """Return a band with its fit; without data, with its prior."""
     if objective is None:
         return FittedBand(prior_only_band(priors, band))
     method, seed = settings.method, settings.seed

@@ -40,13 +40,7 @@ def compared_values(
 ) -> tuple[dict[str, Compared], ...]:
     """Return measured, predicted and null value of every pair; parameters never measured left out.
 
-    Parameters
-    ----------
-    measured : sequence of MeasuredValues
-    predicted : sequence of float arrays, shape (n_names, n_bands)
-        Of the same pairs.
-    fitted : sequence of MeasuredValues
-        Whose mean, the pair itself left out, is the baseline.
+    Shapes: `predicted` (n_names, n_bands).
     """
     tables = []
     for m, row in zip(measured, predicted, strict=True):
@@ -84,11 +78,7 @@ def compare_all(
     of the candidates where they explain the fitted ones better than energies do, by the mean error
     in just noticeable differences over all room parameters and pairs.
 
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials, n_bands)
-    candidates : bool array, shape (n_bands,), optional
-        Bands in which pressures were fitted; left out: none.
+    Shapes: `absorption` (n_materials, n_bands), `candidates` (n_bands,).
     """
     scene, bands = measurements.scene, measurements.bands
     compared = partial(compare_pairs, scene, bands, binned, measurements.responses, absorption)
@@ -134,11 +124,7 @@ def compare_pairs(
 ) -> tuple[ComparedPair, ...]:
     """Return measured against predicted for every measurement, fitted or kept for validation.
 
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials, n_bands)
-    by_pressures : bool array, shape (n_bands,), optional
-        In which bands the pressures of image sources are added; left out: in none.
+    Shapes: `absorption` (n_materials, n_bands), `by_pressures` (n_bands,).
     """
 
     def compared(m: MeasuredPair) -> ComparedPair:
@@ -175,11 +161,7 @@ def predicted_curve(
 ) -> DecayCurve:
     """Return the decay curves that the paths of a pair predict, smeared as the filters would.
 
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials, n_bands)
-    by_pressures : bool array, shape (n_bands,), optional
-        As of `compare_pairs`.
+    Shapes: `absorption` (n_materials, n_bands), `by_pressures` (n_bands,).
     """
     energy = pair_energies(binned, bands, pair, absorption, attenuation_per_m(scene.air, bands))
     energy = spread_over_time(bands, energy)
@@ -204,10 +186,7 @@ def interference(
     cancel, and 0 in a band that is not chosen. Images arrive when their lengths say, and walls turn
     no phase. Rays, which stand for what has no image, add energies alone.
 
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials, n_bands)
-    chosen : bool array, shape (n_bands,)
+    Shapes: `absorption` (n_materials, n_bands), `chosen` (n_bands,).
     """
     edges_s, found = binned.edges_s, np.zeros((len(bands), binned.edges_s.size - 1))
     speed_m_s, air_per_m = speed_of_sound_m_s(scene.air), attenuation_per_m(scene.air, bands)

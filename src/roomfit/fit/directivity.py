@@ -73,15 +73,6 @@ def directivity_score(
     the full log-likelihoods are compared. Gains are divided by the reduced chi-square where that
     is above 1.
 
-    Parameters
-    ----------
-    energies : Objective
-        Its first term the windows as energies, without directivity; other data are left out.
-    fit : BandFit
-        Of this objective.
-    directivity : BandDirectivities
-        Of its sources.
-
     References
     ----------
     .. [1] C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters",
@@ -156,12 +147,7 @@ class SourceGain(NamedTuple):
 def contradicted_sources(
     tested_sources: DirectivityParameters | None, scores: Mapping[int, DirectivityScore]
 ) -> tuple[SourceGain, ...]:
-    """Return the sources taken for omnidirectional that the data contradict.
-
-    Parameters
-    ----------
-    scores : mapping from band to DirectivityScore
-    """
+    """Return the sources taken for omnidirectional that the data contradict."""
     if tested_sources is None or not scores:
         return ()
     least = _GAIN_PER_BAND * len(scores) + _GAIN
@@ -198,17 +184,7 @@ def band_information(fit: BandFit, first: int) -> tuple[FloatArray, FloatArray]:
     Those entries have a unit normal prior, which is taken out; information is divided by the
     reduced chi-square where that is above 1, since data that the model misses determine less.
 
-    Parameters
-    ----------
-    first : int
-        Where the entries begin; they reach to the end of the vector.
-
-    Returns
-    -------
-    information : float array, shape (n, n)
-        Symmetric; 0 in directions that the data do not determine.
-    weighted_mean : float array, shape (n,)
-        Information times the most likely value.
+    Shapes: information (n, n), weighted_mean (n,).
     """
     marginal = marginal_information(fit.information, first)
     data = marginal - np.eye(len(marginal))
@@ -227,21 +203,7 @@ def cavity_priors(
     The prior of each unknown is a unit normal law in every band; between bands d octaves apart its
     values correlate by ``correlation ** d``.
 
-    Parameters
-    ----------
-    likelihoods : sequence of `band_information` or None, one a band
-        None where a band has no data.
-    octaves : float array, shape (n_bands,)
-        Log2 of the bands' centres, in any unit.
-    correlation : float
-        From 0 to below 1.
-    n : int
-        Number of unknowns of a band.
-
-    Returns
-    -------
-    list of (mean, covariance), one a band
-        Shapes (n,) and (n, n).
+    Shapes: `octaves` (n_bands,).
     """
     apart = np.abs(octaves[:, None] - octaves[None, :])
     prior = np.linalg.inv(np.kron(correlation**apart, np.eye(n)))
@@ -265,15 +227,7 @@ def directivities_under_cavity_priors(
     directivities: Sequence[BandDirectivities | None],
     fits: Sequence[BandFit | None],
 ) -> tuple[BandDirectivities | None, ...]:
-    """Return the directivities of each band with the prior that all other bands leave.
-
-    Parameters
-    ----------
-    directivities : sequence of BandDirectivities or None, one a band
-        With the specified prior.
-    fits : sequence of BandFit or None, one a band
-        Under that prior; their vectors end with the directivity.
-    """
+    """Return the directivities of each band with the prior that all other bands leave."""
     n = parameters.mean.size
     likelihoods = [None if f is None else band_information(f, f.vector.size - n) for f in fits]
     priors = cavity_priors(likelihoods, np.log2(bands.centres_hz), CORRELATION_PER_OCTAVE, n)
@@ -329,10 +283,7 @@ def directed_energies(
 ) -> tuple[BandDirectivities | None, ...]:
     """Return the unknown directivities of each band with the prior that all other bands leave.
 
-    Parameters
-    ----------
-    start : float array, shape (n_bands,)
-        Absorption of all materials where fits start.
+    Shapes: `start` (n_bands,).
     """
     scene, bands, responses = measured.scene, measured.bands, measured.responses
     if parameters is None:
@@ -371,13 +322,7 @@ def source_scorer(
 def directivity_parameters(
     measurements: Measurements, settings: Settings
 ) -> DirectivityParameters | None:
-    """Return the sources whose directivity is to be fitted, with its prior; None without any.
-
-    Raises
-    ------
-    InputError
-        The method cannot fit it, or there are room parameters to be fitted as well.
-    """
+    """Return the sources whose directivity is to be fitted, with its prior; None without any."""
     unknown = [
         (i, s.name, d)
         for i, s in enumerate(measurements.scene.sources)

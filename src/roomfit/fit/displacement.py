@@ -150,10 +150,7 @@ def offsets_of(scene: Scene) -> tuple[Offset, ...]:
 def displaced(scene: Scene, offsets: Sequence[Offset], shift_m: FloatArray) -> Scene:
     """Return the scene with its offsets at the given values.
 
-    Parameters
-    ----------
-    shift_m : float array, shape (n_offsets,)
-        A group's positions move along its axis; a length grows, the corner at the origin kept.
+    Shapes: `shift_m` (n_offsets,).
     """
 
     def moved(points: tuple[Point, ...], kind: str) -> tuple[Point, ...]:
@@ -231,14 +228,6 @@ def displacement_model(
 
     Too little are fewer than four responses, no band from 500 Hz, or a room of more than 60
     triangles that is no box.
-
-    Parameters
-    ----------
-    traced : TracedPaths
-        Without the weights of fitted directivities.
-    answers : sequence of BandEstimate, one a band
-    directivities : tuple of DirectivityParameters or None, and sequence of FittedDirectivity
-        What was unknown of the sources, and what was found.
     """
     scene, bands, paths = measured.scene, measured.bands, traced.paths
     if (
@@ -483,14 +472,7 @@ def offset_steps(model: DisplacementModel, sd_m: FloatArray) -> dict[int, FloatA
     Half the difference of fits of the early windows with the offset one standard deviation to
     either side. Bands that are too low to be looked at do not move.
 
-    Parameters
-    ----------
-    sd_m : float array, shape (n_offsets,)
-
-    Returns
-    -------
-    dict from band to float array, shape (n_materials, n_stated)
-        0 for an offset that is not possible to either side.
+    Shape (n_materials, n_stated). Shapes: `sd_m` (n_offsets,).
     """
     ways = np.diag(sd_m)[[o.is_stated for o in model.offsets]]
     n = len(model.measured.scene.room.materials)

@@ -42,16 +42,7 @@ def equalise_sources(
     those of the image sources; where that is flat a measurement is returned as it is. So are
     measurements of absolute level, whose source is calibrated and equalised already.
 
-    Parameters
-    ----------
-    measured : tuple of MeasuredPair
-    paths : Paths
-        With image sources.
-    absorption : float array, shape (n_materials, n_bands)
-        A first estimate.
-    schroeder_factor : float
-        In units of the Schroeder frequency: up to there the estimate is not trusted, since single
-        modes are resolved; 0 where pressures have determined the absorption of the lowest bands.
+    Shapes: `absorption` (n_materials, n_bands).
     """
     fitted = [
         m for m in measured if m.measurement.use == "fit" and m.measurement.level != "absolute"

@@ -105,22 +105,7 @@ def collect_measurements(
     directivities: Directivities,
     decay_range_db: float = DECAY_RANGE_DB,
 ) -> Measurements:
-    """Put everything that was measured on one scene.
-
-    Parameters
-    ----------
-    scene : Scene
-        Its pairs do not matter: those that were measured are taken.
-    measurements : sequence of Measurement or MeasuredValues
-    decay_range_db : float
-        See `fit_ends_s`.
-
-    Raises
-    ------
-    InputError
-        Nothing was measured, a name is not in the scene, a position is impossible, or a response
-        is silent, too short, or sampled at too low a rate.
-    """
+    """Put everything that was measured on one scene."""
     responses = [m for m in measurements if isinstance(m, Measurement)]
     tabulated = [m for m in measurements if isinstance(m, MeasuredValues)]
     if not measurements:
@@ -145,14 +130,7 @@ def collect_measurements(
 
 
 def measured_scene(scene: Scene, measured: Sequence[Measurement | MeasuredValues]) -> Scene:
-    """Return the scene with the sources, receivers and pairs that were measured, each once.
-
-    Raises
-    ------
-    InputError
-        A name is not in the scene; or a source or a receiver stands outside the room, in a wall,
-        or upon another.
-    """
+    """Return the scene with the sources, receivers and pairs that were measured, each once."""
     states = ["", *(s.name for s in scene.room.states)]
     known_names = ([s.name for s in scene.sources], [r.name for r in scene.receivers], states)
     for m in measured:
@@ -211,19 +189,7 @@ def on_one_clock(
     bands: Bands,
     decay_range_db: float = DECAY_RANGE_DB,
 ) -> tuple[MeasuredPair, ...]:
-    """Return responses on the clock of emission, reduced in every band, in their order.
-
-    Parameters
-    ----------
-    decay_range_db : float
-        See `fit_ends_s`.
-
-    Raises
-    ------
-    InputError
-        A response is silent or too short, rates differ, or a band reaches above half of the
-        sampling rate.
-    """
+    """Return responses on the clock of emission, reduced in every band, in their order."""
     c = speed_of_sound_m_s(scene.air)
     pair_of = {name: i for i, name in enumerate(pair_names(scene))}
     pairs = [pair_of[m.pair_name] for m in measurements]

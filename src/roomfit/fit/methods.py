@@ -15,11 +15,7 @@ from roomfit.uncertainty.gaussian import BandEstimate
 def prior_intervals(priors: tuple[MaterialPrior, ...]) -> FloatArray:
     """Return the prior of absorption as its 95 % interval.
 
-    Returns
-    -------
-    float array, shape (3, n_materials, n_bands)
-        Median, lower and upper bound; three times the value where absorption is fixed. A material
-        that is tied to another has that one's.
+    Shape (3, n_materials, n_bands).
     """
     by_name = {k.name: k for k in priors}
     rows = []
@@ -48,13 +44,7 @@ def interval_words(answers: Sequence[BandEstimate]) -> str:
 
 
 def reasons(method: str, answers: Sequence[BandEstimate]) -> tuple[str, ...]:
-    """Return sentences on what was chosen and why.
-
-    Parameters
-    ----------
-    method : str
-        As specified: "auto", "least-squares", ...
-    """
+    """Return sentences on what was chosen and why."""
     sentences = []
     if method == "auto":
         sentences.append(

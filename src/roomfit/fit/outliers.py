@@ -29,15 +29,7 @@ def file_misfits(
 ) -> dict[MeasuredPair, float]:
     """Return the mean squared weighted residual of each measurement of a band, as measured.
 
-    Parameters
-    ----------
-    files : sequence of MeasuredPair
-        Of the observations, in their order.
-    windows : EnergyTerm
-        The first data of the fit.
-    fit : BandFit
-    inflation : float array, shape (n_data,), or None
-        By which variances were inflated already.
+    Shapes: `inflation` (n_data,).
     """
     ends = np.cumsum([0, *(o.energy.size for o in windows.observations)])
     squares = (fit.measured - fit.expected) ** 2 / fit.variance
@@ -53,18 +45,6 @@ def outlier_files(
 
     An outlier's misfit is far above the median of all measurements, in the median band. Of fewer
     than three measurements none can be distinguished.
-
-    Parameters
-    ----------
-    bands : sequence of mappings
-        The `file_misfits` of those that were fitted.
-    least_misfit : float
-        A measurement with a smaller misfit counts as good in that band.
-
-    Returns
-    -------
-    dict
-        By measurement, which is the same only as itself.
     """
     ratios: dict[MeasuredPair, list[float]] = {}
     for misfits in bands:

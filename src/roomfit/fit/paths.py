@@ -70,10 +70,6 @@ def redirected(
     """Return the same paths with the weights that fitted directivities give them.
 
     Without factors, which only fits of pressures need: they are in the weights of the rows.
-
-    Parameters
-    ----------
-    found : sequence of FittedDirectivity
     """
     scene, bands, paths = measurements.scene, measurements.bands, traced.paths
     source_of_pair = scene.pairs[:, 0].tolist()
@@ -131,10 +127,7 @@ def traced_paths(
 ) -> TracedPaths:
     """Trace every measured pair for as long as its decay is to be compared.
 
-    Parameters
-    ----------
-    start : float array, shape (n_bands,)
-        Uniform absorption to start from, where scattering has to be chosen first.
+    Shapes: `start` (n_bands,).
     """
     scene, bands = measurements.scene, measurements.bands
     slowest_s, latest_s = time_scales(measurements)

@@ -86,13 +86,7 @@ class Retracer:
         self._traced: list[tuple[Paths, BinnedPaths]] = []
 
     def at(self, scattering: Scattering) -> BinnedPaths:
-        """Return paths in bins, from the trace whose effective sample is the largest.
-
-        Parameters
-        ----------
-        scattering : Scattering
-            Of one band, materials in the order of the room.
-        """
+        """Return paths in bins, from the trace whose effective sample is the largest."""
         best_fraction, best = 0.0, None
         for paths, binned in self._traced:
             # both kinds of reflection must have been drawn wherever the coefficient is to change
@@ -129,29 +123,7 @@ def choose_scattering(
     ``common=False`` they are then moved one after the other, each over the whole grid, until none
     moves or two rounds are done.
 
-    Parameters
-    ----------
-    fit : callable
-        Best log likelihood of every band for given coefficients, whatever the model.
-    start : float array, shape (n_materials, n_bands)
-        Where a coefficient is specified, its value; elsewhere anything.
-    fitted : bool array, shape (n_materials,)
-        Which materials' coefficients are unknown.
-    grid : sequence of float
-        Values to try.
-    common : bool
-        One value for all unknown coefficients.
-
-    Returns
-    -------
-    coefficients, lower, upper : float arrays, shape (n_materials, n_bands)
-        The choice, and the least and the largest grid value whose log likelihood is within 1.92
-        of the best, all else as chosen; where specified, all three are the specified value.
-
-    Raises
-    ------
-    InputError
-        No coefficient is unknown, or the grid is empty or leaves 0 to 1.
+    Shape (n_materials, n_bands). Shapes: `start` (n_materials, n_bands), `fitted` (n_materials,).
     """
     values = np.array(sorted(set(grid)))
     if not np.any(fitted):
@@ -208,12 +180,7 @@ def tried_scattering(
 ) -> ScatteringTrial | None:
     """Return what is gained if the walls taken for smooth scatter by 0.15; None without any.
 
-    Parameters
-    ----------
-    fit : callable
-        As in `choose_scattering`.
-    assumed : float array, shape (n_materials, n_bands)
-        Coefficients of the model; those that are 0 in every band are tried, all at once.
+    Shapes: `assumed` (n_materials, n_bands).
     """
     smooth = ~np.any(assumed > 0.0, axis=1)
     if not smooth.any():
@@ -249,16 +216,7 @@ def chosen_scattering(
 
     Energies alone are compared, in paths that are weighed for every trial.
 
-    Parameters
-    ----------
-    trace_settings : TraceSettings
-        As planned for the final trace; fewer rays are used here.
-    start : float array, shape (n_bands,)
-
-    Raises
-    ------
-    InputError
-        There is no response to fit.
+    Shapes: `start` (n_bands,).
     """
     fitted = np.array([k.fit_scattering for k in priors])
     if not fitted.any():
@@ -314,9 +272,7 @@ def assumed_scattering(
     material, 0 elsewhere: as of `chosen_scattering`, or as large as the coefficient itself where
     there are no responses.
 
-    Parameters
-    ----------
-    start : float array, shape (n_bands,)
+    Shapes: `start` (n_bands,).
     """
     unspecified = np.array([k.scattering is None and not k.fit_scattering for k in priors])
     if not unspecified.any():
@@ -356,9 +312,7 @@ def scattering_trial(
 
     A fit of the three highest bands up to 4 kHz, and the specified coefficients there.
 
-    Parameters
-    ----------
-    start : float array, shape (n_bands,)
+    Shapes: `start` (n_bands,).
     """
     walls = [k.scattering for k in priors if k.object_volume_m3 is None]
     if not any(s is not None and not np.any(s > 0.0) for s in walls):
@@ -429,14 +383,7 @@ def specified_scattering(
 ) -> FloatArray:
     """Return the scattering of each material in each band, that of the trace where unspecified.
 
-    Parameters
-    ----------
-    traced : float array, shape (n_materials,) or (n_groups, n_materials)
-        All groups have the same where it is unspecified.
-
-    Returns
-    -------
-    float array, shape (n_materials, n_bands)
+    Shape (n_materials, n_bands). Shapes: `traced` (n_materials,) or (n_groups, n_materials).
     """
     rows = [
         np.full(n_bands, s0) if k.scattering is None else k.scattering
@@ -453,14 +400,7 @@ def band_factors(
     None where all are 1: walls scatter in every band as they did in the trace, and all sources
     are omnidirectional. With a finding where weights are degenerate.
 
-    Parameters
-    ----------
-    scattering : float array, shape (n_materials, n_bands)
-
-    Raises
-    ------
-    InputError
-        A directivity cannot be read, or a wall was traced smooth and is to scatter.
+    Shapes: `scattering` (n_materials, n_bands).
     """
     findings: tuple[Finding, ...] = ()
     traced = paths.sampling_scattering

@@ -114,17 +114,7 @@ def estimate_energies(
 ) -> BandFits:
     """Estimate the absorption of every band by window energies and room parameters.
 
-    Parameters
-    ----------
-    start : float array, shape (n_bands,)
-        Uniform absorption to start from.
-    refine : callable
-        Makes better intervals of each band's fit.
-
-    Raises
-    ------
-    InputError
-        A directivity is to be fitted where it cannot.
+    Shapes: `start` (n_bands,).
     """
     unknown = directivity_parameters(measured, settings)
     tested = omnidirectional(measured) if unknown is None else None
@@ -245,10 +235,7 @@ def chosen_model(
     them, all responses decide. Eight responses at most are compared, in the
     highest band up to 1 kHz and the one nearest to two octaves below.
 
-    Parameters
-    ----------
-    start : float array, shape (n_bands,)
-        Uniform absorption to start from.
+    Shapes: `start` (n_bands,).
     """
     centres_hz = measured.bands.centres_hz
     high = int(np.searchsorted(centres_hz, 1.01 * TELLING_HZ)) - 1

@@ -52,11 +52,6 @@ def room_symmetries(room: Room, tolerance_m: float = TOLERANCE_M) -> tuple[Symme
     Candidates are the planes through the centroid of the surface that reflect one wall's normal
     into itself or another's, or that are perpendicular to a principal axis. Each is tried on points
     of the surface; those found are combined until the group is closed.
-
-    Parameters
-    ----------
-    tolerance_m : float
-        How far from the surface the image of a wall may lie.
     """
     if room.states:
         parts, of_part = parts_of(room)
@@ -88,10 +83,7 @@ def room_symmetries(room: Room, tolerance_m: float = TOLERANCE_M) -> tuple[Symme
 def _of_materials(exchange: IntArray, of_part: IntArray, n: int) -> IntArray | None:
     """Return where materials are carried if parts are; None where a material has two images.
 
-    Parameters
-    ----------
-    of_part : int array, shape (n_states, n_parts)
-        The material of each part in each state.
+    Shapes: `of_part` (n_states, n_parts).
     """
     carried = np.arange(n)
     carried[of_part] = of_part[:, exchange]

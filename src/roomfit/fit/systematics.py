@@ -63,12 +63,6 @@ def inflated_by_adjacent_bands(
     smoothly between the fitted bands, is taken as one more standard deviation. The bands at either
     end lack a neighbour, and take the step to the other for it. Materials that are tied have one
     error, those of a product errors that are as alike as their absorptions.
-
-    Parameters
-    ----------
-    answers : sequence of BandEstimate or None, one a band, low to high
-    priors : tuple of MaterialPrior, optional
-        What says which materials are alike; without them none are.
     """
     out: list[BandEstimate | None] = []
     neighbours = zip(answers, (None, *answers[:-1]), (*answers[1:], None), strict=True)
@@ -179,17 +173,7 @@ def shared_errors(
     that interfere and are taken for energies that add; and, under "decay", by a rate of decay that
     is larger by a factor of 2: `with_decay_errors` gives it its size when all bands are fitted.
 
-    Parameters
-    ----------
-    objective : Objective
-        What was fitted; windows are its first data.
-    fit : BandFit
-    sources : sequence of int
-        Source of each observation: rays of one reach all of its receivers.
-    relative : float array, shape (n_windows, 2)
-        Of the expected energy, see `air_error` and `scattering_error`.
-    coherent : CoherentBand, optional
-        The band, where pressures were fitted.
+    Shapes: `relative` (n_windows, 2).
     """
     energies = cast(EnergyTerm, objective.as_energies(fit.vector))
     noise = np.concatenate([o.noise for o in energies.observations])
@@ -244,14 +228,7 @@ def relative_errors(
 ) -> FloatArray:
     """Return the relative errors of all windows by air and scattering, shape (n_windows, 2).
 
-    Parameters
-    ----------
-    bands : Bands
-        Among them that of `energies`.
-    paths : Paths
-        From which `energies` was made.
-    scattering : float arrays, shapes (n_materials, n_bands) and (n_materials,)
-        See `scattering_error`; coefficients of every band.
+    Shapes: `scattering` (n_materials, n_bands) and (n_materials,).
     """
     band = int(np.argmin(np.abs(bands.centres_hz - energies.centre_hz)))
     own = scattering[0][:, band], scattering[1]
@@ -266,10 +243,7 @@ def air_error(air: Air, bands: Bands, band: int, energies: EnergyTerm) -> FloatA
     the walls' absorption does (`inflated_by_adjacent_bands`): at 4 kHz by a third, as much as by
     15 % of relative humidity. To first order in the attenuation.
 
-    Returns
-    -------
-    float array, shape (n_windows,)
-        Negative or zero.
+    Shape (n_windows,).
     """
     centre = float(bands.exact_centres_hz[band])
     step = 2.0 ** (1.0 / steps_per_octave(bands.kind))
@@ -284,10 +258,7 @@ def decay_error(energies: EnergyTerm, signal: FloatArray) -> FloatArray:
     ``-k t`` at the time t after emission, with k the median over the observations of the decay of
     the expected energy per time.
 
-    Parameters
-    ----------
-    signal : float array, shape (n_windows,)
-        Expected energy.
+    Shapes: `signal` (n_windows,).
     """
     ends = np.cumsum([o.energy.size for o in energies.observations])[:-1]
     rates_per_s = [0.0]
@@ -307,10 +278,7 @@ def decay_rate(
 ) -> DecayRate:
     """Return what data say of a relative change of the rate of decay, to first order.
 
-    Parameters
-    ----------
-    error : float array, shape (n_windows, 1)
-        Of the expected energy for a relative change of 1, as in `shared_errors`.
+    Shapes: `error` (n_windows, 1).
     """
     n, misfit = len(error), max(fit.chi2_reduced, 1.0)
     weighed = error[:, 0] / (objective.correlation_length()[:n] * fit.variance[:n])
@@ -349,11 +317,7 @@ def with_decay_errors(
     which the rate determines a sum. Its first order in a logit would exaggerate what hardly
     absorbs.
 
-    Parameters
-    ----------
-    answers : sequence of BandEstimate, one a band
-    areas_m2 : float array, shape (n_materials,)
-    priors : tuple of MaterialPrior
+    Shapes: `areas_m2` (n_materials,).
     """
     rates = [a.decay for a in answers if a.decay is not None]
     sds = iter(decay_error_sds(rates) if rates else ())
@@ -399,19 +363,7 @@ def scattering_error(
     diffuse and n specular reflections: the derivative of the probability with which it is drawn.
     Directivity of sources is left out, since it is common to both sides of the ratio.
 
-    Parameters
-    ----------
-    paths : Paths
-    energies : EnergyTerm
-        Of the same paths, each a row.
-    absorption : float array, shape (n_materials,)
-    scattering : two float arrays, shape (n_materials,)
-        Coefficients in the band, and the standard deviation that all of them share, 0 where one was
-        specified. Walls taken for smooth have no such error: no diffuse reflection was traced.
-
-    Returns
-    -------
-    float array, shape (n_windows,)
+    Shape (n_windows,). Shapes: `absorption` (n_materials,), `scattering` (n_materials,).
     """
     s, sd = scattering
     own = (sd > 0.0) & (s > 0.0) & (s < 1.0)
@@ -441,10 +393,7 @@ def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
     their assumed positions give it. It is taken over slots of 40 ms; after the last window in which
     pressures add, the value of the last slot is kept.
 
-    Returns
-    -------
-    float array, shape (n_windows,)
-        0 where everything is coherent.
+    Shape (n_windows,).
     """
     energies = band.coherent.energies
     noise = np.concatenate([o.noise for o in energies.observations])
@@ -474,10 +423,7 @@ def batch_spread(
 ) -> FloatArray:
     """Return vectors whose outer products sum to the covariance of the traced energies.
 
-    Returns
-    -------
-    float array, shape (n_windows, n_sources * n_batches)
-        Without columns where there are no rays, or fewer than two batches of them.
+    Shape (n_windows, n_sources * n_batches).
     """
     values, _ = physical_values(parameters, vector)
     gains = np.append(values["gain"], 1.0)

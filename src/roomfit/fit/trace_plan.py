@@ -112,20 +112,6 @@ def plan_trace(
     Image sources are so many a pair as the settings say, and 4 million of all pairs together for
     pressures, 10 million where there is nothing else: of 200 pairs each has 20,000, which is .2 s
     of a room of 70 m³.
-
-    Parameters
-    ----------
-    scene : Scene
-    priors : tuple of MaterialPrior, in the order of the room's materials
-    longest_decay_s : float
-        Longest measured reverberation time of any band.
-    latest_window_s : float
-        Where the last usable window of any measurement ends.
-    settings : Settings
-    coherent : bool
-        Whether early reflections are to be added as pressures.
-    images_until_s : float, optional
-        How long image sources of every order can be enumerated, known from another plan.
     """
     findings = []
     unspecified = [k.name for k in priors if k.scattering is None]

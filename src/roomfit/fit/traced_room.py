@@ -150,17 +150,7 @@ class TracedRoom:
     ) -> tuple[FloatArray, FloatArray]:
         """Return by how much measured values scatter though the absorption is known.
 
-        Parameters
-        ----------
-        weights : float array, shape (n_bands, 14 + 1), optional
-            Of modulation transfers and the level in a weighted sum, as `room_sti_weights` gives.
-
-        Returns
-        -------
-        sd, common : float arrays, shape (n_names + 1, n_bands)
-            Standard deviation, and the part of the variance that is common to other absorptions: of
-            pressures beside their energies, and of the number of rays. Last stands the weighted
-            sum, zero without weights; NaN where a value is not predicted.
+        Shape (n_names + 1, n_bands). Shapes: `weights` (n_bands, 14 + 1).
         """
         own = self.of_pair(pair)
         sd = np.zeros((len(VALUE_NAMES) + 1, len(self.bands)))
@@ -181,13 +171,7 @@ class TracedRoom:
         return sd, common
 
     def reduced(self, pair: int, absorption: FloatArray, most: int | None = None) -> ReducedRows:
-        """Return a reduced set of rows of one pair, for absorptions near and far from one.
-
-        Parameters
-        ----------
-        most : int, optional
-            At most about so many; left out, 5,000, or more for rooms of many materials.
-        """
+        """Return a reduced set of rows of one pair, for absorptions near and far from one."""
         if most is None:
             most = max(ROWS_OF_A_DRAW, ROWS_OF_A_CASE * (len(absorption) + 2))
         edges = self.binned.edges_s
@@ -261,14 +245,7 @@ def trace_room(
     walls differ much, sound between the hard ones lasts longer still, which few rays find out
     before.
 
-    Parameters
-    ----------
-    known : AbsorptionPosterior
-        Bands, scattering and directivities.
-    absorption : float array, shape (n_materials, n_bands), optional
-        The least for which decays are to be followed; left out, that of `known`.
-    measured_decay_s : float
-        Longest measured reverberation time, 0 where none is known.
+    Shapes: `absorption` (n_materials, n_bands).
     """
     settings = Settings() if settings is None else settings
     bands, directivities = known.bands, known.directivities or {}
@@ -326,17 +303,7 @@ def coherent_paths(
 ) -> tuple[Paths, FloatArray | None]:
     """Trace for as long as is asked, image sources as far as they can be added as pressures.
 
-    Parameters
-    ----------
-    priors : tuple of MaterialPrior
-        With the scattering of every material of the room.
-
-    Returns
-    -------
-    paths : Paths
-        Of `LEAST_RAYS` rays at least, where there are any.
-    factors : float array, shape (n_bands, n_paths), or None
-        On the weight of every path in every band.
+    Shapes: factors (n_bands, n_paths).
     """
     planned = plan_trace(scene, priors, 0.0, duration_s, settings, coherent=True)
     n_rays = 0 if planned.settings.n_rays == 0 else max(planned.settings.n_rays, LEAST_RAYS)

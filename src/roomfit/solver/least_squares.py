@@ -177,14 +177,7 @@ def fit_band(
     Logarithms of energies are compared first, which converges from any start. `score_band` goes on
     from there with the energies themselves.
 
-    Parameters
-    ----------
-    solver : Solver
-        Minimises the first squares, of logarithms.
-    start : float array, shape (n_free,), optional
-        Where it begins; left out: where the parameters do.
-    max_rounds : int
-        How often weights are renewed at most.
+    Shapes: `start` (n_free,).
     """
     first = start_vector(objective.parameters) if start is None else start
     logarithms = _Logarithms(objective)
@@ -216,14 +209,7 @@ def score_band(
     Back and forth gains 0, so that no two answers can each lead to the other. The damping follows
     the share of the promised gain that came true [3]_.
 
-    Parameters
-    ----------
-    start : float array, shape (n_free,)
-    max_rounds : int
-        How many steps, each with its own weights, are tried at most.
-    settled_sd : float, optional
-        How far an absorption may still be from its answer, in its standard deviation; left out,
-        .02 of it.
+    Shapes: `start` (n_free,).
 
     References
     ----------
@@ -401,12 +387,7 @@ def marginal(fit: BandFit, first: int, prior: FloatArray) -> Marginal:
     The Schur complement of the information over all entries before `first`; what the data add to
     the prior is divided by max(phi, 1), since data that the model misses say less.
 
-    Parameters
-    ----------
-    first : int
-        Where the entries begin; they reach to the end of the vector.
-    prior : float array, shape (n, n)
-        Information about them before this band, part of the fit's.
+    Shapes: `prior` (n, n).
     """
     whole = marginal_information(fit.information, first)
     information = prior + (whole - prior) / max(fit.chi2_reduced, 1.0)

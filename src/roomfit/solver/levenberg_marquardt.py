@@ -58,11 +58,7 @@ def levenberg_marquardt(
     Running out of damping is convergence only where a Gauss-Newton step from there would pass the
     test of convergence: rounding then leaves nothing to gain. Otherwise the derivative is wrong.
 
-    Parameters
-    ----------
-    residuals : callable
-        Residuals and derivative of everything, priors included.
-    start : float array, shape (n,)
+    Shapes: `start` (n,).
 
     References
     ----------

@@ -143,17 +143,7 @@ def downhill_simplex(
 ) -> Fit:
     """Move a simplex downhill until its vertices agree.
 
-    Parameters
-    ----------
-    error : callable
-        Takes a point of the unit box, shape (n,).
-    start : float array, shape (n + 1, n)
-        Vertices of the first simplex, within the unit box, not all in one plane.
-
-    Returns
-    -------
-    Fit
-        The trail holds the lowest vertex of every simplex, as Table 2 of the paper does.
+    Shapes: `start` (n + 1, n).
     """
     settings = SimplexSettings() if settings is None else settings
     n = np.shape(start)[-1]
@@ -192,14 +182,7 @@ def move_once(state: Simplex, error: ErrorFunction, order: Order) -> None:
 def simplex_around(x: FloatArray, size: float) -> FloatArray:
     """Return a simplex with one vertex at `x` and its n edges along the axes.
 
-    Parameters
-    ----------
-    x : float array, shape (n,)
-        Within the unit box.
-    size : float
-        Length of each edge, at most 0.5; the edge points to the farther wall.
-
-    The result has the shape (n + 1, n).
+    Shapes: `x` (n,).
     """
     edges = np.diag(np.where(x <= 0.5, size, -size))
     return np.concatenate((x[None, :], x + edges))
@@ -304,28 +287,7 @@ def anneal(
     levels: int = 60,
     trials_per_unknown: int = 10,
 ) -> Fit:
-    """Walk the unit box while it cools, then go downhill from the best point met.
-
-    Parameters
-    ----------
-    error : callable
-        Takes a point of the unit box, shape (n,).
-    n : int
-        Number of unknowns.
-    start_temperature : float, optional
-        In the unit of the error; None takes the spread of the error over random points.
-    cooling : float
-        Factor from one temperature to the next.
-    levels : int
-        How many temperatures.
-    trials_per_unknown : int
-        Trials at each temperature for every unknown.
-
-    Returns
-    -------
-    Fit
-        The trail holds the state at the end of each temperature, then the simplexes' own trails.
-    """
+    """Walk the unit box while it cools, then go downhill from the best point met."""
     counted = Counted(error)
     samples = rng.random((10 * n, n))
     errors = np.array([counted(x) for x in samples])

@@ -33,24 +33,8 @@ def absorption_shares(
     the data determine only together are opposite, so that no interval can be had from those of
     the coefficients.
 
-    Parameters
-    ----------
-    areas_m2 : float array, shape (n_materials,)
-    absorption : float array, shape (n_materials,)
-        The answer of one band, 0 to 1.
-    draws : float array, shape (n_draws, n_materials)
-        Of the posterior.
-
-    Returns
-    -------
-    float array, shape (3, n_materials)
-        Share, its lower and its upper bound, 0 to 1; zeros where nothing absorbs.
-
-    Examples
-    --------
-    >>> areas, a = np.array([10.0, 30.0]), np.array([0.3, 0.1])
-    >>> print(absorption_shares(areas, a, np.tile(a, (10, 1)))[0].round(3))
-    [0.5 0.5]
+    Shape (3, n_materials). Shapes: `areas_m2` (n_materials,), `absorption` (n_materials,), `draws`
+    (n_draws, n_materials).
     """
     n = len(areas_m2)
     areas = float_array("areas", areas_m2, (n,), low=0.0, unit="m2")
@@ -115,21 +99,8 @@ def information_directions(
     In units of the prior's spread the posterior covariance of logit absorption is taken apart into
     its own directions: those of the Fisher information of the data.
 
-    Parameters
-    ----------
-    covariance_logit : float array, shape (n_materials, n_materials)
-        Zeros where an absorption is fixed, equal rows where two are tied.
-    prior_logit_covariance : float array, shape (n_materials, n_materials)
-        Positive definite among materials that are not tied to each other.
-
-    Returns
-    -------
-    left : float array, shape (n_own,)
-        Standard deviation along each direction over that of the prior: 0 known, 1 not in the data.
-    directions : float array, shape (n_own, n_own)
-        In columns, of unit length, in units of the prior's spread (`symmetric_root`).
-    own : int array, shape (n_own,)
-        The materials that vary, of those tied to each other the first.
+    Shapes: `covariance_logit` (n_materials, n_materials), `prior_logit_covariance` (n_materials,
+    n_materials), left (n_own,), directions (n_own, n_own), own (n_own,).
     """
     n = len(prior_logit_covariance)
     covariance = float_array("covariance of logit absorption", covariance_logit, (n, n))
@@ -150,10 +121,7 @@ def undetermined_groups(
     there are several their basis is arbitrary; what they span is not, so materials are put
     together that the projector onto it connects.
 
-    Parameters
-    ----------
-    covariance_logit, prior_logit_covariance : float arrays, shape (n_materials, n_materials)
-        See `information_directions`.
+    Shapes: `covariance_logit, prior_logit_covariance` (n_materials, n_materials).
     """
     left, directions, own = information_directions(covariance_logit, prior_logit_covariance)
     undetermined = directions[:, left >= OPEN_SHARE]
@@ -245,29 +213,10 @@ def find_combinations(
     and its spread at most half of its prior. Groups that never get there are left
     out.
 
-    Parameters
-    ----------
-    areas_m2 : float array, shape (n_materials,)
-    absorption : float array, shape (n_materials,)
-        The answer of one band.
-    covariance_logit : float array, shape (n_materials, n_materials)
-        Posterior covariance of logit absorption, positive semi-definite: zeros where it is fixed,
-        equal rows where two materials are tied.
-    prior_logit_mean : float array, shape (n_materials,)
-    prior_logit_covariance : float array, shape (n_materials, n_materials)
-        Of logit absorption, positive definite among materials that are not tied to each other.
-    within : float
-        Above 0.
-    draws : float array, shape (n_draws, n_materials), optional
-        Of the posterior.
+    Shapes: `areas_m2` (n_materials,), `absorption` (n_materials,), `covariance_logit` (n_materials,
+    n_materials), `prior_logit_mean` (n_materials,), `prior_logit_covariance` (n_materials,
+    n_materials), `draws` (n_draws, n_materials).
 
-    Raises
-    ------
-    InputError
-        Shapes do not belong together, or a value out of range.
-
-    Notes
-    -----
     Intervals are quantiles of `roomfit.uncertainty.posterior.band_draws`, or of the draws given.
     """
     n = len(areas_m2)
@@ -394,18 +343,6 @@ def band_sentence(
     """Return which means of materials are known and which of their changes are not in the data.
 
     "+-" stands before half of the 95 % interval.
-
-    Parameters
-    ----------
-    combinations : sequence of Combination
-        Of one band, the mean of the whole room first.
-    left_open : sequence of Undetermined
-        Of the same band.
-
-    Returns
-    -------
-    str
-        Empty where every material is determined by itself.
     """
     parts, mentioned = [], set()
     for group in combinations[1:]:
@@ -475,27 +412,9 @@ def determined(
 ) -> tuple[tuple[tuple[Combination, ...], ...], tuple[str, ...], FloatArray]:
     """Return what every band determines, where single materials may not be.
 
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials, n_bands)
-    logit_covariance : float array, shape (n_bands, n_materials, n_materials)
-        Of logit absorption between 0 and 1, whatever the bounds of the fit; see
-        `roomfit.uncertainty.posterior.plain_logit_covariance`.
-    logit_prior : float arrays, shapes (n_materials, n_bands), (n_bands, n_materials, n_materials)
-        Prior mean and covariance of logit absorption, see
-        `roomfit.materials.priors.prior_logit_law`.
-    areas_m2 : float array, shape (n_materials,)
-    specified : bool array, shape (n_materials,), optional
-        Whose prior was specified; see `roomfit.uncertainty.posterior.band_draws`.
-
-    Returns
-    -------
-    combinations : tuple, one a band
-        Means of groups of materials, that of the whole room first.
-    sentences : tuple of str, one a band
-        What is known of groups and what is left open; empty where every material is determined.
-    shares : float array, shape (3, n_materials, n_bands)
-        Of each material in the room's absorption, with its lower and its upper 95 % bound.
+    Shapes: `absorption` (n_materials, n_bands), `logit_covariance` (n_bands, n_materials,
+    n_materials), `logit_prior` (n_materials, n_bands), (n_bands, n_materials, n_materials),
+    `areas_m2` (n_materials,), `specified` (n_materials,), shares (3, n_materials, n_bands).
     """
 
     def of_band(band: int) -> tuple[tuple[Combination, ...], str, FloatArray]:
@@ -521,11 +440,7 @@ def inseparable_findings(
 ) -> tuple[Finding, ...]:
     """Return a finding where no material is identifiable by itself but the room's mean is known.
 
-    Parameters
-    ----------
-    centres_hz : float array, shape (n_bands,)
-    identifiable : bool array, shape (n_materials, n_bands)
-    found : sequence of tuple of Combination, one a band
+    Shapes: `centres_hz` (n_bands,), `identifiable` (n_materials, n_bands).
     """
     bands = [
         band

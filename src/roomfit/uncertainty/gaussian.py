@@ -62,12 +62,7 @@ def is_identifiable(
     standard deviation in the logit at most half the prior's. Absorptions that are fixed are not
     asked for: they count as identifiable.
 
-    Parameters
-    ----------
-    lower95, upper95 : float arrays, shape (n_materials,)
-        In absorption.
-    sd, prior_sd : float arrays, shape (n_materials,)
-        In the logit.
+    Shapes: `lower95, upper95` (n_materials,), `sd, prior_sd` (n_materials,).
     """
     return np.asarray(
         (chi2_reduced <= LARGEST_CHI2_REDUCED)
@@ -168,18 +163,7 @@ def answer_steps(
     To first order ``H^-1 J^T W u`` for an error u, with H the information, J the Jacobian and W the
     weights of the data.
 
-    Parameters
-    ----------
-    fit : BandFit
-        Its answer.
-    jacobian : float array, shape (n_data, n_free)
-        There.
-    errors : float array, shape (n, n_errors)
-        Of the first n data, in their unit.
-
-    Returns
-    -------
-    float array, shape (n_free, n_errors)
+    Shape (n_free, n_errors). Shapes: `jacobian` (n_data, n_free), `errors` (n, n_errors).
     """
     n = errors.shape[0]
     weight = 1.0 / (objective.correlation_length()[:n] * fit.variance[:n])
@@ -190,10 +174,7 @@ def answer_steps(
 def add_covariance(fit: BandFit, steps: FloatArray) -> BandFit:
     """Return a fit whose covariance has the outer products of steps of its answer added.
 
-    Parameters
-    ----------
-    steps : float array, shape (n_free, n_errors)
-        One standard deviation each, independent of each other.
+    Shapes: `steps` (n_free, n_errors).
     """
     if not np.any(steps):
         return fit
@@ -214,13 +195,7 @@ def costs_of_terms(
 
     With areas, the last entry is the standard deviation of the mean absorption of the room.
 
-    Parameters
-    ----------
-    jacobian : float array, shape (n_data, n_free)
-        At the answer.
-    shared : mapping to float arrays, shape (n, n_errors)
-        Errors that the first n data share, in their unit.
-    areas_m2 : float array, shape (n_materials,), optional
+    Shapes: `jacobian` (n_data, n_free), `shared` (n, n_errors), `areas_m2` (n_materials,).
     """
     parameters = objective.parameters
     _, rows = prior_residuals(parameters, fit.vector)
@@ -260,31 +235,12 @@ def sd_without_term(
     shared errors, with ``1 / W`` the sum of the parts times the number of neighbours: linear, at
     the answer. Without a term the weights are those that suit the others.
 
-    Parameters
-    ----------
-    jacobian : float array, shape (n_data, n_free)
-    prior : float array, shape (n_free, n_free)
-        Information.
-    parts : mapping to float arrays, shape (n_data,)
-        What the variance of each datum is the sum of.
-    shared : mapping to float arrays, shape (n, n_errors)
-        Errors that the first n data share, one standard deviation a column; those that have the
-        name of a part are left out with it.
-    neighbours : float array, shape (n_data,)
-        How many data count as one.
-    known : mapping to int arrays
-        Unknowns beside those asked for, each of which may be taken for known.
-    misfit : float
-        Factor on the covariance, 1 or more.
-    along : float array, shape (n_free,), optional
-        Derivative of one more quantity by the unknowns.
+    By what is left out, "" for nothing, "neighbours", "misfit" and "prior" among it; 0 of what is
+    taken for known, infinite where without the prior nothing is determined. `shared`: one standard
+    deviation a column. `known`: unknowns that may be taken for known.
 
-    Returns
-    -------
-    dict to float arrays, shape (n_free,), with `along` one more entry
-        "": with all terms; then by what is left out, "neighbours", "misfit" and "prior" among them
-        (that of the unknowns asked for).
-        0 of what is taken for known; infinite where without the prior nothing is determined.
+    Shape (n_free,). Shapes: `jacobian` (n_data, n_free), `prior` (n_free, n_free), `parts`
+    (n_data,), `shared` (n, n_errors), `neighbours` (n_data,), `along` (n_free,).
     """
     others = np.concatenate([*known.values(), []])
     wanted = np.vstack((np.eye(len(prior)), *(() if along is None else (along[None],))))

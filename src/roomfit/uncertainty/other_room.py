@@ -29,13 +29,7 @@ from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 
 def common_bands(wanted: Bands, known: Bands) -> tuple[Bands, tuple[Finding, ...]]:
-    """Return those of the wanted bands in which the absorption is known.
-
-    Raises
-    ------
-    InputError
-        There is none.
-    """
+    """Return those of the wanted bands in which the absorption is known."""
     common = [f for f in wanted.centres_hz if f in known.centres_hz and wanted.kind == known.kind]
     if not common:
         raise InputError(
@@ -73,23 +67,6 @@ def room_posterior(
     the room's own is unspecified or to be fitted; so does the directivity of sources. A source
     whose directivity is unknown and was not found has the mean of its prior, or is
     omnidirectional, with a finding.
-
-    Parameters
-    ----------
-    absorption : AbsorptionPosterior
-    priors : sequence of MaterialPrior
-        Of all materials of the room, in its order and in these bands.
-    bands : Bands
-        Some of those of `absorption`, see `common_bands`.
-    directivities : mapping of source to directivity, optional
-        Of sources that are not omnidirectional, in these bands.
-    replaced : sequence of str
-        Materials whose absorption will be specified later, and need none here.
-
-    Raises
-    ------
-    InputError
-        The absorption of some materials is unspecified.
     """
     names = tuple(k.name for k in priors)
     _check_known(absorption, priors, replaced)
@@ -221,11 +198,6 @@ def _sources_as_found(
 
     A source that belongs to a loudspeaker radiates as any other of that loudspeaker was found to,
     about its own aim, wherever it stands and whatever its name.
-
-    Parameters
-    ----------
-    at : sequence of int
-        Indices of the bands among those of the absorption.
     """
     found = absorption.directivities or {}
     makes = {p.loudspeaker: p for p in found.values() if isinstance(p, Pattern) and p.loudspeaker}

@@ -55,13 +55,6 @@ def posterior_draws(
     normal laws of its variances, so that the most likely point is the fit's own. Neighbours count
     once, and a misfit flattens the data by phi.
 
-    Parameters
-    ----------
-    n_draws : int
-        2 or more; without order.
-
-    Notes
-    -----
     The law goes from the first to the posterior by powers of their ratio, each as far as leaves
     half of the population [1]_. Moves are walks under the surrogate, and differences of two other
     points [2]_. The first law is the surrogate about the fit for energies, which have one minimum

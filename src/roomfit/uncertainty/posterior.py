@@ -140,10 +140,7 @@ class AbsorptionPosterior:
 def prior_law(posterior: AbsorptionPosterior) -> tuple[FloatArray, FloatArray] | None:
     """Return prior mean and covariance of logit absorption, None where they are not known.
 
-    Returns
-    -------
-    mean : float array, shape (n_bands, n_materials)
-    covariance : float array, shape (n_bands, n_materials, n_materials)
+    Shapes: mean (n_bands, n_materials), covariance (n_bands, n_materials, n_materials).
     """
     mean, sd = posterior.prior_logit_mean, posterior.prior_logit_sd
     if mean is None or sd is None:
@@ -177,13 +174,8 @@ def covariance_from_intervals(
     are, the spread of the broad prior, 1.5, stands. Without the correlation between
     materials, which a decay determines together, intervals of predictions come out too wide.
 
-    Parameters
-    ----------
-    absorption, lower95, upper95 : float arrays, shape (n_materials, n_bands)
-
-    Returns
-    -------
-    float array, shape (n_bands, n_materials, n_materials)
+    Shape (n_bands, n_materials, n_materials). Shapes: `absorption, lower95, upper95` (n_materials,
+    n_bands).
     """
     middle = logit(absorption)
     sides = np.array([middle - logit(lower95), logit(upper95) - middle]) / Z95
@@ -204,12 +196,8 @@ def plain_logit_covariance(
     With bounds a fit's free number is the logit of ``(a - lower) / (upper - lower)``; to first
     order it is turned into that of absorption itself. Without bounds both are the same.
 
-    Parameters
-    ----------
-    covariance : float array, shape (n_bands, n_materials, n_materials)
-    absorption : float array, shape (n_materials, n_bands)
-    lower, upper : float arrays, shape (n_materials,)
-        Bounds of each absorption, its leader's where it is tied.
+    Shapes: `covariance` (n_bands, n_materials, n_materials), `absorption` (n_materials, n_bands),
+    `lower, upper` (n_materials,).
     """
     width = (upper - lower)[:, None]
     share = np.clip((absorption - lower[:, None]) / width, 0.0, 1.0)
@@ -243,21 +231,10 @@ def rto_draws(
     exponents in which a path's energy is linear, and only the prior is Gaussian in the logit: 93 to
     96.
 
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials,)
-        The most likely values.
-    covariance_logit : float array, shape (n_materials, n_materials)
-        Of logit absorption, prior included; positive definite.
-    prior_logit_mean : float array, shape (n_materials,)
-    prior_logit_covariance : float array, shape (n_materials, n_materials)
-        Positive definite.
-    prior_sd_scale : float or float array, shape (n_materials,)
-        How many times as wide the prior of the draws is as that of the answer: the likelihood
-        stays as it is, and so does what walls of one product deviate from each other.
+    Shapes: `absorption` (n_materials,), `covariance_logit` (n_materials, n_materials),
+    `prior_logit_mean` (n_materials,), `prior_logit_covariance` (n_materials, n_materials),
+    `prior_sd_scale` (n_materials,).
 
-    Notes
-    -----
     Each draw disturbs data and prior by their own noise and finds the most likely values again
     [1]_: exact where the problem is linear, and close to the posterior elsewhere. The data are
     those of a linear problem with the information and the maximum of the given one. Errors that all
@@ -358,15 +335,7 @@ def draw_absorption(
     draws stay where the data are (`band_draws`), and are Gaussian in logit absorption without;
     these come in mirrored pairs.
 
-    Parameters
-    ----------
-    n_draws : int
-        2 or more; an odd number is raised by one. No more than the posterior brings along.
-
-    Returns
-    -------
-    float array, shape (n_draws, n_materials, n_bands)
-        0 to 1; a fixed material keeps its absorption exactly.
+    Shape (n_draws, n_materials, n_bands).
     """
     if posterior.draws is not None:
         return np.array(posterior.draws[: max(n_draws, 2)])
@@ -404,21 +373,9 @@ def band_draws(
     them all one way, and then their sum lies farther off than its parts. The draws take such a
     prior for up to twice as wide as the answer did: by as much as the data know of the wall.
 
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials,)
-    covariance_logit : float array, shape (n_materials, n_materials)
-        Positive semi-definite: zeros where absorption is fixed, equal rows where two materials are
-        tied to each other.
-    prior_logit_mean : float array, shape (n_materials,)
-    prior_logit_covariance : float array, shape (n_materials, n_materials)
-        Positive definite among materials that are not tied to each other.
-    specified : bool array, shape (n_materials,), optional
-        Whose prior was specified; without it, every prior that does not equal the default.
-
-    See Also
-    --------
-    roomfit.uncertainty.posterior.rto_draws : what is done for materials that vary.
+    Shapes: `absorption` (n_materials,), `covariance_logit` (n_materials, n_materials),
+    `prior_logit_mean` (n_materials,), `prior_logit_covariance` (n_materials, n_materials),
+    `specified` (n_materials,).
     """
     fixed = np.diag(covariance_logit) <= 0.0
     draws = np.tile(absorption, (n_draws, 1))

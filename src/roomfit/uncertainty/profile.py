@@ -70,15 +70,6 @@ def profile(
     rises by 1.92 [1]_. Others follow along the fit's own curvature, and what one Newton step would
     still gain is taken off; where that is much, the step is made.
 
-    Parameters
-    ----------
-    fit : BandFit
-        Its answer; its weights are kept.
-    entry : int
-        Of the free vector.
-    answer : Prediction, optional
-        At the fit's answer, where it is known from another profile.
-
     References
     ----------
     .. [1] D. J. Venzon, S. H. Moolgavkar, "A method for computing profile-likelihood-based
@@ -310,9 +301,7 @@ def profile_curve(found: Profile, n_points: int = 200) -> tuple[FloatArray, Floa
     The signed root of the rise, straight where the likelihood is Gaussian, is interpolated
     without overshooting.
 
-    Returns
-    -------
-    free, rise : float arrays, shape (n_points,)
+    Shape (n_points,).
     """
     from scipy.interpolate import PchipInterpolator
 

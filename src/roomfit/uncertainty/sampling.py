@@ -88,13 +88,7 @@ class LogPosterior:
 
 
 def log_posterior(objective: Objective, fit: BandFit) -> LogPosterior:
-    """Return the posterior of all unknowns of a band but its arrival times.
-
-    Parameters
-    ----------
-    fit : BandFit
-        Its answer.
-    """
+    """Return the posterior of all unknowns of a band but its arrival times."""
     parameters, flattening = objective.parameters, max(fit.chi2_reduced, 1.0)
     n = fit.vector.size
     timed = any(b.name == GEOMETRY for b in parameters.blocks)
@@ -192,14 +186,8 @@ def walk_points(
 ) -> FloatArray:
     """Move points by Metropolis steps under a law and return what each has gained, (n_points,).
 
-    Parameters
-    ----------
-    points : shape (n_points, n)
-        Moved in place.
-    root : shape (n, n)
-        A step of size 1 has the covariance ``root @ root.T``.
-    sizes, chances, noise : shapes (n_steps,), (n_steps, n_points), (n_steps, n_points, n)
-        The chance of every step: its size, the log of an even number from 0 to 1, normal numbers.
+    Shapes: `points` (n_points, n), `root` (n, n), `sizes, chances, noise` (n_steps,), (n_steps,
+    n_points), (n_steps, n_points, n).
     """
     n = points.shape[1]
     zero = np.empty(n)
