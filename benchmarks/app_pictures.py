@@ -20,7 +20,15 @@ from typing import Any
 
 from PIL import Image
 
-from app_soak import address_of
+
+def address_of(server: subprocess.Popen[str]) -> str:
+    """Return the address that the page's server prints."""
+    for line in server.stdout or ():
+        found = re.search(r"http://\S+", line)
+        if found:
+            return found[0]
+    raise SystemExit("the page did not start")
+
 
 _SEEN = {
     "Room": "can be traced",

@@ -1,6 +1,6 @@
 """Answers of small rooms stay what they are, by commands alone: regression, and no proof of any.
 
-A change that moves one is meant and says so: `python tests/helpers/golden_cases.py NAME` writes it anew.
+A change that moves one is meant: `tests/helpers/golden_cases.py NAME` writes it anew.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Small rooms as a user has them: a folder with a campaign and recordings, and the commands to run.
 
 The recordings are made here, by image sources of a box that add as pressures, without any function
-of roomfit. `python tests/helpers/golden_cases.py` writes the kept answers anew, `... NAME` those of a case.
+of roomfit. `python tests/helpers/golden_cases.py [NAME ...]` writes the kept answers anew.
 """
 
 from __future__ import annotations
@@ -62,8 +62,11 @@ class Case:
     recorded: Callable[[Recordings], Recordings] = dict
     files: Mapping[str, str] = field(default_factory=dict)
 
-    def run(self, folder: Path) -> dict[str, object]:
-        """Write the inputs, run the commands, and return what is kept of their files."""
+    def run(self, folder: Path, *, words: bool = False) -> dict[str, object]:
+        """Write the inputs, run the commands, and return what is kept of their files.
+
+        With `words`, also what the commands print.
+        """
         from roomfit.cli import main
 
         folder.mkdir(parents=True, exist_ok=True)
@@ -76,12 +79,15 @@ class Case:
                 soundfile.write(
                     folder / f"{name}.wav", pressure.astype(np.float32), RATE_HZ, subtype="FLOAT"
                 )
+        printed = {}
         for command in self.commands:
-            with chdir(folder), redirect_stdout(StringIO()), redirect_stderr(StringIO()) as said:
+            with chdir(folder), redirect_stdout(StringIO()) as out, redirect_stderr(out):
                 code = main(command.split())
             if code:
-                raise RuntimeError(f"{command}: exit code {code}\n{said.getvalue()}")
-        return {name: kept(json.loads((folder / name).read_text())) for name in self.reads}
+                raise RuntimeError(f"{command}: exit code {code}\n{out.getvalue()}")
+            printed[command] = out.getvalue()
+        found = {name: kept(json.loads((folder / name).read_text())) for name in self.reads}
+        return {**found, **printed} if words else found
 
 
 LEFT_OUT = frozenset(
