@@ -34,7 +34,7 @@ from roomfit.solver.least_squares import BandFit
 _FEWEST_BANDS = 2  # one value that all share
 # Variance of a power, a loss and a window common to all bands in right rooms, in units of what the
 # data leave: errors of the model that bands share (positions, patterns of interference) ask for
-# them alike. And of how many rooms: docs/decisions/0044-doubts-of-the-chain.md.
+# them alike.
 _COMMON_VARIANCE, _N_RIGHT_ROOMS = (3.6, 1.0, 3.0), 50
 
 
