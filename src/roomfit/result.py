@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from roomfit.base.table import Table
-    from roomfit.model.directivity import FittedDirectivity
 
     # compiled, and nobody who reads a result waits for it
-    from roomfit.pressures.data_term import FittedGeometry
+    from roomfit.fit.fits import FittedGeometry
+    from roomfit.model.directivity import FittedDirectivity
     from roomfit.uncertainty.combinations import Combination
     from roomfit.uncertainty.profile import Profile
 

@@ -11,9 +11,7 @@ from roomfit.base.air import Air
 from roomfit.base.findings import Code
 from roomfit.checks import misfit, positions
 from roomfit.materials.priors import unknown_material
-from roomfit.pressures.position_sds import (
-    inflate_position_sds,
-)
+from roomfit.pressures.geometry import inflate_position_sds
 from roomfit.room.mesh import shoebox_mesh
 from roomfit.room.scene import Point, Scene, room_from_mesh
 from roomfit.uncertainty.gaussian import prior_only_band

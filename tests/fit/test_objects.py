@@ -27,17 +27,12 @@ from roomfit.materials.priors import (
 )
 from roomfit.model.binned import bin_paths, in_band, pair_energies
 from roomfit.model.energy import EnergyTerm
-from roomfit.model.parameters import (
-    Block,
-    Parameters,
-    geometry_block,
-    start_vector,
-    whole_covariance,
-)
+from roomfit.model.parameters import Block, Parameters, start_vector
 from roomfit.model.problem import Objective
 from roomfit.predict.changes import read_change
 from roomfit.predict.other_walls import predict
 from roomfit.pressures.data_term import coherent_term, with_coherence
+from roomfit.pressures.geometry import geometry_block, whole_covariance
 from roomfit.pressures.response import image_paths
 from roomfit.report.html_tables import area_tables
 from roomfit.result import Result, absorption_posterior

@@ -20,7 +20,6 @@ from roomfit.fit.systematics import (
     decay_error,
     decay_error_sds,
     decay_rate,
-    lost_coherence,
     shared_errors,
     with_decay_errors,
     with_shared_errors,
@@ -29,6 +28,7 @@ from roomfit.materials.priors import unknown_material
 from roomfit.model.energy import EnergyTerm
 from roomfit.model.parameters import start_vector
 from roomfit.pressures.data_term import CoherentTerm, fully_coherent
+from roomfit.pressures.fit import lost_coherence
 from roomfit.pressures.sequential import CoherentBand
 from roomfit.signals.filters import frequency_response, window_energies
 from roomfit.signals.response import ImpulseResponse

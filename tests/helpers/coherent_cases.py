@@ -19,7 +19,7 @@ from roomfit.model.energy import (
     fine_edges_s,
     in_air,
 )
-from roomfit.model.parameters import Block, Geometry, Parameters, geometry_block
+from roomfit.model.parameters import Block, Parameters
 from roomfit.model.problem import Objective
 from roomfit.model.windows import window_edges_s
 from roomfit.pressures.data_term import CoherentTerm, coherent_term
@@ -28,6 +28,7 @@ from roomfit.pressures.fit import (
     coherent_estimate,
     energy_estimates,
 )
+from roomfit.pressures.geometry import Geometry, geometry_block
 from roomfit.pressures.response import image_paths
 from roomfit.room.mesh import shoebox_mesh
 from roomfit.room.scene import Point, Room, Scene

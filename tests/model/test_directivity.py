@@ -26,7 +26,7 @@ from roomfit.model.directivity import (
 )
 from roomfit.model.early import fixed_paths
 from roomfit.model.energy import EnergyTerm
-from roomfit.model.parameters import Parameters, position_of, start_vector, whole_covariance
+from roomfit.model.parameters import Parameters, position_of, start_vector
 from roomfit.model.patterns import (
     Pattern,
     amplitude_and_slope,
@@ -35,6 +35,7 @@ from roomfit.model.patterns import (
 )
 from roomfit.model.problem import Objective
 from roomfit.pressures.data_term import CoherentTerm, with_coherence
+from roomfit.pressures.geometry import whole_covariance
 from roomfit.solver.ending import Ending
 from roomfit.solver.least_squares import BandFit
 
@@ -57,6 +58,7 @@ def directed_case(*, coherent: bool, aim: np.ndarray | None = None) -> Objective
     basis = tuple(pattern_basis(paths.departure[r.path], aim) for r in windows.energies.rows)
     if coherent:
         windows = with_coherence(windows, 0.09 * whole_covariance(small_geometry()))
+        windows = windows.aimed((aim, aim))
     else:
         windows = windows.energies
     absorption, gain, *geometry = objective_of(windows).parameters.blocks

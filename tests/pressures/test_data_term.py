@@ -28,11 +28,11 @@ from roomfit.model.parameters import (
     Parameters,
     prior_residuals,
     start_vector,
-    whole_covariance,
 )
 from roomfit.model.problem import Prediction
 from roomfit.model.weighing import first_rows
-from roomfit.pressures.data_term import cut_at, moved_scene, with_coherence
+from roomfit.pressures.data_term import cut_at, with_coherence
+from roomfit.pressures.geometry import moved_scene, whole_covariance
 from roomfit.pressures.sequential import cavity_prior
 from roomfit.solver.least_squares import marginal, score_band
 

@@ -10,8 +10,9 @@ import pytest
 from coherent_cases import objective_of, small_geometry, small_paths, small_term
 from roomfit.base.bands import Bands
 from roomfit.base.typing import FloatArray
-from roomfit.model.parameters import start_vector, times_of, whole_covariance
+from roomfit.model.parameters import start_vector
 from roomfit.pressures.data_term import with_coherence
+from roomfit.pressures.geometry import times_of, whole_covariance
 from roomfit.pressures.response import (
     ImagePaths,
     Times,

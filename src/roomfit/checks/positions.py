@@ -13,7 +13,7 @@ import numpy as np
 from roomfit.base.findings import About, Code, Finding
 from roomfit.checks.evidence import Evidence, Law
 from roomfit.model.observation import DEFAULT_POSITION_SD_M
-from roomfit.pressures.position_sds import LEVEL
+from roomfit.pressures.geometry import LEVEL
 from roomfit.room.scene import Scene
 
 # In prior standard deviations: beyond it, of some thirty unknowns one moves by chance once in 70.

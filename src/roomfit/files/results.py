@@ -48,8 +48,8 @@ from roomfit.result import (
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
 
 if TYPE_CHECKING:  # compiled: reading a result does not wait for it
+    from roomfit.fit.fits import FittedGeometry
     from roomfit.model.patterns import Pattern
-    from roomfit.pressures.data_term import FittedGeometry
     from roomfit.uncertainty.combinations import Combination, Difference
 
 _LOG = logging.getLogger("roomfit")

@@ -19,7 +19,7 @@ from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.forks import in_forks
 from roomfit.base.logit import logit
 from roomfit.base.typing import BoolArray, FloatArray
-from roomfit.fit.fits import BandFits, Displacement
+from roomfit.fit.fits import BandFits, Displacement, FittedGeometry
 from roomfit.fit.measurements import Measurements
 from roomfit.fit.paths import TracedPaths, trim_memory
 from roomfit.fit.scattering import band_factors
@@ -44,7 +44,6 @@ from roomfit.model.parameters import (
     start_vector,
 )
 from roomfit.model.problem import Objective
-from roomfit.pressures.data_term import FittedGeometry
 from roomfit.room.mesh import box_of, mean_free_path_m, shoebox_mesh
 from roomfit.room.scene import (
     NEAREST_PAIR_M,

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from roomfit.base.typing import FloatArray
 from roomfit.fit.directivity import SourceGain
 from roomfit.model.directivity import DirectivityParameters, FittedDirectivity
-from roomfit.pressures.data_term import FittedGeometry
-from roomfit.pressures.score_tests import ChainScores, FreedAbsorption
 from roomfit.signals.measurement import Measurement
 from roomfit.uncertainty.gaussian import BandEstimate
+
+if TYPE_CHECKING:
+    from roomfit.pressures.score_tests import ChainScores, FreedAbsorption
 
 
 class Freed(NamedTuple):
@@ -65,3 +67,21 @@ class BandFits:
     contradicted: tuple[SourceGain, ...] = ()  # of the sources taken for omnidirectional
     tests: CoherentTests = field(default_factory=CoherentTests)
     displacement: Displacement | None = None  # beyond what is specified
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedGeometry:
+    """What the bands together determine of arrival times; never a measurement of positions.
+
+    Fitted positions absorb errors of the model as well.
+    """
+
+    # "source LS1 x", ..., "speed of sound", "latency LS1", "delay wool", ...
+    labels: tuple[str, ...]
+    change: FloatArray  # (n,), from the prior: m, 1 (of ln c), s, s
+    # sd, prior_sd: (n,), posterior and prior, in the same units
+    sd: FloatArray
+    prior_sd: FloatArray
+    speed_of_sound_m_s: float
+    # how many of the last entries are offsets of groups and lengths, found by early energies
+    n_offsets: int = 0

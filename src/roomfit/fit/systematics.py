@@ -21,15 +21,12 @@ from roomfit.base.bands import Bands, steps_per_octave
 from roomfit.base.logit import Z95, expit, logit
 from roomfit.base.typing import FloatArray, IntArray
 from roomfit.materials.priors import MaterialPrior, prior_logit_law
-from roomfit.model.directivity import directed
 from roomfit.model.energy import EnergyTerm, parts_of
 from roomfit.model.parameters import Parameters, physical_values
 from roomfit.model.patterns import directed_rows
 from roomfit.model.problem import Objective, Prediction
 from roomfit.model.weighing import weigh
 from roomfit.model.windows import in_windows
-from roomfit.pressures.data_term import fully_coherent
-from roomfit.pressures.sequential import CoherentBand
 from roomfit.solver.least_squares import BandFit, DecayRate
 from roomfit.tracing.paths import Paths
 from roomfit.uncertainty.gaussian import (
@@ -50,7 +47,7 @@ ABOVE, BELOW = 0.144, 0.078
 # about 1 of that standard deviation in every band. docs/decisions/0048-what-stands-in-the-room.md.
 DECAY_PROBABILITIES, DECAY_SDS = np.array([0.75, 0.25]), np.array([0.01, 0.2])
 # Long enough for many independent values of eight responses, short enough to follow a decay.
-_SLOT_S = 0.04
+SLOT_S = 0.04
 
 
 def inflated_by_adjacent_bands(
@@ -165,28 +162,24 @@ def shared_errors(
     fit: BandFit,
     sources: Sequence[int],
     relative: FloatArray,
-    coherent: CoherentBand | None = None,
 ) -> dict[str, FloatArray]:
     """Return the errors that a fit's windows share by name, (n_windows, n), one sd a column.
 
-    Over the batches of rays, by one standard deviation of what `relative` holds, by reflections
-    that interfere and are taken for energies that add; and, under "decay", by a rate of decay that
-    is larger by a factor of 2: `with_decay_errors` gives it its size when all bands are fitted.
+    Over the batches of rays, by one standard deviation of what `relative` holds; and, under
+    "decay", by a rate of decay that is larger by a factor of 2: `with_decay_errors` gives it its
+    size when all bands are fitted.
 
     Shapes: `relative` (n_windows, 2).
     """
     energies = cast(EnergyTerm, objective.as_energies(fit.vector))
     noise = np.concatenate([o.noise for o in energies.observations])
     signal = fit.expected[: noise.size] - noise
-    shared = {
+    return {
         "rays": batch_spread(energies, objective.parameters, fit.vector, sources),
         "air": (signal * relative[:, 0])[:, None],
         "scattering": (signal * relative[:, 1])[:, None],
         "decay": (signal * decay_error(energies, signal))[:, None],
     }
-    if coherent is not None:
-        shared["lost coherence"] = (signal * lost_coherence(coherent, fit))[:, None]
-    return shared
 
 
 def with_shared_errors(
@@ -249,7 +242,7 @@ def air_error(air: Air, bands: Bands, band: int, energies: EnergyTerm) -> FloatA
     step = 2.0 ** (1.0 / steps_per_octave(bands.kind))
     below, own, above = 2.0 * pressure_decay_per_m(air, centre * np.array([1 / step, 1.0, step]))
     error = abs(ABOVE * (above - own) + BELOW * (below - own))
-    return np.asarray(-error * speed_of_sound_m_s(air) * _middle_s(energies))
+    return np.asarray(-error * speed_of_sound_m_s(air) * middle_s(energies))
 
 
 def decay_error(energies: EnergyTerm, signal: FloatArray) -> FloatArray:
@@ -270,7 +263,7 @@ def decay_error(energies: EnergyTerm, signal: FloatArray) -> FloatArray:
             level = np.log(own[used] / width_s[used])
             rates_per_s.append(-np.polyfit(middle_s, level, 1, w=np.sqrt(width_s[used]))[0])
     rate_per_s = float(np.median(rates_per_s[1:] or rates_per_s))
-    return np.asarray(-max(rate_per_s, 0.0) * _middle_s(energies))
+    return np.asarray(-max(rate_per_s, 0.0) * middle_s(energies))
 
 
 def decay_rate(
@@ -383,36 +376,7 @@ def scattering_error(
     return np.concatenate(found)
 
 
-def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
-    """Return the relative change of the expected energy if all images were coherent.
-
-    Images that are not known to be coherent are taken to add as energies. Between smooth, parallel
-    walls they do not: images on a lattice keep their order, and in boxes the late energy of an
-    octave is 10 to 25 % below the sum of their energies. Small errors of time at every reflection
-    change the phase of single paths, but hardly this mean over all responses, so that images at
-    their assumed positions give it. It is taken over slots of 40 ms; after the last window in which
-    pressures add, the value of the last slot is kept.
-
-    Shape (n_windows,).
-    """
-    energies = band.coherent.energies
-    noise = np.concatenate([o.noise for o in energies.observations])
-    windows = directed(fully_coherent(band.coherent), band.directivity)
-    whole = Objective(band.parameters, (windows,))
-    expected = fit.expected[: noise.size]
-    more, signal = whole.expected(fit.vector) - expected, expected - noise
-    weight = signal / fit.variance[: noise.size]
-    early = np.isin(np.arange(noise.size), band.coherent.early_windows())
-    slot = np.floor(_middle_s(energies) / _SLOT_S).astype(np.int64)
-    weight = np.where(early, weight, 0.0)
-    top = np.bincount(slot, weight * more, slot.max() + 1)
-    bottom = np.bincount(slot, weight * signal, slot.max() + 1)
-    change = np.divide(top, bottom, out=np.zeros(top.size), where=bottom > 0.0)
-    informative = np.flatnonzero(bottom > 0.0)
-    return np.asarray(change[np.minimum(slot, informative[-1])])
-
-
-def _middle_s(energies: EnergyTerm) -> FloatArray:
+def middle_s(energies: EnergyTerm) -> FloatArray:
     """Return the middle of every window, all observations end to end, shape (n_windows,)."""
     edges = [o.edges_s for o in energies.observations]
     return np.asarray(np.maximum(np.concatenate([0.5 * (e[1:] + e[:-1]) for e in edges]), 0.0))

@@ -8,8 +8,8 @@ Their block stands behind absorption and gain and before the geometry, whose pos
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import ClassVar, TypeAlias
+from dataclasses import dataclass, field
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from roomfit.model.energy import PATTERN, EnergyTerm
 from roomfit.model.parameters import Block, Parameters
 from roomfit.model.patterns import Pattern, RowBasis, pattern_basis
 from roomfit.model.problem import DataTerm, Objective, Rows, Values
-from roomfit.pressures.data_term import CoherentTerm
 from roomfit.room.scene import Scene
 from roomfit.signals.measurement import MeasuredPair
 from roomfit.tracing.paths import Paths
@@ -77,16 +76,25 @@ class BandDirectivities:
     # (n_rows, 3), one an observation: `pattern_basis` of where the path of each row leaves
     basis: tuple[RowBasis, ...]
     aims: tuple[FloatArray | None, ...]  # one an observation
-    images: RowBasis | None = None  # (n_images, 3), the same of image paths of pressures
 
 
-Windows: TypeAlias = EnergyTerm | CoherentTerm
-"""What can be weighed by its sources' directivity: as energies, or as pressures."""
+class Windows(DataTerm, Protocol):
+    """Windows of a band that can be weighed by their sources' directivity."""
+
+    __slots__ = ()
+
+    def as_energies(self, values: Values) -> EnergyTerm:
+        """Return the windows as energies, their paths weighed as at values."""
+        ...
+
+    def radiated(self, b: Sequence[FloatArray | None], basis: Sequence[RowBasis]) -> Windows:
+        """Return the windows with the directivity of each observation's source."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DirectedTerm(DataTerm):
-    """Windows as energies or pressures, their paths weighed by their sources' directivity."""
+    """Windows, their paths weighed by their sources' directivity."""
 
     is_gamma: ClassVar[bool] = True
     windows: Windows  # with the weights of omnidirectional sources
@@ -143,18 +151,12 @@ class DirectedTerm(DataTerm):
     def _radiated(self, b: FloatArray) -> Windows:
         """Return the windows with the weights of b."""
         each = [None if s < 0 else b[s] for s in self.directivity.source]
-        return self.windows.radiated(each, self.directivity.basis, self.directivity.images)
+        return self.windows.radiated(each, self.directivity.basis)
 
 
-def directed(
-    windows: Windows, directivity: BandDirectivities | None
-) -> EnergyTerm | CoherentTerm | DirectedTerm:
+def directed(windows: Windows, directivity: BandDirectivities | None) -> Windows | DirectedTerm:
     """Return windows weighed by their sources' directivity, or as they are without any."""
-    if directivity is None:
-        return windows
-    if directivity.images is None:
-        directivity = replace(directivity, images=windows.image_basis(directivity.aims))
-    return DirectedTerm(windows, directivity)
+    return windows if directivity is None else DirectedTerm(windows, directivity)
 
 
 def energy_objective(

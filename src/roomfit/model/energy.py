@@ -174,16 +174,7 @@ class EnergyTerm(DataTerm):
         """Return the windows themselves."""
         return self
 
-    def image_basis(self, _aims: Sequence[FloatArray | None]) -> RowBasis | None:
-        """Return nothing: energies of image paths stand among the rows."""
-        return None
-
-    def radiated(
-        self,
-        b: Sequence[FloatArray | None],
-        basis: Sequence[RowBasis],
-        _images: RowBasis | None = None,
-    ) -> EnergyTerm:
+    def radiated(self, b: Sequence[FloatArray | None], basis: Sequence[RowBasis]) -> EnergyTerm:
         """Return the windows with the directivity of each observation's source.
 
         Parameters

@@ -1,10 +1,7 @@
 """Unknowns as named blocks, each with its transform, its prior, and its part of a Jacobian.
 
 An optimiser sees one vector of free numbers; a problem sees physical values. The transforms keep
-absorption between its bounds and gains above zero. Arrival times are set by one block: positions,
-speed of sound, latency, reflection delays. Its free numbers are multiples of their prior standard
-deviations, so that the prior of the lowest band is the unit normal law; a joint prior carries what
-a band has found to the next.
+absorption between its bounds and gains above zero.
 """
 
 from __future__ import annotations
@@ -18,9 +15,9 @@ from roomfit.base.arguments import bool_array, float_array, int_array
 from roomfit.base.errors import InputError
 from roomfit.base.logit import logit
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
-from roomfit.pressures.response import Times
 
 Transform = Literal["identity", "log", "logit"]
+
 
 GEOMETRY = "geometry"
 
@@ -100,7 +97,7 @@ class Parameters:
     """Blocks laid end to end; the free vector has the fitted entries only, in this order."""
 
     blocks: tuple[Block, ...]
-    # of the fitted geometry, correlated, in place of that block's own prior
+    # of the last fitted entries, correlated, in place of their own priors
     joint: Marginal | None = None
 
 
@@ -230,96 +227,12 @@ def prior_residuals(parameters: Parameters, vector: FloatArray) -> tuple[FloatAr
     if parameters.joint is None:
         return off[finite], whitening[finite]
     joint = parameters.joint
-    first = position_of(parameters, GEOMETRY)
-    own = slice(first, first + joint.mean.size)
+    own = slice(vector.size - joint.mean.size, vector.size)
     finite[own] = False
     root = np.zeros((joint.mean.size, vector.size))
     root[:, own] = np.linalg.cholesky(joint.information).T
     correlated = root[:, own] @ (vector[own] - joint.mean)
     return np.concatenate((off[finite], correlated)), np.concatenate((whitening[finite], root))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Geometry:
-    """The unknowns of arrival times and where each observation finds its own."""
-
-    # "source LS1 x", ..., "speed of sound", "latency LS1", "delay wool", ...
-    labels: tuple[str, ...]
-    # (n,), prior standard deviations: m, 1 (of ln c), s and s; 0: an entry is known
-    sd: FloatArray
-    # (n,), which entries may move; one that may not still blurs the coherence by its deviation
-    fitted: BoolArray
-    speed_m_s: float  # prior speed of sound
-    # (n_observations, 8 + n_materials), entries of source (3), receiver (3), ln c, latency and
-    # delays of each observation
-    columns: IntArray
-    # (n,), free numbers of the positions for which paths were traced; None: the specified ones
-    origin: FloatArray | None = None
-
-
-def geometry_block(geometry: Geometry) -> Block:
-    """Return the block of free numbers, zero at the specified geometry, unit normal a priori."""
-    n = len(geometry.labels)
-    return Block(
-        GEOMETRY,
-        geometry.labels,
-        "identity",
-        np.zeros(n),
-        geometry.fitted & (geometry.sd > 0.0),
-        np.zeros(n),
-        np.ones(n),
-        np.full(n, -1e6),
-        np.full(n, 1e6),
-    )
-
-
-def times_of(geometry: Geometry, values: FloatArray) -> Times:
-    """Return positions, speed, latency and delays of the free numbers, shape (n,)."""
-    own = (geometry.sd * values)[geometry.columns]
-    traced = 0.0 if geometry.origin is None else geometry.sd * geometry.origin
-    shifts_m = (geometry.sd * values - traced)[geometry.columns[:, :6]]
-    return Times(
-        np.ascontiguousarray(shifts_m),
-        float(geometry.speed_m_s * np.exp(own[0, 6])),
-        np.ascontiguousarray(own[:, 7]),
-        np.ascontiguousarray(own[0, 8:]),
-    )
-
-
-def local_roots(geometry: Geometry, covariance: FloatArray) -> FloatArray:
-    """Return a root of each observation's covariance in physical units.
-
-    Parameters
-    ----------
-    covariance : float array, shape (n, n)
-        Of the free numbers.
-
-    Returns
-    -------
-    float array, shape (n_observations, 8 + n_materials, 8 + n_materials or n)
-        Times its transpose: the covariance of the observation's own entries.
-    """
-    values, vectors = np.linalg.eigh(covariance)
-    root = geometry.sd[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-    # no more columns than rows: a rotation from the right changes no covariance
-    own = np.linalg.qr(np.swapaxes(root[geometry.columns], 1, 2), mode="r")
-    return np.ascontiguousarray(np.swapaxes(own, 1, 2))
-
-
-def whole_covariance(geometry: Geometry, fitted: FloatArray | None = None) -> FloatArray:
-    """Return the covariance of all free numbers; those that are fixed keep their unit variance.
-
-    Parameters
-    ----------
-    fitted : float array, shape (n_fitted, n_fitted), optional
-        Covariance of the fitted entries; left out: the unit normal prior.
-    """
-    n = geometry.sd.size
-    out = np.eye(n)
-    if fitted is not None:
-        free = np.flatnonzero(geometry.fitted & (geometry.sd > 0.0))
-        out[np.ix_(free, free)] = fitted
-    return out
 
 
 def marginal_information(information: FloatArray, first: int) -> FloatArray:

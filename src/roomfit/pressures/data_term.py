@@ -12,11 +12,9 @@ from typing import ClassVar, cast
 
 import numpy as np
 
-from roomfit.base.air import speed_of_sound_m_s
 from roomfit.base.bands import Bands
 from roomfit.base.kernels import each_in_threads, in_threads
 from roomfit.base.typing import FloatArray, IntArray
-from roomfit.materials.priors import MaterialPrior
 from roomfit.model.binned import BinnedPaths, in_band, regrouped
 from roomfit.model.energy import (
     PATTERN,
@@ -30,25 +28,19 @@ from roomfit.model.energy import (
     observation_variance,
     weighed,
 )
-from roomfit.model.observation import DEFAULT_POSITION_SD_M
-from roomfit.model.parameters import (
-    GEOMETRY,
-    Geometry,
-    Marginal,
-    local_roots,
-    times_of,
-)
-from roomfit.model.patterns import (
+from roomfit.model.parameters import GEOMETRY
+from roomfit.model.patterns import RowBasis
+from roomfit.model.problem import DataTerm, Rows, Values
+from roomfit.model.weighing import ROWS_WORTH_THREADS, first_rows, shared_zeros
+from roomfit.model.windows import in_windows, squares_in_windows, with_squares
+from roomfit.pressures.directed import (
     DirectedImages,
-    RowBasis,
     coherent_slopes,
     directed_images,
     image_amplitudes,
     image_basis,
 )
-from roomfit.model.problem import DataTerm, Rows, Values
-from roomfit.model.weighing import ROWS_WORTH_THREADS, first_rows, shared_zeros
-from roomfit.model.windows import in_windows, squares_in_windows, with_squares
+from roomfit.pressures.geometry import Geometry, local_roots, times_of
 from roomfit.pressures.response import (
     BandGrid,
     ImagePaths,
@@ -60,8 +52,6 @@ from roomfit.pressures.response import (
     image_energies,
     spread_squared,
 )
-from roomfit.room.scene import Scene
-from roomfit.signals.measurement import LATENCY_SD_S, MeasuredPair
 
 # Of its centre: so much later an arrival does not ring into a window any more.
 RINGING_PERIODS = 4.0
@@ -92,6 +82,7 @@ class CoherentTerm(DataTerm):
     bins: IntArray  # (n_images,), fine time bin of each of `images`
     coherent_bins: IntArray  # of each of `coherent`
     grid: BandGrid
+    basis: RowBasis | None = None  # (n_images, 3), `pattern_basis` of where `images` leave
     directed: DirectedImages | None = None  # `coherent` without directivity, where it has one
     # of the last prediction: energy of the coherent pressure in the windows' pieces, and the values
     # that it belongs to; the variance there costs no second response
@@ -248,18 +239,13 @@ class CoherentTerm(DataTerm):
         """Return the windows as energies of all paths."""
         return self.energies
 
-    def image_basis(self, aims: Sequence[FloatArray | None]) -> RowBasis | None:
-        """Return `pattern_basis` of where all images leave, whatever their coherence, (n, 3)."""
-        return image_basis(self.images, aims)
+    def aimed(self, aims: Sequence[FloatArray | None]) -> CoherentTerm:
+        """Return the windows with where their images leave the sources, once for all."""
+        return replace(self, basis=image_basis(self.images, aims))
 
-    def radiated(
-        self,
-        b: Sequence[FloatArray | None],
-        basis: Sequence[RowBasis],
-        images: RowBasis | None = None,
-    ) -> CoherentTerm:
-        """Return the windows with directivities as `EnergyTerm.radiated`, and of `image_basis`."""
-        amplitude, slope = image_amplitudes(self.images, b, cast(RowBasis, images))
+    def radiated(self, b: Sequence[FloatArray | None], basis: Sequence[RowBasis]) -> CoherentTerm:
+        """Return the windows with directivities as `EnergyTerm.radiated`."""
+        amplitude, slope = image_amplitudes(self.images, b, cast(RowBasis, self.basis))
         own = self.images.coherence > 0.0
         directed = DirectedImages(self.coherent, amplitude[own], slope[own])
         return replace(
@@ -381,91 +367,12 @@ def _early_variance(
     }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FittedGeometry:
-    """What the bands together determine of arrival times; never a measurement of positions.
-
-    Fitted positions absorb errors of the model as well.
-    """
-
-    # "source LS1 x", ..., "speed of sound", "latency LS1", "delay wool", ...
-    labels: tuple[str, ...]
-    change: FloatArray  # (n,), from the prior: m, 1 (of ln c), s, s
-    # sd, prior_sd: (n,), posterior and prior, in the same units
-    sd: FloatArray
-    prior_sd: FloatArray
-    speed_of_sound_m_s: float
-    # how many of the last entries are offsets of groups and lengths, found by early energies
-    n_offsets: int = 0
-
-
-# Prior standard deviation of a reflection delay that is unspecified.
-DELAY_SD_S = 2e-4
-
-
 def cut_at(binned: BinnedPaths, end_s: float) -> BinnedPaths:
     """Return the bins that end by a time, with their rows."""
     n = max(int(np.searchsorted(binned.edges_s, end_s + 1e-9, side="right")) - 1, 1)
     if n >= binned.edges_s.size - 1:
         return binned
     return regrouped(binned, binned.edges_s[: n + 1], lambda rows: first_rows(rows, n))
-
-
-def campaign_geometry(
-    scene: Scene,
-    priors: tuple[MaterialPrior, ...],
-    fitted: tuple[MeasuredPair, ...],
-    *,
-    positions: bool,
-    delays: bool,
-    speed_sd: float,
-) -> Geometry:
-    """Return the unknowns of arrival times of the fitted measurements.
-
-    Parameters
-    ----------
-    fitted : tuple of MeasuredPair
-        One an observation, in the order of the observations.
-    positions : bool
-        Whether positions, speed of sound and latencies may move.
-    delays : bool
-        Whether walls may delay.
-    speed_sd : float
-        Standard deviation of ln c.
-    """
-    labels: list[str] = []
-    sd: list[float] = []
-    position_columns = {}
-    for kind, points in (("source", scene.sources), ("receiver", scene.receivers)):
-        for i, point in enumerate(points):
-            position_columns[kind, i] = len(labels)
-            position_sd_m = point.position_sd_m
-            labels += [f"{kind} {point.name} {axis}" for axis in "xyz"]
-            sd += 3 * [DEFAULT_POSITION_SD_M if position_sd_m is None else position_sd_m]
-    speed = len(labels)
-    labels.append("speed of sound")
-    sd.append(speed_sd)
-    latency: dict[tuple[str, str], int] = {}
-    for m in fitted:
-        occasion = m.measurement.source, m.measurement.state
-        if occasion not in latency:
-            latency[occasion] = len(labels)
-            labels.append(f"latency {', '.join(filter(None, occasion))}")
-            assumed = LATENCY_SD_S[m.measurement.time_zero]
-            sd.append(assumed if m.measurement.latency_sd_s is None else m.measurement.latency_sd_s)
-    first_delay = len(labels)
-    labels += [f"delay {k.name}" for k in priors]
-    spreads = [DELAY_SD_S if k.wall_delay_sd_s is None else k.wall_delay_sd_s for k in priors]
-    sds = np.array([*sd, *(spreads if delays else np.zeros(len(spreads)))])
-    free = np.array([positions] * len(sd) + [delays] * len(spreads))
-    columns = []
-    for m in fitted:
-        s, r = (int(i) for i in scene.pairs[m.pair])
-        source, receiver = position_columns["source", s], position_columns["receiver", r]
-        xyz = (*range(source, source + 3), *range(receiver, receiver + 3))
-        late = latency[m.measurement.source, m.measurement.state]
-        columns.append([*xyz, speed, late, *range(first_delay, len(labels))])
-    return Geometry(tuple(labels), sds, free, speed_of_sound_m_s(scene.air), np.array(columns))
 
 
 def coherent_term(
@@ -518,33 +425,3 @@ def coherent_term(
         np.zeros(0, dtype=np.int32),
         grid,
     )
-
-
-def moved_scene(scene: Scene, geometry: Geometry, fitted: FloatArray) -> tuple[Scene, FloatArray]:
-    """Return the scene with fitted positions, and these as free numbers of all entries.
-
-    Parameters
-    ----------
-    fitted : float array, shape (n_fitted,)
-        Free numbers of the fitted entries of the geometry.
-    """
-    values = np.zeros(geometry.sd.size)
-    values[geometry.fitted & (geometry.sd > 0.0)] = fitted
-    n_position_coordinates = 3 * (len(scene.sources) + len(scene.receivers))
-    origin = np.where(np.arange(values.size) < n_position_coordinates, values, 0.0)
-    steps = (geometry.sd * origin)[:n_position_coordinates].reshape(-1, 3)
-    points = (*scene.sources, *scene.receivers)
-    at = [replace(p, position_m=p.position_m + x) for p, x in zip(points, steps, strict=True)]
-    n = len(scene.sources)
-    return replace(scene, sources=tuple(at[:n]), receivers=tuple(at[n:])), origin
-
-
-def fitted_geometry(geometry: Geometry, final: Marginal) -> FittedGeometry:
-    """Return the geometry after the last band, with its standard deviations."""
-    free = np.flatnonzero(geometry.fitted & (geometry.sd > 0.0))
-    change, sd = np.zeros(geometry.sd.size), np.array(geometry.sd)
-    change[free] = geometry.sd[free] * final.mean
-    sd[free] = geometry.sd[free] * np.sqrt(np.diag(np.linalg.inv(final.information)))
-    speed = geometry.labels.index("speed of sound")
-    c = geometry.speed_m_s * float(np.exp(change[speed]))
-    return FittedGeometry(geometry.labels, change, sd, geometry.sd, c)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from typing import cast
 
 import numpy as np
+from scipy.special import chdtri
 
 from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import Bands
@@ -30,8 +31,7 @@ from roomfit.fit.directivity import (
     moved_start,
     with_fitted_sources,
 )
-from roomfit.fit.equalise import SCHROEDER_FACTOR, equalise_sources
-from roomfit.fit.fits import CoherentTests, Freed
+from roomfit.fit.fits import CoherentTests, FittedGeometry, Freed
 from roomfit.fit.outliers import (
     LEAST_BY_ENERGIES,
     LEAST_BY_PRESSURES,
@@ -41,6 +41,8 @@ from roomfit.fit.outliers import (
 )
 from roomfit.fit.paths import TracedPaths, trim_memory
 from roomfit.fit.systematics import (
+    SLOT_S,
+    middle_s,
     relative_errors,
     shared_errors,
     with_shared_errors,
@@ -58,19 +60,20 @@ from roomfit.model.directivity import (
 )
 from roomfit.model.energy import EnergyTerm
 from roomfit.model.observation import energy_term, energy_terms, fitted_in_band
-from roomfit.model.parameters import Geometry, physical_values
+from roomfit.model.parameters import physical_values
 from roomfit.model.problem import DataTerm, Objective, Prediction
 from roomfit.model.windows import WINDOW_DECAYS, windows_decay_s
-from roomfit.pressures.data_term import (
-    CoherentTerm,
-    FittedGeometry,
+from roomfit.pressures.data_term import CoherentTerm, coherent_term, cut_at, fully_coherent
+from roomfit.pressures.equalise import SCHROEDER_FACTOR, equalise_sources
+from roomfit.pressures.geometry import (
+    LEVEL,
+    Geometry,
     campaign_geometry,
-    coherent_term,
-    cut_at,
     fitted_geometry,
+    inflate_position_sds,
     moved_scene,
+    n_position_coordinates,
 )
-from roomfit.pressures.position_sds import estimate_position_sd_scale, inflate_position_sds
 from roomfit.pressures.response import ImagePaths, image_paths, images_of
 from roomfit.pressures.score_tests import FittedWindows, chain_scores, freed_absorptions
 from roomfit.pressures.sequential import (
@@ -257,8 +260,8 @@ def rebuild(state: SequentialState) -> SequentialState:
         directivity, coherent = None, _early(state, b, windows, geometry, images)
         if unknown is not None and bases is not None:
             files = fitted_in_band(task.measured, b)
-            own = directed_band(unknown, task.scene, bases, windows, files)
-            directivity = replace(own, images=coherent.image_basis(own.aims))
+            directivity = directed_band(unknown, task.scene, bases, windows, files)
+            coherent = coherent.aimed(directivity.aims)
         energies = energy_objective(windows, parameters, directivity, task.others[b])
         ready.append((b, energies, coherent, directivity))
 
@@ -607,7 +610,10 @@ def _fitted_windows(
             values, _ = physical_values(fit.parameters, fit.fit.vector)
             by_wall = np.concatenate([t.predict(values)[2]["absorption"] for t in objective.terms])
         relative = _relative_errors(state, objective, fit.fit, own.coherent.energies)
-        shared = shared_errors(objective, fit.fit, _sources(task, b), relative, own)
+        shared = shared_errors(objective, fit.fit, _sources(task, b), relative)
+        noise = np.concatenate([o.noise for o in own.coherent.energies.observations])
+        signal = fit.fit.expected[: noise.size] - noise
+        shared["lost coherence"] = (signal * lost_coherence(own, fit.fit))[:, None]
         there = objective.predict(fit.fit.vector)
         return there, by_wall, objective.correlation_length(), shared
 
@@ -774,3 +780,71 @@ def energy_estimates(fit: CoherentFit) -> Callable[[int], FittedBand | None]:
         return FittedBand(answer, objective, own_fit)
 
     return estimate
+
+
+def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
+    """Return the relative change of the expected energy if all images were coherent.
+
+    Images that are not known to be coherent are taken to add as energies. Between smooth, parallel
+    walls they do not: images on a lattice keep their order, and in boxes the late energy of an
+    octave is 10 to 25 % below the sum of their energies. Small errors of time at every reflection
+    change the phase of single paths, but hardly this mean over all responses, so that images at
+    their assumed positions give it. It is taken over slots of 40 ms; after the last window in which
+    pressures add, the value of the last slot is kept.
+
+    Returns
+    -------
+    float array, shape (n_windows,)
+        0 where everything is coherent.
+    """
+    energies = band.coherent.energies
+    noise = np.concatenate([o.noise for o in energies.observations])
+    windows = directed(fully_coherent(band.coherent), band.directivity)
+    whole = Objective(band.parameters, (windows,))
+    expected = fit.expected[: noise.size]
+    more, signal = whole.expected(fit.vector) - expected, expected - noise
+    weight = signal / fit.variance[: noise.size]
+    early = np.isin(np.arange(noise.size), band.coherent.early_windows())
+    slot = np.floor(middle_s(energies) / SLOT_S).astype(np.int64)
+    weight = np.where(early, weight, 0.0)
+    top = np.bincount(slot, weight * more, slot.max() + 1)
+    bottom = np.bincount(slot, weight * signal, slot.max() + 1)
+    change = np.divide(top, bottom, out=np.zeros(top.size), where=bottom > 0.0)
+    informative = np.flatnonzero(bottom > 0.0)
+    return np.asarray(change[np.minimum(slot, informative[-1])])
+
+
+_LARGEST_SCALE = 5.0
+
+
+_FEWEST_COORDINATES = 6
+
+
+def estimate_position_sd_scale(
+    scene: Scene,
+    prepared: Sequence[CoherentBand | None],
+    fits: Sequence[CoherentBandFit | None],
+) -> float:
+    """Return by how much position standard deviations are too small; 1 where they may be right.
+
+    The mean square of the shifts of all coordinates, in prior standard deviations and with the
+    posterior variance of each, against chi-square with as many degrees of freedom, n. At most 5.
+
+    Parameters
+    ----------
+    prepared, fits : sequences, one a band
+        Low to high; the last fit includes the information of all before it on the geometry.
+    """
+    band = next((b for b in prepared if b is not None), None)
+    found = [f.found for f in fits if f is not None and f.found is not None]
+    if band is None or not found:
+        return 1.0
+    geometry, last = band.coherent.geometry, found[-1]
+    moving = np.flatnonzero(geometry.fitted & (geometry.sd > 0.0))
+    is_position = moving < n_position_coordinates(scene)
+    n = int(np.count_nonzero(is_position))
+    if n < _FEWEST_COORDINATES:
+        return 1.0
+    variance = np.diag(np.linalg.inv(last.information))
+    mean = float(np.mean((last.mean**2 + variance)[is_position]))
+    return 1.0 if mean <= chdtri(n, 1.0 - LEVEL) / n else min(float(np.sqrt(mean)), _LARGEST_SCALE)

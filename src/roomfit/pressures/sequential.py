@@ -15,17 +15,10 @@ import numpy as np
 from roomfit.base.forks import beside, in_forks
 from roomfit.base.typing import FloatArray, Progress
 from roomfit.model.directivity import BandDirectivities, directed
-from roomfit.model.parameters import (
-    GEOMETRY,
-    Marginal,
-    Parameters,
-    geometry_block,
-    position_of,
-    prior_residuals,
-    whole_covariance,
-)
+from roomfit.model.parameters import GEOMETRY, Marginal, Parameters, position_of, prior_residuals
 from roomfit.model.problem import Objective
 from roomfit.pressures.data_term import CoherentTerm, with_coherence
+from roomfit.pressures.geometry import geometry_block, whole_covariance
 from roomfit.settings import MAX_ROUNDS, SPEED_OF_SOUND_SD
 from roomfit.solver.least_squares import BandFit, marginal, score_band
 
