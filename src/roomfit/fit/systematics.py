@@ -242,7 +242,7 @@ def air_error(air: Air, bands: Bands, band: int, energies: EnergyTerm) -> FloatA
     step = 2.0 ** (1.0 / steps_per_octave(bands.kind))
     below, own, above = 2.0 * pressure_decay_per_m(air, centre * np.array([1 / step, 1.0, step]))
     error = abs(ABOVE * (above - own) + BELOW * (below - own))
-    return np.asarray(-error * speed_of_sound_m_s(air) * middle_s(energies))
+    return np.asarray(-error * speed_of_sound_m_s(air) * middles_s(energies))
 
 
 def decay_error(energies: EnergyTerm, signal: FloatArray) -> FloatArray:
@@ -263,7 +263,7 @@ def decay_error(energies: EnergyTerm, signal: FloatArray) -> FloatArray:
             level = np.log(own[used] / width_s[used])
             rates_per_s.append(-np.polyfit(middle_s, level, 1, w=np.sqrt(width_s[used]))[0])
     rate_per_s = float(np.median(rates_per_s[1:] or rates_per_s))
-    return np.asarray(-max(rate_per_s, 0.0) * middle_s(energies))
+    return np.asarray(-max(rate_per_s, 0.0) * middles_s(energies))
 
 
 def decay_rate(
@@ -376,7 +376,7 @@ def scattering_error(
     return np.concatenate(found)
 
 
-def middle_s(energies: EnergyTerm) -> FloatArray:
+def middles_s(energies: EnergyTerm) -> FloatArray:
     """Return the middle of every window, all observations end to end, shape (n_windows,)."""
     edges = [o.edges_s for o in energies.observations]
     return np.asarray(np.maximum(np.concatenate([0.5 * (e[1:] + e[:-1]) for e in edges]), 0.0))

@@ -42,7 +42,7 @@ from roomfit.fit.outliers import (
 from roomfit.fit.paths import TracedPaths, trim_memory
 from roomfit.fit.systematics import (
     SLOT_S,
-    middle_s,
+    middles_s,
     relative_errors,
     shared_errors,
     with_shared_errors,
@@ -805,7 +805,7 @@ def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
     more, signal = whole.expected(fit.vector) - expected, expected - noise
     weight = signal / fit.variance[: noise.size]
     early = np.isin(np.arange(noise.size), band.coherent.early_windows())
-    slot = np.floor(middle_s(energies) / SLOT_S).astype(np.int64)
+    slot = np.floor(middles_s(energies) / SLOT_S).astype(np.int64)
     weight = np.where(early, weight, 0.0)
     top = np.bincount(slot, weight * more, slot.max() + 1)
     bottom = np.bincount(slot, weight * signal, slot.max() + 1)
