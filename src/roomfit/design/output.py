@@ -40,13 +40,7 @@ def widest(design: Design) -> tuple[int, int]:
 
 
 def write_design(folder: Path, design: Design, inputs: Iterable[Path]) -> None:
-    """Write ``design.json`` and ``design.csv`` into a folder.
-
-    Raises
-    ------
-    StoreError
-        The disk refuses.
-    """
+    """Write ``design.json`` and ``design.csv`` into a folder."""
     write_text_atomically(folder / "design.csv", csv_of(design_records(design)))
     write_json_atomically(folder / "design.json", design_content(design, inputs))
 

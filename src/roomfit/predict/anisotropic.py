@@ -30,16 +30,7 @@ def anisotropic_times_s(
 ) -> FloatArray:
     """Return T30 of rooms whose walls lie across three axes, shape (n,).
 
-    Parameters
-    ----------
-    kept : float array, shape (n, 3)
-        What walls across each axis leave of the energy at a reflection, geometric mean; below 1.
-    scattering : float array, shape (n,)
-        Share of it that goes into all directions, by Lambert's law; between 0 and 1.
-    hits_per_s : float array, shape (3,)
-        Of sound along each axis: ``c S / (2 V)`` with the area S across it.
-    air_per_s : float array, shape (n,)
-        Rate at which the air absorbs energy.
+    Shapes: `kept` (n, 3), `hits_per_s` (3,).
 
     Notes
     -----

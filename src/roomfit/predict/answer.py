@@ -109,18 +109,7 @@ def decay_answer(
     after: str = "after the change",
     open_for: Sequence[str] = (),
 ) -> DecayAnswer | None:
-    """Return the answer of a table of means; None where it has no decay time.
-
-    Parameters
-    ----------
-    means : mapping
-        By the name of the parameter.
-    is_changed : bool
-    before, after : str
-        What the room is before and after the change, in a word; left out: whether it was measured.
-    open_for : sequence of str, optional
-        By band, as of `roomfit.predict.output.parameter_lines`.
-    """
+    """Return the answer of a table of means; None where it has no decay time."""
     known = [name for name, v in means.items() if np.isfinite(v.predicted).any()]
     # T30 is what a client asks for
     name = "T30_s" if "T30_s" in known else decay_time_key(known)

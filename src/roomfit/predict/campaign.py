@@ -224,12 +224,6 @@ def _at_state(scene: Scene, campaign: Campaign, state: str) -> Scene:
 
 
 def pair_choice(text: str) -> PairChoice:
-    """Return a choice of pairs by its name.
-
-    Raises
-    ------
-    InputError
-        It is neither "all" nor "campaign".
-    """
+    """Return a choice of pairs by its name."""
     check_known("unknown choice of pairs", text, ("all", "campaign"))
     return "campaign" if text == "campaign" else "all"

@@ -27,14 +27,7 @@ def with_common_noise(
 ) -> PairNumbers:
     """Return the numbers of a pair after a change with what its noise has in common with before.
 
-    Parameters
-    ----------
-    rows : ReducedRows
-        Of the pair.
-    absorption, changed : float arrays, shape (n_materials, n_bands)
-        Absorption coefficients before and after, 0 to 1.
-    exchanged : bool array, shape (n_materials,)
-        Which materials are others after the change, whatever their absorption.
+    Shapes: `absorption, changed` (n_materials, n_bands), `exchanged` (n_materials,).
     """
     alike = rows.scatter_correlation(absorption, changed, exchanged)
     sti = after.sti

@@ -59,18 +59,7 @@ def _not_written(text: str) -> InputError:
 
 
 def read_change(text: str) -> Change:
-    """Return a change as it is written on the command line.
-
-    Examples
-    --------
-    >>> read_change("ceiling=0.3+-0.05,0.6")
-    Change(material='ceiling', kind='value', values=(0.3, 0.6), sds=(0.05, 0.0), entry='')
-
-    Raises
-    ------
-    InputError
-        It is not written so.
-    """
+    """Return a change as it is written on the command line."""
     material, sign, specified = (part.strip() for part in text.partition("="))
     if not (material and sign and specified):
         raise _not_written(text)
@@ -108,22 +97,8 @@ def changed_draws(
 ) -> tuple[FloatArray, FloatArray, tuple[Finding, ...]]:
     """Return absorption and its draws after all changes.
 
-    Parameters
-    ----------
-    draws : float array, shape (n_draws, n_materials, n_bands)
-
-    Returns
-    -------
-    absorption : float array, shape (n_materials, n_bands)
-    draws : float array, shape (n_draws, n_materials, n_bands)
-    findings : tuple of Finding
-        `Code.ABSORPTION_CLIPPED` where a factor leads beyond 1.
-
-    Raises
-    ------
-    InputError
-        The room has no such material, it is changed twice, there is not one value a band, an
-        absorption lies outside of 0 to 1, or the catalogue has no such entry.
+    Shapes: `draws` (n_draws, n_materials, n_bands), `absorption` (n_materials, n_bands), `draws`
+    (n_draws, n_materials, n_bands).
     """
     absorption, drawn = posterior.absorption.copy(), draws.copy()
     findings: list[Finding] = []

@@ -57,11 +57,7 @@ def _latest_values(
 ) -> tuple[FloatArray, FloatArray]:
     """Return room parameters and modulation transfers, of bands that have not changed from memory.
 
-    Returns
-    -------
-    values : float array, shape (n_points, n_names, n_bands)
-    transfer : float array, shape (n_points, n_bands, 14)
-        Or (n_points, n_bands, 0) where it is not wanted.
+    Shapes: `values` (n_points, n_names, n_bands), `transfer` (n_points, n_bands, 14).
     """
     found = []
     for band in range(len(rows.by_band)):
@@ -75,13 +71,7 @@ def _latest_values(
 
 
 def extrapolated_sti(before: PairNumbers, there: FloatArray, base: FloatArray) -> FloatArray:
-    """Return the index before, carried over by the difference, (n,); NaN where it has none.
-
-    Parameters
-    ----------
-    there, base : float arrays, shape (n,) and any that fits
-        From `ReducedRows.sti`.
-    """
+    """Return the index before, carried over by the difference, (n,); NaN where it has none."""
     index = np.nan if before.sti is None else before.sti.values[0, 0]
     return np.asarray(np.clip(index + there - base, 0.0, 1.0))
 
@@ -105,14 +95,8 @@ def pair_numbers(
 ) -> PairNumbers:
     """Return the predictions for one pair of a room.
 
-    Parameters
-    ----------
-    rows : ReducedRows
-        Of the pair, for the draws.
-    absorption : float array, shape (n_materials, n_bands)
-    draws : float array, shape (n_draws, n_materials, n_bands)
-    speech_db : float array, shape (2, 7), optional
-        As of `roomfit.predict`.
+    Shapes: `absorption` (n_materials, n_bands), `draws` (n_draws, n_materials, n_bands),
+    `speech_db` (2, 7).
     """
     curve, values = room.decay(pair, absorption)
     times = np.linspace(0.0, float(curve.time_s[-1]), _PICTURE_POINTS)
@@ -159,16 +143,8 @@ def changed_numbers(
     and the speech transmission index stay, and that of D50 follows C50. The picture of the decay is
     that before.
 
-    Parameters
-    ----------
-    absorptions : float array, shape (1 + n_draws, n_materials, n_bands)
-        The most likely one first.
-    base : tuple of float arrays, shapes (n_names, n_bands) and ()
-        `ReducedRows.values` and `sti` at the absorption of `before`.
-    speech_db : float array, shape (2, 7), optional
-        As of `roomfit.predict`.
-    latest : dict
-        What was weighed last; changed.
+    Shapes: `absorptions` (1 + n_draws, n_materials, n_bands), `base` (n_names, n_bands),
+    `speech_db` (2, 7).
     """
     sti = before.sti
     there, transfer = _latest_values(rows, absorptions, latest, with_transfer=sti is not None)

@@ -75,22 +75,6 @@ def prepare_field(
 ) -> PreparedField:
     """Return a room as a diffuse field, ready for changes.
 
-    Parameters
-    ----------
-    field : DiffuseField
-    scene : Scene
-        Without sources and receivers.
-    absorption : AbsorptionPosterior, optional
-        Of the room's materials in the bands of the field; left out: by its decay times, or by its
-        priors where there are none.
-    settings : Settings, optional
-        Seed and number of draws.
-
-    Raises
-    ------
-    InputError
-        No absorption gives the decay times; or it is of other materials than the room's.
-
     Notes
     -----
     The logarithm of a measured time is that of the formula's at a draw of the absorption, plus an
@@ -221,20 +205,8 @@ def field_values(
 ) -> tuple[dict[ValueName, PredictedValue], FloatArray]:
     """Return T30 of a room with changed walls beside that before, and its draws.
 
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials, n_bands)
-    draws : float array, shape (n_draws, n_materials, n_bands)
-        Of the same draws as `room.draws` in all that stays.
-    is_changed : bool
-        Whether anything was changed.
-
-    Returns
-    -------
-    values : dict
-        Of T30 alone.
-    drawn_s : float array, shape (n_draws, n_bands)
-        T30 without the scatter of a measurement.
+    Shapes: `absorption` (n_materials, n_bands), `draws` (n_draws, n_materials, n_bands), `drawn_s`
+    (n_draws, n_bands).
     """
     before_s, after_s = (field_times_s(room, a) for a in (room.absorption.absorption, absorption))
     drawn_before, drawn = _drawn_s(room, room.draws), _drawn_s(room, draws)
@@ -282,11 +254,6 @@ def predict_field(room: PreparedField, changes: Sequence[Change] = ()) -> Predic
     """Predict T30 of a diffuse field with changes, as `roomfit.predict` does where paths are known.
 
     What was measured before is kept, with its interval, and carried over by the change.
-
-    Raises
-    ------
-    InputError
-        A change that cannot be made.
     """
     began, known, rng = time.perf_counter(), room.absorption, deepcopy(room.rng)
     expected, drawn, doubts = changed_draws(known, room.draws, changes, rng)

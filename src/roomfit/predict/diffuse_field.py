@@ -148,23 +148,8 @@ def diffuse_absorption(
     All agree where walls are alike; they part where priors say that absorption is uneven, and the
     field is the less diffuse. Where priors tell no walls apart, they are taken to be alike.
 
-    Parameters
-    ----------
-    decay_s : float array, shape (n_positions, n_bands)
-        Reverberation times, NaN where unknown; some in every band.
-    bands : Bands
-    priors : tuple of MaterialPrior
-        Of every material, in these bands.
-    areas_m2 : float array, shape (3, n_materials)
-        See `absorption_area_m2`.
-    volume_m3, speed_of_sound_m_s : float
-    attenuation_per_m : float array, shape (n_bands,)
-        Energy attenuation of the air.
-
-    Raises
-    ------
-    InputError
-        A decay is longer than air alone permits, or so short that no wall explains it.
+    Shapes: `decay_s` (n_positions, n_bands), `areas_m2` (3, n_materials), `attenuation_per_m`
+    (n_bands,).
     """
     middle_s, spread = mean_decay(decay_s)
     relative = np.hypot(LEAST_RELATIVE_SD, spread)
@@ -198,10 +183,7 @@ def diffuse_absorption(
 def mean_decay(decay_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the mean over positions, and the relative standard deviation of that mean.
 
-    Parameters
-    ----------
-    decay_s : float array, shape (n_positions, n_bands)
-        NaN where unknown; some in every band.
+    Shapes: `decay_s` (n_positions, n_bands).
     """
     n_known = np.sum(np.isfinite(decay_s), axis=0)
     middle_s = np.nanmean(decay_s, axis=0)
@@ -242,15 +224,7 @@ def _most_likely(
     centre: FloatArray,
     areas_m2: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the most likely logits, shape (..., n_materials), and the last covariance of them.
-
-    Parameters
-    ----------
-    datum : (value, standard deviation)
-        Of the logarithm of the area of the walls; the value of shape (...).
-    centre : float array, shape (..., n_materials)
-        That the prior has its maximum at.
-    """
+    """Return the most likely logits, shape (..., n_materials), and the last covariance of them."""
     x, (value, sd) = centre.copy(), datum
     for _ in range(_ROUNDS):
         absorption, share = law.absorption(x), expit(x)
@@ -300,11 +274,7 @@ class DiffuseField:
     def times_s(self, absorption: FloatArray, scattering: FloatArray | None = None) -> FloatArray:
         """Return reverberation times of the walls and the air, shape (..., n_bands).
 
-        Parameters
-        ----------
-        absorption : float array, shape (..., n_materials, n_bands)
-        scattering : float array, shape (..., n_bands), optional
-            Scattering coefficient of all walls, where T30 is to be followed direction by direction.
+        Shapes: `absorption` (..., n_materials, n_bands).
         """
         by_band = np.moveaxis(np.clip(absorption, 1e-9, 1.0 - 1e-9), -2, -1)
         if scattering is not None:
@@ -356,16 +326,6 @@ class DiffuseField:
         """Return by how much a change of walls may alter the logarithm of the time.
 
         Shapes that fit each other.
-
-        Parameters
-        ----------
-        difference : float array
-            What the formula says of a change to more absorption, or to less.
-        apart : float array
-            Unit of `formula_error`, before or after the change, whichever is larger; 0 where
-            directions are followed.
-        normal : float array
-            Standard normal numbers.
         """
         sd = _EFFECT_SD + _EFFECT_SD_APART * np.minimum(apart, 1.0)
         flat = 0.0 if self.is_flat else _EFFECT_SD_FLAT * max(self.flatness - _FLAT_FROM, 0.0)
@@ -397,17 +357,6 @@ def field_posterior(
     their priors have it. Each draw disturbs datum and prior by their own noise and finds the most
     likely logits again (as `roomfit.uncertainty.posterior.rto_draws`), the priors' noise alike in
     all bands: a wall that absorbs more than its table does so at all frequencies.
-
-    Parameters
-    ----------
-    field : DiffuseField
-    n_draws : int
-        2 or more.
-
-    Raises
-    ------
-    InputError
-        As of `diffuse_absorption`.
     """
     priors, bands, areas_m2 = field.priors, field.bands, field.areas_m2
     laws = [_law(priors, band) for band in range(len(bands))]

@@ -25,34 +25,6 @@ def grid_scene(scene: Scene, height_m: float, spacing_m: float) -> Scene:
 
     The grid is centred in the room's box. Left out are points outside of the room or within 10 cm
     of a wall, and of each source those nearer than 50 cm, where direct sound is all there is.
-
-    Parameters
-    ----------
-    scene : Scene
-        Of which room, sources, air and the state of the first pair are kept.
-    height_m : float
-        Above the lowest point of the room.
-    spacing_m : float
-        Above 0.
-
-    Returns
-    -------
-    Scene
-        Receivers have the names ``G1``, ``G2``, ...: x by x, y rising.
-
-    Raises
-    ------
-    InputError
-        A length is no positive number, no point is in the room and half a metre from a source, or
-        there are more than 2000 pairs.
-
-    Examples
-    --------
-    >>> import roomfit
-    >>> room = roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster")
-    >>> hall = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
-    >>> [receiver.position_m.tolist() for receiver in grid_scene(hall, 1.2, 3.0).receivers]
-    [[1.5, 2.5, 1.2], [4.5, 2.5, 1.2]]
     """
     if not (0.0 < height_m < np.inf and 0.0 < spacing_m < np.inf):
         raise InputError(

@@ -53,13 +53,7 @@ def energy_ratio(
     Until this the ratio is 1. Where one of the decays has fallen by 40 dB, the logarithm of the
     ratio goes on as it fell over the later half of the time before.
 
-    Parameters
-    ----------
-    before, after : float arrays, shape (n_bands, n_bins)
-        Energies of uniform bins, spread as by the filters.
-    edges_s : float array, shape (n_bins + 1,)
-    direct_s : float
-        Arrival of the direct sound.
+    Shapes: `edges_s` (n_bins + 1,).
     """
     middle = 0.5 * (edges_s[1:] + edges_s[:-1])
     half_s = np.clip(_MEAN_SHARE * (middle - direct_s), 0.0, _LONGEST_MEAN_S)
@@ -101,19 +95,6 @@ def listen(
 
     At the most likely absorption before and after; what is not known of it is said by
     `roomfit.predict`, not here. Level and clock are those of the files.
-
-    Parameters
-    ----------
-    scene, absorption, changes, settings, progress
-        As of `roomfit.predict`; without changes the samples come back as they are.
-    measurements : sequence of Measurement
-        Of pairs of the scene, all at one sampling rate.
-
-    Raises
-    ------
-    InputError
-        Other materials than the room's, a change that cannot be made or of a material whose
-        absorption was not known, no measured response, or one that cannot be examined.
     """
     settings = Settings() if settings is None else settings
     absorption.check_materials(scene.room.materials)
@@ -146,9 +127,7 @@ def _changed_response(
 ) -> ChangedResponse:
     """Return a response scaled by what is predicted under one absorption over that under another.
 
-    Parameters
-    ----------
-    old, new : float arrays, shape (n_materials, n_bands)
+    Shapes: `old, new` (n_materials, n_bands).
     """
     edges, bin_s = room.edges_s, float(room.edges_s[1] - room.edges_s[0])
     # nothing is predicted between the end of the trace and that of the file

@@ -34,13 +34,7 @@ def with_misfit(
     pairs share. Pressures know how reflections interfere: what is left of that noise where they
     are added, the scatter of fitted pairs tells as well.
 
-    Parameters
-    ----------
-    fitted_jnd : float array, shape (n_pairs, n_names, n_bands), or None
-        Predicted minus measured of the fitted pairs in just noticeable differences, names in the
-        order of `VALUE_NAMES`, NaN where unknown.
-    by_pressures : bool array, shape (n_bands,), optional
-        Bands of both whose values follow from pressures; left out: none.
+    Shapes: `fitted_jnd` (n_pairs, n_names, n_bands), `by_pressures` (n_bands,).
 
     Notes
     -----

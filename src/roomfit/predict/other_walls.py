@@ -95,25 +95,13 @@ class Predicted:
         return predicted_html(self)
 
     def plot(self, pair: int = 0) -> Figure:
-        """Return the energy decay curves of one pair, predicted and measured, in every band.
-
-        Parameters
-        ----------
-        pair : int
-            Index into `pairs`.
-        """
+        """Return the energy decay curves of one pair, predicted and measured, in every band."""
         from roomfit.predict.output import predicted_decay_figure
 
         return predicted_decay_figure(self, self.pairs[pair])
 
     def to_dataframe(self) -> Any:
-        """Return a pandas data frame of one row a pair, parameter and band, as predicted.csv.
-
-        Raises
-        ------
-        InputError
-            pandas, on which roomfit does not depend, is not installed.
-        """
+        """Return a pandas data frame of one row a pair, parameter and band, as predicted.csv."""
         from roomfit.base.table import data_frame
         from roomfit.predict.output import predicted_records
 
@@ -253,20 +241,7 @@ def prepare_prediction(
     settings: Settings | None = None,
     progress: Progress | None = None,
 ) -> PreparedRoom:
-    """Trace and predict a room as it was found, ready for many changes by `predict_change`.
-
-    Parameters
-    ----------
-    scene, absorption, measurements, speech_db, settings, progress
-        As of `predict`.
-    alternatives : sequence of sequences of Change
-        Changes that may be asked for: decays are followed as long as with the hardest of them.
-
-    Raises
-    ------
-    InputError
-        As of `predict`.
-    """
+    """Trace and predict a room as it was found, ready for many changes by `predict_change`."""
     settings = Settings() if settings is None else settings
     _check(scene, absorption, measurements)
     rng = np.random.default_rng(settings.seed)
@@ -357,16 +332,7 @@ def numbers_at(
 ) -> tuple[PairNumbers, ...]:
     """Return the numbers of every pair under another absorption, from few paths.
 
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials, n_bands)
-    draws : float array, shape (n_draws, n_materials, n_bands)
-        Of the same draws as `room.draws` in all that stays; none where intervals are not wanted.
-
-    Raises
-    ------
-    InputError
-        The absorption of the room before is not known.
+    Shapes: `absorption` (n_materials, n_bands), `draws` (n_draws, n_materials, n_bands).
     """
     if not room.before:
         raise InputError(
@@ -395,29 +361,7 @@ def predict_change(
     compare_pairs: bool = True,
     progress: Progress | None = None,
 ) -> Predicted:
-    """Predict a prepared room with changes, as `predict` does.
-
-    Parameters
-    ----------
-    room : PreparedRoom
-        From `prepare_prediction`.
-    changes : sequence of Change
-    exact : bool
-        From all paths, in seconds; else carried over from the room as it was found by few of them,
-        in half a second or less, and of bands that the last change had alike nothing anew: pictures
-        of decays are then those before.
-    compare_pairs : bool
-        Also what changes do to every pair by itself; else, sooner, what they do to the means. Where
-        nothing was measured interference is then taken to be another after the change, so that
-        intervals of changes are too wide.
-    progress
-        For what is exact.
-
-    Raises
-    ------
-    InputError
-        A change that cannot be made, or one of what is not known that is not exact.
-    """
+    """Predict a prepared room with changes, as `predict` does."""
     absorption, scene = room.absorption, room.scene
     began, bands, rng = time.perf_counter(), absorption.bands, deepcopy(room.rng)
     expected, drawn, doubts = changed_draws(absorption, room.draws, changes, rng)
@@ -480,13 +424,7 @@ def _object_areas(known: AbsorptionPosterior, values: FloatArray) -> dict[str, F
 def _tables(
     room: PreparedRoom, numbers: list[tuple[PairNumbers, ...]], *, compare_pairs: bool
 ) -> tuple[tuple[PredictedPair, ...], dict[ValueName, PredictedValue], PredictedValue | None]:
-    """Return what is predicted of every pair, and the means over them.
-
-    Parameters
-    ----------
-    numbers : list
-        Of every pair with the changes, and without where they are compared.
-    """
+    """Return what is predicted of every pair, and the means over them."""
     scene, bands, observed = room.scene, room.absorption.bands, room.observed
     if not room.before:
         observed = with_sti(scene, bands, observed, numbers[-1], room.speech_db)

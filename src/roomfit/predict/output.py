@@ -59,13 +59,7 @@ _OF_A_CHANGE = COLUMNS[11:]
 
 
 def write_predicted(folder: Path, predicted: Predicted, inputs: Iterable[Path]) -> None:
-    """Write ``predicted.json``, ``predicted.csv`` and ``predicted.html`` into a folder.
-
-    Raises
-    ------
-    StoreError
-        The disk refuses.
-    """
+    """Write ``predicted.json``, ``predicted.csv`` and ``predicted.html`` into a folder."""
     content = predicted_content(predicted, inputs)
     write_text_atomically(folder / "predicted.csv", predicted_csv(predicted))
     write_text_atomically(folder / "predicted.html", predicted_page(predicted))
@@ -260,12 +254,6 @@ def parameter_lines(
 
     What was measured is set against the model of the room as it was measured, never against a
     changed one.
-
-    Parameters
-    ----------
-    open_for : sequence of str, optional
-        By band, why the absorption may be split otherwise among walls: there a change of which
-        `is_undetermined` holds is said to be not determined, its reason beside it.
     """
     lines = []
     for name, label, form in _SHOWN:
@@ -432,11 +420,6 @@ def change_figure(predicted: Predicted) -> Figure:
 
     Beside each other in every band: measured before, model before, model after, and measured before
     carried over by the model's change; bars are 95 % intervals.
-
-    Raises
-    ------
-    InputError
-        Nothing was changed, or what is replaced was not known.
     """
     means = named_values(predicted.mean, predicted.sti)
     compared = [(v.change, name) for name, v in means.items() if v.change is not None]

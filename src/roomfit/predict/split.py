@@ -53,20 +53,8 @@ def open_splits(
     one of those that findings of the result doubt in the band, or of those of which the prior
     decides.
 
-    Parameters
-    ----------
-    draws : float array, shape (n_draws, n_materials, n_bands)
-    dominated : sequence of Finding
-        From `prior_dominated`, of the materials that are changed.
-    areas_m2 : float array, shape (n_states, n_materials)
-        In the room that was measured, by its states. What an earlier state has stays as it is
-        there, and the other walls of a state share what that leaves of its sum.
-    seed : int
-        Of the splits.
-
-    Returns
-    -------
-    float array, shape (n_draws, n_materials, n_bands)
+    Shapes: `draws` (n_draws, n_materials, n_bands), `areas_m2` (n_states, n_materials), what comes
+    back (n_draws, n_materials, n_bands).
     """
     found = draws.copy()
     z = np.random.default_rng([seed, 5]).random((2, len(areas_m2), len(draws)))
@@ -106,15 +94,7 @@ def _other_split(
 def for_another_room(
     posterior: AbsorptionPosterior, areas_m2: dict[str, float], n_draws: int, seed: int
 ) -> tuple[AbsorptionPosterior, tuple[Finding, ...]]:
-    """Return a result as it is to predict a room with other areas from, see `open_splits`.
-
-    Parameters
-    ----------
-    posterior : AbsorptionPosterior
-        With all materials of the room that was measured; as it is where their areas are not known.
-    areas_m2 : dict of material to area
-        In the room that is predicted.
-    """
+    """Return a result as it is to predict a room with other areas from, see `open_splits`."""
     own = posterior.areas_m2
     if own is None:
         return posterior, ()
@@ -140,10 +120,7 @@ def for_another_state(
 ) -> AbsorptionPosterior:
     """Return a result as it is to predict a state that was not fitted from, see `open_splits`.
 
-    Parameters
-    ----------
-    areas_m2 : float array, shape (n_states, n_materials)
-        Of the states that were fitted.
+    Shapes: `areas_m2` (n_states, n_materials).
     """
     if not doubted_walls(posterior).any():
         return posterior
@@ -177,16 +154,7 @@ def prior_dominated(
     standard deviation is above half of the prior's, the prior decides; where the posterior comes
     without its prior, the first two count.
 
-    Parameters
-    ----------
-    draws : float array, shape (n_draws, n_materials, n_bands)
-        Of the posterior, before the change.
-    changed : sequence of str
-        Materials that are exchanged, or of which there is more or less afterwards.
-    areas_m2 : float array, shape (n_materials,)
-        In the room before.
-    from_times : bool
-        Whether decay times are all that was measured, which no further pair adds to.
+    Shapes: `draws` (n_draws, n_materials, n_bands), `areas_m2` (n_materials,).
     """
     shares = _band_shares(areas_m2, draws)
     low, high = np.quantile(shares, (0.025, 0.975), axis=0)
@@ -219,14 +187,7 @@ def _prior_dominated(
 ) -> Finding:
     """Return the finding of one material in the bands `at`.
 
-    Parameters
-    ----------
-    shares : float arrays, shape (n_bands,) each
-        The most likely share, and its 95 % bounds.
-    before : float array, shape (2, n_bands), or None
-        Bounds before anything was measured.
-    more : str
-        What else would tell, in words.
+    Shapes: `shares` (n_bands,), `before` (2, n_bands).
     """
     found, low, high = shares
     b = int(at[np.argmax(high[at] - low[at])])

@@ -217,9 +217,7 @@ def _mean_table(
 ) -> dict[N, PredictedValue]:
     """Return the means of some parameters.
 
-    Parameters
-    ----------
-    measured, measured_sd : float arrays, shape (n_pairs, n_names, n_bands)
+    Shapes: `measured, measured_sd` (n_pairs, n_names, n_bands).
     """
     chosen = np.isfinite(measured)
     for of_state in numbers:
@@ -261,11 +259,7 @@ def _table(
 ) -> dict[N, PredictedValue]:
     """Return predictions with their intervals, and what a change does where there are two states.
 
-    Parameters
-    ----------
-    states : sequence of PairNumbers
-        With the changes, and without where they are compared.
-    measured, measured_sd, mean_of_others : float arrays, shape (n_names, n_bands)
+    Shapes: `measured, measured_sd, mean_of_others` (n_names, n_bands).
     """
     after = states[0]
     table = {}

@@ -388,13 +388,7 @@ def _missed(
 
 
 def apart(value: float, other: float, decimals: int) -> tuple[str, str]:
-    """Return two numbers with so many decimals, or as many more as tell them apart, 4 at most.
-
-    Examples
-    --------
-    >>> apart(0.634, 0.63, 2), apart(79.7, 80.0, 0), apart(0.5, 0.63, 2)
-    (('0.634', '0.630'), ('79.7', '80.0'), ('0.50', '0.63'))
-    """
+    """Return two numbers with so many decimals, or as many more as tell them apart, 4 at most."""
     for n in range(decimals, 4):
         if f"{value:.{n}f}" != f"{other:.{n}f}":
             return f"{value:.{n}f}", f"{other:.{n}f}"

@@ -49,24 +49,12 @@ class TreatArguments(TypedDict):
 
 
 def read_treatment(path: Path) -> TreatmentTable:
-    """Read a treatment file.
-
-    Raises
-    ------
-    InputError
-        It is missing, not TOML, or has an unknown key or a value of the wrong kind.
-    """
+    """Read a treatment file."""
     return checked_treatment(path, read_toml(path, "treatment file"))
 
 
 def checked_treatment(path: Path, content: Mapping[str, Any]) -> TreatmentTable:
-    """Return the content of a treatment file, checked key by key; the path is for messages.
-
-    Raises
-    ------
-    InputError
-        An unknown key, or a value of the wrong kind or out of range.
-    """
+    """Return the content of a treatment file, checked key by key; the path is for messages."""
     try:
         return TreatmentTable.model_validate(content)
     except ValidationError as error:
@@ -80,22 +68,7 @@ def checked_treatment(path: Path, content: Mapping[str, Any]) -> TreatmentTable:
 def treat_arguments(
     path: Path, table: TreatmentTable, known: AbsorptionPosterior, scene: Scene
 ) -> tuple[TreatArguments, tuple[Finding, ...]]:
-    """Return a treatment file as arguments, and what is in doubt about its standards.
-
-    Parameters
-    ----------
-    path : Path
-        For messages.
-    table : TreatmentTable
-    known : AbsorptionPosterior
-        Of the room's materials, in the bands to predict.
-    scene : Scene
-
-    Raises
-    ------
-    InputError
-        A product without absorption or with several, a target without limits, an unknown name.
-    """
+    """Return a treatment file as arguments, and what is in doubt about its standards."""
     surfaces = tuple(
         Surface(
             name,

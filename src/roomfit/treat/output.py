@@ -44,13 +44,7 @@ if TYPE_CHECKING:
 
 
 def write_treatment(folder: Path, treatment: Treatment, inputs: Iterable[Path]) -> None:
-    """Write ``treatment.json``, ``.csv`` and ``.html`` into a folder.
-
-    Raises
-    ------
-    StoreError
-        The disk refuses.
-    """
+    """Write ``treatment.json``, ``.csv`` and ``.html`` into a folder."""
     write_text_atomically(folder / "treatment.csv", treatment_csv(treatment))
     write_text_atomically(folder / "treatment.html", treatment_page(treatment))
     write_json_atomically(folder / "treatment.json", treatment_content(treatment, inputs))

@@ -19,26 +19,7 @@ _ROUNDING = 1e-3  # of an area
 def forbidden_area_m2(room: Room, material: str, polygons: Sequence[FloatArray]) -> float:
     """Return the area that polygons cover of the surfaces of a material.
 
-    Parameters
-    ----------
-    room : Room
-    material : str
-        An unknown one has no area: it is complained of where it is asked for.
-    polygons : sequence of float arrays, shape (n_corners, 3)
-        Corners in order, in m in the coordinates of the room.
-
-    Raises
-    ------
-    InputError
-        A polygon crosses itself, lies beside a wall of this material or reaches beyond it, or two
-        overlap.
-
-    Examples
-    --------
-    >>> from roomfit.room.scene import shoebox_room
-    >>> door = np.array([[0, 1, 0], [0, 2, 0], [0, 2, 2], [0, 1, 2.0]])
-    >>> round(forbidden_area_m2(shoebox_room((6, 5, 3), "wall"), "wall", [door]), 9)
-    2.0
+    Shapes: `polygons` (n_corners, 3).
     """
     if material not in room.materials:
         return 0.0

@@ -29,13 +29,7 @@ TARGET_NAMES: tuple[TargetName, ...] = (*VALUE_NAMES, "STI")
 
 
 def target_name(name: str) -> TargetName:
-    """Return the name of a parameter that may be a target.
-
-    Raises
-    ------
-    InputError
-        No parameter is called so.
-    """
+    """Return the name of a parameter that may be a target."""
     check_known("a target names an unknown parameter", name, TARGET_NAMES)
     return next(known for known in TARGET_NAMES if known == name)
 
@@ -144,14 +138,7 @@ def question_of(
     products: Sequence[Product],
     targets: Sequence[Target],
 ) -> Question:
-    """Return what is asked of a room, checked.
-
-    Raises
-    ------
-    InputError
-        A surface, product or band that there is not, more free area than the surface has, nothing
-        that fits anywhere, or a target of what decay times do not determine.
-    """
+    """Return what is asked of a room, checked."""
     bands, areas = room.absorption.bands, _areas_m2(room.scene)
     others = [t for t in targets if t.parameter != NAME]
     if isinstance(room, PreparedField) and others:
@@ -183,14 +170,7 @@ def question_of(
 def columns_of(
     scene: Scene, surfaces: Sequence[Surface], products: Sequence[Product]
 ) -> tuple[list[tuple[int, int, float]], dict[int, float]]:
-    """Return material, product and most pieces of what may hang where, and the free areas in m2.
-
-    Raises
-    ------
-    InputError
-        A surface or product that there is not, more free area than the surface has, or nothing
-        that fits anywhere.
-    """
+    """Return material, product and most pieces of what may hang where, and the free areas in m2."""
     materials = scene.room.materials
     areas = _areas_m2(scene)
     names = [p.name for p in products]
@@ -238,11 +218,6 @@ def row_weights(target: Target, bands: Bands) -> FloatArray:
     """Return the weights of bands of each row of a target, shape (n_rows, n_bands).
 
     Of the speech transmission index, which is alike in every band, a seventh of each octave's.
-
-    Raises
-    ------
-    InputError
-        The target is in bands that are not predicted.
     """
     if target.parameter == "STI":
         missing_text = sti_missing(bands)
@@ -286,9 +261,7 @@ def treated(question: Question, pieces: FloatArray) -> FloatArray:
 
     Of a surface that is covered in part the mean by area: in the diffuse limit its energy.
 
-    Parameters
-    ----------
-    pieces : float array, shape (..., n_columns)
+    Shapes: `pieces` (..., n_columns).
     """
     own = question.room.absorption.absorption
     products = np.array([p.absorption for p in question.products])
@@ -316,10 +289,7 @@ def _covered(
 def rows_of(question: Question, values: FloatArray) -> FloatArray:
     """Return the number of every row, shape (..., n_rows).
 
-    Parameters
-    ----------
-    values : float array, shape (..., n_names + 1, n_bands)
-        Means over the pairs; the speech transmission index last, alike in every band.
+    Shapes: `values` (..., n_names + 1, n_bands).
     """
     names = [TARGET_NAMES.index(question.targets[t].parameter) for t in question.target]
     picked = values[..., names, :]

@@ -28,11 +28,7 @@ def mean_values(
 
     Last stands the speech transmission index, alike in every band; NaN where it is not predicted.
 
-    Parameters
-    ----------
-    absorptions : float array, shape (n_points, n_materials, n_bands)
-    wanted : bool array, shape (n_bands,), optional
-        All other bands are left NaN.
+    Shapes: `absorptions` (n_points, n_materials, n_bands), `wanted` (n_bands,).
     """
     if isinstance(room, PreparedField):
         values = in_rows(field_times_s(room, absorptions))
@@ -96,12 +92,7 @@ def best_arrangement(
     answer, then exchanges of pieces with exact numbers. Where none meets them, the one that misses
     least.
 
-    Parameters
-    ----------
-    margin : float array, shape (n_rows,)
-        By which limits are to be kept.
-    excluded : sequence of bool array, shape (n_columns,)
-        Sets of columns in use that are not to be found again.
+    Shapes: `margin` (n_rows,), `excluded` (n_columns,).
     """
     n = len(question.cost)
     here = np.zeros(n)

@@ -31,11 +31,6 @@ def standard_target(name: str, room: Room) -> tuple[Target, tuple[Finding, ...]]
 
     Limits hold of the room as it is measured; a standard that counts people in asks for less than
     an empty room then has.
-
-    Raises
-    ------
-    InputError
-        There is no such entry, or it does not speak of rooms of this volume.
     """
     known = standards()
     check_known("no standard of this name", name, known)
