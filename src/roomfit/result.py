@@ -212,7 +212,6 @@ class Result:
         made) and ``prior``, ``prior_lower95``, ``prior_upper95`` have the dimensions ``material``
         and ``band_hz``; ``area_m2`` has ``material``; ``mean_absorption`` with its bounds and
         ``chi2_reduced`` have ``band_hz``. What the result does not know is left out.
-        `roomfit.files.exports.posterior_tree` has draws of posterior and prior.
         """
         from roomfit.base.table import optional_package
 

@@ -369,11 +369,11 @@ def test_the_report_offers_what_the_answer_has_and_links_to_exports(folder: Path
         tab, bench, client = tab_of(ReportTab, folder)
         await tab.refresh()
         assert "Download result.json" in shown(client) and "report.html</a>" not in shown(client)
-        exporting = asyncio.ensure_future(tab.export("raven"))
+        exporting = asyncio.ensure_future(tab.export("catt"))
         await asyncio.sleep(0)
-        bench.asked[-1].set_result(["exports/raven/a b.mat", "exports/raven/<c>.mat"])
+        bench.asked[-1].set_result(["exports/a b.geo", "exports/<c>.geo"])
         await exporting
-        assert "a%20b.mat?save=1" in shown(client) and "&lt;c&gt;.mat</a>" in shown(client)
+        assert "a%20b.geo?save=1" in shown(client) and "&lt;c&gt;.geo</a>" in shown(client)
 
     asyncio.run(whole())
 

@@ -49,11 +49,10 @@ _KNOWN: Mapping[str, Collection[str]] = {
     DECAY_TIMES: TABLE_SUFFIXES,
 }  # endings of what may be sent, by its place
 _ENDINGS = {
-    **dict.fromkeys((*FORMATS, "excel", "gltf", "pdf", "word"), ".txt"),
+    **dict.fromkeys((*FORMATS, "excel", "pdf", "word"), ".txt"),
     "catt": ".geo",
     "csv": ".csv",
     "excel": ".xlsx",
-    "gltf": ".gltf",
     "pdf": ".pdf",
     "pyroomacoustics": ".json",
 }
@@ -460,10 +459,8 @@ def export(folder: Path, wanted: str) -> list[str]:
     check_known("no such format", wanted, _ENDINGS)
     exports = folder / "exports"
     exports.mkdir(exist_ok=True)
-    named = {"raven": "raven", "pdf": "report.pdf", "word": "report.docx"}
+    named = {"pdf": "report.pdf", "word": "report.docx"}
     out = exports / named.get(wanted, f"materials-{wanted}{_ENDINGS[wanted]}")
-    written = export_result(
-        result, wanted, inside(folder, out), campaign_file=campaign_file(folder), overwrite=True
-    )
+    written = export_result(result, wanted, inside(folder, out), overwrite=True)
     root = Path(os.path.realpath(folder))
     return [Path(os.path.relpath(file, root)).as_posix() for file in written.files]

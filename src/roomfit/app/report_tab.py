@@ -20,8 +20,6 @@ _PROGRAMS = {
     "catt": "CATT-Acoustic",
     "odeon": "ODEON",
     "isimpa": "I-Simpa",
-    "raven": "RAVEN",
-    "gltf": "glTF",
     "pyroomacoustics": "pyroomacoustics",
 }
 _WHOLE = {

@@ -7,7 +7,6 @@ in `roomfit.cli.predictions`.
 
 from __future__ import annotations
 
-import glob
 import logging
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
@@ -265,7 +264,6 @@ def export_result(
     out: Path,
     *,
     scattering: float | None = None,
-    campaign_file: Path | None = None,
     overwrite: bool = False,
 ) -> ExportedFiles:
     """Write the materials of a result in the format of another program.
@@ -274,18 +272,14 @@ def export_result(
     ----------
     result_file : Path or Result
         A ``result.json`` or an ``absorption.csv``; for "pdf" and "word" with its ``report.html``
-        beside it, for "word" the pictures as well. Or a result in memory, but for "excel", "gltf",
-        "pdf" and "word".
-    wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv", "budget", "excel", \
-"gltf", "pdf", "word"}
+        beside it, for "word" the pictures as well. Or a result in memory, but for "excel", "pdf"
+        and "word".
+    wanted : {"catt", "odeon", "isimpa", "pyroomacoustics", "csv", "budget", "excel", "pdf", "word"}
     out : Path
-        The file to write; for "raven", which has a file for each material, the folder.
+        The file to write.
     scattering : float, optional
         Coefficient of every material where the result contains none, 0 to 1; by default that of
         `Settings`.
-    campaign_file : Path, optional
-        For "gltf", which needs the room: the campaign of the result. Left out, the one that lies
-        beside it or a folder above and is, by its SHA-256, the one that was identified.
     overwrite : bool
         Replace an existing file.
 
@@ -315,14 +309,15 @@ def export_result(
     from roomfit.result import Result
 
     out = Path(out)
-    # as the programs write themselves: CATT-Acoustic, I-Simpa, glTF
+    # as the programs write themselves: CATT-Acoustic, I-Simpa
     wanted = wanted.lower().replace("-", "").removesuffix("acoustic")
     if wanted == "budget":
         from roomfit.files.budget import budget_records, uncertainty_budget
 
-        found = uncertainty_budget(result_file)
-        return ExportedFiles(_write_texts(out, {"": csv_of(budget_records(found))}, overwrite), ())
-    if wanted in ("excel", "gltf", "pdf", "word"):
+        _check_place(out, overwrite)
+        write_text_atomically(out, csv_of(budget_records(uncertainty_budget(result_file))))
+        return ExportedFiles((out,), ())
+    if wanted in ("excel", "pdf", "word"):
         if isinstance(result_file, Result):
             raise InputError(
                 "this format is made from the files of a result",
@@ -331,7 +326,7 @@ def export_result(
                 hint="roomfit.write_result(folder, result, []) first",
             )
         _check_place(out, overwrite)
-        content, findings = _whole_export(result_file, wanted, campaign_file)
+        content, findings = _whole_export(result_file, wanted)
         write_bytes_atomically(out, content)
         return ExportedFiles((out,), findings)
     usual = Settings().default_scattering if scattering is None else scattering
@@ -340,79 +335,30 @@ def export_result(
         if isinstance(result_file, Result)
         else read_material_table(result_file)
     )
-    texts, findings = export_materials(table, wanted, usual)
-    return ExportedFiles(_write_texts(out, texts, overwrite), (*findings, *table.findings))
+    text, findings = export_materials(table, wanted, usual)
+    _check_place(out, overwrite)
+    write_text_atomically(out, text)
+    return ExportedFiles((out,), (*findings, *table.findings))
 
 
-def _write_texts(out: Path, texts: Mapping[str, str], overwrite: bool) -> tuple[Path, ...]:
-    """Write texts by their names into a folder, or the one without a name into a file."""
-    if "" in texts:
-        _check_place(out, overwrite)
-        write_text_atomically(out, texts[""])
-        return (out,)
-    with whole_output_folder(out, overwrite=overwrite) as folder:
-        for name, text in texts.items():
-            write_text_atomically(folder / name, text)
-    return tuple(out / name for name in texts)
-
-
-def _whole_export(
-    result_file: ResultFile, wanted: str, campaign_file: Path | None
-) -> tuple[bytes, tuple[Finding, ...]]:
+def _whole_export(result_file: ResultFile, wanted: str) -> tuple[bytes, tuple[Finding, ...]]:
     from roomfit.files.exports import read_material_table, workbook_bytes
 
     if wanted == "excel":
         return workbook_bytes(result_file), read_material_table(result_file).findings
-    if wanted in ("pdf", "word"):
-        # the page that was written beside the result
-        path = path_of(result_file)
-        own = path.suffix.lower() in (".html", ".htm")
-        page = read_text(path if own else path.with_name("report.html"), "report")
-        if wanted == "pdf":
-            from roomfit.report.pdf import report_pdf
-
-            return report_pdf(page), ()
-        from roomfit.report.word import report_word
-
-        findings = () if own else read_material_table(result_file).findings
-        beside = sorted(path.parent.glob("*.png"))
-        return report_word(page, {f.stem: read_bytes(f, "picture") for f in beside}), findings
-    from roomfit.files.campaign import read_campaign
-    from roomfit.files.gltf import gltf_text
-    from roomfit.files.inputs import campaign_room
-
-    campaign_file = _own_campaign(result_file) if campaign_file is None else campaign_file
-    room = campaign_room(read_campaign(campaign_file, to_fit=False))
-    table = read_material_table(result_file)
-    return gltf_text(room, table).encode(), table.findings
-
-
-def _own_campaign(result_file: ResultFile) -> Path:
-    """Return the campaign that a result was identified from, if it lies near and is unchanged.
-
-    In the folder of the result, the one above, or another folder there; with its digest, and all
-    other files that were read with theirs.
-    """
-    from roomfit.files.exports import read_result_content
-
+    # the page that was written beside the result
     path = path_of(result_file)
-    known = {} if path.suffix.lower() == ".csv" else read_result_content(result_file)[0]
-    digests: dict[str, str] = known.get("provenance", {}).get("inputs_sha256", {})
-    name, folder = next(iter(digests), ""), path.absolute().parent
-    beside = folder.parent.glob(f"*/{glob.escape(name)}") if name else ()
-    for file in (folder / name, folder.parent / name, *sorted(beside)):
-        inputs = tuple(file.parent / own for own in digests)
-        if inputs and all(p.is_file() for p in inputs) and input_digests(inputs) == digests:
-            return file
-    raise InputError(
-        "glTF holds the room, which a result does not",
-        where=str(path),
-        found=f"no {name} beside it, or in a folder beside that, with all its files as they were"
-        if name
-        else "no digest of its campaign",
-        needed="the campaign that the result was identified from",
-        hint="add --campaign campaign.toml",
-    )
+    own = path.suffix.lower() in (".html", ".htm")
+    page = read_text(path if own else path.with_name("report.html"), "report")
+    if wanted == "pdf":
+        from roomfit.report.pdf import report_pdf
+
+        return report_pdf(page), ()
+    from roomfit.report.word import report_word
+
+    findings = () if own else read_material_table(result_file).findings
+    beside = sorted(path.parent.glob("*.png"))
+    return report_word(page, {f.stem: read_bytes(f, "picture") for f in beside}), findings
 
 
 def _check_place(out: Path, overwrite: bool) -> None:

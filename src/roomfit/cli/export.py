@@ -16,18 +16,13 @@ def add(commands: Commands) -> None:
     parser.add_argument("result", type=Path, help="result.json or absorption.csv of a fit.")
     parser.add_option(
         "--format",
-        "catt, odeon, isimpa, raven, pyroomacoustics, csv, excel, gltf, budget (of the "
-        "uncertainty, CSV), or pdf or word (the report).",
+        "catt, odeon, isimpa, pyroomacoustics, csv, excel, budget (of the uncertainty, CSV), or "
+        "pdf or word (the report).",
         required=True,
     )
-    parser.add_out("File to write; for raven a folder.")
+    parser.add_out("File to write.")
     parser.add_option(
         "--scattering", "For all materials, where the result does not specify it.", type=number
-    )
-    parser.add_option(
-        "--campaign",
-        "For gltf: the campaign, which has the room; where it lies beside the result, it is found.",
-        type=Path,
     )
     parser.add_edited()
     parser.add_overwrite("Replace what exists.")
@@ -41,7 +36,6 @@ def run(options: argparse.Namespace) -> None:
         options.format,
         options.out,
         scattering=options.scattering,
-        campaign_file=options.campaign,
         overwrite=options.overwrite,
     )
     for file in written.files:

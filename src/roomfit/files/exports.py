@@ -2,7 +2,7 @@
 
 A table of absorption is read from a result, resampled to the bands of the other program, given
 names that it accepts, and written: for CATT-Acoustic and I-Simpa (which reads the same lines
-without the first word), ODEON (a material library, .Li8), RAVEN (one .mat file a material),
+without the first word), ODEON (a material library, .Li8),
 pyroomacoustics (its arguments as JSON), or as a wide CSV.
 """
 
@@ -24,8 +24,7 @@ from roomfit.base.arguments import bool_array, check_known, check_range, float_a
 from roomfit.base.bands import OCTAVES_HZ, Bands
 from roomfit.base.errors import InputError, RoomfitError, located
 from roomfit.base.findings import About, Code, Finding
-from roomfit.base.logit import expit
-from roomfit.base.table import Table, csv_of, optional_package, without_apostrophe, workbook_of
+from roomfit.base.table import Table, csv_of, without_apostrophe, workbook_of
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.files.door import complete, csv_rows, decoded, read_text
 from roomfit.files.encoding import (
@@ -36,8 +35,7 @@ from roomfit.files.encoding import (
     path_of,
     written_content,
 )
-from roomfit.result import Result, absorption_posterior, absorption_records
-from roomfit.uncertainty.posterior import draw_absorption, prior_law
+from roomfit.result import Result, absorption_records
 
 CATT_BANDS = Bands("octave", np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3, 16e3]))
 ISIMPA_BANDS = Bands("octave", np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3]))
@@ -92,14 +90,14 @@ def _percent(values: FloatArray, least: int) -> str:
     return " ".join(str(int(np.clip(round(100.0 * v), least, 99))) for v in values)
 
 
-def short_names(names: tuple[str, ...], longest: int) -> dict[str, str]:
+def short_names(names: tuple[str, ...]) -> dict[str, str]:
     """Return a name of ASCII letters, digits and underscores for each, beginning with a letter.
 
-    No two are alike, not even in another case: some programs do not distinguish them.
+    At most 15 of them. No two are alike, not even in another case, which some programs ignore.
 
     Examples
     --------
-    >>> short_names(("Wand grün", "wall", "Wall"), 15)
+    >>> short_names(("Wand grün", "wall", "Wall"))
     {'Wand grün': 'Wand_grun', 'wall': 'wall', 'Wall': 'Wall_2'}
     """
     given: dict[str, str] = {}
@@ -107,10 +105,10 @@ def short_names(names: tuple[str, ...], longest: int) -> dict[str, str]:
         plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
         word = re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_") or "material"
         word = word if word[0].isalpha() else f"m_{word}"
-        candidate, number = word[:longest], 1
+        candidate, number = word[:LONGEST_NAME], 1
         while candidate.lower() in (g.lower() for g in given.values()):
             number += 1
-            candidate = f"{word[: longest - len(str(number)) - 1]}_{number}"
+            candidate = f"{word[: LONGEST_NAME - len(str(number)) - 1]}_{number}"
         given[name] = candidate
     return given
 
@@ -135,45 +133,6 @@ def odeon_text(names: tuple[str, ...], absorption: FloatArray) -> str:
         lines.append(f"{FIRST_NUMBER + i} {one_line(name)}")
         lines.append("".join(f"\t{v:.5f}" for v in absorption[i]))
     return "\r\n".join(lines) + "\r\n"
-
-
-RAVEN_BANDS = Bands(
-    "third-octave",
-    np.array(
-        [
-            *(20.0, 25.0, 31.5, 40.0, 50.0, 63.0, 80.0, 100.0, 125.0, 160.0, 200.0, 250.0),
-            *(315.0, 400.0, 500.0, 630.0, 800.0, 1000.0, 1250.0, 1600.0, 2000.0, 2500.0),
-            *(3150.0, 4000.0, 5000.0, 6300.0, 8000.0, 10000.0, 12500.0, 16000.0, 20000.0),
-        ]
-    ),
-)
-
-
-def raven_text(
-    name: str, notes: str, absorption: FloatArray, scattering: FloatArray, specified: BoolArray
-) -> str:
-    """Return the text of the file of one material, which bears its name; 31 third octaves.
-
-    Layout and line ends are those that the ITA Toolbox writes [1]_; `specified` are the bands
-    whose value was fitted: they get a 0 in ``interpol``, all others a 1.
-
-    References
-    ----------
-    .. [1] ITA Toolbox, RWTH Aachen, ``itaRavenProject.m``, ``setMaterial``.
-    """
-    rows = [
-        "[Material]",
-        f"name={name}",
-        f"notes={one_line(notes)}",
-        f"absorp={_row(absorption)}",
-        f"scatter={_row(scattering)}",
-        f"interpol={','.join('0' if t else '1' for t in specified)}",
-    ]
-    return "\r\n".join(rows) + "\r\n"
-
-
-def _row(values: FloatArray) -> str:
-    return ", ".join(f"{v:.4f}" for v in values)
 
 
 def resample(values: FloatArray, bands: Bands, wanted: Bands) -> tuple[FloatArray, BoolArray]:
@@ -525,83 +484,20 @@ def _further_tables(content: dict[str, Any]) -> dict[str, Table]:
     }
 
 
-def posterior_tree(result: Result, n_draws: int, rng: np.random.Generator) -> Any:
-    """Return draws of posterior and prior as an ``xarray.DataTree`` in the layout of ArviZ.
-
-    Groups ``posterior`` and ``prior``, each with ``absorption`` along ``chain``, ``draw``,
-    ``material`` and ``band_hz``, and ``constant_data`` with the areas. ArviZ 1 takes it as it is
-    (``arviz.plot_forest(tree)``), earlier versions by ``InferenceData.from_datatree``; neither is
-    needed to make it.
-
-    Parameters
-    ----------
-    n_draws : int
-        2 or more; draws that the result brings along may be fewer.
-    rng : numpy.random.Generator
-
-    Raises
-    ------
-    InputError
-        xarray is not installed.
-
-    Notes
-    -----
-    Draws are those behind predictions, see `roomfit.uncertainty.posterior.draw_absorption`: they
-    are independent of each other, so that the one chain says nothing of convergence, and of
-    different bands independent as well.
-    """
-    xarray = optional_package("xarray", "trees of draws", "posterior_tree")
-    groups = _absorption_draws(result, n_draws, rng)
-    dims = ("chain", "draw", "material", "band_hz")
-    coords = {"material": list(result.materials), "band_hz": result.bands.centres_hz}
-    constant = xarray.Dataset({"area_m2": ("material", result.areas_m2)}, {**coords})
-    sets = {
-        name: xarray.Dataset(
-            {"absorption": (dims, draws[None])}, {**coords, "chain": [0], "draw": range(len(draws))}
-        )
-        for name, draws in groups.items()
-    }
-    return xarray.DataTree.from_dict({**sets, "constant_data": constant})
-
-
-def _absorption_draws(
-    result: Result, n_draws: int, rng: np.random.Generator
-) -> dict[str, FloatArray]:
-    """Return draws of posterior and prior, (n_draws, n_materials, n_bands); as far as known."""
-    found = absorption_posterior(result)
-    n = len(result.materials)  # objects stand behind them
-    groups = {"posterior": draw_absorption(found, n_draws, rng)[:, :n]}
-    law = prior_law(found)
-    if law is not None:
-        given = np.diagonal(found.logit_covariance, axis1=1, axis2=2) == 0.0
-        draws = np.stack(
-            [rng.multivariate_normal(m, c, n_draws) for m, c in zip(*law, strict=True)], axis=-1
-        )
-        groups["prior"] = np.where(given.T, found.absorption, expit(draws))[:, :n]
-    return groups
-
-
-ExportFormat = Literal["catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv"]
+ExportFormat = Literal["catt", "odeon", "isimpa", "pyroomacoustics", "csv"]
 FORMATS: tuple[ExportFormat, ...] = get_args(ExportFormat)
-_BANDS = {"catt": CATT_BANDS, "isimpa": ISIMPA_BANDS, "odeon": ODEON_BANDS, "raven": RAVEN_BANDS}
-_LONGEST_FILE_NAME = 60
+_BANDS = {"catt": CATT_BANDS, "isimpa": ISIMPA_BANDS, "odeon": ODEON_BANDS}
 
 
 def export_materials(
     table: MaterialTable, wanted: str, scattering: float
-) -> tuple[dict[str, str], tuple[Finding, ...]]:
-    """Return the files of one of `FORMATS`, and what their reader must know.
+) -> tuple[str, tuple[Finding, ...]]:
+    """Return the text of one of `FORMATS`, and what its reader must know.
 
-    Contents by file name. A format that is a single file, whose name the user chooses, has one
-    entry named "". `scattering`, 0 to 1, is written where the table has none.
-
-    Raises
-    ------
-    InputError
-        There is no such format, or the scattering is out of range.
+    `scattering`, 0 to 1, is written where the table has none.
     """
-    if wanted not in FORMATS:  # the other five are no materials as text
-        others = ("budget", "excel", "gltf", "pdf", "word")
+    if wanted not in FORMATS:  # the other four are no materials as text
+        others = ("budget", "excel", "pdf", "word")
         check_known("no such format for an export", wanted, (*FORMATS, *others))
     check_range("scattering coefficient", scattering, 0.0, 1.0)
     specified = table.scattering
@@ -612,9 +508,9 @@ def export_materials(
         evidence: dict[str, object] = {"scattering": scattering}
         findings.append(Finding(Code.EXPORT_SCATTERING_ASSUMED, About(), text, evidence))
     if wanted == "pyroomacoustics":
-        return {"": pyroomacoustics_text(table, scatter)}, tuple(findings)
+        return pyroomacoustics_text(table, scatter), tuple(findings)
     if wanted == "csv":
-        return {"": wide_csv_text(table)}, tuple(findings)
+        return wide_csv_text(table), tuple(findings)
     bands = _BANDS[wanted]
     absorption, filled = resample(table.absorption, table.bands, bands)
     scatter, _ = resample(scatter, table.bands, bands)
@@ -635,8 +531,8 @@ def export_materials(
         )
         evidence = {"first": FIRST_NUMBER, "last": last}
         findings.append(Finding(Code.EXPORT_WITHOUT_SCATTERING, About(), text, evidence))
-        return {"": odeon_text(table.names, absorption)}, tuple(findings)
-    names = short_names(table.names, _LONGEST_FILE_NAME if wanted == "raven" else LONGEST_NAME)
+        return odeon_text(table.names, absorption), tuple(findings)
+    names = short_names(table.names)
     changed = {name: short for name, short in names.items() if name != short}
     if changed:
         listed = ", ".join(f"{short} for {name}" for name, short in changed.items())
@@ -646,25 +542,8 @@ def export_materials(
     if wanted == "catt":
         head = "absorption in percent, fitted by roomfit; exact values behind each line"
         remarks = [head, *(f.sentence for f in findings)]
-        return {"": catt_text(names, absorption, scatter, remarks)}, tuple(findings)
-    if wanted == "isimpa":
-        return {"": isimpa_text(names, absorption, scatter)}, tuple(findings)
-    return _raven_files(table, tuple(names.values()), absorption, scatter), tuple(findings)
-
-
-def _raven_files(
-    table: MaterialTable, names: tuple[str, ...], absorption: FloatArray, scattering: FloatArray
-) -> dict[str, str]:
-    """Return the text of each material's file; arrays have the shape (n_materials, n_bands)."""
-    centres_hz = np.round(RAVEN_BANDS.exact_centres_hz, 3)
-    fitted = np.isin(centres_hz, np.round(table.bands.exact_centres_hz, 3))
-    texts = {}
-    for i, short in enumerate(names):
-        notes, sure = "Fitted by roomfit; 1 in interpol: no fitted band", table.identifiable[i]
-        if not np.all(sure):
-            notes += f"; not determined {_where(table.bands, ~sure)}"
-        texts[f"{short}.mat"] = raven_text(short, notes, absorption[i], scattering[i], fitted)
-    return texts
+        return catt_text(names, absorption, scatter, remarks), tuple(findings)
+    return isimpa_text(names, absorption, scatter), tuple(findings)
 
 
 def _where(bands: Bands, chosen: BoolArray) -> str:
