@@ -182,7 +182,7 @@ def scattering_not_described(seed: int, scattering: float) -> Case:
     return our_box(seed, (4, 8)[seed % 2], scattering=scattering)
 
 
-LEVELS = ("levels-not-linear", "response-clipped")
+CLIPPED = ("response-clipped",)
 PLACES = (
     "displacement-detected",
     "position-inconsistent",
@@ -196,19 +196,13 @@ WRONG_FILE = ("measurement-outlier", "recording-unusable", "repeated-responses-d
 CLOCK = ("recordings-late", "time-zero-mismatch")
 SURFACE = ("reflection-disagrees",)
 GATE = ("noise-gated",)
-FIXED = ("fixed-absorption-contradicted",)
 _CAUSES_OF_HOSTILE: dict[str, tuple[str, ...]] = {
-    "compressor 0.9": LEVELS,
-    "expander 1.1": LEVELS,
     "exponential window 0.3 s": ("decay-bent",),
     "exponential window 1 s": ("decay-bent",),
-    "limiter": LEVELS,
-    "clipped at half": LEVELS,
+    "clipped at half": CLIPPED,
     "noise gate": GATE,
     "denoised": (*GATE, "decay-bent"),
     "every file twice": ("recording-counted-once", "recording-of-two-pairs"),
-    "ceiling fixed .1 off": FIXED,
-    "ceiling fixed .3 off": FIXED,
     "35 degrees, exactly": SCALE,
     "3 cm": PLACES,
     "10 cm": PLACES,

@@ -50,7 +50,6 @@ LONGEST = (
     "predict/test_predictive_draws.py",
     "test_kernels.py",
     "cli/test_cli.py",
-    "checks/test_linearity.py",
     "app/test_security.py",
     "app/test_project.py",
 )

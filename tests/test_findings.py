@@ -63,8 +63,6 @@ def test_these_findings_and_no_others_void_identifiability():
         "exchanged",
         "levels-apart",
         "recordings-late",
-        "fixed-absorption-contradicted",
-        "levels-not-linear",
         "recording-of-two-pairs",
         "displacement-detected",
         "model-misfit-all-bands",

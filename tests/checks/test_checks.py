@@ -109,11 +109,6 @@ def test_an_ambiguity_voids_its_entries_where_these_are_not_all_of_its_materials
     assert found.tolist() == [[True, False], [True, True], [False, False]]
 
 
-def test_a_contradicted_absorption_is_voided_although_it_is_fixed():
-    about = About(materials=["door"], bands_hz=[500.0])
-    assert not verdict(Finding(Code.FIXED_ABSORPTION_CONTRADICTED, about, "It is.")).any()
-
-
 def test_only_the_verdict_decides_what_a_finding_voids():
     """No other module of the science asks a code what it voids in order to void it."""
     source, asking = FOLDER.parent, set()

@@ -101,10 +101,8 @@ class Code(StrEnum):
     SOURCE_NOT_OMNIDIRECTIONAL = "source-not-omnidirectional", "serious", _VOIDS
     SOURCE_PATTERN_FITTED = "source-pattern-fitted", "warning"
     SCATTERING_UNDERESTIMATED = "scattering-underestimated", "serious", _VOIDS
-    LEVELS_NOT_LINEAR = "levels-not-linear", "serious", _VOIDS
     DECAY_BENT = "decay-bent", "serious", _VOIDS
     NOISE_GATED = "noise-gated", "serious", _VOIDS
-    FIXED_ABSORPTION_CONTRADICTED = "fixed-absorption-contradicted", "serious", _VOIDS
     SCATTERING_FITTED = "scattering-fitted", "info"
     FIRST_ANSWER = "first-answer", "info"
     SCATTERING_ASSUMED = "scattering-assumed", "info"

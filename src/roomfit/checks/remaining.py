@@ -15,11 +15,7 @@ from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
 
 # The recorded decay itself, or the size of the room, is then another: neither the fit nor a
 # formula of a diffuse field has a mean to give.
-VOID_ANY_MEAN = frozenset(
-    {Code.LEVELS_NOT_LINEAR, Code.DECAY_BENT, Code.NOISE_GATED, Code.COORDINATES_SCALED}
-)
-# What is fixed wrongly is part of the mean, without widening its interval.
-_VOID_THE_MEAN = frozenset({Code.FIXED_ABSORPTION_CONTRADICTED, Code.DECAY_NOT_REPRODUCED})
+VOID_ANY_MEAN = frozenset({Code.DECAY_BENT, Code.NOISE_GATED, Code.COORDINATES_SCALED})
 WIDEST_MEAN = 0.25  # half an interval over the value
 _LARGEST_MISS_JND, _MISS_SDS = 2.0, 2.0
 _MISS_AT_MOST_JND = 3.0  # however few pairs, and however much they scatter
@@ -43,8 +39,8 @@ class Remaining:
 def what_remains(result: Result) -> Remaining:
     """Return what findings leave of a result.
 
-    The mean of the room counts as usable in a band where no finding doubts the recorded decay,
-    the size of the room or a fixed absorption, the decay of the fitted pairs is reproduced, the
+    The mean of the room counts as usable in a band where no finding doubts the recorded decay
+    or the size of the room, the decay of the fitted pairs is reproduced, the
     reduced chi-square is at most 2, and half the interval is at most a quarter of the value.
     Elsewhere it stands beside the mean that Eyring's formula gives of the measured decay.
     """
@@ -73,7 +69,8 @@ def void_findings(result: Result) -> tuple[Finding, ...]:
 def _doubted(result: Result, centre_hz: float) -> bool:
     """Return whether a finding about this band doubts the mean: chain, size, or decay."""
     return any(
-        (f.code in VOID_ANY_MEAN or f.code in _VOID_THE_MEAN) and f.about.in_band(centre_hz)
+        (f.code in VOID_ANY_MEAN or f.code is Code.DECAY_NOT_REPRODUCED)
+        and f.about.in_band(centre_hz)
         for f in result.findings
     )
 

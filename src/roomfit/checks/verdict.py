@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from roomfit.base.bands import Bands
-from roomfit.base.findings import Code, Finding
+from roomfit.base.findings import Finding
 from roomfit.base.typing import BoolArray
 from roomfit.materials.priors import MaterialPrior
 from roomfit.uncertainty.gaussian import BandEstimate
@@ -22,7 +22,7 @@ def judge(
     """Return which absorptions are identifiable.
 
     Those that the rule calls so (`roomfit.uncertainty.gaussian.is_identifiable`) and that no
-    finding voids. What the campaign fixes stays, unless the data contradict it.
+    finding voids. What the campaign fixes stays.
 
     Parameters
     ----------
@@ -38,9 +38,6 @@ def judge(
     fixed = np.array([[k.known is not None] for k in priors])
     for finding in findings:
         identifiable &= fixed | ~voided(finding, priors, bands)
-        if finding.code is Code.FIXED_ABSORPTION_CONTRADICTED:
-            contradicted = [k.name in finding.about.materials for k in priors]
-            identifiable[contradicted] = False
     return np.asarray(identifiable)
 
 

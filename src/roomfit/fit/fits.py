@@ -13,7 +13,7 @@ from roomfit.signals.measurement import Measurement
 from roomfit.uncertainty.gaussian import BandEstimate
 
 if TYPE_CHECKING:
-    from roomfit.pressures.score_tests import ChainScores, FreedAbsorption
+    pass
 
 
 class Freed(NamedTuple):
@@ -32,8 +32,6 @@ class CoherentTests:
     position_sd_scale: float = 1.0  # by which standard deviations of positions were inflated
     freed_delays: Freed | None = None  # None where they were fitted, or not asked for
     freed_positions: Freed | None = None
-    chain: ChainScores | None = None
-    freed_absorptions: tuple[FreedAbsorption, ...] = ()  # of fixed materials
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import cast
+from typing import TypeAlias, cast
 
 import numpy as np
 from scipy.special import chdtri
@@ -75,7 +75,6 @@ from roomfit.pressures.geometry import (
     n_position_coordinates,
 )
 from roomfit.pressures.response import ImagePaths, image_paths, images_of
-from roomfit.pressures.score_tests import FittedWindows, chain_scores, freed_absorptions
 from roomfit.pressures.sequential import (
     BEFORE_THE_LAST_PASS_SD,
     UNDECIDED,
@@ -437,6 +436,10 @@ def _freed(
     return Freed(gain, after - before, n_windows)
 
 
+# errors that windows share, by name and one sd a column, and the prediction at the fit
+SharedErrors: TypeAlias = tuple[Mapping[str, FloatArray], Prediction]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CoherentFit:
     """Every band fitted with partly coherent image sources, and what was found on the way."""
@@ -446,7 +449,7 @@ class CoherentFit:
     # of the energy model and of the partly coherent one; NaN where not tried; (n_bands, 2)
     log_evidences: FloatArray
     geometry: FittedGeometry | None  # None where no band was coherent
-    windows: tuple[FittedWindows | None, ...]  # of the fits
+    shared: tuple[SharedErrors | None, ...]  # of the fits
     tests: CoherentTests
     # by band, what contradicts that sources are omnidirectional
     contradicted: tuple[SourceGain, ...] = ()  # of the sources taken for omnidirectional
@@ -473,9 +476,9 @@ def fit_coherent(
     fits = forward_pass(state.bands, settings, part(progress, 0.0, 0.8), state.first)
     if settings.quick:
         fits, _ = leave_one_out_pass(state.bands, _uncontradicted(state, fits), settings)
-        evidences, windows = _log_evidences(state, fits), _fitted_windows(state, fits)
+        evidences, shared = _log_evidences(state, fits), _shared_errors(state, fits)
         tests = CoherentTests(_outliers(state))
-        return CoherentFit(state, tuple(fits), evidences, None, windows, tests)
+        return CoherentFit(state, tuple(fits), evidences, None, shared, tests)
     _log_first_answer(state, fits)
     misfits = [
         file_misfits(
@@ -518,18 +521,10 @@ def fit_coherent(
     geometry = state.geometry
     estimate = None if geometry is None or final is None else fitted_geometry(geometry, final)
     late = contradicted_sources(task.tested_sources, _source_scores(state))
-    evidences, windows = _log_evidences(state, fits), _fitted_windows(state, fits)
-    pressures = [w for w in windows if w and not evidences[w.band, 1] < evidences[w.band, 0]]
-    tests = CoherentTests(
-        _outliers(state),
-        position_sd_scale,
-        delays,
-        positions,
-        chain_scores(task.bands, task.priors, pressures),
-        freed_absorptions(task.priors, pressures),
-    )
+    evidences, shared = _log_evidences(state, fits), _shared_errors(state, fits)
+    tests = CoherentTests(_outliers(state), position_sd_scale, delays, positions)
     return CoherentFit(
-        state, tuple(fits), evidences, estimate, windows, tests, (*task.contradicted, *late)
+        state, tuple(fits), evidences, estimate, shared, tests, (*task.contradicted, *late)
     )
 
 
@@ -594,53 +589,24 @@ def _log_evidences(state: SequentialState, fits: Sequence[CoherentBandFit | None
     return found
 
 
-def _fitted_windows(
+def _shared_errors(
     state: SequentialState, fits: Sequence[CoherentBandFit | None]
-) -> tuple[FittedWindows | None, ...]:
-    """Return what questions to each fit need, one at a time: what was fitted is large."""
-    task = state.task
+) -> tuple[SharedErrors | None, ...]:
+    """Return the errors that windows share in each fit; what is fitted is large."""
 
-    # what is large, or known by its identity, is not for a copy of this process to return
-    def asked(b: int) -> tuple[Prediction, FloatArray, FloatArray, Mapping[str, FloatArray]] | None:
+    def errors(b: int) -> SharedErrors | None:
         own, fit = state.bands[b], fits[b]
         if own is None or fit is None:
             return None
-        objective, by_wall = fit.objective(own), np.zeros((0, len(task.priors)))
-        if any(p.known is not None for p in task.priors):
-            values, _ = physical_values(fit.parameters, fit.fit.vector)
-            by_wall = np.concatenate([t.predict(values)[2]["absorption"] for t in objective.terms])
+        objective = fit.objective(own)
         relative = _relative_errors(state, objective, fit.fit, own.coherent.energies)
-        shared = shared_errors(objective, fit.fit, _sources(task, b), relative)
+        shared = shared_errors(objective, fit.fit, _sources(state.task, b), relative)
         noise = np.concatenate([o.noise for o in own.coherent.energies.observations])
         signal = fit.fit.expected[: noise.size] - noise
         shared["lost coherence"] = (signal * lost_coherence(own, fit.fit))[:, None]
-        there = objective.predict(fit.fit.vector)
-        return there, by_wall, objective.correlation_length(), shared
+        return shared, objective.predict(fit.fit.vector)
 
-    found = list[FittedWindows | None]()
-    for b, answer in enumerate(in_forks(asked, range(len(fits)))):
-        own, fit = state.bands[b], fits[b]
-        if answer is None or own is None or fit is None:
-            found.append(None)
-            continue
-        there, by_wall, neighbours, shared = answer
-        files = fitted_in_band(task.measured, b)
-        found.append(
-            FittedWindows(
-                band=b,
-                parameters=fit.parameters,
-                there=there,
-                by_wall=by_wall,
-                neighbours=neighbours,
-                fit=fit.fit,
-                energies=own.coherent.energies,
-                files=files,
-                shared=shared,
-                decay_rate_per_s=1.0
-                / float(np.median([m.noise.tail_time_constant_s[b] for m in files])),
-            )
-        )
-    return tuple(found)
+    return tuple(in_forks(errors, range(len(fits))))
 
 
 def _source_scores(state: SequentialState) -> dict[int, DirectivityScore]:
@@ -685,13 +651,13 @@ def coherent_estimate(fit: CoherentFit, b: int) -> FittedBand | None:
     """
     state, task = fit.state, fit.state.task
     areas_m2 = material_areas_m2(task.scene.room)
-    band, found, windows = state.bands[b], fit.fits[b], fit.windows[b]
-    if band is None or found is None or windows is None:
+    band, found, errors = state.bands[b], fit.fits[b], fit.shared[b]
+    if band is None or found is None or errors is None:
         return None
     objective = found.objective(band)
-    noisy = with_shared_errors(objective, found.fit, windows.shared, windows.there, areas_m2)
+    noisy = with_shared_errors(objective, found.fit, *errors, areas_m2)
     own = band_estimate(objective.parameters, noisy, "coherent")
-    own = replace(own, window_decays_s=_window_decays_s(windows.energies, found.fit))
+    own = replace(own, window_decays_s=_window_decays_s(band.coherent.energies, found.fit))
     lost = float(fit.log_evidences[b, 0] - fit.log_evidences[b, 1])
     beaten = task.settings.model != "coherent" and lost >= UNDECIDED
     return FittedBand(own) if beaten else FittedBand(own, objective, found.fit)

@@ -30,7 +30,6 @@ from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
 _AUDIBLE_JND, _BEYOND_SDS = 1.0, 2.0
 # Said of whole bands, in the order in which they explain most.
 _REASONS = {
-    Code.LEVELS_NOT_LINEAR: "the chain of the measurement is not linear",
     Code.DECAY_BENT: "the files contain a bent decay",
     Code.DISPLACEMENT_DETECTED: "positions or walls are not where they were specified",
     Code.SOURCE_NOT_OMNIDIRECTIONAL: "a source is directional and was taken for omnidirectional",

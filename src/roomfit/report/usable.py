@@ -24,7 +24,6 @@ from roomfit.result import Result
 # Why walls are void, as part of a sentence; of every code that voids them.
 REASONS: Mapping[Code, str] = MappingProxyType(
     {
-        Code.LEVELS_NOT_LINEAR: "the chain of the measurement is not linear",
         Code.DECAY_BENT: "the files contain a bent decay",
         Code.NOISE_GATED: "the files went through a noise gate",
         Code.EXCHANGED: "files are exchanged",
@@ -32,7 +31,6 @@ REASONS: Mapping[Code, str] = MappingProxyType(
         Code.RECORDINGS_LATE: "recordings begin late",
         Code.COORDINATES_SCALED: "positions have another scale than the recordings",
         Code.LEVELS_APART: "levels of files are apart by another gain",
-        Code.FIXED_ABSORPTION_CONTRADICTED: "a fixed absorption contradicts the data",
         Code.DISPLACEMENT_DETECTED: "positions or walls are not where they were specified",
         Code.POSITION_INCONSISTENT: "positions contradict the arrival times",
         Code.REFLECTION_DELAY_DETECTED: "reflections arrive later than the walls permit",
