@@ -39,14 +39,14 @@ from roomfit.impedance.wave_model import (
     wave_model,
     wavenumber_per_m,
 )
-from roomfit.room.scene import Point, Scene
-from roomfit.solver.search import (
+from roomfit.paper.search import (
     Fit,
     SimplexSettings,
     anneal,
     downhill_simplex,
     random_simplex,
 )
+from roomfit.room.scene import Point, Scene
 from simulated_rooms.impedance_box import (
     SURFACES,
     WALLS,

@@ -32,8 +32,7 @@ from roomfit.model.patterns import Pattern
 from roomfit.model.windows import WINDOW_DECAYS, windows_decay_s
 from roomfit.result import Compared, ComparedPair
 from roomfit.settings import Settings
-from roomfit.solver.ending import Ending
-from roomfit.solver.least_squares import score_band
+from roomfit.solver import Ending, score_band
 from roomfit.uncertainty.gaussian import band_estimate
 from seen import of_answers
 

@@ -32,7 +32,7 @@ from roomfit.pressures.fit import lost_coherence
 from roomfit.pressures.sequential import CoherentBand
 from roomfit.signals.filters import frequency_response, window_energies
 from roomfit.signals.response import ImpulseResponse
-from roomfit.solver.least_squares import BandFit, DecayRate, score_band
+from roomfit.solver import BandFit, DecayRate, score_band
 from roomfit.uncertainty.gaussian import (
     BandEstimate,
     add_covariance,

@@ -16,7 +16,7 @@ from roomfit.materials.priors import uniform_scattering
 from roomfit.model.binned import bin_paths, in_band
 from roomfit.model.energy import EnergyTerm
 from roomfit.model.parameters import start_vector
-from roomfit.solver.least_squares import score_band
+from roomfit.solver import score_band
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 

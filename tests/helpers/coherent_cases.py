@@ -37,7 +37,7 @@ from roomfit.signals.filters import (
     spreading_kernel,
     statistical_bandwidth_hz,
 )
-from roomfit.solver.ending import Ending
+from roomfit.solver import Ending
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths
 from roomfit.uncertainty.gaussian import BandEstimate

@@ -36,8 +36,7 @@ from roomfit.model.patterns import (
 from roomfit.model.problem import Objective
 from roomfit.pressures.data_term import CoherentTerm, with_coherence
 from roomfit.pressures.geometry import whole_covariance
-from roomfit.solver.ending import Ending
-from roomfit.solver.least_squares import BandFit
+from roomfit.solver import BandFit, Ending
 
 B = np.array([0.5, -0.4, 0.3])
 SMALL_B = np.array([0.3, -0.2, 0.1])  # no pressure turns its sign, about any axis

@@ -20,7 +20,7 @@ from roomfit.fit.solve import without_responses
 from roomfit.materials.priors import unknown_material
 from roomfit.model.parameters import Parameters, prior_residuals
 from roomfit.model.problem import DataTerm, Objective, Rows, Values
-from roomfit.solver.least_squares import fit_band
+from roomfit.solver import fit_band
 from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, band_estimate
 from roomfit.uncertainty.intervals import INTERVALS, Refinement
 

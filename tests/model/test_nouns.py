@@ -15,7 +15,7 @@ from roomfit.model.parameters import Parameters
 from roomfit.model.problem import DataTerm, Objective
 from roomfit.room.scene import distances_m, scene_of, shoebox_room
 from roomfit.settings import Settings
-from roomfit.solver.least_squares import fit_band
+from roomfit.solver import fit_band
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 NAMES = ("T20_s", "C80_dB", "G_dB")

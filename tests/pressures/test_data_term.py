@@ -34,7 +34,7 @@ from roomfit.model.weighing import first_rows
 from roomfit.pressures.data_term import cut_at, with_coherence
 from roomfit.pressures.geometry import moved_scene, whole_covariance
 from roomfit.pressures.sequential import cavity_prior
-from roomfit.solver.least_squares import marginal, score_band
+from roomfit.solver import marginal, score_band
 
 pytestmark = pytest.mark.usefixtures("exact_fits")
 

@@ -19,7 +19,7 @@ from roomfit.pressures.sequential import (
     fit_in_rounds,
     log_evidence,
 )
-from roomfit.solver.least_squares import score_band
+from roomfit.solver import score_band
 
 
 def largest_array(record: object) -> int:

@@ -9,12 +9,13 @@ import numpy as np
 from posterior_cases import Linear, linear_case
 from roomfit.base.typing import FloatArray
 from roomfit.model.problem import Prediction
-from roomfit.solver.ending import Ending
-from roomfit.solver.least_squares import (
+from roomfit.solver import (
+    Ending,
+    MarquardtSettings,
     fit_band,
+    levenberg_marquardt,
     score_band,
 )
-from roomfit.solver.levenberg_marquardt import MarquardtSettings, levenberg_marquardt
 from roomfit.uncertainty.gaussian import FittedBand, band_estimate
 from roomfit.uncertainty.intervals import Refinement
 

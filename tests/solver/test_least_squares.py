@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from roomfit.base.typing import FloatArray
 from roomfit.model.eyring import decay_rate_per_s, eyring_absorption, eyring_time_s
+from roomfit.paper.search import SimplexSettings, downhill_simplex, simplex_around
 from roomfit.paper.searches import (
     descend,
     fit_least_squares,
@@ -17,8 +18,7 @@ from roomfit.paper.searches import (
     minima_of_descents,
     starts,
 )
-from roomfit.solver.ending import Ending
-from roomfit.solver.search import SimplexSettings, downhill_simplex, simplex_around
+from roomfit.solver import Ending
 
 TIMES = np.linspace(0.0, 2.0, 20)
 

@@ -16,7 +16,7 @@ from roomfit.model.parameters import (
     prior_residuals,
     start_vector,
 )
-from roomfit.solver.least_squares import fit_band, marginal, score_band
+from roomfit.solver import fit_band, marginal, score_band
 
 pytestmark = pytest.mark.usefixtures("exact_fits")
 

@@ -12,8 +12,7 @@ from posterior_cases import Linear, Posynomial, absorption_block, gain_block
 from roomfit.base.typing import FloatArray
 from roomfit.model.parameters import Parameters, prior_residuals, start_vector
 from roomfit.model.problem import Prediction
-from roomfit.solver.ending import Ending
-from roomfit.solver.least_squares import BandFit, fit_band, score_band
+from roomfit.solver import BandFit, Ending, fit_band, score_band
 
 
 @dataclass(frozen=True, eq=False)

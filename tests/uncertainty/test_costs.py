@@ -10,7 +10,7 @@ import pytest
 from coherent_cases import objective_of, small_term
 from roomfit.fit.systematics import with_shared_errors
 from roomfit.model.parameters import prior_residuals, start_vector
-from roomfit.solver.least_squares import score_band
+from roomfit.solver import score_band
 from roomfit.uncertainty.gaussian import (
     add_covariance,
     answer_steps,

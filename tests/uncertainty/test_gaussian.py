@@ -8,7 +8,7 @@ import pytest
 from posterior_cases import absorption_block, linear_case
 from roomfit.base.logit import expit
 from roomfit.model.parameters import Parameters
-from roomfit.solver.least_squares import fit_band
+from roomfit.solver import fit_band
 from roomfit.uncertainty.gaussian import (
     absorption_intervals,
     add_covariance,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from posterior_cases import ExactValues, decay_case, exchangeable_case
-from roomfit.solver.least_squares import fit_band
+from roomfit.solver import fit_band
 from roomfit.uncertainty.gaussian import FittedBand, band_estimate
 from roomfit.uncertainty.intervals import Refinement
 from roomfit.uncertainty.population import (

@@ -23,7 +23,7 @@ from roomfit.materials.priors import (
 )
 from roomfit.model.observation import absorption_block
 from roomfit.model.parameters import Parameters, prior_residuals, start_vector
-from roomfit.solver.least_squares import fit_band
+from roomfit.solver import fit_band
 from roomfit.uncertainty.combinations import band_sentence, undetermined_groups
 from roomfit.uncertainty.gaussian import (
     absorption_intervals,

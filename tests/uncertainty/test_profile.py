@@ -21,7 +21,7 @@ from posterior_cases import (
     linear_case,
 )
 from roomfit.model.parameters import Parameters, prior_residuals
-from roomfit.solver.least_squares import BandFit, fit_band
+from roomfit.solver import BandFit, fit_band
 from roomfit.uncertainty.gaussian import FittedBand, absorption_intervals, band_estimate
 from roomfit.uncertainty.intervals import LEAST_SIDE, Refinement, profiled
 from roomfit.uncertainty.profile import RISE95, may_be_bent, profile, profile_curve

@@ -10,7 +10,7 @@ import pytest
 from posterior_cases import Linear, decay_case, linear_case, surrogate_log_density
 from roomfit.model.parameters import Parameters, prior_residuals
 from roomfit.model.problem import Prediction
-from roomfit.solver.least_squares import fit_band
+from roomfit.solver import fit_band
 from roomfit.uncertainty.sampling import (
     exponent_slopes,
     exponents,

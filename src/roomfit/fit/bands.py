@@ -18,14 +18,12 @@ from roomfit.model.parameters import (
 )
 from roomfit.model.problem import Objective
 from roomfit.settings import Settings
-from roomfit.solver.least_squares import (
+from roomfit.solver import (
     BandFit,
     Solver,
-    annealing_solver,
     first_round,
     fit_band,
     gauss_newton,
-    simplex_solver,
 )
 from roomfit.uncertainty.gaussian import (
     FittedBand,
@@ -115,6 +113,8 @@ def fitted_band(
 
 
 def _solver(parameters: Parameters, method: str, rng: np.random.Generator) -> Solver:
-    if method == "annealing":
-        return annealing_solver(parameters, rng)
-    return simplex_solver(parameters) if method == "simplex" else gauss_newton
+    if method not in ("simplex", "annealing"):
+        return gauss_newton
+    from roomfit.paper.search import annealing_solver, simplex_solver  # of Suh's paper alone
+
+    return simplex_solver(parameters) if method == "simplex" else annealing_solver(parameters, rng)

@@ -42,7 +42,7 @@ from roomfit.model.patterns import UnknownDirectivity
 from roomfit.model.problem import Objective
 from roomfit.room.scene import Scene
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
-from roomfit.solver.least_squares import COMPARED_SD, BandFit, fit_band, score_band
+from roomfit.solver import COMPARED_SD, BandFit, fit_band, score_band
 from roomfit.uncertainty.gaussian import BandEstimate
 
 # Three unknowns that explain nothing gain one and a half in log-likelihood on average: where the

@@ -56,7 +56,7 @@ from roomfit.room.scene import (
 )
 from roomfit.signals.filters import SpreadingKernel, spreading_kernel
 from roomfit.signals.measurement import MeasuredPair
-from roomfit.solver.least_squares import BandFit, score_band
+from roomfit.solver import BandFit, score_band
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths
 from roomfit.uncertainty.gaussian import BandEstimate

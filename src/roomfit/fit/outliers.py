@@ -9,7 +9,7 @@ import numpy as np
 from roomfit.base.typing import FloatArray
 from roomfit.model.energy import EnergyTerm
 from roomfit.signals.measurement import MeasuredPair
-from roomfit.solver.least_squares import BandFit
+from roomfit.solver import BandFit
 
 # An outlier has more than so many times the others' misfit, in the median band ...
 _TIMES_OTHERS = 4.0

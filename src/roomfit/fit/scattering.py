@@ -39,7 +39,7 @@ from roomfit.model.scattering import (
 from roomfit.room.scene import Scene, select_pairs
 from roomfit.settings import Settings
 from roomfit.signals.noise import NoiseEstimate
-from roomfit.solver.least_squares import COMPARED_SD, fit_band
+from roomfit.solver import COMPARED_SD, fit_band
 from roomfit.tracing.paths import Paths, TraceSettings, select
 from roomfit.tracing.trace import trace
 

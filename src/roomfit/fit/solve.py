@@ -63,7 +63,7 @@ from roomfit.pressures.sequential import (
 )
 from roomfit.room.scene import material_areas_m2, select_pairs
 from roomfit.settings import Model, Settings
-from roomfit.solver.least_squares import BandFit
+from roomfit.solver import BandFit
 from roomfit.uncertainty.gaussian import BandEstimate, Refine, SharedCovariance
 
 

@@ -27,7 +27,7 @@ from roomfit.model.patterns import directed_rows
 from roomfit.model.problem import Objective, Prediction
 from roomfit.model.weighing import weigh
 from roomfit.model.windows import in_windows
-from roomfit.solver.least_squares import BandFit, DecayRate
+from roomfit.solver import BandFit, DecayRate
 from roomfit.tracing.paths import Paths
 from roomfit.uncertainty.gaussian import (
     WIDEST_IDENTIFIABLE,

@@ -45,8 +45,7 @@ from roomfit.impedance.problem import (
     state_of,
 )
 from roomfit.impedance.wave_model import State, at_frequencies, frozen_correction, has_free_spectra
-from roomfit.solver.ending import Ending
-from roomfit.solver.levenberg_marquardt import MarquardtSettings, Minimum, levenberg_marquardt
+from roomfit.solver import Ending, MarquardtSettings, Minimum, levenberg_marquardt
 
 # A step that lowers the cost by less than a share of it is the last one.
 _SETTINGS = MarquardtSettings(

@@ -57,6 +57,7 @@ from roomfit.paper.room import (
     whole_windows_s,
     window_energies,
 )
+from roomfit.paper.search import Fit, SimplexSettings, anneal, downhill_simplex, random_simplex
 from roomfit.paper.searches import (
     Landscape,
     Minima,
@@ -67,7 +68,6 @@ from roomfit.paper.searches import (
     starts,
     unit_grid,
 )
-from roomfit.solver.search import Fit, SimplexSettings, anneal, downhill_simplex, random_simplex
 from roomfit.tracing.paths import Paths
 
 _WALLS_APART_STARTS = 60

@@ -15,9 +15,8 @@ from scipy.optimize import least_squares
 
 from roomfit.base.arguments import float_array
 from roomfit.base.typing import FloatArray
-from roomfit.solver.ending import Ending
-from roomfit.solver.levenberg_marquardt import ResidualFunction
-from roomfit.solver.search import ErrorFunction, Fit, best_of
+from roomfit.paper.search import ErrorFunction, Fit, best_of
+from roomfit.solver import Ending, ResidualFunction
 
 # The trust-region method works strictly inside the box; a start on a wall is moved in by this.
 _INSIDE = 1e-3

@@ -90,7 +90,7 @@ from roomfit.pressures.sequential import (
 )
 from roomfit.room.scene import Scene, material_areas_m2
 from roomfit.signals.measurement import MeasuredPair, Measurement
-from roomfit.solver.least_squares import BandFit, fit_band, score_band
+from roomfit.solver import BandFit, fit_band, score_band
 from roomfit.tracing.paths import Paths
 from roomfit.uncertainty.gaussian import (
     FittedBand,

@@ -20,7 +20,7 @@ from roomfit.model.problem import Objective
 from roomfit.pressures.data_term import CoherentTerm, with_coherence
 from roomfit.pressures.geometry import geometry_block, whole_covariance
 from roomfit.settings import MAX_ROUNDS, SPEED_OF_SOUND_SD
-from roomfit.solver.least_squares import BandFit, marginal, score_band
+from roomfit.solver import BandFit, marginal, score_band
 
 # Later pressures tell little more and need many more images.
 FIT_END_S = 0.2

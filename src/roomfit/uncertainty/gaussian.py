@@ -37,8 +37,7 @@ from roomfit.model.parameters import (
     to_physical,
 )
 from roomfit.model.problem import Objective
-from roomfit.solver.ending import Ending
-from roomfit.solver.least_squares import BandFit, DecayRate
+from roomfit.solver import BandFit, DecayRate, Ending
 from roomfit.uncertainty.profile import Profile
 
 WIDEST_IDENTIFIABLE = 0.2

@@ -20,7 +20,7 @@ from roomfit.model.parameters import (
     to_physical,
 )
 from roomfit.model.problem import Objective
-from roomfit.solver.least_squares import BandFit, score_band
+from roomfit.solver import BandFit, score_band
 from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, MirrorTrial, is_identifiable
 from roomfit.uncertainty.population import posterior_draws
 from roomfit.uncertainty.profile import may_be_bent, profile

@@ -15,7 +15,7 @@ import numpy as np
 from roomfit.base.typing import FloatArray, IntArray
 from roomfit.model.parameters import physical_values, prior_residuals
 from roomfit.model.problem import Objective
-from roomfit.solver.least_squares import BandFit
+from roomfit.solver import BandFit
 from roomfit.uncertainty.sampling import (
     FARTHEST_FREE,
     LogPosterior,

@@ -17,8 +17,7 @@ from roomfit.model.parameters import (
     to_physical,
 )
 from roomfit.model.problem import Objective, Prediction
-from roomfit.solver.least_squares import BandFit
-from roomfit.solver.levenberg_marquardt import MarquardtSettings, levenberg_marquardt
+from roomfit.solver import BandFit, MarquardtSettings, levenberg_marquardt
 
 # Rise of half the weighted squares at the end of a 95 % interval: half of chi-square's 3.84.
 RISE95 = 0.5 * Z95**2

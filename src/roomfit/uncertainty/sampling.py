@@ -22,7 +22,7 @@ from roomfit.model.parameters import (
     prior_residuals,
 )
 from roomfit.model.problem import Objective, Prediction
-from roomfit.solver.least_squares import BandFit
+from roomfit.solver import BandFit
 
 # An absorption this near to 1 or 0 can no longer be distinguished from it.
 FARTHEST_FREE = 40.0

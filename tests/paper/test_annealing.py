@@ -11,16 +11,16 @@ from hypothesis import strategies as st
 
 from roomfit.base.typing import FloatArray
 from roomfit.model.parameters import Parameters
-from roomfit.solver.ending import Ending
-from roomfit.solver.least_squares import (
-    annealing_solver,
-    simplex_solver,
-)
-from roomfit.solver.search import (
+from roomfit.paper.search import (
     accepts,
     anneal,
+    annealing_solver,
     downhill_simplex,
     random_simplex,
+    simplex_solver,
+)
+from roomfit.solver import (
+    Ending,
 )
 
 TRUE = np.array([0.62, 0.27])

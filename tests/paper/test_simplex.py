@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from roomfit.base.typing import FloatArray
-from roomfit.solver.ending import Ending
-from roomfit.solver.search import (
+from roomfit.paper.search import (
     Simplex,
     SimplexSettings,
     downhill_simplex,
@@ -21,6 +20,7 @@ from roomfit.solver.search import (
     simplex_around,
     spread,
 )
+from roomfit.solver import Ending
 
 # lowest, second highest, highest; the centroid of the first two is (0.3, 0.2)
 VERTICES = np.array([[0.2, 0.2], [0.4, 0.2], [0.3, 0.5]])

@@ -51,8 +51,10 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 
 from roomfit.base.arguments import float_array
+from roomfit.base.logit import expit
 from roomfit.base.typing import FloatArray
-from roomfit.solver.ending import Ending
+from roomfit.model.parameters import Parameters, to_free
+from roomfit.solver import Ending, Minimum, ResidualFunction, Solver
 
 ErrorFunction: TypeAlias = Callable[[FloatArray], float]
 """Error of one point of the unit box, shape (n,); lower is better."""
@@ -357,3 +359,72 @@ def _polish(error: ErrorFunction, starts: list[FloatArray]) -> Fit:
         if last.cost - again.cost <= settings.tolerance:
             break
     return best_of(fits)
+
+
+# Gains are searched within a factor of e^3, 13 dB, either side of where total energies agree.
+_LOG_REACH = 3.0
+_FIRST_EDGE = 0.1
+
+
+def simplex_solver(parameters: Parameters) -> Solver:
+    """Return the paper's downhill simplex, over absorption itself and log gains."""
+    return _unit_box_solver(
+        parameters, lambda error, x: downhill_simplex(error, simplex_around(x, _FIRST_EDGE))
+    )
+
+
+def annealing_solver(parameters: Parameters, rng: np.random.Generator) -> Solver:
+    """Return the paper's simulated annealing with its simplex, over absorption and log gains."""
+    return _unit_box_solver(parameters, lambda error, x: anneal(error, x.size, rng))
+
+
+def _unit_box_solver(
+    parameters: Parameters, search: Callable[[Callable[[FloatArray], float], FloatArray], Fit]
+) -> Solver:
+    """Return a solver that searches the sum of squares over the unit box."""
+
+    def solve(residuals: ResidualFunction, start: FloatArray) -> Minimum:
+        if not start.size:
+            return Minimum(start, 0.0, 0, Ending.CONVERGED)
+
+        def error(point: FloatArray) -> float:
+            r, _ = residuals(_from_unit(parameters, point))
+            return float(r @ r)
+
+        found = search(error, _to_unit(parameters, start))
+        x = _from_unit(parameters, found.x)
+        return Minimum(x, 0.5 * found.cost, found.evaluations, found.ending)
+
+    return solve
+
+
+def _from_unit(parameters: Parameters, point: FloatArray) -> FloatArray:
+    """Map the unit box: absorption between its bounds, evenly; gains evenly in logarithm."""
+    parts, position = [], 0
+    for block in parameters.blocks:
+        n = int(np.count_nonzero(block.fitted))
+        share = point[position : position + n]
+        position += n
+        if block.transform == "logit":
+            values = np.array(block.start)
+            low, high = block.lower[block.fitted], block.upper[block.fitted]
+            values[block.fitted] = low + (high - low) * share
+            parts.append(to_free(block, values)[block.fitted])
+        else:
+            middle = to_free(block, block.start)[block.fitted]
+            parts.append(middle + _LOG_REACH * (2.0 * share - 1.0))
+    return np.concatenate(parts)
+
+
+def _to_unit(parameters: Parameters, vector: FloatArray) -> FloatArray:
+    parts, position = [], 0
+    for block in parameters.blocks:
+        n = int(np.count_nonzero(block.fitted))
+        free = vector[position : position + n]
+        position += n
+        if block.transform == "logit":
+            parts.append(expit(free))
+        else:
+            middle = to_free(block, block.start)[block.fitted]
+            parts.append(np.clip(0.5 + 0.5 * (free - middle) / _LOG_REACH, 0.0, 1.0))
+    return np.concatenate(parts)

@@ -1,47 +1,200 @@
-"""Reweighted least squares of one band's data, whose variance depends on the answer.
+"""Least squares: damped steps, reweighted rounds of one band's data, and how a descent ended.
 
-Squares of logarithms are solved first, by damped Gauss-Newton steps or by the searches of Suh's
-paper. Then every step of scoring renews the weights, until what is left to go is short. Also: what
-one band's fit says to the next.
+Squares of logarithms are solved first, by damped Gauss-Newton steps or by another search. Then
+every step of scoring renews the weights, whose variance depends on the answer, until what is left
+to go is short. Also: what one band's fit says to the next.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from scipy.special import digamma, polygamma
 
-from roomfit.base.logit import expit
 from roomfit.base.typing import FloatArray, Progress
 from roomfit.model.parameters import (
     Marginal,
-    Parameters,
     marginal_information,
     prior_residuals,
     start_vector,
-    to_free,
 )
 from roomfit.model.problem import Objective, Prediction
 from roomfit.settings import MAX_ROUNDS
-from roomfit.solver.ending import Ending
-from roomfit.solver.levenberg_marquardt import (
-    MarquardtSettings,
-    Minimum,
-    ResidualFunction,
-    levenberg_marquardt,
-)
-from roomfit.solver.search import Fit, anneal, downhill_simplex, simplex_around
+
+
+class Ending(Enum):
+    """Why a minimisation stopped, whether that is convergence, and what to do about it.
+
+    Converged says that the method met its own test; the minimum may still be a local one.
+    """
+
+    CONVERGED = (
+        "converged",
+        True,
+        "The last step changed less than the tolerance. It may be a local minimum: start again "
+        "elsewhere and compare.",
+    )
+    NO_MORE_PROGRESS = (
+        "no-more-progress",
+        True,
+        "No step lowers the cost, and its curvature promises less than the tolerance: the answer "
+        "is as exact as rounding permits.",
+    )
+    COLLAPSED = (
+        "simplex-collapsed",
+        True,
+        "The simplex became too small to change before its test was met, as happens where the "
+        "lowest error is 0; the point is as exact as numbers allow.",
+    )
+    OUT_OF_STEPS = (
+        "steps-used-up",
+        False,
+        "The cost still fell when the steps allowed were used up: allow more, or fix parameters "
+        "that the data do not determine.",
+    )
+    OUT_OF_ROUNDS = (
+        "rounds-used-up",
+        False,
+        "The answer still moved after as many rounds of updated weights or corrections as are "
+        "allowed: look for outliers, or fix parameters that the data do not determine.",
+    )
+    OUT_OF_EVALUATIONS = (
+        "evaluations-used-up",
+        False,
+        "The search still moved when the evaluations allowed were used up: allow more, start again "
+        "from its best point, or use least squares.",
+    )
+    OUT_OF_DAMPING = (
+        "damping-used-up",
+        False,
+        "No step along the gradient lowers the cost, however short, although its curvature "
+        "promises more than the tolerance: the derivative does not belong to the residuals, or "
+        "they are not smooth here.",
+    )
+
+    def __init__(self, code: str, converged: bool, advice: str) -> None:
+        self.code = code
+        self.converged = converged
+        self.advice = advice
+
+
+ResidualFunction: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+"""Residuals, shape (n_rows,), and their derivative, shape (n_rows, n), at a point, shape (n,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class MarquardtSettings:
+    """How steps are damped, and which step is the last.
+
+    A step solves ``(H + damping diag(H)) step = -gradient`` with ``H = J^T J``. The first one that
+    meets one of the three tests of convergence ends the descent; a test of 0 is never met.
+    """
+
+    max_trials: int = 40  # steps tried, whether they help or not
+    damping: float = 1e-3  # of the first step
+    lowered: float = 0.1  # factor on the damping after a step that helps
+    raised: float = 8.0  # and after one that does not
+    least_damping: float = 0.0
+    most_damping: float = 1e10
+    ridge: float = 0.0  # share of the mean of diag(H) added to it before it is damped
+    longest_entry: float = math.inf  # a longer step is shortened, all entries alike
+    # converged: ...
+    length_sd: float = 0.0  # root of step' H step, a length in standard deviations, below this
+    gain: float = 0.0  # the cost fell by less
+    relative_gain: float = 0.0  # the cost fell by less than this share of it
+    # a step that does not help is the last where it promised at most this share of the cost
+    least_promise: float = 0.0
+
+
+class Minimum(NamedTuple):
+    """Where a descent ended, and how."""
+
+    x: FloatArray  # (n,)
+    cost: float  # half the sum of squares
+    evaluations: int
+    ending: Ending
+    normal: FloatArray = np.empty((0, 0))  # J^T J at x, undamped; (0, 0) without derivative
+
+
+def levenberg_marquardt(
+    residuals: ResidualFunction, start: FloatArray, settings: MarquardtSettings
+) -> Minimum:
+    """Return a local minimum of the sum of squares [1]_.
+
+    Running out of damping is convergence only where a Gauss-Newton step from there would pass the
+    test of convergence: rounding then leaves nothing to gain. Otherwise the derivative is wrong.
+
+    Shapes: `start` (n,).
+
+    References
+    ----------
+    .. [1] D. W. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters",
+           J. Soc. Indust. Appl. Math. 11, 431-441 (1963).
+    """
+    x = np.array(start, dtype=np.float64)
+    values, jacobian = residuals(x)
+    cost, damping = 0.5 * float(values @ values), settings.damping
+    gradient, normal = jacobian.T @ values, jacobian.T @ jacobian
+    trials = 0
+
+    def ended(ending: Ending) -> Minimum:
+        return Minimum(x, cost, 1 + trials, ending, normal)
+
+    if not x.size:
+        return ended(Ending.CONVERGED)
+    while trials < settings.max_trials:
+        step = _damped_step(normal, gradient, damping, settings)
+        values, jacobian = residuals(x + step)
+        trials += 1
+        there = 0.5 * float(values @ values)
+        if there < cost:
+            last = _is_last(step, normal, cost - there, cost, settings)
+            x, cost = x + step, there
+            gradient, normal = jacobian.T @ values, jacobian.T @ jacobian
+            damping = max(settings.lowered * damping, settings.least_damping)
+            if last:
+                return ended(Ending.CONVERGED)
+            continue
+        damping *= settings.raised
+        promises_little = -float(gradient @ step) <= settings.least_promise * cost
+        if damping >= settings.most_damping or promises_little:
+            newton = _damped_step(normal, gradient, settings.damping, settings)
+            promised = -0.5 * float(gradient @ newton)
+            exact = _is_last(newton, normal, promised, cost, settings)
+            return ended(Ending.NO_MORE_PROGRESS if exact else Ending.OUT_OF_DAMPING)
+    return ended(Ending.OUT_OF_STEPS)
+
+
+def _damped_step(
+    normal: FloatArray, gradient: FloatArray, damping: float, settings: MarquardtSettings
+) -> FloatArray:
+    scale = np.diag(normal)
+    if settings.ridge:
+        scale = scale + settings.ridge * np.trace(normal) / len(normal)
+    step = -np.linalg.solve(normal + damping * np.diag(scale), gradient)
+    if math.isfinite(settings.longest_entry):
+        step *= min(1.0, settings.longest_entry / max(float(np.abs(step).max()), 1e-12))
+    return np.asarray(step, dtype=np.float64)
+
+
+def _is_last(
+    step: FloatArray, normal: FloatArray, gain: float, cost: float, settings: MarquardtSettings
+) -> bool:
+    """Whether a step meets one of the tests of convergence."""
+    if gain < settings.gain or gain < settings.relative_gain * cost:
+        return True
+    return float(step @ normal @ step) < settings.length_sd**2
+
 
 Solver: TypeAlias = Callable[[ResidualFunction, FloatArray], Minimum]
 """Residuals with derivative, and a start, shape (n,), to a minimum of their squares."""
 
-# Gains are searched within a factor of e^3, 13 dB, either side of where total energies agree.
-_LOG_REACH = 3.0
-_FIRST_EDGE = 0.1
 # Few unknowns and many residuals: normal equations cost a tenth of the singular values that
 # scipy's solver takes. Steps from far away are longer than logarithms are straight.
 _ROUGHLY = MarquardtSettings(length_sd=1.0, gain=0.5, longest_entry=2.0)
@@ -49,70 +202,6 @@ _EXACTLY = replace(_ROUGHLY, length_sd=0.01, gain=0.5e-3)
 
 gauss_newton: Solver = partial(levenberg_marquardt, settings=_ROUGHLY)
 """Damped Gauss-Newton steps, to a standard deviation: what follows does the rest."""
-
-
-def simplex_solver(parameters: Parameters) -> Solver:
-    """Return the paper's downhill simplex, over absorption itself and log gains."""
-    return _unit_box_solver(
-        parameters, lambda error, x: downhill_simplex(error, simplex_around(x, _FIRST_EDGE))
-    )
-
-
-def annealing_solver(parameters: Parameters, rng: np.random.Generator) -> Solver:
-    """Return the paper's simulated annealing with its simplex, over absorption and log gains."""
-    return _unit_box_solver(parameters, lambda error, x: anneal(error, x.size, rng))
-
-
-def _unit_box_solver(
-    parameters: Parameters, search: Callable[[Callable[[FloatArray], float], FloatArray], Fit]
-) -> Solver:
-    """Return a solver that searches the sum of squares over the unit box."""
-
-    def solve(residuals: ResidualFunction, start: FloatArray) -> Minimum:
-        if not start.size:
-            return Minimum(start, 0.0, 0, Ending.CONVERGED)
-
-        def error(point: FloatArray) -> float:
-            r, _ = residuals(_from_unit(parameters, point))
-            return float(r @ r)
-
-        found = search(error, _to_unit(parameters, start))
-        x = _from_unit(parameters, found.x)
-        return Minimum(x, 0.5 * found.cost, found.evaluations, found.ending)
-
-    return solve
-
-
-def _from_unit(parameters: Parameters, point: FloatArray) -> FloatArray:
-    """Map the unit box: absorption between its bounds, evenly; gains evenly in logarithm."""
-    parts, position = [], 0
-    for block in parameters.blocks:
-        n = int(np.count_nonzero(block.fitted))
-        share = point[position : position + n]
-        position += n
-        if block.transform == "logit":
-            values = np.array(block.start)
-            low, high = block.lower[block.fitted], block.upper[block.fitted]
-            values[block.fitted] = low + (high - low) * share
-            parts.append(to_free(block, values)[block.fitted])
-        else:
-            middle = to_free(block, block.start)[block.fitted]
-            parts.append(middle + _LOG_REACH * (2.0 * share - 1.0))
-    return np.concatenate(parts)
-
-
-def _to_unit(parameters: Parameters, vector: FloatArray) -> FloatArray:
-    parts, position = [], 0
-    for block in parameters.blocks:
-        n = int(np.count_nonzero(block.fitted))
-        free = vector[position : position + n]
-        position += n
-        if block.transform == "logit":
-            parts.append(expit(free))
-        else:
-            middle = to_free(block, block.start)[block.fitted]
-            parts.append(np.clip(0.5 + 0.5 * (free - middle) / _LOG_REACH, 0.0, 1.0))
-    return np.concatenate(parts)
 
 
 # Of the standard deviation, misfit included. A fit ends where absorptions are so near to where they
