@@ -28,12 +28,13 @@ import numpy as np
 from roomfit.design.campaign import design_arguments
 from roomfit.design.candidates import compatible_positions
 from roomfit.design.choose import Criterion, Rules, random_design
-from roomfit.design.output import design_gain, design_map, mean_widths
+from roomfit.design.output import mean_widths
 from roomfit.design.positions import Design, design
 from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.inputs import load_campaign
 from roomfit.identify import identify
 from roomfit.paper.room import DIVISIONS, PLANES
+from roomfit.report.design_figures import design_gain, design_map
 from roomfit.report.figures import png
 from simulated_rooms.measured_polyhedron import PolyhedronPlan, write_measured_polyhedron
 from simulated_rooms.polyhedral_rooms import obj_text, paper_cells

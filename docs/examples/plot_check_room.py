@@ -13,7 +13,8 @@ import matplotlib.pyplot as plt
 
 import roomfit
 from roomfit.files.inputs import check_room
-from roomfit.report.text import room_text
+from roomfit.report.check import room_blocks
+from roomfit.report.text import text
 
 plan = ((0, 0), (5, 0), (5, 3), (3, 3), (3, 4), (0, 4))
 height_m = 2.6
@@ -48,7 +49,7 @@ with TemporaryDirectory() as folder:
     file = Path(folder) / "room.obj"
     file.write_text(obj_of(plan, height_m, door_is_open=False))
     sound = check_room(roomfit.RoomSpec(file=file, unit="m"))
-print(room_text("an L-shaped room", sound))
+print(text(room_blocks("an L-shaped room", sound)))
 
 # %%
 # Without one of its walls the room leaks. The check counts how much sound is lost there, and says
@@ -58,4 +59,4 @@ with TemporaryDirectory() as folder:
     file = Path(folder) / "room.obj"
     file.write_text(obj_of(plan, height_m, door_is_open=True))
     leaking = check_room(roomfit.RoomSpec(file=file, unit="m"))
-print(room_text("the same without its south wall", leaking))
+print(text(room_blocks("the same without its south wall", leaking)))

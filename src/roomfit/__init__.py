@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from roomfit.base.errors import InputError, InsufficientDataError, RoomfitError, StoreError
     from roomfit.base.findings import Finding
     from roomfit.checks.usable import check_recordings
-    from roomfit.cli.commands import export_result
+    from roomfit.cli.export import export_result
     from roomfit.design.campaign import design_arguments
     from roomfit.design.candidates import DesignOptions
     from roomfit.design.positions import design
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from roomfit.materials.catalogue import material_prior
     from roomfit.predict.campaign import predict_arguments
     from roomfit.predict.other_walls import predict
-    from roomfit.report.html import report_html
+    from roomfit.report.answer import report_html
     from roomfit.result import Result, absorption_posterior
     from roomfit.room.scene import Point, scene_of, shoebox_room, with_states
     from roomfit.settings import Settings
@@ -101,7 +101,7 @@ _HOME = {
     "design": "design.positions",
     "design_arguments": "design.campaign",
     "DesignOptions": "design.candidates",
-    "export_result": "cli.commands",
+    "export_result": "cli.export",
     "Finding": "base.findings",
     "identify": "identify",
     "check_recordings": "checks.usable",
@@ -121,7 +121,7 @@ _HOME = {
     "read_response": "files.responses",
     "read_result": "files.results",
     "read_room": "files.rooms",
-    "report_html": "report.html",
+    "report_html": "report.answer",
     "ResponseSpec": "files.responses.recordings",
     "Result": "result",
     "RoomfitError": "base.errors",

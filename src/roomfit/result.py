@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
 from roomfit.base.bands import Bands
 from roomfit.base.findings import About, Code, Finding
+from roomfit.base.shown import Shown
 from roomfit.base.typing import VALUE_NAMES, BoolArray, FloatArray
 from roomfit.materials.priors import MaterialPrior, object_area_m2, object_volumes_m3
 from roomfit.settings import Settings
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from roomfit.base.table import Table
 
     # compiled, and nobody who reads a result waits for it
@@ -82,7 +81,7 @@ class ObjectAreas:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Result:
+class Result(Shown):
     """What an identification found.
 
     Examples
@@ -90,6 +89,7 @@ class Result:
     ``print(result)`` shows what the command line prints; a notebook shows a table.
     """
 
+    described_in: ClassVar[str] = "answer"
     bands: Bands
     materials: tuple[str, ...]
     areas_m2: FloatArray  # (n_materials,)
@@ -156,12 +156,6 @@ class Result:
     eyring_absorption: FloatArray | None = None
     objects: ObjectAreas | None = None  # of what stands in the room; None where nothing does
 
-    def __str__(self) -> str:
-        """Return what the command line prints: absorption, errors of predictions, findings."""
-        from roomfit.report.text import answer_text
-
-        return answer_text(self)
-
     def __repr__(self) -> str:
         """Return at most ten lines: size, how much is identifiable, the mean of the room."""
         middle = int(np.argmin(np.abs(np.log2(self.bands.centres_hz / 1000.0))))
@@ -181,18 +175,6 @@ class Result:
                 "  print(result) shows all of it",
             )
         )
-
-    def _repr_html_(self) -> str:
-        """Return a table of absorption with intervals in HTML, for notebooks."""
-        from roomfit.report.html import result_fragment
-
-        return result_fragment(self)
-
-    def plot(self) -> Figure:
-        """Return a figure of the absorption of every material over frequency."""
-        from roomfit.report.figures import absorption_figure
-
-        return absorption_figure(self)
 
     def records(self) -> Table:
         """Return the content of absorption.csv: one row a material and band."""

@@ -109,11 +109,10 @@ def test_what_cannot_be_asked_is_refused_and_the_file_stays(
 
 def test_decay_times_are_answered_as_the_command_line_answers_them(hall: Path) -> None:
     """The mean with its interval, and the square metres; no position was asked for."""
-    from roomfit.cli import predictions
 
     assert views.reverberation(nothing, str(hall)) == project.MEAN
     view = views.result_view(nothing, str(hall), project.MEAN)
-    found = predictions.reverberation_to_folder(project.campaign_file(hall))
+    found = reverberation_to_folder(project.campaign_file(hall))
     assert view is not None and not view["stale"]
     assert project.served_file(hall, "mean/reverberation.html").is_file()
     for band, own in enumerate(view["mean"]):
@@ -141,7 +140,7 @@ def test_decay_times_are_answered_as_the_command_line_answers_them(hall: Path) -
 
 def test_other_walls_from_decay_times_are_those_of_the_command(hall: Path, tmp_path: Path) -> None:
     """T30 with its intervals, before and after; another table of the same name is read anew."""
-    from roomfit.cli.predictions import predict_to_folder
+    from roomfit.cli.predict import predict_to_folder
     from roomfit.predict.changes import read_change
 
     (tmp_path / "out").mkdir()

@@ -8,7 +8,7 @@ import pytest
 from roomfit.base.air import Air
 from roomfit.base.bands import bands_between
 from roomfit.base.findings import Code
-from roomfit.cli.commands import check_campaign_recordings
+from roomfit.cli.check import check_campaign_recordings
 from roomfit.design.candidates import DesignOptions
 from roomfit.design.positions import design
 from roomfit.design.symmetry import plane_findings

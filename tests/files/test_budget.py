@@ -13,7 +13,7 @@ from report_cases import answer_of, read_page, scene_of
 from roomfit.base.errors import InputError
 from roomfit.base.logit import Z95
 from roomfit.base.whole_files import json_text
-from roomfit.cli.commands import export_result
+from roomfit.cli.export import export_result
 from roomfit.files.budget import (
     AFTER,
     MEAN,
@@ -24,7 +24,7 @@ from roomfit.files.budget import (
 )
 from roomfit.files.results import result_content
 from roomfit.report.html import report_html
-from roomfit.report.html_tables import condition_tables
+from roomfit.report.tables import condition_tables
 from roomfit.uncertainty.combinations import Combination
 
 TERMS = ("", "noise", "model", "air", "neighbours", "prior")

@@ -12,8 +12,8 @@ from report_cases import answer_of, scene_of
 from roomfit.base.errors import InputError, RoomfitError
 from roomfit.base.findings import Code
 from roomfit.base.whole_files import content_digest, write_json_atomically
-from roomfit.cli.commands import export_result
-from roomfit.cli.predictions import predict_to_folder
+from roomfit.cli.export import export_result
+from roomfit.cli.predict import predict_to_folder
 from roomfit.files.encoding import EditedFile, written_content
 from roomfit.files.exports import RESULT_KEYS, read_material_table
 from roomfit.files.results import read_result, result_content, write_result

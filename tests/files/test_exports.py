@@ -19,7 +19,7 @@ from report_cases import answer_of, finding, scene_of
 from roomfit.base.bands import bands_between
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
-from roomfit.cli.commands import export_result
+from roomfit.cli.export import export_result
 from roomfit.files.exports import (
     FORMATS,
     read_material_table,

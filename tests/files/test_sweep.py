@@ -14,7 +14,7 @@ from scipy.signal import butter, fftconvolve, sosfiltfilt
 
 from roomfit.base.errors import InputError
 from roomfit.base.typing import FloatArray
-from roomfit.cli.commands import measure_to_folder
+from roomfit.cli.measure import measure_to_folder
 from roomfit.files.responses import read_response
 from roomfit.files.responses.recordings import ResponseSpec
 from roomfit.files.responses.sweep import (

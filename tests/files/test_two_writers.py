@@ -16,7 +16,7 @@ import pytest
 
 from roomfit.app import project, recordings
 from roomfit.base.errors import FolderInUseError, InputError
-from roomfit.cli.commands import draft_to_folder
+from roomfit.cli.init import draft_to_folder
 from roomfit.files import edits
 from roomfit.files.edits import Edit, sole_editor
 from roomfit.files.rooms.model import RoomSpec

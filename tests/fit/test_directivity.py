@@ -21,7 +21,7 @@ from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import Bands, bands_between
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
-from roomfit.cli.commands import identify_to_folder
+from roomfit.cli.identify import identify_to_folder
 from roomfit.demo.boxes import (
     SyntheticBox,
     add_noise,
@@ -53,7 +53,7 @@ from roomfit.model.directivity import DirectivityParameters, FittedDirectivity
 from roomfit.model.patterns import Pattern, UnknownDirectivity
 from roomfit.pressures.fit import CoherentFit, CoherentTask, fit_coherent, initialise
 from roomfit.pressures.sequential import CoherentOptions
-from roomfit.report.html_tables import source_tables
+from roomfit.report.tables import source_tables
 from roomfit.report.text import directivity_text
 from roomfit.room.scene import Scene
 from roomfit.tracing.image_sources import trace_images

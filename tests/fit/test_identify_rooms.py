@@ -11,7 +11,7 @@ import pytest
 
 from hostile import FAULTS, box, outcome
 from roomfit.base.findings import Code
-from roomfit.cli.commands import run_demo
+from roomfit.cli.demo import run_demo
 from roomfit.files.inputs import load_campaign
 from roomfit.identify import identify
 from small_campaign import run_command

@@ -34,7 +34,7 @@ from roomfit.predict.other_walls import predict
 from roomfit.pressures.data_term import coherent_term, with_coherence
 from roomfit.pressures.geometry import geometry_block, whole_covariance
 from roomfit.pressures.response import image_paths
-from roomfit.report.html_tables import area_tables
+from roomfit.report.tables import area_tables
 from roomfit.result import Result, absorption_posterior
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import (

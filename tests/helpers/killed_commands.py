@@ -120,13 +120,13 @@ def run(command: str, out: Path) -> None:
     """Run a command into a folder, whose files then hold the word of the hour."""
     from roomfit.suh2001.output import run_paper
 
-    from roomfit import commands, predictions
+    from roomfit import commands
     from roomfit.impedance.campaign import impedance_to_folder
 
     campaign = out.parent / "none.toml"
     calls: dict[str, Callable[[], object]] = {
-        "identify": lambda: commands.identify_to_folder(campaign, out, overwrite=True),
-        "predict": lambda: predictions.predict_to_folder(campaign, campaign, out, overwrite=True),
+        "identify": lambda: identify_to_folder(campaign, out, overwrite=True),
+        "predict": lambda: predict_to_folder(campaign, campaign, out, overwrite=True),
         "design": lambda: commands.design_to_folder(campaign, out, overwrite=True),
         "paper": lambda: run_paper(out, overwrite=True),
         "impedance": lambda: impedance_to_folder(campaign, out, overwrite=True),

@@ -114,7 +114,7 @@ def test_the_same_by_hand_in_python_is_the_same(finished):
 
 
 def test_identify_refuses_spectra_and_names_the_command(finished, tmp_path):
-    from roomfit.cli.commands import identify_to_folder
+    from roomfit.cli.identify import identify_to_folder
 
     folder, _, _ = finished
     with pytest.raises(InputError, match="damped spectra hold impedances"):

@@ -6,12 +6,12 @@ import csv
 
 import numpy as np
 import pytest
+from roomfit.cli.X import write_grid
 
 import roomfit
 from roomfit.base.bands import bands_between
 from roomfit.base.errors import InputError
 from roomfit.base.logit import logit
-from roomfit.cli.predictions import write_grid
 from roomfit.predict.grid import grid_figure, grid_records, grid_scene
 from roomfit.predict.other_walls import predict
 from roomfit.uncertainty.posterior import AbsorptionPosterior

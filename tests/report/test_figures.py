@@ -24,7 +24,7 @@ from roomfit.report.figures import (
     write_pictures,
 )
 from roomfit.report.html import mean_decay_figure
-from roomfit.report.html_tables import prior_tables
+from roomfit.report.tables import prior_tables
 from roomfit.uncertainty.profile import Profile
 
 

@@ -17,7 +17,7 @@ from roomfit.predict.output import predict_text, predicted_decay_figure
 from roomfit.predict.tables import PredictedPair, PredictedValue
 from roomfit.report.figures import decay_figure
 from roomfit.report.html import report_html, summary_sentences
-from roomfit.report.html_tables import error_tables, overview_table, pair_sections, sti_tables
+from roomfit.report.tables import error_tables, overview_table, pair_sections, sti_tables
 from roomfit.report.text import answer_text, pairs_table
 from roomfit.report.wording import DASH
 from roomfit.result import Compared

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from roomfit.base.errors import InputError
-from roomfit.cli.commands import export_result
+from roomfit.cli.export import export_result
 from roomfit.report.figures import svg
 from roomfit.report.pdf import report_pdf
 

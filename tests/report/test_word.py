@@ -15,7 +15,8 @@ import pytest
 
 from report_cases import answer_of, read_page, scene_of
 from roomfit.base.errors import InputError
-from roomfit.cli.commands import export_result, identify_to_folder
+from roomfit.cli.export import export_result
+from roomfit.cli.identify import identify_to_folder
 from roomfit.report.figures import png
 from roomfit.report.html import report_html
 from roomfit.report.room_figure import room_figure

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from report_cases import answer_of, scene_of
 from roomfit.base.whole_files import json_text
 from roomfit.files.results import result_content
-from roomfit.report.html_tables import share_tables
+from roomfit.report.tables import share_tables
 from roomfit.report.text import separable_text, shares_table
 from roomfit.report.wording import DASH
 from roomfit.uncertainty.combinations import (

@@ -17,7 +17,7 @@ from typing import Any
 from roomfit.base.arguments import check_known, check_name
 from roomfit.base.errors import InputError
 from roomfit.base.whole_files import write_text_atomically
-from roomfit.cli.commands import export_result
+from roomfit.cli.export import export_result
 from roomfit.files.campaign import FILL_IN, Campaign, blanks, read_campaign, read_toml
 from roomfit.files.draft import draft_campaign
 from roomfit.files.edits import Edit, edited_text, read_beside, rewrite, sole_editor, value_text

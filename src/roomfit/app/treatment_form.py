@@ -225,10 +225,10 @@ class TreatmentForm:
                 heading("The cheapest that was found", 3)
                 ui.label(sentence)
             for file, place in found.items():
-                if file.suffix == ".png":
+                if file.suffix == ".svg":
                     markup(f'<img alt="{escape(file.stem)}" src="{escape(place)}" width="100%">')
             for file, place in found.items():
-                if file.suffix != ".png" and not file.name.startswith("."):
+                if file.suffix != ".svg" and not file.name.startswith("."):
                     markup(f'<a href="{escape(place)}&save=1">{escape(file.name)}</a>')
 
 

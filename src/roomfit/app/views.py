@@ -19,7 +19,11 @@ from roomfit.app.what_if import what_if, what_if_prepare
 from roomfit.base.errors import InputError, RoomfitError, located
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import Progress
-from roomfit.cli import commands, predictions
+from roomfit.cli.check import check_campaign_recordings
+from roomfit.cli.identify import identify_to_folder
+from roomfit.cli.listen import listen_to_folder
+from roomfit.cli.reverberation import reverberation_to_folder
+from roomfit.cli.treat import treat_to_folder
 from roomfit.demo.boxes import demo_plan, write_measured_box
 from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.door import read_bytes
@@ -43,7 +47,9 @@ from roomfit.files.rooms import read_mesh
 from roomfit.files.rooms.model import RoomSpec, UnchosenSpaceError
 from roomfit.predict.campaign import WantedPairs
 from roomfit.predict.changes import read_change
-from roomfit.report.room_figure import MOST_FACES, material_colour, outline_m
+from roomfit.report.room_figure import MOST_FACES, outline_m
+from roomfit.report.text import text
+from roomfit.report.wording import material_colour
 from roomfit.room.mesh import Mesh, area_vectors_m2, triangle_areas_m2
 from roomfit.room.scene import Room, check_mesh, surface_materials
 
@@ -231,7 +237,7 @@ def _plan(campaign: Campaign) -> tuple[list[list[float]], list[list[Any]]]:
 def _check(root: Path, rows: dict[str, dict[str, Any]], view: dict[str, Any]) -> None:
     """Add what is known of each recording, and findings to the recordings that they are about."""
     campaign = read_campaign(project.campaign_file(root))
-    checked = commands.check_campaign_recordings(campaign)
+    checked = check_campaign_recordings(campaign)
     view["advised"] = advice_view(checked.findings, campaign)
     view["bands_hz"] = checked.bands.centres_hz.tolist()
     by_pair = {(r["source"], r["receiver"], Path(f).name): r for f, r in rows.items()}
@@ -344,7 +350,7 @@ def identify(progress: Progress, folder: str, quick: bool) -> str:
     root = Path(folder)
     out = root / (project.QUICK if quick else project.FULL)
     project.inside(root, out)
-    commands.identify_to_folder(
+    identify_to_folder(
         project.campaign_file(root), out, quick=quick, overwrite=True, progress=progress
     )
     return out.name
@@ -355,7 +361,7 @@ def reverberation(_: Progress, folder: str) -> str:
     root = Path(folder)
     out = root / project.MEAN
     project.inside(root, out)
-    predictions.reverberation_to_folder(project.campaign_file(root), out, overwrite=True)
+    reverberation_to_folder(project.campaign_file(root), out, overwrite=True)
     return out.name
 
 
@@ -397,7 +403,7 @@ def treat(progress: Progress, folder: str, doubted: bool = False) -> str:
     project.answer_file(root, or_decay_times=True)
     out = root / project.TREATMENT
     project.inside(root, out)
-    answer = predictions.treat_to_folder(
+    _, shown = treat_to_folder(
         project.campaign_file(root),
         result,
         root / project.TREATMENT_QUESTION,
@@ -406,7 +412,7 @@ def treat(progress: Progress, folder: str, doubted: bool = False) -> str:
         overwrite=True,
         progress=progress,
     )
-    return str(answer)
+    return text(shown)
 
 
 def look_at_upload(_: Progress, folder: str, kind: str, file: str) -> None:
@@ -510,13 +516,13 @@ def listen(
         raise InputError(what, found="no change", needed=needed, hint="change a wall under What if")
     out = root / project.LISTENED
     project.inside(root, out)
-    predictions.listen_to_folder(
+    listen_to_folder(
         project.campaign_file(root),
         result,
         out,
         [read_change(text) for text in changes],
         dry=project.upload_place(root, project.DRY, dry) if dry else None,
-        wanted=WantedPairs(doubted=doubted),
+        doubted=doubted,
         overwrite=True,
         progress=progress,
     )

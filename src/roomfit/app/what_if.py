@@ -17,7 +17,7 @@ from roomfit.app.treatment import treatment_view
 from roomfit.base.errors import InputError, InsufficientDataError
 from roomfit.base.findings import Code
 from roomfit.base.typing import Progress
-from roomfit.cli import predictions
+from roomfit.cli.predict import prepared_field
 from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.encoding import finding_content, numbers_or_null
 from roomfit.files.results import read_result
@@ -62,7 +62,7 @@ def what_if_prepare(progress: Progress, folder: str, doubted: bool = False) -> d
         _ready.clear()
         try:
             campaign = read_campaign(file, to_fit=False, decay_times=result is None)
-            field = None if result else predictions.prepared_field(campaign)
+            field = None if result else prepared_field(campaign)
             room = field or _traced(progress, campaign, known_by, doubted)
         except InsufficientDataError as error:
             return {"refused": f"{error.what[0].upper()}{error.what[1:]}: {error.found}."}

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
 from importlib import import_module
+from itertools import zip_longest
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -59,6 +60,7 @@ class Table:
     rows: Sequence[Sequence[Value]]
     notes: Sequence[str] = ()
     form: str = "g"
+    kind: str = ""  # the style sheet's name for it
 
     def described(self) -> tuple[Column, ...]:
         """Return the columns with form and alignment."""
@@ -92,8 +94,13 @@ def written(value: Value, form: str = "g", missing: str = "") -> str:
     raise TypeError(f"no cell of a table is a {type(value).__name__}")
 
 
+_WIDEST = 100
+
+
 def text_of(shown: Table, gap: str = "  ", indent: str = "") -> str:
-    """Return a table for a terminal: caption, heading, rows, notes; smaller lines in brackets.
+    """Return a table for a terminal: caption, heading, rows, notes.
+
+    Smaller lines stand in brackets, or below where the table would be wider than 100 characters.
 
     Examples
     --------
@@ -107,10 +114,12 @@ def text_of(shown: Table, gap: str = "  ", indent: str = "") -> str:
     columns = shown.described()
     height = max((c.name.count("\n") for c in columns), default=0)
     heads = [("\n" * (height - c.name.count("\n")) + c.name).split("\n") for c in columns]
-    grid = [*zip(*heads, strict=True)] if any(shown.names) else []
-    grid += [tuple(map(_plain, row, columns)) for row in shown.rows]
-    whole = [row for row in grid if len(row) == len(columns)]
-    widths = [max(map(len, own)) for own in zip(*whole, strict=True)]
+    head: list[tuple[str, ...]] = [*zip(*heads, strict=True)] if any(shown.names) else []
+    cells = [[_lines(v, c) for v, c in zip(row, columns, strict=False)] for row in shown.rows]
+    grid = head + [tuple(x[0] + f" ({'; '.join(x[1:])})" * bool(x[1:]) for x in r) for r in cells]
+    if len(indent) + len(gap) * (len(columns) - 1) + sum(_widths(grid, columns)) > _WIDEST:
+        grid = head + [line for row in cells for line in zip_longest(*row, fillvalue="")]
+    widths = _widths(grid, columns)
     rows = [
         indent + gap.join(f"{x:{c.align}{w}}" for x, c, w in zip(row, columns, widths, strict=True))
         if len(row) == len(columns)
@@ -120,18 +129,22 @@ def text_of(shown: Table, gap: str = "  ", indent: str = "") -> str:
     return "\n".join([*filter(None, [shown.caption]), *map(str.rstrip, rows), *shown.notes])
 
 
+def _widths(grid: Sequence[Sequence[str]], columns: Sequence[Column]) -> list[int]:
+    whole = [row for row in grid if len(row) == len(columns)]
+    return [max(map(len, own)) for own in zip(*whole, strict=True)]
+
+
 _ASCII = str.maketrans({"\N{EN DASH}": "-", "\N{MINUS SIGN}": "-", "\N{RIGHTWARDS ARROW}": ">"})
 
 
-def _plain(value: Value, column: Column) -> str:
+def _lines(value: Value, column: Column) -> list[str]:
     if not isinstance(value, Cell):
-        return written(value, column.form, "-")
-    small = "; ".join(value.small)
-    return (f"{value.text} ({small})" if small else value.text).translate(_ASCII)
+        return [written(value, column.form, "-")]
+    return [line.translate(_ASCII) for line in (value.text, *value.small)]
 
 
-def html_of(shown: Table, kind: str = "") -> str:
-    """Return a table in HTML, every text escaped; `kind` is the style sheet's name for it."""
+def html_of(shown: Table) -> str:
+    """Return a table in HTML, every text escaped."""
     columns = shown.described()
     names = [c.name.replace("\n", " ") for c in columns]
     heads = "".join(f'<th scope="col">{escape(n)}</th>' if n else "<td></td>" for n in names)
@@ -145,7 +158,7 @@ def html_of(shown: Table, kind: str = "") -> str:
         rows.append(f"<tr{_classed(style)}>{head}\n{cells}</tr>\n")
     notes = "".join(f"<p>{escape(note)}</p>\n" for note in shown.notes)
     return (
-        f"<table{_classed(kind)}>\n<caption>{escape(shown.caption)}</caption>\n<thead><tr>{heads}"
+        f"<table{_classed(shown.kind)}>\n<caption>{escape(shown.caption)}</caption>\n<thead><tr>{heads}"
         f"</tr></thead>\n<tbody>\n{''.join(rows)}</tbody>\n</table>\n{notes}"
     )
 
@@ -217,30 +230,13 @@ def without_apostrophe(cell: str) -> str:
 
 
 def data_frame(shown: Table, file: str) -> Any:
-    """Return a table as a pandas data frame, its numbers not rounded.
-
-    Parameters
-    ----------
-    file : str
-        Where the command line writes the same table, for the message.
-
-    Raises
-    ------
-    InputError
-        pandas, on which roomfit does not depend, is not installed.
-    """
+    """Return a table as a pandas data frame, its numbers not rounded; `file` has the same table."""
     pandas = optional_package("pandas", "data frames", "to_dataframe", file)
     return pandas.DataFrame(list(shown.rows), columns=list(shown.names))
 
 
 def optional_package(name: str, what: str, where: str, file: str = "result.json") -> Any:
-    """Return a package on which roomfit does not depend.
-
-    Raises
-    ------
-    InputError
-        It is not installed; `what` needs it, and `file` holds the same.
-    """
+    """Return a package on which roomfit does not depend: `what` needs it, `file` has the same."""
     try:
         return import_module(name)
     except ImportError as error:
@@ -258,11 +254,6 @@ def workbook_of(sheets: Mapping[str, Table]) -> bytes:
 
     Texts that a spreadsheet would take for a formula get an apostrophe in front; a number that is
     not known is an empty cell. Needs openpyxl, the extra ``excel``.
-
-    Raises
-    ------
-    InputError
-        openpyxl is not installed.
     """
     try:
         openpyxl: Any = import_module("openpyxl")

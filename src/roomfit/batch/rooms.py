@@ -28,14 +28,15 @@ from roomfit.base.table import Cell, Column, Table, Value, csv_of, text_of, writ
 from roomfit.base.typing import Progress
 from roomfit.base.whole_files import make_folder, write_json_atomically, write_text_atomically
 from roomfit.base.workers import completed, keep_one_thread, result_of
-from roomfit.cli.commands import identify_to_folder
+from roomfit.cli.identify import identify_to_folder
 from roomfit.files.campaign import input_files, read_campaign
 from roomfit.files.door import complete
 from roomfit.files.encoding import input_digests, written_content
 from roomfit.files.exports import read_result_content
 from roomfit.files.results import check_disk_room
-from roomfit.report.figures import in_file_name
-from roomfit.report.html import tables_page
+from roomfit.report.blocks import Blocks, Sentence
+from roomfit.report.html import page
+from roomfit.report.wording import in_file_name
 
 _LOG = logging.getLogger("roomfit")
 
@@ -347,9 +348,8 @@ def write_table(out: Path, rows: Sequence[RoomRow]) -> None:
     """
     records = Table("", _COLUMNS, [*map(_record, rows)])
     write_text_atomically(out / "rooms.csv", csv_of(records))
-    write_text_atomically(
-        out / "rooms.html", tables_page("Rooms", counted(rows), (_page_table(rows),))
-    )
+    shown = Blocks("Rooms", (Sentence(counted(rows), "lead"), _page_table(rows)), ())
+    write_text_atomically(out / "rooms.html", page(shown))
 
 
 def counted(rows: Sequence[RoomRow]) -> str:

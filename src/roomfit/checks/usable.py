@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
+from typing import ClassVar
 
 import numpy as np
 
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
+from roomfit.base.shown import Shown
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.checks import schroeder
 from roomfit.checks.arrivals import arrival_verdicts, with_corrected_clocks
@@ -29,7 +30,7 @@ from roomfit.signals.response import find_onset
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CheckedRecordings:
+class CheckedRecordings(Shown):
     """Recordings by pair and band before a fit.
 
     Rows are recordings in their order; those that a fit refuses have NaN throughout. Where
@@ -37,6 +38,7 @@ class CheckedRecordings:
     says to set.
     """
 
+    described_in: ClassVar[str] = "check"
     measurements: tuple[Measurement, ...]
     bands: Bands
     onset_s: FloatArray  # (n,), arrival of the direct sound after emission by the file's own clock
@@ -48,16 +50,6 @@ class CheckedRecordings:
     decay_s: FloatArray  # (n_bands,), median reverberation time; NaN where none is known
     schroeder_hz: FloatArray  # (n_bands,)
     findings: tuple[Finding, ...]
-
-    def __str__(self) -> str:
-        """Return what the command line prints: a table of recordings by band, and findings."""
-        from roomfit.report.text import recordings_text
-
-        return recordings_text(self)
-
-    def _repr_html_(self) -> str:
-        """Return the same for notebooks."""
-        return f"<pre>{escape(str(self))}</pre>"
 
     @property
     def in_doubt(self) -> bool:

@@ -2,8 +2,8 @@
 
 Exit codes: 0 done, 1 a fault of roomfit itself, 2 bad input (or an answer that the data do not
 hold), 130 interrupted; ``roomfit check`` ends with 1 where recordings are in doubt. Every command
-is a module with `add`, which declares its arguments, and `run`, which carries it out and imports
-what it needs, so that ``roomfit --help`` loads no numerical package.
+is a module with `run`, which is imported when the command is called; `roomfit.cli.arguments`
+declares what it takes.
 """
 
 from __future__ import annotations
@@ -18,71 +18,25 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from importlib import import_module
 
-import roomfit
 from roomfit.base.errors import RoomfitError, StoreError
-from roomfit.cli import (
-    app,
-    batch,
-    catalogue,
-    check,
-    compare,
-    demo,
-    design,
-    export,
-    identify,
-    impedance,
-    init,
-    listen,
-    measure,
-    paper,
-    predict,
-    reverberation,
-    schema,
-    treat,
-)
-from roomfit.cli.arguments import Commands, Parser, call_error
+from roomfit.cli.arguments import call_error, parsers
 from roomfit.cli.terminal import drop_output, warn
 
-_COMMANDS = (
-    app,
-    batch,
-    catalogue,
-    check,
-    compare,
-    demo,
-    design,
-    export,
-    identify,
-    impedance,
-    init,
-    listen,
-    measure,
-    paper,
-    predict,
-    reverberation,
-    schema,
-    treat,
-)
 _INTERRUPTED = 130
 _INSIST_S = 1.0
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and leave with its exit code.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Without the name of the program; left out, those of this process.
-    """
+    """Run the command line, by default with the arguments of this process; leave with a code."""
     # searching for objects that refer to each other took a twentieth of the processor's time
     gc.set_threshold(20_000, 20, 50)
     try:
         with _ended_like_an_interrupt():
             options = _parsed(sys.argv[1:] if arguments is None else list(arguments))
             with _shown(options), _with_threads(options):
-                options.run(options)
+                import_module(f"roomfit.cli.{options.command}").run(options)
             sys.stdout.flush()
     except RoomfitError as error:
         warn(error)
@@ -167,32 +121,9 @@ def _ended_like_an_interrupt() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def command_parsers() -> dict[str, Parser]:
-    """Return the parser of every command by the command's name."""
-    return _parsers()[1]
-
-
-def _parsers() -> tuple[Parser, dict[str, Parser]]:
-    parser = Parser(
-        prog="roomfit",
-        description="Absorption of a real room's walls from impulse responses measured in it.",
-        allow_abbrev=False,
-    )
-    parser.add_argument(
-        "--version",
-        action="version",
-        version=f"roomfit {roomfit.__version__}",
-        help="Show the version.",
-    )
-    commands: Commands = parser.add_subparsers(title="commands", metavar="COMMAND")
-    for command in _COMMANDS:
-        command.add(commands)
-    return parser, dict(commands.choices)
-
-
 def _parsed(arguments: list[str]) -> argparse.Namespace:
     """Return the options of a command and, as `run`, the function that carries it out."""
-    parser, commands = _parsers()
+    parser, commands = parsers()
     if not arguments:
         sys.stdout.write(parser.format_help())
         sys.exit(2)

@@ -3,34 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
-from roomfit.cli.arguments import Commands, add_command, whole_number
 from roomfit.cli.terminal import say, warn
 
 _OWN = ("127.0.0.1", "localhost", "::1")
-
-
-def add(commands: Commands) -> None:
-    about = (
-        "Work on a project in the browser: room, measurements, absorption, what if, report.\n\n"
-        "FOLDER holds campaign.toml, recordings and results, which the other commands read and "
-        "write, too. Nothing leaves this machine, and nobody gets in without the address that is "
-        "printed."
-    )
-    parser = add_command(commands, "app", about, run)
-    parser.add_argument(
-        "folder", type=Path, nargs="?", default=Path(), help="Of the project; made if needed."
-    )
-    parser.add_option(
-        "--port", "To listen at; 0: any. Left out: 8321, or the next free.", type=whole_number
-    )
-    parser.add_option(
-        "--host", "Address to listen at; others than this may reach it.", default="127.0.0.1"
-    )
-    parser.add_argument(
-        "--no-browser", action="store_true", help="Print the address; open no browser."
-    )
 
 
 def run(options: argparse.Namespace) -> None:

@@ -5,58 +5,33 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from roomfit.cli.arguments import Commands, add_command, number_range
+from roomfit.base.errors import InputError, located
+from roomfit.base.whole_files import check_output_folder, whole_output_folder
 from roomfit.cli.terminal import say
+from roomfit.files import edits
+from roomfit.files.campaign import Campaign, read_campaign
+from roomfit.files.encoding import finding_of
+from roomfit.files.inputs import check_campaign, check_room
+from roomfit.files.remedies import advice, advised, changed_since, chosen
+from roomfit.files.rooms.model import RoomSpec
+from roomfit.report.blocks import Blocks, drawing
+from roomfit.report.check import recordings_blocks, room_blocks
 from roomfit.report.progress import shown_progress
+from roomfit.report.text import text
+
+if TYPE_CHECKING:
+    from roomfit.checks.usable import CheckedRecordings
 
 _IN_DOUBT = 1
-
-
-def add(commands: Commands) -> None:
-    about = (
-        "Show a room's volume, surface, materials and mean free path, and name each fault.\n\n"
-        "For a campaign, positions and recordings are examined, too: what could be wrong is said "
-        "before anything is fitted. Exit codes: 0 fine; 1 a finding that voids the answer, or a "
-        "recording or a band of no use; 2 bad input."
-    )
-    parser = add_command(commands, "check", about, run)
-    parser.add_argument(
-        "room", type=Path, help="Room file, such as room.obj, or a campaign file (.toml)."
-    )
-    parser.add_option("--unit", "m, mm, cm, ft or in; needed where the format does not state it.")
-    parser.add_option("--up", "Axis that points up: z or y.")
-    parser.add_option(
-        "--bands",
-        "Of a campaign: bands to examine, as 500-2000, in place of from_hz and to_hz.",
-        type=number_range,
-    )
-    parser.add_option(
-        "--out", "Of a campaign: folder for a picture of room and positions.", type=Path
-    )
-    parser.add_overwrite()
-    parser.add_option(
-        "--remedy",
-        "Of a campaign: write into it what the findings of CODE advise; CODE:2 the second choice.",
-        metavar="CODE",
-    )
-    parser.add_option(
-        "--result", "With --remedy: of the findings of this answer, a folder.", type=Path
-    )
-    parser.add_argument(
-        "--undo", action="store_true", help="Of a campaign: take the last remedy back."
-    )
+_EXAMINING = "examining recordings (longer the first time, which compiles)"
 
 
 def run(options: argparse.Namespace) -> None:
     """Carry out the command; leave with 2 where the room cannot be traced."""
-    from roomfit.base.errors import InputError
-    from roomfit.files.campaign import read_campaign
-    from roomfit.files.inputs import check_campaign, check_room
-    from roomfit.files.rooms.model import RoomSpec
-    from roomfit.report.text import room_text
-
     room: Path = options.room
     if options.remedy is not None or options.result is not None or options.undo:
         _remedy(options)
@@ -71,38 +46,85 @@ def run(options: argparse.Namespace) -> None:
                 hint="roomfit init --room ROOM makes one; or leave the option out",
             )
         result = check_room(RoomSpec(file=room, unit=options.unit, up=options.up))
-        say(room_text(str(room), result))
+        say(text(room_blocks(str(room), result)))
         sys.exit(0 if result.traceable else 2)
     if options.unit is not None or options.up is not None:
-        what = "a campaign itself specifies the unit and the axes of its room"
-        needed, hint = "neither of them beside a campaign", "write them under [room]"
-        raise InputError(what, where=str(room), found="--unit or --up", needed=needed, hint=hint)
-    from roomfit.files.remedies import advice
-
+        raise InputError(
+            "a campaign itself specifies the unit and the axes of its room",
+            where=str(room),
+            found="--unit or --up",
+            needed="neither of them beside a campaign",
+            hint="write them under [room]",
+        )
     campaign = read_campaign(room)
     result = check_campaign(campaign)
-    advised = advice(result.findings, campaign)
-    say(room_text(str(room), result, advised))
+    of_room = advice(result.findings, campaign)
+    say(text(room_blocks(str(room), result, of_room)))
     if not result.traceable:
         sys.exit(2)
     if campaign.spectra:
         return  # of impedances: there are no recordings to examine
-    from roomfit.cli.commands import check_campaign_recordings  # all of roomfit: not for a room
-    from roomfit.report.text import recordings_text
-
-    with shown_progress("examining recordings (longer the first time, which compiles)"):
+    with shown_progress(_EXAMINING):
         checked = check_campaign_recordings(
-            campaign, options.out, between_hz=options.bands, overwrite=options.overwrite
-        )
+            campaign, options.out, between_hz=options.bands, overwrite=options.overwrite,
+            png=options.png,
+        )  # fmt: skip
     of_recordings = advice(checked.findings, campaign)
-    say(f"\n{recordings_text(checked, of_recordings)}")
-    if advised or of_recordings:
+    say(f"\n{text(recordings_blocks(checked, of_recordings))}")
+    if of_room or of_recordings:
         say(how_to_write(room))
     if options.out is not None:
-        say(f"\nroom.png is in {options.out}")
+        say(f"\nroom.svg is in {options.out}")
     if checked.in_doubt:
         sys.exit(_IN_DOUBT)
     say(f"\nthen: roomfit identify {shlex.quote(str(room))} --out result")
+
+
+def check_campaign_recordings(
+    campaign: Campaign,
+    out: Path | None = None,
+    *,
+    between_hz: tuple[float, float] | None = None,
+    overwrite: bool = False,
+    png: bool = False,
+) -> CheckedRecordings:
+    """Read everything that a campaign names and examine it, see `check_recordings`.
+
+    `out` is a folder for a picture of room and positions, `between_hz` are bands to examine in
+    place of the campaign's.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or the room has faults.
+    StoreError
+        The disk refuses.
+    """
+    # all of roomfit: a room by itself does not wait for it
+    from roomfit.checks.usable import check_recordings
+    from roomfit.design.symmetry import plane_findings
+    from roomfit.files.inputs import identify_arguments
+    from roomfit.fit.measurements import measured_scene
+    from roomfit.room.scene import named_pairs
+
+    if out is not None:
+        check_output_folder(out, overwrite=overwrite)
+    own = identify_arguments(campaign, between_hz)
+    scene, measurements, bands = own["scene"], own["measurements"], own["bands"]
+    with located(str(campaign.path)):
+        range_db = own["settings"].decay_range_db
+        checked = check_recordings(scene, measurements, bands, own["directivities"], range_db)
+    fitted = {m.pair_name[:2] for m in measurements if m.use == "fit"}
+    alike = plane_findings(named_pairs(scene, fitted))
+    checked = replace(checked, findings=(*checked.findings, *alike))
+    if out is not None:
+        from roomfit.report.figures import write_pictures
+
+        of = measured_scene(scene, measurements)
+        picture = drawing("room", "The room", "", "room_figure.room_figure", of)
+        with whole_output_folder(out, overwrite=overwrite) as folder:
+            write_pictures(folder, Blocks("", (picture,), ()), png_too=png)
+    return checked
 
 
 def how_to_write(campaign: Path, result: Path | None = None) -> str:
@@ -116,20 +138,8 @@ def how_to_write(campaign: Path, result: Path | None = None) -> str:
 
 
 def _remedy(options: argparse.Namespace) -> None:
-    """Write what findings advise into the campaign, or take that back.
-
-    Raises
-    ------
-    InputError
-        No finding advises it, or the campaign cannot be edited.
-    """
-    from roomfit.base.errors import InputError
-    from roomfit.files import edits
-    from roomfit.files.campaign import read_campaign
-    from roomfit.files.encoding import finding_of
+    """Write what findings advise into the campaign, or take that back."""
     from roomfit.files.exports import read_result_content
-    from roomfit.files.inputs import check_campaign
-    from roomfit.files.remedies import advised, changed_since, chosen
 
     file: Path = options.room
     if options.undo and options.remedy is None and options.result is None:
@@ -151,9 +161,7 @@ def _remedy(options: argparse.Namespace) -> None:
         findings = [finding_of(one, str(path)) for one in content["findings"]]
         found = advised(findings, campaign, changed=changed_since(content, file))
     else:
-        from roomfit.cli.commands import check_campaign_recordings
-
-        with shown_progress("examining recordings (longer the first time, which compiles)"):
+        with shown_progress(_EXAMINING):
             checked = check_campaign_recordings(campaign, between_hz=options.bands)
         found = advised((*check_campaign(campaign).findings, *checked.findings), campaign)
     remedy = chosen(found, options.remedy)

@@ -3,71 +3,55 @@
 from __future__ import annotations
 
 import argparse
+import logging
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from roomfit.cli.arguments import Commands, add_command, whole_number
+import numpy as np
+
+from roomfit.base.table import Cell, text_of
+from roomfit.base.typing import FloatArray, Progress, part
+from roomfit.base.whole_files import sole_writer, whole_output_folder
+from roomfit.cli.identify import identify_to_folder
 from roomfit.cli.terminal import say
+from roomfit.demo.boxes import PLAN_BANDS, demo_plan, write_measured_box
+from roomfit.report.blocks import Blocks, drawing
+from roomfit.report.figures import write_pictures
 from roomfit.report.progress import shown_progress
-
-if TYPE_CHECKING:
-    from roomfit.base.typing import BoolArray, FloatArray
-    from roomfit.result import Result
-
-
-def add(commands: Commands) -> None:
-    about = "Simulate a measured room independently of the fit's own model, and identify it."
-    parser = add_command(commands, "demo", about, run)
-    parser.add_option(
-        "--out", "Folder for the campaign and its results.", type=Path, default=Path("roomfit-demo")
-    )
-    parser.add_option(
-        "--seed", "Of the positions, levels and noise drawn.", type=whole_number, default=1
-    )
-    parser.add_threads()
-    parser.add_overwrite()
+from roomfit.report.text import findings_text
+from roomfit.report.wording import band_tables
+from roomfit.result import Result
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.cli.commands import run_demo
-    from roomfit.report.text import findings_text
-
     out: Path = options.out
     with shown_progress("simulating and identifying") as progress:
         answer, true_absorption = run_demo(
-            out, options.seed, overwrite=options.overwrite, progress=progress
+            out, options.seed, overwrite=options.overwrite, png=options.png, progress=progress
         )
     covered = (answer.lower95 <= true_absorption) & (true_absorption <= answer.upper95)
-    say(_table(answer, true_absorption, covered))
-    say(f"\n{_summary(answer, true_absorption, covered)}")
+    rows = []
+    for i, name in enumerate(answer.materials):
+        cells = []
+        for j in range(len(answer.bands)):
+            mark = ("" if covered[i, j] else "!") + ("" if answer.identifiable[i, j] else "?")
+            small = f"{answer.lower95[i, j]:.2f}-{answer.upper95[i, j]:.2f}{mark}"
+            both = f"{true_absorption[i, j]:.2f} {answer.absorption[i, j]:.2f}"
+            cells.append(Cell(both, (small,)))
+        rows.append((name, *cells))
+    caption = (
+        "Absorption: true, found and its 95 % interval; ! = the true value lies outside, "
+        "? = not identifiable"
+    )
+    for table in band_tables(caption, "", answer.bands.centres_hz, rows):
+        say(text_of(table))
+    say(f"\n{_summary(answer, true_absorption)}")
     if answer.findings:
         say(f"\n{findings_text(answer.findings)}")
     say(f"\nThe campaign is in {out / 'campaign'}, result and pictures in {out / 'result'}.")
 
 
-def _table(answer: Result, true_absorption: FloatArray, covered: BoolArray) -> str:
-    width = max(len(n) for n in answer.materials)
-    cell = f"{'true':>5} {'found':>5} {'95 %':>9} "
-    lines = [
-        "Absorption: true, found and its 95 % interval; ! = the true value lies outside, "
-        "? = not identifiable",
-        f"{'Hz':<{width}}  " + " ".join(f"{f:^22g}" for f in answer.bands.centres_hz),
-        f"{'':<{width}}  " + " ".join(f"{cell:<22}" for _ in answer.bands.centres_hz),
-    ]
-    for i, name in enumerate(answer.materials):
-        cells = []
-        for j in range(len(answer.bands)):
-            mark = ("" if covered[i, j] else "!") + ("" if answer.identifiable[i, j] else "?")
-            bounds = f"{answer.lower95[i, j]:.2f}-{answer.upper95[i, j]:.2f}"
-            text = f"{true_absorption[i, j]:5.2f} {answer.absorption[i, j]:5.2f} {bounds}{mark}"
-            cells.append(f"{text:<22}")
-        lines.append(f"{name:<{width}}  " + " ".join(cells).rstrip())
-    return "\n".join(lines)
-
-
-def _summary(answer: Result, true_absorption: FloatArray, covered: BoolArray) -> str:
-    import numpy as np
-
+def _summary(answer: Result, true_absorption: FloatArray) -> str:
+    covered = (answer.lower95 <= true_absorption) & (true_absorption <= answer.upper95)
     error = np.abs(answer.absorption - true_absorption)
     uniform = np.abs(answer.mean_absorption[0] - true_absorption)
     sure = answer.identifiable
@@ -82,3 +66,35 @@ def _summary(answer: Result, true_absorption: FloatArray, covered: BoolArray) ->
         f"{answer.seconds:.1f} s for the identification",
     ]
     return "\n".join(lines)
+
+
+@sole_writer
+def run_demo(
+    out: Path,
+    seed: int,
+    *,
+    overwrite: bool = False,
+    png: bool = False,
+    progress: Progress | None = None,
+) -> tuple[Result, FloatArray]:
+    """Write a simulated campaign into ``out/campaign`` and its identification into ``out/result``.
+
+    Returned are the answer and the absorption with which its data were simulated, shape
+    (n_materials, n_bands), in the answer's order.
+    """
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        (folder / "campaign").mkdir()
+        plan, rng = demo_plan(), np.random.default_rng(seed)
+        logging.getLogger("roomfit").info("simulating measurements")
+        campaign = write_measured_box(plan, folder / "campaign", rng, part(progress, 0.0, 0.4))
+        answer = identify_to_folder(
+            campaign, folder / "result", png=png, progress=part(progress, 0.4, 1.0)
+        )
+        rows = [plan.materials.index(name) for name in answer.materials]
+        at = [int(np.argmin(np.abs(PLAN_BANDS.centres_hz - f))) for f in answer.bands.centres_hz]
+        true_absorption: FloatArray = plan.absorption[np.ix_(rows, at)]
+        title = "Absorption that was found, and the true one"
+        of = answer, true_absorption
+        picture = drawing("absorption_and_truth", title, "", "absorption_figure", *of)
+        write_pictures(folder / "result", Blocks("", (picture,), ()), png_too=png)
+    return answer, true_absorption

@@ -5,49 +5,45 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from roomfit.cli.arguments import Commands, add_command, result_file, whole_number
+from roomfit.base.errors import located
+from roomfit.base.typing import part
+from roomfit.base.whole_files import check_output_folder, sole_writer, whole_output_folder
+from roomfit.cli.arguments import result_file
 from roomfit.cli.terminal import say
+from roomfit.design.campaign import design_arguments
+from roomfit.design.output import write_design
+from roomfit.design.positions import design
+from roomfit.files.campaign import read_campaign
+from roomfit.files.door import files_read, reading_noted
+from roomfit.files.results import read_result
+from roomfit.report.designed import describe
+from roomfit.report.figures import write_pictures
 from roomfit.report.progress import shown_progress
+from roomfit.report.text import text
 
 
-def add(commands: Commands) -> None:
-    about = "Choose where to measure, so that absorption is found with the narrowest intervals."
-    parser = add_command(commands, "design", about, run)
-    parser.add_argument(
-        "campaign", type=Path, help="Campaign file (TOML); it need not have a measurement."
-    )
-    parser.add_out()
-    parser.add_option(
-        "--candidates",
-        "Pairs of source and receiver to choose from.",
-        type=whole_number,
-        default=200,
-    )
-    parser.add_option("--choose", "How many (default: 6, or 1 after a fit).", type=whole_number)
-    parser.add_option("--sources", "How many different sources at most.", type=whole_number)
-    parser.add_option("--criterion", "What is to become small: determinant, mean or worst.")
-    parser.add_option("--result", "result.json of a fit: what to measure next.", type=Path)
-    parser.add_threads()
-    parser.add_edited()
-    parser.add_overwrite()
-
-
+@reading_noted()
 def run(options: argparse.Namespace) -> None:
-    from roomfit.cli.commands import design_to_folder
+    sole_writer(_run)(options, options.out)
 
+
+def _run(options: argparse.Namespace, out: Path) -> None:
     wanted = {
         "n_candidates": options.candidates,
         "number": options.choose,
         "most_sources": options.sources,
         "criterion": options.criterion,
     }
+    check_output_folder(out, overwrite=options.overwrite)
+    campaign = read_campaign(options.campaign, to_fit=False)
+    found = options.result and read_result(result_file(options, options.result))
+    changed = {name: value for name, value in wanted.items() if value is not None}
+    arguments = design_arguments(campaign, found, changed)
     with shown_progress("choosing where to measure") as progress:
-        design = design_to_folder(
-            options.campaign,
-            options.out,
-            {name: value for name, value in wanted.items() if value is not None},
-            result_file=options.result and result_file(options, options.result),
-            overwrite=options.overwrite,
-            progress=progress,
-        )
-    say(f"{design}\n\ndesign.json, design.csv and pictures are in {options.out}")
+        with located(str(options.campaign)):
+            answer = design(**arguments, progress=part(progress, 0.0, 0.98))
+        shown = describe(answer)
+        with whole_output_folder(out, overwrite=options.overwrite) as folder:
+            write_design(folder, answer, files_read())
+            write_pictures(folder, shown, png_too=options.png)
+    say(f"{text(shown)}\n\ndesign.json, design.csv and pictures are in {out}")

@@ -4,33 +4,32 @@ from __future__ import annotations
 
 import argparse
 import textwrap
+from dataclasses import dataclass
 from pathlib import Path
 
-from roomfit.cli.arguments import Commands, add_command, number, result_file
+from roomfit.base.errors import InputError
+from roomfit.base.findings import Finding
+from roomfit.base.table import csv_of
+from roomfit.base.whole_files import write_bytes_atomically
+from roomfit.cli.arguments import result_file
+from roomfit.cli.init import check_place
 from roomfit.cli.terminal import say
-
-
-def add(commands: Commands) -> None:
-    about = "Write what was found as materials of another program, or the report as PDF or Word."
-    parser = add_command(commands, "export", about, run)
-    parser.add_argument("result", type=Path, help="result.json or absorption.csv of a fit.")
-    parser.add_option(
-        "--format",
-        "catt, odeon, isimpa, pyroomacoustics, csv, excel, budget (of the uncertainty, CSV), or "
-        "pdf or word (the report).",
-        required=True,
-    )
-    parser.add_out("File to write.")
-    parser.add_option(
-        "--scattering", "For all materials, where the result does not specify it.", type=number
-    )
-    parser.add_edited()
-    parser.add_overwrite("Replace what exists.")
+from roomfit.files.budget import budget_records, uncertainty_budget
+from roomfit.files.door import read_bytes, read_text
+from roomfit.files.encoding import ResultFile, path_of
+from roomfit.files.exports import (
+    export_materials,
+    material_table_of,
+    read_material_table,
+    workbook_bytes,
+)
+from roomfit.report.pdf import report_pdf
+from roomfit.report.word import report_word
+from roomfit.result import Result
+from roomfit.settings import Settings
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.cli.commands import export_result
-
     written = export_result(
         result_file(options, options.result),
         options.format,
@@ -43,3 +42,104 @@ def run(options: argparse.Namespace) -> None:
     for finding in written.findings:
         text = f"  {finding.severity:<8} {finding.sentence}"
         say(textwrap.fill(text, 100, subsequent_indent=" " * 11, break_on_hyphens=False))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExportedFiles:
+    """Files that were written, and what their reader must know."""
+
+    files: tuple[Path, ...]
+    findings: tuple[Finding, ...]
+
+
+def export_result(
+    result_file: ResultFile | Result,
+    wanted: str,
+    out: Path,
+    *,
+    scattering: float | None = None,
+    overwrite: bool = False,
+) -> ExportedFiles:
+    """Write the materials of a result in the format of another program.
+
+    Parameters
+    ----------
+    result_file : Path or Result
+        A ``result.json`` or an ``absorption.csv``; for "pdf" and "word" with its ``report.html``
+        beside it, for "word" its PNG pictures as well. Or a result in memory, but for "excel",
+        "pdf" and "word".
+    wanted : {"catt", "odeon", "isimpa", "pyroomacoustics", "csv", "budget", "excel", "pdf", "word"}
+    out : Path
+        The file to write.
+    scattering : float, optional
+        Coefficient of every material where the result contains none, 0 to 1; by default that of
+        `Settings`.
+    overwrite : bool
+        Replace an existing file.
+
+    Raises
+    ------
+    InputError
+        The result cannot be read, the format is unknown, or the file exists already.
+    StoreError
+        The disk refuses.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as name:
+    ...     result, out = Path(name) / "absorption.csv", Path(name) / "materials.txt"
+    ...     _ = result.write_text(
+    ...         "material,band_hz,absorption,lower95,upper95,identifiable\\n"
+    ...         "carpet,500,0.3,0.25,0.36,true\\n"
+    ...     )
+    ...     written = export_result(result, "isimpa", out)
+    ...     print(out.read_text().strip())
+    carpet = < 30 30 30 30 30 30 > L < 10 10 10 10 10 10 >
+    >>> print(written.findings[0].sentence)
+    The result has no scattering; 0.1 was written for every material.
+    """
+    out = Path(out)
+    check_place(out, overwrite=overwrite)
+    # as the programs write themselves: CATT-Acoustic, I-Simpa
+    wanted = wanted.lower().replace("-", "").removesuffix("acoustic")
+    content, findings = _content(result_file, wanted, scattering)
+    write_bytes_atomically(out, content)
+    return ExportedFiles((out,), findings)
+
+
+def _content(
+    result_file: ResultFile | Result, wanted: str, scattering: float | None
+) -> tuple[bytes, tuple[Finding, ...]]:
+    if wanted == "budget":
+        return csv_of(budget_records(uncertainty_budget(result_file))).encode(), ()
+    if isinstance(result_file, Result):
+        if wanted in ("excel", "pdf", "word"):
+            raise InputError(
+                "this format is made from the files of a result",
+                found=f"a result in memory, for {wanted!r}",
+                needed="result.json, and for PDF or Word report.html beside it",
+                hint="roomfit.write_result(folder, result, []) first",
+            )
+        table = material_table_of(result_file)
+    elif wanted in ("pdf", "word"):
+        return _report(result_file, wanted)
+    else:
+        table = read_material_table(result_file)
+        if wanted == "excel":
+            return workbook_bytes(result_file), table.findings
+    usual = Settings().default_scattering if scattering is None else scattering
+    text, findings = export_materials(table, wanted, usual)
+    return text.encode(), (*findings, *table.findings)
+
+
+def _report(result_file: ResultFile, wanted: str) -> tuple[bytes, tuple[Finding, ...]]:
+    """Return the page that was written beside a result as PDF, or as a Word file."""
+    path = path_of(result_file)
+    own = path.suffix.lower() in (".html", ".htm")
+    page = read_text(path if own else path.with_name("report.html"), "report")
+    if wanted == "pdf":
+        return report_pdf(page), ()
+    findings = () if own else read_material_table(result_file).findings
+    beside = sorted(path.parent.glob("*.png"))
+    return report_word(page, {f.stem: read_bytes(f, "picture") for f in beside}), findings

@@ -3,51 +3,51 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from roomfit.cli.arguments import Commands, add_command, number_range
+from roomfit.base.errors import located
+from roomfit.base.typing import Progress, part
+from roomfit.base.whole_files import (
+    check_output_folder,
+    sole_writer,
+    whole_output_folder,
+    write_text_atomically,
+)
 from roomfit.cli.check import how_to_write
 from roomfit.cli.terminal import say
+from roomfit.files.campaign import read_campaign
+from roomfit.files.door import files_read, reading_noted
+from roomfit.files.encoding import input_digests
+from roomfit.files.inputs import identify_arguments
+from roomfit.files.project import project_details
+from roomfit.files.remedies import advice
+from roomfit.files.results import check_disk_room, write_result
+from roomfit.fit.measurements import measured_scene
+from roomfit.identify import identify
+from roomfit.report.answer import result_blocks
+from roomfit.report.blocks import Blocks
+from roomfit.report.html import page
 from roomfit.report.progress import shown_progress
+from roomfit.report.text import text
+from roomfit.report.usable import remaining_usable
+from roomfit.result import Result
 
-if TYPE_CHECKING:
-    from roomfit.files.remedies import Advice
-    from roomfit.result import Result
-
-
-def add(commands: Commands) -> None:
-    about = "Find the absorption of a measured room, per material and band, with intervals."
-    parser = add_command(commands, "identify", about, run)
-    parser.add_argument("campaign", type=Path, help="Campaign file (TOML).")
-    parser.add_out()
-    parser.add_option(
-        "--bands",
-        "Bands to fit, as 500-2000, in place of from_hz and to_hz of the campaign.",
-        type=number_range,
-    )
-    parser.add_argument(
-        "--quick",
-        action="store_true",
-        help="A first answer: no search for faults of files, positions and chain, no pictures.",
-    )
-    parser.add_threads()
-    parser.add_overwrite()
+_LOG = logging.getLogger("roomfit")
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.cli.commands import identify_to_folder
-    from roomfit.report.text import answer_text
-
     with ExitStack() as line:
 
-        def show(answer: Result, advised: Advice) -> None:
+        def show(answer: Blocks, *, advised: bool) -> None:
             line.close()  # that of the progress
             # a reader who has gone, or a full disk, is met again at the end, with all files written
             with suppress(OSError):
-                say(answer_text(answer, advised))
+                say(text(answer))
                 if advised:
                     say(how_to_write(options.campaign, options.out))
                 sys.stdout.flush()
@@ -58,8 +58,70 @@ def run(options: argparse.Namespace) -> None:
             between_hz=options.bands,
             quick=options.quick,
             overwrite=options.overwrite,
+            png=options.png,
             progress=line.enter_context(shown_progress("identifying")),
             answered=show,
         )
     files = "absorption.csv" if options.quick else "absorption.csv and pictures"
     say(f"\nreport.html, result.json, {files} are in {options.out}")
+
+
+@sole_writer
+@reading_noted()
+def identify_to_folder(
+    campaign_file: Path,
+    out: Path,
+    *,
+    between_hz: tuple[float, float] | None = None,
+    quick: bool = False,
+    overwrite: bool = False,
+    png: bool = False,
+    progress: Progress | None = None,
+    answered: Callable[..., None] | None = None,
+) -> Result:
+    """Identify a campaign and write result.json, tables, pictures and report into a folder.
+
+    Files are written after the whole computation, all of them or none. `between_hz` are bands to
+    fit in place of the campaign's; a `quick` answer, see `Settings.quick`, has no pictures beside
+    the report. `answered` is called with the answer's blocks before anything is drawn.
+
+    Raises
+    ------
+    InputError
+        The campaign, the room, a response or the output folder is invalid.
+    InsufficientDataError
+        The data cannot be fitted at all.
+    StoreError
+        The disk refuses.
+    """
+    check_output_folder(out, overwrite=overwrite)  # now rather than after minutes of work
+    campaign = read_campaign(campaign_file)
+    project = project_details(campaign.project, campaign.path.parent)
+    arguments = identify_arguments(campaign, between_hz)
+    arguments["settings"] = replace(arguments["settings"], quick=quick)
+    check_disk_room(out, len(arguments["measurements"]))
+    with located(str(campaign_file)):
+        answer = identify(**arguments, progress=part(progress, 0.0, 0.95))
+    advised, inputs = advice(answer.findings, campaign), tuple(files_read())
+    shown = result_blocks(
+        answer,
+        measured_scene(arguments["scene"], arguments["measurements"]),
+        title=project.pop("title", f"Absorption: {campaign_file.stem}"),
+        campaign=campaign_file.name,
+        inputs_sha256=input_digests(inputs),
+        project=project,
+        advice=advised,
+    )
+    if answered is not None:
+        answered(shown, advised=bool(advised))
+    _LOG.info("drawing")
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        write_result(folder, answer, inputs, remaining_usable(answer))
+        write_text_atomically(folder / "report.html", page(shown))
+        if not quick:
+            from roomfit.report.figures import write_pictures  # matplotlib, which this first needs
+
+            write_pictures(folder, shown, png_too=png)
+    if progress is not None:
+        progress(1.0)
+    return answer

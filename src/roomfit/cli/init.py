@@ -6,62 +6,31 @@ import argparse
 import contextlib
 import shlex
 import sys
+import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from roomfit.cli.arguments import Commands, add_command, number
+from roomfit.base.errors import InputError
+from roomfit.base.whole_files import make_folder, write_text_atomically
 from roomfit.cli.terminal import say
-
-
-def add(commands: Commands) -> None:
-    about = (
-        "Write a first campaign.toml for a folder of recordings.\n\n"
-        "Sources, receivers and measurements come from the names of the files, best where the "
-        "table of positions has the same names; what is not known is marked FILL IN."
-    )
-    parser = add_command(commands, "init", about, run)
-    parser.add_argument("folder", type=Path, help="Folder of the campaign to be.")
-    parser.add_option(
-        "--room",
-        "Room (.obj, .ac, .ply, .3ds, .stl, .glb, .geo, .dxf, .dae, .ifc, .skp, .usdz, .json).",
-        type=Path,
-    )
-    parser.add_option(
-        "--shoebox",
-        "In place of a room file: lengths along x, y, z in m, or in --unit.",
-        nargs=3,
-        type=number,
-        metavar=("X", "Y", "Z"),
-    )
-    parser.add_option(
-        "--space", "Which room of a building model (.ifc) or a scan (.json) of several."
-    )
-    parser.add_option(
-        "--recordings",
-        "Names of recordings in FOLDER, as in 'DIR/{source}_{receiver}.wav'. Left out: all.",
-    )
-    parser.add_option(
-        "--positions", "Table (CSV, XLSX) of name, x, y, z in m, or as its heading says.", type=Path
-    )
-    parser.add_option(
-        "--decay-times",
-        "In place of recordings: table (CSV, XLSX) of T30 in s, as from an older report.",
-        type=Path,
-    )
-    parser.add_option("--unit", "Of the room: m, cm, mm, in or ft. Left out: guessed, or asked.")
-    parser.add_option("--up", "Axis that points up in the room file: z or y. Left out: guessed.")
-    parser.add_overwrite("Replace a campaign.toml that is there.")
+from roomfit.files.campaign import blanks
+from roomfit.files.draft import (
+    draft_campaign,
+    likely_units,
+    matching_files,
+    read_positions,
+    recordings_in,
+)
+from roomfit.files.edits import sole_editor
+from roomfit.files.file_names import in_short
+from roomfit.files.reverberation import read_decay_times
+from roomfit.files.rooms import READERS
+from roomfit.files.rooms.model import RoomSpec
+from roomfit.report.wording import count
 
 
 def run(options: argparse.Namespace) -> None:
-    import tomllib
-
-    from roomfit.base.errors import InputError
-    from roomfit.cli.commands import draft_to_folder
-    from roomfit.files.campaign import blanks
-    from roomfit.files.rooms.model import RoomSpec
-    from roomfit.report.wording import count
 
     if options.room is not None and options.shoebox is not None:
         what = "two rooms for one campaign"
@@ -103,11 +72,6 @@ def run(options: argparse.Namespace) -> None:
 
 def _hints(options: argparse.Namespace, written: dict[str, Any]) -> Iterator[str]:
     """Say what was passed over, and which files may be what is missing."""
-    from roomfit.base.errors import InputError
-    from roomfit.files.draft import read_positions, recordings_in
-    from roomfit.files.file_names import in_short
-    from roomfit.files.reverberation import read_decay_times
-    from roomfit.files.rooms import READERS
 
     folder: Path = options.folder
     if options.decay_times is None and options.recordings is None:
@@ -154,7 +118,6 @@ def _hints(options: argparse.Namespace, written: dict[str, Any]) -> Iterator[str
 
 def _asked(room: Path, space: str | None) -> tuple[str | None, str]:
     """Ask for the unit where it is in doubt."""
-    from roomfit.files.draft import likely_units
 
     units = likely_units(room, space)
     if len(units) < 2:
@@ -163,3 +126,95 @@ def _asked(room: Path, space: str | None) -> tuple[str | None, str]:
         say(f"  {unit}: {why}")
     answer = input(f"Unit of {room} ({', '.join(units)})? ").strip()
     return (answer, units.get(answer, "")) if answer else (None, "")
+
+
+def draft_to_folder(
+    folder: Path,
+    room: RoomSpec | None,
+    recordings: str | None = None,
+    positions: Path | None = None,
+    *,
+    decay_times: Path | None = None,
+    because: str = "",
+    overwrite: bool = False,
+) -> str:
+    """Write a first campaign.toml into a folder, see `draft_campaign`, and return its text.
+
+    A folder for decay times alone is made if needed.
+
+    Raises
+    ------
+    InputError
+        There is no such folder of recordings, or a campaign already and `overwrite` is false; a
+        room or a table cannot be read; decay times stand beside positions or recordings, which they
+        replace; the unit is in doubt, or no recording has the shape of the template.
+    StoreError
+        The disk refuses.
+    """
+
+    file = folder / "campaign.toml"
+    if not folder.is_dir() and decay_times is None:
+        raise InputError(
+            "there is no such folder of recordings",
+            where=str(folder),
+            found="no folder of this name",
+            needed="a folder with recordings, or --decay-times",
+            hint="make the folder, and put the recordings into it",
+        )
+    if folder.exists():
+        check_place(file, overwrite=overwrite)
+    if decay_times is not None:
+        if recordings is not None or positions is not None:
+            raise InputError(
+                "decay times without positions stand alone",
+                found="--decay-times beside --recordings or --positions",
+                needed="one or the other",
+                hint="tables of pairs whose positions are known: parameters in [[measurements]]",
+            )
+        read_decay_times(decay_times)
+    known = {} if positions is None else read_positions(positions)
+    text = draft_campaign(
+        room,
+        {} if decay_times is not None else matching_files(folder, recordings, known),
+        known,
+        folder=folder,
+        template=recordings,
+        because=because,
+        decay_times=decay_times,
+    )
+    make_folder(folder)
+    with sole_editor(file):
+        check_place(file, overwrite=overwrite)
+        write_text_atomically(file, text)
+    return text
+
+
+def check_place(out: Path, *, overwrite: bool) -> None:
+    """Refuse to write a file where something else is, or where one is and may not be replaced."""
+    if out.exists() and not out.is_file():
+        inner = out.is_dir()
+        raise InputError(
+            "one file is written, and something else is in its place",
+            where=str(out),
+            found="a folder" if inner else "a device, a pipe or a socket, which would be replaced",
+            needed="a new name",
+            hint=f"write --out {out / 'materials.txt'}"
+            if inner and not out.suffix  # a folder was meant, not a name that a folder has
+            else "rename what is there, or choose another name",
+        )
+    if out.exists() and not overwrite:
+        raise InputError(
+            "the file to write exists",
+            where=str(out),
+            found="a file of this name",
+            needed="a new name, so that nothing is lost",
+            hint="choose another name, or add --overwrite",
+        )
+    if not out.parent.is_dir():
+        raise InputError(
+            "the folder of the file to write does not exist",
+            where=str(out.parent),
+            found="no such folder",
+            needed="a folder that is there",
+            hint="make it first, or name another one",
+        )

@@ -3,53 +3,137 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from roomfit.cli.arguments import Commands, add_command, result_file
+import soundfile
+
+from roomfit.base.errors import InputError, InsufficientDataError, located
+from roomfit.base.findings import Code
+from roomfit.base.typing import FloatArray, Progress
+from roomfit.base.whole_files import check_output_folder, whole_output_folder, write_json_atomically
+from roomfit.cli.arguments import result_file
 from roomfit.cli.terminal import say
+from roomfit.files.campaign import read_campaign
+from roomfit.files.door import files_read, reading_noted
+from roomfit.files.encoding import ResultFile
+from roomfit.files.responses import read_response
+from roomfit.files.responses.recordings import ResponseSpec
+from roomfit.files.results import read_result
+from roomfit.predict.campaign import predict_arguments
+from roomfit.predict.changes import Change, read_change
+from roomfit.predict.listen import listen, with_dry_recording
+from roomfit.predict.output import listen_content
+from roomfit.report.predicted import listen_blocks
 from roomfit.report.progress import shown_progress
-
-
-def add(commands: Commands) -> None:
-    about = (
-        "Make the measured responses what they would be after a change of materials, as WAV files."
-        "\n\nEvery band is scaled over time by the ratio of the predicted energies after to before."
-    )
-    parser = add_command(commands, "listen", about, run)
-    parser.add_argument("campaign", type=Path, help="Campaign file (TOML) of the measured room.")
-    parser.add_fit()
-    parser.add_out()
-    parser.add_option(
-        "--set",
-        "The change, as of roomfit predict. May be given several times.",
-        dest="changes",
-        metavar="CHANGE",
-        action="append",
-    )
-    parser.add_state()
-    parser.add_option(
-        "--dry", "A WAV file of one channel, at the responses' rate, to convolve.", type=Path
-    )
-    parser.add_doubted()
-    parser.add_overwrite()
+from roomfit.report.text import text
+from roomfit.report.wording import in_file_name
+from roomfit.signals.measurement import Measurement
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.cli.predictions import listen_to_folder
-    from roomfit.predict.campaign import WantedPairs
-    from roomfit.predict.changes import read_change
-    from roomfit.predict.output import listen_text
-
     with shown_progress("listening") as progress:
         content = listen_to_folder(
             options.campaign,
             result_file(options, options.absorption),
             options.out,
             [read_change(text) for text in options.changes or []],
+            state=options.state or "",
+            doubted=options.doubted,
             dry=options.dry,
-            wanted=WantedPairs(state=options.state or "", doubted=options.doubted),
             overwrite=options.overwrite,
             progress=progress,
         )
-    say(listen_text(content))
+    say(text(listen_blocks(content)))
     say(f"\nWAV files and listen.json are in {options.out}")
+
+
+@reading_noted()
+def listen_to_folder(
+    campaign_file: Path,
+    absorption_file: ResultFile,
+    out: Path,
+    changes: Sequence[Change] = (),
+    *,
+    state: str = "",
+    doubted: bool = False,
+    dry: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Write measured responses before and after a change, as WAV files of floats, and listen.json.
+
+    Nothing is normalised. With `dry`, a recording of one channel, its convolutions stand beside
+    them, all scaled by one factor so that the loudest has a peak of half. Returned is what
+    listen.json contains.
+
+    Raises
+    ------
+    InputError
+        See `roomfit.predict.listen.listen`; or the recording has another sampling rate.
+    InsufficientDataError
+        The result is seriously doubted in a band, which a sound cannot leave out, and this is not
+        wanted.
+    StoreError
+        The disk refuses.
+    """
+
+    check_output_folder(out, overwrite=overwrite)
+    campaign = read_campaign(campaign_file, to_fit=False)
+    found = read_result(absorption_file)
+    arguments = predict_arguments(campaign, found, changes, "campaign", state, doubted)
+    for doubt in arguments["absorption"].findings:
+        if doubt.code is Code.RESULT_DOUBTED:
+            raise InsufficientDataError(
+                "a sound has every band, and other walls are not predicted in some",
+                found=doubt.sentence,
+                needed="in every band, absorptions that no serious finding calls wrong",
+                hint="put right what the findings name, and identify again; or add --doubted",
+            )
+    measured = [m for m in arguments["measurements"] if isinstance(m, Measurement)]
+    known, settings = arguments["absorption"], arguments["settings"]
+    recorded = None if dry is None else _dry_pressure(dry, measured)
+    with located(str(campaign_file)):
+        made, findings = listen(
+            arguments["scene"], known, changes, measured, settings=settings, progress=progress
+        )
+    sounds = [{"before": c.measurement.response.pressure, "after": c.samples} for c in made]
+    content = listen_content(known.bands, changes, made, findings, files_read())
+    content["dry_factor"] = None
+    if recorded is not None:
+        sounds, content["dry_factor"] = with_dry_recording(sounds, recorded)
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        for i, (c, sound) in enumerate(zip(made, sounds, strict=True), start=1):
+            files = _write_sounds(folder, i, c.measurement, sound)
+            content["responses"][i - 1]["files"] = files
+        write_json_atomically(folder / "listen.json", content)
+    return content
+
+
+def _write_sounds(
+    folder: Path, number: int, measurement: Measurement, sounds: Mapping[str, FloatArray]
+) -> dict[str, str]:
+    """Write the sounds of a pair as WAV files; return their names by kind."""
+
+    stem = f"{number:02d}_{in_file_name(measurement.source, measurement.receiver)}"
+    names = {kind: f"{stem}_{kind}.wav" for kind in sounds}
+    rate_hz = round(measurement.response.sampling_rate_hz)
+    for kind, x in sounds.items():
+        soundfile.write(folder / names[kind], x, rate_hz, subtype="FLOAT")
+    return names
+
+
+def _dry_pressure(file: Path, measured: Sequence[Measurement]) -> FloatArray:
+    """Return the samples of a dry recording, which has the sampling rate of the responses."""
+
+    dry = read_response(ResponseSpec(file))[0]
+    if measured and dry.sampling_rate_hz != measured[0].response.sampling_rate_hz:
+        raise InputError(
+            "the dry recording has another sampling rate than the responses",
+            where=str(file),
+            found=f"{dry.sampling_rate_hz:g} Hz",
+            needed=f"{measured[0].response.sampling_rate_hz:g} Hz",
+            hint="resample the dry recording",
+        )
+    return dry.pressure

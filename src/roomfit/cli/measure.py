@@ -5,39 +5,26 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
-from roomfit.cli.arguments import Commands, add_command, number, positive_number
+from roomfit.base.errors import InputError
+from roomfit.base.typing import FloatArray
+from roomfit.base.whole_files import make_folder, write_bytes_atomically
 from roomfit.cli.terminal import say
-
-
-def add(commands: Commands) -> None:
-    about = (
-        "Measure an impulse response: play sweeps, record them, and say whether it is enough.\n\n"
-        "The response becomes FOLDER/SOURCE_RECEIVER.wav, of which roomfit init makes a campaign. "
-        "Exit codes: 0 it suffices for T20 from 125 Hz to 4 kHz; 1 it is written, and better "
-        "measured again; 2 bad input, or nothing of use was recorded."
-    )
-    parser = add_command(commands, "measure", about, run)
-    parser.add_argument("folder", type=Path, nargs="?", help="Of the recordings; made if needed.")
-    parser.add_option("--source", "Name of the source, such as S1.")
-    parser.add_option("--receiver", "Name of the receiver, such as R1.")
-    parser.add_option("--seconds", "Length of one sweep.", type=number, default=6)
-    parser.add_option("--silence", "Seconds after each sweep.", type=number, default=3)
-    parser.add_option("--repetitions", "How many sweeps.", type=positive_number, default=3)
-    parser.add_option("--rate", "Sampling rate in Hz.", type=number, default=48000)
-    parser.add_option("--device", "To record with and play by: its number, or part of its name.")
-    parser.add_option("--output", "To play by, where that is another device.")
-    parser.add_argument("--again", action="store_true", help="Replace the response of this pair.")
-    parser.add_argument("--list", action="store_true", help="Name the sound devices, and end.")
+from roomfit.files.responses.sweep import (
+    SweepPlan,
+    SweepResponse,
+    check_not_measured,
+    excitation,
+    response_from_recording,
+    response_name,
+    wav_bytes,
+)
+from roomfit.files.sound_card import SoundCard, devices_text, sounddevice
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.base.errors import InputError
-    from roomfit.cli.commands import measure_to_folder
-    from roomfit.files.responses.sweep import SweepPlan
-    from roomfit.files.sound_card import SoundCard, devices_text, sounddevice
-
     if options.list:
         say(devices_text(sounddevice()))
         return
@@ -65,3 +52,35 @@ def run(options: argparse.Namespace) -> None:
 
 def _device(text: str | None) -> str | int | None:
     return int(text) if text is not None and text.isdecimal() else text
+
+
+def measure_to_folder(
+    folder: Path,
+    source: str,
+    receiver: str,
+    plan: SweepPlan,
+    play_and_record: Callable[[FloatArray, float], tuple[FloatArray, tuple[str, ...]]],
+    *,
+    again: bool = False,
+) -> SweepResponse:
+    """Measure a pair and write its impulse response as ``SOURCE_RECEIVER.wav``, 32-bit float.
+
+    `play_and_record`, as a `SoundCard`, takes what is played, shape (n_samples,), and its sampling
+    rate in Hz; it returns what was recorded meanwhile, and what the devices report of faults.
+    `again` replaces the response of this pair.
+
+    Raises
+    ------
+    InputError
+        A name of no use, a pair that was measured already, or a recording of no use; then nothing
+        is written.
+    StoreError
+        The disk refuses.
+    """
+    path = folder / response_name(source, receiver)
+    check_not_measured(path, again=again)
+    recorded, reported = play_and_record(excitation(plan), plan.sampling_rate_hz)
+    measured = response_from_recording(plan, recorded, reported)
+    make_folder(folder)
+    write_bytes_atomically(path, wav_bytes(measured.response))
+    return measured

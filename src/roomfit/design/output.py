@@ -1,4 +1,4 @@
-"""A design as design.json and design.csv (format_version 1), as text, and as figures."""
+"""A design as design.json and design.csv (format_version 1)."""
 
 from __future__ import annotations
 
@@ -7,20 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
-from matplotlib.ticker import MaxNLocator
 
-from roomfit.base.table import Column, Table, csv_of, html_of, text_of
+from roomfit.base.table import Column, Table, csv_of
 from roomfit.base.typing import FloatArray
 from roomfit.base.whole_files import write_json_atomically, write_text_atomically
 from roomfit.files.encoding import finding_content, numbers_or_null, provenance
-from roomfit.report.figures import OKABE_ITO, figure_legend, new_figure
-from roomfit.report.room_figure import outline_m
-from roomfit.report.text import findings_text
-from roomfit.report.wording import html_findings
 from roomfit.room.scene import wall_materials
 
 if TYPE_CHECKING:
@@ -139,163 +130,3 @@ def _random(design: Design) -> dict[str, Any]:
             row[reached] = np.nanquantile(means[:, reached], share, axis=0)
         out[f"mean_width95_{name}"] = numbers_or_null(row)
     return out
-
-
-_BLUE, _ORANGE, _GREY = OKABE_ITO[0], OKABE_ITO[1], "0.62"
-_MOST_EDGES = 1500
-_WIDTH_IN = 8.6
-_AXES = ("x (m)", "y (m)", "z (m)")
-
-
-def design_map(design: Design) -> Figure:
-    """Return the room from above and from the side, with candidates and numbered pairs."""
-    edges = outline_m(design.scene.room, _MOST_EDGES)
-    size = np.ptp(design.scene.room.mesh.vertices_m, axis=0)
-    across = _WIDTH_IN - 1.1
-    tall = [min(across * max(size[i] / max(size[0], 1e-9), 0.18), 7.0) for i in (1, 2)]
-    figure = new_figure(_WIDTH_IN, sum(tall) + 2.1)
-    plan, side = figure.subplots(2, 1, sharex=True, height_ratios=tall)
-    for axes, up, title in ((plan, 1, "from above"), (side, 2, "from the side")):
-        _panel(axes, design, edges, up)
-        axes.set_title(title, fontsize=9, loc="left")
-        axes.set_ylabel(_AXES[up])
-    side.set_xlabel(_AXES[0])
-    figure_legend(figure, plan, 3)
-    return figure
-
-
-def _panel(axes: Axes, design: Design, edges: FloatArray, up: int) -> None:
-    """Draw the room along x and one other axis."""
-    scene, at = design.scene, [0, up]
-    axes.add_collection(LineCollection(list(edges[:, :, at]), colors="black", linewidths=0.9))
-    sources, receivers = (
-        np.array([p.position_m for p in points])[:, at]
-        for points in (scene.sources, scene.receivers)
-    )
-    pairs = scene.pairs[design.chosen]
-    axes.plot(*receivers.T, ".", color=_GREY, ms=4, label="candidate receiver")
-    axes.plot(*sources.T, "^", color=_GREY, ms=6, mfc="none", label="candidate source")
-    fixed = scene.pairs[: design.n_fixed]
-    if len(fixed):
-        used = receivers[np.unique(fixed[:, 1])]
-        axes.plot(*used.T, "s", color="black", ms=6, mfc="none", label="measured already")
-    for s, r in pairs:
-        ends = np.array([sources[s], receivers[r]])
-        axes.plot(*ends.T, "-", color=_BLUE, lw=0.9, alpha=0.6)
-    axes.plot(*sources[np.unique(pairs[:, 0])].T, "^", color=_ORANGE, ms=10, label="source")
-    axes.plot(*receivers[pairs[:, 1]].T, "o", color=_BLUE, ms=12, label="receiver, in this order")
-    for r in np.unique(pairs[:, 1]):
-        number = ",".join(str(i + 1) for i in np.flatnonzero(pairs[:, 1] == r))
-        axes.annotate(
-            number, receivers[r], color="white", fontsize=8, ha="center", va="center_baseline",
-            fontweight="bold", zorder=5,
-        )  # fmt: skip
-    for s in np.unique(pairs[:, 0]):
-        axes.annotate(
-            scene.sources[s].name, sources[s], xytext=(7, 5), textcoords="offset points",
-            fontsize=8, color=_ORANGE, zorder=5,
-            path_effects=[withStroke(linewidth=2.0, foreground="white")],
-        )  # fmt: skip
-    axes.set_aspect("equal")
-    axes.margins(0.03)
-
-
-def design_gain(design: Design) -> Figure:
-    """Return the expected mean interval against the number of pairs, beside random designs."""
-    figure = new_figure(6.4, 4.0)
-    axes = figure.subplots()
-    steps = np.arange(len(design.chosen) + 1)
-    reached = np.isfinite(design.random_means).any(axis=0)
-    if len(design.random_means):
-        low, middle, high = np.nanquantile(
-            design.random_means[:, reached], (0.05, 0.5, 0.95), axis=0
-        )
-        axes.fill_between(
-            steps[reached], low, high, color=_GREY, alpha=0.35, lw=0.0,
-            label=f"{len(design.random_means)} random designs, 5 to 95 %",
-        )  # fmt: skip
-        axes.plot(steps[reached], middle, color="0.25", lw=1.4, ls="--", label="their median")
-    axes.plot(steps, mean_widths(design), "o-", color=_BLUE, lw=1.8, label="chosen")
-    axes.set_ylim(bottom=0.0)
-    axes.set_xlim(left=0.0)
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    beside = " beside what is known" if design.after_fit or design.n_fixed else ""
-    axes.set_xlabel(f"measured pairs of source and receiver{beside}")
-    axes.set_ylabel("expected width of the 95 % interval,\nmean over materials and bands")
-    axes.grid(alpha=0.25)
-    axes.legend(frameon=False)
-    return figure
-
-
-def design_html(design: Design) -> str:
-    """Return the chosen pairs, and all findings, in HTML."""
-    shown = _pairs_table(design, _opening(design))
-    return html_of(shown) + html_findings(design.findings)
-
-
-_CRITERIA = {
-    "determinant": "all intervals together (D-optimal)",
-    "mean": "the mean interval",
-    "worst": "the widest interval",
-}
-
-
-def design_text(design: Design) -> str:
-    """Return the chosen pairs, the expected intervals of every material, and all findings."""
-    pairs, widths = (text_of(t) for t in (_pairs_table(design), _widths_table(design)))
-    parts = [_opening(design), pairs, _comparison(design), widths]
-    return "\n\n".join(p for p in (*parts, findings_text(design.findings)) if p)
-
-
-def _opening(design: Design) -> str:
-    n = len(design.scene.pairs) - design.n_fixed
-    before = "a finished fit" if design.after_fit else f"{design.n_fixed} measured pairs"
-    known = f", after {before}" if design.after_fit or design.n_fixed else ""
-    return (
-        f"{len(design.chosen)} of {n} pairs, chosen for {_CRITERIA[design.criterion]}{known}.\n"
-        f"Receivers at least {design.source_distance_m:.2f} m from their source and "
-        f"{design.receiver_distance_m:g} m from each other."
-    )
-
-
-def _pairs_table(design: Design, caption: str = "") -> Table:
-    words = [Column(name, align="<") for name in ("source", "receiver")]
-    at = "x, y, z in m"
-    columns = ("", words[0], at, words[1], at, "mean width of the 95 % intervals")
-    means, rows = mean_widths(design).tolist(), []
-    for i, (source, source_m, receiver, receiver_m) in enumerate(chosen_positions(design)):
-        ends = [", ".join(f"{x:.2f}" for x in at_m) for at_m in (source_m, receiver_m)]
-        rows.append((i + 1, source, ends[0], receiver, ends[1], means[i + 1]))
-    before = (0, "before", "", "", "", means[0])
-    return Table(caption, columns, [before, *rows], form=".3f")
-
-
-def _comparison(design: Design) -> str:
-    last = design.random_means[:, -1]
-    last = last[np.isfinite(last)]
-    lines = []
-    if last.size:
-        low, middle, high = np.quantile(last, (0.05, 0.5, 0.95))
-        mean = float(mean_widths(design)[-1])
-        lines.append(
-            f"{last.size} random designs under the same rules: {middle:.3f} (median; 5 to 95 %: "
-            f"{low:.3f} to {high:.3f}), {middle / mean:.2f} times as wide."
-        )
-    material, band = widest(design)
-    before, after = design.widths[[0, -1], material, band]
-    unit = " m2" * (material >= len(wall_materials(design.scene.room)))
-    lines.append(
-        f"Widest interval before: {design.materials[material]} at {design.bands.centres_hz[band]:g}"
-        f" Hz, {before:.3f}{unit}; expected afterwards {after:.3f}{unit}."
-    )
-    return "\n".join(lines)
-
-
-def _widths_table(design: Design) -> Table:
-    rows, n = [], len(wall_materials(design.scene.room))
-    for i, name in enumerate(design.materials):
-        own = design.widths[-1, i]
-        label = name if i < n else f"{name}, m2"
-        rows.append((label, *(own.tolist() if design.to_find[i] else ["known"] * own.size)))
-    heads = ("Hz", *(f"{f:g}" for f in design.bands.centres_hz))
-    return Table("expected width of the 95 % interval", heads, rows, form=".3f")

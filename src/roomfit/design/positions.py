@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from roomfit.base.bands import Bands, bands_between
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Finding
 from roomfit.base.kernels import one_blas_thread
+from roomfit.base.shown import Shown
 from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress, part
 from roomfit.design.candidates import DesignOptions, design_candidates, least_source_distance_m
 from roomfit.design.choose import (
@@ -43,17 +44,15 @@ from roomfit.room.scene import Scene, select_pairs, wall_materials
 from roomfit.settings import Settings
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 _LOG = logging.getLogger("roomfit")
 _NUMBER, _NUMBER_AFTER_FIT = 6, 1  # pairs that are chosen where nothing else is asked for
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Design:
+class Design(Shown):
     """Where to measure."""
 
+    described_in: ClassVar[str] = "designed"
     scene: Scene  # measured pairs, then candidates
     n_fixed: int  # how many of its pairs have been measured and count
     chosen: IntArray  # (n_chosen,), pairs to measure, the most informative first
@@ -85,24 +84,6 @@ class Design:
         Shape (n_materials,).
         """
         return _compared(self.scene, self.to_find)
-
-    def __str__(self) -> str:
-        """Return the chosen pairs, the expected intervals of every material, and all findings."""
-        from roomfit.design.output import design_text
-
-        return design_text(self)
-
-    def _repr_html_(self) -> str:
-        """Return the chosen pairs and all findings in HTML, for notebooks."""
-        from roomfit.design.output import design_html
-
-        return design_html(self)
-
-    def plot(self) -> Figure:
-        """Return the room from above and from the side, with candidates and chosen pairs."""
-        from roomfit.design.output import design_map
-
-        return design_map(self)
 
     def to_dataframe(self) -> Any:
         """Return a pandas data frame of one row a chosen pair, as design.csv.

@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from html import escape
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from roomfit.base.arguments import check_known, read_only
 from roomfit.base.findings import Finding
-from roomfit.base.table import Column, Table, data_frame, html_of, text_of
+from roomfit.base.table import Column, Table, data_frame
 from roomfit.base.typing import BoolArray, ComplexArray, FloatArray
 from roomfit.impedance.laws import absorption_normal, absorption_random, impedance_of_r0
+from roomfit.report.blocks import Blocks, Findings, Sentence
+from roomfit.report.html import fragment
+from roomfit.report.text import text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -147,24 +149,18 @@ class ImpedanceResult:
     rounds: int = 0
     seed: int | None = None
 
+    def _described(self) -> Blocks:
+        fitted = (*(_table(self, m) for m in self.materials), Sentence(_fit_text(self)))
+        head = (Sentence(_headline(self), "lead"), *(fitted if self.evaluations else ()))
+        return Blocks("Impedance", head, (Findings(self.findings),))
+
     def __str__(self) -> str:
         """Return the verdict, a table of some frequencies for every material, and all findings."""
-        from roomfit.report.text import findings_text
-
-        parts = [_headline(self)]
-        if self.evaluations:
-            parts += [text_of(_table(self, m)) for m in self.materials]
-            parts.append(_fit_text(self))
-        parts.append(findings_text(self.findings))
-        return "\n\n".join(p for p in parts if p)
+        return text(self._described())
 
     def _repr_html_(self) -> str:
-        """Return what `str` says with tables in HTML, for notebooks."""
-        from roomfit.report.wording import html_findings
-
-        parts = [f"<p><strong>{escape(_headline(self))}</strong></p>"]
-        parts += [html_of(_table(self, m)) for m in self.materials if self.evaluations]
-        return "".join([*parts, html_findings(self.findings)])
+        """Return the same for notebooks."""
+        return fragment(self._described())
 
     def plot(self, material: str | None = None) -> Figure:
         """Return reflection, absorption and impedance over frequency as a matplotlib figure.

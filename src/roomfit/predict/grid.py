@@ -5,19 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from roomfit.base.errors import InputError
 from roomfit.base.table import Column, Table
-from roomfit.base.typing import FloatArray, IntArray
 from roomfit.predict.other_walls import Predicted
-from roomfit.predict.tables import PredictedPair, named_values
-from roomfit.report.decay_times import mid_mean, mid_words
-from roomfit.report.figures import literal, new_figure
-from roomfit.report.wording import parameter
+from roomfit.predict.tables import named_values
 from roomfit.room.scene import Point, Scene, is_clear_of_walls, pair_states
 
-_MAPPED = ("T30_s", "EDT_s", "C80_dB", "D50_percent", "STI", "G_dB")
+MAPPED = ("T30_s", "EDT_s", "C80_dB", "D50_percent", "STI", "G_dB")
 
 
 def grid_scene(scene: Scene, height_m: float, spacing_m: float) -> Scene:
@@ -77,7 +72,7 @@ def grid_records(predicted: Predicted, scene: Scene) -> Table:
         for name, v in named_values(pair.parameters, pair.sti).items():
             bands = [None] if name == "STI" else predicted.bands.centres_hz.tolist()
             for band_hz, *numbers in zip(bands, v.predicted, v.lower95, v.upper95, strict=True):
-                if name in _MAPPED:
+                if name in MAPPED:
                     width = numbers[2] - numbers[1]
                     at_m = positions[pair.receiver]
                     rows.append((pair.source, *at_m, name, band_hz, *numbers, width))
@@ -86,63 +81,3 @@ def grid_records(predicted: Predicted, scene: Scene) -> Table:
         *("parameter", Column("band_hz"), "predicted", "lower95", "upper95", "width95"),
     )
     return Table("", columns, rows, form=".4f")
-
-
-def grid_figure(predicted: Predicted, scene: Scene, source: str) -> Figure:
-    """Return maps of one source: each parameter, and beside it the width of its 95 % interval.
-
-    Means of 500 and 1000 Hz, or of the bands nearest to them.
-    """
-    pairs = [p for p in predicted.pairs if p.source == source]
-    known = [n for n in _MAPPED if any(np.isfinite(v).any() for v in _of(predicted, pairs, n))]
-    positions = {p.name: p.position_m for p in scene.receivers}
-    at_m = np.array([positions[p.receiver] for p in pairs])
-    here_m = next(p.position_m for p in scene.sources if p.name == source)
-    x_m, y_m, cells = _cells(at_m[:, :2])
-    figure = new_figure(9.0, 2.8 * len(known) + 0.6)
-    panels = figure.subplots(len(known), 2, squeeze=False)
-    for row, name in zip(panels, known, strict=True):
-        value, width = _of(predicted, pairs, name)
-        how, where = parameter(name), f", {mid_words(predicted.bands.centres_hz)}"
-        unit = f" ({how.unit})" if how.unit else ""
-        words = f"{how.symbol}{unit}{where if name != 'STI' else ''}"
-        titles = (words, f"width of its 95 % interval{unit}")
-        for axes, numbers, title in zip(row, (value, width), titles, strict=True):
-            table = np.full((y_m.size, x_m.size), np.nan)
-            table[cells[:, 1], cells[:, 0]] = numbers
-            drawn = axes.pcolormesh(x_m, y_m, table, shading="nearest", cmap="viridis")
-            axes.plot(*here_m[:2], "k*", ms=9)
-            axes.set_title(title, fontsize=9)
-            axes.set_aspect("equal")
-            figure.colorbar(drawn, ax=axes)
-    figure.suptitle(f"From {literal(source, 30)}, {at_m[0, 2]:.2f} m high; x and y in m")
-    return figure
-
-
-def _cells(at_m: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Return x and y of evenly spaced cells, and the cell of every point, (n, 2).
-
-    Where no point of a whole row lies in the room, the row is there, and empty.
-    """
-    first = at_m.min(axis=0)
-    gaps = np.concatenate([np.diff(np.unique(column)) for column in at_m.T])
-    step = float(gaps[gaps > 1e-6].min(initial=np.inf))
-    if not np.isfinite(step):
-        return at_m[:1, 0], at_m[:1, 1], np.zeros((len(at_m), 2), dtype=np.int64)
-    cells = np.rint((at_m - first) / step).astype(np.int64)
-    x_m, y_m = (first[i] + step * np.arange(cells[:, i].max() + 1) for i in (0, 1))
-    return x_m, y_m, cells
-
-
-def _of(
-    predicted: Predicted, pairs: list[PredictedPair], name: str
-) -> tuple[FloatArray, FloatArray]:
-    """Return a parameter of every pair at mid frequencies, and the width of its interval."""
-    centres_hz = np.array([1000.0]) if name == "STI" else predicted.bands.centres_hz
-    rows = []
-    for pair in pairs:
-        v = named_values(pair.parameters, pair.sti).get(name)
-        both = () if v is None else (v.predicted, v.upper95 - v.lower95)
-        rows.append([mid_mean(centres_hz, x) for x in both] or [np.nan, np.nan])
-    value, width = np.array(rows).T
-    return value, width

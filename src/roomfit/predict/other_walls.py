@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.forks import in_forks, in_this_process
 from roomfit.base.kernels import each_in_threads, one_blas_thread
+from roomfit.base.shown import Shown
 from roomfit.base.typing import FloatArray, Progress, part
 from roomfit.fit.traced_room import TracedRoom, check_scene, trace_room
 from roomfit.materials.priors import object_area_m2
@@ -52,14 +53,12 @@ from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
 
 _LOG = logging.getLogger("roomfit")
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Predicted:
+class Predicted(Shown):
     """Predictions for a room under a given absorption."""
 
+    described_in: ClassVar[str] = "predicted"
     bands: Bands
     materials: tuple[str, ...]
     absorption: FloatArray  # (n_materials, n_bands), changes included, as the two bounds
@@ -81,24 +80,6 @@ class Predicted:
     def compares_states(self) -> bool:
         """Whether the room before the change was predicted, too."""
         return any(v.change is not None for v in self.mean.values())
-
-    def __str__(self) -> str:
-        """Return the mean over the pairs, every pair, and all findings."""
-        from roomfit.predict.output import predict_text
-
-        return predict_text(self)
-
-    def _repr_html_(self) -> str:
-        """Return the mean over the pairs and all findings in HTML, for notebooks."""
-        from roomfit.predict.output import predicted_html
-
-        return predicted_html(self)
-
-    def plot(self, pair: int = 0) -> Figure:
-        """Return the energy decay curves of one pair, predicted and measured, in every band."""
-        from roomfit.predict.output import predicted_decay_figure
-
-        return predicted_decay_figure(self, self.pairs[pair])
 
     def to_dataframe(self) -> Any:
         """Return a pandas data frame of one row a pair, parameter and band, as predicted.csv."""

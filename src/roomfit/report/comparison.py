@@ -5,28 +5,18 @@ Before and after a renovation, two methods, or two measurements of one room.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.special import ndtr, ndtri
 
 from roomfit.base.errors import InputError
-from roomfit.base.table import Cell, Column, Table, text_of
+from roomfit.base.shown import Shown
+from roomfit.base.table import Column, Table
 from roomfit.base.typing import BoolArray, FloatArray
-from roomfit.report.figures import OKABE_ITO, band_panels, frame_panels, frequency_axis, literal
-from roomfit.report.html import tables_page
-from roomfit.report.wording import (
-    DASH,
-    band_tables,
-    coefficient,
-    count,
-    hertz,
-    listing,
-    number,
-)
+from roomfit.report.blocks import Blocks, Sentence
+from roomfit.report.wording import count, hertz, listing
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 Verdict = Literal["changed", "perhaps", "no", "given"]
@@ -36,8 +26,10 @@ _QUANTILE95 = float(ndtri(0.975))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
+class Comparison(Shown):
     """Absorption of the materials and bands that two answers have in common."""
+
+    described_in: ClassVar[str] = "comparison"
 
     materials: tuple[str, ...]
     centres_hz: FloatArray  # (n_bands,)
@@ -48,10 +40,6 @@ class Comparison:
     p_value: FloatArray  # (n_materials, n_bands), of no difference; 1 where both were given alike
     verdicts: tuple[tuple[Verdict, ...], ...]  # by material and band
     missing: tuple[str, ...]  # sentences on what only one of the two has
-
-    def __str__(self) -> str:
-        """Return what the command line prints."""
-        return comparison_text(self)
 
 
 def compare_results(first: AbsorptionPosterior, second: AbsorptionPosterior) -> Comparison:
@@ -212,8 +200,8 @@ def comparison_sentences(compared: Comparison) -> tuple[str, ...]:
 _MARKS = {"changed": "*", "perhaps": "?", "no": "", "given": "="}
 
 
-def comparison_text(compared: Comparison) -> str:
-    """Return the table as text: first, second, difference with its 95 % bounds."""
+def describe(compared: Comparison) -> Blocks:
+    """Return the table: first, second, difference with its 95 % bounds."""
     rows = []
     for i, name in enumerate(compared.materials):
         for j, centre in enumerate(compared.centres_hz):
@@ -223,8 +211,8 @@ def comparison_text(compared: Comparison) -> str:
             mark = _MARKS[compared.verdicts[i][j]]
             rows.append((name, centre, first, second, difference, mark))
     columns = ("material", "Hz", "first", "second", "difference", "")
-    notes = ("", *comparison_sentences(compared))
-    return text_of(Table("", columns, rows, notes))
+    words = tuple(map(Sentence, comparison_sentences(compared)))
+    return Blocks("Absorption compared", (Table("", columns, rows), *words), ())
 
 
 def _interval(values: FloatArray) -> str:
@@ -247,61 +235,3 @@ def comparison_records(compared: Comparison) -> Table:
         for j, centre in enumerate(compared.centres_hz)
     ]
     return Table("", columns, rows, form=".5f")
-
-
-def comparison_figure(compared: Comparison, labels: Sequence[str]) -> Figure:
-    """Return both results over frequency with 95 % intervals, one panel a material.
-
-    Bands that changed are shaded, and paler those that perhaps did.
-    """
-    figure, panels = band_panels(len(compared.materials), 2.45)
-    centres = compared.centres_hz
-    for i, axes in enumerate(panels):
-        for j, verdict in enumerate(compared.verdicts[i]):
-            if verdict in ("changed", "perhaps"):
-                axes.axvspan(
-                    centres[j] / 2**0.3, centres[j] * 2**0.3, color=OKABE_ITO[4], lw=0,
-                    alpha=0.35 if verdict == "changed" else 0.14,
-                    label="changed" if verdict == "changed" else "perhaps changed",
-                )  # fmt: skip
-        looks = (
-            (compared.first, labels[0], OKABE_ITO[0], "o", 2.0**-0.06),
-            (compared.second, labels[1], OKABE_ITO[1], "s", 2.0**0.06),
-        )
-        for table, label, colour, marker, beside in looks:
-            value, low, high = table[:, i]
-            bars = np.maximum([value - low, high - value], 0.0)
-            axes.errorbar(
-                centres * beside, value, yerr=bars, fmt=f"{marker}-", color=colour, capsize=2.5,
-                lw=1.0, ms=4.5, label=literal(label, 30),
-            )  # fmt: skip
-        axes.set_title(literal(compared.materials[i], 30), fontsize=10, loc="left")
-    frequency_axis(panels[0], centres)
-    panels[0].set_ylim(-0.03, 1.03)
-    frame_panels(figure, panels, "band centre (Hz)", "absorption coefficient")
-    return figure
-
-
-def comparison_tables(compared: Comparison) -> tuple[Table, ...]:
-    """Return the differences with their bounds, materials in rows and bands in columns."""
-    styles = {"changed": "far", "perhaps": "middle", "no": "", "given": "given"}
-
-    def cell(i: int, j: int) -> Cell:
-        d, low, high = (float(v) for v in compared.difference[:, i, j])
-        values = [coefficient(float(x[0, i, j]), 1.0) for x in (compared.first, compared.second)]
-        bounds = f"{number(low, 2, signed=True)} to {number(high, 2, signed=True)}"
-        verdict = compared.verdicts[i][j]
-        words = {"changed": ("changed",), "perhaps": ("perhaps",), "given": ("given",), "no": ()}
-        small = (bounds, " → ".join(values), *words[verdict])
-        return Cell(number(d, 2, signed=True) if np.isfinite(d) else DASH, small, styles[verdict])
-
-    n = len(compared.centres_hz)
-    rows = [(name, *(cell(i, j) for j in range(n))) for i, name in enumerate(compared.materials)]
-    caption = "Difference of absorption, second minus first, 95 % bounds"
-    return band_tables(caption, "material", compared.centres_hz, rows)
-
-
-def comparison_page(compared: Comparison, labels: Sequence[str]) -> str:
-    """Return the table of differences as a page, under the policy of the report."""
-    lead = " ".join((f"First: {labels[0]}; second: {labels[1]}.", *comparison_sentences(compared)))
-    return tables_page("Absorption compared", lead, comparison_tables(compared))

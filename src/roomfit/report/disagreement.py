@@ -11,7 +11,7 @@ from roomfit.base.findings import Code
 from roomfit.base.table import Cell, Table
 from roomfit.base.typing import FloatArray
 from roomfit.checks.decay import DECAY_SCATTER, mean_miss
-from roomfit.report.html_tables import parameter_keys
+from roomfit.report.tables import parameter_keys
 from roomfit.report.wording import (
     band_ranges,
     coefficient,
@@ -77,7 +77,8 @@ def disagreement_table(answer: Result, scene: Scene) -> Table | None:
         rows.append((head, *(Cell(text, style="words") for text in words)))
     columns = ("", "predicted minus measured", "why", "what it means for the absorption")
     which = count(len(pairs), "pair") + (" not fitted" if kept else "")
-    return Table(f"Where model and measurement disagree audibly, {which}", columns, rows)
+    caption = f"Where model and measurement disagree audibly, {which}"
+    return Table(caption, columns, rows, kind="reasons")
 
 
 def _band(

@@ -1,8 +1,4 @@
-"""Every figure of an answer, drawn once by matplotlib: a PNG file, or SVG in the report.
-
-Absorption, identifiability, profiles of the likelihood and decay curves;
-what figures of other modules share stands above them.
-"""
+"""Figures by matplotlib: what all share, SVG and PNG, and those of an identification."""
 
 from __future__ import annotations
 
@@ -10,7 +6,7 @@ import html
 import io
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -33,93 +29,64 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from matplotlib.transforms import IdentityTransform
 
 from roomfit.base.logit import expit
-from roomfit.base.typing import FloatArray, Progress
-from roomfit.base.whole_files import write_bytes_atomically
-from roomfit.report.wording import decay_time_key, number, parameter, short_hertz, shortened
+from roomfit.base.typing import FloatArray
+from roomfit.base.whole_files import write_bytes_atomically, write_text_atomically
+from roomfit.report.blocks import Blocks
+from roomfit.report.decay_times import Limit, Series
+from roomfit.report.wording import (
+    OKABE_ITO,
+    decay_time_key,
+    number,
+    parameter,
+    short_hertz,
+    shortened,
+)
 from roomfit.result import ComparedPair, Decay, Result
+from roomfit.signals.decay import jnd_of
 from roomfit.uncertainty.gaussian import WIDEST_IDENTIFIABLE
 from roomfit.uncertainty.profile import RISE95, Profile, profile_curve
 
-# The report shows the decays of all pairs; as files of their own they would take minutes.
-MOST_DECAY_PICTURES = 12
 
+def write_pictures(folder: Path, answer: Blocks, *, png_too: bool = False) -> None:
+    """Write the figures of an answer as SVG files, the same that its page shows; PNG beside them.
 
-def write_pictures(
-    folder: Path,
-    answer: Result,
-    progress: Progress | None = None,
-    figures: Mapping[str, Figure] | None = None,
-) -> None:
-    """Write absorption, what is identifiable, profiles and decays as PNG files.
-
-    Profiles only where there are some; decays of the first twelve pairs.
-
-    Parameters
-    ----------
-    folder : Path
-    answer : Result
-    progress : callable, optional
-    figures : mapping of str to Figure, optional
-        Those of `answer_figures`, which a report may have shown before.
-
-    Raises
-    ------
-    StoreError
-        The disk refuses.
+    Of figures that show one of several choices, each of the first choices is a file.
     """
-    drawn = dict(answer_figures(answer) if figures is None else figures)
-    decays = drawn.pop("decays", None)
-    for name, figure in drawn.items():
-        write_bytes_atomically(folder / f"{name}.png", png(figure))
-    if decays is None:
-        return
-    with_curves = [(i, p) for i, p in enumerate(answer.pairs, start=1) if has_curves(p)]
-    shown = with_curves[:MOST_DECAY_PICTURES]
-    if len(shown) < len(with_curves):
-        # curves of so many have few points
-        decays = decay_figure(answer, *(pair for _, pair in shown))
-    for (i, pair), picture in zip(shown, _one_by_one(decays, len(shown)), strict=True):
-        names = filter(None, (pair.source, pair.receiver, pair.state))
-        write_bytes_atomically(folder / f"decay_{i:02d}_{in_file_name(*names)}.png", picture)
-        if progress is not None:
-            progress(i / len(answer.pairs))
+    for shown in answer.drawings():
+        if not shown.choices:
+            write_text_atomically(folder / f"{shown.name}.svg", svg_file(shown.svg))
+            if png_too:
+                write_bytes_atomically(folder / f"{shown.name}.png", png(shown.figure))
+            continue
+        alone = len(shown.choices) == 1
+        for i, name in enumerate(shown.files):
+            one = shown.svg if alone else _with_curves(shown.svg, i)
+            write_text_atomically(folder / f"{name}.svg", svg_file(one))
+        if png_too:
+            pictures = [png(shown.figure)] if alone else _one_by_one(shown.figure, shown.files)
+            for name, picture in zip(shown.files, pictures, strict=True):
+                write_bytes_atomically(folder / f"{name}.png", picture)
 
 
-def answer_figures(answer: Result, **more: Figure | None) -> dict[str, Figure]:
-    """Return what the report and files show alike, by the name of the file, with `more` of it.
-
-    "decays" are those of all pairs, of which each picture and each choice in the report shows one.
-    """
-    found = {
-        "absorption": absorption_figure(answer),
-        "identifiable": identifiability_figure(answer),
-    }
-    bent = profiles_figure(answer)
-    if bent is not None:
-        found["profiles"] = bent
-    pairs = [pair for pair in answer.pairs if has_curves(pair)]
-    if pairs:
-        found["decays"] = decay_figure(answer, *pairs)
-    found |= {name: figure for name, figure in more.items() if figure is not None}
-    for figure in found.values():
-        figure.set_dpi(72)  # all in its place as by `svg`, whoever draws first
-        FigureCanvasSVG(figure).figure.draw_without_rendering()
-        figure.set_layout_engine("none")
-    return found
+def svg_file(element: str) -> str:
+    """Return an SVG element as a file."""
+    return element.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1) + "\n"
 
 
-def has_curves(pair: ComparedPair) -> bool:
-    """Return whether there are decay curves to draw: values alone have none."""
-    decay = pair.decay
-    if decay is None or not decay.time_s.size:
-        return False
-    return bool((np.isfinite(decay.measured_db) | np.isfinite(decay.predicted_db)).any())
-
-
-def in_file_name(*names: str) -> str:
-    """Return names joined by underscores, without the characters that have a meaning in paths."""
-    plain = ("".join(c if c.isalnum() or c in "-_." else "_" for c in name)[:60] for name in names)
-    return "_".join(plain)
+def _with_curves(element: str, chosen: int) -> str:
+    """Return an SVG element without the groups of curves of other choices."""
+    parts, at = [], 0
+    for start in re.finditer(r'<g class="curve-(\d+)">', element):
+        if start.start() < at or int(start[1]) == chosen:
+            continue
+        parts.append(element[at : start.start()])
+        depth = 0
+        for tag in re.finditer(r"<g[ >]|</g>", element[start.start() :]):
+            depth += 1 if tag[0] != "</g>" else -1
+            if depth == 0:
+                at = start.start() + tag.end()
+                break
+    return "".join((*parts, element[at:]))
 
 
 MOST_PROFILES = 12
@@ -143,18 +110,12 @@ def shown_profiles(answer: Result) -> list[tuple[int, Profile]]:
     return [bent[i] for i in chosen]
 
 
-# M. Okabe, K. Ito, "Color Universal Design" (2008), without the yellow that vanishes on white
-OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
-
 _WIDTH_IN = 10.2
-NARROW_IN = 3.75
-"""Width of figures for a telephone: 360 pixels, at which nothing is drawn smaller."""
 _MANY_PANELS = 12
 """More than so many panels are drawn smaller, four in a row."""
 LOWEST_DB = -45.0
 # Curves of many pairs in one figure: about ten characters a point keep them below a megabyte.
 _POINTS_IN_ALL, _FEWEST_POINTS, _MOST_POINTS = 60_000, 16, 120
-_MOST_MATERIALS, _MOST_DRAWS, _DRAWS_IN_ALL = 6, 800, 6000
 
 
 # ---------------------------------------------------------------- what all figures share
@@ -215,24 +176,25 @@ def _encoded(canvas: Any) -> bytes:
     return stream.getvalue()
 
 
-def _one_by_one(figure: Figure, n_pairs: int, dpi: int = 130) -> list[bytes]:
-    """Return a picture of each pair of `decay_figure`; what they share is drawn once."""
+def _one_by_one(figure: Figure, files: Sequence[str], dpi: int = 130) -> list[bytes]:
+    """Return a picture of the first pairs of `decay_figure`; what they share is drawn once."""
     figure.set_dpi(dpi)
     canvas: Any = FigureCanvasAgg(figure)
-    own: list[list[Artist]] = [[] for _ in range(n_pairs)]
+    own: dict[int, list[Artist]] = {i: [] for i in range(len(files))}
     for artist in (a for x in (figure, *figure.axes) for a in x.get_children()):
         group = str(artist.get_gid() or "").removeprefix(_CURVES)
         if group.isdecimal():
             artist.set_visible(False)
-            own[int(group)].append(artist)
+            own.setdefault(int(group), []).append(artist)
     canvas.draw()
     shared, pictures = canvas.copy_from_bbox(figure.bbox), []
     with _unknown_letters_as_boxes():
-        for artists in own:
+        for artists in (own[i] for i in range(len(files))):
             canvas.restore_region(shared)
             for artist in sorted(artists, key=lambda a: a.get_zorder()):
                 artist.set_visible(True)
                 artist.draw(canvas.get_renderer())
+                artist.set_visible(False)
             pictures.append(_encoded(canvas))
     return pictures
 
@@ -245,13 +207,7 @@ def svg(figure: Figure, name: str, title: str) -> str:
     begins with `name`, so that figures of different names do not take each other's. What an
     artist's gid names as ``class:x`` is a group of the class ``x``.
 
-    Parameters
-    ----------
-    figure : Figure
-    name : str
-        A letter, then letters, digits or hyphens; once on a page.
-    title : str
-        What the figure shows, for those who do not see it.
+    `title` is what the figure shows, for those who do not see it.
     """
     stream = io.StringIO()
     figure.set_dpi(72)  # that of SVG
@@ -339,20 +295,17 @@ def band_panels(
     height_in: float,
     *,
     most_columns: int = 3,
-    narrow: bool = False,
     sharex: bool = True,
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with n panels in rows that share their y scale, and the panels.
 
-    `narrow` is for the screen of a telephone: two panels in a row. `frame_panels` completes it.
+    `frame_panels` completes it.
     """
-    columns = min(n, 2 if narrow else most_columns if n <= _MANY_PANELS else 4)
+    columns = min(n, most_columns if n <= _MANY_PANELS else 4)
     rows = -(-n // columns)
     # a single panel must leave room for the legend above it
     size_in = max(_WIDTH_IN / max(columns, 3) * columns, 4.6), height_in * rows + 0.6
-    if narrow:
-        size_in = NARROW_IN, 1.7 * rows + 0.7
-    elif columns > 3:
+    if columns > 3:
         size_in = size_in[0], 0.75 * height_in * rows + 0.6
     figure = PlainFigure(figsize=size_in)
     FigureCanvasAgg(figure)
@@ -456,27 +409,15 @@ def figure_legend(figure: Figure, axes: Axes, columns: int, title: str = "") -> 
 def absorption_figure(
     answer: Result,
     true_absorption: FloatArray | None = None,
-    *,
-    narrow: bool = False,
     say: Callable[[str], str] = str,
 ) -> Figure:
     """Return absorption over frequency, one panel a material, the last for the mean by area.
 
     Filled points are identifiable, hollow ones are not, diamonds were given; bars are 95 %
-    intervals, and lines lead from point to point.
-
-    Parameters
-    ----------
-    answer : Result
-    true_absorption : float array, shape (n_materials, n_bands), optional
-        Drawn as crosses where the truth is known.
-    narrow : bool
-        For the screen of a telephone.
-    say : callable, optional
-        Translates words.
+    intervals. `true_absorption`, shape (n_materials, n_bands), is drawn as crosses.
     """
     n = len(answer.materials)
-    figure, panels = band_panels(n + 1, 2.45, most_columns=4, narrow=narrow)
+    figure, panels = band_panels(n + 1, 2.45, most_columns=4)
     centres = answer.bands.centres_hz
     given = answer.lower95 == answer.upper95
     kinds: tuple[tuple[str, Any, dict[str, Any]], ...] = (
@@ -502,11 +443,10 @@ def absorption_figure(
                 centres, true_absorption[i], "x", color=OKABE_ITO[1], ms=7, mew=2, label=say("true")
             )
         found = int(answer.identifiable[i].sum())
-        longest = 20 if n < 3 and not narrow else 16
+        longest = 20 if n < 3 else 16
         axes.set_title(literal(answer.materials[i], longest), fontsize=10, loc="left", y=1.0)
         axes.set_title(
-            f"{found}/{len(centres)}" if narrow
-            else f"{number(float(answer.areas_m2[i]), 1)} m², {found}/{len(centres)}",
+            f"{number(float(answer.areas_m2[i]), 1)} m², {found}/{len(centres)}",
             fontsize=8, loc="right", color="0.3", y=1.0,
         )  # fmt: skip
     mean, low, high = answer.mean_absorption
@@ -515,12 +455,9 @@ def absorption_figure(
     panels[n].set_title(say("mean of the room"), fontsize=10, loc="left", y=1.0)
     frequency_axis(panels[0], centres)
     panels[0].set_ylim(-0.03, 1.03)
-    if narrow:
-        axis = panels[0].xaxis
-        axis.set_major_locator(FixedLocator(list(axis.get_majorticklocs()[::2])))
     frame_panels(
         figure, panels, say(f"{answer.bands.kind} band centre (Hz)"), say("absorption coefficient"),
-        legend_columns=2 if narrow else 4, gap_in=0.17,
+        gap_in=0.17,
     )  # fmt: skip
     return figure
 
@@ -584,14 +521,9 @@ def identifiability_figure(answer: Result) -> Figure:
     return figure
 
 
-def profiles_figure(answer: Result) -> Figure | None:
-    """Return the profiles that replaced Gaussian intervals, twelve at most.
-
-    None where there are none.
-    """
+def profiles_figure(answer: Result) -> Figure:
+    """Return the profiles that replaced Gaussian intervals, twelve at most."""
     shown = shown_profiles(answer)
-    if not shown:
-        return None
     figure, panels = band_panels(len(shown), 2.1, sharex=False)
     for axes, (band, line) in zip(panels, shown, strict=True):
         a, low, high = (
@@ -621,23 +553,12 @@ _CURVES = "class:curve-"
 
 
 def decay_figure(answer: Result, *pairs: ComparedPair) -> Figure:
-    """Return measured and predicted energy decay curves, one panel a band.
+    """Return measured and predicted energy decay curves, one panel a band, of pairs with curves.
 
-    Parameters
-    ----------
-    answer : Result
-    pairs : ComparedPair
-        With decay curves. Of several, the curves and words of the i-th are in the SVG groups
-        ``curve-i``, and a page shows one of them at a time; curves have fewer points then.
-
-    Raises
-    ------
-    ValueError
-        A pair has no curves.
+    Of several pairs, the curves and words of the i-th are in the SVG groups ``curve-i``, and a page
+    shows one of them at a time; curves have fewer points then.
     """
     decays = [pair.decay for pair in pairs if pair.decay is not None]
-    if len(decays) < len(pairs):
-        raise ValueError("room parameters without a response have no decay curve")
     figure, panels = band_panels(len(answer.bands), 2.3)
     groups = [f"{_CURVES}{i}" if len(pairs) > 1 else None for i in range(len(pairs))]
     share = _POINTS_IN_ALL // (2 * len(pairs) * len(panels))
@@ -724,3 +645,69 @@ def decay_times(pair: ComparedPair, band: int) -> str:
         return ""
     measured, predicted = number(t.measured[band], 2), number(t.predicted[band], 2)
     return f"{parameter(key).symbol} {measured} → {predicted} s"
+
+
+# ---------------------------------------------------------------- decay times
+
+
+def measured_decay_figure(
+    centres_hz: FloatArray, named: Sequence[tuple[str, FloatArray]], symbol: str
+) -> Figure:
+    """Return decay times over frequency by their names, without intervals."""
+    return decay_time_figure(centres_hz, [Series(*one) for one in named], symbol)
+
+
+def decay_time_figure(
+    centres_hz: FloatArray,
+    series: Sequence[Series],
+    symbol: str = "T30",
+    limits: Sequence[Limit] = (),
+) -> Figure:
+    """Return decay times over frequency with their intervals.
+
+    Pale boxes are one just noticeable difference about the first of the two or three series, which
+    differ by shape and colour; black lines are limits.
+    """
+    figure = new_figure(7.6, 3.2)
+    axes, at = figure.add_subplot(), np.arange(len(centres_hz), dtype=np.float64)
+    first = series[0].values_s
+    step = jnd_of("T30_s", first)
+    # a box a band, wide enough for the marks of all series, which stand side by side
+    axes.bar(
+        at, 2.0 * step, 0.5, first - step, color=OKABE_ITO[4], alpha=0.3, lw=0.0,
+        label="just noticeable difference",
+    )  # fmt: skip
+    highest = [float(np.nanmax(first, initial=0.0))]
+    shift = 0.24 / max(len(series) - 1, 1)
+    for i, (one, mark) in enumerate(zip(series, "so^", strict=False)):
+        x, colour = at + shift * i - 0.12, OKABE_ITO[i]
+        if one.lower95_s is not None and one.upper95_s is not None:
+            axes.vlines(x, one.lower95_s, one.upper95_s, color=colour, lw=1.8)
+            known = one.upper95_s[np.isfinite(one.upper95_s)]
+            highest.append(float(np.quantile(known, 0.75)) if known.size else 0.0)
+        axes.plot(
+            x, one.values_s, mark, color=colour, ms=5, label=literal(one.label, 60), ls="-", lw=0.8
+        )
+        highest.append(float(np.nanmax(one.values_s, initial=0.0)))
+    label = "target"
+    for limit in limits:
+        chosen = np.flatnonzero(np.isin(centres_hz, limit.bands_hz))
+        for value in (limit.low_s, limit.high_s):
+            if np.isfinite(value) and chosen.size:
+                axes.hlines(
+                    np.full(chosen.size, value), chosen - 0.4, chosen + 0.4, color="black", lw=2.0,
+                    label=label,
+                )  # fmt: skip
+                highest.append(value)
+                label = "_"
+    heads = [short_hertz(float(f)) for f in centres_hz]
+    if len(heads) > 10:
+        heads = [h if k % 3 == 0 else "" for k, h in enumerate(heads)]
+    axes.set_xticks(at, heads)
+    axes.set_xlim(-0.6, len(at) - 0.4)
+    axes.set_ylim(0.0, 1.15 * max(highest))
+    axes.set_xlabel("frequency (Hz)")
+    axes.set_ylabel(f"{symbol} (s)")
+    axes.grid(alpha=0.25, axis="y")
+    figure_legend(figure, axes, 4)
+    return figure

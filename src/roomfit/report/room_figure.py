@@ -10,26 +10,20 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from roomfit.base.typing import FloatArray, IntArray
-from roomfit.report.figures import NARROW_IN, OKABE_ITO, PlainFigure, literal
+from roomfit.report.figures import PlainFigure, literal
+from roomfit.report.wording import OKABE_ITO, material_colour
 from roomfit.room.mesh import area_vectors_m2, corners_m
 from roomfit.room.scene import Room, Scene, triangle_material, wall_materials
 
 _SAME_PLANE = 0.9995
 """Cosine between normals above which two faces look flat together, 1.8 degrees."""
 
-# P. Tol, "Colour schemes", SRON/EPS/TN/09-002 (2021), "muted", then Okabe and Ito (2008):
-# distinguishable with every kind of colour vision; repeated from the 17th material on
-COLOURS = (
-    *("#88CCEE", "#CC6677", "#DDCC77", "#117733", "#332288", "#AA4499", "#44AA99", "#999933"),
-    *("#882255", "#E69F00", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666", "#BBBBBB"),
-)
 MOST_FACES = 2500
 """Of more visible faces, the largest are drawn: a hundred bytes each in the report."""
 
@@ -50,57 +44,43 @@ _AXES = ("x (m)", "y (m)", "z (m)")
 _Offset = tuple[float, float, Literal["left", "right", "center"]]
 
 
-def material_colour(index: int) -> str:
-    """Return the colour of a material, so pale that words and points can be read on it."""
-    red, green, blue = (0.6 * part + 0.4 for part in to_rgb(COLOURS[index % len(COLOURS)]))
-    return to_hex((red, green, blue))
-
-
-def room_figure(scene: Scene, *, narrow: bool = False) -> Figure:
+def room_figure(scene: Scene) -> Figure:
     """Return the room from above one corner, its plan and two side views, to scale.
 
     In space the walls towards the viewer are left out, so that its inside shows; the
     colours are those of `material_colour`. The plan names the materials of walls, floor and
-    ceiling. `narrow` is for the screen of a telephone: all views below each other, no legend.
+    ceiling.
     """
     edges = outline_m(scene.room, _MOST_EDGES)
     vertices = scene.room.mesh.vertices_m
     low, size = vertices.min(axis=0), np.maximum(np.ptp(vertices, axis=0), 1e-6)
     views = ((0, 1, "plan"), (0, 2, "side (x, z)"), (1, 2, "side (y, z)"))
-    width_in, room_for_space = (NARROW_IN, (3.3, 3.0)) if narrow else (_WIDTH_IN, _SPACE_IN)
     across = [float(size[i]) for i, _, _ in views]
     tall_m = [float(size[j]) for _, j, _ in views]
-    if narrow:
-        scale = min((width_in - _GAP_IN) / max(across), 3.4 / max(tall_m))
-        below_in = sum(tall_m) * scale + 3.0 * _BELOW_IN
-    else:
-        scale = min((width_in - 3.0 * _GAP_IN) / sum(across), 3.4 / max(tall_m))
-        below_in = max(tall_m) * scale + _BELOW_IN
+    scale = min((_WIDTH_IN - 3.0 * _GAP_IN) / sum(across), 3.4 / max(tall_m))
+    below_in = max(tall_m) * scale + _BELOW_IN
     flat = (vertices @ projection().T)[:, :2]
     extent = np.maximum(np.ptp(flat, axis=0), 1e-6)
-    space_scale = min(room_for_space[0] / extent[0], room_for_space[1] / extent[1])
-    entries = 0 if narrow else min(len(wall_materials(scene.room)), _MOST_IN_LEGEND) + 2
+    space_scale = min(_SPACE_IN[0] / extent[0], _SPACE_IN[1] / extent[1])
+    entries = min(len(wall_materials(scene.room)), _MOST_IN_LEGEND) + 2
     above_in = max(extent[1] * space_scale + 0.5, 0.2 * entries + 0.3)
     height_in = above_in + below_in
-    figure = PlainFigure(figsize=(width_in, height_in))
+    figure = PlainFigure(figsize=(_WIDTH_IN, height_in))
     FigureCanvasAgg(figure)
 
     def panel(left_in: float, bottom_in: float, wide_in: float, tall_in: float) -> Axes:
         inches = (left_in, bottom_in, wide_in, tall_in)
-        whole = (width_in, height_in, width_in, height_in)
+        whole = (_WIDTH_IN, height_in, _WIDTH_IN, height_in)
         left, bottom, width, tall = (float(a / b) for a, b in zip(inches, whole, strict=True))
         return figure.add_axes((left, bottom, width, tall))
 
     width, tall = extent * space_scale
     middle = below_in + 0.5 * (above_in - tall)
-    space = panel(0.1 + 0.5 * (room_for_space[0] - width), middle, width, tall)
+    space = panel(0.1 + 0.5 * (_SPACE_IN[0] - width), middle, width, tall)
     _draw_space(space, scene, edges, space_scale)
-    if not narrow:
-        _draw_legend(figure, scene)
-    left_in, bottom_in = _GAP_IN - 0.15, below_in + 0.6 if narrow else 0.6
+    _draw_legend(figure, scene)
+    left_in, bottom_in = _GAP_IN - 0.15, 0.6
     for right, up, title in views:
-        if narrow:
-            bottom_in -= size[up] * scale + _BELOW_IN
         axes = panel(left_in, bottom_in, size[right] * scale, size[up] * scale)
         if up == 1:
             title += _draw_walls(axes, scene, scale)
@@ -108,8 +88,7 @@ def room_figure(scene: Scene, *, narrow: bool = False) -> Figure:
         axes.set_title(title, fontsize=9, loc="left", y=1.0)
         axes.set_xlim(low[right], low[right] + size[right])
         axes.set_ylim(low[up], low[up] + size[up])
-        if not narrow:
-            left_in += size[right] * scale + _GAP_IN
+        left_in += size[right] * scale + _GAP_IN
     return figure
 
 

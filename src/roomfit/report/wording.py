@@ -4,16 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from html import escape
 from itertools import groupby
 
 import numpy as np
 
-from roomfit.base.findings import Finding
 from roomfit.base.table import Table, Value
 from roomfit.base.typing import BoolArray, FloatArray
 
 DASH = "\N{EN DASH}"
+
+# M. Okabe, K. Ito, "Color Universal Design" (2008), without the yellow that vanishes on white
+OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+# P. Tol, "Colour schemes", SRON/EPS/TN/09-002 (2021), "muted", then Okabe and Ito (2008):
+# distinguishable with every kind of colour vision; repeated from the 17th material on
+COLOURS = (
+    *("#88CCEE", "#CC6677", "#DDCC77", "#117733", "#332288", "#AA4499", "#44AA99", "#999933"),
+    *("#882255", "#E69F00", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666", "#BBBBBB"),
+)
+
+
+def material_colour(index: int) -> str:
+    """Return the colour of a material, so pale that words and points can be read on it."""
+    colour = COLOURS[index % len(COLOURS)]
+    parts = (0.6 * int(colour[i : i + 2], 16) / 255.0 + 0.4 for i in (1, 3, 5))
+    return "#" + "".join(f"{round(255.0 * part):02x}" for part in parts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +146,12 @@ def shortened(name: str, longest: int = 34) -> str:
     return name if len(name) <= longest else name[: longest - 1] + "…"
 
 
+def in_file_name(*names: str) -> str:
+    """Return names joined by underscores, without the characters that have a meaning in paths."""
+    plain = ("".join(c if c.isalnum() or c in "-_." else "_" for c in name)[:60] for name in names)
+    return "_".join(plain)
+
+
 def parameter(key: str) -> Parameter:
     """Return how a parameter is written; of an unknown one the key has symbol and unit."""
     symbol, _, unit = key.partition("_")
@@ -170,14 +190,7 @@ def band_tables(
 ) -> tuple[Table, ...]:
     """Return a table with a column a band; several, evenly filled, where there are many bands.
 
-    Parameters
-    ----------
-    caption, corner : str
-    centres_hz : float array, shape (n_bands,)
-    rows : sequence of sequences
-        A head, the cells of `before`, one a band, and those of `after`.
-    before, after : tuple of str
-        Heads of other columns, in every table and behind the last band.
+    A row has a head, the cells of `before`, one a band, and those of `after`.
     """
     n, first = len(centres_hz), 1 + len(before)
     heads = (corner, *before, *band_heads(centres_hz), *after)
@@ -189,13 +202,5 @@ def band_tables(
         last = range(first + n, len(heads)) if block[-1] == first + n - 1 else ()
         chosen = [*range(first), *block, *last]
         shown = [[row[k] for k in chosen] for row in rows]
-        tables.append(Table(words, [heads[k] for k in chosen], shown))
+        tables.append(Table(words, [heads[k] for k in chosen], shown, kind="wide"))
     return tuple(tables)
-
-
-def html_findings(findings: Iterable[Finding]) -> str:
-    """Return findings as a list, nothing where there is none."""
-    items = "".join(
-        f"<li>{escape(f'{f.severity}: {f.sentence} [{f.code}]')}</li>" for f in findings
-    )
-    return f"<ul>{items}</ul>" if items else ""

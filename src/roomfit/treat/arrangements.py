@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -13,6 +13,7 @@ from roomfit.base.arguments import check_range
 from roomfit.base.bands import Bands
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.kernels import one_blas_thread
+from roomfit.base.shown import Shown
 from roomfit.base.typing import BoolArray, FloatArray, Progress
 from roomfit.predict.decay import moved
 from roomfit.predict.diffuse import PreparedField, field_values, in_rows
@@ -35,10 +36,6 @@ from roomfit.treat.question import (
     treated_draws,
 )
 from roomfit.treat.search import MET, best_arrangement, excess, scale_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 _MARGIN_ROUNDS = 6  # a margin hangs on the arrangement, and that on the margin
 # Means by parameter, and the speech transmission index.
@@ -78,9 +75,10 @@ class Arrangement:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Treatment:
+class Treatment(Shown):
     """The best arrangements, cheapest first; or the one that misses least."""
 
+    described_in: ClassVar[str] = "treated"
     bands: Bands
     targets: tuple[Target, ...]
     arrangements: tuple[Arrangement, ...]
@@ -91,18 +89,6 @@ class Treatment:
     to_measure: tuple[str, ...] = ()
     before: str = "predicted before"  # what stands before in the means, in words
     asked: float = 0.5  # probability of each target in each band
-
-    def __str__(self) -> str:
-        """Return arrangements, what they do, and how likely it is enough."""
-        from roomfit.treat.output import treatment_text
-
-        return treatment_text(self)
-
-    def plot(self) -> Figure:
-        """Return the room and what the first arrangement does in every band."""
-        from roomfit.treat.output import treatment_figure
-
-        return treatment_figure(self)
 
 
 @one_blas_thread

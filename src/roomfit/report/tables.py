@@ -1,14 +1,8 @@
-"""The tables of the report, as text in cells.
-
-Absorption with intervals, shares and absorption areas; the fit; errors of
-predictions beside those of the baseline, and pair by pair in just noticeable differences; the
-room's materials and positions; fitted directivities.
-"""
+"""The tables of an identification: absorption, areas, the fit, errors of predictions, the room."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 
 import numpy as np
@@ -22,8 +16,6 @@ from roomfit.checks.decay import DECAY_SCATTER
 from roomfit.files.budget import SOURCES, Budget, contribution, share, uncertainty_budget
 from roomfit.model.directivity import FittedDirectivity
 from roomfit.model.patterns import axial_index_db
-from roomfit.report.room_figure import material_colour
-from roomfit.report.text import pair_sti
 from roomfit.report.wording import (
     BANDS_AT_MOST,
     DASH,
@@ -34,6 +26,7 @@ from roomfit.report.wording import (
     count,
     decay_time_key,
     hertz,
+    material_colour,
     number,
     parameter,
     shortened,
@@ -42,6 +35,7 @@ from roomfit.result import Compared, ComparedPair, Result, Use
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import Room, Scene, material_areas_m2, wall_materials
 from roomfit.signals.decay import in_jnd
+from roomfit.signals.speech import sti_of_decay
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
 
 NOT_IDENTIFIABLE = "not identif."
@@ -52,35 +46,44 @@ def fixed_coefficients(answer: Result) -> BoolArray:
     return np.asarray(answer.lower95 == answer.upper95)
 
 
-def absorption_tables(answer: Result, say: Callable[[str], str] = str) -> tuple[Table, ...]:
-    """Return absorption with its 95 % interval, materials in rows, with the mean of the room."""
-    rows = [
-        tuple(replace(c, small=tuple(map(say, c.small))) if i else c for i, c in enumerate(row))
-        for row in (*material_rows(answer), mean_row(answer))
-    ]
-    total = replace(rows[-1][0], text=say(rows[-1][0].text))
-    return band_tables(
-        f"{say('Absorption coefficient, 95 % interval')} ({answer.interval_kind})",
-        say("material"),
-        answer.bands.centres_hz,
-        [*rows[:-1], (total, *rows[-1][1:])],
-    )
+def absorption_tables(answer: Result) -> tuple[Table, ...]:
+    """Return absorption with its 95 % interval, materials in rows, with the mean of the room.
 
-
-def material_rows(answer: Result) -> list[tuple[Cell, ...]]:
-    """Return absorption with its interval in every band, one row a material."""
+    "?" and brackets mark what is not identifiable, "given" what was fixed.
+    """
     rows, fixed = [], fixed_coefficients(answer)
     values = np.stack([answer.absorption, answer.lower95, answer.upper95])
     for i, name in enumerate(answer.materials):
         head = Cell(name, (f"{area(float(answer.areas_m2[i]))} m²",), colour=material_colour(i))
         rows.append((head, *coefficient_cells(values[:, i], answer.identifiable[i], fixed[i])))
-    return rows
+    whole = f"by area, {area(float(np.sum(answer.areas_m2)))} m²"
+    total = Cell("mean of the room", (whole,), "total")
+    rows.append((total, *coefficient_cells(answer.mean_absorption)))
+    caption = f"Absorption coefficient, 95 % interval ({answer.interval_kind})"
+    return band_tables(caption, "material", answer.bands.centres_hz, rows)
 
 
-def mean_row(answer: Result) -> tuple[Cell, ...]:
-    """Return the mean absorption of the room in every band, weighted by area."""
-    small = f"by area, {area(float(np.sum(answer.areas_m2)))} m²"
-    return (Cell("mean of the room", (small,), "total"), *coefficient_cells(answer.mean_absorption))
+def object_tables(answer: Result) -> tuple[Table, ...]:
+    """Return the equivalent absorption area of every object with its interval."""
+    if (found := answer.objects) is None:
+        return ()
+    rows = []
+    for i, name in enumerate(found.names):
+        columns = zip(
+            found.area_m2[i], found.lower95_m2[i], found.upper95_m2[i], found.identifiable[i],
+            strict=True,
+        )  # fmt: skip
+        cells = []
+        for value, low, high, sure in columns:
+            cell = _area_cell(value, low, high)
+            if high <= low:
+                cell = Cell(cell.text, ("given",), "given")
+            elif not sure:
+                cell = Cell(f"({cell.text})", (*cell.small, NOT_IDENTIFIABLE), "unsure")
+            cells.append(cell)
+        rows.append((Cell(name), *cells))
+    caption = "Equivalent absorption area of objects in m², 95 % interval"
+    return band_tables(caption, "object", answer.bands.centres_hz, rows)
 
 
 def coefficient_cells(
@@ -127,10 +130,8 @@ def _chi2_cell(chi2_reduced: float) -> Cell:
 def area_tables(answer: Result, scene: Scene) -> tuple[Table, ...]:
     """Return equivalent absorption areas ``A = alpha S`` in m2, their sum, and the air's ``4 m V``.
 
-    Those of objects stand behind the surfaces, each with its interval.
-
-    The interval of the sum is that of the mean absorption times the whole area. The air's part is
-    the last term of the reverberation formula of ISO 354:2003, equation 6.
+    The interval of the sum is that of the mean absorption times the whole area; the air's part is
+    the last term of equation 6 of ISO 354:2003.
     """
     areas = answer.absorption * answer.areas_m2[:, None]
     solid, volume_ = areas.sum(axis=0), volume_m3(scene.room.mesh)
@@ -246,13 +247,9 @@ def _budget_rows(block: Sequence[Budget]) -> list[Sequence[Value]]:
 
 
 def condition_tables(answer: Result) -> tuple[Table, ...]:
-    """Return how well the fitted pairs know the mean decay time, by theory and by their scatter.
+    """Return how well the fitted pairs of one state know the mean decay time.
 
-    The conditions of a measurement as ISO 3382-2 states them, of the state that was fitted first.
-
-    References
-    ----------
-    .. [1] ISO 3382-2:2008, clause 7 and annex A, equations A.1 and A.2 with n = 10.
+    ISO 3382-2:2008, clause 7 and annex A, equations A.1 and A.2 with n = 10.
     """
     fitted = [p for p in answer.pairs if p.use == "fit"]
     fitted = [p for p in fitted if p.state == fitted[0].state]
@@ -435,6 +432,72 @@ def error_tables(answer: Result) -> tuple[Table, ...]:
     return tuple(tables)
 
 
+def pair_sti(answer: Result) -> FloatArray:
+    """Return the speech transmission index of every pair: measured, predicted, mean of the others.
+
+    Of the room alone, from the decay curves, shape (3, n_pairs); NaN where it is not known. The
+    others are those that were fitted in the same state.
+    """
+    found = np.full((3, len(answer.pairs)), np.nan)
+    for i, pair in enumerate(answer.pairs):
+        if pair.decay is not None:
+            for k, levels_db in enumerate((pair.decay.measured_db, pair.decay.predicted_db)):
+                found[k, i] = sti_of_decay(answer.bands, pair.decay.time_s, levels_db)
+    for i, pair in enumerate(answer.pairs):
+        others = [
+            found[0, j]
+            for j, other in enumerate(answer.pairs)
+            if j != i and other.use == "fit" and other.state == pair.state
+            if np.isfinite(found[0, j])
+        ]
+        found[2, i] = np.mean(others) if others else np.nan
+    return found
+
+
+def decay_time_tables(answer: Result) -> tuple[Table, ...]:
+    """Return the mean decay time of `shown_decay`, measured and predicted, over the same pairs."""
+    found = mean_decay_times(answer)
+    if found is None:
+        return ()
+    symbol, measured, predicted = found
+    rows = [
+        (name, *(Cell(number(float(t), 2)) for t in times_s))
+        for name, times_s in (("measured", measured), ("predicted", predicted))
+    ]
+    caption = f"{symbol} in s, mean of the {compared_words(answer)}"
+    return band_tables(caption, "", answer.bands.centres_hz, rows)
+
+
+def compared_pairs(answer: Result) -> list[ComparedPair]:
+    """Return the pairs kept for validation, all where none was."""
+    return [pair for pair in answer.pairs if pair.use == "validate"] or list(answer.pairs)
+
+
+def compared_words(answer: Result) -> str:
+    """Return what `compared_pairs` are, in words."""
+    kept = any(pair.use == "validate" for pair in answer.pairs)
+    return "measurements that were not fitted" if kept else "fitted measurements"
+
+
+def mean_decay_times(answer: Result) -> tuple[str, FloatArray, FloatArray] | None:
+    """Return symbol, measured and predicted mean decay time by band; None where none is known."""
+    pairs = compared_pairs(answer)
+    known = parameter_keys(pairs)
+    key = "T30_s" if "T30_s" in known else decay_time_key(known)
+    if key is None:
+        return None
+    own = [p.parameters[key] for p in pairs if key in p.parameters]
+    both = np.array([(c.measured, c.predicted) for c in own])
+    # only where both are known, so that means are over the same pairs
+    both = np.where(np.isfinite(both).all(axis=1, keepdims=True), both, np.nan)
+    n_known = np.isfinite(both).sum(axis=0)
+    if not n_known.any():
+        return None
+    with np.errstate(invalid="ignore", divide="ignore"):
+        measured, predicted = np.where(n_known > 0, np.nansum(both, axis=0) / n_known, np.nan)
+    return parameter(key).symbol, measured, predicted
+
+
 def sti_tables(answer: Result) -> tuple[Table, ...]:
     """Return the speech transmission index of every pair, where the bands give it."""
     measured, predicted, others = pair_sti(answer)
@@ -486,7 +549,8 @@ def material_table(room: Room) -> Table:
         surfaces = Cell(_surfaces(room, i), style="words")
         rows.append((Cell(name, colour=material_colour(i)), area(float(areas[i])), share, surfaces))
     rows.append((Cell("all", style="total"), area(whole), "100 %", ""))
-    return Table("Materials", ("material", "area in m²", "share", "surfaces"), rows)
+    heads = ("material", "area in m²", "share", "surfaces")
+    return Table("Materials", heads, rows, kind="last-words")
 
 
 def _surfaces(room: Room, material: int) -> str:
@@ -505,11 +569,32 @@ def _surfaces(room: Room, material: int) -> str:
     return f"{shown} and {more} more" if more > 0 else shown
 
 
+def digest_table(digests: Mapping[str, str]) -> Table:
+    """Return the SHA-256 of every input."""
+    rows = [(name, Cell(digest, style="words")) for name, digest in digests.items()]
+    return Table("SHA-256 of the inputs", ("file", "digest"), rows)
+
+
 def position_table(scene: Scene) -> Table:
     """Return the positions of sources and receivers, in metres."""
     points = [("source", p) for p in scene.sources] + [("receiver", p) for p in scene.receivers]
     rows = [(p.name, Cell(kind, style="words"), *p.position_m) for kind, p in points]
     return Table("Positions in metres", ("name", "", "x", "y", "z"), rows, form=".2f")
+
+
+def offset_terms(answer: Result) -> tuple[tuple[str, str], ...]:
+    """Return where groups of positions and lengths were found by early reflections, in words."""
+    found = answer.geometry
+    if found is None:
+        return ()
+    return tuple(
+        (
+            found.labels[i],
+            f"{found.change[i]:+.3f} ± {found.sd[i]:.3f} m "
+            f"(specified within {found.prior_sd[i]:.3f} m)",
+        )
+        for i in range(len(found.labels) - found.n_offsets, len(found.labels))
+    )
 
 
 def source_tables(answer: Result) -> tuple[Table, ...]:

@@ -1,0 +1,656 @@
+"""An identification as blocks: the answer first, then why, how sure, and from what."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from roomfit.base.typing import BoolArray
+from roomfit.report.blocks import (
+    SEVERITIES,
+    Block,
+    Blocks,
+    Drawing,
+    Findings,
+    Listed,
+    Numbers,
+    Part,
+    Sentence,
+    Terms,
+    drawing,
+)
+from roomfit.report.disagreement import disagreement_table
+from roomfit.report.html import page, translator
+from roomfit.report.tables import (
+    absorption_tables,
+    area_tables,
+    budget_tables,
+    compared_pairs,
+    compared_words,
+    condition_tables,
+    decay_time_tables,
+    digest_table,
+    error_tables,
+    errors_of,
+    fit_tables,
+    fixed_coefficients,
+    known_mean,
+    material_table,
+    mean_abs_jnd,
+    mean_decay_times,
+    object_tables,
+    offset_terms,
+    overview_table,
+    pair_sections,
+    pair_title,
+    parameter_keys,
+    position_table,
+    prior_tables,
+    share_tables,
+    source_tables,
+    sti_tables,
+)
+from roomfit.report.usable import remaining_usable
+from roomfit.report.wording import (
+    DASH,
+    area,
+    band_ranges,
+    coefficient,
+    count,
+    decay_time_key,
+    hertz,
+    in_file_name,
+    listing,
+    number,
+    parameter,
+)
+from roomfit.result import ComparedPair, Result
+from roomfit.room.mesh import surface_area_m2, volume_m3
+from roomfit.room.scene import Scene, wall_materials
+from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from roomfit.files.remedies import Advice
+
+_MOST_ENDS, _MOST_NAMES, _MOST_OPEN = 3, 8, 4
+_PROJECT = ("client", "author", "date", "instruments")
+_REPORTED = ("T20_s", "T30_s", "EDT_s", "C80_dB")
+_MOST_DECAY_FILES = 12
+
+
+def report_html(
+    answer: Result,
+    scene: Scene,
+    *,
+    title: str,
+    campaign: str | None = None,
+    inputs_sha256: Mapping[str, str] | None = None,
+    project: Mapping[str, str] | None = None,
+) -> str:
+    """Return the report of an identification as the text of one HTML file, see `result_blocks`.
+
+    The file executes nothing and requests nothing; equal arguments give equal text. Write it as
+    UTF-8.
+
+    Parameters
+    ----------
+    answer : Result
+    scene : Scene
+        That the answer was found in: room, positions and air.
+    title : str
+    campaign : str, optional
+        Name of the campaign file, for provenance.
+    inputs_sha256 : mapping of str to str, optional
+        SHA-256 of every input file by its name.
+    project : mapping of str to str, optional
+        Of client, author, date, instruments, language ("en" or "de": headings and the first
+        screen, not findings) and logo (a data URL of PNG or JPEG) what there is.
+
+    Examples
+    --------
+    >>> import roomfit
+    >>> room = roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster")
+    >>> scene = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+    >>> measured = roomfit.MeasuredValues("S", "R", [1000.0], {"T20_s": [0.8]})
+    >>> octave, few = roomfit.bands_between("octave", 1000, 1000), roomfit.Settings(n_rays=2000)
+    >>> result = roomfit.identify(scene, [measured], bands=octave, settings=few)
+    >>> page = report_html(result, scene, title="Lecture room")
+    >>> "<title>Lecture room</title>" in page, "<script" in page
+    (True, False)
+    """
+    return page(
+        result_blocks(
+            answer, scene, title=title, campaign=campaign, inputs_sha256=inputs_sha256,
+            project=project,
+        )
+    )  # fmt: skip
+
+
+def describe(answer: Result) -> Blocks:
+    """Return what a result says without its room."""
+    return result_blocks(answer)
+
+
+def draw(answer: Result) -> Figure:
+    """Return the absorption of every material over frequency."""
+    return _absorption_drawing(answer, str).figure
+
+
+def result_blocks(
+    answer: Result,
+    scene: Scene | None = None,
+    *,
+    title: str = "Absorption",
+    campaign: str | None = None,
+    inputs_sha256: Mapping[str, str] | None = None,
+    project: Mapping[str, str] | None = None,
+    advice: Advice | None = None,
+) -> Blocks:
+    """Return an identification as blocks.
+
+    The answer in a sentence, four numbers, findings, absorption; predictions beside measurements,
+    the room; folded away how sure it is, absorption areas, single pairs and provenance. `advice`
+    is what findings advise to write into the campaign.
+    """
+    about = dict(project or {})
+    language, logo = about.pop("language", "en"), about.pop("logo", "")
+    say = translator(language)
+    usable = remaining_usable(answer)
+    head: list[Block] = [Sentence(text, "usable" if i else "lead") for i, text in enumerate(usable)]
+    head.append(Sentence(headline(answer, say), "usable" if usable else "lead"))
+    head += [Numbers(key_figures(answer, say)), *_decay_times(answer, say)]
+    blocks: list[Block] = [
+        Findings(answer.findings, advice or {}),
+        Part("Absorption", tuple(_absorption(answer, say)), "absorption"),
+        Part("Measured and predicted", tuple(_predictions(answer, scene)), "predictions"),
+    ]
+    if scene is not None:
+        blocks.append(Part("The room", _room(scene), "room", in_text=False))
+    if answer.plan:
+        words = "The plan in words: no recording tells it from its mirror image"
+        blocks.append(Part(words, (Listed(answer.plan),), folded=True))
+    about_fit = "widths of intervals, profiles of the likelihood, priors, the fit"
+    blocks.append(
+        Part("How sure", tuple(_certainty(answer)), "certainty", about_fit, True, in_text=False)
+    )
+    if scene is not None:
+        areas = (Sentence(_AREAS), *area_tables(answer, scene), *share_tables(answer))
+        words = "\N{GREEK SMALL LETTER ALPHA}S of every material, and its share of the room"
+        blocks.append(Part("Absorption areas", areas, "areas", words, True, in_text=False))
+    few = len(answer.pairs) <= _MOST_DECAY_FILES
+    words = "every room parameter, measured and predicted"
+    pairs = tuple(_pairs(answer, few=few))
+    blocks.append(Part("Pair by pair", pairs, "pairs", words, True, on_paper=few, in_text=False))
+    if scene is not None:
+        words = "how the answer was made, and from which files"
+        made = _provenance(answer, scene, campaign, inputs_sha256 or {})
+        blocks.append(Part("Provenance", made, "provenance", words, True, in_text=False))
+    return Blocks(
+        title,
+        tuple(head),
+        tuple(blocks),
+        project=tuple((k, v) for k in _PROJECT if (v := about.get(k))),
+        logo=logo,
+        language="de" if language == "de" else "en",
+    )
+
+
+_AREAS = (
+    "Absorption coefficient times area, summed over the surfaces, and what the air absorbs. "
+    "Brackets: the coefficient is not identifiable; the sum is known better than its parts. A "
+    "share is that of one material in the sum of all surfaces."
+)
+
+
+# ---------------------------------------------------------------- the first screen
+
+
+def headline(answer: Result, say: Callable[[str], str] = str) -> str:
+    """Return the answer in one sentence: how many coefficients are determined, and how well.
+
+    `say` translates sentences before names and numbers are put in.
+    """
+    is_fixed = fixed_coefficients(answer)
+    sure, wanted = answer.identifiable & ~is_fixed, ~is_fixed
+    if not wanted.any():
+        return say("Every coefficient was given; nothing was fitted.")
+    if not sure.any():
+        if any(f.code.voids_identifiability for f in answer.findings):
+            return say(
+                "The data contradict the description of the room: no absorption coefficient may "
+                "be used before the findings are resolved."
+            )
+        return say(
+            "The data do not determine the absorption of any material by itself, only the mean of "
+            "the room."
+        )
+    everywhere = np.ones(len(answer.bands), dtype=np.bool_)
+    text = say(
+        "The measurements determine {found} of {wanted} absorption coefficients of {materials}, "
+        "{bands}, half of them to within ±{half}"
+    ).format(
+        found=int(sure.sum()),
+        wanted=int(wanted.sum()),
+        materials=count(len(answer.materials), "material")
+        if say is str
+        else f"{len(answer.materials)} {say('materials')}",
+        bands=_in_language(band_ranges(answer.bands.centres_hz, everywhere), say),
+        half=_half_width(answer),
+    )
+    open_ = [
+        f"{name} ({_in_language(_where(answer, missing), say)})"
+        for name, missing in zip(answer.materials, wanted & ~sure, strict=True)
+        if missing.any()
+    ]
+    if open_:
+        named = open_[:_MOST_OPEN]
+        if len(open_) > _MOST_OPEN:
+            named.append(f"{len(open_) - _MOST_OPEN}{say(' more')}")
+        text += say("; not determined: {names}").format(names=", ".join(named))
+    return f"{text}."
+
+
+def _in_language(words: str, say: Callable[[str], str]) -> str:
+    for small in (" to ", " and ", " of ", " bands"):
+        words = words.replace(small, say(small))
+    return words
+
+
+def _where(answer: Result, found: BoolArray) -> str:
+    """Return the bands; their number where they are too scattered to be read."""
+    if int(np.sum(np.diff(found.astype(int)) != 0)) > _MOST_ENDS:
+        return f"{int(found.sum())} of {len(answer.bands)} bands"
+    return band_ranges(answer.bands.centres_hz, found)
+
+
+def _half_width(answer: Result) -> str:
+    """Return half of the median interval of what is identifiable and was not given."""
+    sure = answer.identifiable & ~fixed_coefficients(answer)
+    half = 0.5 * float(np.median((answer.upper95 - answer.lower95)[sure]))
+    return number(half, 2 if half >= 0.0095 else 3)
+
+
+def key_figures(answer: Result, say: Callable[[str], str] = str) -> tuple[tuple[str, str], ...]:
+    """Return four numbers and what they are: the first screen of the report."""
+    fixed = fixed_coefficients(answer)
+    found = int((answer.identifiable & ~fixed).sum())
+    middle = int(np.argmin(np.abs(np.log2(answer.bands.centres_hz / 1000.0))))
+    mean, low, high = (coefficient(x, 1.0) for x in map(float, answer.mean_absorption[:, middle]))
+    at = hertz(float(answer.bands.centres_hz[middle]))
+    figures = [(f"{found} / {int((~fixed).sum())}", say("coefficients determined"))]
+    if found:
+        words = say("half of them are known to within this, at 95 %")
+        figures.append((f"±{_half_width(answer)}", words))
+    words = say("mean absorption of the room at {at}").format(at=at)
+    figures.append((f"{mean} ({low}{DASH}{high})", words))
+    pairs = compared_pairs(answer)
+    known = parameter_keys(pairs)
+    key = decay_time_key(known) or next(iter(known), None)
+    if key is None:
+        return (*figures, (DASH, say("no measured room parameter to compare with")))
+    how = parameter(key)
+    model, baseline = (known_mean(x) for x in errors_of(pairs, key))
+    words = say("error of predicted {symbol}, mean of {pairs}").format(
+        symbol=how.symbol, pairs=say(_the(compared_words(answer)))
+    )
+    if np.isfinite(baseline):
+        words += say("; by the mean of the others {baseline}").format(
+            baseline=f"{number(baseline, how.error_decimals)} {how.error_unit}"
+        )
+    return (*figures, (f"{number(model, how.error_decimals)} {how.error_unit}", words))
+
+
+def _the(pairs: str) -> str:
+    return f"the {pairs}" if pairs.startswith("fitted") else pairs
+
+
+def _decay_times(answer: Result, say: Callable[[str], str]) -> list[Block]:
+    """Return measured and predicted decay times over frequency, means over the pairs."""
+    found = mean_decay_times(answer)
+    if found is None:
+        return []
+    symbol, measured, predicted = found
+    words = say(
+        "{symbol} over frequency, mean of {pairs}. A listener does not notice what stays within "
+        "the pale box of a band, one just noticeable difference about what was measured."
+    ).format(symbol=symbol, pairs=say(_the(compared_words(answer))))
+    title = f"{symbol} over frequency, measured and predicted"
+    named = (say("measured"), measured), (say("predicted"), predicted)
+    of = answer.bands.centres_hz, named, symbol
+    return [drawing("decay_times", title, words, "measured_decay_figure", *of)]
+
+
+# ---------------------------------------------------------------- the parts
+
+
+def _absorption(answer: Result, say: Callable[[str], str]) -> list[Block]:
+    more: list[Block] = [*object_tables(answer), *source_tables(answer)]
+    sentences = tuple(
+        (hertz(float(centre)), f"{sentence.replace('+-', '±')}.")
+        for centre, sentence in zip(answer.bands.centres_hz, answer.sentences, strict=False)
+        if sentence
+    )
+    if sentences:
+        words = "What the data determine of materials that they do not separate"
+        half = (
+            "“±” precedes half of the 95 % interval. What is not in the data comes from the prior."
+        )
+        more.append(Part(words, (Terms(sentences), Sentence(half)), folded=True))
+    if offsets := offset_terms(answer):
+        words = "Fitted along by early reflections, from the specified value; intervals hold there"
+        more += [Sentence(words), Terms(offsets)]
+    return [
+        _absorption_drawing(answer, say),
+        *absorption_tables(answer),
+        Sentence(
+            "In the table, brackets and the words “not identif.” mark a coefficient that the data "
+            "do not determine: take the mean of the room instead, measure more positions, or "
+            "specify a prior.",
+            "note",
+        ),
+        *more,
+    ]
+
+
+def _absorption_drawing(answer: Result, say: Callable[[str], str]) -> Drawing:
+    return drawing(
+        "absorption",
+        f"Absorption coefficient over frequency with 95 % intervals, "
+        f"{count(len(answer.materials), 'material')} and the mean of the room; the table below "
+        "holds every number.",
+        "Points with bars: absorption and its 95 % interval. Filled: identifiable. Hollow: not "
+        "identifiable, the number may come from the prior. Diamonds: given. "
+        "Above each panel the area of the material, and in how many bands it is identifiable.",
+        "absorption_figure",
+        answer,
+        None,
+        say,
+    )
+
+
+def _predictions(answer: Result, scene: Scene | None) -> list[Block]:
+    summary = Sentence(" ".join(summary_sentences(answer)))
+    if not answer.pairs:
+        return [summary, Sentence("There are no measurements to compare with.")]
+    found: list[Block] = [summary]
+    overview = overview_table(answer)
+    disagreement = None if scene is None else disagreement_table(answer, scene)
+    if disagreement is not None:
+        found.append(disagreement)
+    elif overview is not None and scene is not None:
+        words = "Decay times and clarity agree: no mean over the pairs is off by more than a "
+        found.append(Sentence(words + "listener notices."))
+    errors = error_tables(answer)
+    worse = (("worse", "▲ marks where the model is worse than the baseline."),) if errors else ()
+    found += [
+        *decay_time_tables(answer),
+        Sentence(
+            "Each error is shown beside that of the baseline, which needs no model of the room: "
+            "the mean of the same parameter over the other fitted measurements (“others”).",
+            "",
+            worse,
+        ),
+        *errors,
+        *sti_tables(answer),
+    ]
+    jnd: list[Block] = [
+        Sentence(
+            "Audible differences (ISO 3382-1: 5 % of T20, T30 and EDT, 1 dB of C50, C80 and G, 5 "
+            "points of D50, 10 ms of TS are one just noticeable difference, JND):",
+            "",
+            (("near", "up to 1 JND"), ("middle", "1 to 2 JND"), ("far", "above 2 JND")),
+        )
+    ]
+    jnd += [overview] if overview is not None else []
+    return [*found, Part("", (*jnd, *_decays(answer)), in_text=False)]
+
+
+def _decays(answer: Result) -> list[Block]:
+    pairs = [pair for pair in answer.pairs if has_curves(pair)]
+    if not pairs:
+        words = "No measurement came as a recording, so there are no curves to show."
+        return [Sentence(words)]
+    caption = (
+        "Energy left in the room relative to the whole, after each time; above each panel the "
+        "decay time, measured → predicted, and shaded the range of levels from which it was read. "
+        "Where the measured curve meets the dotted line the noise takes over: later energy is "
+        "extrapolated."
+    )
+    if len(pairs) > 1:
+        caption += " Shown first: the pair whose parameters are furthest off."
+    off = np.nan_to_num([mean_abs_jnd(pair) for pair in pairs], nan=-1.0)
+    names = [
+        f"decay_{i:02d}_{in_file_name(*filter(None, (p.source, p.receiver, p.state)))}"
+        for i, p in enumerate(answer.pairs, start=1)
+        if has_curves(p)
+    ]
+    shown: list[Block] = [
+        drawing(
+            "decay",
+            f"Measured and predicted energy decay curves of {count(len(pairs), 'pair')}, one panel "
+            "a band; the tables below hold the parameters derived from them.",
+            caption,
+            "decay_figure",
+            answer,
+            *pairs,
+            choices=tuple(map(pair_title, pairs)),
+            files=tuple(names[:_MOST_DECAY_FILES]),
+            chosen=int(np.argmax(off)),
+        )
+    ]
+    without = len(answer.pairs) - len(pairs)
+    if without:
+        words = f"Without a curve, for there is no recording: {without} of {len(answer.pairs)}."
+        shown.append(Sentence(words, "note"))
+    return shown
+
+
+def has_curves(pair: ComparedPair) -> bool:
+    """Return whether there are decay curves to draw: values alone have none."""
+    decay = pair.decay
+    if decay is None or not decay.time_s.size:
+        return False
+    return bool((np.isfinite(decay.measured_db) | np.isfinite(decay.predicted_db)).any())
+
+
+def _room(scene: Scene) -> tuple[Block, ...]:
+    caption = (
+        "Above: the room without the walls towards the viewer, colours as in the table of "
+        "materials; dotted lines lead down to the floor. Below: the plan with its materials and "
+        "two side views, all to one scale. Of many faces in view only the largest are drawn."
+    )
+    title = (
+        f"The room with {count(len(wall_materials(scene.room)), 'material')}, "
+        f"{count(len(scene.sources), 'source')} and {count(len(scene.receivers), 'receiver')}: "
+        "in space, in plan and from two sides; the tables below hold the numbers."
+    )
+    picture = drawing("room", title, caption, "room_figure.room_figure", scene)
+    return picture, material_table(scene.room), position_table(scene)
+
+
+def _certainty(answer: Result) -> list[Block]:
+    found: list[Block] = [
+        drawing(
+            "identifiable",
+            "Matrix of materials by bands: width of the 95 % interval; the tables hold every "
+            "number.",
+            "Width of the 95 % interval of every coefficient, dark where it is narrow. The scale "
+            f"ends at {WIDEST_IDENTIFIABLE:g}, beyond which nothing is identifiable. A tick marks "
+            "what is identifiable, G what was given.",
+            "identifiability_figure",
+            answer,
+        )
+    ]
+    if any(kind == "profile" for kinds in answer.interval_kinds for kind in kinds):
+        found.append(
+            drawing(
+                "profiles",
+                "Profiles of the likelihood of single coefficients; their ends are in the table.",
+                "How the cost rises when one coefficient is moved and all else is fitted again, "
+                "misfit taken out. The 95 % interval ends where the curve meets the dotted line "
+                "at 1.92; bands beside are taken for another standard deviation where absorption "
+                "changes fast.",
+                "profiles_figure",
+                answer,
+            )
+        )
+    phi = (
+        "φ is chi-square over degrees of freedom. Where it is above 2 the model does not explain "
+        "the data, and no coefficient counts as identifiable."
+    )
+    found += [*prior_tables(answer), *fit_tables(answer), Sentence(phi, "note")]
+    if budget := budget_tables(answer):
+        words = (
+            "Each source: by how much the combined uncertainty would be smaller without it, as the "
+            "root of the difference of squares, and its share of the combined variance. Sources "
+            "overlap and need not add up; the remainder is what they lack, or exceed, of the "
+            "whole. The expanded uncertainty is half of the 95 % interval, which stands below it. "
+            "The prior is information: without it the uncertainty would be as stated."
+        )
+        found += [*budget, Sentence(words, "note")]
+    return [*found, *condition_tables(answer)]
+
+
+def _pairs(answer: Result, *, few: bool) -> list[Block]:
+    if not parameter_keys(answer.pairs):
+        return [Sentence("No room-acoustic parameters to compare.")]
+    words = (
+        "In each cell: predicted minus measured in just noticeable differences, the two values "
+        "(measured → predicted), and the error of the mean of the others, in just noticeable "
+        "differences, too."
+    )
+    found: list[Block] = [Sentence(words)]
+    if not few:
+        found.append(Sentence("What is folded is not printed."))
+    for i, (title, shown) in enumerate(pair_sections(answer)):
+        found.append(Part(title, shown, folded=True, is_open=i < 2, on_paper=few))
+    return found
+
+
+def _provenance(
+    answer: Result, scene: Scene, campaign: str | None, digests: Mapping[str, str]
+) -> tuple[Block, ...]:
+    mesh, air_ = scene.room.mesh, scene.air
+    law = "by ISO 9613-1" if air_.attenuation == "iso9613" else "none"
+    terms = (
+        ("roomfit", version("roomfit")),
+        ("campaign", campaign or "not specified"),
+        ("method, model", f"{answer.method}, {answer.model}"),
+        ("intervals", answer.interval_kind),
+        ("seed", str(answer.seed)),
+        ("time", f"{number(answer.seconds, 1)} s"),
+        ("evaluations", str(answer.evaluations)),
+        ("cost", f"{number(answer.cost, 2)} (half the sum of squared weighted residuals)"),
+        ("room", f"V = {area(volume_m3(mesh))} m³, S = {area(surface_area_m2(mesh))} m²"),
+        (
+            "air",
+            f"{number(air_.temperature_c, 1)} °C, {number(air_.humidity_percent, 0)} % relative "
+            f"humidity, {number(air_.pressure_kpa, 1)} kPa; attenuation {law}",
+        ),
+        ("speed of sound", f"{number(answer.speed_of_sound_m_s, 2)} m/s"),
+    )
+    digest = (digest_table(digests),) if digests else ()
+    return (*map(Sentence, answer.reasons), Terms(terms), *digest)
+
+
+# ---------------------------------------------------------------- the summary
+
+
+def summary_sentences(answer: Result) -> tuple[str, ...]:
+    """Return what was done, what is identifiable, what is not, and how well it predicts."""
+    counts = [
+        (sum(f.severity == severity for f in answer.findings), severity) for severity in SEVERITIES
+    ]
+    words = {"serious": "serious finding", "warning": "warning", "info": "note"}
+    counted = [count(n, words[severity]) for n, severity in counts if n]
+    sentences = (
+        _what_was_done(answer),
+        *_what_is_determined(answer),
+        _where_it_does_not_fit(answer),
+        _how_well_it_predicts(answer),
+        f"Read first: {listing(counted)}." if counted else "",
+    )
+    return tuple(filter(None, sentences))
+
+
+def _what_was_done(answer: Result) -> str:
+    fitted = sum(pair.use == "fit" for pair in answer.pairs)
+    kept = len(answer.pairs) - fitted
+    data = count(fitted, "fitted measurement")
+    if kept:
+        data += f" and {count(kept, 'measurement')} kept for validation"
+    everywhere = np.ones(len(answer.bands), dtype=np.bool_)
+    return (
+        f"Absorption of {count(len(answer.materials), 'material')} in "
+        f"{count(len(answer.bands), f'{answer.bands.kind} band')} "
+        f"({band_ranges(answer.bands.centres_hz, everywhere)}), from {data}; "
+        f"method {answer.method}, model {answer.model}."
+    )
+
+
+def _what_is_determined(answer: Result) -> list[str]:
+    is_fixed = fixed_coefficients(answer)
+    sure = answer.identifiable & ~is_fixed
+    wanted = int(np.sum(~is_fixed))
+    if not wanted:
+        return ["Every coefficient was given; nothing was fitted."]
+    groups: dict[str, list[str]] = {
+        "Identified in every band": [],
+        "Identified in some bands": [],
+        "Not identifiable in any band": [],
+        "Given and fixed": [],
+    }
+    whole, some, never, given = groups.values()
+    for name, found, fixed in zip(answer.materials, sure, is_fixed, strict=True):
+        if fixed.all():
+            given.append(name)
+        elif (found | fixed).all():
+            whole.append(name)
+        elif not found.any():
+            never.append(name)
+        else:
+            some.append(f"{name} ({_where(answer, found)})")
+    first = f"The data determine {int(sure.sum())} of {wanted} coefficients."
+    return [first, *(f"{words}: {_first(names)}." for words, names in groups.items() if names)]
+
+
+def _first(names: list[str]) -> str:
+    """Return a list short enough to be read; the tables are complete."""
+    more = len(names) - _MOST_NAMES
+    return listing(names) if more <= 0 else listing([*names[:_MOST_NAMES], f"{more} more"])
+
+
+def _where_it_does_not_fit(answer: Result) -> str:
+    misfit = answer.chi2_reduced > LARGEST_CHI2_REDUCED
+    if not misfit.any():
+        return ""
+    return (
+        f"The model does not explain the data at {band_ranges(answer.bands.centres_hz, misfit)} "
+        f"(φ above {LARGEST_CHI2_REDUCED:g}); no coefficient counts as identifiable there."
+    )
+
+
+def _how_well_it_predicts(answer: Result) -> str:
+    pairs = compared_pairs(answer)
+    sentences = []
+    known = parameter_keys(pairs)
+    for key in [key for key in _REPORTED if key in known] or known:
+        model, baseline = map(known_mean, errors_of(pairs, key))
+        if not np.isfinite(model):
+            continue
+        how = parameter(key)
+        words = f"{how.symbol} {number(model, how.error_decimals)} {how.error_unit}"
+        if np.isfinite(baseline):
+            words += f" ({number(baseline, how.error_decimals)})"
+        sentences.append(words)
+    if not sentences:
+        return ""
+    return (
+        f"Mean error of the {compared_words(answer)}, in brackets that of guessing the mean of the "
+        f"others: {listing(sentences)}."
+    )

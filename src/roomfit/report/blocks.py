@@ -1,0 +1,147 @@
+"""What an answer says, described once: a terminal, a page and a file each show what they can.
+
+An answer becomes `Blocks` in the module that knows it; `roomfit.report.text`, `.html` and `.word`
+render them and know no answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from roomfit.base.findings import Code, Finding, Severity
+from roomfit.base.table import Table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "info")
+
+
+@dataclass(frozen=True, slots=True)
+class Sentence:
+    """A paragraph; the style sheet's name for it is ``lead``, ``usable``, ``note`` or none."""
+
+    text: str
+    kind: str = ""
+    keys: tuple[tuple[str, str], ...] = ()  # coloured words behind it: style and word
+
+
+@dataclass(frozen=True, slots=True)
+class Numbers:
+    """A few numbers, each with what it is."""
+
+    pairs: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """Names with a text each."""
+
+    pairs: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """A list of sentences."""
+
+    sentences: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure, drawn once and when it is first looked at."""
+
+    name: str  # of its file, without ending
+    title: str  # for those who do not see it
+    caption: str
+    draw: Callable[[], Figure]
+    # of what is drawn over each other one is shown at a time, `chosen` first; names of files
+    choices: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
+    chosen: int = 0
+
+    @cached_property
+    def figure(self) -> Figure:
+        """Return the figure."""
+        return self.draw()
+
+    @cached_property
+    def svg(self) -> str:
+        """Return the SVG element."""
+        key = self.name.replace("_", "-")
+        return str(import_module("roomfit.report.figures").svg(self.figure, key, self.title))
+
+
+def drawing(name: str, title: str, caption: str, maker: str, *of: Any, **more: Any) -> Drawing:
+    """Return a drawing by a function of `roomfit.report.figures`, or of the module it names.
+
+    matplotlib is imported with the first figure.
+    """
+    module, _, function = maker.rpartition(".")
+
+    def draw() -> Figure:
+        found = import_module(f"roomfit.report.{module or 'figures'}")
+        figure: Figure = getattr(found, function)(*of)
+        return figure
+
+    return Drawing(name, title, caption, draw, **more)
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """Findings, and what they advise to write into the campaign."""
+
+    findings: tuple[Finding, ...]
+    advice: Mapping[Code, Sequence[str]] = field(default_factory=dict)
+
+    def groups(self) -> tuple[list[Finding], ...]:
+        """Return the findings by severity, those of one code together."""
+        alike: dict[tuple[Severity, Code], list[Finding]] = {}
+        for finding in sorted(self.findings, key=lambda f: SEVERITIES.index(f.severity)):
+            alike.setdefault((finding.severity, finding.code), []).append(finding)
+        return tuple(alike.values())
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Blocks under a heading."""
+
+    heading: str
+    blocks: tuple[Block, ...]
+    name: str = ""  # links lead to it
+    words: str = ""  # behind the heading of what is folded
+    folded: bool = False
+    is_open: bool = False
+    on_paper: bool = True  # whether it is printed though it is folded
+    in_text: bool = True  # False: a page alone has it
+
+
+Block: TypeAlias = "Sentence | Numbers | Terms | Listed | Table | Drawing | Findings | Part"
+
+
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """An answer."""
+
+    title: str
+    head: tuple[Block, ...]  # the first screen
+    blocks: tuple[Block, ...]
+    file: str = "result.json"  # which has all of it
+    project: tuple[tuple[str, str], ...] = ()
+    logo: str = ""  # a data URL
+    language: str = "en"
+
+    def drawings(self) -> tuple[Drawing, ...]:
+        """Return all figures, in their order."""
+        return tuple(b for b in _flat((*self.head, *self.blocks)) if isinstance(b, Drawing))
+
+
+def _flat(blocks: Sequence[Block]) -> Iterator[Block]:
+    for block in blocks:
+        yield block
+        if isinstance(block, Part):
+            yield from _flat(block.blocks)

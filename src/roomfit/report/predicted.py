@@ -1,0 +1,426 @@
+"""A prediction as blocks: one sentence, the decay time over frequency, means, and every pair."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from roomfit.base.bands import Bands
+from roomfit.base.findings import Code, Finding
+from roomfit.base.table import Cell, Table
+from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.files.encoding import finding_of
+from roomfit.predict.tables import PredictedValue, ValueChange, is_undetermined, named_values
+from roomfit.report.blocks import (
+    Block,
+    Blocks,
+    Drawing,
+    Findings,
+    Numbers,
+    Part,
+    Sentence,
+    drawing,
+)
+from roomfit.report.decay_times import (
+    MID_HZ,
+    Limit,
+    Series,
+    mid_mean,
+    mid_words,
+    with_interval,
+)
+from roomfit.report.wording import band_tables, decay_time_key, in_file_name, number, parameter
+from roomfit.signals.decay import FIT_RANGES_DB, jnd_of
+from roomfit.signals.iso3382 import ValueName
+from roomfit.signals.speech import sti_missing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from roomfit.predict.other_walls import Predicted
+    from roomfit.room.scene import Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecayAnswer:
+    """The decay time of a prediction, before and after a change or beside what was measured."""
+
+    bands: Bands
+    symbol: str  # T30, or what is known in its place
+    before: Series | None  # as it is: measured, or by the model; None where neither is known
+    after: Series  # predicted; of a change what was measured before, carried over
+    is_changed: bool
+    # why a change is not determined, as "prior alone"; "" where it is
+    open_because: str = ""
+    is_determined: bool = True  # whether it rises or falls, at 95 %
+
+    @property
+    def sentence(self) -> str:
+        """The answer in a sentence, of the mean at mid frequencies."""
+        centres = self.bands.centres_hz
+        after = with_interval(*self.after.mid_s(centres))
+        what = f"{self.symbol} at {mid_words(centres)}"
+        if self.before is None:
+            return f"{what} is predicted as {after}."
+        value, low, high = self.before.mid_s(centres)
+        label = self.before.label.removesuffix(" before")
+        if not self.is_changed:
+            return f"{what} is predicted as {after}; {label} {number(value, 2)} s."
+        if np.isfinite([low, high]).all():
+            label += f", {number(low, 2)} to {number(high, 2)}"
+        if self.open_because:
+            return (
+                f"{what} is {number(value, 2)} s ({label}); what the change does to it is not "
+                f"determined ({self.open_because})."
+            )
+        moved = self.after.mid_s(centres)[0] - value
+        if abs(moved) < 0.005:
+            return f"{what} stays at {number(value, 2)} s ({label}): {after} after the change."
+        way = "falls" if moved < 0.0 else "rises"
+        if self.is_determined:
+            return f"{what} {way} from {number(value, 2)} s ({label}) to {after}."
+        return (
+            f"{what} is {number(value, 2)} s ({label}), and {after} is expected after the change; "
+            f"whether it {way} is not determined."
+        )
+
+    @property
+    def numbers(self) -> list[tuple[str, str]]:
+        """The time as it is, the time after, and by how much it moves."""
+        centres = self.bands.centres_hz
+        after = self.after.mid_s(centres)
+        where = f"{self.symbol} at {mid_words(centres)}"
+        if self.before is None:
+            return [_figure(f"{where}, predicted", *after)]
+        before = self.before.mid_s(centres)
+        shown = [_figure(f"{where}, {self.before.label}", *before)]
+        if self.open_because:
+            return [*shown, ("not determined", f"{where}, {self.after.label}: {self.open_because}")]
+        shown.append(_figure(f"{where}, {self.after.label}", *after))
+        steps = (after[0] - before[0]) / float(jnd_of("T30_s", np.array(before[0])))
+        change = f"{number(100.0 * (after[0] / before[0] - 1.0), 0, signed=True)} %"
+        words = f"{number(abs(steps), 1)} just noticeable differences"
+        return [
+            *shown,
+            (change, words if self.is_changed else f"beside what was measured: {words}"),
+        ]
+
+    def drawing(self, limits: Sequence[Limit] = ()) -> Drawing:
+        """Return the decay time over frequency, with limits where there are some."""
+        series = [s for s in (self.before, self.after) if s is not None]
+        of = self.bands.centres_hz, series, self.symbol, limits
+        caption = (
+            "Means over the positions; bars are 95 % intervals. A listener does not notice what "
+            "stays within the pale box of a band."
+        )
+        title = "Decay times over frequency"
+        return drawing("decay_times", title, caption, "decay_time_figure", *of)
+
+
+def _figure(words: str, value: float, low: float, high: float) -> tuple[str, str]:
+    """Return a number, and what it is with its interval."""
+    if np.isfinite([low, high]).all():
+        words += f"; {number(low, 2)} to {number(high, 2)} s at 95 %"
+    return f"{number(value, 2)} s", words
+
+
+def decay_answer(
+    bands: Bands,
+    means: Mapping[str, PredictedValue],
+    *,
+    is_changed: bool,
+    before: str = "",
+    after: str = "after the change",
+    open_for: Sequence[str] = (),
+) -> DecayAnswer | None:
+    """Return the answer of a table of means; None where it has no decay time.
+
+    `before` and `after` say in a word what the room is before and after the change, or are left
+    out: whether it was measured. `open_for` is that of `parameter_lines`.
+    """
+    known = [name for name, v in means.items() if np.isfinite(v.predicted).any()]
+    # T30 is what a client asks for
+    name = "T30_s" if "T30_s" in known else decay_time_key(known)
+    if name is None:
+        return None
+    v, symbol = means[name], parameter(name).symbol
+    measured, is_measured = v.measured, np.isfinite(v.measured)
+    if not is_changed:
+        own = Series("measured", measured) if is_measured.any() else None
+        predicted = Series("predicted", v.predicted, v.lower95, v.upper95)
+        return DecayAnswer(bands, symbol, own, predicted, is_changed)
+    if v.change is None:
+        later = Series(after, v.predicted, v.lower95, v.upper95)
+        return DecayAnswer(bands, symbol, None, later, is_changed)
+    c = v.change
+    is_carried = np.isfinite(c.carried)
+    values, low, high = (
+        np.where(is_carried, own, model)
+        for own, model in (
+            (c.carried, v.predicted),
+            (c.carried_lower95, v.lower95),
+            (c.carried_upper95, v.upper95),
+        )
+    )
+    # where a measured mean has an interval of its own, it stands in place of a model's
+    is_alone = is_measured & (c.before != measured)
+    first = "measured before" if is_measured.all() else "predicted before"
+    if is_measured.any() and not is_measured.all():
+        first = "before, measured where it was"
+    earlier = Series(
+        before or first,
+        np.where(is_measured, measured, c.before),
+        np.where(is_alone, np.nan, c.before_lower95),
+        np.where(is_alone, np.nan, c.before_upper95),
+    )
+    why = _open_because(bands.centres_hz, is_undetermined(name, c), open_for)
+    later = Series(after, values, low, high)
+    _, least, most = Series("", c.change, c.change_lower95, c.change_upper95).mid_s(
+        bands.centres_hz
+    )
+    # without an interval, the likeliest is all that is known
+    return DecayAnswer(bands, symbol, earlier, later, is_changed, why, not least <= 1.0 <= most)
+
+
+def _open_because(centres_hz: FloatArray, unknown: BoolArray, open_for: Sequence[str]) -> str:
+    """Return why a change is not determined in a band that the mid frequencies are made of."""
+    mid = np.isin(centres_hz, MID_HZ)
+    each = zip(open_for, unknown & (mid if mid.any() else True), strict=False)
+    return next((why for why, is_open in each if why and is_open), "")
+
+
+# ---------------------------------------------------------------- the blocks
+
+
+_MEAN = "Mean over the pairs (over those measured, where some are): predicted, 95 % interval"
+_STI = "Speech transmission index (IEC 60268-16), 95 % interval"
+_USES = {None: "not measured", "fit": "measured", "validate": "measured, kept for validation"}
+_MOST_PICTURES = 24
+
+
+def describe(predicted: Predicted) -> Blocks:
+    """Return the answer in a sentence and four numbers, findings, means, and every pair.
+
+    Of a change each parameter has what was measured before, the model before and after, what was
+    measured carried over by the change, and the change, with their intervals.
+    """
+    answer, open_for = _answer(predicted), _open_for(predicted)
+    is_changed, centres_hz = bool(predicted.changes), predicted.bands.centres_hz
+    lead = [f"With {'; '.join(predicted.changes)}:"] if predicted.changes else []
+    lead += [] if answer is None else [answer.sentence]
+    head: list[Block] = [Sentence(" ".join(lead), "lead")] if lead else []
+    head += [] if answer is None else [answer.drawing()]
+    head.append(Numbers(tuple(_numbers(predicted, answer))))
+    if predicted.compares_states:
+        title = "Means over the pairs before and after the change, one panel a parameter"
+        caption = "Bars are 95 % intervals."
+        head.append(
+            drawing("change", title, caption, "prediction_figures.change_figure", predicted)
+        )
+
+    def shown(title: str, values: Mapping[ValueName, PredictedValue]) -> tuple[Table, ...]:
+        named = named_values(values, None)
+        lines = parameter_lines(named, is_changed=is_changed, open_for=open_for)
+        return band_tables(title, "parameter", centres_hz, parameter_rows(lines))
+
+    named = [(f"{p.source} to {p.receiver}, {_USES[p.use]}", p) for p in predicted.pairs]
+    sti = [("mean over the pairs", predicted.sti), *((title, p.sti) for title, p in named)]
+    rows: list[tuple[Cell, ...]] = []
+    for title, value in sti:
+        if value is not None:
+            lines = parameter_lines({"STI": value}, is_changed=is_changed)
+            rows += parameter_rows([(title, what, cells) for _, what, cells in lines])
+    speech: Block = Sentence(f"STI is not predicted: {sti_missing(predicted.bands)}.")
+    if rows:
+        speech = Table(_STI, ("pair", "125 Hz to 8 kHz"), rows)
+    blocks: list[Block] = [
+        Findings(predicted.findings),
+        Part("Means", (*shown(_MEAN, predicted.mean), speech), folded=True),
+    ]
+    if named:
+        tables = tuple(table for title, p in named for table in shown(title, p.parameters))
+        words = f"{len(named)} of source and receiver; the first in full, all in predicted.csv"
+        few = len(named) <= _MOST_IN_TEXT
+        blocks.append(Part("Pair by pair", tables, "", words, folded=True, in_text=few))
+    title = "Before and after" if predicted.compares_states else "Predicted"
+    return Blocks(title, tuple(head), tuple(blocks), "predicted.json")
+
+
+_MOST_IN_TEXT = 4
+
+
+def draw(predicted: Predicted, pair: int = 0) -> Figure:
+    """Return the energy decay curves of one pair, predicted and measured, in every band."""
+    from roomfit.report.prediction_figures import predicted_decay_figure
+
+    return predicted_decay_figure(predicted, predicted.pairs[pair])
+
+
+def pair_drawings(predicted: Predicted) -> Iterator[Drawing]:
+    """Return the decay curves of the first pairs, which are files beside the page."""
+    for i, pair in enumerate(predicted.pairs[:_MOST_PICTURES], start=1):
+        name = f"predicted_{i:02d}_{in_file_name(pair.source, pair.receiver)}"
+        maker = "prediction_figures.predicted_decay_figure"
+        yield drawing(name, "Energy decay curves", "", maker, predicted, pair)
+
+
+SHOWN: tuple[tuple[str, str, str], ...] = (
+    ("T20_s", "T20 s", "{:.2f}"),
+    ("T30_s", "T30 s", "{:.2f}"),
+    ("EDT_s", "EDT s", "{:.2f}"),
+    ("C50_dB", "C50 dB", "{:.1f}"),
+    ("C80_dB", "C80 dB", "{:.1f}"),
+    ("D50_percent", "D50 %", "{:.0f}"),
+    ("TS_ms", "TS ms", "{:.0f}"),
+    ("G_dB", "G dB", "{:.1f}"),
+    ("STI", "STI", "{:.2f}"),
+)
+
+
+_OPEN = ((Code.CHANGE_PRIOR_DOMINATED, "prior alone"), (Code.RESULT_DOUBTED, "result doubted"))
+
+
+def _open_for(predicted: Predicted) -> tuple[str, ...]:
+    """Return by band why the absorption may be split otherwise among walls; "" where it may not."""
+    centres_hz, found = predicted.bands.centres_hz.tolist(), predicted.findings
+    return tuple(
+        next((why for code, why in _OPEN if _is_said(found, code, f)), "") for f in centres_hz
+    )
+
+
+def _is_said(findings: Sequence[Finding], code: Code, band_hz: float) -> bool:
+    return any(f.code is code and f.about.in_band(band_hz) for f in findings)
+
+
+def parameter_lines(
+    table: Mapping[str, PredictedValue], *, is_changed: bool, open_for: Sequence[str] = ()
+) -> list[tuple[str, str, list[Cell]]]:
+    """Return name, what is said of it, and cells of every line of a table.
+
+    What was measured is set against the model of the room as it was measured, never against a
+    changed one. `open_for` says by band why the absorption may be split otherwise among walls: a
+    change of which `is_undetermined` holds is not determined there, and the reason stands beside.
+    """
+    lines = []
+    for name, label, form in SHOWN:
+        if name not in table:
+            continue
+        v, c = table[name], table[name].change
+        after = _with_bounds(form, v.predicted, v.lower95, v.upper95)
+        is_measured = np.isfinite(v.measured).any()
+        lines.append((label, "model after" if is_changed else "predicted", after))
+        if is_measured and c is not None:
+            cells = [Cell(form.format(m) if np.isfinite(m) else "-") for m in v.measured]
+            lines.append((label, "measured before", cells))
+        elif is_measured:
+            lines.append((label, "measured", _measured_cells(v, form)))
+        if is_changed and c is not None:
+            lines += [
+                (label, what, cells)
+                for what, cells in _change_cells(name, c, form, open_for)
+                if is_measured or what != "carried over"
+            ]
+    return lines
+
+
+def _change_cells(
+    name: str, c: ValueChange, form: str, open_for: Sequence[str]
+) -> Iterator[tuple[str, list[Cell]]]:
+    yield "model before", _with_bounds(form, c.before, c.before_lower95, c.before_upper95)
+    yield "carried over", _with_bounds(form, c.carried, c.carried_lower95, c.carried_upper95)
+    rows = (c.change, c.change_lower95, c.change_upper95)
+    label, cells = "change %", _with_bounds("{:+.0f}", *(100 * (r - 1) for r in rows))
+    if name not in FIT_RANGES_DB:
+        unit = {n: label for n, label, _ in SHOWN}[name].partition(" ")[2].replace("%", "points")
+        label, cells = f"change {unit}".rstrip(), _with_bounds(form.replace(":", ":+"), *rows)
+    unknown = is_undetermined(name, c)
+    for band, why in enumerate(open_for[: unknown.size]):
+        if why and unknown[band]:
+            cells[band] = Cell("not determined", (why,))
+    yield label, cells
+
+
+def grid_drawings(predicted: Predicted, scene: Scene) -> Iterator[Drawing]:
+    """Return the maps of every source."""
+    sources = dict.fromkeys(pair.source for pair in predicted.pairs)
+    for i, source in enumerate(sources, start=1):
+        name, maker = f"grid_{i:02d}_{in_file_name(source)}", "prediction_figures.grid_figure"
+        yield drawing(name, "Maps", "", maker, predicted, scene, source)
+
+
+def _answer(predicted: Predicted) -> DecayAnswer | None:
+    means = named_values(predicted.mean, None)
+    is_changed, open_for = bool(predicted.changes), _open_for(predicted)
+    return decay_answer(predicted.bands, means, is_changed=is_changed, open_for=open_for)
+
+
+def _numbers(predicted: Predicted, answer: DecayAnswer | None) -> list[tuple[str, str]]:
+    """Return at most four numbers and what they are."""
+    shown = [] if answer is None else answer.numbers
+    named = named_values(predicted.mean, predicted.sti)
+    centres = predicted.bands.centres_hz
+    for key, label, form in SHOWN:
+        v = named.get(key)
+        if len(shown) >= 4 or key not in ("C50_dB", "STI", "G_dB") or v is None:
+            continue
+        rows = (v.predicted, v.lower95, v.upper95)
+        value, low, high = ((r[0] if key == "STI" else mid_mean(centres, r)) for r in rows)
+        if np.isfinite(value):
+            where = "" if key == "STI" else f" at {mid_words(centres)}"
+            words = f"{label}{where}, predicted; {form.format(low)} to {form.format(high)} at 95 %"
+            shown.append((form.format(value), words))
+    return shown
+
+
+# Of a change, in the order of time.
+_IN_A_PAGE = ("predicted", "measured", "measured before", "model before", "model after")
+
+
+def parameter_rows(lines: Sequence[tuple[str, str, list[Cell]]]) -> list[tuple[Cell, ...]]:
+    """Return lines in the order of time; each name stands once."""
+    rows = []
+    order = {what: i for i, what in enumerate(_IN_A_PAGE)}
+    for label, own in groupby(lines, key=itemgetter(0)):
+        ordered = sorted(own, key=lambda line: order.get(line[1], len(order)))
+        for i, (_, what, cells) in enumerate(ordered):
+            rows.append((Cell(label if i == 0 else "", (what,)), *cells))
+    return rows
+
+
+def _with_bounds(
+    form: str, values: FloatArray, lower95: FloatArray, upper95: FloatArray
+) -> list[Cell]:
+    return [
+        Cell(form.format(v), (f"{form.format(low)} to {form.format(high)}",))
+        if np.isfinite(v)
+        else Cell("-")
+        for v, low, high in zip(values, lower95, upper95, strict=True)
+    ]
+
+
+def _measured_cells(value: PredictedValue, form: str) -> list[Cell]:
+    """Measured values; below how far the prediction is above, in just noticeable steps."""
+    return [
+        Cell(form.format(m), (f"{steps:+.1f} jnd",) if np.isfinite(steps) else ())
+        if np.isfinite(m)
+        else Cell("-")
+        for m, steps in zip(value.measured, value.jnd, strict=True)
+    ]
+
+
+def listen_blocks(content: Mapping[str, Any]) -> Blocks:
+    """Return what was changed, and from when on noise carries what is predicted of the tail."""
+    changed = "; ".join(content["changes"]) or "nothing: every response as it was"
+    caption = f"Changed: {changed}\n"
+    caption += "From these times after emission the measured noise carries the predicted tail, s:"
+    rows = [(f"{r['source']} to {r['receiver']}", *r["noise_from_s"]) for r in content["responses"]]
+    bands = [f"{f:g}" for f in content["bands_hz"]]
+    note = f"Below {bands[0]} and above {bands[-1]} Hz the nearest band stands for all."
+    shown = Table(caption, ("Hz", *bands), rows, (note,), ".2f")
+    findings = tuple(finding_of(one, "findings") for one in content["findings"])
+    return Blocks("Listen", (shown,), (Findings(findings),), "listen.json")
