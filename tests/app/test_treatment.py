@@ -109,6 +109,7 @@ def test_what_cannot_be_asked_is_refused_and_the_file_stays(
 
 def test_decay_times_are_answered_as_the_command_line_answers_them(hall: Path) -> None:
     """The mean with its interval, and the square metres; no position was asked for."""
+    from roomfit.cli.reverberation import reverberation_to_folder
 
     assert views.reverberation(nothing, str(hall)) == project.MEAN
     view = views.result_view(nothing, str(hall), project.MEAN)
@@ -150,7 +151,7 @@ def test_other_walls_from_decay_times_are_those_of_the_command(hall: Path, tmp_p
     changes = ["walls=x2,x1,x1", "ceiling=mineral-wool-50-mm"]
     for texts in ([], changes):
         own = views.what_if(nothing, str(hall), texts)
-        found = predict_to_folder(
+        found, _ = predict_to_folder(
             project.campaign_file(hall), None, tmp_path / "out", [read_change(t) for t in texts],
             overwrite=True,
         )  # fmt: skip
