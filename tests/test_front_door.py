@@ -93,7 +93,7 @@ def test_a_check_of_recordings_loads_no_pictures_and_no_statistics():
         "scipy.spatial",
     )
     program = (
-        "import sys, roomfit.cli.commands, roomfit.checks.usable, roomfit.report.text\n"
+        "import sys, roomfit.cli.check, roomfit.checks.usable, roomfit.report.check\n"
         f"print([m for m in {heavy} if m in sys.modules])"
     )
     done = subprocess.run(

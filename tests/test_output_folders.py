@@ -199,7 +199,8 @@ def test_a_request_to_end_leaves_nothing(tmp_path, number):
         "def run(options):\n"
         "    with whole_output_folder(Path(sys.argv[1])) as folder:\n"
         "        (folder / 'half').write_text('x'); print('in', flush=True); time.sleep(600)\n"
-        "cli._parsed = lambda _: type('O', (), {'run': staticmethod(run)})\n"
+        "sys.modules['roomfit.cli.x'] = type('M', (), {'run': staticmethod(run)})\n"
+        "cli._parsed = lambda _: type('O', (), {'command': 'x'})\n"
         "cli.main([])"
     )
     run = subprocess.Popen(
@@ -228,7 +229,8 @@ def test_an_interrupt_that_falls_into_a_destructor_is_not_lost():
         "def run(options):\n"
         "    Slow()\n"
         "    time.sleep(600)\n"
-        "cli._parsed = lambda _: type('O', (), {'run': staticmethod(run)})\n"
+        "sys.modules['roomfit.cli.x'] = type('M', (), {'run': staticmethod(run)})\n"
+        "cli._parsed = lambda _: type('O', (), {'command': 'x'})\n"
         "cli.main([])"
     )
     run = subprocess.Popen(
@@ -284,10 +286,11 @@ def test_output_to_a_full_device_is_reported(tmp_path):
 def test_an_interrupt_within_exec_ends_with_the_same_code():
     """Dataclasses are made by exec, and Python ends by a signal after an interrupt in one."""
     program = (
-        "import roomfit.cli as cli\n"
+        "import sys, roomfit.cli as cli\n"
         "def run(options):\n"
         "    exec('raise KeyboardInterrupt')\n"
-        "cli._parsed = lambda _: type('O', (), {'run': staticmethod(run)})\n"
+        "sys.modules['roomfit.cli.x'] = type('M', (), {'run': staticmethod(run)})\n"
+        "cli._parsed = lambda _: type('O', (), {'command': 'x'})\n"
         "cli.main([])"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False)

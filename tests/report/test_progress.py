@@ -84,7 +84,7 @@ def test_quiet_still_shows_errors(tmp_path, capsys):
 def test_a_library_prints_nothing(tmp_path):
     write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 500"))
     program = (
-        "from pathlib import Path; from roomfit.cli.commands import identify_to_folder as f; "
+        "from pathlib import Path; from roomfit.cli.identify import identify_to_folder as f; "
         "f(Path('campaign/campaign.toml'), Path('out'), quick=True, progress=lambda _: None)"
     )
     done = subprocess.run(
