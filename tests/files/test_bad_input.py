@@ -414,7 +414,7 @@ def test_all_files_that_are_missing_are_reported_at_once_before_one_is_read(refu
 
 
 def test_a_file_that_changes_between_two_readings_is_refused(tmp_path):
-    from roomfit.files.door import files_read, read_bytes, reading_noted
+    from roomfit.base.door import files_read, read_bytes, reading_noted
 
     file = tmp_path / "a.wav"
     with reading_noted():

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 import roomfit
+from roomfit.base import door
+from roomfit.base.door import LIMITS, check_limit, limit, read_bytes, read_text
 from roomfit.base.errors import InputError
 from roomfit.base.table import Table, csv_of
-from roomfit.files import door
 from roomfit.files.campaign import read_campaign
 from roomfit.files.directivity import read_directivity
-from roomfit.files.door import LIMITS, check_limit, limit, read_bytes, read_text
 from roomfit.files.encoding import one_line
 from roomfit.files.exports import catt_text, read_material_table
 from roomfit.files.responses import read_response

@@ -11,8 +11,8 @@ import scipy.io
 
 from roomfit.base.errors import InputError
 from roomfit.files.responses import read_response
-from roomfit.files.responses.formats import mat5_arrays
 from roomfit.files.responses.recordings import ResponseSpec
+from roomfit.formats.matlab import mat_variables
 
 DATA = Path(scipy.io.__file__).parent / "matlab/tests/data"
 
@@ -112,7 +112,7 @@ def test_coordinates_which_are_objects_are_passed_over(tmp_path):
     response, _ = read_response(ResponseSpec(path))
     np.testing.assert_array_equal(response.pressure, samples[:, 0])
     assert response.sampling_rate_hz == 48_000.0
-    found = mat5_arrays(path.read_bytes())
+    found = mat_variables(path.read_bytes())
     of_class = "an object of class itaCoordinates"
     assert found["place"] == found["ITA_TOOLBOX_AUDIO_OBJECT.channelCoordinates"] == of_class
     assert "" not in found and opaque_field in path.read_bytes()
@@ -123,7 +123,7 @@ def test_fields_of_a_structure_that_matlab_itself_wrote_are_read():
     path = DATA / "teststruct_7.4_GLNX86.mat"
     if not path.exists():
         pytest.skip("scipy came without its tests")
-    found = mat5_arrays(path.read_bytes())
+    found = mat_variables(path.read_bytes())
     expected = [[np.sqrt(2.0), np.exp(1.0), np.pi]]
     np.testing.assert_allclose(found["teststruct.doublefield"], expected, rtol=1e-15)
     assert found["teststruct.stringfield"] == "text 'Rats live on no evil star.'"
@@ -138,7 +138,7 @@ def test_every_file_of_matlab_at_hand_is_read_or_refused_in_words():
     refused = []
     for path in files:
         try:
-            mat5_arrays(path.read_bytes())
+            mat_variables(path.read_bytes())
         except ValueError:
             refused.append(path.name)
     damaged = ("bad_", "broken_", "corrupted_", "malformed", "miuint32_for")  # on purpose

@@ -25,8 +25,8 @@ from roomfit.app import project
 from roomfit.app.jobs import Bench
 from roomfit.app.page import build_page
 from roomfit.app.security import Door, Guard, new_door
+from roomfit.base.door import limit
 from roomfit.base.errors import InputError, RoomfitError
-from roomfit.files.door import limit
 from roomfit.files.responses.sweep import (
     SweepPlan,
     check_not_measured,

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from roomfit.app import project
+from roomfit.base.door import read_text
 from roomfit.base.errors import InputError
 from roomfit.base.typing import Progress
 from roomfit.base.whole_files import write_text_atomically
 from roomfit.files.campaign import read_toml
-from roomfit.files.door import read_text
 from roomfit.files.edits import Edit, edited_text, heading, without_tables
 from roomfit.files.encoding import written_content
 from roomfit.files.inputs import campaign_room

@@ -23,6 +23,7 @@ from urllib.parse import quote
 
 import numpy as np
 
+from roomfit.base.door import complete
 from roomfit.base.errors import FolderInUseError, InputError, RoomfitError, StoreError
 from roomfit.base.table import Cell, Column, Table, Value, csv_of, text_of, written
 from roomfit.base.typing import Progress
@@ -30,7 +31,6 @@ from roomfit.base.whole_files import make_folder, write_json_atomically, write_t
 from roomfit.base.workers import completed, keep_one_thread, result_of
 from roomfit.cli.identify import identify_to_folder
 from roomfit.files.campaign import input_files, read_campaign
-from roomfit.files.door import complete
 from roomfit.files.encoding import input_digests, written_content
 from roomfit.files.exports import read_result_content
 from roomfit.files.results import check_disk_room

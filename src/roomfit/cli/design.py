@@ -14,7 +14,7 @@ from roomfit.design.campaign import design_arguments
 from roomfit.design.output import write_design
 from roomfit.design.positions import design
 from roomfit.files.campaign import read_campaign
-from roomfit.files.door import files_read, reading_noted
+from roomfit.base.door import files_read, reading_noted
 from roomfit.files.results import read_result
 from roomfit.report.designed import describe
 from roomfit.report.figures import write_pictures

@@ -15,7 +15,7 @@ from roomfit.cli.arguments import result_file
 from roomfit.cli.init import check_place
 from roomfit.cli.terminal import say
 from roomfit.files.budget import budget_records, uncertainty_budget
-from roomfit.files.door import read_bytes, read_text
+from roomfit.base.door import read_bytes, read_text
 from roomfit.files.encoding import ResultFile, path_of
 from roomfit.files.exports import (
     export_materials,

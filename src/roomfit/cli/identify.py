@@ -21,7 +21,7 @@ from roomfit.base.whole_files import (
 from roomfit.cli.check import how_to_write
 from roomfit.cli.terminal import say
 from roomfit.files.campaign import read_campaign
-from roomfit.files.door import files_read, reading_noted
+from roomfit.base.door import files_read, reading_noted
 from roomfit.files.encoding import input_digests
 from roomfit.files.inputs import identify_arguments
 from roomfit.files.project import project_details

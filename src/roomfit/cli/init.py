@@ -23,7 +23,7 @@ from roomfit.files.draft import (
     recordings_in,
 )
 from roomfit.files.edits import sole_editor
-from roomfit.files.file_names import in_short
+from roomfit.base.arguments import in_short
 from roomfit.files.reverberation import read_decay_times
 from roomfit.files.rooms import READERS
 from roomfit.files.rooms.model import RoomSpec

@@ -16,7 +16,7 @@ from roomfit.base.whole_files import check_output_folder, whole_output_folder, w
 from roomfit.cli.arguments import result_file
 from roomfit.cli.terminal import say
 from roomfit.files.campaign import read_campaign
-from roomfit.files.door import files_read, reading_noted
+from roomfit.base.door import files_read, reading_noted
 from roomfit.files.encoding import ResultFile
 from roomfit.files.responses import read_response
 from roomfit.files.responses.recordings import ResponseSpec

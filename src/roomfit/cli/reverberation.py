@@ -15,7 +15,7 @@ from roomfit.base.whole_files import (
 )
 from roomfit.cli.terminal import say
 from roomfit.files.campaign import read_campaign
-from roomfit.files.door import files_read, reading_noted
+from roomfit.base.door import files_read, reading_noted
 from roomfit.files.reverberation import diffuse_field, diffuse_result_content
 from roomfit.predict.diffuse_field import DiffuseAbsorption, diffuse_absorption
 from roomfit.report.diffuse import describe, diffuse_records

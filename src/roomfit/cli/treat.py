@@ -25,7 +25,7 @@ from roomfit.design.campaign import design_arguments
 from roomfit.design.output import chosen_positions
 from roomfit.design.positions import design
 from roomfit.files.campaign import Campaign, read_campaign
-from roomfit.files.door import files_read, reading_noted
+from roomfit.base.door import files_read, reading_noted
 from roomfit.files.encoding import ResultFile
 from roomfit.files.results import read_result
 from roomfit.files.schema import TreatmentTable

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from roomfit.base.door import complete
 from roomfit.base.errors import InputError, located
 from roomfit.base.logit import Z95, logit
 from roomfit.base.table import Column, Table, Value
 from roomfit.base.typing import FloatArray, IntArray
-from roomfit.files.door import complete
 from roomfit.files.encoding import ResultFile, path_of
 from roomfit.files.exports import read_result_content
 from roomfit.files.results import result_content

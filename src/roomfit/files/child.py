@@ -1,4 +1,4 @@
-"""The program that reads one file in a process of its own; `roomfit.files.door.of_child` starts it.
+"""The program that reads one file in a process of its own; `roomfit.base.door.of_child` starts it.
 
 Damaged files lead libraries of others (HDF5, COLLADA, IFC, USD, SKP) into endless loops, and to
 read and write where they must not. So they run where nothing can be lost: with limits of memory

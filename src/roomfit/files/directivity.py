@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roomfit.base.bands import Bands
+from roomfit.base.door import read_bytes
 from roomfit.base.errors import InputError, located
 from roomfit.base.typing import FloatArray
-from roomfit.files.door import read_bytes
-from roomfit.files.responses.hdf5 import Variables, read_sofa_variables, sofa_data, sofa_values
+from roomfit.files.responses.sofa import Variables, read_sofa_variables, sofa_data, sofa_values
 from roomfit.model.patterns import MeasuredDirectivity, loudspeaker_axes, measured_directivity
 
 _LARGEST = 1e100  # far above any, far below where squares overflow

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
+from roomfit.base.door import read_bytes
 from roomfit.base.errors import InputError, located
 from roomfit.base.typing import FloatArray
 from roomfit.files.campaign import FILL_IN
-from roomfit.files.door import read_bytes
 from roomfit.files.encoding import one_line
 from roomfit.files.file_names import files_of_shape, in_short, shape_of
 from roomfit.files.responses import RESPONSE_SUFFIXES

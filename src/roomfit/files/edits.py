@@ -21,10 +21,10 @@ from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
+from roomfit.base.door import read_text
 from roomfit.base.errors import InputError, located
 from roomfit.base.whole_files import locked, write_json_atomically, write_text_atomically
 from roomfit.files.campaign import Campaign, read_campaign
-from roomfit.files.door import read_text
 
 _UNDO = ".roomfit-undo.json"  # the campaign before the last remedy, and the digest of it after
 _Path: TypeAlias = tuple[str | int, ...]

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from roomfit.base.arguments import check_known
+from roomfit.base.door import files_read, json_content, read_bytes, read_text
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding, code_of
 from roomfit.base.typing import FloatArray
 from roomfit.base.whole_files import CONTENT_DIGEST, content_digest
-from roomfit.files.door import files_read, json_content, read_bytes, read_text
 
 
 class EditedFile(NamedTuple):
@@ -161,7 +161,7 @@ def provenance(inputs: Iterable[Path]) -> dict[str, Any]:
 def input_digests(inputs: tuple[Path, ...]) -> dict[str, str]:
     """Return the SHA-256 of every file, named relative to the folder of the first.
 
-    As it was read, within `roomfit.files.door.reading_noted`; else of what lies there now.
+    As it was read, within `roomfit.base.door.reading_noted`; else of what lies there now.
     """
     folder = inputs[0].parent if inputs else Path()
     noted, digests = files_read(), {}

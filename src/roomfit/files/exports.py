@@ -22,11 +22,11 @@ import numpy as np
 
 from roomfit.base.arguments import bool_array, check_known, check_range, float_array, unique_names
 from roomfit.base.bands import OCTAVES_HZ, Bands
+from roomfit.base.door import complete, csv_rows, decoded, read_text
 from roomfit.base.errors import InputError, RoomfitError, located
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.table import Table, csv_of, without_apostrophe, workbook_of
 from roomfit.base.typing import BoolArray, FloatArray
-from roomfit.files.door import complete, csv_rows, decoded, read_text
 from roomfit.files.encoding import (
     ResultFile,
     check_keys,

@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike
 
 from roomfit.base.arguments import check_known
 from roomfit.base.bands import Bands, bands_between
+from roomfit.base.door import check_files
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray
 from roomfit.files.campaign import Campaign, MeasuredFile, input_files, read_campaign
 from roomfit.files.directivity import read_directivity
-from roomfit.files.door import check_files
 from roomfit.files.iso3382 import read_parameters
 from roomfit.files.responses import read_response
 from roomfit.files.rooms import read_mesh, read_room

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from roomfit.base.arguments import nearest
+from roomfit.base.door import csv_rows, read_text
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
 from roomfit.base.typing import FloatArray
-from roomfit.files.door import csv_rows, read_text
 from roomfit.signals.iso3382 import (
     MeasuredValues,
     ValueName,

@@ -5,8 +5,8 @@ from __future__ import annotations
 from base64 import b64encode
 from pathlib import Path
 
+from roomfit.base.door import read_bytes
 from roomfit.base.errors import InputError
-from roomfit.files.door import read_bytes
 from roomfit.files.schema import ProjectTable
 
 _LOGOS = {"png": b"\x89PNG\r\n\x1a\n", "jpeg": b"\xff\xd8\xff"}

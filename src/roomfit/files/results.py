@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from roomfit.base.bands import Bands
+from roomfit.base.door import complete
 from roomfit.base.errors import InputError, StoreError, located
 from roomfit.base.logit import logit
 from roomfit.base.table import csv_of
 from roomfit.base.typing import FloatArray
 from roomfit.base.whole_files import nearest_existing, write_json_atomically, write_text_atomically
-from roomfit.files.door import complete
 from roomfit.files.encoding import (
     ResultFile,
     finding_content,

@@ -14,8 +14,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 from roomfit.base.arguments import ARCHIVE_DAMAGE
+from roomfit.base.door import csv_rows, read_bytes, read_text, unpacked_limit_bytes
 from roomfit.base.errors import InputError
-from roomfit.files.door import csv_rows, read_bytes, read_text, unpacked_limit_bytes
 
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt", ".xlsx")
 """Endings under which tables are offered to be dropped; every other one is read as text."""

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from roomfit.base.door import check_limit
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray
-from roomfit.files.door import check_limit
 from roomfit.files.rooms.model import Polygon, RoomModel, joined, malformed, whole
 from roomfit.formats.catt_language import (
     CornerSource,

@@ -21,9 +21,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
+from roomfit.base.door import check_limit, read_text
 from roomfit.base.errors import InputError
-from roomfit.files.door import check_limit, read_text
-from roomfit.files.file_names import in_short
+from roomfit.base.arguments import in_short
 from roomfit.files.rooms.model import finite, malformed, whole
 
 _TOKEN = re.compile(

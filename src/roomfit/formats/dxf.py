@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from roomfit.base.door import check_limit, quiet, read_bytes
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding, Severity
-from roomfit.files.door import check_limit, quiet, read_bytes
 from roomfit.files.rooms.model import (
     PARSER_ERRORS,
     Polygon,

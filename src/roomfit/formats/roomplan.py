@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from roomfit.base.door import check_limit, complete, json_content, read_text
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding, Severity
 from roomfit.base.typing import FloatArray
-from roomfit.files.door import check_limit, complete, json_content, read_text
 from roomfit.files.rooms.model import Polygon, RoomModel, Thing, counted, joined, unknown_space
 from roomfit.room.mesh import Surface, place, triangulate
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from roomfit.base.air import relative_speed_sd, speed_of_sound_m_s
 from roomfit.base.arguments import check_known
+from roomfit.base.door import check_files, files_read, npz_arrays, read_bytes, reading_noted
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
 from roomfit.base.typing import ComplexArray, FloatArray, Progress, part
@@ -27,7 +28,6 @@ from roomfit.files.campaign import (
     read_campaign,
     refuse_objects,
 )
-from roomfit.files.door import check_files, files_read, npz_arrays, read_bytes, reading_noted
 from roomfit.files.inputs import read_file
 from roomfit.files.rooms import read_room
 from roomfit.files.schema import MaterialTable

@@ -7,8 +7,8 @@ import re
 from importlib import import_module
 from typing import Any
 
+from roomfit.base.door import quiet
 from roomfit.base.errors import InputError
-from roomfit.files.door import quiet
 
 _VARIABLE = re.compile(r"var\(--[\w-]+,\s*(#\w+)\)")
 _CHOSEN, _CURVES = re.compile(r'id="pick-(\d+)" checked'), re.compile(r'<g class="curve-(\d+)"')

@@ -6,25 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
+from roomfit.base.door import read_bytes
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
-from roomfit.files.door import read_bytes
-from roomfit.files.responses.formats import (
-    read_ita,
-    read_mat,
-    read_npy,
-    read_rew,
-    read_sound,
-    read_wav,
-)
-from roomfit.files.responses.hdf5 import read_sofa
+from roomfit.files.responses.formats import read_ita, read_mat, read_npy, read_rew, read_sound
 from roomfit.files.responses.recordings import Recording, ResponseSpec, checked, deconvolved
+from roomfit.files.responses.sofa import read_sofa
 from roomfit.signals.response import ImpulseResponse
 
-_WAVES, _SOUNDS = (".wav", ".wave"), (".flac", ".aif", ".aiff", ".aifc", ".w64")
+SOUND_SUFFIXES = (".wav", ".wave", ".flac", ".aif", ".aiff", ".aifc", ".w64")
 _READERS = {
-    **dict.fromkeys(_WAVES, read_wav),
-    **dict.fromkeys(_SOUNDS, read_sound),
+    **dict.fromkeys(SOUND_SUFFIXES, read_sound),
     ".ita": read_ita,
     ".mat": read_mat,
     ".npy": read_npy,
@@ -32,15 +24,14 @@ _READERS = {
     ".txt": read_rew,
 }
 RESPONSE_SUFFIXES = tuple(_READERS)
-SOUND_SUFFIXES = (*_WAVES, *_SOUNDS)
 _KEYS: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys((*_WAVES, *_SOUNDS, ".npy", ".ita"), ("channel",)),
+    **dict.fromkeys((*SOUND_SUFFIXES, ".npy", ".ita"), ("channel",)),
     ".mat": ("channel", "variable", "sampling_rate_variable"),
     ".sofa": ("measurement", "receiver_index"),
     ".txt": (),
 }
 _MOST = {".txt": "text_bytes"}
-_RECORDED = (*_WAVES, *_SOUNDS, ".mat", ".ita", ".npy")
+_RECORDED = (*SOUND_SUFFIXES, ".mat", ".ita", ".npy")
 _CHOICES = ("channel", "variable", "sampling_rate_variable", "measurement", "receiver_index")
 
 
@@ -101,7 +92,7 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
 def _excitation(spec: ResponseSpec, kind: str) -> Recording:
     path = Path(spec.excitation or "")
     played = path.suffix.lower()
-    if kind not in _RECORDED or played not in (*_WAVES, *_SOUNDS):
+    if kind not in _RECORDED or played not in SOUND_SUFFIXES:
         raise InputError(
             "an excitation goes with a recording",
             where=str(spec.path),

@@ -1,16 +1,7 @@
-"""Responses in MATLAB files, text exported by Room EQ Wizard (REW), WAV and other sound files.
-
-MATLAB files of versions 5 to 7.2 [1]_ have an own reader, since scipy's ends the whole process on
-some damaged files (a segmentation fault within seconds of fuzzing, scipy 1.17), which no caller can
-turn into a message. It reads full arrays of real numbers, those of a structure too, and ignores
-everything else. Version 7.3 is HDF5. Audio objects of the ITA-Toolbox are such structures.
+"""Responses in sound files, MATLAB and NumPy files, and text exported by Room EQ Wizard (REW).
 
 A sound file that was cut off in copying opens without complaint in every reader, and the missing
 end looks like a room with less reverberation. So the lengths in the header are checked here.
-
-References
-----------
-.. [1] The MathWorks, "MAT-File Format", R2023b, chapter 1: level 5 MAT-files.
 """
 
 from __future__ import annotations
@@ -18,33 +9,21 @@ from __future__ import annotations
 import io
 import math
 import re
-import struct
-import zlib
-from collections.abc import Iterator, Mapping
-from itertools import islice
 
 import numpy as np
 import soundfile
 
 from roomfit.base.arguments import ARCHIVE_DAMAGE, did_you_mean
+from roomfit.base.door import decoded, limit, npy_array, quiet, unpacked_limit_bytes
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray
-from roomfit.files.door import decoded, limit, npy_array, quiet, unpacked_limit_bytes
-from roomfit.files.responses.hdf5 import is_mat73, mat73_arrays
 from roomfit.files.responses.recordings import Recording, ResponseSpec, pick
-
-Variables = Mapping[str, FloatArray | str]  # what it is instead, where it is no real numbers
+from roomfit.formats.matlab import Variables, mat_variables
 
 
 def read_mat(spec: ResponseSpec, content: bytes) -> Recording:
-    """Return the column of a variable of a MAT file that is asked for.
-
-    Raises
-    ------
-    InputError
-        Not a MAT file, version 4, no such variable or column, or no sampling rate.
-    """
+    """Return the column of a variable of a MAT file that is asked for."""
     variables = _variables(content)
     responses = _responses(variables, spec)
     channel = pick("response", spec.channel, responses.shape[1], "channel")
@@ -58,11 +37,6 @@ def read_ita(spec: ResponseSpec, content: bytes) -> Recording:
     """Return the channel of an audio object of the ITA-Toolbox [1]_ that is asked for.
 
     The toolbox writes a structure with samples, their scale and their rate into a MAT file.
-
-    Raises
-    ------
-    InputError
-        Not such a file, several objects, a spectrum, or no such channel.
 
     References
     ----------
@@ -89,9 +63,7 @@ def read_ita(spec: ResponseSpec, content: bytes) -> Recording:
 
 def _variables(content: bytes) -> Variables:
     try:
-        if is_mat73(content):
-            return mat73_arrays(content)
-        return mat5_arrays(content)
+        return mat_variables(content)
     except ValueError as error:
         what = "this is not a MAT file that can be read"
         needed, hint = "a MATLAB file of version 5 to 7.3", "in MATLAB: save(file, '-v7')"
@@ -173,147 +145,6 @@ def _kind(values: FloatArray | str) -> str:
     return f"({values})" if isinstance(values, str) else str(values.shape)
 
 
-_HEADER_BYTES = 128
-_MAT5_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8"}
-_MAT5_NUMBERS[13] = "u8"
-_INT32, _UINT32, _INT8, _MATRIX, _COMPRESSED = 5, 6, 1, 14, 15
-_NUMERIC_CLASSES = range(6, 16)  # double, single and the integers
-_KINDS = {1: "a cell array", 2: "a structure", 3: "an object", 5: "a sparse array"}
-_STRUCTURE, _TEXT, _OPAQUE = 2, 4, 17
-_TEXTS = {1: "latin-1", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16"}
-_MOST_LETTERS, _MOST_FIELDS = 40, 10_000
-_COMPLEX_FLAG = 0x800
-_TOO_MUCH = "more numbers than are read from one file, or from one of its size"
-
-
-def mat5_arrays(content: bytes) -> dict[str, FloatArray | str]:
-    """Return every variable of a MAT file of level 5 by name.
-
-    Float64 arrays of the shape they have in the file; what it is instead for text, arrays of
-    structures, cells, objects, sparse and complex arrays. The fields of a single structure are
-    named STRUCTURE.FIELD.
-
-    Raises
-    ------
-    ValueError
-        The bytes are not such a file, or are damaged; says where.
-    """
-    order = {b"IM": "<", b"MI": ">"}.get(content[126:_HEADER_BYTES])
-    if order is None:
-        raise ValueError("no header of a MAT file of version 5 to 7.2")
-    variables: dict[str, FloatArray | str] = {}
-    left_bytes = int(unpacked_limit_bytes(len(content)))
-    for kind, data in _elements(content[_HEADER_BYTES:], order):
-        if kind == _COMPRESSED:
-            data = _decompressed(data, left_bytes)
-            kind, data = next(_elements(data, order), (kind, data))
-        if kind == _MATRIX:
-            for name, array in _named(data, order, left_bytes):
-                variables[name] = array
-                left_bytes -= _MOST_LETTERS if isinstance(array, str) else array.nbytes
-    # what objects refer to has no name
-    return {name: array for name, array in variables.items() if name}
-
-
-def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-    """Yield kind and data of the elements in their order."""
-    position = 0
-    while position + 8 <= len(data):
-        kind, size = struct.unpack_from(f"{order}II", data, position)
-        if kind >> 16:  # a small element: size, kind and up to four bytes of data in eight
-            kind, size, start, following = kind & 0xFFFF, kind >> 16, position + 4, position + 8
-        else:
-            start = position + 8
-            following = start + size
-            if kind != _COMPRESSED:
-                following += -size % 8
-        if start + size > len(data) or (following == position + 8 and size > 4):
-            raise ValueError(
-                f"an element of {size} bytes where {max(0, len(data) - start)} are left"
-            )
-        yield kind, data[start : start + size]
-        position = following
-
-
-def _decompressed(data: bytes, most_bytes: int) -> bytes:
-    unpacker = zlib.decompressobj()
-    try:
-        unpacked = unpacker.decompress(data, max(most_bytes, 1))
-    except zlib.error as error:
-        raise ValueError(f"damaged compression: {error}") from error
-    if unpacker.unconsumed_tail:
-        raise ValueError(_TOO_MUCH)
-    if not unpacker.eof:
-        raise ValueError("compressed data that does not end")
-    return unpacked
-
-
-def _named(
-    data: bytes, order: str, most_bytes: int, *, whole: bool = False
-) -> Iterator[tuple[str, FloatArray | str]]:
-    """Yield name and values of one array, or of the fields of one structure.
-
-    A structure within a structure comes as a `whole`, which is none of these.
-    """
-    parts = _elements(data, order)
-    head = list(islice(parts, 3))
-    if len(head) < 3:
-        raise ValueError("an array without flags, size or name")
-    (flags_kind, flags), (shape_kind, shape), (_, name) = head
-    if flags_kind != _UINT32 or len(flags) < 4:
-        raise ValueError("an array with foreign flags")
-    (word,) = struct.unpack_from(f"{order}I", flags)
-    if word & 0xFF == _OPAQUE:  # without a size, and its class follows
-        of_class = next(parts, (0, b""))[1][:_MOST_LETTERS].decode("latin-1")
-        yield shape.decode("utf-8", errors="replace"), f"an object of class {of_class}"
-        return
-    if shape_kind != _INT32:
-        raise ValueError("an array with a foreign size")
-    text = name.decode("utf-8", errors="replace")
-    lengths = np.frombuffer(shape, f"{order}i4").tolist()
-    if word & 0xFF != _STRUCTURE or whole or lengths != [1, 1]:
-        yield text, _values(word, lengths, text, next(parts, (0, b"")), order, most_bytes)
-        return
-    (_, length), (_, names) = next(parts, (0, b"")), next(parts, (0, b""))
-    each = int.from_bytes(length, "little" if order == "<" else "big")
-    if not len(names) <= _MOST_FIELDS * each:
-        raise ValueError(f"structure {text!r} of {len(names)} letters and {each} a field")
-    for start, (_, content) in zip(range(0, len(names), max(each, 1)), parts, strict=False):
-        field = names[start : start + each].split(b"\0")[0].decode("utf-8", errors="replace")
-        for _, values in _named(content, order, most_bytes, whole=True) if content else ():
-            yield f"{text}.{field}", values
-            most_bytes -= _MOST_LETTERS if isinstance(values, str) else values.nbytes
-
-
-def _values(
-    word: int,
-    lengths: list[int],
-    text: str,
-    content: tuple[int, bytes],
-    order: str,
-    most_bytes: int,
-) -> FloatArray | str:
-    """Return the numbers of one array, or what it is instead."""
-    kind, values = content
-    if word & 0xFF == _TEXT and kind in _TEXTS:
-        code = _TEXTS[kind] + (("-le" if order == "<" else "-be") if kind in (4, 17) else "")
-        letters = values[: 2 * _MOST_LETTERS].decode(code, errors="replace")
-        return f"text {letters[:_MOST_LETTERS]!r}"
-    if word & 0xFF not in _NUMERIC_CLASSES:
-        return _KINDS.get(word & 0xFF, "of a class of its own")
-    if word & _COMPLEX_FLAG:
-        return "complex numbers"
-    if kind not in _MAT5_NUMBERS:
-        raise ValueError(f"array {text!r} without numbers")
-    packed = np.frombuffer(values, order + _MAT5_NUMBERS[kind])
-    if 8 * packed.size > most_bytes:
-        raise ValueError(_TOO_MUCH)
-    numbers = packed.astype(np.float64)
-    if min(lengths, default=-1) < 0 or math.prod(lengths) != numbers.size:
-        raise ValueError(f"array {text!r} of {numbers.size} numbers with the size {lengths}")
-    return numbers.reshape(lengths, order="F")
-
-
 _TITLE = "impulse response data saved by rew"
 _REW_NUMBERS = {
     "peak value before normalisation": "peak_value",
@@ -333,18 +164,6 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
     negative. REW's zero is the time of emission only where it measured with a loopback as timing
     reference; otherwise it lies at (or near) the peak, and `time_zero` must be "direct". A response
     that REW normalised is given its level back.
-
-    Parameters
-    ----------
-    spec : ResponseSpec
-        Its `time_zero` is compared with the file.
-    content : bytes
-
-    Raises
-    ------
-    InputError
-        Not such a file, cut off, a number that is none, or a minimum-phase version, which has lost
-        all arrival times.
     """
     if b"\0" in content:
         raise _not_rew("a binary file")
@@ -488,69 +307,17 @@ def _samples(lines: list[str], n_header: int, needed: float) -> FloatArray:
 
 
 _SUBTYPES = ("PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE")
-_UNKNOWN_LENGTHS = (0, 0xFFFFFFFF)
-_WAVE64 = bytes.fromhex("726966662e91cf11a5d628db04c10000")  # the GUID that such a file begins with
-_SOUNDS = "FLAC, AIFF or Wave64"
-
-
-def read_wav(spec: ResponseSpec, content: bytes) -> Recording:
-    """Return the channel of a WAV file that is asked for.
-
-    Raises
-    ------
-    InputError
-        Not a WAV file, cut off, an encoding that loses what is needed, or no such channel.
-    """
-    start, declared = _data_chunk(content)
-    available = len(content) - start
-    findings: tuple[Finding, ...] = ()
-    if declared in _UNKNOWN_LENGTHS and available > 0:
-        text = (
-            f"{spec.path.name} was written as a stream: its header does not contain its length, so "
-            "a cut end would not be noticed. Everything up to the end of the file was read."
-        )
-        findings = (
-            Finding(
-                Code.WAV_LENGTH_UNKNOWN,
-                About(files=[spec.path.name]),
-                text,
-                {"bytes_of_samples": available},
-            ),
-        )
-        patched = bytearray(content)
-        struct.pack_into("<I", patched, 4, min(len(content) - 8, 0xFFFFFFFF))
-        struct.pack_into("<I", patched, start - 4, min(available, 0xFFFFFFFF))
-        content = bytes(patched)
-    elif declared > available:
-        raise _cut_off(f"{available} bytes of samples", f"{declared} bytes, by its own header")
-    samples, rate_hz = _decoded(spec, content, "WAV")
-    return Recording(samples, rate_hz, 0.0, findings)
+# what the library notes where a file is shorter than its header says; it then reads what there is
+_SHORT = re.compile(r"^ *(data|SSND|riff|Riff size) *: (\d+) \(should be (\d+)\)", re.MULTILINE)
+_UNKNOWN_LENGTH = 0xFFFFFFFF
 
 
 def read_sound(spec: ResponseSpec, content: bytes) -> Recording:
-    """Return the channel of a FLAC, AIFF or Wave64 file that is asked for.
+    """Return the channel of a WAV, FLAC, AIFF or Wave64 file that is asked for.
 
-    Raises
-    ------
-    InputError
-        Not such a file, cut off, an encoding that loses what is needed, or no such channel.
+    Refused are encodings that lose what is needed.
     """
-    declared = len(content)
-    if content[:4] == b"FORM" and content[8:12] in (b"AIFF", b"AIFC") and len(content) >= 12:
-        declared = 8 + int(struct.unpack_from(">I", content, 4)[0])
-    elif content[:16] == _WAVE64 and len(content) >= 24:
-        declared = int(struct.unpack_from("<Q", content, 16)[0])
-    elif content[:4] != b"fLaC":
-        raise _not_readable(
-            _SOUNDS, f"a file of {len(content)} bytes that begins with {content[:12]!r}"
-        )
-    if declared > len(content):
-        raise _cut_off(f"{len(content)} bytes", f"{declared} bytes, by its own header")
-    return Recording(*_decoded(spec, content, _SOUNDS))
-
-
-def _decoded(spec: ResponseSpec, content: bytes, kind: str) -> tuple[FloatArray, float]:
-    """Return the samples of the channel that is asked for, and their rate in Hz."""
+    findings: tuple[Finding, ...] = ()
     try:
         with quiet(), soundfile.SoundFile(io.BytesIO(content)) as file:
             if file.subtype not in _SUBTYPES:
@@ -560,31 +327,51 @@ def _decoded(spec: ResponseSpec, content: bytes, kind: str) -> tuple[FloatArray,
                     needed="PCM of 16, 24 or 32 bits, or floating point",
                     hint="export it as WAV with 24 bits",
                 )
-            channel = pick("channel", spec.channel, file.channels, "channel")
+            for _, declared, available in _SHORT.findall(file.extra_info):
+                if int(declared) == _UNKNOWN_LENGTH:
+                    findings = (_without_length(spec.path.name, int(available)),)
+                elif int(declared) > int(available):
+                    raise _cut_off(
+                        f"{available} bytes of samples", f"{declared} bytes, by its own header"
+                    )
             if 8 * file.frames * file.channels > unpacked_limit_bytes(len(content)):
-                raise ValueError(_TOO_MUCH)
+                raise ValueError("more numbers than are read from one file, or one of its size")
+            channel = pick("channel", spec.channel, file.channels, "channel")
             samples = file.read(dtype="float64", always_2d=True)
             if len(samples) < file.frames:
                 raise _cut_off(f"{len(samples)} samples", f"{file.frames}, by its own header")
-            return samples[:, channel].copy(), float(file.samplerate)
-    except (
-        soundfile.SoundFileError,
-        RuntimeError,
-        ValueError,
-        OverflowError,
-        MemoryError,
-    ) as error:
-        raise _not_readable(kind, str(error)) from error
+            return Recording(samples[:, channel].copy(), float(file.samplerate), 0.0, findings)
+    except (soundfile.SoundFileError, RuntimeError, ValueError, OverflowError, MemoryError) as why:
+        is_sound = content[:4] in (b"RIFF", b"RF64", b"fLaC", b"FORM", b"riff")
+        start = f"a file of {len(content)} bytes that begins with {content[:12]!r}"
+        raise InputError(
+            f"this is not a {_FORMATS.get(spec.path.suffix.lower(), 'WAV')} file that can be read",
+            found=str(why) if is_sound else start,
+            needed="PCM or floating-point samples under a header of that format",
+            hint="export it again, under a name that ends as its format demands",
+        ) from why
+
+
+_FORMATS = dict.fromkeys((".flac", ".aif", ".aiff", ".aifc", ".w64"), "FLAC, AIFF or Wave64")
+
+
+def _without_length(name: str, n_bytes: int) -> Finding:
+    text = (
+        f"{name} was written as a stream: its header does not contain its length, so a cut end "
+        "would not be noticed. Everything up to the end of the file was read."
+    )
+    return Finding(
+        Code.WAV_LENGTH_UNKNOWN, About(files=[name]), text, {"bytes_of_samples": n_bytes}
+    )
+
+
+def _cut_off(found: str, needed: str) -> InputError:
+    what = "the sound file is cut off"
+    return InputError(what, found=found, needed=needed, hint="copy or export the file again")
 
 
 def read_npy(spec: ResponseSpec, content: bytes) -> Recording:
-    """Return the response of an NPY file: one array of real numbers, one response a column.
-
-    Raises
-    ------
-    InputError
-        Not such a file, cut off, another kind of array, no such column, or no sampling rate.
-    """
+    """Return the response of an NPY file: one array of real numbers, one response a column."""
     if spec.sampling_rate_hz is None:
         raise InputError(
             "the sampling rate of the NPY file is missing",
@@ -606,45 +393,3 @@ def read_npy(spec: ResponseSpec, content: bytes) -> Recording:
     columns = _columns(values.astype(np.float64).reshape(len(values), -1))
     channel = pick("response", spec.channel, columns.shape[1], "channel")
     return Recording(columns[:, channel].copy(), spec.sampling_rate_hz)
-
-
-def _data_chunk(content: bytes) -> tuple[int, int]:
-    """Return where the samples begin, and how many bytes of them the header declares."""
-    form = content[:4]
-    if form not in (b"RIFF", b"RF64", b"BW64") or content[8:12] != b"WAVE":
-        raise _not_readable(
-            "WAV", f"a file of {len(content)} bytes that begins with {content[:12]!r}"
-        )
-    position, long_size, format_found = 12, None, False
-    while position + 8 <= len(content):
-        name, size = struct.unpack_from("<4sI", content, position)
-        if name == b"ds64" and position + 24 <= len(content):
-            long_size = struct.unpack_from("<Q", content, position + 16)[0]
-        format_found = format_found or name == b"fmt "
-        if name == b"data":
-            if not format_found:
-                raise _not_readable("WAV", "samples without a format before them")
-            if form != b"RIFF" and size == 0xFFFFFFFF and long_size is not None:
-                size = long_size
-            return position + 8, size
-        position += 8 + size + size % 2  # chunks are padded to even lengths
-    raise InputError(
-        "the WAV file holds no samples",
-        found=f"{len(content)} bytes without a data chunk",
-        needed='a chunk "data" with the samples',
-        hint="the file may be cut off: copy or export it again",
-    )
-
-
-def _cut_off(found: str, needed: str) -> InputError:
-    what = "the sound file is cut off"
-    return InputError(what, found=found, needed=needed, hint="copy or export the file again")
-
-
-def _not_readable(kind: str, found: str) -> InputError:
-    return InputError(
-        f"this is not a {kind} file that can be read",
-        found=found,
-        needed="PCM or floating-point samples under a header of that format",
-        hint="export it again, under a name that ends as its format demands",
-    )

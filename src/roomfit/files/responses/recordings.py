@@ -182,21 +182,6 @@ def deconvolved(
     out before time zero [1]_, the second by T ln 2 / ln(f2 / f1), and are cut away but for the
     last 20 ms; the room's answer to them goes on into the response, the less the longer the sweep.
 
-    Parameters
-    ----------
-    recording, excitation : Recording
-        At the same sampling rate. The excitation may be any broadband signal, or a loopback.
-    path, excitation_path : Path
-        Name both in messages.
-    band_hz : (lowest, highest), optional
-        Outside of which the response goes to nothing; left out: by `band_of`.
-
-    Raises
-    ------
-    InputError
-        Two sampling rates, a recording that ends before the excitation does, silence, or samples
-        that are not finite.
-
     Notes
     -----
     Division of spectra, regularised outside the band in which the excitation has energy [2]_, see
@@ -308,18 +293,6 @@ def regularised_quotient(
 
     ``Y conj(X) / (|X|^2 + beta e^2)`` with the largest ``|X|^2`` as beta; e is 1e-5 within the band
     and 1 outside it, cross-faded over half an octave [1]_.
-
-    Parameters
-    ----------
-    recorded, played : float array, shapes (n_recorded,) and (n_played,)
-    rate_hz : float
-    band_hz : tuple
-        Lowest and highest frequency at which `played` has energy, Hz.
-
-    Returns
-    -------
-    float array, shape (n,)
-        n >= n_recorded + n_played; what precedes time zero is at the end.
 
     References
     ----------

@@ -75,12 +75,6 @@ def sweep(plan: SweepPlan) -> FloatArray:
     ----------
     .. [1] A. Farina, "Simultaneous measurement of impulse response and distortion with a
            swept-sine technique", 108th AES Convention, preprint 5093 (2000).
-
-    Examples
-    --------
-    >>> x = sweep(SweepPlan(seconds=2.0))
-    >>> x.shape, round(float(abs(x).max()), 3)
-    ((96000,), 0.5)
     """
     rate_hz = plan.sampling_rate_hz
     n = round(plan.seconds * rate_hz)
@@ -152,18 +146,6 @@ def response_from_recording(
     The mean of the repetitions, without the sweep. Repetitions that differ by more than background
     explains are named with the likely cause: a gain that followed the sound, samples that were lost
     or clocks that differ, an event.
-
-    Parameters
-    ----------
-    recorded : float array, shape (n_samples,)
-        At least as long as `excitation`, full scale 1.
-    reported : tuple of str
-        What the devices themselves say is wrong, to stand among the reasons to measure again.
-
-    Raises
-    ------
-    InputError
-        A recording that is too short, silent, or without a sound that decays.
 
     Notes
     -----
@@ -342,18 +324,7 @@ _NAME = re.compile(r'[^._\s/\\:*?"<>|][^/\\:*?"<>|]*')
 
 
 def response_name(source: str, receiver: str) -> str:
-    """Return the name of the file of a pair, by which other commands know it.
-
-    Raises
-    ------
-    InputError
-        A name that could not be read back: empty, a path, or a source with an underscore.
-
-    Examples
-    --------
-    >>> response_name("S1", "R1")
-    'S1_R1.wav'
-    """
+    """Return the name of the file of a pair, by which other commands know it."""
     for kind, name in (("source", source), ("receiver", receiver)):
         check_name(kind, name)
         if not _NAME.fullmatch(name) or (kind == "source" and "_" in name) or len(name) > 50:
@@ -367,13 +338,7 @@ def response_name(source: str, receiver: str) -> str:
 
 
 def check_not_measured(path: Path, *, again: bool) -> None:
-    """Refuse a pair whose response is there, unless it is to be measured again.
-
-    Raises
-    ------
-    InputError
-        It is there.
-    """
+    """Refuse a pair whose response is there, unless it is to be measured again."""
     if path.exists() and not again:
         raise InputError(
             "this pair was measured already",

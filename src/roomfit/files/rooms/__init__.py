@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from roomfit.base.arguments import check_known, nearest
+from roomfit.base.door import check_limit
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
 from roomfit.base.typing import FloatArray, IntArray
-from roomfit.files.door import check_limit
 from roomfit.files.rooms.interchange import read_collada, read_ifc, read_skp, read_usdz
 from roomfit.files.rooms.mesh_formats import (
     read_3ds,

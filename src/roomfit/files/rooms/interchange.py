@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from roomfit.base.door import check_limit, of_child, read_bytes
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray
-from roomfit.files.door import check_limit, of_child, read_bytes
 from roomfit.files.rooms.model import (
     METRES_PER_UNIT,
     Polygon,

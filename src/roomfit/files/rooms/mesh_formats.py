@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from roomfit.base.door import check_limit, decoded, json_content, quiet, read_bytes, read_text
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray
-from roomfit.files.door import check_limit, decoded, json_content, quiet, read_bytes, read_text
 from roomfit.files.rooms.model import (
     PARSER_ERRORS,
     RoomModel,

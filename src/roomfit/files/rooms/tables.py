@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from roomfit.base.arguments import nearest
+from roomfit.base.door import csv_rows, read_text
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
-from roomfit.files.door import csv_rows, read_text
 from roomfit.files.rooms.model import METRES_PER_UNIT, PolygonSpec, RoomModel, finite
 from roomfit.room.build import Face
 from roomfit.room.mesh import Surface, area_vector_m2

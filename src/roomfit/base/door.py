@@ -17,17 +17,13 @@ import json
 import logging
 import math
 import os
-import signal
 import stat
-import subprocess
-import sys
-import tempfile
 import warnings
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextvars import ContextVar
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +35,7 @@ LIMITS: Mapping[str, tuple[float, str]] = {
     "text_bytes": (2**26, "bytes of one file of text (tables, drawings, exports of REW)"),
     "campaign_bytes": (2**22, "bytes of a campaign file"),
     "logo_bytes": (2**19, "bytes of the logo of a report"),
-    "header_bytes": (2**16, "bytes of a header (PLY, REW, arrays of NumPy)"),
+    "header_bytes": (2**16, "bytes of a header (REW, arrays of NumPy)"),
     "unpacked_bytes": (2**30, "bytes of the numbers in one file, as float64"),
     "unpacked_times": (1000, "times its own size that a file may unpack to, beyond 64 MiB"),
     "corners": (1e6, "corners of a room file"),
@@ -56,7 +52,8 @@ LIMITS: Mapping[str, tuple[float, str]] = {
     "scan_parts": (500, "walls, doors, windows, furniture and corners of the floor of one scan"),
     "reading_s": (
         20,
-        "seconds of processor time for one file of SOFA, MAT 7.3, COLLADA, IFC, USDZ or SKP",
+        "seconds of processor time for one file of SOFA, MAT, GLB, STL, PLY, COLLADA, IFC, USDZ or "
+        "SKP",
     ),
     "request_s": (20, "seconds in which the head of a request to the workbench must be there"),
 }
@@ -65,18 +62,7 @@ _ALWAYS_UNPACKED_BYTES = 2**26
 
 
 def limit(name: str) -> float:
-    """Return a limit: its default, or what ``ROOMFIT_LIMITS`` says.
-
-    Raises
-    ------
-    InputError
-        The variable names no limit, or gives it no positive number.
-
-    Examples
-    --------
-    >>> limit("polygon_corners")
-    2000.0
-    """
+    """Return a limit: its default, or what ``ROOMFIT_LIMITS`` says."""
     changed: dict[str, float] = {}
     for word in os.environ.get(_VARIABLE, "").replace(",", " ").split():
         key, _, value = word.partition("=")
@@ -96,13 +82,7 @@ def limit(name: str) -> float:
 
 
 def check_limit(name: str, found: float, where: str) -> None:
-    """Refuse more of something than a file may hold.
-
-    Raises
-    ------
-    InputError
-        `found` is above the limit of this name, or no number.
-    """
+    """Refuse more of something than a file may hold."""
     most = limit(name)
     if not found <= most:
         raise InputError(
@@ -121,23 +101,7 @@ def unpacked_limit_bytes(packed_bytes: int) -> float:
 
 
 def read_bytes(path: Path, what: str, *, most: str = "file_bytes") -> bytes:
-    """Return the content of a regular file, at most so much as the limit `most` allows.
-
-    Parameters
-    ----------
-    path : Path
-        A link is followed, and what it leads to must be a regular file.
-    what : str
-        What the file is called in messages: "room file".
-
-    Raises
-    ------
-    InputError
-        There is no such file, its name cannot be one, it is a folder, a pipe, a device or a
-        socket, is empty, or too large.
-    StoreError
-        The disk refuses to read it.
-    """
+    """Return the content of a regular file, at most so much as the limit `most` allows."""
     place = str(path)
     try:
         _check_regular(Path(path).stat().st_mode, what, place)
@@ -221,13 +185,7 @@ def files_read() -> dict[Path, str]:
 
 
 def check_files(paths: Iterable[Path], where: str) -> None:
-    """Refuse all files at once that cannot be read; a single one is left to its own reader.
-
-    Raises
-    ------
-    InputError
-        Several are missing, empty, too large, or no regular files.
-    """
+    """Refuse all files at once that cannot be read; a single one is left to its own reader."""
     faults = []
     for path in paths:
         try:
@@ -288,13 +246,7 @@ def _kind(mode: int) -> str:
 
 
 def read_text(path: Path, what: str, *, most: str = "text_bytes") -> str:
-    """Return a text, UTF-8 (with a byte order mark or without) or else Latin-1.
-
-    Raises
-    ------
-    InputError, StoreError
-        As `read_bytes`; and a file with a byte 0 is no text.
-    """
+    """Return a text, UTF-8 (with a byte order mark or without) or else Latin-1."""
     content = read_bytes(path, what, most=most)
     if b"\0" in content:
         raise InputError(
@@ -307,83 +259,6 @@ def read_text(path: Path, what: str, *, most: str = "text_bytes") -> str:
     return decoded(content)
 
 
-_CHILD = Path(__file__).with_name("child.py")
-_LIBRARIES_BYTES = 2**30
-_LONGEST_HEAD = 2**26
-_PATIENCE = 6.0
-
-
-@contextlib.contextmanager
-def of_child(
-    kind: str, content: bytes, library: str
-) -> Iterator[tuple[Any, Callable[[Any], np.ndarray[Any, Any]]]]:
-    """Read a file by a library of others, in a process of its own that it may end or keep for ever.
-
-    Given are what the process says of the file, as JSON, and a function that returns the next
-    array of float64 of a shape. The process may have been led astray, so nothing is taken as is.
-
-    Parameters
-    ----------
-    kind : {"hdf5", "dae", "ifc", "usdz", "skp"}
-    content : bytes
-    library : str
-        What the library is called in messages.
-
-    Raises
-    ------
-    ValueError
-        It failed, came to no end, gave no answer (also where that raises within the block), or
-        the file holds more than the limits of files allow.
-    """
-    most_bytes = unpacked_limit_bytes(len(content))
-    with tempfile.TemporaryFile() as answer:
-        _run_child(kind, content, library, most_bytes, answer)
-        answer.seek(0)
-
-        def array(wanted: Any) -> np.ndarray[Any, Any]:
-            shape = [int(length) for length in wanted]
-            size = math.prod(shape)
-            if not 0 <= 8 * size <= most_bytes:
-                raise ValueError("more numbers than it said")
-            return np.frombuffer(answer.read(8 * size), dtype=np.float64).reshape(shape)
-
-        try:
-            head = json.loads(answer.readline(_LONGEST_HEAD))
-            if "error" in head:
-                raise ValueError(str(head["error"]))
-            yield head, array
-        except (LookupError, TypeError, AttributeError, RecursionError) as error:
-            raise ValueError(f"{library} gave no answer ({type(error).__name__})") from error
-
-
-def _run_child(
-    kind: str, content: bytes, library: str, most_bytes: float, answer: IO[bytes]
-) -> None:
-    """Have a process of its own write what a library reads into a file, within limits of both."""
-    seconds = limit("reading_s")
-    # the file, its numbers as they lie in it and as float64, and the libraries
-    memory_bytes = 2 * len(content) + 3 * most_bytes + _LIBRARIES_BYTES
-    arguments = [f"{number:.0f}" for number in (memory_bytes, max(seconds, 1.0), most_bytes)]
-    no_end = f"{library} did not come to an end within {seconds:g} s"
-    try:
-        done = subprocess.run(
-            [sys.executable, "-P", str(_CHILD), kind, *arguments],
-            input=content,
-            stdout=answer,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-            # of the clock: a busy machine gives a process a part of its time only
-            timeout=_PATIENCE * seconds,
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        raise ValueError(no_end) from None
-    if done.returncode == -getattr(signal, "SIGXCPU", 0) != 0:
-        raise ValueError(no_end)
-    if done.returncode != 0:
-        raise ValueError(f"{library} failed (exit status {done.returncode})")
-
-
 def decoded(content: bytes) -> str:
     """Return text, UTF-8 or else Latin-1, with newlines at the ends of lines."""
     try:
@@ -394,13 +269,7 @@ def decoded(content: bytes) -> str:
 
 
 def json_content(text: str, what: str) -> Any:
-    """Return what a JSON text holds.
-
-    Raises
-    ------
-    InputError
-        No JSON, nested too deep, or with whole numbers of thousands of digits.
-    """
+    """Return what a JSON text holds."""
     try:
         return json.loads(text.removeprefix("\ufeff"))
     except (ValueError, RecursionError) as error:
@@ -414,13 +283,7 @@ def json_content(text: str, what: str) -> Any:
 
 @contextlib.contextmanager
 def complete(what: str, needed: str) -> Iterator[None]:
-    """Refuse content of JSON that lacks keys or has other things in their place.
-
-    Raises
-    ------
-    InputError
-        In place of what reaching into such content raises.
-    """
+    """Refuse content of JSON that lacks keys or has other things in their place."""
     try:
         yield
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
@@ -433,13 +296,7 @@ def complete(what: str, needed: str) -> Iterator[None]:
 
 
 def csv_rows(text: str, where: str, delimiter: str = ",") -> Iterator[tuple[int, list[str]]]:
-    """Yield number of the line and cells of each row of a table with commas or the like.
-
-    Raises
-    ------
-    InputError
-        The text is no such table, or a cell has more than 131,072 letters.
-    """
+    """Yield number of the line and cells of each row of a table with commas or the like."""
     reader = csv.reader(text.split("\n"), delimiter=delimiter)
     try:
         for cells in reader:
@@ -459,11 +316,6 @@ def npz_arrays(content: bytes, where: str) -> dict[str, np.ndarray[Any, Any]]:
 
     Headers are read before anything is unpacked: the length that an array declares must be that of
     its entry. Only numbers and truth values are taken, no text and no objects.
-
-    Raises
-    ------
-    InputError
-        No such archive, damaged, other than numbers, or beyond the limits.
     """
     arrays: dict[str, np.ndarray[Any, Any]] = {}
     try:
@@ -490,13 +342,7 @@ def npz_arrays(content: bytes, where: str) -> dict[str, np.ndarray[Any, Any]]:
 
 
 def npy_array(stream: Any, n_bytes: int) -> np.ndarray[Any, Any]:
-    """Return the array of an NPY file of so many bytes, header included.
-
-    Raises
-    ------
-    ValueError, or another of `ARCHIVE_DAMAGE`
-        Other than numbers, or of another length than it declares.
-    """
+    """Return the array of an NPY file of so many bytes, header included."""
     version = np.lib.format.read_magic(stream)
     if version not in ((1, 0), (2, 0)):
         raise ValueError(f"version {version} of the format of arrays")

@@ -1,0 +1,115 @@
+"""HDF5 files, as SOFA (AES69) and MATLAB from version 7.3 on are; read in a process apart."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from roomfit.base.arguments import read_only
+from roomfit.base.isolated import isolated
+from roomfit.base.typing import FloatArray
+
+# netCDF keeps a dimension that has no values of its own as a variable with this remark
+_ONLY_A_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
+_BESIDE_A_DIMENSION = "_nc4_non_coord_"
+_MOST_ATTRIBUTES = 10_000
+
+Attributes = Mapping[str, str | float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hdf5Variable:
+    """One member of the root of an HDF5 file."""
+
+    values: FloatArray | None  # in the file's order of axes; None for anything but real numbers
+    axes: tuple[str, ...]  # names of netCDF's dimensions, known from four axes on
+    attributes: Attributes  # texts and single numbers
+
+
+@lru_cache(maxsize=1)  # the pairs of a campaign often lie in one file
+def hdf5_variables(content: bytes) -> tuple[dict[str, Hdf5Variable], Attributes]:
+    """Return the variables in the root of an HDF5 file by name, and the file's own attributes.
+
+    Left out are links to elsewhere, and dimensions of netCDF without values. A ValueError says
+    where the bytes are no such file, damaged, or hold more than the limits of files allow.
+    """
+    variables: dict[str, Hdf5Variable] = {}
+    with isolated("roomfit.formats.hdf5:read", content, "the HDF5 library") as (head, array):
+        for member in head["members"]:
+            values = None if member["shape"] is None else read_only(array(member["shape"]))
+            axes = tuple(str(axis) for axis in member["axes"])
+            variables[str(member["name"])] = Hdf5Variable(values, axes, dict(member["attributes"]))
+        return variables, dict(head["attributes"])
+
+
+def read(content: bytes, most_bytes: float, place: list[str]) -> tuple[dict[str, Any], list[Any]]:
+    """Return what the root of the file holds, and the arrays of its variables in that order."""
+    import h5py
+
+    members: list[dict[str, Any]] = []
+    arrays: list[Any] = []
+    n_bytes = 0
+    with h5py.File(io.BytesIO(content), "r") as file:
+        attributes = _attributes(file)
+        for name in file:
+            place[0] = repr(name)
+            # a link to another file would read what this file does not contain
+            if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+                continue
+            member = file[name]
+            own = _attributes(member)
+            entry: dict[str, Any] = {"name": name, "attributes": own, "axes": [], "shape": None}
+            if isinstance(member, h5py.Dataset):
+                if str(own.get("NAME", "")).startswith(_ONLY_A_DIMENSION):
+                    continue
+                entry["name"] = name.removeprefix(_BESIDE_A_DIMENSION)
+                entry["axes"] = _axes(member)
+                n_bytes += 8 * (member.size or 0)
+                if n_bytes > most_bytes:
+                    raise ValueError(f"more than {most_bytes:.4g} bytes of numbers")
+                if member.shape is not None and member.dtype.kind in "iuf":
+                    if member.external or member.is_virtual:
+                        raise ValueError("its numbers lie in other files")
+                    arrays.append(np.asarray(member[()], dtype=np.float64))
+                    entry["shape"] = arrays[-1].shape
+            members.append(entry)
+    return {"members": members, "attributes": attributes}, arrays
+
+
+def _axes(dataset: Any) -> list[str]:
+    """Return the names of the dimensions of four or more axes, which netCDF attaches as scales.
+
+    Up to three axes have one order only, and the library may count scales for ever in a damaged
+    file: it is not asked in vain.
+    """
+    if dataset.ndim < 4:
+        return ["" for _ in range(dataset.ndim)]
+    names = (str(axis[0].name or "") if len(axis) else "" for axis in dataset.dims)
+    return [name.rpartition("/")[2] for name in names]
+
+
+def _attributes(member: Any) -> dict[str, str | float]:
+    """Return texts and single numbers; lists of references and the like are passed over."""
+    import h5py
+
+    found: dict[str, str | float] = {}
+    if len(member.attrs) > _MOST_ATTRIBUTES:
+        raise ValueError(f"{len(member.attrs)} attributes")
+    for name in member.attrs:
+        kind = member.attrs.get_id(name).dtype
+        if kind.kind not in "Siuf" and h5py.check_string_dtype(kind) is None:
+            continue
+        value = np.asarray(member.attrs[name]).reshape(-1)
+        if value.size != 1 or isinstance(value[0], h5py.Empty):
+            continue
+        (single,) = value.tolist()
+        if isinstance(single, bytes):
+            single = single.decode("utf-8", errors="replace")
+        if isinstance(single, str | int | float):
+            found[name] = single.rstrip("\0") if isinstance(single, str) else float(single)
+    return found
