@@ -30,6 +30,7 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
+from _ac3d import as_obj
 from roomfit.files.campaign import read_campaign
 from roomfit.files.inputs import identify_arguments, load_campaign
 from roomfit.fit.measurements import collect_measurements
@@ -108,7 +109,7 @@ def bras_campaign(data: Path) -> str:
     """Return the campaign text of seminar room CR2, source LS1, microphone MP1."""
     return f"""
 [room]
-file = "{(data / "scene9.ac").as_posix()}"
+file = "{as_obj(data / "scene9.ac").as_posix()}"
 unit = "m"
 up = "y"
 [air]

@@ -38,6 +38,7 @@ from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import bands_between
 from roomfit.base.errors import InputError
 from roomfit.base.logit import Z95, expit, logit
+from roomfit.base.polygon import Surface
 from roomfit.demo.boxes import (
     ECHOGRAM_BIN_S,
     PRESSURE_SQUARED,
@@ -56,7 +57,7 @@ from roomfit.model.weighing import EnergyRows, window_of_rows
 from roomfit.predict.changes import Change
 from roomfit.predict.other_walls import Predicted, predict
 from roomfit.result import absorption_posterior
-from roomfit.room.mesh import Mesh, Surface
+from roomfit.room.mesh import Mesh
 from roomfit.room.scene import Room, Scene, pair_names, scene_of
 from roomfit.settings import Settings
 from roomfit.signals.decay import jnd_of

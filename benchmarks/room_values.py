@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
+from _ac3d import as_obj
 from measured_rooms import bras_campaign
 from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import bands_between
@@ -83,7 +84,7 @@ class Case:
 
 def seminar_room(folder: Path) -> Case:
     """Return BRAS CR2 with source LS1."""
-    room, _ = read_room(RoomSpec(file=folder / "scene9.ac", unit="m", up="y"))
+    room, _ = read_room(RoomSpec(file=as_obj(folder / "scene9.ac"), unit="m", up="y"))
     places = [(-0.993, 1.426, 1.23), (0.439, -0.147, 1.23), (1.361, -0.603, 1.23)]
     places += [(-1.110, -0.256, 1.23), (-0.998, -1.409, 1.23)]
     receivers = tuple(Point(f"MP{i}", np.array(p)) for i, p in enumerate(places, start=1))

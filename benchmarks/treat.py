@@ -26,12 +26,13 @@ from matplotlib import pyplot as plt
 
 import roomfit
 from known_changes import BANDS, WALLS, fitted, r3vival, r3vival_together
+from roomfit.base.polygon import Face
+from roomfit.base.polygon import Surface as MeshSurface
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.fit.measurements import observe
 from roomfit.predict.other_walls import PreparedRoom, prepare_prediction
 from roomfit.result import absorption_posterior
-from roomfit.room.build import Face, build_mesh, oriented
-from roomfit.room.mesh import Surface as MeshSurface
+from roomfit.room.build import build_mesh, oriented
 from roomfit.room.scene import Room, Scene, material_areas_m2, room_from_mesh
 from roomfit.signals.decay import jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from roomfit.base.errors import InputError
+from roomfit.base.polygon import Surface
 from roomfit.base.typing import FloatArray, IntArray
-from roomfit.room.mesh import Mesh, Surface
+from roomfit.room.mesh import Mesh
 from roomfit.room.scene import Room
 
 MATERIALS = ("floor", "walls", "ceiling", "seats")

@@ -19,7 +19,8 @@ from roomfit.files.draft import (
     read_positions,
 )
 from roomfit.files.rooms import read_model
-from roomfit.files.rooms.model import METRES_PER_UNIT, RoomSpec
+from roomfit.files.rooms.model import RoomSpec
+from roomfit.formats.model import METRES_PER_UNIT
 from small_campaign import (
     LENGTHS_M,
     RECEIVERS_M,

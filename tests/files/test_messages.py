@@ -27,8 +27,6 @@ from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.signals.measurement import Measurement
 from roomfit.tracing.paths import TraceSettings
 
-PLY = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\n"
-AC = "AC3Db\nOBJECT world\nkids 1\nOBJECT poly\nnumvert 1\n0 0 0\nnumsurf 1\nSURF 0x0\n"
 GEO = "PLANES\n[1 floor / 4 3 2 / brick]\nCORNERS\n1 0 0 0\n2 1 0 0\n3 0 1 0\n"
 HEAD = "material,band_hz,absorption,lower95,upper95,identifiable\n"
 ISO = "source,receiver,parameter,500,1000\n"
@@ -39,18 +37,6 @@ CAMPAIGN = (
 
 # Ending of the file, its content, what is wrong, found and needed, each as words of the message.
 ROOMS = [
-    (".ply", PLY + "property half z\nend_header\n0 0 0\n", "PLY type", "'half'", "float32"),
-    (".ply", PLY + "property list float int z\nend_header\n", "whole numbers", "list float", "int"),
-    (".ply", PLY + "end_header\n0 0\n", "three coordinates", "no z, but x, y", "x, y and z"),
-    (".ply", PLY.replace("ascii", "roman") + "end_header\n", "format", "roman", "ascii"),
-    (".ply", PLY.replace("x 1", "x one") + "end_header\n", "whole number", "'one'", "digits"),
-    (".ply", "solid\n", "no PLY file", "'solid'", "end_header"),
-    (".3ds", "XY and more", "no 3DS file", "XY", "MM"),
-    (".ac", "OFF\n", "no AC3D file", "'OFF'", "AC3D"),
-    (".ac", AC + "mat 0\nnone 1\n", "AC3D line", "none 1", "'refs'"),
-    (".ac", AC + "colour 0\n", "without refs", "colour 0", "refs"),
-    (".ac", AC.replace("numvert 1", "numvert -4"), "count is out", "-4", "0 to"),
-    (".ac", AC, "ends early", "its end", "declares"),
     (".obj", "v 0 0\n", "three coordinates", "v 0 0", "v x y z"),
     (".obj", "v 0 0 0\n", "no faces", "1 vertices", '"f"'),
     (".geo", "TRANSLATE 1 0 0\n" + GEO, "without OBJECT", "no line OBJECT", "OBJECT"),

@@ -162,8 +162,8 @@ def test_a_truncated_wav_is_refused_though_other_readers_take_it(tmp_path):
     assert "8000 bytes, by its own header" in str(caught.value)
 
 
-@pytest.mark.parametrize("length", [0, 0xFFFFFFFF])
-def test_a_streamed_wav_without_lengths_is_read_to_its_end_with_a_finding(tmp_path, length):
+def test_a_streamed_wav_without_lengths_is_read_to_its_end_with_a_finding(tmp_path):
+    length = 0xFFFFFFFF
     content = bytearray(write_wav(tmp_path / "a.wav", decay(), "PCM_16").read_bytes())
     at = content.index(b"data") + 4
     content[at : at + 4] = struct.pack("<I", length)

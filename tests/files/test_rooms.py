@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from _ac3d import as_obj
+from box_files import POINTS
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
 from roomfit.files.rooms import read_mesh, read_room
@@ -30,21 +32,6 @@ def l_obj() -> str:
     for material, corners in FACES:
         lines += [f"usemtl {material}", "f " + " ".join(str(c + 1) for c in corners)]
     return "\n".join(lines) + "\n"
-
-
-def l_ac3d(loc: str = "", rot: str = "", flags: str = "0x10") -> str:
-    names = ["carpet", "tiles", "plaster"]
-    lines = ["AC3Db"]
-    looks = "rgb 1 1 1 amb 0 0 0 emis 0 0 0 spec 0 0 0 shi 0 trans 0"
-    lines += [f'MATERIAL "{name}" {looks}' for name in names]
-    lines += ["OBJECT world", "kids 1", "OBJECT group", 'name "all of it"', rot, "kids 1"]
-    lines += ["OBJECT poly", 'name "shell"', "data 12", "SURF\nkids 99", loc]
-    lines += [f"numvert {len(CORNERS)}", *(f"{x} {y} {z}" for x, y, z in CORNERS)]
-    lines.append(f"numsurf {len(FACES)}")
-    for material, corners in FACES:
-        lines += [f"SURF {flags}", f"mat {names.index(material)}", f"refs {len(corners)}"]
-        lines += [f"{c} 0 0" for c in corners]
-    return "\n".join(line for line in [*lines, "kids 0"] if line) + "\n"
 
 
 def l_ply(order: str) -> bytes:
@@ -115,36 +102,8 @@ def test_units_scale_the_room_and_y_up_turns_it_without_mirroring(tmp_path, unit
     assert Code.INSIDE_OUT not in [f.code for f in findings]
 
 
-def test_ac3d_puts_objects_where_their_parents_say(tmp_path):
-    """A quarter turn about z in the group carries (x, y) to (-y, x) after the shift by (1, 2)."""
-    text = l_ac3d(loc="loc 1 2 0", rot="rot 0 -1 0 1 0 0 0 0 1")
-    path = write(tmp_path, "l.ac", text)
-    areas, _ = read_l(path, unit="m")
-    mesh, _ = read_mesh(RoomSpec(file=path, unit="m"))
-
-    assert areas == pytest.approx(AREAS)
-    assert {s.name for s in mesh.surfaces} == {"shell"}
-    np.testing.assert_allclose(mesh.vertices_m.min(axis=0), [-6, 1, 0], atol=1e-12)
-    np.testing.assert_allclose(mesh.vertices_m.max(axis=0), [-2, 5, 3], atol=1e-12)
-
-
-def test_ac3d_two_sided_surfaces_are_sheets_only_where_others_are_not(tmp_path):
-    """All two-sided: walls. One more two-sided quad in a one-sided room: a curtain."""
-    areas, findings = read_l(write(tmp_path, "all.ac", l_ac3d(flags="0x30")), unit="m")
-    assert areas == pytest.approx(AREAS)
-    assert not findings
-
-    curtain = "OBJECT poly\nnumvert 4\n.2 .2 1\n.8 .2 1\n.8 .2 2\n.2 .2 2\nnumsurf 1\n"
-    curtain += "SURF 0x30\nmat 0\nrefs 4\n0 0 0\n1 0 0\n2 0 0\n3 0 0\nkids 0\n"
-    text = l_ac3d().replace("OBJECT world\nkids 1", "OBJECT world\nkids 2") + curtain
-    mesh, findings = read_mesh(RoomSpec(file=write(tmp_path, "one.ac", text), unit="m"))
-    assert [f.code for f in findings] == [Code.TWO_SIDED_TAKEN_AS_SHEETS]
-    assert volume_m3(mesh) == pytest.approx(21.0)
-    assert surface_area_m2(mesh) == pytest.approx(62.0 + 2 * 0.6)
-
-
 @pytest.mark.parametrize("order", ["ascii", "binary_little_endian", "binary_big_endian"])
-def test_ply_polygons_stay_whole(tmp_path, order):
+def test_ply_polygons_keep_their_area(tmp_path, order):
     """All three encodings, with a colour beside the coordinates."""
     path = write(tmp_path, "hall.ply", l_ply(order))
     areas, _ = read_l(path, unit="m", materials={"hall": "brick"})
@@ -254,6 +213,30 @@ def test_names_that_the_campaign_maps_are_not_called_alike(tmp_path, materials):
     assert len(said) == (not materials)
 
 
+# Number, material and corners in the headings of a round robin's tables, without "Area/m²"
+PLANES = """PLANES,,,,,
+Number,Material,Corner 1,Corner 2,Corner 3,Corner 4
+1,parquet,1,3,4,2
+2,plaster,5,6,8,7
+3,plaster,1,2,6,5
+4,plaster,3,7,8,4
+5,plaster,1,5,7,3
+6,plaster,2,4,8,6
+"""
+
+
+def test_a_list_of_planes_needs_no_areas(tmp_path):
+    """The first corner follows the material at once; areas are those of the corners."""
+    rows = [f"{i + 1},{x},{y},{z}" for i, (x, y, z) in enumerate(POINTS)]
+    corners = write(tmp_path, "c.csv", "\n".join(["CORNERS,,,", "Number,x,y,z", *rows]))
+    planes = write(tmp_path, "p.csv", PLANES)
+    room, findings = read_room(RoomSpec(polygons=PolygonSpec((corners,), (planes,))))
+    assert volume_m3(room.mesh) == pytest.approx(60.0)
+    areas = dict(zip(room.materials, material_areas_m2(room), strict=True))
+    assert areas == pytest.approx({"parquet": 20.0, "plaster": 20.0 + 54.0})
+    assert findings == ()
+
+
 def test_tables_can_be_patched_by_later_ones(tmp_path):
     """The floor is replaced by two halves, a corner moves, a wrong area and a curtain are given."""
     tables = l_tables(tmp_path)
@@ -288,17 +271,14 @@ def test_tables_can_be_patched_by_later_ones(tmp_path):
         (".obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "does not exist\n.*line 4\n.*corner 4"),
         (".obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 0\n", "does not exist"),
         (".obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2\n", "fewer than three corners"),
-        (".ac", l_ac3d().split("numsurf")[0], "ends early"),
-        (".ac", "solid", "no AC3D file"),
-        (".ac", l_ac3d().replace("mat 2", "mat 7"), "a material that does not exist"),
-        (".ac", l_ac3d().replace("refs 4\n0 0 0", "refs 4\n77 0 0"), "a corner that does not"),
-        (".ac", l_ac3d().replace("4 0 0\n", "inf 0 0\n", 1), "not a finite number"),
-        (".ply", l_ply("ascii")[:-30], "ends early"),
-        (".ply", l_ply("binary_little_endian")[:-3], "ends early"),
-        (".ply", b"plywood", "no PLY file"),
+        (".ply", l_ply("ascii")[:-30], "PLY file cannot be read"),
+        (".ply", l_ply("binary_little_endian")[:-3], "PLY file cannot be read"),
+        (".ply", l_ply("ascii").replace(b"0 0 3 255", b"0 nan 3 255"), "not a finite number"),
+        (".ply", b"plywood", "PLY file cannot be read"),
         (".stl", b"\x00\xff" * 60, "no faces"),
         (".glb", b"glTF" + b"\x02\0\0\0" * 9, "GLB file cannot be read"),
-        (".dwg", "x", r"unknown format\n(.*\n)*.*one of .obj, .ac"),
+        (".ac", "AC3Db", r"unknown format\n(.*\n)*.*save it as OBJ"),
+        (".dwg", "x", r"unknown format\n(.*\n)*.*one of .obj, .ply"),
     ],
 )
 def test_a_broken_file_is_refused_with_what_and_where(tmp_path, suffix, content, said):
@@ -388,7 +368,7 @@ def test_a_room_without_materials_is_refused(tmp_path):
 
 def test_the_seminar_room_has_its_published_measures(real_data):
     """V, S and closure as its README states them; areas add up to S."""
-    file = real_data / "bras_cr2" / "scene9.ac"
+    file = as_obj(real_data / "bras_cr2" / "scene9.ac")
     room, findings = read_room(RoomSpec(file=file, unit="m", up="y"))
 
     assert round(volume_m3(room.mesh), 2) == 146.09

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from _ac3d import as_obj
 from hostile import FAULTS, box, outcome
 from roomfit.base.findings import Code
 from roomfit.cli.demo import run_demo
@@ -78,7 +79,7 @@ def test_one_measured_response_of_a_seminar_room_runs_and_says_what_it_cannot_te
     wav = folder / "scene9_RIR_LS1_MP1_Dodecahedron.wav"
     path = tmp_path / "campaign.toml"
     path.write_text(
-        f'[room]\nfile = "{folder / "scene9.ac"}"\nunit = "m"\nup = "y"\n'
+        f'[room]\nfile = "{as_obj(folder / "scene9.ac")}"\nunit = "m"\nup = "y"\n'
         "[air]\ntemperature_c = 19.5\nhumidity_percent = 41.7\n"
         "[sources.LS1]\nposition = [0.931, -2.547, 0.723]\n"
         "[receivers.MP1]\nposition = [-0.993, 1.426, 1.23]\n"

@@ -177,8 +177,6 @@ def corpus() -> dict[str, bytes]:
         "a long cell--parameters.csv": examples()["parameters.csv"] + b"x" * 140_000,
         "60,000 fields of a byte--audio.ita": _mat_fields(60_000, 1),
         "fields of no length--audio.ita": _mat_fields(10, 0),
-        "chunks of no length--box.3ds": b"MM" + struct.pack("<I", 600_006) + b"\0" * 600_000,
-        "layers without end--layers.ply": examples()["layers.ply"].replace(b"r 2", b"r 999999999"),
         "deep--result.json": result()[:-1] + b', "deep": ' + deep + b"}",
         "5,000 digits--result.json": result().replace(b"0.3", digits),
         "5,000 digits as number of bands--result.json": result().replace(

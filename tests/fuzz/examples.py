@@ -16,14 +16,11 @@ from box_files import (
     POINTS,
     QUADS,
     TRIANGLES,
-    ac3d,
     corners,
-    layered_ply,
     obj,
     planes,
     ply,
     stl,
-    three_ds,
 )
 from scans import scan_json
 
@@ -271,13 +268,9 @@ def examples() -> dict[str, bytes]:
     """Return one valid file of every format by its name."""
     return {
         "box.obj": obj(),
-        "box.ac": ac3d(),
         "text.ply": ply("ascii"),
         "little.ply": ply("binary_little_endian"),
         "big.ply": ply("binary_big_endian"),
-        "layers.ply": layered_ply("ascii"),
-        "layered.ply": layered_ply("binary_big_endian"),
-        "box.3ds": three_ds((0, -1, 0, -1, 0, 0, 0, 0, 1, 2, 0.5, 0.3)),
         "box.stl": stl(),
         "text.stl": stl_text(),
         "box.glb": glb(),

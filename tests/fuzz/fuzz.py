@@ -210,7 +210,7 @@ def readers(folder: Path) -> dict[str, Callable[[Path], object]]:
         place.write_bytes(path.read_bytes())
         return identify_arguments(read_campaign(place))
 
-    kinds = ("obj", "ac", "ply", "3ds", "stl", "glb", "geo", "dxf")
+    kinds = ("obj", "ply", "stl", "glb", "geo", "dxf")
     rooms = ["scan.json", *(name for name in examples() if name.endswith(kinds))]
     mat = response(variable="RIR", channel=0, sampling_rate_variable="Fs")
     return {

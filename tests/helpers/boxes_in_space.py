@@ -6,9 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from roomfit.base.polygon import Face, Surface
 from roomfit.base.typing import FloatArray
-from roomfit.room.build import Face, build_mesh
-from roomfit.room.mesh import Mesh, Surface
+from roomfit.room.build import build_mesh
+from roomfit.room.mesh import Mesh
 from roomfit.room.scene import Room
 
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from roomfit.base.air import Air
+from roomfit.base.polygon import Face, Surface
 from roomfit.base.typing import FloatArray
-from roomfit.room.build import Face, build_mesh
-from roomfit.room.mesh import Mesh, Surface, corners_m, is_double_sided, shoebox_mesh
+from roomfit.room.build import build_mesh
+from roomfit.room.mesh import Mesh, corners_m, is_double_sided, shoebox_mesh
 from roomfit.room.scene import Point, Room, Scene, triangle_material
 
 SPEED_M_S = 340.0

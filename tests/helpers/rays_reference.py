@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from roomfit.base.polygon import Surface
 from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import Scattering
 from roomfit.model.energy import Observation, variance_of_batches
 from roomfit.model.scattering import scattering_weights
 from roomfit.model.weighing import EnergyRows
 from roomfit.model.windows import in_windows
-from roomfit.room.mesh import Mesh, Surface, corners_m, shoebox_mesh
+from roomfit.room.mesh import Mesh, corners_m, shoebox_mesh
 from roomfit.room.scene import Room, Scene, triangle_material
 from roomfit.tracing.paths import Paths
 

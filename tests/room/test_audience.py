@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from roomfit.base.errors import InputError
+from roomfit.base.polygon import Face, Surface
 from roomfit.room.audience import audience_area_m2
-from roomfit.room.build import Face, build_mesh, oriented
-from roomfit.room.mesh import Mesh, Surface, shoebox_mesh
+from roomfit.room.build import build_mesh, oriented
+from roomfit.room.mesh import Mesh, shoebox_mesh
 
 HALL = shoebox_mesh((20.0, 12.0, 8.0))
 BLOCK = [(5, 3), (15, 3), (15, 9), (5, 9)]

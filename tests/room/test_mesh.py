@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from boxes_in_space import box_with_doors
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
-from roomfit.room.build import Face, build_mesh, listed, oriented
+from roomfit.base.polygon import Face, Surface
+from roomfit.room.build import build_mesh, listed, oriented
 from roomfit.room.check import examine, find_leaks
 from roomfit.room.inside import distance_to_walls_m, interior_points, is_inside
 from roomfit.room.mesh import (
     SHOEBOX_SURFACES,
     Mesh,
-    Surface,
     area_vectors_m2,
     as_shoebox,
     box_of,

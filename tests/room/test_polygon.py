@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomfit.room.mesh import area_vector_m2, triangulate
+from roomfit.base.polygon import area_vector_m2, triangulate
 
 L_FLOOR = np.array([[4, 0, 0], [4, 1, 0], [1, 1, 0], [1, 4, 0], [0, 4, 0], [0, 0, 0]], dtype=float)
 

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
+from _ac3d import as_obj
 from images_reference import (
     BOX_M,
     BOX_MATERIALS,
@@ -101,7 +102,7 @@ def test_a_ball_sent_along_every_path_of_any_room_arrives(name: str) -> None:
 
 def test_a_ball_sent_along_every_path_of_a_real_room_arrives(real_data: Path) -> None:
     """A seminar room of 504 triangles with furniture and niches, order 2."""
-    room, _ = read_room(RoomSpec(file=real_data / "bras_cr2" / "scene9.ac", unit="m"))
+    room, _ = read_room(RoomSpec(file=as_obj(real_data / "bras_cr2" / "scene9.ac"), unit="m"))
     source, receiver = [2.84, 0.93, -0.7], [2.09, 1.22, 0.38]
     found = images(room, source, receiver, 2)
     assert len(found.length_m) > 20

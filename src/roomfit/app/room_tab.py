@@ -22,7 +22,7 @@ from roomfit.app.elements import (
 )
 from roomfit.app.jobs import Bench
 from roomfit.files.rooms import READERS
-from roomfit.files.rooms.model import METRES_PER_UNIT
+from roomfit.formats.model import METRES_PER_UNIT
 from roomfit.materials.catalogue import catalogue, suggested_entries
 
 _MOST_SURFACES = 500  # that are listed; all are drawn

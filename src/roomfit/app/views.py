@@ -44,7 +44,8 @@ from roomfit.files.responses.recordings import ResponseSpec
 from roomfit.files.responses.sweep import SweepPlan, response_from_recording, wav_bytes
 from roomfit.files.reverberation import read_decay_times
 from roomfit.files.rooms import read_mesh
-from roomfit.files.rooms.model import RoomSpec, UnchosenSpaceError
+from roomfit.files.rooms.model import RoomSpec
+from roomfit.formats.model import UnchosenSpaceError
 from roomfit.predict.campaign import WantedPairs
 from roomfit.predict.changes import read_change
 from roomfit.report.room_figure import MOST_FACES, outline_m

@@ -9,7 +9,7 @@ import tokenize
 import unicodedata
 import zipfile
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import islice
 from typing import Any
 
@@ -240,3 +240,18 @@ ARCHIVE_DAMAGE = (
     zipfile.BadZipFile,
     zlib.error,
 )
+
+
+_NAMED = 6
+
+
+def in_short(names: Sequence[str]) -> str:
+    """Return a list of names in words, of many the first six.
+
+    Examples
+    --------
+    >>> in_short(["a", "b"]), in_short(list("abcdefgh"))
+    ('a, b', 'a, b, c, d, e, f and 2 more')
+    """
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more

@@ -52,8 +52,7 @@ LIMITS: Mapping[str, tuple[float, str]] = {
     "scan_parts": (500, "walls, doors, windows, furniture and corners of the floor of one scan"),
     "reading_s": (
         20,
-        "seconds of processor time for one file of SOFA, MAT, GLB, STL, PLY, COLLADA, IFC, USDZ or "
-        "SKP",
+        "seconds of processor time for one file of SOFA, MAT, GLB, STL, COLLADA, IFC, USDZ or SKP",
     ),
     "request_s": (20, "seconds in which the head of a request to the workbench must be there"),
 }

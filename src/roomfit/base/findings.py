@@ -173,7 +173,6 @@ class Code(StrEnum):
     ROOM_COMPLETED = "room-completed", ("info", "warning")
     LAYERS_IGNORED = "layers-ignored", "warning"
     MATERIALS_JOINED = "materials-joined", "info"
-    TWO_SIDED_TAKEN_AS_SHEETS = "two-sided-taken-as-sheets", "warning"
     AUDIENCE_AREA = "audience-area", "info"
     AXES_EXCHANGED = "axes-exchanged", "warning"
     POSITION_IN_WALL = "position-in-wall", "serious"

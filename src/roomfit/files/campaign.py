@@ -16,13 +16,13 @@ import numpy as np
 from pydantic import ValidationError
 
 from roomfit.base.air import Air
-from roomfit.base.arguments import check_known, unique_names
+from roomfit.base.arguments import check_known, in_short, unique_names
 from roomfit.base.bands import OCTAVES_HZ, Bands, bands_between
 from roomfit.base.door import read_bytes, same_file
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding
 from roomfit.files.complaints import explained
-from roomfit.files.file_names import files_of_shape, in_short, shape_of
+from roomfit.files.file_names import files_of_shape, shape_of
 from roomfit.files.responses.recordings import ResponseSpec
 from roomfit.files.rooms.model import PolygonSpec, RoomSpec
 from roomfit.files.schema import (

@@ -16,19 +16,22 @@ from pathlib import Path
 
 import numpy as np
 
+from roomfit.base.arguments import in_short
 from roomfit.base.door import read_bytes
 from roomfit.base.errors import InputError, located
+from roomfit.base.polygon import area_vector_m2
 from roomfit.base.typing import FloatArray
 from roomfit.files.campaign import FILL_IN
 from roomfit.files.encoding import one_line
-from roomfit.files.file_names import files_of_shape, in_short, shape_of
+from roomfit.files.file_names import files_of_shape, shape_of
 from roomfit.files.responses import RESPONSE_SUFFIXES
 from roomfit.files.rooms import read_mesh, read_model
-from roomfit.files.rooms.model import METRES_PER_UNIT, RoomModel, RoomSpec, Thing
+from roomfit.files.rooms.model import RoomSpec
 from roomfit.files.tables import table_rows
+from roomfit.formats.model import METRES_PER_UNIT, RoomModel, Thing
 from roomfit.materials.catalogue import suggested_entries
 from roomfit.room.audience import audience_area_m2
-from roomfit.room.mesh import Mesh, area_vector_m2
+from roomfit.room.mesh import Mesh
 from roomfit.room.scene import is_level_by_name, material_areas, surface_materials
 
 # Rooms of people and sound, m and m3: of the units that a size permits, these are plausible.

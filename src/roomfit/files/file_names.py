@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from roomfit.base.errors import InputError
-
-_SHOWN = 6
 
 
 def shape_of(
@@ -70,15 +68,3 @@ def files_of_shape(folder: Path, template: str) -> list[str]:
     files = [f for f in files if f.is_file() and not f.name.startswith(".")]
     names = [Path(os.path.relpath(f, folder)).as_posix() for f in files]
     return [name for name in names if shape.fullmatch(name)]
-
-
-def in_short(names: Sequence[str]) -> str:
-    """Return a list of names in words, of many the first six.
-
-    Examples
-    --------
-    >>> in_short(["a", "b"]), in_short(list("abcdefgh"))
-    ('a, b', 'a, b, c, d, e, f and 2 more')
-    """
-    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return ", ".join(names[:_SHOWN]) + more

@@ -82,7 +82,7 @@ class RoomTable(Table):
     """``[room]``."""
 
     file: str | None = None
-    """OBJ, AC3D (.ac), PLY, 3DS, STL, GLB, CATT-Acoustic (.geo), DXF, COLLADA (.dae), IFC,
+    """OBJ, PLY, STL, GLB, CATT-Acoustic (.geo), DXF, COLLADA (.dae), IFC,
     SketchUp (.skp), or a scan by Apple's RoomPlan (.json, .usdz)."""
     space: str | None = None
     """Of a building model (IFC) or a scan (JSON): name of the room, where it has several."""
@@ -91,7 +91,7 @@ class RoomTable(Table):
     polygons: PolygonTable | None = None
     """Tables of corners and planes."""
     unit: str | None = None
-    """m, mm, cm, ft or in; required where the file states none (OBJ, AC3D, PLY, STL)."""
+    """m, mm, cm, ft or in; required where the file states none (OBJ, PLY, STL)."""
     up: Literal["z", "y"] | None = None
     """Axis that points up in the file. Default: y for GLB, COLLADA's own, z for all others."""
     materials: dict[str, str] = {}

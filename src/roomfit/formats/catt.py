@@ -16,8 +16,8 @@ import numpy as np
 from roomfit.base.door import check_limit
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
+from roomfit.base.polygon import WELD_TOLERANCE_M, Face, Surface, area_vector_m2, triangulate
 from roomfit.base.typing import FloatArray
-from roomfit.files.rooms.model import Polygon, RoomModel, joined, malformed, whole
 from roomfit.formats.catt_language import (
     CornerSource,
     GeoFile,
@@ -27,8 +27,7 @@ from roomfit.formats.catt_language import (
     read_files,
     value_of,
 )
-from roomfit.room.build import Face
-from roomfit.room.mesh import WELD_TOLERANCE_M, Surface, area_vector_m2, triangulate
+from roomfit.formats.model import Polygon, RoomModel, joined, malformed, whole
 
 _MOST_STEPS = 10_000
 

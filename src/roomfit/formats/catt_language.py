@@ -21,10 +21,10 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
+from roomfit.base.arguments import in_short
 from roomfit.base.door import check_limit, read_text
 from roomfit.base.errors import InputError
-from roomfit.base.arguments import in_short
-from roomfit.files.rooms.model import finite, malformed, whole
+from roomfit.formats.model import finite, malformed, whole
 
 _TOKEN = re.compile(
     r"\s*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|([-+*/(),]))", re.ASCII

@@ -12,18 +12,18 @@ import numpy as np
 from roomfit.base.door import check_limit, quiet, read_bytes
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding, Severity
-from roomfit.files.rooms.model import (
+from roomfit.base.polygon import Surface
+from roomfit.formats.model import (
     PARSER_ERRORS,
     Polygon,
     RoomModel,
-    check_corners,
     counted,
     damaged,
     finite,
     joined,
+    malformed,
     no_faces,
 )
-from roomfit.room.mesh import Surface
 
 _UNITS = {1: "in", 2: "ft", 4: "mm", 5: "cm", 6: "m"}  # $INSUNITS
 _DEEPEST = 20
@@ -207,8 +207,10 @@ def _polygons(entity: Any, kind: str, where: str) -> list[list[Any]] | None:
 
 
 def _mesh_polygons(vertices: list[Any], faces: list[Any], where: str) -> list[list[Any]]:
-    for face in faces:
-        check_corners(face, len(vertices), where)
+    for corner in (corner for face in faces for corner in face):
+        if not 0 <= corner < len(vertices):
+            what, needed = "a face names a corner that does not exist", f"0 to {len(vertices) - 1}"
+            raise malformed(what, where, f"corner {corner}", needed)
     return [[vertices[corner] for corner in face] for face in faces]
 
 

@@ -7,6 +7,9 @@ it, floor and ceiling are put in.
 
 from __future__ import annotations
 
+import os
+import re
+import tempfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import combinations, pairwise
@@ -18,9 +21,19 @@ import numpy as np
 from roomfit.base.door import check_limit, complete, json_content, read_text
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding, Severity
+from roomfit.base.polygon import Surface, place, triangulate
 from roomfit.base.typing import FloatArray
-from roomfit.files.rooms.model import Polygon, RoomModel, Thing, counted, joined, unknown_space
-from roomfit.room.mesh import Surface, place, triangulate
+from roomfit.formats.model import (
+    Outlines,
+    Polygon,
+    RoomModel,
+    Thing,
+    counted,
+    isolated_polygons,
+    joined,
+    outline,
+    unknown_space,
+)
 
 # Ends of walls nearer than this are one corner, and what is that near to a wall's plane is in it.
 _MEETS_M = 0.3
@@ -671,3 +684,89 @@ def _left_out(idle: Sequence[str], objects: Counter[str]) -> list[Finding]:
         kinds = dict(objects.most_common(_MOST_KINDS))
         found.append(Finding(code, About(), text, kinds, graded="info"))
     return found
+
+
+def read_usdz(path: Path) -> RoomModel:
+    """Read a scan by Apple's RoomPlan from its USDZ by usd-core: metres, z up.
+
+    Walls, doors and windows are known by their names, each flat where the middle of its box is.
+    See `closed_room`.
+    """
+    _, shapes = isolated_polygons(
+        path,
+        "roomfit.formats.roomplan:read_scan",
+        "usd-core",
+        "USDZ",
+        "roomfit[usd], or give the scan's JSON, which needs nothing and says more",
+    )
+    parts = [part_of(s.name, s.group or "", points) for points, s in shapes if s.group != "thing"]
+    things = [thing_of(s.name, points) for points, s in shapes if s.group == "thing"]
+    with located(str(path)):
+        return closed_room(parts, None, things)
+
+
+def read_scan(content: bytes, _: float, place: list[str]) -> tuple[dict[str, Any], list[Any]]:
+    """Return the points of each wall, door, window and opening of a scan by RoomPlan, m, z up.
+
+    They are known by names, as Wall0 or Door_0; whatever else ends in a number is a thing, of the
+    group "thing".
+    """
+    os.environ["PXR_WORK_THREAD_LIMIT"] = "1"  # each thread takes addresses, which are limited
+    from pxr import Tf, Usd, UsdGeom
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "scan.usdz")
+        file.write_bytes(content)
+        try:
+            stage = Usd.Stage.Open(str(file))
+        except Tf.ErrorException as error:
+            # its text has places in the library and of this copy
+            raise ValueError("no layer of USD that can be opened") from error
+        for layer in stage.GetUsedLayers():
+            if not (layer.anonymous or layer.realPath.startswith(str(file))):
+                raise ValueError("it leads to other files")
+        found: dict[tuple[str, str, str], list[Any]] = {}
+        for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
+            if not prim.IsA(UsdGeom.Gprim):
+                continue
+            place[0] = str(prim.GetPath())
+            kind, number = _numbered(prim)
+            if kind in ("wall", "door", "window", "opening"):
+                named = (f"{kind.capitalize()}{number}", kind, "")
+                found.setdefault(named, []).append(_points(prim))
+            elif kind not in ("", "floor", "ceiling"):
+                found.setdefault((f"{kind}{number}", "thing", ""), []).append(_points(prim))
+        metres, up = UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)
+    if all(group == "thing" for _, group, _ in found):
+        raise ValueError("nothing in it is named Wall0: no scan by RoomPlan; export it as GLB")
+    polygons: Outlines = []
+    for named, parts in found.items():
+        x, y, z = metres * np.concatenate(parts).T
+        polygons.append((np.stack([x, -z, y] if up == "Y" else [x, y, z], axis=1), named))
+    return outline(polygons)
+
+
+def _numbered(prim: Any) -> tuple[str, str]:
+    """Return kind and number in the name of a shape, or else of what it belongs to."""
+    while prim and not prim.IsPseudoRoot():
+        match = re.fullmatch(r"([A-Za-z]+)_?([0-9]+)", prim.GetName())
+        if match:
+            return match[1].lower(), match[2]
+        prim = prim.GetParent()
+    return "", ""
+
+
+def _points(prim: Any) -> Any:
+    """Return the points of a mesh, or the corners of what encloses another shape, in the scene."""
+    from pxr import Usd, UsdGeom
+
+    own = UsdGeom.Mesh(prim).GetPointsAttr().Get() if prim.IsA(UsdGeom.Mesh) else None
+    if own is None:
+        now = Usd.TimeCode.Default()
+        low, high = np.array(
+            UsdGeom.Boundable.ComputeExtentFromPlugins(UsdGeom.Boundable(prim), now)
+        )
+        own = [np.where([i & 1, i & 2, i & 4], high, low) for i in range(8)]
+    points = np.array(own, dtype=np.float64).reshape(-1, 3)
+    matrix = np.array(UsdGeom.XformCache().GetLocalToWorldTransform(prim))
+    return points @ matrix[:3, :3] + matrix[3, :3]

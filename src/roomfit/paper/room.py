@@ -16,12 +16,13 @@ import numpy as np
 
 from roomfit.base.air import Air
 from roomfit.base.arguments import read_only
+from roomfit.base.polygon import Face, Surface
 from roomfit.base.typing import FloatArray, IntArray
 from roomfit.materials.priors import uniform_scattering
 from roomfit.model.eyring import decay_rate_per_s, eyring_absorption
 from roomfit.model.weighing import EnergyRows, energy_rows, merge_equal_rows, weigh
-from roomfit.room.build import Face, build_mesh
-from roomfit.room.mesh import Surface, volume_m3
+from roomfit.room.build import build_mesh
+from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import Point, Room, Scene, material_areas_m2
 from roomfit.tracing.paths import Directions, Paths, TraceSettings, hits
 from roomfit.tracing.rays import trace_rays

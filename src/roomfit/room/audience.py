@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from roomfit.base.errors import InputError
+from roomfit.base.polygon import area_vector_m2, place, triangulate
 from roomfit.base.typing import FloatArray
 from roomfit.room.inside import is_inside
-from roomfit.room.mesh import Mesh, area_vector_m2, corners_m, place, triangulate
+from roomfit.room.mesh import Mesh, corners_m
 
 EAR_M = 0.4  # above the floor: within a block of seats, below most rails
 _SAMPLES = 9  # of the room beside an edge

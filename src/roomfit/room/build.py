@@ -8,42 +8,32 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from roomfit.base.arguments import float_array
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
+from roomfit.base.polygon import Face, Surface, place, triangulate
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.room.inside import is_inside
 from roomfit.room.mesh import (
     Edges,
     Mesh,
-    Surface,
     about_points,
     area_vectors_m2,
     corners_m,
     edges_of,
     fault,
     is_double_sided,
-    place,
     refuse,
     triangle_areas_m2,
-    triangulate,
     weld,
 )
 
 WARPED_FROM_M = 0.001
 TOO_WARPED_FROM_M = 0.01
 _SHOWN = 3  # of faces with one fault
-
-
-class Face(NamedTuple):
-    """One polygon of a file: indices of its corners in order, and the surface it belongs to."""
-
-    corners: tuple[int, ...]
-    surface: Surface
 
 
 # Where each kind of fault occurs, as (surface name, position), while a mesh is built.

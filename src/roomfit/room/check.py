@@ -8,6 +8,7 @@ import numpy as np
 
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.kernels import in_threads, kernel
+from roomfit.base.polygon import place
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.room.build import listed
 from roomfit.room.inside import (
@@ -30,7 +31,6 @@ from roomfit.room.mesh import (
     corners_m,
     edges_of,
     fault,
-    place,
     triangle_areas_m2,
     unmatched,
     volume_m3,

@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any, NamedTuple
 
-import mapbox_earcut
 import numpy as np
 from numpy.typing import ArrayLike
 
 from roomfit.base.arguments import float_array, int_array
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
+from roomfit.base.polygon import WELD_TOLERANCE_M, Surface
 from roomfit.base.typing import FloatArray, IntArray
 
 
@@ -81,30 +81,6 @@ def refuse(findings: Iterable[Finding]) -> None:
         hint="; ".join(hints) or None,
         points_m=serious[0].about.points_m,
     )
-
-
-def place(point_m: FloatArray) -> str:
-    """Return a point as text, in metres to the millimetre.
-
-    Examples
-    --------
-    >>> place(np.array([1.0, 2.5, -0.00001]))
-    '(1.000, 2.500, 0.000) m'
-    """
-    x, y, z = np.round(np.asarray(point_m, dtype=np.float64), 3) + 0.0  # no "-0.000"
-    return f"({x:.3f}, {y:.3f}, {z:.3f}) m"
-
-
-@dataclass(frozen=True, slots=True)
-class Surface:
-    """The faces of a file that share a name, a group and a material."""
-
-    name: str  # Of surface, object or plane in the file; "west", "floor", ... for a shoebox
-    group: str | None = None  # In the file, where it has groups
-    file_material: str | None = None
-    # A sheet in the air that reflects on both sides, such as a curtain. It encloses nothing, so it
-    # is left out of volume and closure checks; its area counts twice.
-    double_sided: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,73 +167,6 @@ def mean_free_path_m(mesh: Mesh) -> float:
     return 4.0 * volume_m3(mesh) / surface_area_m2(mesh)
 
 
-_NO_AREA = 1e-12  # of the squared perimeter: what rounding leaves of a polygon without area
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Triangulation:
-    """The triangles of one polygon."""
-
-    triangles: IntArray  # (n_triangles, 3), corners in the polygon's sense; empty without area
-    area_m2: float  # Of the polygon's projection along its normal
-    off_plane_m: float  # Largest distance of a corner from the best plane
-    crosses_itself: bool  # The triangles do not cover the polygon's area
-
-
-def area_vector_m2(corners_m: FloatArray) -> FloatArray:
-    """Return normal times area of a polygon, shape (3,), by Newell's sum over its edges.
-
-    Counter-clockwise corners give a vector that points to the viewer. Exact for flat polygons of
-    any outline; the area of a warped one is that of its shadow along the mean normal.
-
-    `corners_m` has the shape (n_corners, 3).
-    """
-    from_first = corners_m - corners_m[0]
-    return np.asarray(0.5 * np.cross(from_first, np.roll(from_first, -1, axis=0)).sum(axis=0))
-
-
-def triangulate(corners_m: FloatArray) -> Triangulation:
-    """Cut a polygon into triangles with the ear-cutting method.
-
-    The polygon may be concave, have corners that stand on a straight line, or the same corner
-    twice. A fan from the first corner, as many readers cut it, would cover the notch of an
-    L-shaped floor.
-
-    `corners_m`, shape (n_corners, 3): in order around the polygon, the last one not repeating the
-    first.
-    """
-    vector = area_vector_m2(corners_m)
-    area = float(np.linalg.norm(vector))
-    edges = np.roll(corners_m, -1, axis=0) - corners_m
-    perimeter = float(np.linalg.norm(edges, axis=1).sum())
-    if len(corners_m) < 3 or not area > _NO_AREA * perimeter**2:
-        return Triangulation(np.zeros((0, 3), dtype=np.int64), area, 0.0, False)
-    normal = vector / area
-    from_middle = corners_m - corners_m.mean(axis=0)
-    off_plane = float(np.abs(from_middle @ normal).max())
-    if len(corners_m) == 3:
-        return Triangulation(np.array([[0, 1, 2]]), area, off_plane, False)
-    flat = np.ascontiguousarray(from_middle @ plane_axes(normal).T)
-    ring = np.array([len(flat)], dtype=np.uint32)
-    cut = mapbox_earcut.triangulate_float64(flat, ring).astype(np.int64).reshape(-1, 3)
-    a, b, c = (flat[cut[:, k]] for k in range(3))
-    ab, ac = b - a, c - a
-    twice = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
-    cut[twice < 0.0] = cut[twice < 0.0][:, ::-1]
-    covered = 0.5 * float(np.abs(twice).sum())
-    triangles = cut[np.abs(twice) > _NO_AREA * perimeter**2]
-    return Triangulation(triangles, area, off_plane, abs(covered - area) > 1e-6 * area)
-
-
-def plane_axes(normal: FloatArray) -> FloatArray:
-    """Return two unit vectors that with the normal form a right-handed frame, shape (2, 3)."""
-    helper = np.zeros(3)
-    helper[np.argmin(np.abs(normal))] = 1.0
-    u = np.cross(helper, normal)
-    u /= np.linalg.norm(u)
-    return np.array([u, np.cross(normal, u)])
-
-
 SHOEBOX_SURFACES = ("west", "east", "south", "north", "floor", "ceiling")
 
 # corner k of the unit box stands at the binary digits of k: x = bit 0, y = bit 1, z = bit 2
@@ -296,12 +205,6 @@ def shoebox_mesh(lengths_m: ArrayLike) -> Mesh:
         Surface(name, "walls" if i < 4 else None, name) for i, name in enumerate(SHOEBOX_SURFACES)
     )
     return Mesh(corners, np.array(triangles), np.repeat(np.arange(6), 2), surfaces)
-
-
-# Corners nearer than 0.1 mm are one corner. An absolute length, because what is welded is the
-# rounding of drawing programs (six decimals of a metre, three of a millimetre), which does not grow
-# with the room, and because it must stay far below any wavelength (21 mm at 16 kHz).
-WELD_TOLERANCE_M = 1e-4
 
 
 class Box(NamedTuple):

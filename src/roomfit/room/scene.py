@@ -25,19 +25,18 @@ from roomfit.base.arguments import (
 )
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding
+from roomfit.base.polygon import Surface, place
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.room.check import examine
 from roomfit.room.inside import distance_to_walls_m, is_inside, nearest_triangles
 from roomfit.room.mesh import (
     SHOEBOX_SURFACES,
     Mesh,
-    Surface,
     area_vectors_m2,
     corners_m,
     fault,
     is_double_sided,
     mean_free_path_m,
-    place,
     refuse,
     shoebox_mesh,
     surface_area_m2,

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from roomfit.base.kernels import kernel
+from roomfit.base.polygon import plane_axes
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.room.inside import Vector, corner, dot, row
-from roomfit.room.mesh import area_vectors_m2, corners_m, is_double_sided, plane_axes
+from roomfit.room.mesh import area_vectors_m2, corners_m, is_double_sided
 from roomfit.room.scene import Room
 
 _OUTLINE_CORNERS = 12

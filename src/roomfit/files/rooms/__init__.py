@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,40 +11,36 @@ from roomfit.base.arguments import check_known, nearest
 from roomfit.base.door import check_limit
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
+from roomfit.base.polygon import WELD_TOLERANCE_M, area_vector_m2, triangulate
 from roomfit.base.typing import FloatArray, IntArray
-from roomfit.files.rooms.interchange import read_collada, read_ifc, read_skp, read_usdz
-from roomfit.files.rooms.mesh_formats import (
-    read_3ds,
-    read_ac3d,
-    read_glb,
-    read_obj,
-    read_ply,
-    read_stl,
-)
-from roomfit.files.rooms.model import METRES_PER_UNIT, RoomModel, RoomSpec, in_metres
+from roomfit.files.rooms.model import RoomSpec, in_metres
 from roomfit.files.rooms.tables import read_polygons
 from roomfit.formats.catt import read_catt
 from roomfit.formats.dxf import read_dxf
-from roomfit.formats.roomplan import read_roomplan
+from roomfit.formats.ifc import read_ifc
+from roomfit.formats.meshes import read_collada, read_mesh_file, read_obj, read_ply
+from roomfit.formats.model import METRES_PER_UNIT, RoomModel, joined
+from roomfit.formats.roomplan import read_roomplan, read_usdz
+from roomfit.formats.skp import TwoSided, read_skp
 from roomfit.room.build import build_mesh, oriented
-from roomfit.room.mesh import WELD_TOLERANCE_M, Mesh, as_shoebox, refuse, shoebox_mesh
+from roomfit.room.inside import is_inside
+from roomfit.room.mesh import Mesh, as_shoebox, refuse, shoebox_mesh
 from roomfit.room.scene import Room, check_mesh, room_from_mesh
 
 READERS: dict[str, Callable[[Path], RoomModel]] = {
     ".obj": read_obj,
-    ".ac": read_ac3d,
     ".ply": read_ply,
-    ".3ds": read_3ds,
-    ".stl": read_stl,
-    ".glb": read_glb,
+    **dict.fromkeys((".stl", ".glb"), read_mesh_file),
     ".geo": read_catt,
     ".dxf": read_dxf,
     ".dae": read_collada,
     ".ifc": read_ifc,
     ".json": read_roomplan,
     ".usdz": read_usdz,
-    ".skp": read_skp,
+    ".skp": lambda path: _inner_sides(*read_skp(path)),
 }
+_GONE = dict.fromkeys((".ac", ".3ds"), "open it in Blender and save it as OBJ: names are kept")
+_STEP_M = 1e-3  # from a face into the air
 
 
 def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
@@ -141,6 +137,7 @@ def _model(spec: RoomSpec) -> tuple[RoomModel, str]:
         what = "a room file of unknown format"
         needed = f"one of {', '.join(READERS)}"
         hint = f"did you mean {like}?" if like else "export the room as OBJ"
+        hint = _GONE.get(suffix, hint)
         raise InputError(what, where=str(path), found=repr(path.suffix), needed=needed, hint=hint)
     if spec.space is not None:
         read = read_ifc if suffix == ".ifc" else read_roomplan
@@ -176,3 +173,25 @@ def _n_open(vertices_m: FloatArray, edges: IntArray) -> int:
     ends = np.sort(point.reshape(-1)[known], axis=1)
     _, times = np.unique(ends, axis=0, return_counts=True)
     return int(times[times != 2].sum())
+
+
+def _inner_sides(faces: Sequence[TwoSided], findings: tuple[Finding, ...]) -> RoomModel:
+    """Return faces with the surface of the side which looks into the room; inches."""
+    scale = METRES_PER_UNIT["in"]
+    mesh, _ = build_mesh(*joined([(f.corners_in * scale, f.front) for f in faces]))
+    middles, normals = np.zeros((len(faces), 3)), np.zeros((len(faces), 3))
+    for i, face in enumerate(faces):
+        points = face.corners_in * scale
+        triangles = triangulate(points).triangles
+        if len(triangles):
+            normal = area_vector_m2(points)
+            normals[i] = normal / np.linalg.norm(normal)
+            middles[i] = points[triangles[0]].mean(axis=0)
+    # air before the front, or on neither side
+    is_front = is_inside(mesh, middles + _STEP_M * normals)
+    is_front |= ~is_inside(mesh, middles - _STEP_M * normals)
+    polygons = [
+        (f.corners_in[::-1], f.front) if front else (f.corners_in, f.back)
+        for f, front in zip(faces, is_front, strict=True)
+    ]
+    return RoomModel(*joined(polygons), findings, "in", "z")

@@ -13,9 +13,9 @@ from roomfit.base.arguments import nearest
 from roomfit.base.door import csv_rows, read_text
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
-from roomfit.files.rooms.model import METRES_PER_UNIT, PolygonSpec, RoomModel, finite
-from roomfit.room.build import Face
-from roomfit.room.mesh import Surface, area_vector_m2
+from roomfit.base.polygon import Face, Surface, area_vector_m2
+from roomfit.files.rooms.model import PolygonSpec
+from roomfit.formats.model import METRES_PER_UNIT, RoomModel, finite
 
 _NUMBER_WORDS = ("number", "no", "no.", "nr", "nr.", "plane no.", "plane no", "plane", "corner no.")
 
