@@ -16,6 +16,7 @@ import numpy as np
 from roomfit.app import project, recordings
 from roomfit.app.treatment import ask_treatment, treatment_view
 from roomfit.app.what_if import what_if, what_if_prepare
+from roomfit.base.arguments import in_short
 from roomfit.base.door import read_bytes
 from roomfit.base.errors import InputError, RoomfitError, located
 from roomfit.base.findings import About, Code, Finding
@@ -36,7 +37,6 @@ from roomfit.files.encoding import (
     numbers_or_null,
 )
 from roomfit.files.exports import read_result_content
-from roomfit.base.arguments import in_short
 from roomfit.files.inputs import check_campaign
 from roomfit.files.remedies import advised, changed_since, is_file
 from roomfit.files.responses import SOUND_SUFFIXES, read_response

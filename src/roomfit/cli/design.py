@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from roomfit.base.door import files_read, reading_noted
 from roomfit.base.errors import located
 from roomfit.base.typing import part
 from roomfit.base.whole_files import check_output_folder, sole_writer, whole_output_folder
@@ -14,7 +15,6 @@ from roomfit.design.campaign import design_arguments
 from roomfit.design.output import write_design
 from roomfit.design.positions import design
 from roomfit.files.campaign import read_campaign
-from roomfit.base.door import files_read, reading_noted
 from roomfit.files.results import read_result
 from roomfit.report.designed import describe
 from roomfit.report.figures import write_pictures

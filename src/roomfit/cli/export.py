@@ -7,6 +7,7 @@ import textwrap
 from dataclasses import dataclass
 from pathlib import Path
 
+from roomfit.base.door import read_bytes, read_text
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Finding
 from roomfit.base.table import csv_of
@@ -15,7 +16,6 @@ from roomfit.cli.arguments import result_file
 from roomfit.cli.init import check_place
 from roomfit.cli.terminal import say
 from roomfit.files.budget import budget_records, uncertainty_budget
-from roomfit.base.door import read_bytes, read_text
 from roomfit.files.encoding import ResultFile, path_of
 from roomfit.files.exports import (
     export_materials,

@@ -10,6 +10,7 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 
+from roomfit.base.door import files_read, reading_noted
 from roomfit.base.errors import located
 from roomfit.base.typing import Progress, part
 from roomfit.base.whole_files import (
@@ -21,7 +22,6 @@ from roomfit.base.whole_files import (
 from roomfit.cli.check import how_to_write
 from roomfit.cli.terminal import say
 from roomfit.files.campaign import read_campaign
-from roomfit.base.door import files_read, reading_noted
 from roomfit.files.encoding import input_digests
 from roomfit.files.inputs import identify_arguments
 from roomfit.files.project import project_details

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from roomfit.base.arguments import in_short
 from roomfit.base.errors import InputError
 from roomfit.base.whole_files import make_folder, write_text_atomically
 from roomfit.cli.terminal import say
@@ -23,7 +24,6 @@ from roomfit.files.draft import (
     recordings_in,
 )
 from roomfit.files.edits import sole_editor
-from roomfit.base.arguments import in_short
 from roomfit.files.reverberation import read_decay_times
 from roomfit.files.rooms import READERS
 from roomfit.files.rooms.model import RoomSpec

@@ -9,6 +9,7 @@ from typing import Any
 
 import soundfile
 
+from roomfit.base.door import files_read, reading_noted
 from roomfit.base.errors import InputError, InsufficientDataError, located
 from roomfit.base.findings import Code
 from roomfit.base.typing import FloatArray, Progress
@@ -16,7 +17,6 @@ from roomfit.base.whole_files import check_output_folder, whole_output_folder, w
 from roomfit.cli.arguments import result_file
 from roomfit.cli.terminal import say
 from roomfit.files.campaign import read_campaign
-from roomfit.base.door import files_read, reading_noted
 from roomfit.files.encoding import ResultFile
 from roomfit.files.responses import read_response
 from roomfit.files.responses.recordings import ResponseSpec

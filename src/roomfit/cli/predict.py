@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from roomfit.base.door import files_read, reading_noted
 from roomfit.base.errors import InputError, InsufficientDataError, located
 from roomfit.base.table import csv_of
 from roomfit.base.typing import Progress, part
@@ -20,7 +21,6 @@ from roomfit.base.whole_files import (
 from roomfit.cli.arguments import result_file
 from roomfit.cli.terminal import say
 from roomfit.files.campaign import Campaign, read_campaign
-from roomfit.base.door import files_read, reading_noted
 from roomfit.files.encoding import ResultFile
 from roomfit.files.results import check_disk_room, read_result
 from roomfit.files.reverberation import diffuse_field

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from roomfit.base.door import files_read, reading_noted
 from roomfit.base.errors import InputError
 from roomfit.base.table import csv_of
 from roomfit.base.whole_files import (
@@ -15,7 +16,6 @@ from roomfit.base.whole_files import (
 )
 from roomfit.cli.terminal import say
 from roomfit.files.campaign import read_campaign
-from roomfit.base.door import files_read, reading_noted
 from roomfit.files.reverberation import diffuse_field, diffuse_result_content
 from roomfit.predict.diffuse_field import DiffuseAbsorption, diffuse_absorption
 from roomfit.report.diffuse import describe, diffuse_records

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from roomfit.base.door import files_read, reading_noted
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
 from roomfit.base.typing import Progress, part
@@ -25,7 +26,6 @@ from roomfit.design.campaign import design_arguments
 from roomfit.design.output import chosen_positions
 from roomfit.design.positions import design
 from roomfit.files.campaign import Campaign, read_campaign
-from roomfit.base.door import files_read, reading_noted
 from roomfit.files.encoding import ResultFile
 from roomfit.files.results import read_result
 from roomfit.files.schema import TreatmentTable

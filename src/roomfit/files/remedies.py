@@ -14,12 +14,12 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from roomfit.base.arguments import in_short
 from roomfit.base.door import read_bytes
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.files.campaign import Campaign, read_toml
 from roomfit.files.edits import Edit, lines_of, stated, value_text
-from roomfit.base.arguments import in_short
 from roomfit.materials.catalogue import find_material
 from roomfit.model.observation import DEFAULT_POSITION_SD_M
 from roomfit.room.scene import Point
