@@ -91,30 +91,9 @@ class Case:
 
 
 LEFT_OUT = frozenset(
-    [
-        "provenance",
-        "settings",
-        "trace",
-        "evaluations",
-        "seconds",
-        "format",
-        "format_version",
-        "plan",
-        "sentence",
-        "sentences",
-        "evidence",
-        "text",
-        "severity",
-        "files_sha256",
-        "content_sha256",
-        "sd_without",
-        "mean_sd_without",
-        "posterior",
-        "noise",
-        "draws",
-        "reasons",
-        "costs",
-    ]
+    "provenance settings trace evaluations seconds format format_version plan sentence sentences"
+    " evidence text severity files_sha256 content_sha256 sd_without mean_sd_without posterior"
+    " noise draws reasons costs".split()
 )
 
 
