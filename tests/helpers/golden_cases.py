@@ -90,11 +90,12 @@ class Case:
         return {**found, **printed} if words else found
 
 
-LEFT_OUT = frozenset(
-    "provenance settings trace evaluations seconds format format_version plan sentence sentences"
-    " evidence text severity files_sha256 content_sha256 sd_without mean_sd_without posterior"
-    " noise draws reasons costs".split()
-)
+_LEFT_OUT = """
+    provenance settings trace evaluations seconds format format_version plan sentence sentences
+    evidence text severity files_sha256 content_sha256 sd_without mean_sd_without posterior
+    noise draws reasons costs
+"""
+LEFT_OUT = frozenset(_LEFT_OUT.split())
 
 
 def kept(found: object) -> object:
