@@ -41,7 +41,6 @@ from roomfit.impedance.wave_model import (
 )
 from roomfit.paper.search import (
     Fit,
-    SimplexSettings,
     anneal,
     downhill_simplex,
     random_simplex,
@@ -396,7 +395,7 @@ def the_papers_way(seeds: int = 15) -> None:
 
     ways: dict[str, Callable[[np.random.Generator], Fit]] = {
         "simplex": lambda rng: downhill_simplex(
-            error, random_simplex(6, rng), SimplexSettings(max_evaluations=4000)
+            error, random_simplex(6, rng), max_evaluations=4000
         ),
         "annealing + simplex": lambda rng: anneal(error, 6, rng, levels=40, trials_per_unknown=10),
     }

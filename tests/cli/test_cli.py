@@ -116,7 +116,7 @@ def test_help_lists_every_command_and_no_former_name(monkeypatch, capsys):
         (("fly",), "try     roomfit --help"),
         (("demo", "--seed", "x"), "--seed: 'x' is not a whole number"),
         (("identify", "a", "--out", "b", "--bands", "low"), "--bands: 'low' is not a number"),
-        (("paper", "--out", "b", "--workers", "0"), "--workers: 0 is less than 1"),
+        (("paper", "--out", "b", "--seeds", "0"), "--seeds: 0 is less than 1"),
     ],
 )
 def test_a_wrong_call_ends_with_2_and_how_to_call(monkeypatch, capsys, arguments, words):

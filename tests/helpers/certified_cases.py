@@ -1,15 +1,11 @@
-"""Random rooms as questions for a certified search, and their misfit worked out another way."""
+"""Random rooms as problems of equation (1), and their error worked out another way."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 
 from roomfit.base.typing import FloatArray
 from roomfit.model.weighing import EnergyRows
-from roomfit.paper.question import GlobalProblem
-from roomfit.paper.repeat import squares_global_problem
 from roomfit.paper.room import SquaresProblem, squares_problem
 
 _ORDER = 8
@@ -63,35 +59,17 @@ def energies_by_hand(rows: EnergyRows, absorption: FloatArray) -> FloatArray:
     )
 
 
-def random_case(
-    seed: int, n_materials: int, window_s: float = 0.01, noise: float = 0.2
-) -> tuple[SquaresProblem, GlobalProblem]:
-    """Return a random room with noisy data, alphas up to 0.9995, and the question of its misfit."""
+def random_case(seed: int, n_materials: int) -> SquaresProblem:
+    """Return a random room with noisy energies of windows of 10 ms."""
     rng = np.random.default_rng(seed)
-    rows = box_room(rng, n_materials, window_s)
+    rows = box_room(rng, n_materials, 0.01)
     truth = rng.choice([0.05, 0.2, 0.5, 0.9, 0.9995], n_materials)
-    energy = energies_by_hand(rows, truth[None])[0] if n_materials else np.zeros(0)
-    measured = energy * rng.gamma(1.0 / noise**2, noise**2, energy.size)
-    problem = SquaresProblem(rows, measured)
-    precision = np.where(measured > 0.0, rng.uniform(0.5, 2.0, energy.size), 1.0)
-    least = np.full(n_materials, np.log1p(-0.9995))
-    return problem, replace(squares_global_problem(problem), precision=precision, least=least)
+    energy = energies_by_hand(rows, truth[None])[0]
+    return SquaresProblem(rows, energy * rng.gamma(25.0, 0.04, energy.size))
 
 
-def reaching_black(global_problem: GlobalProblem) -> GlobalProblem:
-    """Return the same question over absorptions up to 1."""
-    return replace(global_problem, least=np.full(len(global_problem.coordinates), -np.inf))
-
-
-def misfit_of(
-    problem: SquaresProblem, global_problem: GlobalProblem, absorption: FloatArray
-) -> FloatArray:
-    """Return the misfit of many points (n_points, n), from its formula."""
+def errors_of(problem: SquaresProblem, absorption: FloatArray) -> FloatArray:
+    """Return the error of many points (n_points, n), from its formula."""
     parts = np.array_split(absorption, max(len(absorption) // 2000, 1))
-    return np.concatenate(
-        [
-            (energies_by_hand(problem.rows, part) - problem.measured) ** 2
-            @ global_problem.precision
-            for part in parts
-        ]
-    )
+    off = [energies_by_hand(problem.rows, part) - problem.measured for part in parts]
+    return np.concatenate([np.sum(own**2, axis=1) for own in off])

@@ -294,10 +294,9 @@ def _measure(own: Parser) -> None:
 
 
 def _paper(own: Parser) -> None:
-    own.out("Folder for paper.json, tables, pictures.")
-    text = "Searches of every problem by every method; of other rays as many sets, 8 at most."
-    own.option("--seeds", text, type=positive_number, default=50)
-    own.option("--workers", "Processes.", type=positive_number, default=2)
+    own.out("Folder for paper.json, table2.csv, pictures.")
+    text = "Searches of every problem by every method."
+    own.option("--seeds", text, type=positive_number, default=10)
     own.overwrite()
 
 
@@ -439,8 +438,7 @@ _ABOUT = {
     "enough.\n\nThe response becomes FOLDER/SOURCE_RECEIVER.wav, of which roomfit init makes a "
     "campaign. Exit codes: 0 it suffices for T20 from 125 Hz to 4 kHz; 1 it is written, and better "
     "measured again; 2 bad input, or nothing of use was recorded.",
-    "paper": "Repeat the paper in its reconstructed room, and examine what other rays would have "
-    "given.",
+    "paper": "Repeat the paper's figures, Table 2 and searches in its reconstructed room.",
     "predict": "Predict reverberation and clarity with their intervals, as the room is or changed.",
     "reverberation": "Find the mean absorption of a room from decay times, where no position is "
     "known.\n\nBy Sabine, Eyring, Arau-Puchades and Fitzroy, with intervals, and split over "

@@ -1,4 +1,4 @@
-"""``roomfit paper``: every result of Suh (2001), and what it left open."""
+"""``roomfit paper``: the results of Suh (2001) in its reconstructed room."""
 
 from __future__ import annotations
 
@@ -12,11 +12,7 @@ from roomfit.report.progress import shown_progress
 def run(options: argparse.Namespace) -> None:
     with shown_progress("repeating the paper") as progress:
         result = run_paper(
-            options.out,
-            seeds=options.seeds,
-            workers=options.workers,
-            overwrite=options.overwrite,
-            progress=progress,
+            options.out, seeds=options.seeds, overwrite=options.overwrite, progress=progress
         )
     say(paper_text(result))
-    say(f"\npaper.json, tables and pictures are in {options.out}.")
+    say(f"\npaper.json, table2.csv and pictures are in {options.out}.")

@@ -1,4 +1,4 @@
-"""Decay of a diffuse field: its rate from window energies, and its absorption by Eyring's formula.
+"""Decay of a diffuse field, and its absorption by Eyring's formula.
 
 Uniform absorption is where a fit starts, and the baseline to compare it with.
 """
@@ -11,43 +11,6 @@ from roomfit.base.typing import FloatArray
 
 # Of the absorption that a decay gives, so that a search can move either way.
 _LOWEST, _HIGHEST = 0.02, 0.98
-
-
-def decay_rate_per_s(energy: FloatArray, edges_s: FloatArray) -> float:
-    """Return the rate k of the decay ``exp(-k t)`` that window energies follow.
-
-    The slope of the backward-integrated energy between 5 and 25 dB below its start, or over all
-    windows where those are fewer than three.
-
-    Parameters
-    ----------
-    energy : float array, shape (n_windows,)
-        Energy of each window, any unit, not all zero.
-    edges_s : float array, shape (n_windows + 1,)
-        Rising window edges.
-
-    Returns
-    -------
-    float
-        1/s; 0 where the energy does not fall.
-
-    Notes
-    -----
-    Backward integration after M. R. Schroeder, "New method of measuring reverberation time",
-    J. Acoust. Soc. Am. 37, 409-412 (1965).
-    """
-    remaining = np.cumsum(energy[::-1])[::-1]
-    alive = remaining > 0.0
-    log_energy = np.log(remaining[alive] / remaining[0])
-    time_s = edges_s[:-1][alive]
-    level_db = 10.0 / np.log(10.0) * log_energy
-    usable = (level_db <= -5.0) & (level_db >= -25.0)
-    if np.count_nonzero(usable) < 3:
-        usable = np.ones_like(usable)
-    if np.count_nonzero(usable) < 2:
-        return 0.0
-    slope = np.polyfit(time_s[usable], log_energy[usable], 1)[0]
-    return max(-float(slope), 0.0)
 
 
 def eyring_absorption(

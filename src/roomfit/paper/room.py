@@ -7,7 +7,7 @@ numbers in its text (arrival times and Table 2), and whatever shows this room mu
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal
@@ -19,11 +19,9 @@ from roomfit.base.arguments import read_only
 from roomfit.base.polygon import Face, Surface
 from roomfit.base.typing import FloatArray, IntArray
 from roomfit.materials.priors import uniform_scattering
-from roomfit.model.eyring import decay_rate_per_s, eyring_absorption
 from roomfit.model.weighing import EnergyRows, energy_rows, merge_equal_rows, weigh
 from roomfit.room.build import build_mesh
-from roomfit.room.mesh import volume_m3
-from roomfit.room.scene import Point, Room, Scene, material_areas_m2
+from roomfit.room.scene import Point, Room, Scene
 from roomfit.tracing.paths import Directions, Paths, TraceSettings, hits
 from roomfit.tracing.rays import trace_rays
 
@@ -68,23 +66,6 @@ def residuals(problem: SquaresProblem, absorption: FloatArray) -> tuple[FloatArr
     return response.energy[0] - problem.measured, response.derivative[:, 0, :].T
 
 
-def joined_rows(parts: Sequence[EnergyRows]) -> EnergyRows:
-    """Return the rows of several pairs, of the same materials, as one: windows end to end."""
-    first = parts[0]
-    starts = np.cumsum([0, *(len(part) for part in parts)])
-    offsets = [part.offsets[:-1] + start for part, start in zip(parts, starts, strict=False)]
-    return EnergyRows(
-        first.materials,
-        sum(part.n_windows for part in parts),
-        np.concatenate([*offsets, starts[-1:]]),
-        np.concatenate([part.weight_per_m2 for part in parts]),
-        np.concatenate([part.hits for part in parts]),
-        np.concatenate([part.length_m for part in parts]),
-        np.concatenate([part.batch for part in parts]),
-        first.n_batches,
-    )
-
-
 RECONSTRUCTED = "Room reconstructed from the arrival times and Table 2 of the paper."
 
 SPEED_OF_SOUND_M_S = 341.0
@@ -124,28 +105,8 @@ class Division:
 DIVISIONS = {
     2: Division(("floor and ceilings", "walls"), (0, 0, 0, 1, 1, 1, 1), TRUE_ABSORPTION),
     3: Division(("floor", "ceilings", "walls"), (0, 1, 1, 2, 2, 2, 2), (0.20, 0.65, 0.35)),
-    4: Division(
-        ("floor", "ceilings", "end walls", "side walls"),
-        (0, 1, 1, 2, 2, 3, 3),
-        (0.20, 0.65, 0.35, 0.10),
-    ),
-    5: Division(
-        ("floor", "ceiling-west", "ceiling-east", "end walls", "side walls"),
-        (0, 1, 2, 3, 3, 4, 4),
-        (0.20, 0.65, 0.45, 0.35, 0.10),
-    ),
-    6: Division(
-        ("floor", "ceiling-west", "ceiling-east", "west", "east", "side walls"),
-        (0, 1, 2, 3, 4, 5, 5),
-        (0.20, 0.65, 0.45, 0.35, 0.55, 0.10),
-    ),
     7: Division(PLANES, (0, 1, 2, 3, 4, 5, 6), (0.20, 0.65, 0.45, 0.35, 0.55, 0.10, 0.25)),
 }
-WALLS_APART = Division(
-    ("floor and ceilings", "west", "east", "south", "north"),
-    (0, 0, 0, 1, 2, 3, 4),
-    (0.65, 0.35, 0.55, 0.10, 0.25),
-)
 
 
 def paper_scene(shape: Shape = "paper") -> Scene:
@@ -218,25 +179,13 @@ def whole_windows_s(first_ms: int, step_ms: int) -> FloatArray:
 
     Figure 2 has windows of 1 ms from emission on, equation (1) of 5 ms from the first reflection.
     Figure 5 has 50 ms from the direct sound on, as the 5 ms windows start with the first
-    reflection; the paper does not say so, and from emission on (0 ms) is the other way to read it.
+    reflection; the paper does not say so.
     """
     count: IntArray = np.arange(first_ms, round(1e3 * DURATION_S) + 1, step_ms)
     return count / 1e3
 
 
-# The problem that stands for each number of materials.
-MATERIAL_PROBLEMS: Mapping[int, str] = MappingProxyType(
-    {
-        2: "case1",
-        3: "three_materials",
-        4: "four_materials",
-        5: "five_materials",
-        6: "six_materials",
-        7: "seven_materials",
-    }
-)
-
-Windows = Literal["reflections", "direct", "emission"]
+Windows = Literal["reflections", "direct"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,9 +195,8 @@ class Specification:
     case: int  # pair of the scene, 0 to 2
     division: Division
     shape: Shape = "paper"
-    # 5 ms from the first reflection on, or 50 ms from the direct sound or from emission on
+    # 5 ms from the first reflection on, or 50 ms from the direct sound on
     windows: Windows = "reflections"
-    in_paper: bool = True  # whether the paper names it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,7 +206,6 @@ class PaperProblem:
     name: str
     true_absorption: FloatArray  # (n_materials,)
     squares: SquaresProblem  # energies in the paper's unit; measured by the rays of the model
-    uniform_start: float  # absorption which on all walls alike explains the decay
 
 
 _EXTREME = replace(DIVISIONS[2], true_absorption=(0.01, 0.99))
@@ -268,19 +215,10 @@ SPECIFICATIONS: Mapping[str, Specification] = MappingProxyType(
         "case2": Specification(1, DIVISIONS[2]),
         "case3": Specification(2, DIVISIONS[2]),
         "ill_defined": Specification(0, DIVISIONS[2], windows="direct"),
-        "ill_defined_from_emission": Specification(
-            0, DIVISIONS[2], windows="emission", in_paper=False
-        ),
         "extreme": Specification(0, _EXTREME),
         "disproportionate": Specification(0, DIVISIONS[2], "disproportionate"),
         "extreme_and_disproportionate": Specification(0, _EXTREME, "disproportionate"),
         "three_materials": Specification(0, DIVISIONS[3]),
-        # case 3 is the only one off the plane of symmetry, where all walls can be distinguished
-        **{
-            name: Specification(2, DIVISIONS[n], in_paper=False)
-            for n, name in MATERIAL_PROBLEMS.items()
-            if n > 3
-        },
     }
 )
 
@@ -291,54 +229,12 @@ def paper_problem(name: str, paths: Paths) -> PaperProblem:
     `name`: a key of `SPECIFICATIONS`.
     """
     wanted = SPECIFICATIONS[name]
-    windows_s = _windows_s(paths, wanted)
-    rows = division_rows(paths, wanted.case, windows_s, wanted.division)
-    return _prepared(name, rows, windows_s, wanted)
-
-
-def walls_apart_problem(paths: Paths, *, mirrored: bool) -> PaperProblem:
-    """Return case 1 with its four side walls taken apart.
-
-    Source and receiver stand on the plane y = 5.35 m, half way between the south and the north
-    wall: for every path its mirror image exists, with the hits on these two walls exchanged. A
-    finite number of rays breaks this a little.
-
-    Parameters
-    ----------
-    paths : Paths
-        Of the room in its own shape.
-    mirrored : bool
-        Every traced path and its mirror image count half each, so that the two walls are
-        exchangeable to the last digit, as they are in the room.
-    """
-    wanted = Specification(0, WALLS_APART, in_paper=False)
-    windows_s = _windows_s(paths, wanted)
-    rows = division_rows(paths, 0, windows_s, WALLS_APART)
-    if mirrored:
-        exchanged = rows.hits[:, exchanged_walls(rows.materials)]
-        rows = replace(
-            rows,
-            offsets=2 * rows.offsets,
-            weight_per_m2=0.5 * np.repeat(rows.weight_per_m2, 2),
-            hits=np.stack((rows.hits, exchanged), axis=1).reshape(-1, len(rows.materials)),
-            length_m=np.repeat(rows.length_m, 2),
-            batch=np.repeat(rows.batch, 2),
-            path=None,
-        )
-    return _prepared("walls_apart", rows, windows_s, wanted)
-
-
-def exchanged_walls(materials: tuple[str, ...]) -> list[int]:
-    """Return the order of materials in which south and north are exchanged."""
-    other = {"south": "north", "north": "south"}
-    return [materials.index(other.get(name, name)) for name in materials]
-
-
-def _windows_s(paths: Paths, wanted: Specification) -> FloatArray:
     direct_ms, first_reflection_ms = arrivals_ms(paths, wanted.case)
-    if wanted.windows == "reflections":
-        return whole_windows_s(first_reflection_ms, 5)
-    return whole_windows_s(direct_ms if wanted.windows == "direct" else 0, 50)
+    late = wanted.windows == "reflections"
+    windows_s = whole_windows_s(first_reflection_ms if late else direct_ms, 5 if late else 50)
+    rows = division_rows(paths, wanted.case, windows_s, wanted.division)
+    truth = np.array(wanted.division.true_absorption)
+    return PaperProblem(name, truth, squares_problem(rows, window_energies(rows, truth)))
 
 
 def division_rows(paths: Paths, case: int, windows_s: FloatArray, division: Division) -> EnergyRows:
@@ -356,26 +252,6 @@ def division_rows(paths: Paths, case: int, windows_s: FloatArray, division: Divi
         hits=rows.hits.astype(np.int64) @ membership,
         weight_per_m2=rows.weight_per_m2 * ENERGY_UNIT_PER_M2,
     )
-
-
-def uniform_absorption(energy: FloatArray, windows_s: FloatArray, shape: Shape = "paper") -> float:
-    """Return the absorption by Eyring's law from the decay of one pair's windows."""
-    room = paper_scene(shape).room
-    return eyring_absorption(
-        decay_rate_per_s(energy, windows_s),
-        volume_m3(room.mesh),
-        float(np.sum(material_areas_m2(room))),
-        SPEED_OF_SOUND_M_S,
-    )
-
-
-def _prepared(
-    name: str, rows: EnergyRows, windows_s: FloatArray, wanted: Specification
-) -> PaperProblem:
-    true_absorption = np.array(wanted.division.true_absorption)
-    squares = squares_problem(rows, window_energies(rows, true_absorption))
-    start = uniform_absorption(squares.measured, windows_s, wanted.shape)
-    return PaperProblem(name, true_absorption, squares, start)
 
 
 # alpha of floor and ceilings, alpha of walls, error in the paper's unknown unit

@@ -7,8 +7,8 @@ simplex:
   vertex, as Nelder and Mead (1965) have it.
 - The order of operations: as printed, every reflection below the highest vertex is taken, and the
   expansion is tried only where the reflection has *failed*, which doubles a step in a direction
-  that has just proved wrong. Nelder and Mead expand where the reflection is the best point so far,
-  and contract where it is no better than the second highest. Theirs is the default.
+  that has just proved wrong. As Nelder and Mead have it, an expansion is tried where the reflection
+  is the best point so far, a contraction where it is no better than the second highest.
 - Bounds: a point outside the unit box counts as infinitely bad and is not evaluated. Moving it to
   the wall instead would flatten the simplex into the wall, out of which no reflection leads.
 - The test is (6), the spread of the errors. The relative difference of test (7) is not taken: where
@@ -46,11 +46,10 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from roomfit.base.arguments import float_array
 from roomfit.base.logit import expit
 from roomfit.base.typing import FloatArray
 from roomfit.model.parameters import Parameters, to_free
@@ -66,20 +65,14 @@ class Fit:
 
     x: FloatArray  # (n,), best point found, within the unit box
     cost: float  # error there
-    evaluations: int  # how often the error was computed, with or without its derivative
-    iterations: int  # steps of the method, in its own sense
+    evaluations: int  # how often the error was computed
     ending: Ending
-    # (n_visited, n), points at which the search stood, in order; what "stood" means, each method
-    # says
+    # (n_visited, n), the lowest vertex of every simplex, or the state at the end of a temperature
     trail: FloatArray
-    trail_cost: FloatArray  # (n_visited,)
 
 
-class Counted:
-    """An error function that counts its calls and is infinite outside the unit box.
-
-    A point outside costs nothing, because nothing is computed there.
-    """
+class _Counted:
+    """An error function that counts its calls and is infinite outside the unit box."""
 
     def __init__(self, error: ErrorFunction) -> None:
         self._error = error
@@ -92,35 +85,10 @@ class Counted:
         return float(self._error(x))
 
 
-def best_of(fits: Sequence[Fit]) -> Fit:
-    """Return the fit of lowest cost with the work and the trails of all."""
-    best = min(fits, key=lambda fit: fit.cost)
-    return Fit(
-        best.x,
-        best.cost,
-        sum(fit.evaluations for fit in fits),
-        sum(fit.iterations for fit in fits),
-        best.ending,
-        np.concatenate([fit.trail for fit in fits]),
-        np.concatenate([fit.trail_cost for fit in fits]),
-    )
-
-
-Order = Literal["nelder-mead", "as-printed"]
-
 # alpha, gamma and beta of equations (3) to (5), and the factor after a failed contraction
 _REFLECTION, _EXPANSION, _CONTRACTION, _SHRINKAGE = 1.0, 2.0, 0.5, 0.5
 # Below this extent the error no longer changes by more than its own rounding.
 _COLLAPSED = 1e-11
-
-
-@dataclass(frozen=True, slots=True)
-class SimplexSettings:
-    """How the simplex moves and when it stops."""
-
-    order: Order = "nelder-mead"  # which operation is tried when, see the module's text
-    tolerance: float = 1e-6  # tau of test (6), in the unit of the error
-    max_evaluations: int = 20_000
 
 
 @dataclass(slots=True)
@@ -141,61 +109,37 @@ class Simplex:
 
 
 def downhill_simplex(
-    error: ErrorFunction, start: FloatArray, settings: SimplexSettings | None = None
+    error: ErrorFunction,
+    start: FloatArray,
+    *,
+    tolerance: float = 1e-6,
+    max_evaluations: int = 20_000,
 ) -> Fit:
     """Move a simplex downhill until its vertices agree.
 
-    Shapes: `start` (n + 1, n).
+    Parameters
+    ----------
+    error : callable
+        Takes a point of the unit box, shape (n,).
+    start : float array, shape (n + 1, n)
+        Vertices of the first simplex, within the unit box, not all in one plane.
+    tolerance : float
+        tau of test (6), in the unit of the error.
     """
-    settings = SimplexSettings() if settings is None else settings
-    n = np.shape(start)[-1]
-    vertices = np.array(float_array("simplex", start, (n + 1, n), low=0.0, high=1.0))
-    counted = Counted(error)
-    state = Simplex(vertices, np.array([counted(v) for v in vertices]))
+    counted = _Counted(error)
+    state = Simplex(np.array(start), np.array([counted(v) for v in start]))
     state.sort()
-    trail, costs = [state.vertices[0].copy()], [state.errors[0]]
-    ending = _ending(state, counted, settings)
-    while ending is None:
-        move_once(state, counted, settings.order)
+    trail = [state.vertices[0].copy()]
+    while (ending := _ending(state, counted, tolerance, max_evaluations)) is None:
+        move_once(state, counted)
         trail.append(state.vertices[0].copy())
-        costs.append(state.errors[0])
-        ending = _ending(state, counted, settings)
-    return Fit(
-        state.vertices[0],
-        float(state.errors[0]),
-        counted.evaluations,
-        len(trail) - 1,
-        ending,
-        np.array(trail),
-        np.array(costs),
-    )
+    lowest, cost = state.vertices[0], float(state.errors[0])
+    return Fit(lowest, cost, counted.evaluations, ending, np.array(trail))
 
 
-def move_once(state: Simplex, error: ErrorFunction, order: Order) -> None:
+def move_once(state: Simplex, error: ErrorFunction) -> None:
     """Replace the highest vertex of a sorted simplex by a lower point, or shrink; sort again."""
     centroid = state.vertices[:-1].mean(axis=0)  # (2)
-    if order == "as-printed":
-        _move_as_printed(state, error, centroid)
-    else:
-        _move_nelder_mead(state, error, centroid)
-    state.sort()
-
-
-def simplex_around(x: FloatArray, size: float) -> FloatArray:
-    """Return a simplex with one vertex at `x` and its n edges along the axes.
-
-    Shapes: `x` (n,).
-    """
-    edges = np.diag(np.where(x <= 0.5, size, -size))
-    return np.concatenate((x[None, :], x + edges))
-
-
-def random_simplex(n: int, rng: np.random.Generator) -> FloatArray:
-    """Return a simplex with edges of 0.3 at a point drawn evenly from the unit box, (n + 1, n)."""
-    return simplex_around(rng.random(n), 0.3)
-
-
-def _move_nelder_mead(state: Simplex, error: ErrorFunction, centroid: FloatArray) -> None:
     away = centroid - state.vertices[-1]
     x_r = centroid + _REFLECTION * away  # (3)
     e_r = error(x_r)
@@ -203,24 +147,13 @@ def _move_nelder_mead(state: Simplex, error: ErrorFunction, centroid: FloatArray
         x_e = centroid + _EXPANSION * away  # (4)
         e_e = error(x_e)
         state.replace_highest(*((x_e, e_e) if e_e < e_r else (x_r, e_r)))
-        return
-    if e_r < state.errors[-2]:
+    elif e_r < state.errors[-2]:
         state.replace_highest(x_r, e_r)
-        return
-    if e_r < state.errors[-1]:
-        state.replace_highest(x_r, e_r)
-    _contract(state, error, centroid)
-
-
-def _move_as_printed(state: Simplex, error: ErrorFunction, centroid: FloatArray) -> None:
-    away = centroid - state.vertices[-1]
-    for factor in (_REFLECTION, _EXPANSION):  # (3), then (4)
-        x = centroid + factor * away
-        e = error(x)
-        if e < state.errors[-1]:
-            state.replace_highest(x, e)
-            return
-    _contract(state, error, centroid)
+    else:
+        if e_r < state.errors[-1]:
+            state.replace_highest(x_r, e_r)
+        _contract(state, error, centroid)
+    state.sort()
 
 
 def _contract(state: Simplex, error: ErrorFunction, centroid: FloatArray) -> None:
@@ -243,20 +176,42 @@ def spread(state: Simplex, error: ErrorFunction) -> float:
     return float(np.sqrt(np.mean((state.errors - at_centroid) ** 2)))
 
 
-def _ending(state: Simplex, counted: Counted, settings: SimplexSettings) -> Ending | None:
-    if spread(state, counted) <= settings.tolerance:
+def _ending(state: Simplex, counted: _Counted, tolerance: float, most: int) -> Ending | None:
+    if spread(state, counted) <= tolerance:
         return Ending.CONVERGED
     if np.ptp(state.vertices, axis=0).max() <= _COLLAPSED:
         return Ending.COLLAPSED
-    if counted.evaluations >= settings.max_evaluations:
+    if counted.evaluations >= most:
         return Ending.OUT_OF_EVALUATIONS
     return None
+
+
+def simplex_around(x: FloatArray, size: float) -> FloatArray:
+    """Return a simplex with one vertex at `x` and its n edges along the axes.
+
+    Parameters
+    ----------
+    x : float array, shape (n,)
+        Within the unit box.
+    size : float
+        Length of each edge, at most 0.5; the edge points to the farther wall.
+
+    The result has the shape (n + 1, n).
+    """
+    edges = np.diag(np.where(x <= 0.5, size, -size))
+    return np.concatenate((x[None, :], x + edges))
+
+
+def random_simplex(n: int, rng: np.random.Generator) -> FloatArray:
+    """Return a simplex with edges of 0.3 at a point drawn evenly from the unit box, (n + 1, n)."""
+    return simplex_around(rng.random(n), 0.3)
 
 
 _SMALLEST_STEP, _LARGEST_STEP = 1e-3, 0.5
 _LONG_EVERY = 5
 _EDGE = 0.1
 _MOST_RESTARTS = 10  # of the simplex, from its own answer
+_ENOUGH = 1e-6  # less is no gain, as for a simplex by itself
 
 
 def accepts(change: float, temperature: float, rng: np.random.Generator) -> bool:
@@ -289,8 +244,29 @@ def anneal(
     levels: int = 60,
     trials_per_unknown: int = 10,
 ) -> Fit:
-    """Walk the unit box while it cools, then go downhill from the best point met."""
-    counted = Counted(error)
+    """Walk the unit box while it cools, then go downhill from the best point met.
+
+    Parameters
+    ----------
+    error : callable
+        Takes a point of the unit box, shape (n,).
+    n : int
+        Number of unknowns.
+    start_temperature : float, optional
+        In the unit of the error; None takes the spread of the error over random points.
+    cooling : float
+        Factor from one temperature to the next.
+    levels : int
+        How many temperatures.
+    trials_per_unknown : int
+        Trials at each temperature for every unknown.
+
+    Returns
+    -------
+    Fit
+        The trail: states at the end of each temperature, then the simplexes' own trails.
+    """
+    counted = _Counted(error)
     samples = rng.random((10 * n, n))
     errors = np.array([counted(x) for x in samples])
     temperature = start_temperature or max(float(np.std(errors)), np.finfo(float).tiny)
@@ -316,15 +292,13 @@ def anneal(
         polished.x,
         polished.cost,
         counted.evaluations + polished.evaluations,
-        levels * trials_per_unknown * n + polished.iterations,
         polished.ending,
         np.concatenate(([level.x for level in walk], polished.trail)),
-        np.concatenate(([level.error for level in walk], polished.trail_cost)),
     )
 
 
 def _walk_at(
-    error: Counted,
+    error: _Counted,
     x: FloatArray,
     e: float,
     temperature: float,
@@ -346,19 +320,19 @@ def _walk_at(
     return _Level(x, e, lowest_x, lowest, accepted / len(proposals))
 
 
-def _polish(error: ErrorFunction, starts: list[FloatArray]) -> Fit:
+def _polish(error: ErrorFunction, starts: Sequence[FloatArray]) -> Fit:
     """Descend from every start, and from the lowest end again until that gains nothing more."""
-    settings = SimplexSettings()
-    fits = [downhill_simplex(error, simplex_around(x, _EDGE), settings) for x in starts]
+    fits = [downhill_simplex(error, simplex_around(x, _EDGE)) for x in starts]
     edge = _EDGE
     for _ in range(_MOST_RESTARTS):
-        last = best_of(fits)
+        last = min(fits, key=lambda fit: fit.cost)
         edge *= 0.5
-        again = downhill_simplex(error, simplex_around(last.x, edge), settings)
-        fits.append(again)
-        if last.cost - again.cost <= settings.tolerance:
+        fits.append(downhill_simplex(error, simplex_around(last.x, edge)))
+        if last.cost - fits[-1].cost <= _ENOUGH:
             break
-    return best_of(fits)
+    best = min(fits, key=lambda fit: fit.cost)
+    trail = np.concatenate([fit.trail for fit in fits])
+    return Fit(best.x, best.cost, sum(fit.evaluations for fit in fits), best.ending, trail)
 
 
 # Gains are searched within a factor of e^3, 13 dB, either side of where total energies agree.
