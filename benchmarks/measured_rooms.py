@@ -31,11 +31,12 @@ import numpy as np
 from scipy.io import loadmat
 
 from _ac3d import as_obj
+from roomfit.base.table import text_of
 from roomfit.files.campaign import read_campaign
 from roomfit.files.inputs import identify_arguments, load_campaign
 from roomfit.fit.measurements import collect_measurements
 from roomfit.identify import identify
-from roomfit.report.text import absorption_table, directivity_text, separable_text
+from roomfit.report.tables import absorption_tables, source_tables
 from roomfit.result import Result
 
 DECHORATE_ROOM = """
@@ -181,8 +182,7 @@ def show(title: str, answers: list[Result], *, whole: bool = True) -> None:
     if whole:
         print(f"models {', '.join(first.models)}; {first.seconds:.0f} s")
         print("phi    " + " ".join(f"{p:.1f}" for p in first.chi2_reduced), "\n")
-        print(absorption_table(first), "\n")
-        print(separable_text(first), "\n")
+        print(*map(text_of, absorption_tables(first)), "", sep="\n")
         for finding in first.findings:
             print(f"{finding.severity}: {finding.code}: {finding.sentence}")
         print()
@@ -209,7 +209,7 @@ def dechorate_fitted(data: Path, ending: str) -> None:
     text = text.replace("[sources.S1]\n", '[sources.S1]\ndirectivity = "fit"\n')
     answer = answer_to(text)
     show("dEchorate, directivity fitted, M4 to M6 predicted", [answer])
-    print(f"\n{directivity_text(answer)}")
+    print("", *map(text_of, source_tables(answer)), sep="\n")
 
 
 def dechorate_one_out(data: Path, ending: str) -> None:
@@ -237,7 +237,7 @@ def delft_fitted(data: Path, ending: str) -> None:
             text = text.replace(named, f'{named}directivity = "fit"\n')
     answer = answer_to(text)
     show("TU Delft, directivities fitted, loudspeaker 7 predicted", [answer])
-    print(f"\n{directivity_text(answer)}")
+    print("", *map(text_of, source_tables(answer)), sep="\n")
 
 
 def delft_null(data: Path, ending: str) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import roomfit
-from roomfit.cli import command_parsers
+from roomfit.cli.arguments import command_parsers
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

@@ -17,7 +17,7 @@ import pytest
 from pydantic import BaseModel
 
 import roomfit
-from roomfit.cli import command_parsers
+from roomfit.cli.arguments import command_parsers
 from roomfit.demo.boxes import demo_plan, write_measured_box
 from roomfit.files import schema
 from roomfit.files.inputs import material_priors

@@ -215,7 +215,7 @@ def test_check_tells_a_room_in_numbers_and_its_faults_in_words(tmp_path, monkeyp
 
     room.write_text(box_obj(without="ceiling"))
     assert run_command(monkeypatch, "check", room, "--unit", "m") == 2
-    assert "faults that forbid tracing" in capsys.readouterr().out
+    assert "Faults forbid tracing" in capsys.readouterr().out
 
 
 def test_check_of_a_campaign_names_every_wrong_position_at_once(tmp_path, monkeypatch, capsys):

@@ -322,20 +322,19 @@ def test_a_broken_campaign_leaves_the_earlier_results_although_overwrite_was_ask
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("when", ["trace", "write_result", "png"])
+@pytest.mark.parametrize("when", ["trace", "write_result", "page"])
 def test_an_interruption_ends_with_130_and_leaves_no_result(tmp_path, monkeypatch, capsys, when):
     """Before the trace ends, before the tables are written, and between tables and pictures."""
-    import roomfit.files.results
+    import roomfit.cli.identify
     import roomfit.fit.trace_plan
-    import roomfit.report.figures
 
     def interrupted(*_args: object, **_settings: object) -> None:
         raise KeyboardInterrupt
 
     owners = {
         "trace": roomfit.fit.trace_plan,
-        "write_result": roomfit.files.results,
-        "png": roomfit.report.figures,
+        "write_result": roomfit.cli.identify,
+        "page": roomfit.cli.identify,
     }
     monkeypatch.setattr(owners[when], when, interrupted)
     campaign = write_campaign(tmp_path / "campaign")

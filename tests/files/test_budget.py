@@ -23,7 +23,7 @@ from roomfit.files.budget import (
     uncertainty_budget,
 )
 from roomfit.files.results import result_content
-from roomfit.report.html import report_html
+from roomfit.report.answer import report_html
 from roomfit.report.tables import condition_tables
 from roomfit.uncertainty.combinations import Combination
 

@@ -15,7 +15,9 @@ from roomfit.base.findings import About, Code, Finding
 from roomfit.base.logit import logit
 from roomfit.predict.changes import Change
 from roomfit.predict.other_walls import predict
-from roomfit.predict.output import change_figure, predict_text, predicted_page
+from roomfit.report.html import page as html_page
+from roomfit.report.predicted import describe
+from roomfit.report.prediction_figures import change_figure
 from roomfit.signals.decay import in_jnd
 from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.uncertainty.posterior import AbsorptionPosterior
@@ -42,6 +44,10 @@ def foreseen(changes, known_walls: bool = True):
     return predict(scene, known, changes, [MEASURED], settings=FEW)
 
 
+def page_of(predicted):
+    return html_page(describe(predicted))
+
+
 CHANGE = Change("floor", "value", (0.5,) * 7, (0.05,) * 7)
 
 
@@ -63,13 +69,13 @@ def test_where_the_room_before_is_not_known_nothing_stands_against_the_measureme
     for v in (found.mean["T20_s"], found.pairs[0].parameters["C80_dB"]):
         assert np.isnan(v.jnd).all()
         assert np.isfinite(v.measured).all()
-    assert "jnd" not in predict_text(found)
-    text = predict_text(found)
+    assert "jnd" not in str(found)
+    text = str(found)
     assert "  measured" in text and "measured before" not in text
 
 
 def test_the_page_has_all_parameters_in_the_order_of_time_per_pair_and_mean(compared):
-    page = predicted_page(compared)
+    page = page_of(compared)
     tables = re.findall(r"<caption>(.*?)</caption>(.*?)</table>", page, flags=re.DOTALL)
     captions = [unescape(c) for c, _ in tables]
     assert captions[0].startswith("Mean over the pairs")
@@ -123,7 +129,7 @@ def test_the_picture_holds_means_before_and_after_beside_each_other_in_every_ban
 
 
 def test_without_a_change_the_page_says_predicted_and_measured():
-    page = predicted_page(foreseen([]))
+    page = page_of(foreseen([]))
     assert "before" not in re.sub(r"<style>.*?</style>", "", page, flags=re.DOTALL)
     assert "<small>measured</small>" in page
 
@@ -156,7 +162,7 @@ def test_a_change_without_sign_or_size_that_nothing_but_a_prior_knows_is_not_det
     compared, name, low, high, code, said
 ):
     found = with_change(compared, name, low, high, code)
-    text, page = predict_text(found), predicted_page(found)
+    text, page = str(found), page_of(found)
     cells = re.sub(r"\s+", " ", text.split("Mean over", 1)[1])
     # of the sign alone the sentence tells, whatever is open
     shown = re.sub(r"whether it (falls|rises) is not determined", "", page)

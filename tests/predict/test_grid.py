@@ -6,14 +6,16 @@ import csv
 
 import numpy as np
 import pytest
-from roomfit.cli.X import write_grid
 
 import roomfit
 from roomfit.base.bands import bands_between
 from roomfit.base.errors import InputError
 from roomfit.base.logit import logit
-from roomfit.predict.grid import grid_figure, grid_records, grid_scene
+from roomfit.base.table import csv_of
+from roomfit.predict.grid import grid_records, grid_scene
 from roomfit.predict.other_walls import predict
+from roomfit.report.predicted import grid_drawings
+from roomfit.report.prediction_figures import grid_figure
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 from small_campaign import run_command
 
@@ -71,10 +73,9 @@ def test_points_outside_of_the_room_are_left_out(tmp_path):
     assert (at_m[:, 0] + at_m[:, 1] < 5.9).all()
 
 
-def test_every_number_of_the_table_is_that_of_its_pair(mapped, tmp_path):
+def test_every_number_of_the_table_is_that_of_its_pair(mapped):
     scene, predicted = mapped
-    write_grid(tmp_path, predicted, scene)
-    rows = list(csv.DictReader((tmp_path / "grid.csv").open(encoding="utf-8")))
+    rows = list(csv.DictReader(csv_of(grid_records(predicted, scene)).splitlines()))
     assert {r["parameter"] for r in rows} >= {"T30_s", "EDT_s", "C80_dB", "D50_percent"}
     places = {p.name: p.position_m for p in scene.receivers}
     for pair in predicted.pairs:
@@ -90,7 +91,8 @@ def test_every_number_of_the_table_is_that_of_its_pair(mapped, tmp_path):
         width = v.upper95[1] - v.lower95[1]
         assert float(row["width95"]) == pytest.approx(width, abs=1e-4)
     assert len(grid_records(predicted, scene).rows) == len(rows)
-    assert sorted(p.name for p in tmp_path.glob("*.png")) == ["grid_01_S.png", "grid_02_far.png"]
+    names = [d.name for d in grid_drawings(predicted, scene)]
+    assert names == ["grid_01_S", "grid_02_far"]
 
 
 def test_a_map_shows_the_mean_at_mid_frequencies_where_it_is(mapped):

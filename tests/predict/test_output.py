@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from roomfit.predict.answer import decay_answer
 
 from roomfit.base.bands import bands_between
-from roomfit.predict.output import parameter_lines
 from roomfit.predict.tables import PredictedValue, ValueChange
+from roomfit.report.predicted import decay_answer, parameter_lines
 
 
 @pytest.mark.parametrize(

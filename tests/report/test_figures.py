@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+import xml.etree.ElementTree as ET
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +12,9 @@ import pytest
 from matplotlib.image import imread
 
 from report_cases import answer_of, scene_of, texts_of
+from roomfit.report.answer import result_blocks
 from roomfit.report.figures import (
     absorption_figure,
-    answer_figures,
-    corner_figure,
     decay_figure,
     identifiability_figure,
     png,
@@ -23,26 +23,22 @@ from roomfit.report.figures import (
     svg,
     write_pictures,
 )
-from roomfit.report.html import mean_decay_figure
+from roomfit.report.html import page
 from roomfit.report.tables import prior_tables
 from roomfit.uncertainty.profile import Profile
 
 
 @pytest.fixture(scope="module")
 def answer():
-    """Three materials in six bands: fifteen profiles, samples of two bands, a prior."""
+    """Three materials in six bands: fifteen profiles, a prior."""
     plain = answer_of(scene_of())
     points = np.array([-5.0, -4.0, -3.0, -2.0, -1.0])
     rise = np.array([2.2, 0.7, 0.0, 0.9, 2.6])
     lines = tuple(Profile(i, points, rise, -4.8, -1.3, False, 4) for i in range(3))
-    rng = np.random.default_rng(1)
-    loose, tied = rng.uniform(0.2, 0.4, (2, 900, 3))
-    tied[:, 1] = tied[:, 0] ** 2
     return replace(
         plain,
         profiles=(lines,) * 5 + ((),),
         interval_kinds=(("profile",) * 3,) * 6,
-        samples=(None, loose, tied, None, None, None),
         prior=np.stack([plain.absorption, plain.lower95, plain.upper95]),
     )
 
@@ -64,29 +60,10 @@ def test_of_many_profiles_the_twelve_widest_are_drawn(answer):
     chosen = sorted(width[line.entry, band] for band, line in shown)
     np.testing.assert_allclose(chosen, np.sort(width.ravel())[-12:])
     figure = profiles_figure(answer)
-    assert figure is not None
     assert sum(axes.get_visible() for axes in figure.axes) == 12
     for axes, (band, line) in zip(figure.axes, shown, strict=True):
         (at,) = [x.get_xdata()[0] for x in axes.lines if x.get_label() == "answer"]
         assert at == answer.absorption[line.entry, band]
-
-
-def test_the_corner_is_that_of_the_band_whose_materials_hang_together(answer):
-    found = corner_figure(answer)
-    assert found is not None
-    assert found[0] == answer.bands.centres_hz[2]
-    clouds = [axes for axes in found[1].axes if axes.get_visible() and axes.lines]
-    # three histograms with the answer, and each material against each other
-    assert len(clouds) == 6
-    tied = found[1].axes[3].lines[0].get_xydata()
-    np.testing.assert_allclose(tied[:, 1], tied[:, 0] ** 2)
-
-
-def test_without_profiles_samples_or_priors_nothing_is_drawn():
-    plain = answer_of(scene_of())
-    assert profiles_figure(plain) is None
-    assert corner_figure(plain) is None
-    assert prior_tables(plain) == ()
 
 
 def test_the_prior_stands_in_a_table_of_its_own(answer):
@@ -124,12 +101,35 @@ def test_numbers_of_panels_stand_at_their_values_whatever_the_limits(answer):
             assert x == pytest.approx(expected[0], abs=8.0)  # left of its middle, or there
 
 
+def test_without_profiles_or_priors_nothing_is_drawn():
+    plain = answer_of(scene_of())
+    assert "profiles" not in {d.name for d in result_blocks(plain).drawings()}
+    assert prior_tables(plain) == ()
+
+
+def test_each_picture_is_the_drawing_of_the_page_and_shows_its_own_curves(answer, tmp_path):
+    """Curves, levels and names of other pairs are not in it; PNG stands beside it on request."""
+    shown = result_blocks(answer, scene_of())
+    text = page(shown)
+    write_pictures(tmp_path, shown, png_too=True)
+    svgs = {f.stem: f.read_text() for f in tmp_path.glob("*.svg")}
+    assert set(svgs) == {f.stem for f in tmp_path.glob("*.png")}
+    for name in ("absorption", "identifiable", "profiles", "room", "decay_times"):
+        assert svgs[name].replace(' xmlns="http://www.w3.org/2000/svg"', "").strip() in text
+    pairs = sorted(name for name in svgs if name.startswith("decay_0"))
+    assert len(pairs) == len(answer.pairs) > 1
+    for i, name in enumerate(pairs):
+        assert set(re.findall(r'class="curve-(\d+)"', svgs[name])) == {str(i)}
+        ET.fromstring(svgs[name])
+
+
+@pytest.mark.slow
 def test_each_decay_picture_is_what_its_pair_would_be_by_itself(answer, tmp_path):
-    """Curves, levels and names of the others are not in it; what all share is drawn once."""
+    """What all share is drawn once."""
+    write_pictures(tmp_path, result_blocks(answer), png_too=True)
+    pictures = [imread(file) for file in sorted(tmp_path.glob("decay_0*.png"))]
     figure = decay_figure(answer, *answer.pairs)
-    write_pictures(tmp_path, answer, figures={"decays": figure})
-    pictures = [imread(file) for file in sorted(tmp_path.glob("decay_*.png"))]
-    assert len(pictures) == len(answer.pairs) > 1
+    svg(figure, "decay", "as the page, which settles the layout")
     parts = [a for x in (figure, *figure.axes) for a in x.get_children() if a.get_gid()]
     for i, picture in enumerate(pictures):
         for part in parts:
@@ -139,23 +139,3 @@ def test_each_decay_picture_is_what_its_pair_would_be_by_itself(answer, tmp_path
         assert np.mean(np.abs(alone - picture).max(axis=2) > 0.3) < 1e-3
         others = [np.mean(np.abs(alone - p).max(axis=2) > 0.3) for p in pictures]
         assert int(np.argmin(others)) == i and sorted(others)[1] > 1e-3
-
-
-@pytest.mark.slow
-def test_pairs_without_curves_have_no_decay_picture(answer, tmp_path):
-    values = replace(answer, pairs=tuple(replace(p, decay=None) for p in answer.pairs))
-    assert "decays" not in answer_figures(values)
-    write_pictures(tmp_path, values)
-    assert not list(tmp_path.glob("decay_*.png"))
-
-
-def test_a_figure_is_the_same_whether_the_page_or_its_file_is_drawn_first(answer):
-    """Two processes draw them at the same time, each its own."""
-    pages, files = (
-        answer_figures(answer, decay_times=mean_decay_figure(answer), none=None) for _ in range(2)
-    )
-    assert "decay_times" in pages and "none" not in pages
-    for name, page in pages.items():
-        text, picture = svg(page, "x", name), png(files[name])
-        assert picture == png(page)
-        assert text == svg(files[name], "x", name)

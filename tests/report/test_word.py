@@ -17,8 +17,8 @@ from report_cases import answer_of, read_page, scene_of
 from roomfit.base.errors import InputError
 from roomfit.cli.export import export_result
 from roomfit.cli.identify import identify_to_folder
+from roomfit.report.answer import report_html
 from roomfit.report.figures import png
-from roomfit.report.html import report_html
 from roomfit.report.room_figure import room_figure
 from roomfit.report.wording import DASH
 from small_campaign import write_campaign
@@ -34,7 +34,7 @@ def written(tmp_path_factory):
     folder = tmp_path_factory.mktemp("word")
     titled = ("[room]\n", '[project]\ntitle = "Hall ü"\n[room]\n')
     campaign = write_campaign(folder / "campaign", titled)
-    identify_to_folder(campaign, folder / "result")
+    identify_to_folder(campaign, folder / "result", png=True)
     export_result(folder / "result" / "result.json", "word", folder / "report.docx")
     return folder / "result"
 

@@ -15,7 +15,8 @@ from roomfit.base.findings import Code
 from roomfit.files.inputs import check_room
 from roomfit.files.rooms import read_room
 from roomfit.files.rooms.model import RoomSpec
-from roomfit.report.text import room_text
+from roomfit.report.check import room_blocks
+from roomfit.report.text import text as shown
 from roomfit.room.mesh import refuse
 from roomfit.room.scene import Point, position_findings
 from small_campaign import run_command
@@ -61,7 +62,7 @@ def test_all_faults_are_listed_at_once_and_leave_with_two(tmp_path, monkeypatch,
     text = BOX.replace("f 5 6 8 7\n", "f 5 5 6\n").replace("usemtl carpet\n", "")
     text = "v 9 9 9\n".join(["", text.replace("usemtl plaster\n", "")]).replace("v 9 9 9\n", "", 1)
     assert run_command(monkeypatch, "check", box_file(tmp_path, text), "--unit", "m") == 2
-    listed = capsys.readouterr().out.split("faults that forbid tracing")[1]
+    listed = capsys.readouterr().out.split("Faults forbid tracing")[1]
     for what in ("faces without area", "surfaces without a material", "the mesh leaks"):
         assert what in listed
     assert "(1.667, 0.000, 3.000) m" in listed
@@ -84,7 +85,7 @@ def test_approximate_volumes_and_sheets_are_said_to_be(tmp_path):
 
     assert check.traceable
     assert not check.closed
-    assert "(approximate: the mesh is not closed)" in room_text("box", check)
+    assert "(approximate: the mesh is not closed)" in shown(room_blocks("box", check))
 
 
 def test_a_missing_unit_is_one_message_and_no_traceback(tmp_path):

@@ -15,8 +15,8 @@ from roomfit.base.findings import About, Code, Finding
 from roomfit.files.campaign import read_campaign
 from roomfit.predict.campaign import predict_arguments
 from roomfit.predict.other_walls import prepare_prediction
+from roomfit.report.treated import treatment_sentence
 from roomfit.treat.arrangements import treat
-from roomfit.treat.output import treatment_sentence
 from roomfit.treat.question import Product, Surface, Target, question_of, treated, treated_draws
 from roomfit.treat.search import best_arrangement, excess, mean_values, numbers_of
 from roomfit.uncertainty.posterior import AbsorptionPosterior

@@ -25,7 +25,8 @@ from roomfit.files.encoding import (
     numbers_or_null,
     provenance,
 )
-from roomfit.report.figures import OKABE_ITO, new_figure, png
+from roomfit.report.figures import new_figure, png
+from roomfit.report.wording import OKABE_ITO
 
 if TYPE_CHECKING:
     from roomfit.impedance.result import ImpedanceResult, MaterialImpedance

@@ -16,7 +16,7 @@ from roomfit.base.findings import Finding
 from roomfit.base.table import Column, Table, data_frame
 from roomfit.base.typing import BoolArray, ComplexArray, FloatArray
 from roomfit.impedance.laws import absorption_normal, absorption_random, impedance_of_r0
-from roomfit.report.blocks import Blocks, Findings, Sentence
+from roomfit.report.blocks import Block, Blocks, Findings, Sentence
 from roomfit.report.html import fragment
 from roomfit.report.text import text
 
@@ -150,9 +150,10 @@ class ImpedanceResult:
     seed: int | None = None
 
     def _described(self) -> Blocks:
-        fitted = (*(_table(self, m) for m in self.materials), Sentence(_fit_text(self)))
-        head = (Sentence(_headline(self), "lead"), *(fitted if self.evaluations else ()))
-        return Blocks("Impedance", head, (Findings(self.findings),))
+        head: list[Block] = [Sentence(_headline(self), "lead")]
+        if self.evaluations:
+            head += [*(_table(self, m) for m in self.materials), Sentence(_fit_text(self))]
+        return Blocks("Impedance", tuple(head), (Findings(self.findings),))
 
     def __str__(self) -> str:
         """Return the verdict, a table of some frequencies for every material, and all findings."""

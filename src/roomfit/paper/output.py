@@ -42,7 +42,8 @@ from roomfit.paper.room import (
     RECONSTRUCTED,
     SPECIFICATIONS,
 )
-from roomfit.report.figures import OKABE_ITO, new_figure, png
+from roomfit.report.figures import new_figure, png
+from roomfit.report.wording import OKABE_ITO
 
 
 @sole_writer

@@ -179,7 +179,11 @@ def result_blocks(
         Part("How sure", tuple(_certainty(answer)), "certainty", about_fit, True, in_text=False)
     )
     if scene is not None:
-        areas = (Sentence(_AREAS), *area_tables(answer, scene), *share_tables(answer))
+        areas: tuple[Block, ...] = (
+            Sentence(_AREAS),
+            *area_tables(answer, scene),
+            *share_tables(answer),
+        )
         words = "\N{GREEK SMALL LETTER ALPHA}S of every material, and its share of the room"
         blocks.append(Part("Absorption areas", areas, "areas", words, True, in_text=False))
     few = len(answer.pairs) <= _MOST_DECAY_FILES

@@ -45,20 +45,8 @@ class Comparison(Shown):
 def compare_results(first: AbsorptionPosterior, second: AbsorptionPosterior) -> Comparison:
     """Compare the absorption of two answers, material by material and band by band.
 
-    Parameters
-    ----------
-    first, second : AbsorptionPosterior
-        From `roomfit.absorption_posterior` or `roomfit.read_result`. Materials and bands are the
-        same where their names and centres are.
-
-    Returns
-    -------
-    Comparison
-
-    Raises
-    ------
-    InputError
-        No material or no band is in both, or one has octaves and the other third octaves.
+    Of `roomfit.absorption_posterior` or `roomfit.read_result`. Materials are matched by name, bands
+    by centre frequency; `InputError` where none is in both.
 
     Notes
     -----

@@ -27,9 +27,7 @@ from roomfit.report.room_figure import drawn_faces, outline_m, projection
 from roomfit.report.wording import COLOURS, OKABE_ITO, decay_time_key, parameter
 from roomfit.room.mesh import corners_m
 from roomfit.room.scene import Scene, triangle_material
-from roomfit.signals.decay import FIT_RANGES_DB
 from roomfit.treat.arrangements import Arrangement, Treatment
-from roomfit.treat.question import USUAL_HZ, TargetName
 
 
 def change_figure(predicted: Predicted) -> Figure:
@@ -176,61 +174,6 @@ def _of(
 
 
 def treatment_figure(treatment: Treatment) -> Figure:
-    """Return the room with the first arrangement, and each target's parameter by band."""
-    a = treatment.arrangements[0]
-    names = list(dict.fromkeys(t.parameter for t in treatment.targets))[:2]
-    figure = new_figure(10.5, 4.6)
-    grid = figure.add_gridspec(len(names), 2, width_ratios=(1.15, 1.0))
-    _draw_room(figure.add_subplot(grid[:, 0]), treatment, a)
-    heads = [f"{f:g}" for f in treatment.bands.centres_hz]
-    first = None
-    for row, name in enumerate(names):
-        axes = figure.add_subplot(grid[row, 1])
-        first = first or axes
-        v = named_values(a.mean, a.sti)[name]
-        at = np.arange(v.predicted.size)
-        if v.change is not None:
-            c = v.change
-            axes.vlines(at - 0.1, c.before_lower95, c.before_upper95, color=OKABE_ITO[0], lw=1.6)
-            axes.plot(at - 0.1, c.before, "s", color=OKABE_ITO[0], ms=4, label="as it is")
-        axes.vlines(at + 0.1, v.lower95, v.upper95, color=OKABE_ITO[1], lw=1.6)
-        axes.plot(at + 0.1, v.predicted, "o", color=OKABE_ITO[1], ms=4, label="treated")
-        _draw_limits(axes, treatment, name)
-        symbol, _, unit = name.partition("_")
-        unit = {"percent": "%"}.get(unit, unit)
-        axes.set_ylabel(f"{symbol} ({unit})" if unit else symbol)
-        axes.set_xticks(at, ["125 to 8000"] if name == "STI" else heads)
-        axes.grid(alpha=0.25, axis="y")
-    axes.set_xlabel("frequency (Hz)")
-    if first is not None:
-        figure_legend(figure, first, 3, "mean over all pairs with 95 % intervals")
-    return figure
-
-
-def _draw_limits(axes: Axes, treatment: Treatment, name: TargetName) -> None:
-    """Draw a bar across each band of each target at its limits, and what lies near them."""
-    label, highest = "limit", 0.0
-    first = treatment.arrangements[0]
-    v = named_values(first.mean, first.sti)[name]
-    for t in treatment.targets:
-        wanted = t.bands_hz or USUAL_HZ
-        at = np.flatnonzero(np.isin(treatment.bands.centres_hz, wanted))
-        at = np.zeros(1, dtype=np.int64) if name == "STI" else at
-        if t.parameter == name and v.change is not None and at.size:
-            own = [v.upper95[at], v.change.before_upper95[at], np.array([t.low, t.high])]
-            highest = max(highest, *(float(x[np.isfinite(x)].max(initial=0.0)) for x in own))
-        for limit in (t.low, t.high):
-            if t.parameter == name and np.isfinite(limit) and at.size:
-                axes.hlines(
-                    np.full(at.size, limit), at - 0.4, at + 0.4, color="black", lw=1.4, label=label
-                )
-                label = "_"
-    # a band without a target, whose interval may be endless, does not make the others small
-    if name in FIT_RANGES_DB and highest > 0.0:
-        axes.set_ylim(0.0, 1.5 * highest)
-
-
-def hung_figure(treatment: Treatment) -> Figure:
     """Return the room and what hangs where in the first arrangement."""
     figure = new_figure(6.4, 4.4)
     _draw_room(figure.add_subplot(), treatment, treatment.arrangements[0])

@@ -29,11 +29,7 @@ def remaining_s(reports: Sequence[tuple[float, float]], now_s: float) -> float |
     The pace must be known from 10 s and 5 % of the job, and that since half of the time must be
     that of the whole time within a factor of 1.5.
 
-    Parameters
-    ----------
-    reports : sequence of (s, fraction)
-        When which fraction was done, since the job began; rising.
-    now_s : float
+    `reports` say when which fraction was done, in s since the job began; rising.
 
     Examples
     --------

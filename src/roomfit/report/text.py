@@ -36,7 +36,9 @@ def _block(block: Block, file: str) -> str:
             return "" if block.kind == "note" else filled(block.text)
         case Numbers():
             width = max((len(value) for value, _ in block.pairs), default=0)
-            return "\n".join(f"{value:>{width}}  {words}" for value, words in block.pairs)
+            return "\n".join(
+                filled(f"{n:>{width}}  {words}", width + 2) for n, words in block.pairs
+            )
         case Terms():
             width = max((len(name) for name, _ in block.pairs), default=0)
             return "\n".join(

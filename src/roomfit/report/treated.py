@@ -45,17 +45,10 @@ def describe(treatment: Treatment) -> Blocks:
         "The room from above one corner. Covered surfaces are coloured, the paler the less of "
         "them is covered; those that face away from the viewer are seen through."
     )
-    hung = "prediction_figures.hung_figure"
+    maker = "prediction_figures.treatment_figure"
     head += [
         Numbers(tuple(numbers)),
-        drawing("hung", "The room and what hangs where", caption, hung, treatment),
-        drawing(
-            "treatment",
-            "The room, and each target's parameter by band before and after",
-            "Bars are 95 % intervals; black lines are limits.",
-            "prediction_figures.treatment_figure",
-            treatment,
-        ),
+        drawing("treatment", "The room and what hangs where", caption, maker, treatment),
     ]
     blocks = [
         Part(_title(treatment, a, number), _arrangement(treatment, a, number), folded=True)
@@ -66,7 +59,7 @@ def describe(treatment: Treatment) -> Blocks:
 
 
 def draw(treatment: Treatment) -> Figure:
-    """Return the room and what the first arrangement does in every band."""
+    """Return the room and what hangs where in the first arrangement."""
     from roomfit.report.prediction_figures import treatment_figure
 
     return treatment_figure(treatment)
@@ -98,7 +91,7 @@ def _arrangement(treatment: Treatment, a: Arrangement, number: int) -> tuple[Blo
         more = [Sentence(words), *([Listed(treatment.to_measure)] if number == 1 else [])]
     lines = parameter_lines(named_values(a.mean, None), is_changed=True)
     heads = ("target, as a mean over all pairs", "as it is", "treated")
-    speech = ()
+    speech: tuple[Block, ...] = ()
     if a.sti is not None:
         rows = parameter_rows(parameter_lines({"STI": a.sti}, is_changed=True))
         speech = (Table("Speech transmission index", ("", "125 Hz to 8 kHz"), rows),)
