@@ -33,7 +33,9 @@ from roomfit.materials.catalogue import material_prior
 from roomfit.materials.priors import MaterialPrior
 from roomfit.model.room_parameters import predicted_values
 from roomfit.predict.changes import Change
-from roomfit.predict.other_walls import Predicted, predict
+from roomfit.predict.predict import predict
+from roomfit.predict.prediction import Predicted
+from roomfit.predict.question import Question
 from roomfit.predict.split import for_another_room
 from roomfit.result import absorption_posterior
 from roomfit.room.mesh import volume_m3
@@ -147,11 +149,13 @@ def predicted_change(
     new = case.true_after[case.scene.room.materials.index("curtain")]
     few = Settings(n_rays=5000, n_rays_beside_images=3000, n_draws=n_draws)
     return predict(
-        case.scene,
-        absorption_posterior(answer),
-        [Change("curtain", "value", tuple(new))],
-        case.values_before,
-        settings=few,
+        Question(
+            case.scene,
+            absorption_posterior(answer),
+            [Change("curtain", "value", tuple(new))],
+            case.values_before,
+            settings=few,
+        )
     )
 
 
@@ -310,7 +314,13 @@ def studio_measured(folder: Path) -> None:
         answer = identify(case.scene, case.values, priors, bands, settings=STUDIO_SETTINGS)
         changes = [Change(CLOTH[False], "value", tuple(new), tuple(CHANGE_SD * new * (1 - new)))]
         found = predict(
-            case.scene, absorption_posterior(answer), changes, case.values, settings=STUDIO_SETTINGS
+            Question(
+                case.scene,
+                absorption_posterior(answer),
+                changes,
+                case.values,
+                settings=STUDIO_SETTINGS,
+            )
         )
         label = "broad" if broad else "stated"
         print(f"\nmeasured, open; cloth as stated of the closed one; {label} priors")
@@ -391,7 +401,7 @@ def studio_simulated(folder: Path, n_seeds: int) -> None:
                 )
                 theirs = new.scene.room.materials
                 own = studio_priors(folder, theirs, bands, new.scattering, broad=broad)
-                # as `roomfit.predict_arguments` has it for a campaign of another geometry
+                # as `roomfit.question_of` has it for a campaign of another geometry
                 known, dominated = for_another_room(
                     replace(known, materials=renamed),
                     area[not was_closed],
@@ -400,7 +410,7 @@ def studio_simulated(folder: Path, n_seeds: int) -> None:
                 )
                 known = room_posterior(known, own, bands)
                 known = replace(known, findings=(*known.findings, *dominated))
-                found = predict(new.scene, known, [change], settings=STUDIO_SETTINGS)
+                found = predict(Question(new.scene, known, [change], settings=STUDIO_SETTINGS))
                 w = found.mean["T30_s"]
                 codes = [f.code for f in (*dominated, *found.findings)]
                 n_found[label] += Code.CHANGE_PRIOR_DOMINATED in codes

@@ -50,8 +50,9 @@ from roomfit.materials.priors import MaterialPrior, complete_priors, unknown_mat
 from roomfit.model.eyring import eyring_time_s
 from roomfit.model.patterns import UnknownDirectivity
 from roomfit.predict.changes import Change
-from roomfit.predict.other_walls import Predicted, predict
-from roomfit.predict.tables import PredictedValue, ValueChange
+from roomfit.predict.predict import predict
+from roomfit.predict.prediction import Predicted, PredictedValue, ValueChange
+from roomfit.predict.question import Question
 from roomfit.result import Result, absorption_posterior
 from roomfit.room.mesh import surface_area_m2, volume_m3
 from roomfit.room.scene import Point, Scene, material_areas_m2, with_states
@@ -272,7 +273,9 @@ def swap(data: Path, step: int, rings: Sequence[str], results: Mapping[str, Resu
         "100": absorption_posterior(results["100"]),
         "R": mixed(results["000"], results["100"], ABSORBING["R"]),
     }.items():
-        found[state] = predict(scene, posterior, measurements=r3vival(data, state, step, rings)[1])
+        found[state] = predict(
+            Question(scene, posterior, measurements=r3vival(data, state, step, rings)[1])
+        )
     bands = results["000"].bands.centres_hz
     t = {s: (p.mean["T30_s"].measured, p.mean["T30_s"].predicted) for s, p in found.items()}
     areas = dict(zip(scene.room.materials, material_areas_m2(scene.room), strict=True))
@@ -320,12 +323,12 @@ def swap_together(
             for one, other in zip(panels(state).values(), wanted.values(), strict=True)
             if one != other
         ]
-        found[state] = predict(at, posterior, changes, own)
+        found[state] = predict(Question(at, posterior, changes, own))
     truth = r3vival(data, unknown, 1, ("150", "200"))[1]
     truth = [replace(m, state=unknown) for m in truth if m.source in step_rings]
     number = 1 + [s.name for s in scene.room.states].index(unknown)
     at = replace(scene, pair_state=np.full(len(scene.pairs), number))
-    itself = predict(at, posterior, measurements=truth)
+    itself = predict(Question(at, posterior, measurements=truth))
     measured = itself.mean["T30_s"].measured
     print(
         f"\nMean T30 of {unknown}, predicted over measured, %  "
@@ -441,8 +444,8 @@ def change_of_state(cases: Mapping[str, Case], results: Mapping[str, Result]) ->
         for m, wall in enumerate(other.materials)
         if wall != "floor"
     ]
-    found = predict(scene, known, changes, [before[c] for c in common])
-    truth = predict(scene, known, (), [after[c] for c in common])
+    found = predict(Question(scene, known, changes, [before[c] for c in common]))
+    truth = predict(Question(scene, known, (), [after[c] for c in common]))
     bands, judged = results[first].bands.centres_hz, results[first].bands.centres_hz > JUDGED_HZ
     lines = [f"\n{first} to {second}, {len(common)} pairs, from {JUDGED_HZ:g} Hz up"]
     judged_by: tuple[tuple[ParameterName, bool], ...] = (

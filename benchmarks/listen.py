@@ -29,7 +29,9 @@ from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.fit.measurements import observe
 from roomfit.predict.changes import Change
 from roomfit.predict.listen import ChangedResponse, listen
-from roomfit.predict.other_walls import Predicted, predict
+from roomfit.predict.predict import predict
+from roomfit.predict.prediction import Predicted
+from roomfit.predict.question import Question
 from roomfit.result import absorption_posterior
 from roomfit.room.scene import Scene
 from roomfit.signals.decay import PARAMETER_NAMES, ParameterName
@@ -107,17 +109,17 @@ def main() -> None:
         for one, two in zip(panels("000").values(), panels("100").values(), strict=True)
         if one != two
     ]
-    made, _ = listen(scene, posterior, changes, measured, settings=settings)
-    carried = predict(scene, posterior, changes, measured, settings=settings)
+    made, _ = listen(Question(scene, posterior, changes, measured, settings=settings))
+    carried = predict(Question(scene, posterior, changes, measured, settings=settings))
     there = replace(scene, pair_state=np.ones(len(scene.pairs), dtype=np.int64))
-    truth = predict(there, posterior, (), other, settings=settings)
+    truth = predict(Question(there, posterior, (), other, settings=settings))
     found = parameters_of(scene, measured, made)
     print(f"\n{len(made)} responses made; error of the mean by octave, Hz:" +
           "".join(f"{f:8g}" for f in BANDS.centres_hz))  # fmt: skip
     print("\n".join(error_lines(found, carried, truth, BANDS.centres_hz > JUDGED_HZ)))
     ends = np.nanmedian([c.noise_from_s for c in made], axis=0)
     print("noise carries the tail from " + " ".join(f"{t:.2f}" for t in ends) + " s on (median)")
-    same = listen(scene, posterior, (), measured[:1], settings=settings)[0][0].samples
+    same = listen(Question(scene, posterior, (), measured[:1], settings=settings))[0][0].samples
     print("unchanged, bit by bit:", bool(np.array_equal(same, measured[0].response.pressure)))
     if asked.out is not None:
         asked.out.mkdir(parents=True, exist_ok=True)

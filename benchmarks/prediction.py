@@ -21,11 +21,11 @@ from roomfit.base.bands import bands_between
 from roomfit.demo.boxes import SyntheticBox, add_noise, pressure_response
 from roomfit.files.campaign import input_files, read_campaign
 from roomfit.files.inputs import identify_arguments
+from roomfit.files.questions import question_of
 from roomfit.files.results import read_result, write_result
 from roomfit.identify import identify
-from roomfit.predict.campaign import predict_arguments
-from roomfit.predict.other_walls import predict
-from roomfit.predict.tables import PredictedPair
+from roomfit.predict.predict import predict
+from roomfit.predict.prediction import PredictedPair
 from roomfit.signals.iso3382 import ValueName
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
@@ -115,12 +115,12 @@ def main() -> None:
         folder = Path(name)
         campaign = read_campaign(write_campaign(folder, seed))
         write_result(folder, identify(**identify_arguments(campaign)), input_files(campaign))
-        fitted = predict(**predict_arguments(campaign, read_result(folder / "result.json")))
+        fitted = predict(question_of(campaign, read_result(folder / "result.json")))
         a = np.array([[v] * 2 for v in ABSORPTION.values()])
         true = AbsorptionPosterior(
             tuple(ABSORPTION), campaign.bands, a, a, a, np.zeros((2, len(a), len(a)))
         )
-        known = predict(**predict_arguments(campaign, true))
+        known = predict(question_of(campaign, true))
     sys.stdout.write(
         formatted(
             "fitted absorption, pairs kept apart", [p for p in fitted.pairs if p.use != "fit"]

@@ -55,7 +55,9 @@ from roomfit.materials.priors import MaterialPrior, Scattering
 from roomfit.model.binned import BIN_S, bin_paths, pair_energies
 from roomfit.model.weighing import EnergyRows, window_of_rows
 from roomfit.predict.changes import Change
-from roomfit.predict.other_walls import Predicted, predict
+from roomfit.predict.predict import predict
+from roomfit.predict.prediction import Predicted
+from roomfit.predict.question import Question
 from roomfit.result import absorption_posterior
 from roomfit.room.mesh import Mesh
 from roomfit.room.scene import Room, Scene, pair_names, scene_of
@@ -287,8 +289,8 @@ def judged(case: Simulated, data: str, label: str) -> dict[str, np.ndarray]:
     found = {}
     for law, answer in (("linearised", answers[0]), ("now", answers[1])):
         own = absorption_posterior(answer)
-        same = predict(case.scene, own, (), case.values, settings=FEW)
-        new = predict(case.scene, own, (change,), case.after, settings=FEW)
+        same = predict(Question(case.scene, own, (), case.values, settings=FEW))
+        new = predict(Question(case.scene, own, (change,), case.after, settings=FEW))
         found[f"{label}, fitted pairs, {law}"] = rows(same, ("LS1",))
         found[f"{label}, other source, {law}"] = rows(same, ("LS2",))
         found[f"{label}, wall exchanged, {law}"] = rows(new, ("LS1", "LS2"))

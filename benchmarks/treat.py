@@ -30,14 +30,16 @@ from roomfit.base.polygon import Face
 from roomfit.base.polygon import Surface as MeshSurface
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.fit.measurements import observe
-from roomfit.predict.other_walls import PreparedRoom, prepare_prediction
+from roomfit.predict.other_walls import PreparedRoom
+from roomfit.predict.predict import prepare
+from roomfit.predict.question import Question
 from roomfit.result import absorption_posterior
 from roomfit.room.build import build_mesh, oriented
 from roomfit.room.scene import Room, Scene, material_areas_m2, room_from_mesh
 from roomfit.signals.decay import jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.treat.arrangements import as_measured, treat
-from roomfit.treat.question import Product, Surface, Target, question_of, treated
+from roomfit.treat.question import Product, Surface, Target, problem_of, treated
 from roomfit.treat.search import mean_values
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
@@ -57,7 +59,7 @@ def turned_walls(data: Path, result_file: Path | None, at_most_s: float) -> None
     own = [m for m in measurements if not m.state]
     at = replace(scene, pair_state=np.zeros(len(scene.pairs), dtype=np.int64))
     began = time.perf_counter()
-    room = prepare_prediction(at, known, (), own)
+    room = prepare(Question(at, known, measurements=own))
     print(f"\nprepared in {time.perf_counter() - began:.1f} s: {len(at.pairs)} pairs")
     areas = dict(zip(at.room.materials, material_areas_m2(at.room), strict=True))
     surfaces, products = [], []
@@ -86,7 +88,7 @@ def turned_walls(data: Path, result_file: Path | None, at_most_s: float) -> None
             f"turn {walls:<20} T30 {row}   mean {v.predicted[middle].mean():.3f} s, "
             f"met with {100 * a.joint:.0f} %"
         )
-    question = question_of(as_measured(room), surfaces, products, [target])
+    question = problem_of(as_measured(room), surfaces, products, [target])
     right = np.array(
         [float(question.products[p].name.startswith("right")) for p in question.product]
     )
@@ -192,7 +194,7 @@ def strips(n: int) -> PreparedRoom:
         scene = replace(scene, room=strip_room((9.0, 6.0, 3.2), cuts))
     materials = scene.room.materials
     a = np.linspace(0.06, 0.2, len(materials))[:, None] * np.linspace(0.7, 1.3, 6)
-    return prepare_prediction(scene, posterior(materials, a))
+    return prepare(Question(scene, posterior(materials, a)))
 
 
 def strip_room(lengths_m: tuple[float, float, float], shares: FloatArray) -> Room:
@@ -244,7 +246,7 @@ def parts(out: Path | None) -> None:
         settings = roomfit.Settings(n_rays=8000, n_draws=2)
         found = []
         for absorption in (a, divided):
-            room = prepare_prediction(scene, posterior(materials, absorption), settings=settings)
+            room = prepare(Question(scene, posterior(materials, absorption), settings=settings))
             found.append(np.mean([n.values for n in room.before], axis=0)[:, 2:5].mean(axis=1))
         mean, exact = found
         steps = [

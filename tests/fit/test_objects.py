@@ -30,7 +30,8 @@ from roomfit.model.energy import EnergyTerm
 from roomfit.model.parameters import Block, Parameters, start_vector
 from roomfit.model.problem import Objective
 from roomfit.predict.changes import read_change
-from roomfit.predict.other_walls import predict
+from roomfit.predict.predict import predict
+from roomfit.predict.question import Question
 from roomfit.pressures.data_term import coherent_term, with_coherence
 from roomfit.pressures.geometry import geometry_block, whole_covariance
 from roomfit.pressures.response import image_paths
@@ -262,13 +263,13 @@ def test_a_prediction_without_people_decays_more_slowly_by_their_area() -> None:
         objects={"people": VOLUME_M3},
     )
     settings = Settings(n_rays=6000)
-    found = predict(scene, known, [read_change("people=0")], settings=settings)
+    found = predict(Question(scene, known, [read_change("people=0")], settings=settings))
     t = found.mean["T30_s"]
     assert found.materials == tuple(TRUTH) and np.all(found.objects_m2["people"] == 0.0)
     faster = 6.0 * np.log(10.0) * (1.0 / t.change.before - 1.0 / t.predicted)
     c = speed_of_sound_m_s(scene.air)
     np.testing.assert_allclose(faster, AREA_M2 * c / (4.0 * VOLUME_M3), rtol=0.04)
-    half = predict(scene, known, [read_change("people=3")], settings=settings)
+    half = predict(Question(scene, known, [read_change("people=3")], settings=settings))
     np.testing.assert_allclose(half.objects_m2["people"][0], 3.0, rtol=1e-9)
 
 

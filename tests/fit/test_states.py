@@ -16,7 +16,8 @@ from roomfit.demo.boxes import SyntheticBox, add_noise, pressure_response
 from roomfit.files.inputs import load_campaign
 from roomfit.identify import identify
 from roomfit.predict.changes import read_change
-from roomfit.predict.other_walls import predict
+from roomfit.predict.predict import predict
+from roomfit.predict.question import Question
 from roomfit.result import absorption_posterior
 from roomfit.room.scene import scene_of, select_pairs, shoebox_room, with_states
 from roomfit.settings import Settings
@@ -137,8 +138,10 @@ def test_a_change_to_a_material_of_another_state_is_that_state():
     every = replace(FEW, most_images=1_500_000)
     opened = select_pairs(both, slice(0, 1))
     closed = replace(opened, pair_state=np.ones(1, dtype=np.int32))
-    changed = predict(opened, found, [read_change("south=curtain")], settings=every).mean["T30_s"]
-    state = predict(closed, found, settings=every).mean["T30_s"]
+    changed = predict(Question(opened, found, [read_change("south=curtain")], settings=every)).mean[
+        "T30_s"
+    ]
+    state = predict(Question(closed, found, settings=every)).mean["T30_s"]
     np.testing.assert_allclose(changed.predicted, state.predicted, rtol=0.03)
     # draws weigh a sample of the paths
     np.testing.assert_allclose(changed.sd_absorption, state.sd_absorption, rtol=0.5)
@@ -146,7 +149,7 @@ def test_a_change_to_a_material_of_another_state_is_that_state():
     assert changed.change.change_upper95[0] < 1.0
     mixed = replace(both, pair_state=np.array([0, 1, 0, 1]))
     with pytest.raises(InputError, match="one state"):
-        predict(mixed, found, settings=FEW)
+        predict(Question(mixed, found, settings=FEW))
 
 
 def test_a_campaign_names_its_states(tmp_path, monkeypatch, capsys):

@@ -8,8 +8,6 @@ import pytest
 from roomfit.base.bands import Bands
 from roomfit.model.reduced_rows import ReducedRows
 from roomfit.model.weighing import EnergyRows
-from roomfit.predict.carried import with_common_noise
-from roomfit.predict.decay import PairNumbers, PredictedDecay
 from roomfit.signals.iso3382 import VALUE_NAMES
 
 OCTAVE = Bands("octave", np.array([1000.0]))
@@ -95,25 +93,6 @@ def test_a_single_path_interferes_with_nothing(few):
     late = alone.energies(np.stack([before, after, avoiding]))[:, 0, 5:] ** 2
     expected = late[2].sum() / np.sqrt(late[0].sum() * late[1].sum())
     assert found == pytest.approx(expected, rel=0.1)
-
-
-@pytest.mark.parametrize("steady", [0.0, 0.4, 1.0])
-def test_noise_that_no_change_alters_stays_as_a_whole(few, steady):
-    """By hand: the steady part of the variance with itself, the rest as far as it is alike."""
-    before, after = np.array([[0.2], [0.15]]), np.array([[0.2], [0.5]])
-    n = len(VALUE_NAMES)
-    nothing = PredictedDecay(np.zeros(1), *(np.zeros((1, 1)),) * 3)
-    old, new = (
-        PairNumbers(
-            np.ones((n, 1)), np.ones((2, n, 1)), np.full((n, 1), sd), nothing,
-            np.full((n, 1), steady * sd**2), np.ones((n, 1)),
-        )
-        for sd in (0.5, 0.3)
-    )  # fmt: skip
-    found = with_common_noise(new, old, few, before, after, SECOND).common_noise
-    alike = few.scatter_correlation(before, after, SECOND)
-    np.testing.assert_allclose(found, (steady * 1.0 + (1.0 - steady) * alike) * 0.15)
-    assert np.all(found <= 0.15 + 1e-12)
 
 
 def test_an_exchanged_wall_reflects_anew_whatever_it_absorbs(few):

@@ -8,8 +8,7 @@ import pytest
 from roomfit.base.bands import bands_between
 from roomfit.materials.catalogue import catalogue_prior
 from roomfit.predict.changes import Change, changed_draws
-from roomfit.predict.other_walls import change_findings
-from roomfit.predict.tables import PredictedValue, ValueChange
+from roomfit.predict.prediction import PredictedValue, ValueChange, change_findings
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 BANDS = bands_between("octave", 500, 1000)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import csv
-import re
 
 import numpy as np
 import pytest
 
-from reverberation import covered
 from roomfit.base.bands import bands_between
 from roomfit.base.errors import InputError
-from roomfit.files.iso3382 import read_parameters
 from roomfit.files.reverberation import areas_by_axis_m2, read_decay_times
 from roomfit.materials.catalogue import material_prior
 from roomfit.materials.priors import unknown_material
@@ -108,18 +105,6 @@ def test_intervals_allow_for_what_formulas_disagree_on_and_for_nothing_where_the
     )
 
 
-@pytest.mark.slow
-def test_intervals_of_simulated_rooms_hold_as_far_as_the_pages_say():
-    """Twenty rooms of a kind, of `benchmarks/reverberation.py`; binomial bounds of 99 %."""
-    rows = covered(20, seed=2)
-    eyring, fitzroy = (FORMULAS.index(f) for f in ("Eyring", "Fitzroy"))
-    for kind, known in (("alike", "surface"), ("cubic", "surface"), ("cubic", "table")):
-        assert rows[kind, known][:, eyring, 0].sum() >= 15
-    assert rows["flat", "table"][:, fitzroy, 0].sum() >= 15
-    # what no prior says no formula knows: a soft ceiling over a flat room of hard walls
-    assert np.median(rows["flat", "surface"][:, eyring, 1]) < -0.3
-
-
 def test_priors_decide_the_split_and_the_mean_stays():
     """A known floor leaves all to the walls; the mean is that of the broad priors within 5 %.
 
@@ -156,21 +141,6 @@ def test_areas_across_the_axes_are_those_of_a_box():
 TABLE = "position;500;1000\nseat 1;0,62;0,58\nseat 2;0,66;\n"
 
 
-def test_a_table_with_semicolons_and_decimal_commas_is_read(tmp_path):
-    file = tmp_path / "t30.csv"
-    file.write_text(TABLE)
-    times, bands = read_decay_times(file)
-    np.testing.assert_array_equal(times, [[0.62, 0.58], [0.66, np.nan]])
-    assert bands.centres_hz.tolist() == [500.0, 1000.0]
-
-
-def test_room_parameters_are_read_with_decimal_commas_too(tmp_path):
-    file = tmp_path / "measured.csv"
-    file.write_text("source;receiver;parameter;500;1000\nS;R;T30;0,9;0,8\n")
-    (values,), _ = read_parameters(file)
-    np.testing.assert_array_equal(values.values["T30_s"], [0.9, 0.8])
-
-
 @pytest.mark.parametrize(
     ("content", "words"),
     [
@@ -201,23 +171,15 @@ def test_the_command_prints_every_formula_with_a_room_or_volume_and_surface(
     assert run_command(monkeypatch, "reverberation", campaign) == 0
     shown = capsys.readouterr().out
     assert all(f"Absorption by {formula}" in shown for formula in FORMULAS)
-    # T = 0.64 s, 90 m3, 126 m2, some air: 0.161 * 90 / 0.64 / 126 = 0.18
-    assert ".18" in next(line for line in shown.splitlines() if line.startswith("room mean"))
     assert ("west" in shown) == room
     assert "nothing more is known of any of them" in " ".join(shown.split())
     out = tmp_path / "page"
     assert run_command(monkeypatch, "reverberation", campaign, "--out", out) == 0
     assert run_command(monkeypatch, "reverberation", campaign, "--out", out) == 2  # not empty
-    page = (out / "reverberation.html").read_text()
-    # the same first number as in the lead and in the table, with its interval and the caution
-    lead = re.search(r"By Eyring the mean absorption of the room at 500 Hz is (0\.\d\d)", page)
-    assert lead is not None and lead[1] in ("0.16", "0.17")
-    assert "nothing more is known of any of them" in " ".join(page.split())
     rows = list(csv.DictReader((out / "reverberation.csv").open()))
     (own,) = [
         r for r in rows if (r["formula"], r["material"], r["band_hz"]) == ("Eyring", "", "500")
     ]
-    assert f"{float(own['absorption']):.2f}" == lead[1]
     assert float(own["lower95"]) < float(own["absorption"]) < float(own["upper95"])
     assert len(rows) == len(FORMULAS) * 2 * (7 if room else 2)  # materials and the mean
     assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out") == 2

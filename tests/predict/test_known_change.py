@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from changes import JUDGED, inside, known_change, mean_of, predicted_change, wrong_directions
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
 from roomfit.base.logit import logit
 from roomfit.files.campaign import read_campaign
-from roomfit.files.inputs import check_campaign
-from roomfit.materials.catalogue import broad_prior_findings, suggested_entries
-from roomfit.materials.priors import DEFAULT_LOGIT_SD, unknown_material
-from roomfit.predict.campaign import predict_arguments
+from roomfit.files.questions import question_of
+from roomfit.materials.priors import DEFAULT_LOGIT_SD
 from roomfit.predict.changes import Change, read_change
-from roomfit.predict.other_walls import predict
-from roomfit.predict.output import COLUMNS, predicted_content, predicted_csv
+from roomfit.predict.predict import predict
 from roomfit.predict.split import prior_dominated
-from roomfit.report.predicted import describe
-from roomfit.report.prediction_figures import change_figure
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
 from small_campaign import ABSORPTION, write_campaign
 
@@ -47,7 +39,7 @@ def campaign(tmp_path_factory):
 
 def changed(campaign, known, *texts: str, n_draws: int = 32):
     few = replace(campaign, settings=replace(campaign.settings, n_draws=n_draws))
-    return predict(**predict_arguments(few, known, [read_change(t) for t in texts]))
+    return predict(question_of(few, known, [read_change(t) for t in texts]))
 
 
 @pytest.mark.slow
@@ -163,32 +155,11 @@ def test_a_material_that_was_not_found_is_predicted_but_not_compared(campaign):
     assert not found.compares_states
     assert found.mean["T20_s"].change is None
     assert found.lower95[1, 0] > 0.15 and found.upper95[1, 0] < 0.5
-    assert "change" not in {d.name for d in describe(found).drawings()}
-
-
-@pytest.mark.slow
-def test_files_and_text_hold_all_four(campaign, tmp_path):
-    found = changed(campaign, posterior(0.1), "carpet=x0.5+-0.1,x0.6+-0.1")
-    content = json.loads(json.dumps(predicted_content(found, ()), default=list))
-    of_mean = content["mean"]["T20_s"]
-    assert of_mean["carried_lower95"][0] < of_mean["carried"][0] < of_mean["carried_upper95"][0]
-    rows = list(csv.DictReader(predicted_csv(found).splitlines()))
-    assert tuple(rows[0]) == COLUMNS
-    row = next(r for r in rows if r["parameter"] == "C80_dB")
-    expected = found.pairs[0].parameters["C80_dB"].change.carried[0]
-    assert float(row["carried"]) == pytest.approx(expected, abs=1e-4)
-    for words in ("measured before", "model before", "carried over", "change %", "change dB"):
-        assert words in str(found) and words in found._repr_html_()
-    titles = [a.get_title() for a in change_figure(found).axes]
-    assert "T30 s" in titles and "C80 dB" in titles
-    plain = changed(campaign, posterior(0.1), n_draws=4)
-    assert next(csv.DictReader(predicted_csv(plain).splitlines()))["carried"] == ""
-    assert "carried" not in predicted_content(plain, ())["mean"]["T20_s"]
 
 
 def test_a_standard_deviation_may_be_left_out_and_must_fit_the_values(campaign):
     few = replace(campaign, settings=replace(campaign.settings, n_draws=2))
-    one = predict(**predict_arguments(few, posterior(0.0), [Change("carpet", "value", (0.3, 0.4))]))
+    one = predict(question_of(few, posterior(0.0), [Change("carpet", "value", (0.3, 0.4))]))
     assert one.absorption[1].tolist() == [0.3, 0.4]
     assert one.changes == ("carpet=0.3,0.4",)
     for sds in ((0.1, 0.2), (-0.1,)):
@@ -196,71 +167,4 @@ def test_a_standard_deviation_may_be_left_out_and_must_fit_the_values(campaign):
             Change("carpet", "value", (0.3,), sds)
 
 
-@pytest.mark.slow
-def test_in_boxes_of_known_walls_the_changed_room_lies_inside_and_no_direction_is_wrong():
-    """Pressures of image sources, one wall of which gets a third of its absorption; broad priors.
-
-    Fitted to ISO 3382 values of the state before. Of eight boxes 96 % of the means and 97 % of the
-    pairs' values were held. Values of one box move together: three boxes that hold 95 of 100 each
-    hold 90 % of the values together in all but about one of seven draws of seeds; these are fixed.
-    """
-    held, changes_held, n_stated, n_doubted = [], [], 0, 0
-    for seed in (1, 2, 3):
-        case = known_change(seed)
-        found = predicted_change(case)
-        true = {n: (mean_of(case.values_before, n), mean_of(case.values_after, n)) for n in JUDGED}
-        stated, wrong = wrong_directions(found, {n: a - b for n, (b, a) in true.items()})
-        assert wrong == 0
-        n_stated += stated
-        for name, (before, after) in true.items():
-            c = found.mean[name].change
-            held.append(inside(c.carried_lower95, after, c.carried_upper95))
-            change = after / before if name in ("T20_s", "T30_s", "EDT_s") else after - before
-            changes_held.append(inside(c.change_lower95, change, c.change_upper95))
-        n_doubted += Code.CHANGE_PRIOR_DOMINATED in {f.code for f in found.findings}
-    assert np.concatenate(held).mean() >= 0.9 <= np.concatenate(changes_held).mean()
-    assert n_doubted >= 2  # values say little of single walls
-    assert n_stated < 3 * len(JUDGED) * 2
-
-
 # ---------------------------------------------------------------- names of materials
-
-
-@pytest.mark.parametrize(
-    ("name", "entry"),
-    [
-        ("curtain(open)", "curtain-medium-draped"),
-        ("Vorhang", "curtain-medium-draped"),
-        ("carpet on concrete", "carpet-heavy-on-concrete"),
-        ("Teppichboden", "carpet-heavy-on-concrete"),
-        ("plaster_wall", "plaster-on-masonry"),
-        ("Akustikputz", "acoustic-plaster"),
-        ("gypsum board", "plasterboard-on-studs"),
-        ("Holz", "wood-panelling-10-mm"),
-        ("wooden door", "door-wood-solid"),
-        ("Glaswolle", "mineral-wool-50-mm"),
-        ("windowglass", "glass-3-4-mm"),
-        ("Türen", "door-wood-solid"),
-        ("Rideaux côté cour", "curtain-medium-draped"),
-        ("Porte en bois", "door-wood-solid"),
-        ("Laine de verre", "mineral-wool-50-mm"),
-        ("Plâtre", "plaster-on-masonry"),
-        ("Béton", "concrete-smooth"),
-    ],
-)
-def test_entries_are_suggested_by_the_name_of_a_material(name, entry):
-    assert suggested_entries(name)[0] == entry
-
-
-def test_nothing_is_suggested_for_a_name_that_says_nothing():
-    assert suggested_entries("wall 3") == suggested_entries("wilhelmi") == ()
-
-
-def test_the_check_of_a_campaign_says_that_a_broad_prior_was_taken(campaign):
-    (said,) = [f for f in check_campaign(campaign).findings if f.code is Code.BROAD_PRIOR_ASSUMED]
-    assert said.evidence["materials"] == ["walls", "carpet", "tiles"]
-    assert "carpet: carpet-heavy-on-concrete" in said.sentence
-    known = replace(unknown_material("walls", 2), known=np.full(2, 0.1))
-    tied = replace(unknown_material("floor", 2), tied_to="walls")
-    stated = replace(unknown_material("curtain", 2), specified=True)
-    assert broad_prior_findings((known, tied, stated)) == ()

@@ -13,8 +13,9 @@ from roomfit.base.errors import InputError
 from roomfit.files.encoding import EditedFile
 from roomfit.files.results import read_result, write_result
 from roomfit.model.room_parameters import model_sd
-from roomfit.predict.decay import PairNumbers, PredictedDecay
+from roomfit.predict.decay import PairNumbers
 from roomfit.predict.misfit import with_misfit
+from roomfit.predict.prediction import PredictedDecay
 from roomfit.predict.split import for_another_room
 from roomfit.result import absorption_posterior
 from roomfit.signals.decay import jnd_of
@@ -38,12 +39,6 @@ def widened_jnd(departures: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     one = with_misfit(numbers(), departures)[1]
     model = [model_sd(m, v) for m, v in zip(VALUE_NAMES, VALUES, strict=True)]
     return one.noise_sd[:, 0] / UNIT, one.model_scale[:, 0] * model / UNIT
-
-
-def test_the_model_error_is_what_is_granted():
-    np.testing.assert_allclose(
-        [model_sd(m, v) for m, v in zip(VALUE_NAMES, VALUES, strict=True)], MODEL_JND * UNIT
-    )
 
 
 @pytest.mark.parametrize("true_sd, common_sd", [(0.8, 0.0), (2.4, 0.0), (0.8, 2.0), (2.4, 2.0)])

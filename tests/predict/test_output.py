@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roomfit.base.bands import bands_between
-from roomfit.predict.tables import PredictedValue, ValueChange
+from roomfit.predict.prediction import PredictedValue, ValueChange
 from roomfit.report.predicted import decay_answer, parameter_lines
 
 

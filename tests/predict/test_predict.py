@@ -9,38 +9,30 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roomfit.base.air import Air, speed_of_sound_m_s
 from roomfit.base.bands import Bands, bands_between
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
 from roomfit.base.logit import logit
-from roomfit.checks import repeats
-from roomfit.checks.unreached import unreached_materials
-from roomfit.demo.boxes import add_noise
 from roomfit.files.campaign import Campaign, read_campaign
-from roomfit.files.inputs import identify_arguments, load_campaign
+from roomfit.files.inputs import identify_arguments
+from roomfit.files.questions import Wanted, question_of
 from roomfit.files.results import read_result
 from roomfit.files.rooms import read_room
-from roomfit.fit.measurements import observe
 from roomfit.fit.traced_room import scene_decay_s
 from roomfit.materials.catalogue import catalogue_prior
-from roomfit.materials.priors import uniform_scattering
-from roomfit.model.weighing import energy_rows, thinned_rows, weigh
-from roomfit.predict.campaign import predict_arguments
 from roomfit.predict.changes import read_change
-from roomfit.predict.other_walls import Predicted, predict
-from roomfit.room.scene import Point, Scene
+from roomfit.predict.predict import predict
+from roomfit.predict.prediction import Predicted
+from roomfit.predict.question import Question
+from roomfit.room.scene import Scene
 from roomfit.signals.filters import statistical_bandwidth_hz
-from roomfit.tracing.paths import TraceSettings
-from roomfit.tracing.trace import trace
 from roomfit.uncertainty.posterior import (
     AbsorptionPosterior,
     covariance_from_intervals,
     draw_absorption,
     plain_logit_covariance,
 )
-from seen import of_files
-from small_campaign import ABSORPTION, RATE_HZ, run_command, write_campaign, write_wav
+from small_campaign import ABSORPTION, run_command, write_campaign
 
 BANDS = bands_between("octave", 500, 1000)
 NAMES = tuple(ABSORPTION)
@@ -59,7 +51,7 @@ def predict_campaign(
     campaign: Campaign, absorption: AbsorptionPosterior, changes=(), *, pairs="all", n_draws: int
 ) -> Predicted:
     few = replace(campaign, settings=replace(campaign.settings, n_draws=n_draws))
-    return predict(**predict_arguments(few, absorption, changes, pairs))
+    return predict(question_of(few, absorption, changes, Wanted(pairs)))
 
 
 @pytest.fixture(scope="module")
@@ -79,43 +71,12 @@ def values(p, name: str, what: str = "predicted") -> np.ndarray:
 # ---------------------------------------------------------------- posterior and draws
 
 
-def test_draws_have_the_mean_and_covariance_they_were_drawn_from():
-    """Of 8000 draws a variance is off by 1.6 % (one sd): 8 % is five of them."""
-    covariance = np.array([[[0.09, 0.05], [0.05, 0.04]]])
-    a = np.array([[0.2], [0.6]])
-    posterior = AbsorptionPosterior(("x", "y"), Bands("octave", [500.0]), a, a, a, covariance)
-    draws = logit(draw_absorption(posterior, 8000, np.random.default_rng(1)))[:, :, 0]
-    np.testing.assert_allclose(draws.mean(axis=0), logit(a)[:, 0], atol=1e-12)
-    np.testing.assert_allclose(np.cov(draws.T), covariance[0], rtol=0.08)
-
-
-def test_a_fixed_material_keeps_its_absorption_and_tied_ones_move_as_one():
-    covariance = np.array([[[0.0, 0.0, 0.0], [0.0, 0.09, 0.09], [0.0, 0.09, 0.09]]])
-    a = np.array([[0.0], [0.3], [0.3]])
-    posterior = AbsorptionPosterior(("h", "x", "y"), Bands("octave", [500.0]), a, a, a, covariance)
-    draws = draw_absorption(posterior, 50, np.random.default_rng(2))
-    assert np.all(draws[:, 0] == 0.0)
-    np.testing.assert_allclose(draws[:, 1], draws[:, 2], rtol=1e-9)
-    assert draws[:, 1].std() > 0.03
-
-
 def test_intervals_give_back_the_spread_they_were_made_of():
     sd = np.array([[0.1, 0.5], [1.2, 2.0]])
     a = np.array([[0.1, 0.5], [0.9, 0.03]])
     low, high = (1.0 / (1.0 + np.exp(-(logit(a) + s * 1.959964 * sd))) for s in (-1, 1))
     found = np.sqrt(np.diagonal(covariance_from_intervals(a, low, high), axis1=1, axis2=2)).T
     np.testing.assert_allclose(found, sd, rtol=1e-5)
-
-
-def test_an_interval_of_0_to_1_is_the_broad_prior_and_one_of_no_width_is_fixed():
-    a = np.array([[0.2], [0.2], [0.2]])
-    found = covariance_from_intervals(
-        a, np.array([[0.0], [0.2], [0.0]]), np.array([[1.0], [0.2], [0.4]])
-    )
-    sd = np.sqrt(np.diag(found[0]))
-    # one side open: the other alone, (logit 0.4 - logit 0.2) / 1.96
-    expected = [1.5, 0.0, (np.log(0.4 / 0.6) - np.log(0.2 / 0.8)) / 1.959964]
-    np.testing.assert_allclose(sd, expected, rtol=1e-5)
 
 
 def test_the_covariance_of_a_bounded_absorption_is_carried_over_by_its_slope():
@@ -127,13 +88,6 @@ def test_the_covariance_of_a_bounded_absorption_is_carried_over_by_its_slope():
         np.array([[[0.04]]]), np.array([[a[1]]]), np.array([low]), np.array([high])
     )
     assert found[0, 0, 0] == pytest.approx(0.04 * slope**2, rel=1e-6)
-
-
-def test_a_covariance_that_is_none_is_refused():
-    a = np.full((2, 1), 0.3)
-    bad = np.array([[[0.01, 0.09], [0.09, 0.01]]])
-    with pytest.raises(InputError, match="none"):
-        AbsorptionPosterior(("x", "y"), Bands("octave", [500.0]), a, a, a, bad)
 
 
 # ---------------------------------------------------------------- what is predicted
@@ -178,14 +132,6 @@ def test_the_spread_is_the_slope_times_the_spread_of_the_absorption(campaign):
         slope = np.abs(values(at[1], name) - values(at[-1], name)) / 2.0
         np.testing.assert_allclose(values(found, name, "sd_absorption"), slope, rtol=0.4)
         assert np.all(slope > 0.0)
-
-
-def test_an_interval_is_at_least_as_wide_as_what_it_is_made_of(predicted):
-    """Quantiles of draws widened by noise: near 1.96 roots of the two variances' sum."""
-    for name in ("T20_s", "T30_s", "C80_dB", "TS_ms"):
-        width = values(predicted, name, "upper95") - values(predicted, name, "lower95")
-        parts = [values(predicted, name, w) for w in ("sd_absorption", "sd_rest")]
-        np.testing.assert_allclose(width, 2 * 1.96 * np.hypot(*parts), rtol=0.15)
 
 
 @pytest.mark.slow
@@ -241,23 +187,6 @@ def test_draws_of_more_absorption_move_every_value_the_way_it_goes(campaign):
         if name == "D50_percent":  # no definition is above 100 %
             reach = np.minimum(reach, 100.0 - values(there, name))
         np.testing.assert_allclose(away if rises else -away, reach, rtol=0.35)
-
-
-def test_another_seed_draws_other_absorptions_and_traces_other_rays(campaign):
-    """What is the same in both is the room alone; the spread of a change is that of draws alone."""
-    found = [
-        predict_campaign(
-            replace(campaign, settings=replace(campaign.settings, seed=seed, n_rays=2000)),
-            posterior(0.3),
-            [read_change("carpet=x1+-0.2")],
-            n_draws=8,
-        )
-        for seed in (1, 2)
-    ]
-    assert np.all(found[0].lower95[1] != found[1].lower95[1])
-    widths = [values(f, "T20_s", "sd_absorption") for f in found]
-    assert np.all(widths[0] != widths[1])
-    assert [f.seed for f in found] == [1, 2]
 
 
 @pytest.mark.slow
@@ -376,39 +305,25 @@ def test_records_in_memory_predict_what_a_campaign_does(campaign, predicted):
     given = identify_arguments(campaign)
     settings = replace(given["settings"], n_draws=32)
     smooth = replace(posterior(), scattering=np.zeros((3, 2)))
-    found = predict(given["scene"], smooth, measurements=given["measurements"], settings=settings)
+    found = predict(
+        Question(given["scene"], smooth, measurements=given["measurements"], settings=settings)
+    )
     for name in ("T20_s", "C80_dB"):
         for what in ("predicted", "lower95", "measured"):
             np.testing.assert_array_equal(values(found, name, what), values(predicted, name, what))
     assert "scattering" not in {str(f.code) for f in found.findings}
     # what is unspecified is assumed, and said
     unspecified = replace(posterior(0.0), scattering=np.array([[np.nan] * 2, [0.0] * 2, [0.2] * 2]))
-    doubts = predict(given["scene"], unspecified, settings=replace(settings, n_draws=2)).findings
+    doubts = predict(
+        Question(given["scene"], unspecified, settings=replace(settings, n_draws=2))
+    ).findings
     (assumed,) = [f for f in doubts if f.code is Code.SCATTERING_ASSUMED]
     assert assumed.evidence["materials"] == ["walls"]
     with pytest.raises(InputError, match="other materials"):
-        predict(given["scene"], posterior(names=("tiles", "walls")))
+        predict(Question(given["scene"], posterior(names=("tiles", "walls"))))
     with pytest.raises(InputError, match="a pair that is not predicted"):
         one = replace(given["scene"], pairs=given["scene"].pairs[:1])
-        predict(one, posterior(), measurements=given["measurements"])
-
-
-def test_thinned_rows_keep_the_early_paths_and_nearly_all_energy(campaign):
-    room, _ = read_room(campaign.room)
-    scene = Scene(
-        room, campaign.sources, (Point("R", np.array([2.5, 2.0, 1.2])),), np.array([[0, 0]]), Air()
-    )
-    settings = TraceSettings(duration_s=0.3, n_rays=4000, image_order=3)
-    paths = trace(scene, settings, uniform_scattering(room.materials, 0.3)).paths
-    rows = energy_rows(paths, 0, np.linspace(0.0, 0.3, 31), speed_of_sound_m_s(scene.air))
-    few = thinned_rows(rows, 3_000)
-    assert len(few) <= 3_000 < len(rows) / 2
-    a, m = np.full((3, 1), 0.2), np.zeros(1)
-    whole, part = (weigh(r, a, m, derivative=False).energy[0] for r in (rows, few))
-    early = int(np.searchsorted(rows.offsets, 1_500)) - 1
-    np.testing.assert_allclose(part[:early], whole[:early], rtol=1e-12)
-    assert part.sum() == pytest.approx(whole.sum(), rel=0.05)
-    assert thinned_rows(rows, len(rows)) is rows
+        predict(Question(one, posterior(), measurements=given["measurements"]))
 
 
 # ---------------------------------------------------------------- files and command
@@ -508,74 +423,3 @@ def test_a_broken_posterior_in_a_result_is_refused(tmp_path):
         path.write_text(json.dumps({**content, "posterior": {"logit_covariance": covariance}}))
         with pytest.raises(InputError, match=words):
             read_result(path)
-
-
-# ---------------------------------------------------------------- doubts without a fit
-
-
-def measured_twice(campaign, tmp_path, change):
-    """Measure MP1 again in a second file that `change` makes of the first."""
-    import soundfile
-
-    text = campaign.path.read_text()
-    for name in ("LS1_MP1.wav", "LS1_MP2.wav"):
-        pressure, rate_hz = soundfile.read(campaign.path.parent / name)
-        write_wav(tmp_path / name, pressure, rate_hz)
-        if "MP1" in name:
-            write_wav(tmp_path / "again.wav", change(pressure), rate_hz)
-    row = '[[measurements]]\nsource = "LS1"\nreceiver = "MP1"\nfile = "again.wav"\n'
-    path = tmp_path / "campaign.toml"
-    path.write_text(text.replace("[identify]", row + "[identify]"))
-    twice = load_campaign(path)
-    return observe(twice["scene"], twice["measurements"], twice["bands"])[0]
-
-
-def test_a_pair_measured_twice_alike_raises_no_doubt(campaign, tmp_path):
-    rng = np.random.default_rng(3)
-    measured = measured_twice(campaign, tmp_path, lambda p: add_noise(p, -55, rng))
-    assert len(measured) == 3
-    assert not list(repeats.check(of_files(measured)))
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda p: 2.0 * p, r"levels that differ by 6\.0 dB"),
-        (lambda p: p * np.exp(-3.0 * np.arange(p.size) / RATE_HZ), "T20"),
-    ],
-)
-def test_a_pair_measured_twice_with_other_results_raises_a_finding(
-    campaign, tmp_path, change, words
-):
-    (finding,) = repeats.check(of_files(measured_twice(campaign, tmp_path, change)))
-    assert finding.code == Code.REPEATED_RESPONSES_DIFFER
-    assert "LS1 to MP1" in finding.sentence
-    import re
-
-    assert re.search(words, finding.sentence)
-
-
-def test_a_material_that_no_path_strikes_is_named(campaign):
-    """Sound that ends after 3 m has met the floor, 1.1 m below, and not the far wall."""
-    room, _ = read_room(campaign.room)
-    scene = Scene(
-        room,
-        (Point("S", np.array([1.0, 1.2, 0.6])),),
-        (Point("R", np.array([1.5, 1.2, 0.6])),),
-        np.array([[0, 0]]),
-        Air(),
-    )
-    settings = TraceSettings(duration_s=2.0 / 343.0, n_rays=0, image_order=5)
-    paths = trace(scene, settings, uniform_scattering(room.materials, 0.0)).paths
-    assert unreached_materials(paths, room.materials) == ("walls", "tiles")
-    assert unreached_materials(paths, ("carpet",)) == ()
-
-
-def test_a_campaign_that_keeps_everything_for_validation_has_nothing_to_fit(tmp_path):
-    path = write_campaign(
-        tmp_path,
-        ('"LS1_MP1.wav"', '"LS1_MP1.wav"\nuse = "validate"'),
-        ('"LS1_MP2.wav"', '"LS1_MP2.wav"\nuse = "validate"'),
-    )
-    with pytest.raises(InputError, match="none is left to fit"):
-        read_campaign(path)

@@ -45,7 +45,9 @@ def simulated(scene: roomfit.Scene, absorption: np.ndarray, rng) -> tuple:
     """Return values by other rays than the fit's, each with an error as large as it scatters."""
     other = replace(FEW, seed=99, n_draws=2)
     found = []
-    for pair in roomfit.predict(scene, known(scene, absorption), settings=other).pairs:
+    for pair in roomfit.predict(
+        roomfit.Question(scene, known(scene, absorption), settings=other)
+    ).pairs:
         table = {
             name: v.predicted + v.sd_rest * rng.standard_normal(1)
             for name, v in pair.parameters.items()
@@ -89,11 +91,13 @@ def test_estimates_lie_inside_their_intervals_and_fitted_values_about_the_middle
     held, below = [], []
     for case in cases:
         predicted = roomfit.predict(
-            case.scene,
-            roomfit.absorption_posterior(case.result),
-            (),
-            case.measured,
-            settings=FEW,
+            roomfit.Question(
+                case.scene,
+                roomfit.absorption_posterior(case.result),
+                (),
+                case.measured,
+                settings=FEW,
+            )
         )
         for v in parameters(predicted):
             assert v.lower95[0] <= v.predicted[0] <= v.upper95[0]
@@ -114,11 +118,17 @@ def test_a_wall_whose_share_is_unknown_is_exchanged_within_the_interval(cases):
         for i, name in enumerate(case.scene.room.materials):
             change = Change(name, "value", (0.6,), (0.0,))
             own = roomfit.absorption_posterior(case.result)
-            new = roomfit.predict(case.scene, own, (change,), settings=FEW).mean["T20_s"]
+            new = roomfit.predict(roomfit.Question(case.scene, own, (change,), settings=FEW)).mean[
+                "T20_s"
+            ]
             true = case.true.copy()
             true[i] = 0.6
             there = known(case.scene, true)
-            expected = roomfit.predict(case.scene, there, settings=FEW).mean["T20_s"].predicted[0]
+            expected = (
+                roomfit.predict(roomfit.Question(case.scene, there, settings=FEW))
+                .mean["T20_s"]
+                .predicted[0]
+            )
             held.append(new.lower95[0] <= expected <= new.upper95[0])
             assert new.lower95[0] <= new.predicted[0] <= new.upper95[0]
     assert np.sum(held) >= 15, held

@@ -13,9 +13,9 @@ from roomfit.base.errors import InputError, InsufficientDataError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.logit import logit
 from roomfit.files.campaign import read_campaign
+from roomfit.files.questions import Wanted, question_of
 from roomfit.files.results import read_result, write_result
 from roomfit.materials.priors import DEFAULT_LOGIT_SD
-from roomfit.predict.campaign import predict_arguments
 from roomfit.predict.changes import read_change
 from roomfit.predict.split import doubted_walls, for_another_room, open_splits
 from roomfit.result import absorption_posterior
@@ -168,11 +168,11 @@ def test_a_state_that_was_not_fitted_is_predicted_with_the_splits_of_a_doubted_r
     campaign, areas = read_campaign(file, to_fit=False), np.array([130.0, 40.0, 40.0])
     own = {"fitted_states": fitted, "result_findings": (DISPLACED,)}
     known = replace(one_decay(**own), areas_m2=areas)
-    arguments = predict_arguments(campaign, known, state="turned", doubted=True)
-    found, scene = arguments["absorption"], arguments["scene"]
+    arguments = question_of(campaign, known, (), Wanted(state="turned", doubted=True))
+    found, scene = arguments.known, arguments.scene
     assert scene.pair_state.tolist() == [1] and found.draws.shape[1:] == (3, 2)
     for other in ({"result_findings": ()}, {"fitted_states": ("turned",)}):
-        sure = predict_arguments(campaign, replace(known, **other), state="turned")["absorption"]
+        sure = question_of(campaign, replace(known, **other), (), Wanted(state="turned")).known
         assert sure.draws is None and len(sure.bands) == 2
     draws = draw_absorption(sure, len(found.draws), np.random.default_rng(campaign.settings.seed))
     np.testing.assert_array_equal(found.draws[::2], draws[::2])
@@ -196,20 +196,20 @@ def test_other_walls_are_not_predicted_where_the_result_is_seriously_doubted(tmp
     of_one = Finding(Code.REFLECTION_DISAGREES, about, "", graded="serious")
     known = one_decay(fitted_states=("",), result_findings=(wrong, mild, of_one))
     known = replace(known, areas_m2=np.array([130.0, 40.0, 40.0]))
-    as_fitted = predict_arguments(campaign, known)["absorption"]
+    as_fitted = question_of(campaign, known).known
     assert as_fitted.bands.centres_hz.tolist() == [500.0, 1000.0]
     for changes, state in (([change], ""), ([], "turned")):
-        found = predict_arguments(campaign, known, changes, state=state)
-        assert found["absorption"].bands.centres_hz.tolist() == [1000.0]
-        (said,) = [f for f in found["absorption"].findings if f.code is Code.RESULT_DOUBTED]
+        found = question_of(campaign, known, changes, Wanted(state=state))
+        assert found.known.bands.centres_hz.tolist() == [1000.0]
+        (said,) = [f for f in found.known.findings if f.code is Code.RESULT_DOUBTED]
         assert said.about.bands_hz == (500.0,) and "decay-not-reproduced" in said.sentence
-        assert [(c.values, c.sds) for c in found["changes"]] == [((0.4,), (0.2,))] * len(changes)
-        whole = predict_arguments(campaign, known, changes, state=state, doubted=True)
-        assert len(whole["absorption"].bands) == 2 and whole["changes"] == tuple(changes)
+        assert [(c.values, c.sds) for c in found.changes] == [((0.4,), (0.2,))] * len(changes)
+        whole = question_of(campaign, known, changes, Wanted(state=state, doubted=True))
+        assert len(whole.known.bands) == 2 and whole.changes == tuple(changes)
     with pytest.raises(InputError, match="one value per predicted band") as refused:
-        predict_arguments(campaign, known, [read_change("curtain=0.3,0.4,0.5")])
+        question_of(campaign, known, [read_change("curtain=0.3,0.4,0.5")])
     assert "500, 1000 Hz" in str(refused.value)
     everywhere = replace(known, result_findings=(DISPLACED,))
     with pytest.raises(InsufficientDataError, match="seriously doubted") as refused:
-        predict_arguments(campaign, everywhere, [change])
+        question_of(campaign, everywhere, [change])
     assert "displacement-detected" in str(refused.value) and "--doubted" in str(refused.value)

@@ -11,9 +11,7 @@ import pytest
 
 from report_cases import answer_of, read_page, scene_of, texts_of
 from roomfit.files.results import result_content
-from roomfit.predict.decay import PredictedDecay
-from roomfit.predict.other_walls import Predicted
-from roomfit.predict.tables import PredictedPair, PredictedValue
+from roomfit.predict.prediction import Predicted, PredictedDecay, PredictedPair, PredictedValue
 from roomfit.report.answer import report_html, summary_sentences
 from roomfit.report.figures import decay_figure
 from roomfit.report.prediction_figures import predicted_decay_figure

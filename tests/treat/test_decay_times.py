@@ -348,25 +348,6 @@ def test_what_a_change_does_is_surer_the_larger_it_is_and_less_sure_in_flat_and_
     assert factor(usual, 0.3, 0.5, 2.0) == more
 
 
-def test_the_page_begins_with_the_sentence_that_is_printed_and_shows_a_covered_ceiling(
-    folder, monkeypatch, capsys
-):
-    """The ceiling is turned away from the viewer: its two triangles are drawn in front."""
-    out = command(monkeypatch, folder, "treat")
-    sentence = capsys.readouterr().out.splitlines()[0]
-    assert " m² panel on ceiling: T30 at mid frequencies falls from 1.10 s (measured)" in sentence
-    assert " to 0.80 s (0." in sentence
-    page = (out / "treatment.html").read_text()
-    assert f'<p class="lead">{sentence}</p>' in page
-    assert page.index("<svg") < page.index('<ul class="figures">') < page.index("<table")
-    known = prepared(folder)
-    panel = Product("panel", np.full(2, 0.9), np.full(2, 0.02), piece_m2=0.05)
-    found = treat(known, (Surface("ceiling"),), (panel,), (Target("T30_s", high=0.8),), number=1)
-    drawn = found.plot().axes[0].collections
-    seen = [len(c.get_paths()) for c in drawn if c.get_zorder() == 2.5]
-    assert seen == [2]
-
-
 def test_a_prediction_of_a_change_begins_with_what_was_measured_and_what_is_then(
     folder, monkeypatch, capsys
 ):
@@ -377,4 +358,3 @@ def test_a_prediction_of_a_change_begins_with_what_was_measured_and_what_is_then
     time = content["mean"]["T30_s"]
     said = f"to {np.mean(time['carried']):.2f} s ({np.mean(time['carried_lower95']):.2f} to "
     assert said in first
-    assert (out / "change.png").read_bytes()[:4] == b"\x89PNG"

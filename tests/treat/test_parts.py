@@ -9,7 +9,8 @@ import pytest
 
 import treat as benchmark
 from roomfit.base.bands import bands_between
-from roomfit.predict.other_walls import prepare_prediction
+from roomfit.predict.predict import prepare
+from roomfit.predict.question import Question
 from roomfit.settings import Settings
 from roomfit.signals.decay import jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES
@@ -37,7 +38,7 @@ def test_the_mean_by_area_is_within_a_third_of_a_jnd_of_the_divided_ceiling(cuts
             a[materials.index(f"strip{covered + 1}")] = benchmark.COVER
         known = benchmark.posterior(materials, a)
         assert len(known.bands) == len(bands_between("octave", 125, 4000))
-        room = prepare_prediction(scene, known, settings=Settings(n_rays=8000, n_draws=2))
+        room = prepare(Question(scene, known, settings=Settings(n_rays=8000, n_draws=2)))
         found[name] = np.mean([n.values for n in room.before], axis=0)[:, 2:5].mean(axis=1)
     rows = [VALUE_NAMES.index(n) for n in ("T30_s", "EDT_s", "C50_dB")]
     unit = np.array([float(jnd_of(VALUE_NAMES[r], found["divided"][r])) for r in rows])

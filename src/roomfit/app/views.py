@@ -38,6 +38,7 @@ from roomfit.files.encoding import (
 )
 from roomfit.files.exports import read_result_content
 from roomfit.files.inputs import check_campaign
+from roomfit.files.questions import Wanted
 from roomfit.files.remedies import advised, changed_since, is_file
 from roomfit.files.responses import SOUND_SUFFIXES, read_response
 from roomfit.files.responses.recordings import ResponseSpec
@@ -46,7 +47,6 @@ from roomfit.files.reverberation import read_decay_times
 from roomfit.files.rooms import read_mesh
 from roomfit.files.rooms.model import RoomSpec
 from roomfit.formats.model import UnchosenSpaceError
-from roomfit.predict.campaign import WantedPairs
 from roomfit.predict.changes import read_change
 from roomfit.report.room_figure import MOST_FACES, outline_m
 from roomfit.report.text import text
@@ -409,7 +409,7 @@ def treat(progress: Progress, folder: str, doubted: bool = False) -> str:
         result,
         root / project.TREATMENT_QUESTION,
         out,
-        wanted=WantedPairs(doubted=doubted),
+        wanted=Wanted(doubted=doubted),
         overwrite=True,
         progress=progress,
     )

@@ -17,20 +17,14 @@ from roomfit.app.treatment import treatment_view
 from roomfit.base.errors import InputError, InsufficientDataError
 from roomfit.base.findings import Code
 from roomfit.base.typing import Progress
-from roomfit.cli.predict import prepared_field
-from roomfit.files.campaign import Campaign, read_campaign
+from roomfit.files.campaign import read_campaign
 from roomfit.files.encoding import finding_content, numbers_or_null
+from roomfit.files.questions import Wanted, question_of, question_of_pairs
 from roomfit.files.results import read_result
-from roomfit.predict.campaign import predict_arguments
 from roomfit.predict.changes import Change, read_change
-from roomfit.predict.diffuse import NAME, PreparedField, predict_field
-from roomfit.predict.other_walls import (
-    PreparedRoom,
-    change_directions,
-    predict_change,
-    prepare_prediction,
-)
-from roomfit.predict.tables import PredictedValue, named_values
+from roomfit.predict.diffuse import NAME, PreparedField
+from roomfit.predict.predict import ChangingRoom, predict_change, prepare
+from roomfit.predict.prediction import PredictedValue, change_directions, named_values
 from roomfit.signals.iso3382 import ValueName
 from roomfit.treat.campaign import read_treatment, treat_arguments
 from roomfit.treat.question import USUAL_HZ
@@ -39,7 +33,7 @@ SHOWN = ("T20_s", "EDT_s", "C80_dB", "D50_percent", "STI")
 """Parameters that are shown, as far as they are predicted; from decay times alone T30."""
 _SHOWN_WITH = {"T30_s": "T20_s"}  # limits of the one stand in the picture of the other
 _LEAST_FACTOR = 0.5  # decays are followed as long as with so much of each material's absorption
-_ready: dict[str, tuple[tuple[float, ...], PreparedRoom | PreparedField]] = {}
+_ready: dict[str, tuple[tuple[float, ...], ChangingRoom]] = {}
 
 
 def what_if_prepare(progress: Progress, folder: str, doubted: bool = False) -> dict[str, Any]:
@@ -61,9 +55,7 @@ def what_if_prepare(progress: Progress, folder: str, doubted: bool = False) -> d
     if folder not in _ready or _ready[folder][0] != stamp:
         _ready.clear()
         try:
-            campaign = read_campaign(file, to_fit=False, decay_times=result is None)
-            field = None if result else prepared_field(campaign)
-            room = field or _traced(progress, campaign, known_by, doubted)
+            room = _prepared(progress, file, result and known_by, doubted)
         except InsufficientDataError as error:
             return {"refused": f"{error.what[0].upper()}{error.what[1:]}: {error.found}."}
         _ready[folder] = (stamp, room)
@@ -89,21 +81,17 @@ def what_if_prepare(progress: Progress, folder: str, doubted: bool = False) -> d
     }
 
 
-def _traced(progress: Progress, campaign: Campaign, result: Path, doubted: bool) -> PreparedRoom:
-    """Return the room of a result, traced for changes."""
+def _prepared(
+    progress: Progress, campaign_file: Path, result: Path | None, doubted: bool
+) -> ChangingRoom:
+    """Return a campaign's room ready for changes, by its result or its decay times."""
+    campaign = read_campaign(campaign_file, to_fit=False, decay_times=result is None)
+    if result is None:
+        return prepare(question_of(campaign))
     found = read_result(result)
-    harder = _harder(found.materials)
-    arguments = predict_arguments(campaign, found, harder, doubted=doubted)
-    known = arguments["absorption"]
-    room = prepare_prediction(
-        arguments["scene"],
-        known,
-        (_harder(known.materials),),
-        arguments["measurements"],
-        speech_db=arguments["speech_db"],
-        settings=arguments["settings"],
-        progress=progress,
-    )
+    question = question_of_pairs(campaign, found, _harder(found.materials), Wanted(doubted=doubted))
+    known = question.known
+    room = prepare(question, (_harder(known.materials),), progress=progress)
     # what a slider leaves as it was found is then known at its first move
     predict_change(room, [Change(known.materials[0], "factor", (1.0,))])
     return room
@@ -113,7 +101,7 @@ def _harder(materials: Sequence[str]) -> list[Change]:
     return [Change(name, "factor", (_LEAST_FACTOR,)) for name in materials]
 
 
-def prepared(folder: str) -> PreparedRoom | PreparedField:
+def prepared(folder: str) -> ChangingRoom:
     """Return the room that `what_if_prepare` has made ready last.
 
     Raises
@@ -142,7 +130,7 @@ def what_if(
         what_if_prepare(progress, folder, doubted)
     room, own = prepared(folder), [read_change(text) for text in changes]
     if isinstance(room, PreparedField):
-        predicted = predict_field(room, own)
+        predicted = predict_change(room, own)
         said = predicted.findings
     else:
         # nothing measured stands beside: means are over all pairs in every band
@@ -165,7 +153,7 @@ def what_if(
     }
 
 
-def _limits(file: Path, room: PreparedRoom | PreparedField) -> list[dict[str, Any]]:
+def _limits(file: Path, room: ChangingRoom) -> list[dict[str, Any]]:
     """Return the limits of a treatment file, each with the bands in which it holds."""
     if not file.is_file():
         return []

@@ -75,7 +75,7 @@ class Parser(argparse.ArgumentParser):
         self.flag("--doubted", text)
 
     def pairs(self) -> None:
-        """Add ``--pairs``, which `roomfit.predict.campaign.pair_choice` reads."""
+        """Add ``--pairs``, which `roomfit.files.questions.question_of` reads."""
         text = "all: every source with every receiver; campaign: the measured ones."
         self.option("--pairs", text, default="all")
 

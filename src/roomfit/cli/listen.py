@@ -18,10 +18,10 @@ from roomfit.cli.arguments import result_file
 from roomfit.cli.terminal import say
 from roomfit.files.campaign import read_campaign
 from roomfit.files.encoding import ResultFile
+from roomfit.files.questions import Wanted, question_of_pairs
 from roomfit.files.responses import read_response
 from roomfit.files.responses.recordings import ResponseSpec
 from roomfit.files.results import read_result
-from roomfit.predict.campaign import predict_arguments
 from roomfit.predict.changes import Change, read_change
 from roomfit.predict.listen import listen, with_dry_recording
 from roomfit.predict.output import listen_content
@@ -82,8 +82,10 @@ def listen_to_folder(
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
     found = read_result(absorption_file)
-    arguments = predict_arguments(campaign, found, changes, "campaign", state, doubted)
-    for doubt in arguments["absorption"].findings:
+    wanted = Wanted("campaign", state, doubted=doubted)
+    question = question_of_pairs(campaign, found, changes, wanted)
+    known = question.known
+    for doubt in known.findings:
         if doubt.code is Code.RESULT_DOUBTED:
             raise InsufficientDataError(
                 "a sound has every band, and other walls are not predicted in some",
@@ -91,13 +93,10 @@ def listen_to_folder(
                 needed="in every band, absorptions that no serious finding calls wrong",
                 hint="put right what the findings name, and identify again; or add --doubted",
             )
-    measured = [m for m in arguments["measurements"] if isinstance(m, Measurement)]
-    known, settings = arguments["absorption"], arguments["settings"]
+    measured = [m for m in question.measurements if isinstance(m, Measurement)]
     recorded = None if dry is None else _dry_pressure(dry, measured)
     with located(str(campaign_file)):
-        made, findings = listen(
-            arguments["scene"], known, changes, measured, settings=settings, progress=progress
-        )
+        made, findings = listen(question, progress=progress)
     sounds = [{"before": c.measurement.response.pressure, "after": c.samples} for c in made]
     content = listen_content(known.bands, changes, made, findings, files_read())
     content["dry_factor"] = None

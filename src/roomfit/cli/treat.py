@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import argparse
 import logging
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from roomfit.base.door import files_read, reading_noted
 from roomfit.base.errors import InputError, located
-from roomfit.base.findings import Finding
 from roomfit.base.typing import Progress, part
 from roomfit.base.whole_files import (
     check_output_folder,
@@ -20,18 +18,16 @@ from roomfit.base.whole_files import (
     write_text_atomically,
 )
 from roomfit.cli.arguments import result_file
-from roomfit.cli.predict import prepared_field
 from roomfit.cli.terminal import say
 from roomfit.design.campaign import design_arguments
 from roomfit.design.output import chosen_positions
 from roomfit.design.positions import design
 from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.encoding import ResultFile
+from roomfit.files.questions import Wanted, question_of
 from roomfit.files.results import read_result
-from roomfit.files.schema import TreatmentTable
-from roomfit.predict.campaign import WantedPairs, pair_choice, predict_arguments
 from roomfit.predict.changes import Change
-from roomfit.predict.other_walls import prepare_prediction
+from roomfit.predict.predict import ChangingRoom, prepare
 from roomfit.report.blocks import Blocks
 from roomfit.report.html import page
 from roomfit.report.progress import shown_progress
@@ -41,13 +37,13 @@ from roomfit.room.scene import wall_materials
 from roomfit.treat.arrangements import Treatment, treat
 from roomfit.treat.campaign import hardest_changes, read_treatment, treat_arguments
 from roomfit.treat.output import write_treatment
+from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 _LOG = logging.getLogger("roomfit")
 
 
 def run(options: argparse.Namespace) -> None:
-    pairs = pair_choice(options.pairs)
-    wanted = WantedPairs(pairs, options.state or "", doubted=options.doubted)
+    wanted = Wanted(options.pairs, options.state or "", doubted=options.doubted)
     with shown_progress("choosing what to hang") as progress:
         _, shown = treat_to_folder(
             options.campaign,
@@ -71,7 +67,7 @@ def treat_to_folder(
     treatment_file: Path,
     out: Path,
     *,
-    wanted: WantedPairs | None = None,
+    wanted: Wanted | None = None,
     overwrite: bool = False,
     png: bool = False,
     progress: Progress | None = None,
@@ -89,9 +85,11 @@ def treat_to_folder(
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
     table = read_treatment(treatment_file)
     covered = [Change(name, "factor", (1.0,)) for name in table.surfaces]
-    field = prepared_field(campaign, absorption_file, wanted, covered)
+    found = None if absorption_file is None else read_result(absorption_file)
+    question = question_of(campaign, found, covered, wanted)
+    room: ChangingRoom | None = None
     to_measure: tuple[str, ...] = ()
-    if field is not None:
+    if question.field is not None:
         if not campaign.has_room:
             raise InputError(
                 "a treatment of a room without walls",
@@ -100,20 +98,17 @@ def treat_to_folder(
                 needed="a table [room], so that there are surfaces to hang something on",
                 hint="add [room] with shoebox or file",
             )
-        asked, doubts = treat_arguments(treatment_file, table, field.absorption, field.scene)
-        with located(str(treatment_file)):
-            answer = treat(field, **asked, progress=progress)
-    elif absorption_file is not None:
-        answer, doubts = _treat_traced(
-            campaign,
-            absorption_file,
-            treatment_file,
-            table,
-            covered,
-            wanted,
-            part(progress, 0, 0.9),
-        )
-        to_measure = _what_to_measure(campaign, absorption_file, answer, part(progress, 0.9, 1.0))
+        with located(str(campaign_file)):
+            room = prepare(question)
+    known = question.known if room is None else room.absorption
+    asked, doubts = treat_arguments(treatment_file, table, known, question.scene)
+    with located(str(treatment_file)):
+        if room is None:
+            hardest = hardest_changes(asked, known.bands)
+            room = prepare(question, hardest, progress=part(progress, 0.0, 0.8))
+        answer = treat(room, **asked, progress=part(progress, 0.8, 0.9))
+    if found is not None and question.field is None:
+        to_measure = _what_to_measure(campaign, found, answer, part(progress, 0.9, 1.0))
     answer = replace(answer, findings=(*doubts, *answer.findings), to_measure=to_measure)
     shown = describe(answer)
     with whole_output_folder(out, overwrite=overwrite) as folder:
@@ -125,41 +120,12 @@ def treat_to_folder(
     return answer, shown
 
 
-def _treat_traced(
-    campaign: Campaign,
-    absorption_file: ResultFile,
-    treatment_file: Path,
-    table: TreatmentTable,
-    covered: Sequence[Change],
-    wanted: WantedPairs | None,
-    progress: Progress | None,
-) -> tuple[Treatment, tuple[Finding, ...]]:
-    """Return a treatment by the paths of the room, and what is in doubt about its standards."""
-
-    pairs, state, _, doubted = wanted or WantedPairs()
-    found = read_result(absorption_file)
-    given = predict_arguments(campaign, found, covered, pairs, state, doubted)
-    scene, known = given["scene"], given["absorption"]
-    asked, doubts = treat_arguments(treatment_file, table, known, scene)
-    with located(str(treatment_file)):
-        room = prepare_prediction(
-            scene,
-            known,
-            hardest_changes(asked, known.bands),
-            given["measurements"],
-            speech_db=given["speech_db"],
-            settings=given["settings"],
-            progress=part(progress, 0.0, 0.9),
-        )
-        return treat(room, **asked, progress=part(progress, 0.9, 1.0)), doubts
-
-
 # Of two pairs among few: the best of 200 leave intervals a tenth narrower at most, in 36 s not 6.
 _TO_MEASURE: dict[str, Any] = {"number": 2, "n_candidates": 30, "n_random": 1, "n_draws": 1}
 
 
 def _what_to_measure(
-    campaign: Campaign, absorption_file: ResultFile, answer: Treatment, progress: Progress | None
+    campaign: Campaign, found: AbsorptionPosterior, answer: Treatment, progress: Progress | None
 ) -> tuple[str, ...]:
     """Return pairs that tell most of the absorption, where a target hangs on that of a wall.
 
@@ -171,18 +137,18 @@ def _what_to_measure(
     if first.is_sure or not first.decisive or first.decisive[0][0] not in names:
         return ()
     try:
-        given = design_arguments(campaign, read_result(absorption_file), _TO_MEASURE)
-        found = design(**given, progress=progress)
+        given = design_arguments(campaign, found, _TO_MEASURE)
+        plan = design(**given, progress=progress)
     except InputError as error:
         _LOG.info("no measurement is proposed: %s", error.what)
         return ()
     lines = []
-    for source, source_m, receiver, receiver_m in chosen_positions(found):
+    for source, source_m, receiver, receiver_m in chosen_positions(plan):
         here, there = (", ".join(f"{x:.2f}" for x in at_m) for at_m in (source_m, receiver_m))
         lines.append(f"{source} at ({here}) m to {receiver} at ({there}) m")
-    index = found.materials.index(first.decisive[0][0])
-    before, after = found.widths[[0, -1], index].mean(axis=1)
-    unit = " m2" * (index >= len(wall_materials(found.scene.room)))
+    index = plan.materials.index(first.decisive[0][0])
+    before, after = plan.widths[[0, -1], index].mean(axis=1)
+    unit = " m2" * (index >= len(wall_materials(plan.scene.room)))
     lines.append(
         f"with these the 95 % interval of the absorption of {first.decisive[0][0]}, {before:.2f}"
         f"{unit} wide in the mean over the bands, is expected to be {after:.2f}{unit} wide"

@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roomfit.base.typing import FloatArray
+from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.fit.traced_room import TracedRoom
 from roomfit.model.reduced_rows import ReducedRows
+from roomfit.predict.prediction import PredictedDecay
 from roomfit.signals.decay import FIT_RANGES_DB
 from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.signals.speech import modulation_transfer, room_sti, room_sti_weights, sti_missing
@@ -16,18 +17,6 @@ from roomfit.signals.speech import modulation_transfer, room_sti, room_sti_weigh
 _PICTURE_POINTS = 160
 # Times are compared by their ratio, all else by the difference.
 RELATIVE = np.array([name in FIT_RANGES_DB for name in VALUE_NAMES])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PredictedDecay:
-    """Decay curves in dB relative to the whole energy, shape (n_bands, n_times)."""
-
-    time_s: FloatArray  # (n_times,), after emission
-    predicted_db: FloatArray
-    lower_db: FloatArray  # 95 % of the draws of absorption lie between these two
-    upper_db: FloatArray
-    measured_db: FloatArray | None = None  # NaN beyond its usable part
-    before_db: FloatArray | None = None  # before a change of materials
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,3 +149,33 @@ def changed_numbers(
         index = extrapolated_sti(before, now, base[1])
         sti = replace(sti, values=index[:1, None], draws=index[1:, None, None])
     return replace(before, values=values[0], draws=values[1:], noise_sd=noise_sd, sti=sti)
+
+
+def with_common_noise(
+    after: PairNumbers,
+    before: PairNumbers,
+    rows: ReducedRows,
+    absorption: FloatArray,
+    changed: FloatArray,
+    exchanged: BoolArray,
+) -> PairNumbers:
+    """Return the numbers of a pair after a change with what its noise has in common with before.
+
+    Shapes: `absorption, changed` (n_materials, n_bands), `exchanged` (n_materials,).
+    """
+    alike = rows.scatter_correlation(absorption, changed, exchanged)
+    sti = after.sti
+    if sti is not None and before.sti is not None:
+        # early against late energy, too, over all octaves
+        of_speech = alike[[VALUE_NAMES.index("D50_percent")]].mean(keepdims=True)
+        sti = replace(sti, common_noise=_common(before.sti, sti, of_speech))
+    return replace(after, common_noise=_common(before, after, alike), sti=sti)
+
+
+def _common(before: PairNumbers, after: PairNumbers, alike: FloatArray) -> FloatArray:
+    """Return the covariance of the noise of two states whose interference is alike."""
+    variance = before.noise_sd**2
+    steady = np.divide(
+        before.common_noise, variance, out=np.zeros_like(variance), where=variance > 0.0
+    )
+    return (steady + (1.0 - steady) * alike) * before.noise_sd * after.noise_sd

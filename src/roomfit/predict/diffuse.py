@@ -27,9 +27,13 @@ from roomfit.predict.diffuse_field import (
     field_posterior,
     mean_decay,
 )
-from roomfit.predict.other_walls import Predicted, change_findings
+from roomfit.predict.prediction import (
+    Predicted,
+    PredictedValue,
+    ValueChange,
+    change_findings,
+)
 from roomfit.predict.split import prior_dominated
-from roomfit.predict.tables import PredictedValue, ValueChange
 from roomfit.result import result_doubts
 from roomfit.room.scene import Scene
 from roomfit.settings import Settings

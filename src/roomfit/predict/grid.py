@@ -8,8 +8,7 @@ import numpy as np
 
 from roomfit.base.errors import InputError
 from roomfit.base.table import Column, Table
-from roomfit.predict.other_walls import Predicted
-from roomfit.predict.tables import named_values
+from roomfit.predict.prediction import Predicted, named_values
 from roomfit.room.scene import Point, Scene, is_clear_of_walls, pair_states
 
 MAPPED = ("T30_s", "EDT_s", "C80_dB", "D50_percent", "STI", "G_dB")

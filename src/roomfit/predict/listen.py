@@ -18,13 +18,12 @@ from roomfit.base.kernels import one_blas_thread
 from roomfit.base.typing import FloatArray, Progress
 from roomfit.fit.measurements import observe
 from roomfit.fit.traced_room import TracedRoom, trace_room
-from roomfit.predict.changes import Change, changed_draws
+from roomfit.predict.changes import changed_draws
+from roomfit.predict.question import Question
 from roomfit.result import result_doubts
-from roomfit.room.scene import Scene
-from roomfit.settings import Settings
 from roomfit.signals.measurement import MeasuredPair, Measurement
 from roomfit.signals.scaling import scaled_response
-from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
+from roomfit.uncertainty.posterior import draw_absorption
 
 # Ratios are means over a tenth of the time since the direct sound, and over 10 ms at most: of
 # decays of .3 and .6 s the mean over 20 ms is off by 0.1 dB.
@@ -83,21 +82,18 @@ def energy_ratio(
 
 @one_blas_thread
 def listen(
-    scene: Scene,
-    absorption: AbsorptionPosterior,
-    changes: Sequence[Change],
-    measurements: Sequence[Measurement],
-    *,
-    settings: Settings | None = None,
-    progress: Progress | None = None,
+    question: Question, *, progress: Progress | None = None
 ) -> tuple[tuple[ChangedResponse, ...], tuple[Finding, ...]]:
     """Return measured responses as they would be after a change of materials.
 
     At the most likely absorption before and after; what is not known of it is said by
-    `roomfit.predict`, not here. Level and clock are those of the files.
+    `roomfit.predict`, not here. Level and clock are those of the files; without changes the samples
+    come back as they are.
     """
-    settings = Settings() if settings is None else settings
+    scene, absorption, settings = question.scene, question.known, question.settings
+    changes = question.changes
     absorption.check_materials(scene.room.materials)
+    measurements = [m for m in question.measurements if isinstance(m, Measurement)]
     if not measurements:
         needed, hint = "[[measurements]] with a file", "roomfit predict needs no recordings"
         raise InputError("no measured response to change", found="none", needed=needed, hint=hint)

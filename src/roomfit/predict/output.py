@@ -16,13 +16,13 @@ from roomfit.base.typing import FloatArray
 from roomfit.base.whole_files import write_json_atomically, write_text_atomically
 from roomfit.files.encoding import finding_content, numbers_or_null, provenance
 from roomfit.predict.changes import Change, change_text
-from roomfit.predict.tables import PredictedValue, named_values
+from roomfit.predict.prediction import PredictedValue, named_values
 from roomfit.signals.iso3382 import ValueName
 from roomfit.signals.speech import sti_missing
 
 if TYPE_CHECKING:
     from roomfit.predict.listen import ChangedResponse
-    from roomfit.predict.other_walls import Predicted
+    from roomfit.predict.prediction import Predicted
 
 COLUMNS = (
     *("source", "receiver", "use", "parameter", "band_hz"),

@@ -11,10 +11,11 @@ from scipy.special import ndtri
 
 from roomfit.base.bands import Bands
 from roomfit.base.findings import Finding
-from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.base.typing import FloatArray
 from roomfit.fit.measurements import observe
 from roomfit.model.room_parameters import model_sd
-from roomfit.predict.decay import PairNumbers, PredictedDecay
+from roomfit.predict.decay import PairNumbers
+from roomfit.predict.prediction import PredictedDecay, PredictedPair, PredictedValue, ValueChange
 from roomfit.room.scene import Scene, pair_names
 from roomfit.signals.decay import FIT_RANGES_DB, DecayCurve, in_jnd
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
@@ -24,79 +25,6 @@ from roomfit.signals.speech import modulation_transfer, room_sti, sti_missing
 # Steps of equal probability by which noise widens every draw.
 _STEPS = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
 _RATIO = "ratio"  # of decay times
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ValueChange:
-    """One room parameter before a change, and what the change does; all of shape (n_bands,)."""
-
-    before: FloatArray  # at the most likely absorption as it was found
-    before_lower95: FloatArray  # where a measurement before the change is expected
-    before_upper95: FloatArray
-    # after over before of EDT, T20 and T30, after minus before of all else; the interval is that of
-    # the absorption alone, in which what is common to both cancels
-    change: FloatArray
-    change_lower95: FloatArray
-    change_upper95: FloatArray
-    # what was measured before, carried over by the change; a measurement after it is expected
-    # between the two, NaN where nothing was measured
-    carried: FloatArray
-    carried_lower95: FloatArray
-    carried_upper95: FloatArray
-
-
-# Of an energy: what is known of a level no better than by a factor of 2.
-_FACTOR, _FACTOR_DB = 2.0, 3.0103
-
-
-def is_undetermined(name: str, change: ValueChange) -> BoolArray:
-    """Return in which bands not even the sign of a change, or its size by a factor of 2, is known.
-
-    Of decay times, and of levels in dB; of others there is no factor, and nothing is said.
-    """
-    low, high = change.change_lower95, change.change_upper95
-    if name in FIT_RANGES_DB:
-        return np.asarray((low < 1.0) & (high > 1.0) & (high > _FACTOR * low))
-    return np.asarray((low < 0.0) & (high > 0.0) & (high > low + _FACTOR_DB) & name.endswith("_dB"))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PredictedValue:
-    """One room parameter in every band; all arrays of shape (n_bands,), NaN where unknown."""
-
-    predicted: FloatArray  # at the most likely absorption; the interval reaches to it at least
-    lower95: FloatArray  # a measurement is expected between these two, 95 of 100 times
-    upper95: FloatArray
-    sd_absorption: FloatArray  # part of the spread, from what is not known of the absorption
-    # part of the spread, from reflections that interfere, from the number of rays, and from the
-    # error that the model is granted
-    sd_rest: FloatArray
-    measured: FloatArray
-    # predicted minus measured in just noticeable differences; of a changed room what was predicted
-    # before the change, NaN where that is not known
-    jnd: FloatArray
-    mean_of_others: FloatArray  # over the other fitted measurements: a baseline
-    change: ValueChange | None = None  # where materials were changed
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PredictedPair:
-    """What is predicted between one source and one receiver; twice where it was measured twice."""
-
-    source: str
-    receiver: str
-    use: Use | None  # of its measurement; None where there is none
-    parameters: Mapping[ValueName, PredictedValue]
-    decay: PredictedDecay
-    sti: PredictedValue | None = None  # shape (1,), where the bands give it
-
-
-def named_values(
-    table: Mapping[ValueName, PredictedValue], sti: PredictedValue | None
-) -> dict[str, PredictedValue]:
-    """Return parameters by name, the speech transmission index last."""
-    named: dict[str, PredictedValue] = {str(name): v for name, v in table.items()}
-    return named | ({} if sti is None else {"STI": sti})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

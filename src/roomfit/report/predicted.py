@@ -15,7 +15,7 @@ from roomfit.base.findings import Code, Finding
 from roomfit.base.table import Cell, Table
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.files.encoding import finding_of
-from roomfit.predict.tables import PredictedValue, ValueChange, is_undetermined, named_values
+from roomfit.predict.prediction import PredictedValue, ValueChange, is_undetermined, named_values
 from roomfit.report.blocks import (
     Block,
     Blocks,
@@ -42,7 +42,7 @@ from roomfit.signals.speech import sti_missing
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from roomfit.predict.other_walls import Predicted
+    from roomfit.predict.prediction import Predicted
     from roomfit.room.scene import Scene
 
 

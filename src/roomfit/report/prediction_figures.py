@@ -11,8 +11,7 @@ from matplotlib.patches import Patch
 
 from roomfit.base.typing import FloatArray, IntArray
 from roomfit.predict.grid import MAPPED
-from roomfit.predict.other_walls import Predicted
-from roomfit.predict.tables import PredictedPair, named_values
+from roomfit.predict.prediction import Predicted, PredictedPair, named_values
 from roomfit.report.decay_times import mid_mean, mid_words
 from roomfit.report.figures import (
     LOWEST_DB,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from roomfit.base.table import Table
-from roomfit.predict.tables import named_values
+from roomfit.predict.prediction import named_values
 from roomfit.report.blocks import (
     Block,
     Blocks,

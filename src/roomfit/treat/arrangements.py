@@ -18,19 +18,20 @@ from roomfit.base.typing import BoolArray, FloatArray, Progress
 from roomfit.predict.decay import moved
 from roomfit.predict.diffuse import PreparedField, field_values, in_rows
 from roomfit.predict.other_walls import numbers_at
-from roomfit.predict.tables import PredictedValue, named_values, predicted_means
+from roomfit.predict.predict import ChangingRoom
+from roomfit.predict.prediction import PredictedValue, named_values
+from roomfit.predict.tables import predicted_means
 from roomfit.result import result_doubts
 from roomfit.room.scene import pair_names
 from roomfit.signals.iso3382 import VALUE_NAMES, ValueName
 from roomfit.treat.question import (
-    ChangingRoom,
+    Problem,
     Product,
-    Question,
     Surface,
     Target,
     is_time,
     limits_of,
-    question_of,
+    problem_of,
     rows_of,
     treated,
     treated_draws,
@@ -125,7 +126,7 @@ def treat(
     Raises
     ------
     InputError
-        See `question_of`; or the probability is out of range.
+        See `problem_of`; or the probability is out of range.
 
     Notes
     -----
@@ -137,20 +138,20 @@ def treat(
     """
     check_range("the probability of meeting a target", probability, 0.5, 0.99)
     in_words, room = _before_in_words(room), as_measured(room)
-    question = question_of(room, surfaces, products, targets)
+    problem = problem_of(room, surfaces, products, targets)
     known: dict[tuple[float, ...], _Outcome] = {}
 
     def best(margin: FloatArray, excluded: Sequence[BoolArray] = ()) -> _Outcome:
         # margins go to and fro between two arrangements, and an alternative may be one of them
-        found = best_arrangement(question, margin, excluded, most_cost)
+        found = best_arrangement(problem, margin, excluded, most_cost)
         key = tuple(found[0].tolist())
-        known[key] = known.get(key) or _outcome(question, *found, probability)
+        known[key] = known.get(key) or _outcome(problem, *found, probability)
         return known[key]
 
-    margin = np.zeros(len(question.target))
+    margin = np.zeros(len(problem.target))
     tried = [best(margin)]
     for _ in range(_MARGIN_ROUNDS if probability > 0.5 else 0):
-        margin = _margin(question, tried[-1], probability)
+        margin = _margin(problem, tried[-1], probability)
         tried.append(best(margin))
         if tried[-1] is tried[-2]:
             break
@@ -166,17 +167,17 @@ def treat(
         if progress is not None:
             progress(len(found) / number)
     found.sort(key=lambda one: one.cost)
-    bare = 0.0 * question.cost
-    nothing = known.get(tuple(bare.tolist())) or _outcome(question, bare, 0.0 * margin, probability)
-    before, _ = _of_targets(question, nothing.odds)
-    arrangements = tuple(_arrangement(question, one, before) for one in found)
+    bare = 0.0 * problem.cost
+    nothing = known.get(tuple(bare.tolist())) or _outcome(problem, bare, 0.0 * margin, probability)
+    before, _ = _of_targets(problem, nothing.odds)
+    arrangements = tuple(_arrangement(problem, one, before) for one in found)
     doubts = (
         *result_doubts(room.absorption, room.scene.room.findings),
         *_of_the_room(room, arrangements),
-        *_findings(question, arrangements, first, probability),
+        *_findings(problem, arrangements, first, probability),
     )
     return Treatment(
-        room.absorption.bands, question.targets, arrangements, bool(met), room, doubts,
+        room.absorption.bands, problem.targets, arrangements, bool(met), room, doubts,
         before=in_words, asked=probability,
     )  # fmt: skip
 
@@ -243,35 +244,35 @@ class _Outcome(NamedTuple):
 
 
 def _outcome(
-    question: Question, pieces: FloatArray, numbers: FloatArray, probability: float
+    problem: Problem, pieces: FloatArray, numbers: FloatArray, probability: float
 ) -> _Outcome:
     """Return what an arrangement does, with draws and odds of every row."""
     means, drawn = _means_and_draws(
-        question.room, treated(question, pieces), treated_draws(question, pieces)
+        problem.room, treated(problem, pieces), treated_draws(problem, pieces)
     )
-    rows = rows_of(question, drawn)
-    odds = _odds(question, means, numbers, rows)
-    missed = _missed(question, numbers, odds.mean(axis=0), probability)
-    return _Outcome(pieces, numbers, float(question.cost @ pieces), means, rows, odds, missed)
+    rows = rows_of(problem, drawn)
+    odds = _odds(problem, means, numbers, rows)
+    missed = _missed(problem, numbers, odds.mean(axis=0), probability)
+    return _Outcome(pieces, numbers, float(problem.cost @ pieces), means, rows, odds, missed)
 
 
-def _of_targets(question: Question, odds: FloatArray) -> tuple[FloatArray, float]:
+def _of_targets(problem: Problem, odds: FloatArray) -> tuple[FloatArray, float]:
     """Return the odds of each target in all its bands, (n_targets,), and of all targets."""
-    of, n = np.array(question.target), len(question.targets)
+    of, n = np.array(problem.target), len(problem.targets)
     each = np.array([np.mean(np.prod(odds[:, of == t], axis=1)) for t in range(n)])
     return each, float(np.mean(np.prod(odds, axis=1)))
 
 
-def _odds(question: Question, means: _Means, numbers: FloatArray, rows: FloatArray) -> FloatArray:
+def _odds(problem: Problem, means: _Means, numbers: FloatArray, rows: FloatArray) -> FloatArray:
     """Return the probability that each draw is measured within its limits, as `rows`."""
-    sd, ends = _rest_sd(question, means, numbers), limits_of(question)
-    drawn, low, high = (_in_logs(question, x) for x in (rows, *ends))
+    sd, ends = _rest_sd(problem, means, numbers), limits_of(problem)
+    drawn, low, high = (_in_logs(problem, x) for x in (rows, *ends))
     return np.asarray(np.nan_to_num(ndtr((high - drawn) / sd) - ndtr((low - drawn) / sd)))
 
 
-def _in_logs(question: Question, rows: FloatArray) -> FloatArray:
+def _in_logs(problem: Problem, rows: FloatArray) -> FloatArray:
     """Return decay times as logarithms, all else as it is: on this scale the rest is a sum."""
-    return np.where(is_time(question), np.log(np.maximum(rows, 1e-9)), rows)
+    return np.where(is_time(problem), np.log(np.maximum(rows, 1e-9)), rows)
 
 
 def _means_and_draws(
@@ -292,23 +293,23 @@ def _means_and_draws(
     return means, np.concatenate([drawn, index], axis=1)
 
 
-def _rest_sd(question: Question, means: _Means, numbers: FloatArray) -> FloatArray:
+def _rest_sd(problem: Problem, means: _Means, numbers: FloatArray) -> FloatArray:
     """Return of each row the spread that is not the absorption's, alike in all its bands.
 
     Of logarithms of decay times, as their intervals are widened: a time is never 0.
     """
     table = named_values(*means)
     own = [
-        np.broadcast_to(table[question.targets[t].parameter].sd_rest, question.weights.shape[1])
-        for t in question.target
+        np.broadcast_to(table[problem.targets[t].parameter].sd_rest, problem.weights.shape[1])
+        for t in problem.target
     ]
-    found = (question.weights * np.nan_to_num(own)).sum(axis=1)
+    found = (problem.weights * np.nan_to_num(own)).sum(axis=1)
     share = np.divide(found, numbers, out=np.zeros_like(found), where=numbers > 0.0)
-    found = np.where(is_time(question), np.sqrt(np.log1p(share**2)), found)
+    found = np.where(is_time(problem), np.sqrt(np.log1p(share**2)), found)
     return np.asarray(np.maximum(found, 1e-9))
 
 
-def _margin(question: Question, one: _Outcome, probability: float) -> FloatArray:
+def _margin(problem: Problem, one: _Outcome, probability: float) -> FloatArray:
     """Return by how much each row must keep its limits to meet them with some probability.
 
     The quantile of what may be measured, beside the likeliest number: draws are not symmetric
@@ -316,26 +317,26 @@ def _margin(question: Question, one: _Outcome, probability: float) -> FloatArray
     """
     rows = one.rows
     steps = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
-    sd = _rest_sd(question, one.means, one.numbers)
-    wide = _in_logs(question, rows)[:, None] + (steps / np.std(steps))[:, None] * sd
+    sd = _rest_sd(problem, one.means, one.numbers)
+    wide = _in_logs(problem, rows)[:, None] + (steps / np.std(steps))[:, None] * sd
     ends = np.quantile(wide.reshape(-1, rows.shape[1]), (1.0 - probability, probability), axis=0)
-    ends = np.where(is_time(question), np.exp(ends), ends)
-    low, high = limits_of(question)
+    ends = np.where(is_time(problem), np.exp(ends), ends)
+    low, high = limits_of(problem)
     below, above = np.nan_to_num((one.numbers - ends[0], ends[1] - one.numbers))
     wide = np.maximum(
         np.where(np.isfinite(low), below, -np.inf), np.where(np.isfinite(high), above, -np.inf)
     )
-    return np.asarray(wide + MET * scale_of(question))  # what the search lets pass is made up for
+    return np.asarray(wide + MET * scale_of(problem))  # what the search lets pass is made up for
 
 
-def _arrangement(question: Question, one: _Outcome, before: FloatArray) -> Arrangement:
-    pieces, (odds, joint) = one.pieces, _of_targets(question, one.odds)
-    materials = question.room.absorption.materials
+def _arrangement(problem: Problem, one: _Outcome, before: FloatArray) -> Arrangement:
+    pieces, (odds, joint) = one.pieces, _of_targets(problem, one.odds)
+    materials = problem.room.absorption.materials
     hung = []
     for c in np.flatnonzero(pieces):
-        m, area = question.surface[c], float(pieces[c] * question.piece_m2[c])
-        name = question.products[question.product[c]].name
-        hung.append(Hung(materials[m], name, area, area / float(question.areas_m2[m])))
+        m, area = problem.surface[c], float(pieces[c] * problem.piece_m2[c])
+        name = problem.products[problem.product[c]].name
+        hung.append(Hung(materials[m], name, area, area / float(problem.areas_m2[m])))
     return Arrangement(
         tuple(hung),
         one.cost,
@@ -344,23 +345,23 @@ def _arrangement(question: Question, one: _Outcome, before: FloatArray) -> Arran
         before,
         joint,
         one.missed,
-        _decisive(question, pieces, one.rows[:, np.array(question.target) == np.argmin(odds)]),
+        _decisive(problem, pieces, one.rows[:, np.array(problem.target) == np.argmin(odds)]),
         one.means[1],
     )
 
 
 def _missed(
-    question: Question, numbers: FloatArray, odds: FloatArray, probability: float
+    problem: Problem, numbers: FloatArray, odds: FloatArray, probability: float
 ) -> tuple[str, ...]:
     """Return in words what the likeliest prediction misses, or what is less likely than asked."""
-    low, high = limits_of(question)
+    low, high = limits_of(problem)
     short = odds < probability
     if probability <= 0.5:
-        short = excess(question, numbers, np.zeros(len(numbers))) > 0.0
+        short = excess(problem, numbers, np.zeros(len(numbers))) > 0.0
     lines = []
     for r in np.flatnonzero(short):
-        target = question.targets[question.target[r]]
-        at = question.room.absorption.bands.centres_hz[question.weights[r] > 0.0]
+        target = problem.targets[problem.target[r]]
+        at = problem.room.absorption.bands.centres_hz[problem.weights[r] > 0.0]
         limit = low[r] if numbers[r] < low[r] or np.isinf(high[r]) else high[r]
         found, needed = apart(numbers[r], limit, 2)
         line = f"{target.parameter} at {', '.join(f'{f:g}' for f in at)} Hz is {found}, "
@@ -382,15 +383,15 @@ def apart(value: float, other: float, decimals: int) -> tuple[str, str]:
 
 
 def _decisive(
-    question: Question, pieces: FloatArray, rows: FloatArray
+    problem: Problem, pieces: FloatArray, rows: FloatArray
 ) -> tuple[tuple[str, float], ...]:
     """Return whose absorption goes with the draws of some rows: largest squared correlations."""
-    room = question.room
-    used = sorted({question.product[c] for c in np.flatnonzero(pieces)})
-    names = [*room.absorption.materials, *(question.products[p].name for p in used)]
-    drawn = np.concatenate([room.draws, question.drawn[:, used]], axis=1)
+    room = problem.room
+    used = sorted({problem.product[c] for c in np.flatnonzero(pieces)})
+    names = [*room.absorption.materials, *(problem.products[p].name for p in used)]
+    drawn = np.concatenate([room.draws, problem.drawn[:, used]], axis=1)
     y = np.asarray(np.nanmean(rows, axis=1))
-    at = question.weights.sum(axis=0) > 0.0
+    at = problem.weights.sum(axis=0) > 0.0
     shares = []
     for i, name in enumerate(names):
         x = np.asarray(np.log(np.maximum(drawn[:, i][:, at], 1e-4)).mean(axis=1))
@@ -405,17 +406,17 @@ def _decisive(
 
 
 def _findings(
-    question: Question,
+    problem: Problem,
     arrangements: Sequence[Arrangement],
     first: _Outcome,
     probability: float,
 ) -> tuple[Finding, ...]:
     found = []
     if first.missed:
-        used = float((first.pieces * question.piece_m2).sum())
+        used = float((first.pieces * problem.piece_m2).sum())
         missed = first.missed
         likely = f" with a probability of {100.0 * probability:g} %" if probability > 0.5 else ""
-        free = sum(question.free_m2.values())
+        free = sum(problem.free_m2.values())
         sentence = (
             f"The targets cannot be met{likely} with these products on {free:.4g} m2: "
             f"{'; '.join(missed[:4])}. The arrangement shown misses least, with {used:.4g} m2."

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypedDict, cast
+from typing import Any, cast
 
 import numpy as np
 from pydantic import ValidationError
@@ -37,17 +37,6 @@ from roomfit.treat.standards import standard_target
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 
-class TreatArguments(TypedDict):
-    """What `roomfit.treat` takes beside the room."""
-
-    surfaces: tuple[Surface, ...]
-    products: tuple[Product, ...]
-    targets: tuple[Target, ...]
-    number: int
-    probability: float
-    most_cost: float
-
-
 def read_treatment(path: Path) -> TreatmentTable:
     """Read a treatment file."""
     return checked_treatment(path, read_toml(path, "treatment file"))
@@ -67,7 +56,7 @@ def checked_treatment(path: Path, content: Mapping[str, Any]) -> TreatmentTable:
 
 def treat_arguments(
     path: Path, table: TreatmentTable, known: AbsorptionPosterior, scene: Scene
-) -> tuple[TreatArguments, tuple[Finding, ...]]:
+) -> tuple[dict[str, Any], tuple[Finding, ...]]:
     """Return a treatment file as arguments, and what is in doubt about its standards."""
     surfaces = tuple(
         Surface(
@@ -106,7 +95,7 @@ def treat_arguments(
     }, tuple(findings)
 
 
-def hardest_changes(arguments: TreatArguments, bands: Bands) -> tuple[tuple[Change, ...], ...]:
+def hardest_changes(arguments: Mapping[str, Any], bands: Bands) -> tuple[tuple[Change, ...], ...]:
     """Return surfaces wholly of what absorbs least: so long is a decay to be followed."""
     least = np.min([p.absorption for p in arguments["products"]], axis=0)
     return tuple(

@@ -14,14 +14,11 @@ from roomfit.base.errors import InputError
 from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import logit_normal
 from roomfit.predict.diffuse import NAME, PreparedField
-from roomfit.predict.other_walls import PreparedRoom
+from roomfit.predict.predict import ChangingRoom
 from roomfit.room.scene import Scene, material_areas_m2, pair_states
 from roomfit.signals.decay import FIT_RANGES_DB
 from roomfit.signals.iso3382 import VALUE_NAMES, ValueName
 from roomfit.signals.speech import speech_bands, sti_missing
-
-# A room of known paths, or a diffuse field where no position is known.
-ChangingRoom = PreparedRoom | PreparedField
 
 # The speech transmission index is one number of all octaves from 125 Hz to 8 kHz.
 TargetName = Literal[ValueName, "STI"]
@@ -112,7 +109,7 @@ USUAL_HZ = (500.0, 1000.0, 2000.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Question:
+class Problem:
     """A prepared room, and the columns and rows of what is asked of it."""
 
     room: ChangingRoom
@@ -132,12 +129,12 @@ class Question:
     drawn: FloatArray  # (n_draws, n_products, n_bands)
 
 
-def question_of(
+def problem_of(
     room: ChangingRoom,
     surfaces: Sequence[Surface],
     products: Sequence[Product],
     targets: Sequence[Target],
-) -> Question:
+) -> Problem:
     """Return what is asked of a room, checked."""
     bands, areas = room.absorption.bands, _areas_m2(room.scene)
     others = [t for t in targets if t.parameter != NAME]
@@ -160,7 +157,7 @@ def question_of(
     if not weights:
         hint = "add [[targets]] to treatment.toml"
         raise InputError("no target is given", found="none", needed="one target or more", hint=hint)
-    return Question(
+    return Problem(
         room, tuple(products), tuple(targets), tuple(m for m, _, _ in columns),
         tuple(p for _, p, _ in columns), piece, np.array([n for _, _, n in columns]), cost, areas,
         free, tuple(of_row), np.array(weights), _product_draws(room, products),
@@ -256,28 +253,28 @@ def _product_draws(room: ChangingRoom, products: Sequence[Product]) -> FloatArra
     return np.stack(drawn, axis=1)
 
 
-def treated(question: Question, pieces: FloatArray) -> FloatArray:
+def treated(problem: Problem, pieces: FloatArray) -> FloatArray:
     """Return the absorption of the treated room, shape (..., n_materials, n_bands).
 
     Of a surface that is covered in part the mean by area: in the diffuse limit its energy.
 
     Shapes: `pieces` (..., n_columns).
     """
-    own = question.room.absorption.absorption
-    products = np.array([p.absorption for p in question.products])
-    return _covered(question, pieces, own, products)
+    own = problem.room.absorption.absorption
+    products = np.array([p.absorption for p in problem.products])
+    return _covered(problem, pieces, own, products)
 
 
-def treated_draws(question: Question, pieces: FloatArray) -> FloatArray:
+def treated_draws(problem: Problem, pieces: FloatArray) -> FloatArray:
     """Return draws of the same, with pieces of shape (n_columns,)."""
-    return _covered(question, pieces, question.room.draws, question.drawn)
+    return _covered(problem, pieces, problem.room.draws, problem.drawn)
 
 
 def _covered(
-    question: Question, pieces: FloatArray, own: FloatArray, products: FloatArray
+    problem: Problem, pieces: FloatArray, own: FloatArray, products: FloatArray
 ) -> FloatArray:
-    surface, product = np.array(question.surface), np.array(question.product)
-    share = pieces * question.piece_m2 / question.areas_m2[surface]
+    surface, product = np.array(problem.surface), np.array(problem.product)
+    share = pieces * problem.piece_m2 / problem.areas_m2[surface]
     shape = np.broadcast_shapes(own.shape, (*pieces.shape[:-1], 1, 1))
     absorption = np.array(np.broadcast_to(own, shape))
     for c in range(len(surface)):
@@ -286,22 +283,22 @@ def _covered(
     return np.clip(absorption, 0.0, 1.0)
 
 
-def rows_of(question: Question, values: FloatArray) -> FloatArray:
+def rows_of(problem: Problem, values: FloatArray) -> FloatArray:
     """Return the number of every row, shape (..., n_rows).
 
     Shapes: `values` (..., n_names + 1, n_bands).
     """
-    names = [TARGET_NAMES.index(question.targets[t].parameter) for t in question.target]
+    names = [TARGET_NAMES.index(problem.targets[t].parameter) for t in problem.target]
     picked = values[..., names, :]
-    return np.asarray(np.where(question.weights > 0.0, picked * question.weights, 0.0).sum(axis=-1))
+    return np.asarray(np.where(problem.weights > 0.0, picked * problem.weights, 0.0).sum(axis=-1))
 
 
-def limits_of(question: Question) -> tuple[FloatArray, FloatArray]:
+def limits_of(problem: Problem) -> tuple[FloatArray, FloatArray]:
     """Return the limits of every row, shape (n_rows,) each."""
-    own = [question.targets[t] for t in question.target]
+    own = [problem.targets[t] for t in problem.target]
     return np.array([t.low for t in own]), np.array([t.high for t in own])
 
 
-def is_time(question: Question) -> FloatArray:
+def is_time(problem: Problem) -> FloatArray:
     """Return of each row whether it is a decay time, whose inverse is linear in absorption."""
-    return np.array([question.targets[t].parameter in FIT_RANGES_DB for t in question.target])
+    return np.array([problem.targets[t].parameter in FIT_RANGES_DB for t in problem.target])

@@ -1,0 +1,119 @@
+"""Prediction of a room by its paths, or as a diffuse field where no position is known."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TypeAlias
+
+from roomfit.base.kernels import one_blas_thread
+from roomfit.base.typing import Progress, part
+from roomfit.predict.changes import Change
+from roomfit.predict.diffuse import PreparedField, predict_field, prepare_field
+from roomfit.predict.other_walls import PreparedRoom, predict_paths, prepare_paths
+from roomfit.predict.prediction import Predicted
+from roomfit.predict.question import Question
+
+ChangingRoom: TypeAlias = PreparedRoom | PreparedField
+
+
+def predict(question: Question, *, progress: Progress | None = None) -> Predicted:
+    """Predict the room parameters of every pair of a scene, with 95 % intervals.
+
+    The room is traced once; draws of the absorption weigh the same paths. An interval is where a
+    measurement is expected: it holds what is not known of the absorption, reflections that
+    interfere, the number of rays, and half a just noticeable difference for the model. It holds no
+    error of positions or of the geometry, and no spread of scattering or of the air.
+
+    With changes, the room is predicted before and after them with the same draws of all that stays
+    (`PredictedValue.change`): what is not known of both states cancels in what the change does, and
+    by this what was measured before is carried over. Where the interval of a change includes none,
+    its direction is not determined.
+
+    Of a diffuse field T30 alone is predicted, by its formula; what was measured is kept, and
+    carried over by the change.
+
+    Raises
+    ------
+    InputError
+        Other materials than the room's, a change that cannot be made, a position in a wall or
+        outside, or a measurement of a pair that is not predicted.
+
+    See Also
+    --------
+    prepare, predict_change : the same in two steps, the second in half a second.
+
+    Notes
+    -----
+    Parameters are those of ISO 3382-1:2009, and the speech transmission index of IEC
+    60268-16:2020 where the bands are the octaves from 125 Hz to 8 kHz.
+
+    Examples
+    --------
+    >>> import roomfit
+    >>> room = roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster")
+    >>> scene = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+    >>> measured = roomfit.MeasuredValues("S", "R", [1000.0], {"T20_s": [0.8]})
+    >>> octave, few = roomfit.bands_between("octave", 1000, 1000), roomfit.Settings(n_rays=2000)
+    >>> result = roomfit.identify(scene, [measured], bands=octave, settings=few)
+    >>> known = roomfit.absorption_posterior(result)
+    >>> predicted = roomfit.predict(roomfit.Question(scene, known, settings=few))
+    >>> time = predicted.pairs[0].parameters["T20_s"]
+    >>> bool(time.lower95[0] < time.predicted[0] < time.upper95[0])
+    True
+
+    ``roomfit.predict(roomfit.question_of(campaign, result))`` is what the command line does.
+    """
+    began, changes = time.perf_counter(), question.changes
+    room = prepare(question, (changes,), progress=part(progress, 0.0, 0.75 if changes else 1.0))
+    done = part(progress, 0.75, 1.0)
+    found = predict_change(room, changes, exact=True, progress=done)
+    return replace(found, seconds=time.perf_counter() - began)
+
+
+@one_blas_thread
+def prepare(
+    question: Question,
+    alternatives: Sequence[Sequence[Change]] = (),
+    *,
+    progress: Progress | None = None,
+) -> ChangingRoom:
+    """Trace and predict a room as it was found, ready for many changes by `predict_change`.
+
+    Decays are followed as long as with the hardest of the alternatives, each some changes that may
+    be asked for.
+    """
+    if question.field is not None:
+        return prepare_field(question.field, question.scene, question.absorption, question.settings)
+    return prepare_paths(question, alternatives, progress)
+
+
+@one_blas_thread
+def predict_change(
+    room: ChangingRoom,
+    changes: Sequence[Change] = (),
+    *,
+    exact: bool = False,
+    compare_pairs: bool = True,
+    progress: Progress | None = None,
+) -> Predicted:
+    """Predict a prepared room with changes, as `predict` does.
+
+    Parameters
+    ----------
+    room : PreparedRoom or PreparedField
+        From `prepare`.
+    changes : sequence of Change
+    exact : bool
+        From all paths, in seconds; else carried over from the room as it was found by few of them,
+        in half a second or less, and of bands that the last change had alike nothing anew: pictures
+        of decays are then those before.
+    compare_pairs : bool
+        Also what changes do to every pair by itself; else, sooner, what they do to the means. Where
+        nothing was measured interference is then taken to be another after the change, so that
+        intervals of changes are too wide.
+    """
+    if isinstance(room, PreparedField):
+        return predict_field(room, changes)
+    return predict_paths(room, changes, exact=exact, compare_pairs=compare_pairs, progress=progress)
