@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import logging
 import time
 from collections.abc import Sequence
@@ -12,12 +11,9 @@ import numpy as np
 
 from roomfit.base.air import speed_of_sound_m_s
 from roomfit.base.bands import Bands, bands_between
-from roomfit.base.errors import InputError, InsufficientDataError, RoomfitError
+from roomfit.base.errors import InputError, InsufficientDataError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.forks import (
-    at_once,
-    beside,
-    count_evaluation,
     counted_evaluations,
     in_this_process,
 )
@@ -51,14 +47,8 @@ from roomfit.fit.methods import (
     reasons,
 )
 from roomfit.fit.paths import TracedPaths, redirected, traced_paths, traced_with, trim_memory
-from roomfit.fit.solve import (
-    chosen_model,
-    coherent_answers,
-    coherent_task,
-    estimate_energies,
-)
+from roomfit.fit.solve import estimate_energies
 from roomfit.fit.symmetry import mirror_symmetries
-from roomfit.fit.trace_plan import is_coherent
 from roomfit.materials.priors import (
     MaterialPrior,
     are_specified,
@@ -68,7 +58,6 @@ from roomfit.materials.priors import (
     prior_logit_law,
 )
 from roomfit.model.patterns import Directivities
-from roomfit.pressures.fit import fit_coherent, initialise
 from roomfit.result import Result, with_objects_apart
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import (
@@ -80,7 +69,7 @@ from roomfit.room.scene import (
     shoebox_room,
     wall_materials,
 )
-from roomfit.settings import LEAST_SQUARES_METHODS, Model, Settings
+from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.signals.measurement import Measurement
 from roomfit.uncertainty.combinations import Combination, determined, inseparable_findings
@@ -161,10 +150,9 @@ def identify(
     priors = complete_priors(scene.room.materials, materials, bands)
     _check_objects(scene, priors)
     with counted_evaluations() as made:
-        ends = (0.02, 0.22, 0.49, 0.98) if scene.groups else (0.02, 0.45, 0.98, 0.98)
-        early, late, again = (part(progress, *x) for x in itertools.pairwise(ends))
-        used, traced = _traced(given.measured, priors, settings, early)
-        fits = _fits(given.measured, priors, traced, used, late)
+        middle = 0.49 if scene.groups else 0.98
+        early, again = part(progress, 0.02, middle), part(progress, middle, 0.98)
+        traced, fits = _fitted(given.measured, priors, settings, early)
         observed, traced, fits = _with_positions_examined(
             given, measurements, priors, (traced, fits), settings, again
         )
@@ -199,74 +187,24 @@ def _check_objects(scene: Scene, priors: tuple[MaterialPrior, ...]) -> None:
             )
 
 
-class _OtherModelError(Exception):
-    """A room is being traced for another model than that which was chosen meanwhile."""
-
-
-def _traced(
+def _fitted(
     measured: Measurements,
     priors: tuple[MaterialPrior, ...],
     settings: Settings,
     progress: Progress | None,
-) -> tuple[Settings, TracedPaths]:
-    """Return the settings with the chosen model, and the room traced for it.
+) -> tuple[TracedPaths, BandFits]:
+    """Return the room traced and the fits of all bands, by pressures where these explain more."""
+    start, refine = eyring_start(measured), _refinement(measured, priors, settings)
+    if settings.model != "energy":
+        from roomfit.pressures.choice import fit_by_pressures  # kernels of its own
 
-    In the one process that there may be, the model is chosen first. Beside another, the room is
-    meanwhile traced for the usual outcome, which is given up when another has come out.
-    """
-    start = eyring_start(measured)
-
-    def chosen() -> tuple[Model, int]:
-        with counted_evaluations() as own:  # asked for where another count runs
-            return chosen_model(measured, priors, start, settings), own[0]
-
-    def usual(fraction: float) -> None:
-        if choice.is_done() and choice.result()[0] != settings.model:
-            raise _OtherModelError
-        if progress is not None:
-            progress(fraction)
-
-    is_alone = at_once() == 1
-    with beside(chosen) as choice:
-        if not is_alone:
-            try:
-                with counted_evaluations() as made:
-                    traced = traced_paths(measured, priors, settings, start, usual)
-            except (_OtherModelError, RoomfitError):
-                if choice.result()[0] == settings.model:
-                    raise
-        model, evaluations = choice.result()
-    used = replace(settings, model=model)
-    count_evaluation(evaluations)
-    if not is_alone and used.model == settings.model:
-        count_evaluation(made[0])
-        return used, traced
-    return used, traced_paths(measured, priors, used, start, progress)
-
-
-def _fits(
-    measured: Measurements,
-    priors: tuple[MaterialPrior, ...],
-    traced: TracedPaths,
-    settings: Settings,
-    progress: Progress | None,
-) -> BandFits:
-    """Return the fits of all bands."""
-    start = eyring_start(measured)
-    pressures = is_coherent(measured.responses, settings) and (
-        traced.far_images or settings.model == "coherent"
-    )
-    refine = _refinement(measured, priors, settings)
-    _LOG.info("fitting %s", "pressures and energies" if pressures else "energies")
-    if not pressures:
-        return estimate_energies(measured, priors, traced, start, settings, refine, progress)
-    state = initialise(coherent_task(measured, priors, traced, start, settings), traced)
-    coherent = fit_coherent(state, traced, part(progress, 0.0, 0.75))
-    _LOG.info("finding confidence intervals")
-    fits = coherent_answers(coherent, settings, refine, part(progress, 0.75, 1.0))
-    del state, coherent  # with all bands, the most that is in memory
-    trim_memory()
-    return fits
+        found = fit_by_pressures(measured, priors, start, settings, refine, progress)
+        if found is not None:
+            return found
+    traced = traced_paths(measured, priors, settings, start, part(progress, 0.0, 0.45))
+    _LOG.info("fitting energies")
+    late = part(progress, 0.45, 1.0)
+    return traced, estimate_energies(measured, priors, traced, start, settings, refine, late)
 
 
 def _with_positions_examined(
@@ -296,9 +234,7 @@ def _with_positions_examined(
         range_db, patterns = settings.decay_range_db, measured.directivities
         observed = recorded(scene, measurements, measured.bands, patterns, range_db)
         measured = observed.measured
-        early, late = part(progress, 0.0, 0.45), part(progress, 0.45, 1.0)
-        used, traced = _traced(measured, priors, settings, early)
-        fits = _fits(measured, priors, traced, used, late)
+        traced, fits = _fitted(measured, priors, settings, progress)
         outline = _outline(measured, priors, traced, fits, offsets, moved_m)
     if outline is not None:
         fits = with_offsets(fits, outline, located(outline))

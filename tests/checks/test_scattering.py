@@ -15,7 +15,8 @@ from roomfit.files.campaign import read_campaign
 from roomfit.files.inputs import identify_arguments
 from roomfit.fit.measurements import collect_measurements
 from roomfit.fit.scattering import scattering_trial, tried_scattering
-from roomfit.fit.trace_plan import plan_trace
+from roomfit.fit.trace_plan import plan_trace, traced_s
+from roomfit.pressures.far_images import images_until_s
 from seen import of_scattering_trial
 from simulated_rooms.random_boxes import write_scattering_box
 
@@ -42,7 +43,8 @@ def test_smooth_walls_are_doubted_where_they_scatter_and_nowhere_else(
     measurements = collect_measurements(
         inputs["scene"], inputs["measurements"], inputs["bands"], inputs["directivities"]
     )
-    planned = plan_trace(measurements.scene, priors, 0.6, 0.4, settings, coherent=True)
+    far_s = images_until_s(measurements.scene, traced_s(0.6, 0.4), settings)
+    planned = plan_trace(measurements.scene, priors, 0.6, 0.4, settings, images_until_s=far_s)
     start = np.full(len(campaign.bands), 0.2)
     trial = scattering_trial(measurements, priors, settings, planned.settings, start)
     assert trial is not None

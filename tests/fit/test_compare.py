@@ -11,18 +11,14 @@ import roomfit
 from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import Bands, bands_between
 from roomfit.demo.boxes import SyntheticBox, pressure_response
-from roomfit.fit.compare import (
-    compare_all,
-    compare_pairs,
-    compared_values,
-    interference,
-)
+from roomfit.fit.compare import compare_all, compare_pairs, compared_values
 from roomfit.fit.measurements import Measurements, collect_measurements
 from roomfit.fit.paths import TracedPaths, traced_paths
 from roomfit.fit.traced_room import trace_room
 from roomfit.materials.priors import complete_priors
 from roomfit.model.binned import BinnedPaths
 from roomfit.model.weighing import EnergyRows
+from roomfit.pressures.far_images import interference
 from roomfit.room.scene import Scene
 from roomfit.settings import Settings
 from roomfit.signals.decay import PARAMETER_NAMES

@@ -12,8 +12,9 @@ from boxes_in_space import box_with_doors, room_with_doors, rotation
 from images_reference import BOX_MATERIALS, SPEED_M_S, box_room, scene_of
 from roomfit.base.findings import Code
 from roomfit.demo.boxes import SyntheticBox, box_images
-from roomfit.fit.trace_plan import TracePlan, plan_trace
+from roomfit.fit.trace_plan import TracePlan, plan_trace, traced_s
 from roomfit.materials.priors import MaterialPrior, Scattering, uniform_scattering
+from roomfit.pressures.far_images import has_every_order, images_until_s
 from roomfit.room.scene import Scene, shoebox_room
 from roomfit.room.scene import scene_of as named_scene
 from roomfit.settings import Settings
@@ -26,6 +27,14 @@ SOURCE, RECEIVER = [1.2, 1.5, 1.1], [4.1, 4.9, 1.6]
 ALPHA = np.array([0.1, 0.9, 0.02, 0.02, 0.9, 0.15])
 
 
+def far_plan(
+    scene: Scene, priors: tuple[MaterialPrior, ...], longest_s: float, settings: Settings
+) -> TracePlan:
+    """Return the plan of a fit of pressures."""
+    far_s = images_until_s(scene, traced_s(longest_s, longest_s), settings)
+    return plan_trace(scene, priors, longest_s, longest_s, settings, images_until_s=far_s)
+
+
 def plan(scattering: float, longest_s: float) -> TracePlan:
     """Return the plan of a partly coherent fit whose walls all scatter alike."""
     scene = scene_of(box_room(LENGTHS_M), [SOURCE], [RECEIVER])
@@ -33,7 +42,7 @@ def plan(scattering: float, longest_s: float) -> TracePlan:
         MaterialPrior(name, np.zeros(1), np.ones(1), scattering=np.array([scattering]))
         for name in BOX_MATERIALS
     )
-    return plan_trace(scene, priors, longest_s, longest_s, Settings(), coherent=True)
+    return far_plan(scene, priors, longest_s, Settings())
 
 
 def test_what_flutters_between_hard_walls_is_late_and_still_exact() -> None:
@@ -54,18 +63,14 @@ def test_what_flutters_between_hard_walls_is_late_and_still_exact() -> None:
     np.testing.assert_allclose(found[late].sum(), expected, rtol=1e-6)
 
 
-def test_no_window_ends_later_than_the_image_sources_of_a_smooth_box() -> None:
-    """They are as many as can be had: 60,000 a pair, by the volume of a ball.
-
-    Where walls scatter, rays bring what is later.
-    """
+def test_image_sources_of_a_box_reach_as_far_as_so_many_fill_a_ball() -> None:
+    """They are as many as can be had: 60,000 a pair."""
     for scattering in (0.0, 0.15):
         long = plan(scattering, 2.0)
         until_s = long.settings.image_until_s
         assert until_s is not None
         count = 4.0 / 3.0 * np.pi * (SPEED_M_S * until_s) ** 3 / np.prod(LENGTHS_M)
         np.testing.assert_allclose(count, 60_000, rtol=1e-6)
-        assert long.fit_until_s == (np.inf if scattering else until_s)
 
 
 def test_many_pairs_share_the_image_sources_that_fit_into_memory() -> None:
@@ -79,12 +84,12 @@ def test_many_pairs_share_the_image_sources_that_fit_into_memory() -> None:
     for n_receivers, expected in ((8, 60_000), (200, 20_000)):
         places = [[1.2 + 0.01 * i, 4.9, 1.6] for i in range(n_receivers)]
         scene = scene_of(room, [SOURCE], places)
-        until_s = plan_trace(scene, priors, 2.0, 2.0, Settings(), coherent=True)
+        until_s = far_plan(scene, priors, 2.0, Settings())
         reach_m = SPEED_M_S * (until_s.settings.image_until_s or 0.0)
         count = 4.0 / 3.0 * np.pi * reach_m**3 / np.prod(LENGTHS_M)
         np.testing.assert_allclose(count, expected, rtol=1e-6)
         # up to 0.37 s: 200,000 images a pair
-        alone = plan_trace(scene, priors, 0.35, 0.35, Settings(), coherent=True)
+        alone = far_plan(scene, priors, 0.35, Settings())
         assert (alone.settings.n_rays == 0) == (n_receivers == 8)
 
 
@@ -103,7 +108,7 @@ def plan_of(scene: Scene, scattering: float, longest_s: float, settings: Setting
     priors = tuple(
         MaterialPrior(name, np.zeros(1), np.ones(1), scattering=s) for name in scene.room.materials
     )
-    return plan_trace(scene, priors, longest_s, longest_s, settings, coherent=True)
+    return far_plan(scene, priors, longest_s, settings)
 
 
 @pytest.mark.parametrize("longest_s", [0.35, 2.0])
@@ -118,13 +123,10 @@ def test_a_turned_box_with_a_door_has_images_as_far_as_one_that_is_typed(
     )
     assert (typed.settings.n_rays == 0) == (scattering == 0.0 and longest_s < 1.0)
     for plan in (typed, turned):
-        assert plan.far_images
+        assert has_every_order(plan.settings)
         assert plan.settings.image_order == typed.settings.image_order
         assert (plan.settings.n_rays == 0) == (typed.settings.n_rays == 0)
-    reaches = [
-        (p.settings.image_until_s or np.inf, p.fit_until_s, p.settings.duration_s)
-        for p in (typed, turned)
-    ]
+    reaches = [(p.settings.image_until_s or np.inf, p.settings.duration_s) for p in (typed, turned)]
     np.testing.assert_allclose(*reaches, rtol=1e-9)
     assert turned.settings.keep_image_transforms and not typed.settings.keep_image_transforms
 
@@ -132,7 +134,7 @@ def test_a_turned_box_with_a_door_has_images_as_far_as_one_that_is_typed(
 def test_a_box_of_very_many_triangles_is_traced_by_rays_after_the_first_orders() -> None:
     """Each hit on a wall with a door would be looked up among all triangles of the wall."""
     found = plan_of(turned_scene(), 0.0, 0.35, Settings(most_triangles_for_images=20))
-    assert found.settings.image_order == 3 and found.settings.n_rays > 0 and not found.far_images
+    assert found.settings.image_order == 3 and found.settings.n_rays > 0
 
 
 def test_walls_that_scatter_ask_for_more_rays() -> None:

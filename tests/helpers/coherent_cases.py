@@ -9,7 +9,6 @@ from scipy.sparse import csr_array
 
 from roomfit.base.air import Air
 from roomfit.base.bands import Bands
-from roomfit.fit.solve import decided
 from roomfit.fit.systematics import inflated_by_adjacent_bands
 from roomfit.materials.priors import uniform_scattering
 from roomfit.model.binned import BinnedPaths, bin_paths, in_band
@@ -22,6 +21,7 @@ from roomfit.model.energy import (
 from roomfit.model.parameters import Block, Parameters
 from roomfit.model.problem import Objective
 from roomfit.model.windows import window_edges_s
+from roomfit.pressures.choice import decided
 from roomfit.pressures.data_term import CoherentTerm, coherent_term
 from roomfit.pressures.fit import (
     CoherentFit,

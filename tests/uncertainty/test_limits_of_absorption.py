@@ -10,8 +10,8 @@ import pytest
 from roomfit.base.air import Air
 from roomfit.base.bands import bands_between
 from roomfit.base.errors import InputError
-from roomfit.fit.solve import prior_speed_sd
 from roomfit.predict.changes import Change, changed_draws
+from roomfit.pressures.geometry import prior_speed_sd
 from roomfit.settings import Settings
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 

@@ -108,7 +108,6 @@ class Code(StrEnum):
     SCATTERING_ASSUMED = "scattering-assumed", "info"
     BROAD_PRIOR_ASSUMED = "broad-prior-assumed", "info"
     PRODUCT_ASSUMED = "product-assumed", "info"
-    FEW_IMAGE_SOURCES = "few-image-sources", "info"
     FEW_CANDIDATES = "few-candidates", "info"
     ON_SYMMETRY_PLANE = "on-symmetry-plane", "warning"
 

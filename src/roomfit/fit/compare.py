@@ -12,11 +12,9 @@ from roomfit.base.bands import Bands
 from roomfit.base.forks import in_forks
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.fit.measurements import Measurements
-from roomfit.model.binned import BinnedPaths, pair_energies, rows_at
+from roomfit.model.binned import BinnedPaths, pair_energies
 from roomfit.model.observation import spread_over_time
 from roomfit.model.room_parameters import predicted_values
-from roomfit.model.weighing import power_table, window_of_rows
-from roomfit.pressures.response import energy_of_pressures, root_energies
 from roomfit.result import Compared, ComparedPair, Decay
 from roomfit.room.scene import Scene, distances_m, pair_names
 from roomfit.signals.decay import (
@@ -166,42 +164,12 @@ def predicted_curve(
     energy = pair_energies(binned, bands, pair, absorption, attenuation_per_m(scene.air, bands))
     energy = spread_over_time(bands, energy)
     if by_pressures is not None and by_pressures.any():
+        from roomfit.pressures.far_images import interference  # kernels of its own
+
         added = interference(scene, bands, binned, pair, absorption, by_pressures)
         energy = np.maximum(energy + added, 0.0)
     direct_s = float(distances_m(scene)[pair]) / speed_of_sound_m_s(scene.air)
     return echogram_decay_curve(bands, energy, binned.edges_s, direct_s)
-
-
-def interference(
-    scene: Scene,
-    bands: Bands,
-    binned: BinnedPaths,
-    pair: int,
-    absorption: FloatArray,
-    chosen: BoolArray,
-) -> FloatArray:
-    """Return what the pressures of image sources add to their energies, shape (n_bands, n_bins).
-
-    In the unit of path energies, over time as the filters show them; less than 0 where pressures
-    cancel, and 0 in a band that is not chosen. Images arrive when their lengths say, and walls turn
-    no phase. Rays, which stand for what has no image, add energies alone.
-
-    Shapes: `absorption` (n_materials, n_bands), `chosen` (n_bands,).
-    """
-    edges_s, found = binned.edges_s, np.zeros((len(bands), binned.edges_s.size - 1))
-    speed_m_s, air_per_m = speed_of_sound_m_s(scene.air), attenuation_per_m(scene.air, bands)
-    for band in np.flatnonzero(chosen):
-        one = Bands(bands.kind, bands.centres_hz[band : band + 1])
-        rows = rows_at(binned, bands.centres_hz[band])[pair]
-        image = np.flatnonzero(rows.batch < 0).astype(np.int32)
-        length_m = rows.length_m[image]
-        weight = rows.weight_per_m2[image] * np.exp(-air_per_m[band] * length_m)
-        powers = power_table(np.sqrt(1.0 - absorption[:, band])[None], rows.max_hits)[0]
-        roots = root_energies(weight, image, rows.hits, powers)
-        together = energy_of_pressures(length_m / speed_m_s, roots, edges_s, one)
-        alone = np.bincount(window_of_rows(rows)[image], roots**2, edges_s.size - 1).astype(float)
-        found[band] = together - spread_over_time(one, alone[None])[0]
-    return found
 
 
 def _decay(measured: DecayCurve, predicted: DecayCurve) -> Decay:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from roomfit.base.findings import Finding
@@ -20,18 +20,14 @@ from roomfit.fit.scattering import (
     specified_scattering,
     tried_scattering,
 )
-from roomfit.fit.trace_plan import TracePlan, is_coherent, plan_trace, planned_trace
+from roomfit.fit.trace_plan import plan_trace, planned_trace
 from roomfit.materials.priors import MaterialPrior
 from roomfit.model.binned import BinnedPaths, bin_paths, reweighed
 from roomfit.model.directivity import FittedDirectivity
 from roomfit.model.patterns import directivity_factors
-from roomfit.room.scene import Scene, wall_materials
+from roomfit.room.scene import wall_materials
 from roomfit.settings import Settings
-from roomfit.tracing.image_sources import trace_images
-from roomfit.tracing.paths import Paths, TraceSettings, concatenate, select
-
-Retrace = Callable[[Scene], tuple[Paths, FloatArray | None, BinnedPaths]]
-"""Traces a scene whose positions have moved: paths, their factors in each band, the same binned."""
+from roomfit.tracing.paths import Paths, TraceSettings
 
 
 def trim_memory() -> None:
@@ -51,12 +47,6 @@ class TracedPaths:
     scattering: FloatArray  # (n_materials, n_bands)
     # (n_materials,), standard deviation that these have in common, 0 where it was specified
     scattering_sd: FloatArray
-    # whether image sources of every order reach far enough to be added as pressures
-    far_images: bool
-    fit_until_s: float  # no window of a partly coherent fit ends later
-    # gives paths, factors and bins with the image sources found anew where sources and receivers
-    # have moved; None where all images stay, as in a box, or too few are known
-    again: Retrace | None
     findings: tuple[Finding, ...]  # of the plan, rays and their weights
     chosen_scattering: tuple[ChosenScattering, ...] = ()  # where it was not specified
     scattering_trial: ScatteringTrial | None = None  # of walls specified as smooth
@@ -93,37 +83,13 @@ def traced_with(traced: TracedPaths) -> dict[str, float]:
     return used | {"scattering_groups": len(traced.paths.sampling_scattering)}
 
 
-def _finder(
-    measurements: Measurements, plan: TracePlan, paths: Paths, scattering: FloatArray
-) -> Retrace | None:
-    """Return what finds the image sources of moved points, with the rays of the first trace."""
-    settings, bands = plan.settings, measurements.bands
-    until_s = settings.image_until_s
-    if not settings.n_rays:
-        until_s = until_s or settings.duration_s
-    # of a box with one surface a wall, images strike the same walls wherever the points move
-    if until_s is None or measurements.scene.room.shoebox_m is not None:
-        return None
-    rays = select(paths, paths.batch >= 0)
-
-    def again(moved: Scene) -> tuple[Paths, FloatArray | None, BinnedPaths]:
-        images = trace_images(
-            moved, settings.image_order, until_s, plan.scattering, with_image_transforms=True
-        )
-        both = concatenate([images, rays])
-        factors, _ = band_factors(measurements.directivities, moved, bands, both, scattering)
-        binned = bin_paths(moved, bands, both, settings.duration_s, factors)
-        return both, factors, binned
-
-    return again
-
-
 def traced_paths(
     measurements: Measurements,
     priors: tuple[MaterialPrior, ...],
     settings: Settings,
     start: FloatArray,
     progress: Progress | None,
+    images_until_s: float | None = None,
 ) -> TracedPaths:
     """Trace every measured pair for as long as its decay is to be compared.
 
@@ -131,8 +97,8 @@ def traced_paths(
     """
     scene, bands = measurements.scene, measurements.bands
     slowest_s, latest_s = time_scales(measurements)
-    coherent = is_coherent(measurements.responses, settings)
-    plan = plan_trace(scene, priors, slowest_s, latest_s, settings, coherent=coherent)
+    timing = slowest_s, latest_s
+    plan = plan_trace(scene, priors, *timing, settings, images_until_s=images_until_s)
     priors, assumed_sd, assumed = assumed_scattering(
         measurements, priors, settings, plan.settings, start
     )
@@ -141,15 +107,7 @@ def traced_paths(
     )
     tried: ScatteringTrial | None = None
     if assumed or chosen:
-        plan = plan_trace(
-            scene,
-            priors,
-            slowest_s,
-            latest_s,
-            settings,
-            coherent=coherent,
-            images_until_s=plan.settings.image_until_s,
-        )
+        plan = plan_trace(scene, priors, *timing, settings, images_until_s=images_until_s)
     else:
         trial = None
         if not settings.quick:
@@ -172,9 +130,6 @@ def traced_paths(
         factors,
         scattering,
         assumed_sd + chosen_sd,
-        plan.far_images,
-        plan.fit_until_s,
-        _finder(measurements, plan, paths, scattering),
         (*plan.findings, *found.findings, *degenerate),
         tuple(c for c in (assumed, chosen) if c is not None),
         tried,

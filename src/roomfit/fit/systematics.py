@@ -95,34 +95,6 @@ def _prior_covariance(priors: tuple[MaterialPrior, ...], band: int) -> FloatArra
     return np.asarray(prior_logit_law(priors)[1][band][np.ix_(leader, leader)])
 
 
-def with_both_intervals(best: BandEstimate, other: BandEstimate) -> BandEstimate:
-    """Return an answer whose intervals contain those of another model, too."""
-    lower = np.minimum(best.lower95, other.lower95)
-    upper = np.maximum(best.upper95, other.upper95)
-    sure = best.identifiable & other.identifiable & (upper - lower <= WIDEST_IDENTIFIABLE)
-    middle = logit(best.absorption, _LEAST)
-    reach = np.maximum(logit(upper, _LEAST) - middle, middle - logit(lower, _LEAST)) / Z95
-    sd = np.sqrt(np.diagonal(best.logit_covariance))
-    # draws for a prediction must spread as far as the intervals
-    sd_scale = np.where(sd > 0.0, np.maximum(reach, sd) / np.where(sd > 0.0, sd, 1.0), 1.0)
-    return replace(
-        best,
-        lower95=lower,
-        upper95=upper,
-        draws=_half_each(best.draws, other.draws),
-        identifiable=sure,
-        logit_covariance=best.logit_covariance * np.outer(sd_scale, sd_scale),
-    )
-
-
-def _half_each(one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
-    """Return as many draws, in turn from either law."""
-    if one is None or other is None:
-        return None
-    from_other = (np.arange(len(one)) % 2 == 1)[:, None]
-    return np.where(from_other, other[: len(one)], one)
-
-
 def widened(answer: BandEstimate, covariance: FloatArray) -> BandEstimate:
     """Return the answer with an error of its logits added, of a covariance (n_materials,) square.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,9 +16,8 @@ from roomfit.materials.priors import MaterialPrior, Scattering, sampling_scatter
 from roomfit.model.scattering import effective_fractions, sampling_groups
 from roomfit.room.mesh import box_of, surface_area_m2, volume_m3
 from roomfit.room.scene import Room, Scene, material_areas_m2
-from roomfit.settings import LEAST_SQUARES_METHODS, Settings
-from roomfit.signals.measurement import MeasuredPair
-from roomfit.tracing.image_sources import affordable_duration_s, affordable_order
+from roomfit.settings import Settings
+from roomfit.tracing.image_sources import affordable_order
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.rays import Trace, expected_paths, path_bytes
 from roomfit.tracing.trace import fitting_radii_m, trace
@@ -48,10 +46,6 @@ def planned_trace(
 
 
 _IMAGE_ORDER, _ANY_ORDER = 3, 1000
-# A partly coherent fit asks for image sources as far as its windows go, if they can be had; in a
-# box, where they cost little, as far as energies are compared.
-_COHERENT_UNTIL_S = 0.22
-_LEAST_COHERENT_S = 0.03
 # In a room where they suffice rays are so many, and fewer beside image sources of every order where
 # no wall scatters: there they bring only what is late, where interference does more to a window
 # than a Monte-Carlo error of 5 to 8 %.
@@ -65,8 +59,8 @@ _MODEL_ERROR, _BANDWIDTH_HZ = 0.2, 2828.0
 _OF_THE_DATA, _CROSSINGS_AS_ONE = 1.0 / 3.0, 5.0
 # A trace takes about twice the memory of its paths.
 _MOST_PATH_BYTES = 480e6
-# Image sources of all pairs together, where there is nothing else, and for pressures: 1 GB.
-_MOST_IMAGES_OF_ALL, _MOST_COHERENT_OF_ALL = 10e6, 4e6
+# Image sources of all pairs together, where there is nothing else.
+_MOST_IMAGES_OF_ALL = 10e6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,9 +70,6 @@ class TracePlan:
     settings: TraceSettings
     scattering: Scattering
     findings: tuple[Finding, ...]
-    # whether image sources of every order reach far enough to be added as pressures
-    far_images: bool = False
-    fit_until_s: float = np.inf  # no window of a partly coherent fit ends later
 
 
 def plan_trace(
@@ -88,14 +79,12 @@ def plan_trace(
     latest_window_s: float,
     settings: Settings,
     *,
-    coherent: bool = False,
     images_until_s: float | None = None,
 ) -> TracePlan:
     """Choose how to trace.
 
     A box whose walls do not scatter is done by image sources alone, which are exact; every other
-    room by image sources for the first orders and rays for the rest. For a partly coherent fit
-    there are image sources of every order for as long as they can be enumerated. Sound is followed
+    room by image sources for the first orders and rays for the rest. Sound is followed
     until the slowest band has fallen by 45 dB, so that T30 can be predicted. Where scattering
     differs between bands, rays are divided among as few groups of bands as
     `roomfit.model.scattering.sampling_groups` asks for.
@@ -109,9 +98,9 @@ def plan_trace(
     rays fill. The number of rays follows, divided by the least effective fraction of any band at
     that time, up to what fits into 1 GB, with a finding where that is less.
 
-    Image sources are so many a pair as the settings say, and 4 million of all pairs together for
-    pressures, 10 million where there is nothing else: of 200 pairs each has 20,000, which is .2 s
-    of a room of 70 m³.
+    Where they are all there is, image sources are so many a pair as the settings say, and 10
+    million of all pairs together. With `images_until_s` there are image sources of every order for
+    so long, where 0 is none, and they can be moved; see `roomfit.pressures`.
     """
     findings = []
     unspecified = [k.name for k in priors if k.scattering is None]
@@ -127,12 +116,12 @@ def plan_trace(
         )
     specified = [sampling_scattering(k) for k in priors]
     s = [settings.default_scattering if t is None else t for t in specified]
-    duration_s = max(0.75 * longest_decay_s, latest_window_s) + 0.01
+    duration_s = traced_s(longest_decay_s, latest_window_s)
     scattering, fraction = _sampled_scattering(scene, priors, np.array(s), duration_s, settings)
     reach_m = speed_of_sound_m_s(scene.air) * duration_s
     n_images = 4.0 / 3.0 * np.pi * reach_m**3 / volume_m3(scene.room.mesh)
-    in_lattice = _in_lattice(scene.room, settings)
-    smooth_box = in_lattice and not np.any(scattering.coefficients)
+    is_box = in_lattice(scene.room, settings)
+    smooth_box = is_box and not np.any(scattering.coefficients)
     images_alone = smooth_box and n_images <= min(
         settings.most_images, _MOST_IMAGES_OF_ALL / len(scene.pairs)
     )
@@ -142,33 +131,31 @@ def plan_trace(
         image_order=_ANY_ORDER if images_alone else _IMAGE_ORDER,
         seed=settings.seed,
         # what images need to be moved follows from their directions in a box along the axes
-        keep_image_transforms=coherent and scene.room.shoebox_m is None,
+        keep_image_transforms=images_until_s is not None and scene.room.shoebox_m is None,
     )
-    until_s = 0.0
-    if coherent and not images_alone:
-        until_s = images_until_s or _images_until_s(scene, duration_s, settings)
+    until_s = 0.0 if images_alone or images_until_s is None else images_until_s
     if until_s > 0.0:
         fineness = replace(
             fineness,
             image_order=_ANY_ORDER,
             image_until_s=until_s,
         )
-    elif coherent and not images_alone:
-        findings.append(_few_images())
-    if until_s == 0.0 and not in_lattice:
+    if until_s == 0.0 and not is_box:
         order = affordable_order(scene, _IMAGE_ORDER, duration_s)
         fineness = replace(fineness, image_order=order)
-    far_images = images_alone or until_s > 0.0
     if not images_alone:
         beside_images = until_s > 0.0 and not np.any(scattering.coefficients)
         fineness, few = _with_rays(scene, fineness, fraction, settings, beside_images=beside_images)
         findings += few
-    # what is left in a smooth box travels between two hard walls along paths that few rays find
-    fit_until_s = until_s if smooth_box and until_s > 0.0 else np.inf
-    return TracePlan(fineness, scattering, tuple(findings), far_images, fit_until_s)
+    return TracePlan(fineness, scattering, tuple(findings))
 
 
-def _in_lattice(room: Room, settings: Settings) -> bool:
+def traced_s(longest_decay_s: float, latest_window_s: float) -> float:
+    """Return how long sound is followed."""
+    return max(0.75 * longest_decay_s, latest_window_s) + 0.01
+
+
+def in_lattice(room: Room, settings: Settings) -> bool:
     """Whether image sources form a lattice, and few triangles have to be looked up on a wall."""
     few = len(room.mesh.triangles) <= settings.most_triangles_for_images
     return room.shoebox_m is not None or (few and box_of(room.mesh) is not None)
@@ -238,40 +225,3 @@ def _with_rays(
             {"needed": math.ceil(needed), "n_rays": affordable, "times_wanted_error": larger},
         ),
     )
-
-
-def _few_images() -> Finding:
-    return Finding(
-        Code.FEW_IMAGE_SOURCES,
-        About(),
-        "The room has too many walls to follow image sources of every order for "
-        f"{1000 * _LEAST_COHERENT_S:g} ms: energies are compared, unless the campaign asks for "
-        "pressures.",
-    )
-
-
-def _images_until_s(scene: Scene, duration_s: float, settings: Settings) -> float:
-    """Return how long image sources of every order can be had; 0 where it is not worth while."""
-    c = speed_of_sound_m_s(scene.air)
-    volume = volume_m3(scene.room.mesh)
-    n_images = min(settings.most_coherent_images, _MOST_COHERENT_OF_ALL / len(scene.pairs))
-    affordable_s = (n_images * volume * 0.75 / np.pi) ** (1.0 / 3.0) / c
-    longest_s = min(duration_s, float(affordable_s))
-    if not _in_lattice(scene.room, settings):
-        if len(scene.room.mesh.triangles) > settings.most_triangles_for_images:
-            return 0.0
-        longest_s = affordable_duration_s(scene, min(longest_s, _COHERENT_UNTIL_S))
-    return longest_s if longest_s >= _LEAST_COHERENT_S else 0.0
-
-
-def is_coherent(measured: Sequence[MeasuredPair], settings: Settings) -> bool:
-    """Whether responses are to be fitted with image sources as coherent as their times are known.
-
-    The paper's searches cannot follow the many unknown positions; they compare energies.
-    """
-    return any(m.measurement.use == "fit" for m in measured) and fits_pressures(settings)
-
-
-def fits_pressures(settings: Settings) -> bool:
-    """Whether model and method let pressures be added, if there are responses."""
-    return settings.model != "energy" and settings.method in LEAST_SQUARES_METHODS

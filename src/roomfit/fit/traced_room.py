@@ -16,12 +16,11 @@ from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import BoolArray, FloatArray, Progress
 from roomfit.fit.compare import predicted_curve
 from roomfit.fit.scattering import band_factors, specified_scattering
-from roomfit.fit.trace_plan import LEAST_RAYS, TracePlan, plan_trace, planned_trace
+from roomfit.fit.trace_plan import LEAST_RAYS, TracePlan, plan_trace, planned_trace, traced_s
 from roomfit.materials.priors import MaterialPrior, unknown_material
 from roomfit.model.binned import BinnedPaths, bin_paths, pair_energies, rows_at
 from roomfit.model.eyring import eyring_time_s
 from roomfit.model.observation import spread_over_time
-from roomfit.model.patterns import Directivities
 from roomfit.model.reduced_rows import (
     BINS_TOGETHER,
     ROWS_OF_A_CASE,
@@ -50,8 +49,6 @@ from roomfit.settings import Settings
 from roomfit.signals.decay import DecayCurve, room_parameters
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName, value_gradients
 from roomfit.signals.speech import modulation_gradients
-from roomfit.tracing.paths import Paths
-from roomfit.tracing.trace import trace
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 # T30 is read from 5 to 35 dB below the start of the decay.
@@ -263,8 +260,11 @@ def trace_room(
     def planned() -> TracePlan:
         own = scene, priors, min(longest_s, _LONGEST_S), 0.0
         if added.any():
-            plan = plan_trace(*own, beside_images, coherent=True)
-            if plan.far_images:
+            from roomfit.pressures.far_images import has_every_order, images_until_s
+
+            far_s = images_until_s(scene, traced_s(*own[2:]), settings)
+            plan = plan_trace(*own, beside_images, images_until_s=far_s)
+            if has_every_order(plan.settings):
                 return plan
         return plan_trace(*own, settings)
 
@@ -277,7 +277,8 @@ def trace_room(
         factors, degenerate = band_factors(directivities, scene, bands, paths, scattering)
         binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
         doubts = (*plan.findings, *found.findings, *degenerate)
-        return TracedRoom(scene, bands, binned, doubts, added & plan.far_images)
+        every_order = plan.settings.image_until_s is not None or not plan.settings.n_rays
+        return TracedRoom(scene, bands, binned, doubts, added & every_order)
 
     n_pilots = 2 * _ATTEMPTS if planned().settings.n_rays > _PILOT_RAYS else 0
     for _ in range(n_pilots):
@@ -291,26 +292,6 @@ def trace_room(
             break
         longest_s *= _LONGER
     return replace(room, findings=(*room.findings, *_short_finding(bands, short)))
-
-
-def coherent_paths(
-    scene: Scene,
-    bands: Bands,
-    priors: tuple[MaterialPrior, ...],
-    directivities: Directivities,
-    duration_s: float,
-    settings: Settings,
-) -> tuple[Paths, FloatArray | None]:
-    """Trace for as long as is asked, image sources as far as they can be added as pressures.
-
-    Shapes: factors (n_bands, n_paths).
-    """
-    planned = plan_trace(scene, priors, 0.0, duration_s, settings, coherent=True)
-    n_rays = 0 if planned.settings.n_rays == 0 else max(planned.settings.n_rays, LEAST_RAYS)
-    fineness = replace(planned.settings, n_rays=n_rays, duration_s=duration_s)
-    paths = trace(scene, fineness, planned.scattering).paths
-    scattering = specified_scattering(priors, planned.scattering.coefficients, len(bands))
-    return paths, band_factors(directivities, scene, bands, paths, scattering)[0]
 
 
 def scene_decay_s(scene: Scene, bands: Bands, absorption: FloatArray) -> FloatArray:

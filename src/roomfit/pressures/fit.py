@@ -65,6 +65,7 @@ from roomfit.model.problem import DataTerm, Objective, Prediction
 from roomfit.model.windows import WINDOW_DECAYS, windows_decay_s
 from roomfit.pressures.data_term import CoherentTerm, coherent_term, cut_at, fully_coherent
 from roomfit.pressures.equalise import SCHROEDER_FACTOR, equalise_sources
+from roomfit.pressures.far_images import Retrace
 from roomfit.pressures.geometry import (
     LEVEL,
     Geometry,
@@ -131,6 +132,7 @@ class CoherentTask:
     # of tested sources that the data contradict, whose directivity is fitted where that is possible
     contradicted: tuple[SourceGain, ...] = ()
     fits_contradicted: bool = False
+    retrace: Retrace | None = None  # None where positions are not fitted, or images all stay
 
 
 # Bands up to here determine positions within a few millimetres, in spite of hidden images.
@@ -165,7 +167,7 @@ class SequentialState:
 
 def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
     """Return the bands ready to be fitted, paths found anew where positions must have moved."""
-    settings, measured, retrace = task.settings, task.measured, traced.again
+    settings, measured, retrace = task.settings, task.measured, task.retrace
     binned = cut_at(traced.binned, settings.late_end_s)
     state = rebuild(SequentialState(task, traced.paths, traced.factors, binned, None))
     if settings.model == "energy":

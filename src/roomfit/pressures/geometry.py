@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roomfit.base.air import speed_of_sound_m_s
+from roomfit.base.air import Air, relative_speed_sd, speed_of_sound_m_s
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.fit.fits import FittedGeometry
 from roomfit.materials.priors import MaterialPrior
@@ -18,6 +18,7 @@ from roomfit.model.observation import DEFAULT_POSITION_SD_M
 from roomfit.model.parameters import GEOMETRY, Block, Marginal
 from roomfit.pressures.response import Times
 from roomfit.room.scene import Point, Scene
+from roomfit.settings import Settings
 from roomfit.signals.measurement import LATENCY_SD_S, MeasuredPair
 
 
@@ -233,3 +234,10 @@ def inflate_position_sds(
 
 def n_position_coordinates(scene: Scene) -> int:
     return 3 * (len(scene.sources) + len(scene.receivers))
+
+
+def prior_speed_sd(air: Air, settings: Settings) -> float:
+    """Return the prior relative standard deviation of the speed of sound, 1e-6 at least."""
+    if settings.temperature_sd_c is None:
+        return settings.speed_of_sound_sd
+    return max(relative_speed_sd(air, settings.temperature_sd_c), 1e-6)

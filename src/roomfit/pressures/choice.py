@@ -1,0 +1,296 @@
+"""Pressures of image sources, fitted where they explain the responses better than energies do."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from roomfit.base.forks import in_forks
+from roomfit.base.logit import Z95, logit
+from roomfit.base.typing import BoolArray, FloatArray, Progress, part
+from roomfit.fit.bands import fitted_band
+from roomfit.fit.directivity import (
+    band_directivities,
+    directivity_parameters,
+    is_fittable,
+    omnidirectional,
+)
+from roomfit.fit.fits import BandFits
+from roomfit.fit.measurements import Measurements, time_scales
+from roomfit.fit.paths import TracedPaths, traced_paths, trim_memory
+from roomfit.fit.solve import other_terms
+from roomfit.fit.systematics import inflated_by_adjacent_bands, with_decay_errors
+from roomfit.fit.trace_plan import traced_s
+from roomfit.materials.priors import MaterialPrior
+from roomfit.model.room_parameters import without_responses
+from roomfit.pressures.far_images import (
+    Retrace,
+    fit_until_s,
+    has_every_order,
+    images_until_s,
+    retracing,
+)
+from roomfit.pressures.fit import (
+    CoherentFit,
+    CoherentTask,
+    coherent_estimate,
+    contradicted_position_sd_scale,
+    energy_estimates,
+    fit_coherent,
+    initialise,
+    with_sources_examined,
+)
+from roomfit.pressures.geometry import prior_speed_sd
+from roomfit.pressures.sequential import (
+    TELLING_HZ,
+    UNDECIDED,
+    CoherentOptions,
+    forward_pass,
+    log_evidences,
+)
+from roomfit.room.scene import material_areas_m2, select_pairs
+from roomfit.settings import LEAST_SQUARES_METHODS, Settings
+from roomfit.uncertainty.gaussian import WIDEST_IDENTIFIABLE, BandEstimate, Refine
+
+_LOG = logging.getLogger("roomfit")
+_LEAST = 1e-9  # distance of an absorption from 0 and 1 in its logit
+
+
+def fit_by_pressures(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    start: FloatArray,
+    settings: Settings,
+    refine: Refine,
+    progress: Progress | None,
+) -> tuple[TracedPaths, BandFits] | None:
+    """Return the room traced and fitted by pressures, or None where energies are to be fitted.
+
+    Each band has the model of larger evidence, unless the settings ask for pressures.
+
+    `start` (n_bands,) is a uniform absorption to start from.
+    """
+    responses = any(m.measurement.use == "fit" for m in measured.responses)
+    if settings.model == "energy" or not responses or settings.method not in LEAST_SQUARES_METHODS:
+        return None
+    asked = settings.model == "coherent"
+    far_s = images_until_s(measured.scene, traced_s(*time_scales(measured)), settings)
+    if not asked and (far_s == 0.0 or not is_promising(measured, priors, start, settings)):
+        return None
+    traced = traced_paths(measured, priors, settings, start, part(progress, 0.0, 0.45), far_s)
+    _LOG.info("fitting pressures and energies")
+    task = coherent_task(measured, priors, traced, start, settings, retracing(measured, traced))
+    state = initialise(task, traced)
+    fit = fit_coherent(state, traced, part(progress, 0.45, 0.86))
+    _LOG.info("finding confidence intervals")
+    fits = coherent_answers(fit, settings, refine, part(progress, 0.86, 1.0))
+    del state, fit  # with all bands, the most that is in memory
+    trim_memory()
+    return traced, fits
+
+
+def coherent_task(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    traced: TracedPaths,
+    start: FloatArray,
+    settings: Settings,
+    retrace: Retrace | None = None,
+) -> CoherentTask:
+    """Return what is to be fitted by partly coherent image sources; see `estimate_energies`."""
+    unknown = directivity_parameters(measured, settings)
+    return CoherentTask(
+        measured.scene,
+        measured.bands,
+        priors,
+        measured.responses,
+        start,
+        CoherentOptions(
+            positions="fixed" if settings.positions == "fixed" else "fit",
+            delays=settings.reflection_delays,
+            model="coherent" if settings.model == "coherent" else "auto",
+            end_s=settings.coherent_until_s,
+            late_end_s=fit_until_s(measured.scene, traced, settings),
+            speed_sd=prior_speed_sd(measured.scene.air, settings),
+            max_rounds=settings.max_rounds,
+            quick=settings.quick,
+        ),
+        other_terms(measured, traced),
+        unknown,
+        omnidirectional(measured) if unknown is None else None,
+        scattering=(traced.scattering, traced.scattering_sd),
+        fits_contradicted=is_fittable(measured, settings),
+        retrace=retrace,
+    )
+
+
+# The trial of pressures: how many responses at most, and how far apart its two bands are; rays a
+# source and images a pair at most, the latter .14 s of 70 m3.
+_TRIED_RESPONSES, _TRIED_OCTAVES = 8, 2.0
+
+
+_TRIED_PATHS = {
+    "n_rays": 10_000,
+    "n_rays_beside_images": 10_000,
+    "most_images": 6_000,
+    "most_coherent_images": 6_000,
+}
+
+
+def is_promising(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    start: FloatArray,
+    settings: Settings,
+) -> bool:
+    """Return False where a few responses contradict pressures, before the room is traced for them.
+
+    Positions, speed of sound and delays that a band at 250 Hz determines are known to millimetres.
+    Where they are the room's, pressures explain the octave of 1 kHz better than energies; where
+    they have absorbed what the model of pressures lacks (loudspeakers, scattering, walls that are
+    not specified), energies are likelier there by `log_evidences`, and what was fitted to the lower
+    band is no geometry. Nor is there anything to gain where energies are likelier in both bands.
+    Where positions contradict what is stated of them, all responses decide. Eight responses at most
+    are compared, in the highest band up to 1 kHz and the one nearest to two octaves below.
+    """
+    centres_hz = measured.bands.centres_hz
+    high = int(np.searchsorted(centres_hz, 1.01 * TELLING_HZ)) - 1
+    if high < 1:
+        return True
+    octaves = np.log2(centres_hz[high] / centres_hz[:high])
+    low = int(np.argmin(np.abs(octaves - _TRIED_OCTAVES)))
+    few = _few(measured, np.isin(np.arange(centres_hz.size), (low, high)))
+    most: dict[str, Any] = {
+        name: min(n, getattr(settings, name) or n) for name, n in _TRIED_PATHS.items()
+    }
+    quick = replace(settings, quick=True, **most)
+    priors = tuple(replace(k, fit_scattering=False) for k in priors)
+    far_s = images_until_s(few.scene, traced_s(*time_scales(few)), quick)
+    traced = traced_paths(few, priors, quick, start, None, far_s)
+    if not has_every_order(traced.settings):
+        return True
+    task = coherent_task(few, priors, traced, start, quick)
+    state = with_sources_examined(initialise(task, traced), traced)
+    fits = forward_pass(state.bands, task.settings, None)
+    gains = []
+    for own, fit in ((state.bands[b], fits[b]) for b in (low, high)):
+        if own is None:
+            return True
+        if fit is None:
+            return False
+        energies, pressures = log_evidences(own, fit)
+        gains.append(pressures - energies)
+    if max(gains) > 0.0 and gains[1] <= -UNDECIDED:
+        # positions that are known less well than stated explain it: a fit inflates that
+        return contradicted_position_sd_scale(state, fits) > 1.0
+    return max(gains) > 0.0
+
+
+def _few(measured: Measurements, chosen: BoolArray) -> Measurements:
+    """Return a few responses, as if nothing decayed in other bands than those chosen."""
+    fitted = [m for m in measured.responses if m.measurement.use == "fit"]
+    kept = fitted[:: -(-len(fitted) // _TRIED_RESPONSES)]
+    pairs = np.unique([m.pair for m in kept])
+    responses = []
+    for m in kept:
+        falling_s = np.where(chosen, m.noise.tail_time_constant_s, 0.0)
+        noise = replace(m.noise, tail_time_constant_s=falling_s)
+        responses.append(replace(m, pair=int(np.searchsorted(pairs, m.pair)), noise=noise))
+    scene = select_pairs(measured.scene, pairs)
+    return replace(measured, scene=scene, responses=tuple(responses), values=())
+
+
+def coherent_answers(
+    fit: CoherentFit, settings: Settings, refine: Refine, progress: Progress | None
+) -> BandFits:
+    """Return each band's estimate by partly coherent image sources where they explain it."""
+    task, n = fit.state.task, len(fit.fits)
+    by_energies = energy_estimates(fit)
+
+    def answers(b: int) -> tuple[BandEstimate | None, BandEstimate | None]:
+        pressures, energies = coherent_estimate(fit, b), by_energies(b)
+        done = part(progress, 0.8 * b / n, 0.8 * (b + 1) / n)
+        return (
+            None if pressures is None else refine(pressures, done),
+            None if energies is None else refine(energies, None),
+        )
+
+    coherent, energy = zip(*in_forks(answers, range(n)), strict=True)
+    areas_m2 = material_areas_m2(task.scene.room)
+    chosen = decided(fit, energy, inflated_by_adjacent_bands(coherent, task.priors))
+
+    # where no response has data, room parameters or the prior
+    def rest(b: int) -> BandEstimate:
+        alone = without_responses(task.others[b], task.priors, b, task.start)
+        done = part(progress, 0.8 + 0.2 * b / n, 0.8 + 0.2 * (b + 1) / n)
+        return refine(fitted_band(b, alone, task.priors, settings, done), None)
+
+    missing = [b for b, e in enumerate(chosen) if e is None]
+    others = dict(zip(missing, in_forks(rest, missing), strict=True))
+    each = [others[b] if e is None else e for b, e in enumerate(chosen)]
+    estimates = with_decay_errors(each, areas_m2, task.priors)
+    directivities = tuple(None if b is None else b.directivity for b in fit.state.bands)
+    found = band_directivities(task.scene, task.directivity_parameters, directivities, estimates)
+    unknown = task.directivity_parameters
+    return BandFits(estimates, fit.geometry, found, unknown, fit.contradicted, fit.tests)
+
+
+def decided(
+    fit: CoherentFit,
+    energy: Sequence[BandEstimate | None],
+    coherent: Sequence[BandEstimate | None],
+) -> tuple[BandEstimate | None, ...]:
+    """Return each band's estimate by the model of larger evidence, None without data."""
+    task = fit.state.task
+    return tuple(
+        _decided(*each, task.settings)
+        for each in zip(energy, coherent, fit.log_evidences, strict=True)
+    )
+
+
+def _decided(
+    energy: BandEstimate | None,
+    coherent: BandEstimate | None,
+    evidences: FloatArray,
+    settings: CoherentOptions,
+) -> BandEstimate | None:
+    """Return the answer of larger evidence; with both intervals where evidence cannot decide."""
+    if coherent is None:
+        return energy
+    if energy is None or settings.model == "coherent":
+        return coherent
+    better = evidences[1] - evidences[0]
+    best, other = (coherent, energy) if better > 0.0 else (energy, coherent)
+    return best if abs(better) >= UNDECIDED else with_both_intervals(best, other)
+
+
+def with_both_intervals(best: BandEstimate, other: BandEstimate) -> BandEstimate:
+    """Return an answer whose intervals contain those of another model, too."""
+    lower = np.minimum(best.lower95, other.lower95)
+    upper = np.maximum(best.upper95, other.upper95)
+    sure = best.identifiable & other.identifiable & (upper - lower <= WIDEST_IDENTIFIABLE)
+    middle = logit(best.absorption, _LEAST)
+    reach = np.maximum(logit(upper, _LEAST) - middle, middle - logit(lower, _LEAST)) / Z95
+    sd = np.sqrt(np.diagonal(best.logit_covariance))
+    # draws for a prediction must spread as far as the intervals
+    sd_scale = np.where(sd > 0.0, np.maximum(reach, sd) / np.where(sd > 0.0, sd, 1.0), 1.0)
+    return replace(
+        best,
+        lower95=lower,
+        upper95=upper,
+        draws=_half_each(best.draws, other.draws),
+        identifiable=sure,
+        logit_covariance=best.logit_covariance * np.outer(sd_scale, sd_scale),
+    )
+
+
+def _half_each(one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
+    """Return as many draws, in turn from either law."""
+    if one is None or other is None:
+        return None
+    from_other = (np.arange(len(one)) % 2 == 1)[:, None]
+    return np.where(from_other, other[: len(one)], one)
