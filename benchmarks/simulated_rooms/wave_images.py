@@ -8,8 +8,8 @@ import numpy as np
 from scipy.special import wofz
 
 from roomfit.base.typing import ComplexArray, FloatArray
-from roomfit.impedance.laws import miki_material
 from roomfit.impedance.wave_model import State, WaveModel, moved_vectors_m, wavenumber_per_m
+from simulated_rooms.wall_impedances import miki_material
 
 Reflection = Callable[[FloatArray, FloatArray], ComplexArray]
 """Takes cosines of incidence (n,) and lengths of whole paths in m (n,); returns (n, n_f)."""

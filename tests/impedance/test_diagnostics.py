@@ -196,16 +196,6 @@ def coloured_data(rng):
     return scene, data, r0
 
 
-@pytest.mark.slow
-def test_spectra_of_sources_that_are_taken_for_flat_are_the_cause_that_is_named():
-    rng = np.random.default_rng(6)
-    scene, data, _ = coloured_data(rng)
-    nuisances = Nuisances(0.0, 0.0, "pair")
-    answer = identify_impedance(scene, data, None, nuisances, rng=rng, settings=ROUGH)
-    assert answer.verdict.word == "does not fit"
-    assert answer.verdict.cause.startswith("sources whose spectra")
-
-
 def test_files_that_were_each_made_equally_loud_tell_walls_with_spectra_unknown_as_well():
     """Each file by a gain of its own, on top of the spectra of two sources."""
     rng = np.random.default_rng(7)

@@ -17,6 +17,10 @@ GONE = {
     "identify.method = certified": "no minimum is proven any more; leave method out",
     "identify.method = posterior": "no posterior is sampled any more; leave method out, and "
     "intervals come from profiles",
+    **{
+        f"materials.impedance = {law}": "R0 is a spline, or a constant; leave the key out"
+        for law in ("miki", "resonator", "panel", "auto")
+    },
     "identify.smoothness_per_octave": "bands are fitted by themselves; leave the key out",
 }
 """Keys of earlier versions, and their values as ``key = value``, with what to do without them.
@@ -165,7 +169,7 @@ class MaterialTable(Table):
         Annotated[float, _limited(0.0, 5.0, "ms; porous layers delay by tenths")] | None
     ) = None
     """Standard deviation of the delay of its reflections in ms; 0: none. Default: 0.2."""
-    impedance: Literal["spline", "miki", "resonator", "panel", "constant", "auto"] | None = None
+    impedance: Literal["spline", "constant"] | None = None
     """For `roomfit impedance`: what its reflection coefficient is like over frequency."""
     impedance_start: dict[str, Start | list[Start]] | None = None
     """Where the search for the impedance begins."""

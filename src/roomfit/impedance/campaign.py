@@ -35,7 +35,6 @@ from roomfit.fit.measurements import from_emission
 from roomfit.impedance.data import Observed, damped_noise, damped_spectrum
 from roomfit.impedance.fit import WallModel
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
-from roomfit.impedance.laws import LAWS, Parameter
 from roomfit.impedance.result import ImpedanceResult
 from roomfit.impedance.wave_model import GainMode, Nuisances
 from roomfit.room.scene import Room, Scene, distances_m, scene_of
@@ -108,14 +107,7 @@ def impedance_to_folder(
 
 
 def impedance_arguments(campaign: Campaign) -> tuple[ImpedanceArguments, tuple[Finding, ...]]:
-    """Read the room and everything that is to be fitted; return it with doubts about the files.
-
-    Raises
-    ------
-    InputError
-        No pressures, positions that cannot be, files that cannot be read or do not belong together,
-        a pair that was measured twice, a directional source, or a wall model that is none.
-    """
+    """Read the room and everything that is to be fitted; return it with doubts about the files."""
     room, room_findings = read_room(campaign.room)
     refuse_objects(campaign, "roomfit impedance")
     walls = _wall_models(campaign, room.materials)
@@ -220,13 +212,6 @@ def read_spectrum(path: Path) -> Observed:
     The archive holds ``f`` (Hz, rising), ``tau`` (s), ``p`` (complex, ``exp(+j w t)``) and perhaps
     ``noise`` (rms, one number or one a frequency). Where only levels were measured, ``magnitude``
     (``|p|``, not in decibels) stands in place of ``p``.
-
-    Raises
-    ------
-    InputError
-        No such file, no NumPy archive, arrays missing, of unlike shape, out of order or not finite.
-    StoreError
-        The disk refuses.
     """
     arrays = npz_arrays(read_bytes(Path(path), "spectrum"), str(path))
     has_phase = "p" in arrays
@@ -384,15 +369,8 @@ def _wall_models(campaign: Campaign, materials: tuple[str, ...]) -> dict[str, Wa
 
 def _wall_model(table: MaterialTable) -> WallModel:
     kind = table.impedance or "spline"
-    specified = dict(table.impedance_start or {})
-    if kind in LAWS:
-        known = {p.name: p for p in LAWS[kind][1]}
-        return WallModel(
-            kind,
-            parameters={name: _parameter(known, kind, name, v) for name, v in specified.items()},
-        )
     start: complex = 0.8
-    for name, value in specified.items():
+    for name, value in (table.impedance_start or {}).items():
         if name != "r0":
             what = "unknown key of impedance_start"
             needed = f'r0 for impedance = "{kind}": a number, or [real, imaginary]'
@@ -407,25 +385,3 @@ def _wall_model(table: MaterialTable) -> WallModel:
             )
         start = complex(*parts)
     return WallModel(kind, start)
-
-
-def _parameter(
-    known: dict[str, Parameter], kind: str, name: str, value: float | list[float]
-) -> Parameter:
-    check_known(f'unknown key of impedance_start for impedance = "{kind}"', name, known)
-    usual = known[name]
-    numbers = [float(v) for v in value] if isinstance(value, list) else [float(value)]
-    if len(numbers) == 1:
-        numbers += [min(usual.low, numbers[0] / 10.0), max(usual.high, numbers[0] * 10.0)]
-    if len(numbers) != 3 or not 0.0 < numbers[1] <= numbers[0] <= numbers[2]:
-        raise InputError(
-            f"start and bounds of {name} are out of order",
-            found=repr(value),
-            needed=f"a number above 0 ({usual.unit}), or [start, lowest, highest]",
-            hint=f"write {name} = [start, lowest, highest]",
-        )
-    if numbers[1] == numbers[2]:
-        what = f"bounds of {name} leave nothing to find"
-        hint = "raise the highest, or lower the lowest"
-        raise InputError(what, found=repr(value), needed="a lowest below the highest", hint=hint)
-    return Parameter(name, usual.unit, *numbers)

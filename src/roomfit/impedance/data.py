@@ -141,11 +141,6 @@ def standard_deviation(
     """Return the rms residual of a perfect fit: noise, and the error of image sources.
 
     `factor`: of the model's own error, see `model_error`.
-
-    Returns
-    -------
-    float array, shape (n_pairs, n_frequencies)
-        Of the complex pressure; real and imaginary part have half of its square each.
     """
     share = model_error(observed.frequency_hz, free_path_m, speed_m_s, factor)
     model = np.broadcast_to(share * level_at(observed), observed.pressure.shape)
@@ -169,16 +164,7 @@ def damped_spectrum(
     ``1 / (4 pi r)`` gives ``exp(-j k r) / (4 pi r)`` with the complex wavenumber of the window.
     What lies more than 2 ms before the direct sound is left out.
 
-    Parameters
-    ----------
-    frequency_hz : float array, shape (n_frequencies,)
-    direct_s : float
-        Arrival of the direct sound after emission.
-
-    Raises
-    ------
-    InputError
-        The response ends before the window does, or does not reach the highest frequency.
+    Shapes: `frequency_hz` (n_frequencies,).
     """
     t = times_s(response)
     if t[-1] < direct_s + 3.0 * tau_s:
@@ -206,11 +192,6 @@ def damped_noise(
 
     Windows of the same length and weight are laid side by side over its last half; the lowest
     third of them counts, so that what is left of the decay does not.
-
-    Returns
-    -------
-    float array, shape (n_frequencies,), or None
-        None where the response is too short.
     """
     t = times_s(response)
     window_s = min(_WINDOW * tau_s, 0.25 * (t[-1] - direct_s))

@@ -14,12 +14,10 @@ from roomfit.impedance.data import Observed, level_at, model_error
 from roomfit.impedance.fit import (
     ImpedanceFit,
     Start,
-    WallModel,
     agreeing,
     reduced_chi2,
-    refit,
 )
-from roomfit.impedance.laws import LAWS, LawCurve, Spline, as_spline
+from roomfit.impedance.laws import Spline, as_spline
 from roomfit.impedance.problem import Problem, data_rows, factor_of, source_spectra
 from roomfit.impedance.result import (
     Z95,
@@ -29,7 +27,7 @@ from roomfit.impedance.result import (
     Verdict,
     material_impedance,
 )
-from roomfit.impedance.wave_model import Nuisances, gradients, has_free_spectra
+from roomfit.impedance.wave_model import gradients, has_free_spectra
 from roomfit.room.mesh import mean_free_path_m
 from roomfit.room.scene import Scene
 
@@ -45,8 +43,6 @@ CHI2_LIMIT = 1.6
 OCTAVE_CHI2_LIMIT = 2.5
 # Share of frequencies at which a material must be identified.
 ENOUGH_FREQUENCIES = 0.8
-# A cause that frees very many numbers must lower the squares to this share of them.
-_FAR_BETTER = 0.2
 # Noise estimated from what a fit leaves: above this share of the level it does not fit.
 LOUDEST_ESTIMATED_NOISE = 0.15
 
@@ -62,7 +58,7 @@ _FLOOR = 1e-3
 _DB = 20.0 / np.log(10.0)
 
 
-def data_findings(problem: Problem, walls: dict[str, WallModel]) -> tuple[Finding, ...]:
+def data_findings(problem: Problem) -> tuple[Finding, ...]:
     """Return a serious finding where the data cannot determine the unknowns, whatever they say.
 
     Two numbers a pair and frequency (levels: one), less the gains that are unknown, must be at
@@ -93,10 +89,7 @@ def data_findings(problem: Problem, walls: dict[str, WallModel]) -> tuple[Findin
         return (
             Finding(Code.TOO_FEW_DATA, About(), sentence, {**evidence, "materials": n_materials}),
         )
-    needed = sum(
-        len(LAWS[wall.kind][1]) if wall.kind in LAWS else len(as_spline(curve).start)
-        for wall, curve in zip(walls.values(), problem.curves, strict=True)
-    )
+    needed = sum(len(as_spline(curve).start) for curve in problem.curves)
     data = (2 if observed.has_phase else 1) * n_pairs * n_f
     if has_free_spectra(problem.nuisances):
         data -= 2 * len(np.unique(problem.model.scene.pairs[:, 0])) * n_f
@@ -106,7 +99,7 @@ def data_findings(problem: Problem, walls: dict[str, WallModel]) -> tuple[Findin
         return ()
     sentence = (
         f"{data} numbers were measured, besides what the gains take, and {needed} are unknown: "
-        "measure more pairs, or specify the gain or the laws of some walls."
+        "measure more pairs, or specify the gain."
     )
     return (Finding(Code.TOO_FEW_DATA, About(), sentence, {"data": data, "unknowns": needed}),)
 
@@ -117,11 +110,6 @@ def estimated_noise(fit: ImpedanceFit) -> FloatArray:
     A smooth function of frequency, the same for all pairs: medians of the squared residuals over
     neighbours in frequency and over pairs, so that a few bad pairs or frequencies do not count,
     averaged once more; half of the error that is allowed to the model itself is taken off.
-
-    Returns
-    -------
-    float array, shape (n_pairs, n_frequencies)
-        In the unit of the pressure.
     """
     problem = fit.problem
     n_pairs, n_f = problem.sd.shape
@@ -147,15 +135,7 @@ def judged_result(
     observed: Observed,
     seconds: float,
 ) -> ImpedanceResult:
-    """Return the result of a fit with its verdict.
-
-    Parameters
-    ----------
-    rivals : tuple of ImpedanceFit
-        Other minima that explain the data as well.
-    observed : Observed
-        As it was given; `fit` may hold an estimate of the noise.
-    """
+    """Return the result of a fit with its verdict."""
     problem = fit.problem
     materials = _material_impedances(fit)
     weaker = _weaker_findings(problem, observed)
@@ -234,20 +214,7 @@ def _material_impedances(fit: ImpedanceFit) -> tuple[MaterialImpedance, ...]:
         off = share * np.abs(1.0 - fit.r0[i] ** 2)
         covariance = np.einsum("fai,ij,fbj->fab", parts, own, parts)
         covariance = covariance + 0.5 * (off**2)[:, None, None] * np.eye(2)
-        parameters: tuple[Estimate, ...] = ()
-        if isinstance(curve, LawCurve):
-            # errors of R0 are alike over an octave
-            octaves = max(float(np.log2(frequency_hz[-1] / frequency_hz[0])), 1.0)
-            inverse = np.linalg.pinv(parts.reshape(2 * off.size, -1))
-            alike = inverse * np.repeat(off, 2) * np.sqrt(0.5 * max(off.size / octaves, 1.0))
-            own = own + alike @ alike.T
-            x, reach = fit.x[block], Z95 * np.sqrt(np.maximum(np.diag(own), 0.0))
-            numbers = np.array([curve.values(at) for at in (x, x - reach, x + reach)]).T.tolist()
-            parameters = tuple(
-                Estimate(p.name, p.unit, *ends)
-                for p, ends in zip(curve.parameters, numbers, strict=True)
-            )
-        found.append(material_impedance(name, curve.kind, fit.r0[i], covariance, parameters))
+        found.append(material_impedance(name, curve.kind, fit.r0[i], covariance))
     return tuple(found)
 
 
@@ -416,7 +383,6 @@ def _fits(fit: ImpedanceFit) -> bool:
 
 
 def _likely_cause(fit: ImpedanceFit) -> str:
-    """Return why a model does not fit, by what makes it fit."""
     octaves = _chi2_by_octave(fit)
     rest = [c for _, c in octaves[1:]]
     if rest and octaves[0][1] > OCTAVE_CHI2_LIMIT and max(rest) <= CHI2_LIMIT:
@@ -424,49 +390,7 @@ def _likely_cause(fit: ImpedanceFit) -> str:
             f"low frequency: only below {octaves[0][0]:.0f} Hz, where image sources are a "
             "poor picture of waves"
         )
-    nuisances = fit.problem.nuisances
-    before = reduced_chi2(fit)
-    for cause, freed in (
-        ("positions or the speed of sound", _free_geometry(nuisances)),
-        ("the gain", _free_gain(nuisances)),
-        ("positions and the gain", _free_gain(_free_geometry(nuisances))),
-    ):
-        if freed == nuisances:
-            continue
-        other = refit(replace(fit.problem, nuisances=freed))
-        after = reduced_chi2(other)
-        if _fits(other) or after < 0.1 * before:
-            return f"{cause}: the residual falls from {before:.1f} to {after:.1f} with them free"
-    counts = np.unique(fit.problem.model.scene.pairs[:, 0], return_counts=True)[1]
-    # a spectrum shows where each source was measured at two positions and more, phases and all
-    identifiable = fit.problem.observed.has_phase and counts.min() >= 2
-    if identifiable and not has_free_spectra(nuisances):
-        spectra = replace(
-            _free_geometry(nuisances),
-            gain="pair-spectrum" if nuisances.gain == "pair" else "spectrum",
-        )
-        after = reduced_chi2(refit(replace(fit.problem, nuisances=spectra)))
-        # so many free numbers make any fit better
-        if after < _FAR_BETTER * before:
-            return (
-                "sources whose spectra are not flat or not the specified ones: the residual falls "
-                f"from {before:.1f} to {after:.1f} with them free"
-            )
     return (
-        "walls that do not react locally (thick soft layers), patches, scattering, a loudspeaker "
-        "that does not radiate alike in all directions, or another room than was described: "
-        "neither positions nor gains explain it"
+        "positions, gains or spectra of sources that are not the specified ones, walls that do not "
+        "react locally (thick soft layers), patches, scattering, or another room than was described"
     )
-
-
-def _free_geometry(nuisances: Nuisances) -> Nuisances:
-    return replace(
-        nuisances,
-        position_sd_m=max(nuisances.position_sd_m, 0.02),
-        least_position_sd_m=max(nuisances.least_position_sd_m, 0.02),
-        speed_sd=max(nuisances.speed_sd, 0.01),
-    )
-
-
-def _free_gain(nuisances: Nuisances) -> Nuisances:
-    return replace(nuisances, gain="source") if nuisances.gain in ("known", "common") else nuisances

@@ -4,16 +4,12 @@ Several starts each lead to a first minimum at few frequencies, in which R0 begi
 over frequency and is allowed to vary step by step. The lowest is polished: steps weigh short paths
 with plane waves at the walls; the difference to all paths with spherical waves is computed between
 them and fixed, round after round, until nothing moves. How rough each material may be follows from
-its own marginal likelihood, so that a smooth wall takes no roughness from a resonator. Physical
-laws are fitted to the spline first, then to the data, then judged.
+its own marginal likelihood, so that a smooth wall takes no roughness from a resonator.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from types import MappingProxyType
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,17 +17,7 @@ import numpy as np
 from roomfit.base.arguments import check_known
 from roomfit.base.errors import InputError
 from roomfit.base.typing import ComplexArray, FloatArray, Progress
-from roomfit.impedance.data import complex_frequency_hz
-from roomfit.impedance.laws import (
-    LAWS,
-    CausalCurve,
-    Curve,
-    LawCurve,
-    Parameter,
-    Spline,
-    constant,
-    law_curve,
-)
+from roomfit.impedance.laws import Curve
 from roomfit.impedance.problem import (
     Problem,
     Rows,
@@ -145,12 +131,7 @@ def polish(
 ) -> ImpedanceFit:
     """Return the fit to which rounds of spherical correction lead from a coarse one.
 
-    Parameters
-    ----------
-    x : float array, shape (n_unknowns,)
-        From `continuation`, or of an earlier fit.
-    roughness_sd : float array, shape (n_materials,), optional
-        Where it is known already; else the last of the `STAGES`, then by its evidence.
+    Shapes: `x` (n_unknowns,), `roughness_sd` (n_materials,).
     """
     rough = np.full(len(problem.curves), STAGES[-1]) if roughness_sd is None else roughness_sd
     correction = _correction(problem, x)
@@ -244,12 +225,7 @@ def _marginal_likelihood_roughness(
     return np.clip(new, _SMOOTHEST, _ROUGHEST)
 
 
-KINDS = ("spline", "constant", *LAWS, "auto")
-_DRAWN, _POLISHED = 400, 6
-# No law is expected to hold better than this.
-_LAW_ERROR = 0.005
-# A law that misses the spline by more (mean square) is not tried on the data.
-_WORTH_TRYING = 30.0
+KINDS = ("spline", "constant")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -259,13 +235,9 @@ class WallModel:
     Parameters
     ----------
     kind : str
-        "spline" (any smooth course), "constant", a physical law ("miki": porous layer before a
-        rigid wall, "resonator": perforated plate before a cavity, "panel": mass on a spring of
-        air), or "auto": the best of all by the data.
+        "spline" (any smooth course of a passive, causal wall), or "constant".
     start_r0 : complex
-        Where a spline or a constant starts, ``|start_r0| <= 1``.
-    parameters : mapping of name to Parameter
-        Starts and bounds of a law that differ from those in `roomfit.impedance.laws.LAWS`.
+        Where it starts, ``|start_r0| <= 1``.
 
     Raises
     ------
@@ -274,13 +246,12 @@ class WallModel:
 
     Examples
     --------
-    >>> WallModel("miki").kind
-    'miki'
+    >>> WallModel("constant").kind
+    'constant'
     """
 
     kind: str = "spline"
     start_r0: complex = 0.8
-    parameters: Mapping[str, Parameter] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_known("unknown model of a wall", self.kind, KINDS)
@@ -291,119 +262,6 @@ class WallModel:
                 needed="|R0| <= 1",
                 hint="start from 0.8, or from what is known of the wall",
             )
-        object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
-
-
-def with_laws(
-    fit: ImpedanceFit, walls: Mapping[str, WallModel], rng: np.random.Generator
-) -> ImpedanceFit:
-    """Return the fit with physical laws in place of splines, where wanted or better.
-
-    Every law is first fitted to the spline's R0 from many starts. A law that was specified is then
-    fitted to the data with the rest. Of "auto", the law nearest to the spline is, and stays where
-    the misfit grows by less than the numbers that it saves are worth [1]_.
-
-    References
-    ----------
-    .. [1] G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 6, 461-464
-           (1978).
-    """
-    with_law = {i: w for i, w in enumerate(walls.values()) if w.kind in LAWS}
-    if with_law:
-        curves = {i: _nearest_law(fit, i, [w.kind], w, rng)[0] for i, w in with_law.items()}
-        fit = _replaced(fit, curves)
-    for i, wall in enumerate(walls.values()):
-        if wall.kind != "auto":
-            continue
-        curve, misfit = _nearest_law(fit, i, ["constant", *LAWS], wall, rng)
-        if misfit > _WORTH_TRYING:
-            continue
-        other = _replaced(fit, {i: curve})
-        if _schwarz(other) - _schwarz(fit) < 0.0:
-            fit = other
-    return fit
-
-
-def _schwarz(fit: ImpedanceFit) -> float:
-    squares = float(fit.residual @ fit.residual)
-    return squares + fit.effective * math.log(len(fit.residual))
-
-
-def _replaced(fit: ImpedanceFit, curves: Mapping[int, Curve]) -> ImpedanceFit:
-    """Return the fit with other curves for some materials, from where it stands."""
-    problem = fit.problem
-    own = tuple(curves.get(i, c) for i, c in enumerate(problem.curves))
-    other = replace(problem, curves=own)
-    before, after = problem.layout.curves, other.layout.curves
-    x = np.zeros(other.layout.size)
-    for i, (old, new) in enumerate(zip(before, after, strict=True)):
-        x[new] = own[i].start if i in curves else fit.x[old]
-    x[after[-1].stop :] = fit.x[before[-1].stop :]
-    return polish(other, x, fit.roughness_sd)
-
-
-def _nearest_law(
-    fit: ImpedanceFit,
-    material: int,
-    kinds: list[str],
-    wall: WallModel,
-    rng: np.random.Generator,
-) -> tuple[Curve, float]:
-    """Return the law that comes nearest to a spline, starting where it does, and its misfit.
-
-    That is the mean square in standard deviations of the spline's R0 and of `_LAW_ERROR`.
-    """
-    problem, place = fit.problem, fit.problem.layout.curves[material]
-    curve = problem.curves[material]
-    slope = curve.slope(fit.x[place])
-    own = fit.covariance[place, place]
-    variance = np.real(np.einsum("fi,ij,fj->f", slope, own, slope.conj()))
-    weight = 1.0 / np.sqrt(variance + _LAW_ERROR**2)
-    fitted: list[tuple[Curve, float]] = []
-    for kind in kinds:
-        if kind == "constant":
-            mean = complex(np.sum(weight**2 * fit.r0[material]) / np.sum(weight**2))
-            frequency_hz = problem.observed.frequency_hz
-            found: Curve = constant(frequency_hz, mean / max(abs(mean), 1.0))
-            off = weight * (mean - fit.r0[material])
-            misfit = float(np.mean(np.abs(off) ** 2))
-        else:
-            law = law_curve(
-                kind,
-                complex_frequency_hz(problem.observed),
-                problem.model.speed_m_s,
-                wall.parameters if wall.kind != "auto" else None,
-            )
-            found, misfit = _fitted_law(law, fit.r0[material], weight, rng)
-        fitted.append((found, misfit))
-    return min(fitted, key=lambda one: one[1])
-
-
-def _fitted_law(
-    law: LawCurve, r0: ComplexArray, weight: FloatArray, rng: np.random.Generator
-) -> tuple[LawCurve, float]:
-    """Return the law with parameters that come nearest to R0, from many starts."""
-
-    def rows(x: FloatArray) -> Rows:
-        off = weight * (law.r0(x) - r0)
-        by = weight[:, None] * law.slope(x)
-        weak = 1e-2 * np.eye(len(x))
-        values = np.concatenate([off.real, off.imag, weak @ x])
-        return values, np.vstack([by.real, by.imag, weak])
-
-    n = len(law.parameters)
-    drawn = np.vstack([law.start, rng.normal(scale=1.5, size=(_DRAWN, n))])
-    costs = [float(np.sum(np.abs(weight * (law.r0(x) - r0)) ** 2)) for x in drawn]
-    best = np.argsort(costs)[:_POLISHED]
-    settings = _ending_at(replace(_SETTINGS, max_trials=59), 1e-6)
-    ends = [levenberg_marquardt(rows, drawn[i], settings) for i in best]
-    x = min(ends, key=lambda end: end.cost).x
-    misfit = float(np.mean(np.abs(weight * (law.r0(x) - r0)) ** 2))
-    values = law.values(np.clip(x, -4.0, 4.0))
-    parameters = tuple(
-        replace(p, start=float(v)) for p, v in zip(law.parameters, values, strict=True)
-    )
-    return replace(law, parameters=parameters), misfit
 
 
 # Frequencies that a first look keeps for each function of the smoothest curve, about.
@@ -447,8 +305,6 @@ def multistart(
 
 
 def _random_start(curve: Curve, rng: np.random.Generator) -> FloatArray:
-    if not isinstance(curve, Spline | CausalCurve):
-        return np.asarray(curve.start + rng.normal(size=curve.start.shape))
     r0 = _LARGEST_START * np.sqrt(rng.random()) * np.exp(2j * np.pi * rng.random())
     return replace(curve, start_r0=complex(r0)).start
 
@@ -475,8 +331,7 @@ def agreeing(starts: tuple[Start, ...]) -> int:
 def thinned(problem: Problem) -> Problem:
     """Return the problem at about as few frequencies as its curves allow."""
     n_f = len(problem.observed.frequency_hz)
-    coupled = [c for c in problem.curves if isinstance(c, Spline | CausalCurve)]
-    most = max((c.basis.shape[1] for c in coupled), default=n_f)
+    most = max((c.basis.shape[1] for c in problem.curves), default=n_f)
     every = max(n_f // (_PER_FUNCTION * most), 1)
     if every == 1:
         return problem

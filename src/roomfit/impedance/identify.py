@@ -36,7 +36,6 @@ from roomfit.impedance.fit import (
     multistart,
     polish,
     reduced_chi2,
-    with_laws,
 )
 from roomfit.impedance.laws import causal_curve, constant
 from roomfit.impedance.problem import Problem
@@ -103,7 +102,7 @@ def identify_impedance(
 
     Pressures of image sources with spherical waves at locally reacting walls are fitted to the
     measured ones by least squares, the reflection coefficient R0 of each material being a smooth
-    curve over frequency or a physical law; positions, speed of sound, gains and clocks are
+    curve over frequency; positions, speed of sound, gains and clocks are
     estimated with them. The method and its limits are described in docs/impedance.md.
 
     Parameters
@@ -169,11 +168,10 @@ def identify_impedance(
     ('identified', True)
     """
     began = time.perf_counter()
-    models = {name: (walls or {}).get(name, WallModel()) for name in scene.room.materials}
     settings = settings or ImpedanceSettings()
     bare = model_without_paths(scene, observed.frequency_hz, observed.tau_s)
     problem = _problem(bare, observed, walls or {}, nuisances or Nuisances(), settings)
-    findings = data_findings(problem, models)
+    findings = data_findings(problem)
     if findings:
         return result_without_fit(problem, findings, time.perf_counter() - began)
     problem = replace(problem, model=wave_model(scene, observed.frequency_hz, observed.tau_s))
@@ -187,7 +185,6 @@ def identify_impedance(
         shown = replace(problem.observed, noise=estimated_noise(fit))
         sd = _deviation(problem.model, shown, problem.model_error)
         fit = polish(replace(problem, observed=shown, sd=sd), fit.x, fit.roughness_sd)
-    fit = with_laws(fit, models, rng)
     if progress is not None:
         progress(0.9)
     return judged_result(fit, starts, rivals, observed, time.perf_counter() - began)

@@ -1,4 +1,4 @@
-"""The impedance of locally reacting walls over frequency: splines, physical laws, and absorption.
+"""The impedance of locally reacting walls over frequency: smooth curves, and absorption.
 
 Impedances are relative to that of air (rho c) and follow ``exp(+j w t)``. Frequencies may be
 complex, ``f - j / (2 pi tau)``, for spectra behind an exponential window.
@@ -7,53 +7,18 @@ complex, ``f - j / (2 pi tau)``, for spectra behind an exponential window.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 from scipy.interpolate import BSpline
 
-from roomfit.base.logit import expit, logit
 from roomfit.base.typing import ComplexArray, FloatArray, IntArray
 
 _KNOTS_PER_OCTAVE = 4
 _CLOSEST_KNOTS_HZ = 25.0
 # Fewer frequencies than a cubic spline has coefficients are free, each for itself.
 _LEAST_COUPLED = 4
-
-
-class Curve(Protocol):
-    """R0 over frequency as a function of n real numbers x."""
-
-    @property
-    def kind(self) -> str:
-        """Name of the curve in a campaign."""
-
-    @property
-    def start(self) -> FloatArray:
-        """Starting point of a fit, shape (n,)."""
-
-    @property
-    def roughness(self) -> FloatArray:
-        """Rows whose products with x are small a priori, shape (n_rows, n)."""
-
-    @property
-    def prior_sd(self) -> float:
-        """Standard deviation of each x about its start, infinite where nothing is known."""
-
-    def r0(self, x: FloatArray) -> ComplexArray:
-        """Return R0, shape (n_frequencies,)."""
-
-    def slope(self, x: FloatArray) -> ComplexArray:
-        """Return the derivative of R0 by x, shape (n_frequencies, n)."""
-
-    def at(self, chosen: IntArray) -> Curve:
-        """Return the curve at some of its frequencies."""
-
-    def between(self, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return R0 and slope where it must be passive, between the frequencies as well."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,12 +109,6 @@ class CausalCurve:
     cubic spline, of which x holds the coefficients first; then come the real and imaginary parts of
     the logarithm of a factor that departs a little from such a wall.
 
-    Notes
-    -----
-    Without it the phase of a nearly rigid wall is that of its position: all points moved away from
-    the wall by d, and R0 turned ahead by 2 k d, explain the same pressures. No causal wall turns
-    R0 ahead by more than ``(1 - |R0|) / (1 + |R0|)`` or so.
-
     References
     ----------
     .. [1] W. Cauer, "The Poisson integral for functions with positive real part", Bull. Amer. Math.
@@ -205,6 +164,9 @@ class CausalCurve:
         by_density = self.kernel @ ((_LOG_UNIT * density)[:, None] * self.density)
         r0 = (1.0 - admittance) / (1.0 + admittance)
         return r0, np.hstack(((by * factor)[:, None] * by_density, by_log, 1j * by_log))
+
+
+Curve: TypeAlias = Spline | CausalCurve
 
 
 def causal_curve(frequency_hz: ComplexArray, start_r0: complex = 0.8) -> CausalCurve | Spline:
@@ -316,211 +278,3 @@ def absorption_random(r0: ComplexArray) -> FloatArray:
     q = (1.0 - cosine) / (1.0 + cosine)
     reflected = np.abs((r - q) / (1.0 - q * r)) ** 2
     return np.asarray(np.sum((1.0 - reflected) * 2.0 * cosine * weight, axis=-1))
-
-
-def miki_layer(
-    frequency_hz: ComplexArray,
-    flow_resistivity: complex,
-    thickness_m: complex,
-    air_gap_m: complex,
-    speed_m_s: float,
-) -> ComplexArray:
-    """Return the impedance of a porous layer before a rigid wall, with or without a gap of air.
-
-    Miki's model of the material [1]_ and the transfer of an impedance through a layer. Good for
-    ``0.01 < f / flow_resistivity < 1`` (m3/kg), used a little beyond.
-
-    Parameters
-    ----------
-    flow_resistivity : complex
-        Pa s/m2.
-    thickness_m, air_gap_m : complex
-        Complex where derivatives are taken.
-
-    References
-    ----------
-    .. [1] Y. Miki, "Acoustical properties of porous materials - modifications of Delany-Bazley
-           models", J. Acoust. Soc. Jpn (E) 11, 19-24 (1990).
-    """
-    k = 2.0 * np.pi * np.asarray(frequency_hz) / speed_m_s
-    x = np.asarray(frequency_hz) / flow_resistivity
-    own, wave = miki_material(x)
-    phase = wave * k * thickness_m
-    # admittance of the gap, 0 where there is none: no cotangent of nothing
-    behind = 1j * np.tan(k * air_gap_m)
-    sine, cosine = np.sin(phase), np.cos(phase)
-    return np.asarray(
-        own * (cosine + 1j * own * behind * sine) / (own * behind * cosine + 1j * sine)
-    )
-
-
-def miki_material(x: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return characteristic impedance and wavenumber, over those of air, at ``x = f / sigma``."""
-    return (
-        1.0 + (0.070 - 0.107j) * x**-0.632,
-        1.0 + (0.109 - 0.160j) * x**-0.618,
-    )
-
-
-def resonator(
-    frequency_hz: ComplexArray,
-    resistance: complex,
-    mass_m: complex,
-    depth_m: complex,
-    flow_resistivity: complex,
-    speed_m_s: float,
-) -> ComplexArray:
-    """Return the impedance of a perforated plate or Helmholtz resonators before a filled cavity.
-
-    ``Z = r + j k m + Z_cavity``, the cavity holding a porous material (`miki_layer`).
-
-    Parameters
-    ----------
-    resistance : complex
-        Over rho c.
-    mass_m : complex
-        Effective length of the necks over the share of open area, m.
-    flow_resistivity : complex
-        Of what fills the cavity, Pa s/m2; 10 and less is as good as air.
-    """
-    k = 2.0 * np.pi * np.asarray(frequency_hz) / speed_m_s
-    cavity = miki_layer(frequency_hz, flow_resistivity, depth_m, 0.0, speed_m_s)
-    return np.asarray(resistance + 1j * k * mass_m + cavity)
-
-
-def panel(
-    frequency_hz: ComplexArray,
-    resistance: complex,
-    mass_m: complex,
-    depth_m: complex,
-    speed_m_s: float,
-) -> ComplexArray:
-    """Return the impedance of a panel that moves as a mass on the spring of the air behind it.
-
-    ``Z = r + j k m - j cot(k d)``.
-
-    Parameters
-    ----------
-    resistance : complex
-        Losses over rho c.
-    mass_m : complex
-        Mass per area over the density of air, m: 1 m is 1.2 kg/m2.
-    depth_m : complex
-        Of the air behind.
-    """
-    k = 2.0 * np.pi * np.asarray(frequency_hz) / speed_m_s
-    return np.asarray(resistance + 1j * k * mass_m - 1j / np.tan(k * depth_m))
-
-
-# Of a step in the logarithm of a law's parameter; the error of the slope is its fourth power.
-_STEP = 1e-3
-
-Law = Callable[..., ComplexArray]
-
-
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """One number of a law: where it starts, and the range that is searched (both above 0)."""
-
-    name: str
-    unit: str
-    start: float
-    low: float
-    high: float
-
-
-LAWS: Mapping[str, tuple[Law, tuple[Parameter, ...]]] = MappingProxyType(
-    {
-        "miki": (
-            miki_layer,
-            (
-                Parameter("flow_resistivity", "Pa s/m2", 1.5e4, 5e2, 5e5),
-                Parameter("thickness_m", "m", 0.05, 0.003, 0.5),
-                Parameter("air_gap_m", "m", 0.01, 1e-4, 0.6),
-            ),
-        ),
-        "resonator": (
-            resonator,
-            (
-                Parameter("resistance", "rho c", 0.3, 0.003, 30.0),
-                Parameter("mass_m", "m", 0.3, 0.003, 10.0),
-                Parameter("depth_m", "m", 0.1, 0.005, 1.0),
-                Parameter("flow_resistivity", "Pa s/m2", 1e3, 1.0, 1e5),
-            ),
-        ),
-        "panel": (
-            panel,
-            (
-                Parameter("resistance", "rho c", 0.5, 0.003, 30.0),
-                Parameter("mass_m", "m", 5.0, 0.3, 200.0),
-                Parameter("depth_m", "m", 0.1, 0.003, 1.0),
-            ),
-        ),
-    }
-)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LawCurve:
-    """R0 by a physical law; x are its parameters through a logistic curve between their bounds."""
-
-    kind: str  # a key of `LAWS`
-    frequency_hz: ComplexArray  # (n_frequencies,), by `roomfit.impedance.data.complex_frequency_hz`
-    speed_m_s: float
-    parameters: tuple[Parameter, ...]
-
-    @property
-    def start(self) -> FloatArray:
-        low, high = self._log_bounds()
-        # a little off the ends, where the slope vanishes
-        return logit((np.log([p.start for p in self.parameters]) - low) / (high - low), 0.01)
-
-    @property
-    def roughness(self) -> FloatArray:
-        return np.zeros((0, len(self.parameters)))
-
-    @property
-    def prior_sd(self) -> float:
-        # nearly even over the range on a scale of logarithms, and never stuck at its ends
-        return 3.0
-
-    def _log_bounds(self) -> tuple[FloatArray, FloatArray]:
-        return np.log([p.low for p in self.parameters]), np.log([p.high for p in self.parameters])
-
-    def values(self, x: FloatArray) -> FloatArray:
-        """Return the law's parameters in their units, shape (..., n)."""
-        low, high = self._log_bounds()
-        return np.asarray(np.exp(low + (high - low) * expit(x)))
-
-    def r0(self, x: FloatArray) -> ComplexArray:
-        law, _ = LAWS[self.kind]
-        return r0_of_impedance(law(self.frequency_hz, *self.values(x), self.speed_m_s))
-
-    def slope(self, x: FloatArray) -> ComplexArray:
-        columns = []
-        for i in range(len(x)):
-            step = _STEP * np.eye(len(x))[i]
-            near = self.r0(x + step) - self.r0(x - step)
-            far = self.r0(x + 2.0 * step) - self.r0(x - 2.0 * step)
-            columns.append((8.0 * near - far) / (12.0 * _STEP))
-        return np.column_stack(columns)
-
-    def at(self, chosen: IntArray) -> LawCurve:
-        return replace(self, frequency_hz=self.frequency_hz[chosen])
-
-    def between(self, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        # passive by its parameters
-        return np.zeros(0, dtype=np.complex128), np.zeros((0, len(x)), dtype=np.complex128)
-
-
-def law_curve(
-    kind: str,
-    frequency_hz: ComplexArray,
-    speed_m_s: float,
-    specified: Mapping[str, Parameter] | None = None,
-) -> LawCurve:
-    """Return a law with its usual starts and bounds, or the specified ones."""
-    _, usual = LAWS[kind]
-    return LawCurve(
-        kind, frequency_hz, speed_m_s, tuple((specified or {}).get(p.name, p) for p in usual)
-    )

@@ -203,12 +203,6 @@ def marginal_likelihood_error(problem: Problem, fit: Whitened) -> float:
     model gets wrong for all pairs alike, so that the residual shows too little: there the error is
     not taken to be less than the prior's median.
 
-    Returns
-    -------
-    float
-        Error relative to the level, times wavenumber and mean free path; see
-        `roomfit.impedance.data.model_error`.
-
     References
     ----------
     .. [1] H. D. Patterson, R. Thompson, "Recovery of inter-block information when block sizes are

@@ -7,21 +7,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from roomfit.base.arguments import check_known, read_only
+from roomfit.base.arguments import read_only
 from roomfit.base.findings import Finding
-from roomfit.base.table import Column, Table, data_frame
+from roomfit.base.table import Column, Table
 from roomfit.base.typing import BoolArray, ComplexArray, FloatArray
 from roomfit.impedance.laws import absorption_normal, absorption_random, impedance_of_r0
-from roomfit.report.blocks import Block, Blocks, Findings, Sentence
-from roomfit.report.html import fragment
+from roomfit.report.blocks import Blocks, Findings, Sentence
 from roomfit.report.text import text
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 Z95 = 1.959964  # standard normal, 97.5 %
 # R0 counts as identified where its interval is no wider, Z is shown where its is, relative.
@@ -46,14 +45,14 @@ _COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A number that was found, of a physical law or of the measurement, with its 95 % interval."""
+    """A number of the measurement that was found, with its 95 % interval."""
 
-    name: str  # such as "thickness_m", "x of LS1" or "speed of sound"
+    name: str  # such as "x of LS1" or "speed of sound"
     unit: str
     value: float  # shifts are from the specified position
     lower95: float
     upper95: float
-    prior_sd: float = math.nan  # in the same unit; nan for numbers of a law
+    prior_sd: float  # in the same unit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,7 +65,7 @@ class MaterialImpedance:
     """
 
     name: str
-    kind: str  # the curve that was fitted: spline, miki, resonator, panel or constant
+    kind: str  # the curve that was fitted: spline or constant
     r0: ComplexArray
     r0_lower95: ComplexArray
     r0_upper95: ComplexArray
@@ -84,7 +83,6 @@ class MaterialImpedance:
     impedance_upper95: ComplexArray
     impedance_shown: BoolArray  # where the interval of Z is no wider than a fifth of its size
     identified: BoolArray  # where those of real and imaginary part of R0 are no wider than 0.2
-    parameters: tuple[Estimate, ...] = ()  # of a physical law; empty for a spline
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -119,7 +117,7 @@ class ImpedanceResult:
     """The walls of a room, and how far to trust what is said of them.
 
     Made by `roomfit.identify_impedance`. ``print(result)`` shows the verdict, a table of every
-    material and the findings; notebooks show the same as HTML.
+    material and the findings.
     """
 
     frequency_hz: FloatArray  # (n_frequencies,)
@@ -159,37 +157,6 @@ class ImpedanceResult:
         """Return the verdict, a table of some frequencies for every material, and all findings."""
         return text(self._described())
 
-    def _repr_html_(self) -> str:
-        """Return the same for notebooks."""
-        return fragment(self._described())
-
-    def plot(self, material: str | None = None) -> Figure:
-        """Return reflection, absorption and impedance over frequency as a matplotlib figure.
-
-        Of one material, or, where `material` is left out, of all, one below the other.
-
-        Raises
-        ------
-        InputError
-            No such material.
-        """
-        from roomfit.impedance.output import walls_figure
-
-        if material is not None:
-            check_known(
-                "the result has no such material", material, (m.name for m in self.materials)
-            )
-        return walls_figure(self, [m for m in self.materials if material in (None, m.name)])
-
-    def to_dataframe(self) -> Any:
-        """Return a pandas data frame of one row a material and frequency, as impedance.csv.
-
-        Without pandas, on which roomfit does not depend, an `InputError` says what to install.
-        """
-        from roomfit.impedance.output import impedance_records
-
-        return data_frame(impedance_records(self), "impedance.csv")
-
 
 def _headline(result: ImpedanceResult) -> str:
     weaker = " (a weaker verdict, see the findings)" if result.verdict.weaker else ""
@@ -212,11 +179,7 @@ def _table(result: ImpedanceResult, material: MaterialImpedance) -> Table:
             )
         )
     columns = (Column("Hz", align=">"), "R0", "absorption, 95 %", "random", "Z / rho c")
-    notes = [
-        f"{p.name} {p.value:.4g} {p.unit}, 95 % {p.lower95:.4g} to {p.upper95:.4g}"
-        for p in material.parameters
-    ]
-    return Table(f"{material.name} ({material.kind})", columns, rows, notes, ".3f")
+    return Table(f"{material.name} ({material.kind})", columns, rows, form=".3f")
 
 
 def _fit_text(result: ImpedanceResult) -> str:
@@ -242,16 +205,10 @@ def material_impedance(
     kind: str,
     r0: ComplexArray,
     covariance: FloatArray,
-    parameters: tuple[Estimate, ...] = (),
 ) -> MaterialImpedance:
     """Return all quantities of a material with their intervals.
 
-    Parameters
-    ----------
-    r0 : complex array, shape (n_frequencies,)
-        Passive.
-    covariance : float array, shape (n_frequencies, 2, 2)
-        Of real and imaginary part of R0.
+    Shapes: `r0` (n_frequencies,), `covariance` (n_frequencies, 2, 2).
     """
     reach = _complex_reach(covariance, np.ones(len(r0), dtype=np.complex128))
     normal = absorption_normal(r0)
@@ -290,7 +247,6 @@ def material_impedance(
         impedance_upper95=np.where(shown, z + dz, unknown),
         impedance_shown=shown,
         identified=2.0 * np.maximum(reach.real, reach.imag) <= WIDEST_R0,
-        parameters=parameters,
     )
 
 

@@ -105,17 +105,8 @@ def pressures(
 ) -> ComplexArray:
     """Return ``sum exp(-j k r) / (4 pi r) prod R``, shape (n_pairs, n_frequencies).
 
-    Parameters
-    ----------
-    pair_first, bounce_first, material, normal, hits
-        Of `roomfit.impedance.wave_model.UnfoldedPaths`.
-    vector_m : float array, shape (n_paths, 3)
-        From each image to the receiver at their present positions.
-    wavenumber : complex array, shape (n_frequencies,)
-        1/m, with the decay of window and air as a negative imaginary part.
-    r0 : complex array, shape (n_materials, n_frequencies)
-    spherical : bool
-        Spherical instead of plane waves at the walls.
+    Shapes: `vector_m` (n_paths, 3) from each image to the receiver, `wavenumber` (n_frequencies,),
+    `r0` (n_materials, n_frequencies); the rest of `roomfit.impedance.wave_model.UnfoldedPaths`.
     """
     n_pairs, n_f = len(pair_first) - 1, len(wavenumber)
     out = np.zeros((n_pairs, n_f), dtype=np.complex128)
@@ -198,15 +189,6 @@ def pressure_gradients(
 
     Arguments as of `pressures`; `image_transform` of the paths; `with_geometry` false leaves the
     last three derivatives zero.
-
-    Returns
-    -------
-    pressure : complex array, shape (n_pairs, n_frequencies)
-    by_r0 : complex array, shape (n_pairs, n_materials, n_frequencies)
-        Holomorphic: a change dR0 of R0 changes the pressure by ``by_r0 dR0``.
-    by_source, by_receiver : complex arrays, shape (n_pairs, 3, n_frequencies)
-        1/m times the pressure, with the same paths visible.
-    by_wavenumber : complex array, shape (n_pairs, n_frequencies)
     """
     n_pairs, n_f, n_materials = len(pair_first) - 1, len(wavenumber), len(r0)
     out = np.zeros((n_pairs, n_f), dtype=np.complex128)

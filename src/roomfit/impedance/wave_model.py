@@ -50,18 +50,6 @@ def check_cost(scene: Scene, n_frequencies: int, tau_s: float, lengths: float) -
     """Refuse a model whose paths are too many to be weighed, or to be found, within minutes.
 
     `lengths`: longest path in units of the speed of sound times `tau_s`.
-
-    Raises
-    ------
-    InputError
-        Names the longest time constant that can be afforded.
-
-    Notes
-    -----
-    Images within a length fill space with one for each volume of the room, whatever its shape, and
-    a path is reflected once a mean free path; so the reflections grow with the fourth power of
-    `tau_s`. How many walls the search for them meets is counted, not estimated, in a room of many
-    walls.
     """
     reflections = _reflections_to_weigh(scene, n_frequencies, lengths * tau_s)
     if reflections > MOST_REFLECTIONS:
@@ -132,11 +120,6 @@ def unfolded_paths(scene: Scene, longest_m: float) -> UnfoldedPaths:
     """Return all specular paths of every pair up to a length.
 
     In a room that is no box, only images that are visible from the receiver.
-
-    Raises
-    ------
-    InputError
-        A source at a receiver's position, or more images than the memory or the work allows.
     """
     distances = distances_m(scene)
     if distances.size and distances.min() < 1e-6:
@@ -331,13 +314,7 @@ class WaveModel:
 
 
 def wave_model(scene: Scene, frequency_hz: FloatArray, tau_s: float) -> WaveModel:
-    """Return the model of a scene behind an exponential window.
-
-    Raises
-    ------
-    InputError
-        As of `unfolded_paths`, or more paths than minutes suffice for.
-    """
+    """Return the model of a scene behind an exponential window."""
     check_cost(scene, len(frequency_hz), tau_s, _WHOLE)
     bare = model_without_paths(scene, frequency_hz, tau_s)
     whole = unfolded_paths(scene, _WHOLE * bare.speed_m_s * tau_s)
@@ -391,17 +368,7 @@ def predicted_pressure(
 ) -> ComplexArray:
     """Return the damped spectra of all pairs with all images, shape (n_pairs, n_frequencies).
 
-    Parameters
-    ----------
-    r0 : complex array, shape (n_materials, n_frequencies)
-        ``|r0| <= 1``, at the complex frequency of the window.
-    spherical : bool
-        Spherical waves at the walls; plane ones err 5 times as much.
-
-    Notes
-    -----
-    Against exact wave fields the rms error is some 1.4, 1.2, 0.6 and 0.4 % in 100 to 200, to 400,
-    to 700 and to 1000 Hz in rooms of 60 m3.
+    Shapes: `r0` (n_materials, n_frequencies).
     """
     return _pressure(model, model.whole, r0, state, spherical=spherical)
 
