@@ -16,7 +16,7 @@ from roomfit.base.findings import Finding
 from roomfit.base.table import Column, Table
 from roomfit.base.typing import BoolArray, ComplexArray, FloatArray
 from roomfit.impedance.laws import absorption_normal, absorption_random, impedance_of_r0
-from roomfit.report.blocks import Blocks, Findings, Sentence
+from roomfit.report.blocks import Block, Blocks, Findings, Sentence
 from roomfit.report.text import text
 
 if TYPE_CHECKING:
