@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from roomfit.base.errors import InputError
+from roomfit.batch import rooms as batch
 from roomfit.batch.rooms import (
     campaign_paths,
     identify_rooms,
@@ -21,7 +22,6 @@ from roomfit.batch.rooms import (
     room_tasks,
     shard_of,
 )
-from roomfit.batch.rooms import rooms as batch
 from roomfit.cli import main
 
 ROOM = """

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import roomfit
-from posterior_cases import Linear, linear_case
 from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import bands_between
 from roomfit.base.findings import Code
-from roomfit.checks import convergence, decay
+from roomfit.checks import decay
 from roomfit.checks.decay import (
     certain_misses,
     decay_misses,
@@ -32,9 +31,6 @@ from roomfit.model.patterns import Pattern
 from roomfit.model.windows import WINDOW_DECAYS, windows_decay_s
 from roomfit.result import Compared, ComparedPair
 from roomfit.settings import Settings
-from roomfit.solver import Ending, score_band
-from roomfit.uncertainty.gaussian import band_estimate
-from seen import of_answers
 
 OCTAVES = bands_between("octave", 125, 4000)
 # ISO 3382-2:2008, A.1 and A.2 with n = 10.
@@ -241,35 +237,6 @@ def test_a_miss_within_the_answers_own_uncertainty_is_none(measured_box) -> None
     assert [m.band for m in kept] == [0, 1]
     assert all(v > 0.0 for m in kept for v, _ in m.jnd.values())
     assert certain_misses(measured, traced, misses, fit, vague, Settings()) == ()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Swinging(Linear):
-    """Two data that contradict each other; each answer makes the other datum the surer one.
-
-    Answer x leads to ``-tanh(2 x)``.
-    """
-
-    def variance(self, vector: np.ndarray) -> np.ndarray:
-        return 1e-4 * np.exp(np.array([2.0, -2.0]) * float(vector[0]))
-
-
-def test_a_fit_that_is_cut_short_names_what_moved_and_converges_when_it_goes_on() -> None:
-    """To the one answer that agrees with itself, 0 but for the prior; before that it says so."""
-    case = linear_case(0, n=1, n_geometry=0, n_data=2)
-    own = Swinging(np.ones((2, 1)), np.array([1.0, -1.0]), 1.0, case.parameters)
-    few, many = (score_band(own, np.array([0.4]), max_rounds=n) for n in (2, 100))
-    assert few.ending is Ending.OUT_OF_ROUNDS
-    assert many.converged
-    assert abs(float(many.vector[0])) < 0.03
-    answer = band_estimate(case.parameters, few, "energy")
-    assert answer.moved[0].startswith("absorption of ")
-    octave = bands_between("octave", 1000, 1000)
-    (finding,) = convergence.check_fits(of_answers([answer], octave))
-    assert finding.code is Code.FIT_NOT_CONVERGED
-    assert " from 0." in finding.sentence
-    assert "max_rounds" in finding.sentence
-    assert band_estimate(case.parameters, many, "energy").moved == ()
 
 
 def test_what_a_reflection_returns_is_less_the_more_of_it_is_taken_for_noise(measured_box):

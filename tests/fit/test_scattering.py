@@ -2,25 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from roomfit.base.bands import bands_between
 from roomfit.base.errors import InputError
-from roomfit.base.findings import Code
 from roomfit.base.typing import FloatArray
-from roomfit.checks.scattering import check
 from roomfit.fit.scattering import (
     GRID,
     choose_scattering,
-    tried_scattering,
 )
-from roomfit.materials.priors import unknown_material
-from seen import of_scattering_trial
-
-MATERIALS = ("a", "b", "c")
 
 
 def bell(truth: FloatArray, width: float | FloatArray = 0.1):
@@ -76,38 +66,3 @@ def test_nothing_to_choose_and_impossible_values_are_refused():
     for grid in ((), (0.1, 1.2), (float("nan"),)):
         with pytest.raises(InputError, match="no such scattering"):
             choose_scattering(fit, start, np.ones(3, dtype=bool), grid=grid)
-
-
-def suspected(fit, assumed):
-    trial = tried_scattering(fit, MATERIALS, assumed)
-    (found, of_another) = (list(check(of_scattering_trial(trial, k))) for k in ((), ("LS1",)))
-    assert not of_another  # a source that is not omnidirectional, as both of the models have it
-    return found
-
-
-def test_smooth_walls_are_doubted_only_where_the_data_gain_much():
-    """More than 5 in log likelihood; walls that scatter already are left alone."""
-    smooth = np.zeros((3, 2))
-    for truth, fires in ((0.15, True), (0.01, False)):
-        findings = suspected(bell(np.full((3, 2), truth)), smooth)
-        assert [f.code for f in findings] == ([Code.SCATTERING_UNDERESTIMATED] if fires else [])
-    # by hand: 0.15 gains 1.5 (0.15 / 0.03)^2 = 37 in one band and loses
-    # 1.5 (0.30^2 - 0.15^2) / 0.01 = 10 in the other
-    fit = bell(np.tile([0.15, -0.15], (3, 1)), np.array([0.03, 0.1]))
-    assert suspected(fit, smooth) == []
-    # 0.5 (0.15 / 0.05)^2 = 4.5 in each of two bands
-    fit = bell(np.full((3, 2), 0.15), 0.05)
-    partly = np.array([[0.0, 0.0], [0.15, 0.15], [0.15, 0.15]])
-    (finding,) = suspected(fit, partly)
-    assert finding.evidence["materials"] == ["a"]
-    assert suspected(fit, np.full((3, 2), 0.3)) == []
-
-
-BANDS = bands_between("octave", 125, 8000)
-
-
-def walls(*given):
-    return tuple(
-        replace(unknown_material(n, len(BANDS)), **more)
-        for n, more in zip("abcd", given, strict=False)
-    )

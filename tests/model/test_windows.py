@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from coherent_cases import small_term
-from roomfit.model.patterns import directed_images
 from roomfit.model.windows import windows_decay_s
+from roomfit.pressures.directed import directed_images
 
 
 def test_a_directed_pressure_has_the_sign_of_its_amplitude():

@@ -19,7 +19,6 @@ BANDS = bands_between("octave", 125, 8000)
 FEW = roomfit.Settings(n_rays=2000, n_draws=8)
 SIDES = ("west", "east", "south", "north", "ceiling")
 MEASURED = MeasuredValues("S", "R", BANDS.centres_hz, {"T20_s": [0.8] * 7, "C80_dB": [4.0] * 7})
-ORDER = ["measured before", "model before", "model after", "carried over"]
 
 
 def foreseen(changes, known_walls: bool = True):
