@@ -58,18 +58,7 @@ def pressure_response(
     what each wall reflects, interpolated smoothly between the octaves' centres. The loudspeaker's
     levels have the phase of a minimum-phase filter.
 
-    Parameters
-    ----------
-    source_m, receiver_m : float arrays, shape (3,)
-    level_db : float array, shape (n_bands,)
-        Level of the loudspeaker at each octave's centre.
-    b : float array, shape (3,), optional
-        The loudspeaker has the amplitude ``1 + b . u`` in direction u; left out: omnidirectional.
-
-    Returns
-    -------
-    float array, shape (n_samples,)
-        In the unit in which a unit source's direct sound is ``1 / (4 pi r)``, band-limited.
+    Shape (n_samples,). Shapes: `source_m, receiver_m` (3,), `level_db` (n_bands,), `b` (3,).
     """
     images = box_images(synthetic, source_m, receiver_m, duration_s)
     sent = None
@@ -103,13 +92,7 @@ def pressure_of_images(
 ) -> FloatArray:
     """Return the sound pressure that images of one pair make together, see `pressure_response`.
 
-    Parameters
-    ----------
-    images : tuple of float arrays
-        Length (n_images,), and hits (n_images, n_walls) in the order of `synthetic.absorption`.
-    level_db : float array, shape (n_bands,)
-    sent : float array, shape (n_images,), optional
-        Amplitude of the loudspeaker for each image, of either sign; left out: 1.
+    Shapes: `level_db` (n_bands,), `sent` (n_images,).
     """
     lengths, hits = images
     factor = np.ones(lengths.size) if sent is None else sent
@@ -296,10 +279,7 @@ def simulated_responses(
 
     `rng`: draws position errors, loudspeaker levels and noise.
 
-    Returns
-    -------
-    dict from (source, receiver) to float array, shape (n_samples,)
-        Samples at `SAMPLING_RATE_HZ`, the first at the moment of emission.
+    Shape (n_samples,).
     """
     synthetic, true_at = true_box(plan, POSITION_ERROR_M, rng)
     levels_db = {s: rng.normal(0.0, 3.0, len(PLAN_BANDS)) for s in plan.sources_m}
@@ -401,17 +381,7 @@ def diffuse_echogram(
     At each wall a ray is scattered by Lambert's law with probability s and reflected specularly
     otherwise; it keeps ``1 - a`` of its energy in either case, band by band.
 
-    Parameters
-    ----------
-    scattering : float array, shape (6,)
-        Of the walls in the order of `synthetic.absorption`.
-    receivers_m : float array, shape (n_receivers, 3)
-        0.3 m or more from every wall.
-
-    Returns
-    -------
-    float array, shape (n_receivers, n_bands, n_bins)
-        1/m2 for a source of unit power, in bins of `ECHOGRAM_BIN_S`.
+    Shape (n_receivers, n_bands, n_bins). Shapes: `scattering` (6,), `receivers_m` (n_receivers, 3).
     """
     n_bins = round(duration_s / ECHOGRAM_BIN_S)
     energy = np.zeros((len(receivers_m), synthetic.absorption.shape[1], n_bins))
@@ -528,12 +498,7 @@ def modulated_noise(
     Added to the pressure of the images of `specular_box`, it makes that of walls that scatter. It
     is white before it passes the band shares and the loudspeaker as they do.
 
-    Parameters
-    ----------
-    echogram : float array, shape (n_bands, n_bins)
-        Energy of each bin of `ECHOGRAM_BIN_S`, 1/m2 for a source of unit power.
-    centres_hz, level_db : float arrays, shape (n_bands,)
-        As for `pressure_response`.
+    Shapes: `echogram` (n_bands, n_bins), `centres_hz, level_db` (n_bands,).
     """
     times_s = np.arange(n_samples) / sampling_rate_hz
     bins = np.minimum((times_s / ECHOGRAM_BIN_S).astype(int), echogram.shape[1] - 1)

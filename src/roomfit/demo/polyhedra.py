@@ -150,12 +150,7 @@ def cell_images(
 ) -> list[tuple[FloatArray, IntArray]]:
     """Return for each receiver length (n,) and hits per material (n, n_materials) of every path.
 
-    Parameters
-    ----------
-    source_m : float array, shape (3,)
-    receivers_m : float array, shape (n_receivers, 3)
-    reach_m : float
-        No path is longer.
+    Shapes: `source_m` (3,), `receivers_m` (n_receivers, 3).
     """
     arrays = cell_arrays(cells)
     source = np.array(source_m, dtype=np.float64)
@@ -463,17 +458,8 @@ def pressure_responses(
     Every image within the duration contributes ``1 / (4 pi r)``, times the root of what each wall
     reflects. There is no diffraction.
 
-    Parameters
-    ----------
-    source_m : float array, shape (3,)
-    receivers_m : float array, shape (n_receivers, 3)
-    level_db : float array, shape (n_bands,)
-        Level of the loudspeaker at each octave's centre.
-
-    Returns
-    -------
-    list of float arrays, shape (n_samples,)
-        In the unit in which a unit source's direct sound is ``1 / (4 pi r)``, band-limited.
+    Shape (n_samples,). Shapes: `source_m` (3,), `receivers_m` (n_receivers, 3), `level_db`
+    (n_bands,).
     """
     reach_m = synthetic.speed_of_sound_m_s * duration_s
     return [

@@ -66,10 +66,7 @@ def pair_energies(
 ) -> FloatArray:
     """Return the energies of one pair in every band and bin, shape (n_bands, n_bins).
 
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials, n_bands)
-    attenuation_per_m : float array, shape (n_bands,)
+    Shapes: `absorption` (n_materials, n_bands), `attenuation_per_m` (n_bands,).
     """
     if not binned.by_band:
         return weigh(binned.rows[pair], absorption, attenuation_per_m, derivative=False).energy
@@ -89,10 +86,7 @@ def bin_paths(
 
     The bins begin four periods of the lowest band before emission.
 
-    Parameters
-    ----------
-    factors : float array, shape (n_bands, n_paths), optional
-        On the weight of every path in every band, from `band_factors`.
+    Shapes: `factors` (n_bands, n_paths).
     """
     first = -int(np.ceil(4.0 / bands.centres_hz[0] / BIN_S))
     last = int(np.ceil(duration_s / BIN_S))
@@ -119,10 +113,7 @@ def reweighed(
 
     All but the weights is the same in every band, and there once.
 
-    Parameters
-    ----------
-    factors : iterable of float arrays, shape (n_paths,)
-        One a band, taken when it is needed; None: 1 everywhere.
+    Shapes: `factors` (n_paths,).
     """
     if factors is None:
         return BinnedPaths(binned.edges_s, binned.rows)
@@ -136,10 +127,7 @@ def reweighed(
 def once(ends: IntArray, each: Iterable[EnergyRows]) -> tuple[EnergyRows, ...]:
     """Return rows, with what is alike in all states of the room there once.
 
-    Parameters
-    ----------
-    ends : int array, shape (n, 2)
-        Source and receiver of each.
+    Shapes: `ends` (n, 2).
     """
     found: dict[tuple[int, ...], EnergyRows] = {}
     both = zip(ends.tolist(), each, strict=True)

@@ -225,10 +225,7 @@ def row_bases(
 
     And once for all states of the room, whose paths are those of one trace.
 
-    Parameters
-    ----------
-    kept : bool array, shape (n_paths,), optional
-        Of which paths; left out, of all.
+    Shapes: `kept` (n_paths,).
     """
     aims = directivity_parameters.aims or (None,) * len(scene.sources)
     found: dict[tuple[int, int], RowBasis] = {}
@@ -252,10 +249,7 @@ def directed_band(
 ) -> BandDirectivities:
     """Return where the rows of a band leave the sources, nothing known of these yet.
 
-    Parameters
-    ----------
-    bases : sequence of float arrays, shape (n_rows, 3)
-        `row_bases` of the same binned paths: a band has the first rows of each pair.
+    Shapes: `bases` (n_rows, 3).
     """
     number = [int(scene.pairs[m.pair][0]) for m in files]
     source = directivity_parameters.of_source[number]

@@ -182,13 +182,7 @@ def fixed_paths(
 ) -> FixedPaths:
     """Return what stays of a band, linearised at an answer.
 
-    Parameters
-    ----------
-    term : EnergyTerm
-        With the rows of the paths that stay.
-    absorption : float array, shape (n_materials,)
-    b : float array, shape (n_sources, 3)
-        Of the unknown directivities; no rows without any.
+    Shapes: `absorption` (n_materials,), `b` (n_sources, 3).
     """
     observations = term.observations
     n_gains = max((o.gain for o in observations), default=-1) + 1
@@ -241,15 +235,7 @@ def displaced_term(
 ) -> DisplacedTerm:
     """Return the windows with the image sources of one geometry.
 
-    Parameters
-    ----------
-    images : Paths
-    times_s : float array, shape (n_observations, n_paths)
-        Arrival of each on the clock of each observation's response.
-    weight : float array, shape (n_paths,)
-        In this band, with the loss in air.
-    kernel : tuple of SpreadingKernel and int
-        And the band in it.
+    Shapes: `times_s` (n_observations, n_paths), `weight` (n_paths,).
     """
     observations = kept.term.observations
     # all observations one after the other on one axis of time, so that one call spreads them all

@@ -177,12 +177,7 @@ class EnergyTerm(DataTerm):
     def radiated(self, b: Sequence[FloatArray | None], basis: Sequence[RowBasis]) -> EnergyTerm:
         """Return the windows with the directivity of each observation's source.
 
-        Parameters
-        ----------
-        b : sequence of float arrays, shape (3,)
-            None where the directivity is in the rows' weights already.
-        basis : sequence of float arrays, shape (n_rows, 3)
-            `pattern_basis` of where the path of each row leaves.
+        Shapes: `b` (3,), `basis` (n_rows, 3).
         """
         pairs = zip(b, basis, strict=True)
         patterns = tuple(None if own is None else RowPattern(own, at) for own, at in pairs)
@@ -289,10 +284,7 @@ def noise_and_model_variance(
 ) -> dict[str, FloatArray]:
     """Return the variance of each window by background noise and by the errors of the model.
 
-    Parameters
-    ----------
-    signal : float array, shape (n_windows,)
-        Expected energy without noise.
+    Shapes: `signal` (n_windows,).
     """
     noise = observed.noise * (observed.noise + 2.0 * signal)
     noise /= problem.bandwidth_hz * np.diff(observed.edges_s)
@@ -308,12 +300,7 @@ def model_variance(
 ) -> dict[str, FloatArray]:
     """Return the variance of each window by the errors of the model, (n_windows,) each.
 
-    Parameters
-    ----------
-    measured, signal : float arrays, shape (n_windows,)
-        Energy without noise, measured and expected.
-    ringing : float array, shape (n_windows,)
-        `late_shares` times the signal.
+    Shapes: `measured, signal` (n_windows,), `ringing` (n_windows,).
     """
     # where the measurement is far above, its own size bounds the certainty: a window that a
     # trial absorption leaves empty must not outweigh all others
@@ -352,10 +339,7 @@ def squared_image_rows(rows: EnergyRows) -> EnergyRows:
 def chosen_rows(rows: EnergyRows, kept: BoolArray) -> EnergyRows:
     """Return the rows of some paths.
 
-    Parameters
-    ----------
-    kept : bool array, shape (n_paths,)
-        Of the trace.
+    Shapes: `kept` (n_paths,).
     """
     own = kept[cast(IntArray, rows.path)]
     offsets = np.concatenate(([0], np.cumsum(own)))[rows.offsets]

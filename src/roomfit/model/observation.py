@@ -77,15 +77,8 @@ def energy_term(
 
     None where fewer windows rise above the noise than there are unknowns.
 
-    Parameters
-    ----------
-    start : float array, shape (n_bands,)
-        Uniform absorption to start from.
-    shortest : two floats
-        How short the windows may be; `periods` and `fine_s` of `window_edges_s`.
+    Shapes: `start` (n_bands,).
 
-    Notes
-    -----
     A measurement is left out of the bands in which no decay rises above its noise: one window of
     noise would determine neither the walls nor its gain.
     """

@@ -207,10 +207,7 @@ def prior_residuals(parameters: Parameters, vector: FloatArray) -> tuple[FloatAr
     In standard deviations: (free - mean) / sd where priors are independent, the inverse Cholesky
     root of the covariance times (free - mean) where a block's are correlated.
 
-    Returns
-    -------
-    residuals : float array, shape (n_priors,)
-    jacobian : float array, shape (n_priors, n_free)
+    Shapes: residuals (n_priors,), jacobian (n_priors, n_free).
     """
     mean = np.concatenate([b.prior_mean[b.fitted] for b in parameters.blocks])
     sd = np.concatenate([b.prior_sd[b.fitted] for b in parameters.blocks])

@@ -39,11 +39,7 @@ def amplitude_and_slope(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the amplitude a of every direction, (n,), and its derivative by b, (n, 3).
 
-    Parameters
-    ----------
-    b : float array, shape (3,)
-    departure : float array, shape (n, 3)
-        Unit vectors away from the source, or what `pattern_basis` makes of them.
+    Shapes: `b` (3,), `departure` (n, 3).
     """
     amplitude, slope = np.empty(len(departure)), np.empty((len(departure), 3))
     fill_amplitudes(np.asarray(b, dtype=np.float64), departure, amplitude, slope)
@@ -111,16 +107,7 @@ def weigh_parts(
     direction. Rays have no squares: they sample very many weak reflections, whose squares vanish.
     Same bits for any number of threads.
 
-    Parameters
-    ----------
-    pattern : RowPattern or None
-        None for an omnidirectional source.
-    coefficients : float array, shape (n_materials,)
-        Energy absorption, 0 to 1.
-    attenuation_per_m : float
-        Energy attenuation of the air, 0 or more.
-    derivative : bool
-        Whether slopes are wanted.
+    Shapes: `coefficients` (n_materials,).
     """
     reflected, attenuation = reflected_and_attenuation(
         rows, coefficients[:, None], np.array([attenuation_per_m])
@@ -286,13 +273,7 @@ class MeasuredDirectivity:
 
 
 def loudspeaker_axes(aim: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> FloatArray:
-    """Return unit vectors of front, left and top, rows of (3, 3); `up` need not be square to `aim`.
-
-    Raises
-    ------
-    InputError
-        `up` and `aim` are parallel, or one has no length.
-    """
+    """Return unit vectors of front, left and top, rows of (3, 3); `up` may be oblique to `aim`."""
     front = float_array("aim", aim, (3,), low=-1e6, high=1e6)
     left = np.cross(float_array("up", up, (3,), low=-1e6, high=1e6), front)
     if not np.linalg.norm(left) > 1e-9 * np.linalg.norm(front):
@@ -314,20 +295,8 @@ def measured_directivity(
     Between directions it is interpolated by radial functions through the nearest sixteen, exact at
     the measured directions, and never below 0.
 
-    Parameters
-    ----------
-    directions : float array, shape (n_directions, 3)
-        In the loudspeaker's own frame: x front, y left, z top; of any length.
-    energy : float array, shape (n_directions, n_bands)
-        In any unit: the mean over the sphere becomes 1.
-    centres_hz : float array, shape (n_bands,)
-    axes : float array, shape (3, 3)
-        From `loudspeaker_axes`.
-
-    Raises
-    ------
-    InputError
-        Fewer than six directions, some hemisphere without any, or a band without energy.
+    Shapes: `directions` (n_directions, 3), `energy` (n_directions, n_bands), `centres_hz`
+    (n_bands,), `axes` (3, 3).
     """
     points = float_array("directions", directions, (None, 3), low=-1e6, high=1e6)
     length = np.linalg.norm(points, axis=1)
@@ -377,10 +346,7 @@ def sphere_mean(factor: FloatArray) -> FloatArray:
 def measured_factor(source: MeasuredDirectivity, departure: FloatArray, band: int) -> FloatArray:
     """Return the factor of one band for directions in the room, shape (n_paths,).
 
-    Parameters
-    ----------
-    departure : float array, shape (n_paths, 3)
-        Unit vectors away from the source.
+    Shapes: `departure` (n_paths, 3).
     """
     front, left, top = (departure.astype(np.float64) @ axis for axis in source.axes)
     table = source.factor[band]
@@ -442,11 +408,7 @@ def pattern_basis(
     it: a loudspeaker of one or two ways is alike all around its axis, and narrower than any
     pattern of first order.
 
-    Parameters
-    ----------
-    departure : float array, shape (n, 3)
-        Unit vectors away from the source.
-    aim : float array, shape (3,), or None
+    Shapes: `departure` (n, 3), `aim` (3,).
     """
     if aim is None:
         return departure
@@ -457,17 +419,7 @@ def pattern_basis(
 def aimed(aim: ArrayLike, b: float) -> Pattern:
     """Return the first-order directivity with an axis and a strength.
 
-    Parameters
-    ----------
-    aim : array_like, shape (3,)
-        Direction of the axis in the frame of the room, of any length but zero.
-    b : float
-        0 or more: the amplitude on the axis is 1 + b, behind it 1 - b.
-
-    Raises
-    ------
-    InputError
-        The axis has no length.
+    Shapes: `aim` (3,).
     """
     return Pattern(b * unit_vector(aim))
 
@@ -484,17 +436,7 @@ Directivity = Pattern | MeasuredDirectivity
 def directivity_factors(
     paths: Paths, sources: Sequence[Directivity | None], source_of_pair: Sequence[int], band: int
 ) -> FloatArray:
-    """Return the factor of every path in one band, shape (n_paths,).
-
-    Parameters
-    ----------
-    sources : sequence of Directivity or None
-        Of each source of the scene; None is omnidirectional.
-    source_of_pair : sequence of int
-        First column of the scene's pairs.
-    band : int
-        Of a `Pattern.b` with bands, and of `MeasuredDirectivity.centres_hz`.
-    """
+    """Return the factor of every path in one band, shape (n_paths,)."""
     factors = np.ones(len(paths))
     source_of_path = np.asarray(source_of_pair)[paths.pair]
     for number, source in enumerate(sources):

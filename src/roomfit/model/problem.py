@@ -228,16 +228,7 @@ def gamma_log_likelihood(
     A window's energy is a sum of squares of nearly Gaussian pressures: never negative, skew, with
     a standard deviation that grows with its mean.
 
-    Parameters
-    ----------
-    measured, expected, variance : float arrays, shape (n,)
-        A measured 0 counts as a millionth of what was expected; an expected 0, where neither a path
-        nor noise reaches, as a billionth of the largest.
-
-    Returns
-    -------
-    float array, shape (n,)
-        Log of a density per unit of energy.
+    Shape (n,). Shapes: `measured, expected, variance` (n,).
     """
     least = 1e-9 * float(expected.max(initial=0.0)) + np.finfo(np.float64).tiny
     expected = np.maximum(expected, least)

@@ -48,9 +48,7 @@ class ReducedRows:
     def energies(self, absorptions: FloatArray) -> FloatArray:
         """Return the energies under several absorptions, (n_points, n_bands, n_bins).
 
-        Parameters
-        ----------
-        absorptions : float array, shape (n_points, n_materials, n_bands)
+        Shapes: `absorptions` (n_points, n_materials, n_bands).
         """
         bands = range(len(self.by_band))
         return np.stack([self.band_energies(b, absorptions[:, :, b]) for b in bands], axis=1)
@@ -82,12 +80,7 @@ class ReducedRows:
     ) -> FloatArray:
         """Return the speech transmission index of such energies, (n_points,); NaN in other bands.
 
-        Parameters
-        ----------
-        values : float array, shape (n_points, n_names, n_bands)
-            From `values`.
-        speech_db : float array, shape (2, 7), optional
-            As of `roomfit.predict`.
+        Shapes: `values` (n_points, n_names, n_bands), `speech_db` (2, 7).
         """
         if sti_missing(self.bands):
             return np.full(len(energies), np.nan)
@@ -106,15 +99,8 @@ class ReducedRows:
 
         1 where nothing changes, towards 0 where other walls return the energy.
 
-        Parameters
-        ----------
-        before, after : float arrays, shape (n_materials, n_bands)
-            Absorption coefficients, 0 to 1.
-        exchanged : bool array, shape (n_materials,)
-            Which materials are others after the change, whatever their absorption.
+        Shapes: `before, after` (n_materials, n_bands), `exchanged` (n_materials,).
 
-        Notes
-        -----
         Pressures of paths with the energies ``e_i`` before and ``f_i`` after, of random phases,
         bring energies with the covariance ``(sum_i sqrt(e_i f_i))^2``, less what single paths
         bring, over paths whose phase is common to both states: those that meet no wall that is
@@ -153,14 +139,8 @@ def reduced(rows: EnergyRows, absorption: FloatArray, most: int) -> EnergyRows:
     bins rows are drawn with the largest share that they have of the energy in any case, and are
     weighed accordingly; then weights move as little as it takes to bring the energies of all rows.
 
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials,)
-    most : int
-        At most about so many.
+    Shapes: `absorption` (n_materials,).
 
-    Notes
-    -----
     Systematic sampling with unequal probabilities, and the regression estimator: J.-C. Deville,
     C.-E. Sarndal, "Calibration estimators in survey sampling", J. Am. Stat. Assoc. 87, 376-382
     (1992).

@@ -159,14 +159,7 @@ def approximated(term: ValuesTerm, absorption: FloatArray) -> Callable[[FloatArr
     Exact at one absorption, from which ratios of decay times and differences of all else are taken
     with fewer paths: within a tenth of a just noticeable difference where changes are 14 of them.
 
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials,)
-
-    Returns
-    -------
-    callable
-        From absorptions, shape (n_points, n_materials), to values, (n_points, n_values).
+    Shapes: `absorption` (n_materials,).
     """
     whole = fft.irfft(term.spreading.spectrum, term.spreading.length)
     # what is carried farther than this is a thousandth
@@ -202,12 +195,8 @@ def value_covariances(term: ValuesTerm, absorption: FloatArray) -> tuple[FloatAr
     pressures add up to beside their energies; the number of rays; and the error of the model, which
     those read from the decay share, and those read from early against late.
 
-    Returns
-    -------
-    tuple of float arrays, shape (n_values, n_values), one an observation
+    Shape (n_values, n_values).
 
-    Notes
-    -----
     The energy of a band of bandwidth B scatters about the sum of the paths' energies like white
     noise of the spectral density ``(P^2 - Q) / B``, P the power spread by the filter and Q that of
     single reflections, which interfere with nothing. Carried through the derivatives of a value
@@ -240,25 +229,7 @@ def scatter_parts(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return numbers read from the decay of a pair, and how measured ones scatter about them.
 
-    Parameters
-    ----------
-    i : int
-        Index of the pair's observation; nothing of what was measured is read.
-    read : callable
-        From a decay curve of the one band to n numbers and their derivatives by the energies of its
-        bins, (n, n_bins); with ``derivative=False`` the latter are not looked at.
-    decay : _Decay, optional
-        What `read` said of it at this absorption, where that is known.
-
-    Returns
-    -------
-    values : float array, shape (n,)
-    interference : float array, shape (n, n)
-        Covariance, see `value_covariances`.
-    added : float array, shape (n,)
-        By how much more the pressures of images add up to; 0 but in a box of smooth walls.
-    tracing : float array, shape (n, n)
-        Monte-Carlo covariance.
+    Shapes: values (n,), interference (n, n), added (n,), tracing (n, n).
     """
     own = _decay(term, i, absorption, read) if decay is None else decay
     interference = _interference(term, own)
@@ -326,10 +297,7 @@ def curve_by_pressures(
     Images on a lattice keep their order: between walls that differ much their pressures leave 3 to
     7 dB less than their energies 15 to 30 dB down the decay, at all positions alike.
 
-    Parameters
-    ----------
-    energy : float array, shape (1, n_bins)
-        Of images and rays, before it is spread.
+    Shapes: `energy` (1, n_bins).
     """
     rows, edges = term.rows[i], term.edges_s
     image = np.flatnonzero(rows.length_m > 0.0)
@@ -373,22 +341,7 @@ def value_terms(
     *,
     names: Sequence[ValueName] = VALUE_NAMES,
 ) -> tuple[ValuesTerm | None, ...]:
-    """Return the term of every band, over all given values; None where a band has none.
-
-    Parameters
-    ----------
-    measured : sequence of MeasuredValues
-        Those to be fitted, each of a pair of the scene, with the centres of `bands` among its own.
-    binned : BinnedPaths
-        Traced so long that the slowest band falls by 35 dB, where T30 is to be fitted.
-    names : sequence of str
-        Which parameters to fit.
-
-    Raises
-    ------
-    InputError
-        A pair that the scene does not have, or twice the same.
-    """
+    """Return the term of every band, over all given values; None where a band has none."""
     pairs = _pairs(scene, measured)
     coarse = coarser(binned, _BINS_AS_ONE)
     attenuation = attenuation_per_m(scene.air, bands)
@@ -439,10 +392,7 @@ def without_responses(
 ) -> Objective | None:
     """Return the objective of a band's data beside responses by themselves, None without any.
 
-    Parameters
-    ----------
-    start : float array, shape (n_bands,)
-        Uniform absorption to start from.
+    Shapes: `start` (n_bands,).
     """
     if not terms:
         return None
@@ -486,9 +436,7 @@ def predicted_values(
 ) -> FloatArray:
     """Return the room parameters that the paths predict, shape (n_pairs, n_names, n_bands).
 
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials, n_bands)
+    Shapes: `absorption` (n_materials, n_bands).
     """
     attenuation = attenuation_per_m(scene.air, bands)
     direct_s = distances_m(scene) / speed_of_sound_m_s(scene.air)

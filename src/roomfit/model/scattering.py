@@ -32,23 +32,7 @@ def scattering_weights(paths: Paths, scattering: Scattering) -> FloatArray:
     rays, the former is the mean over groups, whichever group drew a path (the balance heuristic):
     no factor exceeds the number of groups times that of any group by itself.
 
-    Parameters
-    ----------
-    paths : Paths
-        Traced with the sampling coefficients s0.
-    scattering : Scattering
-        The coefficients s wanted, materials in the same order.
-
-    Returns
-    -------
-    float array, shape (n_paths,)
-        Exactly 1 where s = s0. See `effective_sample_size` for how far the factors can be trusted.
-
-    Raises
-    ------
-    InputError
-        Other materials, or another s for a material traced with s0 = 0 or 1: of one kind of
-        reflection no path was ever drawn. Of several groups one is enough that draws both.
+    Shape (n_paths,).
 
     References
     ----------
@@ -144,22 +128,11 @@ def _log_changes(traced: FloatArray, wanted: FloatArray) -> FloatArray:
 def effective_sample_size(factors: FloatArray) -> float:
     """Return the number of paths of equal weight and equal variance, ``(sum f)**2 / sum f**2``.
 
-    Parameters
-    ----------
-    factors : float array, shape (n_paths,)
-        From `scattering_weights`, of the paths whose energy is to be trusted. 0 for none. Trace
-        again when it falls below about a tenth of their number.
+    Shapes: `factors` (n_paths,).
 
     References
     ----------
     .. [1] L. Kish, "Survey Sampling", Wiley (1965).
-
-    Examples
-    --------
-    Three paths, of which one has lost its weight, are worth two.
-
-    >>> effective_sample_size(np.array([1.0, 1.0, 0.0]))
-    2.0
     """
     square = float(np.sum(np.square(factors)))
     return float(np.sum(factors)) ** 2 / square if square > 0.0 else 0.0
@@ -173,18 +146,6 @@ def rows_for_band(
     Image paths are thinned by ``((1 - s) / (1 - s0)) ** hits`` and stay exact. What they are worth
     is the least `effective_sample_fraction` of the pairs: trace again, nearer to what is wanted,
     where that is below `LEAST_EFFECTIVE_FRACTION`.
-
-    Parameters
-    ----------
-    rows : sequence of EnergyRows
-        Made from `paths` by `energy_rows`, of any pairs; merged or squared ones cannot be used.
-    scattering : Scattering
-        What is wanted in this band.
-
-    Raises
-    ------
-    InputError
-        As `scattering_weights`.
     """
     if np.array_equal(scattering.coefficients[None], paths.sampling_scattering):
         return tuple(rows), 1.0
@@ -202,11 +163,6 @@ def effective_sample_fraction(rows: EnergyRows, weighed: EnergyRows) -> float:
     Kish's effective number by the new weights over that by the old ones, in eighths of the rays by
     time, the least of them: weights degenerate with every hit, so that the late part suffers
     first. At most 1.
-
-    Parameters
-    ----------
-    rows, weighed : EnergyRows
-        The same rows with old and new weights.
     """
     rays = np.flatnonzero(rows.batch >= 0)
     n_slices = int(np.clip(len(rays) // _FEWEST_IN_SLICE, 1, _SLICES))
@@ -231,30 +187,8 @@ def sampling_groups(
     coefficients at the distance d, whatever they are. With one group for every coefficient that
     differs there is no further one, and the fraction is at least 1 over their number.
 
-    Parameters
-    ----------
-    wanted : float array, shape (n_materials, n_bands)
-    single : float array, shape (n_materials,)
-        What one group is traced with: the mean over bands.
-    hits : float array, shape (n_materials,)
-        Expected hits of a late path.
-    rng : numpy.random.Generator
-
-    Returns
-    -------
-    float array, shape (n_groups, n_materials)
-
-    Examples
-    --------
-    After fifty hits the rays of the mean are worth nothing to the highest band.
-
-    >>> wanted = np.array([[0.1, 0.1, 0.5]])
-    >>> rng = np.random.default_rng(1)
-    >>> groups = sampling_groups(wanted, np.array([0.7 / 3]), np.array([50.0]), rng)
-    >>> groups.tolist()
-    [[0.1], [0.5]]
-    >>> effective_fractions(groups, wanted, np.array([50.0]), rng).round(1).tolist()
-    [0.5, 0.5, 0.5]
+    Shape (n_groups, n_materials). Shapes: `wanted` (n_materials, n_bands), `single` (n_materials,),
+    `hits` (n_materials,).
     """
     groups = single[None]
     best, largest = groups, 0.0
@@ -289,15 +223,8 @@ def effective_fractions(
     together. It is one over the mean of f among paths that are drawn with the band's own
     scattering, whose numbers of hits follow Poisson's distribution.
 
-    Parameters
-    ----------
-    groups : float array, shape (n_groups, n_materials)
-        What is traced with; all groups have as many rays.
-    wanted : float array, shape (n_materials, n_bands)
-    hits : float array, shape (n_materials,)
-        Expected hits.
-    rng : numpy.random.Generator
-        Not used for a single group.
+    Shapes: `groups` (n_groups, n_materials), `wanted` (n_materials, n_bands), `hits`
+    (n_materials,).
     """
     if len(groups) == 1:  # in closed form; drawn weights would be of few large ones
         room = np.maximum(groups[0] * (1.0 - groups[0]), 1e-300)[:, None]

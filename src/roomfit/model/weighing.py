@@ -185,11 +185,6 @@ def rows_in_air(rows: EnergyRows, attenuation_per_m: float) -> EnergyRows:
 
     To be weighed without attenuation; their lengths are 0, so that none acts twice. Saves the
     exponentials where one band is weighed many times, and makes `merge_equal_rows` exact.
-
-    Parameters
-    ----------
-    attenuation_per_m : float
-        Energy attenuation m of the band, 0 or more.
     """
     return replace(
         rows,
@@ -212,15 +207,7 @@ def _zeros_of_size(size: int) -> FloatArray:
 def reweighed_rows(rows: EnergyRows, factors: FloatArray) -> EnergyRows:
     """Return the same rows with every weight times a factor of its path.
 
-    Parameters
-    ----------
-    factors : float array, shape (n_paths,)
-        Of every path of the trace, of all pairs.
-
-    Raises
-    ------
-    InputError
-        The rows are merged paths.
+    Shapes: `factors` (n_paths,).
     """
     if rows.path is None:
         what = "rows that are no single paths cannot be reweighed"
@@ -232,10 +219,7 @@ def reweighed_rows(rows: EnergyRows, factors: FloatArray) -> EnergyRows:
 def regrouped_rows(rows: EnergyRows, first: IntArray) -> EnergyRows:
     """Return the same rows in coarser windows, each from one of the old ones up to the next.
 
-    Parameters
-    ----------
-    first : int array, shape (n_new,)
-        Rising, from 0: the old window at which each new one begins. No row is copied or moved.
+    Shapes: `first` (n_new,).
     """
     return replace(
         rows, n_windows=first.size, offsets=rows.offsets[np.append(first, rows.n_windows)]
@@ -274,11 +258,6 @@ def thinned_rows(rows: EnergyRows, most: int) -> EnergyRows:
     The latter get k times their weight, so that no energy is lost on average. Energies from thinned
     rows are noisy; their change with the absorption is much less so, because the same rows are
     weighed on both sides.
-
-    Parameters
-    ----------
-    most : int
-        2 or more.
     """
     if len(rows) <= most:
         return rows
@@ -526,12 +505,7 @@ def weigh_points(rows: EnergyRows, absorption: FloatArray) -> FloatArray:
 
     A pass over the rows serves all points, side by side in vectors: a tenth of `weigh`'s time each.
 
-    Parameters
-    ----------
-    rows : EnergyRows
-        With the air in their weights, see `rows_in_air`.
-    absorption : float array, shape (n_points, n_materials)
-        0 to 1.
+    Shapes: `absorption` (n_points, n_materials).
     """
     powers = np.ones((len(rows.materials), rows.max_hits + 1, len(absorption)))
     powers[:, 1:] = np.cumprod(

@@ -91,12 +91,7 @@ def windows_decay_s(edges_s: FloatArray, energy: FloatArray, name: str) -> float
     From the line through what is left at the windows' beginnings, 5 to 25 or 0 to 10 dB below the
     whole; NaN where fewer than three lie there. Energy after the last window is left out.
 
-    Parameters
-    ----------
-    edges_s : float array, shape (n_windows + 1,)
-    energy : float array, shape (n_windows,)
-    name : str
-        One of `WINDOW_DECAYS`.
+    Shapes: `edges_s` (n_windows + 1,), `energy` (n_windows,).
     """
     highest_db, lowest_db = WINDOW_DECAYS[name]
     left = np.cumsum(np.maximum(energy, 0.0)[::-1])[::-1]
@@ -176,27 +171,7 @@ def window_edges_s(
     ``dt = max(1 ms, periods / B)``: a band of bandwidth B does not resolve time any finer, and late
     energy falls so evenly that a tenth of the elapsed time loses nothing.
 
-    Parameters
-    ----------
-    direct_s : float
-        Travel time of the direct sound.
-    end_s : float
-        Where the usable part of the response ends.
-    bandwidth_hz : float
-        Statistical bandwidth of the band's filter.
-    periods : float
-        Of 1 / B, in the shortest window: 1.5 suits energies that add, 0.75 pressures, whose
-        windows depend on phases.
-    fine_s : float
-        Windows that begin less than this after the direct sound may be half as long, and grow to
-        3 % of the elapsed time: they tell where a wall stands.
-
-    Returns
-    -------
-    float array, shape (n_windows + 1,)
-        Rising, beginning 3 / B (2 ms at least) before the direct sound, because a zero-phase
-        filter rings before it;
-        shorter than two entries never: the window of the direct sound is always there.
+    Shape (n_windows + 1,).
     """
     finest_s = max(1e-3 if fine_s == 0.0 else 0.5e-3, periods / bandwidth_hz)
     before_s = 2.0 * max(1e-3, 1.5 / bandwidth_hz)

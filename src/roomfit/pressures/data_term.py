@@ -284,12 +284,7 @@ def with_coherence(
     ``gamma = exp(-w^2 var(t) - phase_sd^2 n)`` with w of the band's centre, n hits, and var(t) of
     the geometry's covariance, of positions to half a millimetre and of a share of 1e-4 of the time.
 
-    Parameters
-    ----------
-    covariance : float array, shape (n, n)
-        Of all entries of the geometry's free numbers, fixed ones zero.
-    phase_sd : float
-        Standard deviation of the phase that a reflection adds at random, rad.
+    Shapes: `covariance` (n, n).
     """
     images, c = term.images, term.geometry.speed_m_s
     spread = np.empty(images.weight.size)
@@ -385,21 +380,7 @@ def coherent_term(
     geometry: Geometry,
     end_s: float = np.inf,
 ) -> CoherentTerm:
-    """Return the partly coherent windows of a band from the same as energies, not coherent yet.
-
-    Parameters
-    ----------
-    energies : EnergyTerm
-        Of the same paths and observations; its attenuation may be in its rows already.
-    attenuation_per_m : float
-        Energy attenuation of the air in the band.
-    images : ImagePaths
-        Of the same observations, without the air's loss; their rows are shared.
-    geometry : Geometry
-        With one row of columns for each observation.
-    end_s : float
-        Pressures add in the windows that end by then.
-    """
+    """Return the partly coherent windows of a band from the same as energies, not coherent yet."""
     observed = tuple(first_windows(o, end_s) for o in energies.observations)
     c = geometry.speed_m_s
     one = Bands(bands.kind, bands.centres_hz[band : band + 1])

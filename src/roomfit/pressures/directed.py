@@ -75,16 +75,7 @@ def coherent_slopes(
 ) -> FloatArray:
     """Return the derivative of the energies of the coherent pressure by b of each own source.
 
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials,)
-    times, grid, edges_s
-        As for `roomfit.pressures.response.coherent_response`.
-
-    Returns
-    -------
-    float array, shape (n_windows, 3)
-        ``2 * integral of y dy/db`` over every window, observations end to end.
+    Shape (n_windows, 3). Shapes: `absorption` (n_materials,).
     """
     images, amplitude, slope = directed
     root = np.sqrt(image_energies(images, absorption) * images.coherence)
@@ -123,13 +114,7 @@ def grid_directed_impulses(
 ) -> None:
     """Add impulses of several heights at each path's time to the grids of some observations.
 
-    Parameters
-    ----------
-    offsets, row, away, image_transform, hits, shifts, speed, latency, delays
-        As for `roomfit.pressures.response.grid_impulses`.
-    heights : shape (n_paths, n_columns)
-    impulses : shape (n_observations, n_columns, n_grid)
-        Zeros; filled.
+    Shapes: `heights` (n_paths, n_columns), `impulses` (n_observations, n_columns, n_grid).
     """
     n_grid = impulses.shape[2]
     for o in range(first, last):

@@ -402,14 +402,7 @@ def _even(
 def freed_parameters(
     state: SequentialState, fits: Sequence[CoherentBandFit | None]
 ) -> tuple[Freed | None, Freed | None]:
-    """Return what is gained if delays, and positions, are fitted; None of what is not fixed.
-
-    Parameters
-    ----------
-    state : SequentialState
-    fits : sequence of CoherentBandFit or None, one a band
-        Of its bands, with nothing set free.
-    """
+    """Return what is gained if delays, and positions, are fitted; None of what is not fixed."""
     settings = state.task.settings
     if settings.model == "energy":
         return None, None
@@ -465,13 +458,6 @@ def fit_coherent(
     Which images a receiver sees depends on where it stands, except in a box: elsewhere the bands
     up to 1 kHz are fitted first, images are found anew at the positions they tell, and everything
     is fitted again from the specified prior.
-
-    Parameters
-    ----------
-    state : SequentialState
-        As `initialise` returns it.
-    traced : TracedPaths
-        Of all pairs: image sources, the further the better, and rays for what they leave.
     """
     state = state if state.task.settings.quick else with_sources_examined(state, traced)
     task, settings = state.task, state.task.settings
@@ -760,10 +746,7 @@ def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
     their assumed positions give it. It is taken over slots of 40 ms; after the last window in which
     pressures add, the value of the last slot is kept.
 
-    Returns
-    -------
-    float array, shape (n_windows,)
-        0 where everything is coherent.
+    Shape (n_windows,).
     """
     energies = band.coherent.energies
     noise = np.concatenate([o.noise for o in energies.observations])
@@ -797,11 +780,6 @@ def estimate_position_sd_scale(
 
     The mean square of the shifts of all coordinates, in prior standard deviations and with the
     posterior variance of each, against chi-square with as many degrees of freedom, n. At most 5.
-
-    Parameters
-    ----------
-    prepared, fits : sequences, one a band
-        Low to high; the last fit includes the information of all before it on the geometry.
     """
     band = next((b for b in prepared if b is not None), None)
     found = [f.found for f in fits if f is not None and f.found is not None]

@@ -72,15 +72,7 @@ def times_of(geometry: Geometry, values: FloatArray) -> Times:
 def local_roots(geometry: Geometry, covariance: FloatArray) -> FloatArray:
     """Return a root of each observation's covariance in physical units.
 
-    Parameters
-    ----------
-    covariance : float array, shape (n, n)
-        Of the free numbers.
-
-    Returns
-    -------
-    float array, shape (n_observations, 8 + n_materials, 8 + n_materials or n)
-        Times its transpose: the covariance of the observation's own entries.
+    Shape (n_observations, 8 + n_materials, 8 + n_materials or n). Shapes: `covariance` (n, n).
     """
     values, vectors = np.linalg.eigh(covariance)
     root = geometry.sd[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
@@ -92,10 +84,7 @@ def local_roots(geometry: Geometry, covariance: FloatArray) -> FloatArray:
 def whole_covariance(geometry: Geometry, fitted: FloatArray | None = None) -> FloatArray:
     """Return the covariance of all free numbers; those that are fixed keep their unit variance.
 
-    Parameters
-    ----------
-    fitted : float array, shape (n_fitted, n_fitted), optional
-        Covariance of the fitted entries; left out: the unit normal prior.
+    Shapes: `fitted` (n_fitted, n_fitted).
     """
     n = geometry.sd.size
     out = np.eye(n)
@@ -118,19 +107,7 @@ def campaign_geometry(
     delays: bool,
     speed_sd: float,
 ) -> Geometry:
-    """Return the unknowns of arrival times of the fitted measurements.
-
-    Parameters
-    ----------
-    fitted : tuple of MeasuredPair
-        One an observation, in the order of the observations.
-    positions : bool
-        Whether positions, speed of sound and latencies may move.
-    delays : bool
-        Whether walls may delay.
-    speed_sd : float
-        Standard deviation of ln c.
-    """
+    """Return the unknowns of arrival times of the fitted measurements."""
     labels: list[str] = []
     sd: list[float] = []
     position_columns = {}
@@ -169,10 +146,7 @@ def campaign_geometry(
 def moved_scene(scene: Scene, geometry: Geometry, fitted: FloatArray) -> tuple[Scene, FloatArray]:
     """Return the scene with fitted positions, and these as free numbers of all entries.
 
-    Parameters
-    ----------
-    fitted : float array, shape (n_fitted,)
-        Free numbers of the fitted entries of the geometry.
+    Shapes: `fitted` (n_fitted,).
     """
     values = np.zeros(geometry.sd.size)
     values[geometry.fitted & (geometry.sd > 0.0)] = fitted
@@ -206,11 +180,6 @@ def inflate_position_sds(
     """Return a scene with larger standard deviations of positions, and the origin in their units.
 
     Points without a specified standard deviation keep the one that is then assumed.
-
-    Parameters
-    ----------
-    origin : float array or None
-        Free numbers of the geometry at which paths were traced, in standard deviations.
     """
 
     def inflated(points: tuple[Point, ...]) -> tuple[Point, ...]:

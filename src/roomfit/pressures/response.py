@@ -93,23 +93,9 @@ def grid_impulses(
 
     Of some observations, for threads.
 
-    Parameters
-    ----------
-    offsets : shape (n_observations + 1,)
-        Which paths belong to each observation.
-    row : shape (n_paths,)
-        Where each path stands in the next three.
-    away : shape (n_rows, 3)
-        From image to receiver, m.
-    image_transform : shape (n_rows, 9)
-        The product A of a path's reflections, row by row.
-    shifts : shape (n_observations, 6)
-        Displacement of source and receiver, m.
-    table : shape (TABLE_STEPS + 2, TAPS)
-        Heights of the taps, by how far behind a grid point the impulse is.
-    impulses : shape (n_observations, n_grid, 8 + n_materials or more), or (.., .., 1)
-        Zeros; filled with impulses of height s; hits s of every material; -dt/dsource s (3),
-        dt/dreceiver s (3), and -dt/dln c s (1). A single column contains the first of them.
+    Shapes: `offsets` (n_observations + 1,), `row` (n_paths,), `away` (n_rows, 3), `image_transform`
+    (n_rows, 9), `shifts` (n_observations, 6), `table` (TABLE_STEPS + 2, TAPS), `impulses`
+    (n_observations, n_grid, 8 + n_materials or more), or (.., .., 1).
     """
     n_materials = hits.shape[1]
     n_grid, n_columns = impulses.shape[1], impulses.shape[2]
@@ -176,17 +162,9 @@ def window_products(
 ) -> None:
     """Integrate y^2 and 2 y dy over windows, in samples.
 
-    Parameters
-    ----------
-    starts : shape (n_observations + 1,)
-        Where each observation's edges begin; it has one window fewer than edges.
-    edges : shape (n_edges,)
-        In samples; sample k stands for the time from k - 1/2 to k + 1/2.
-    pressure : shape (n_observations, n_grid)
-    derivatives : shape (n_observations, n_columns, n_grid)
-    energy : shape (n_windows,)
-        Windows of all observations end to end.
-    slopes : shape (n_windows, n_columns)
+    Shapes: `starts` (n_observations + 1,), `edges` (n_edges,), `pressure` (n_observations, n_grid),
+    `derivatives` (n_observations, n_columns, n_grid), `energy` (n_windows,), `slopes` (n_windows,
+    n_columns).
     """
     n_columns = derivatives.shape[1]
     for o in range(len(starts) - 1):
@@ -385,20 +363,8 @@ def image_paths(
 ) -> ImagePaths:
     """Return the image paths of each observation's pair, fully coherent.
 
-    Parameters
-    ----------
-    paths : Paths
-        Rays among them are left out.
-    pairs : int array, shape (n_observations,)
-    attenuation_per_m : float
-        Energy attenuation of the air.
-    longest_m : float
-        Longer paths are left out.
-    of_pair : sequence of int arrays, optional
-        The paths of every pair, of `roomfit.tracing.paths.paths_of_pairs`: spares a search of all.
+    Shapes: `pairs` (n_observations,).
 
-    Notes
-    -----
     Paths without `image_transform` get the reflection that turns the departure into the arrival in
     its place: right to first order in a source's displacement, and exact in a box.
     """
@@ -432,11 +398,7 @@ def image_paths(
 def images_of(images: ImagePaths, observations: IntArray, factors: FloatArray | None) -> ImagePaths:
     """Return the images of some observations with every weight times a factor; rows are shared.
 
-    Parameters
-    ----------
-    observations : int array
-        Which of them, rising.
-    factors : float array, shape (n_paths of the trace,), or None
+    Shapes: `factors` (n_paths of the trace,).
     """
     kept = np.zeros(images.offsets.size - 1, dtype=np.bool_)
     kept[observations] = True
@@ -514,16 +476,7 @@ def coherent_response(
     Pressures are added and filtered in single precision, unless the grid is double: exact to 1e-6
     of the largest, finer than the grid. Energies are summed in double precision.
 
-    Parameters
-    ----------
-    paths : ImagePaths
-        Amplitudes are those of the specified geometry; only times move with `times`.
-    absorption : float array, shape (n_materials,)
-        Below 1.
-    edges_s : tuple of float arrays, one an observation
-        Window edges, not before the grid nor behind its last time.
-    derivative : bool
-        False leaves the derivatives zero.
+    Shapes: `absorption` (n_materials,).
     """
     n_materials = len(paths.materials)
     powers, weight = _root_powers(paths, absorption), paths.weight * paths.coherence
@@ -561,13 +514,7 @@ def energy_of_pressures(
 ) -> FloatArray:
     """Return the energy of the sum of filtered pulses in windows end to end, shape (n_windows,).
 
-    Parameters
-    ----------
-    at_s, roots : float arrays, shape (n,)
-        When each pulse arrives, and its height: the root of its energy.
-    edges_s : float array, shape (n_windows + 1,)
-    band : Bands
-        One.
+    Shapes: `at_s, roots` (n,), `edges_s` (n_windows + 1,).
     """
     n = len(at_s)
     pulses = ImagePaths(
@@ -642,12 +589,7 @@ def integrated_products(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the integrals of y^2, (n_windows,), and of 2 y dy, (n_windows, n_columns).
 
-    Parameters
-    ----------
-    pressure : float array, shape (n_observations, n_grid)
-    derivatives : float array, shape (n_observations, n_columns, n_grid)
-    edges_s : tuple of float arrays, one an observation
-        Window edges; the windows of all observations follow each other.
+    Shapes: `pressure` (n_observations, n_grid), `derivatives` (n_observations, n_columns, n_grid).
     """
     starts = np.concatenate(([0], np.cumsum([e.size for e in edges_s]))).astype(np.int64)
     edges = (np.concatenate(edges_s) - grid.first_s) * grid.rate_hz

@@ -84,14 +84,7 @@ class CoherentBand:
     ) -> Objective:
         """Return the same data with partly coherent windows.
 
-        Parameters
-        ----------
-        covariance : float array, shape (n, n), or None
-            Of the fitted geometry, from which coherence follows; None takes the prior's.
-        noise : three floats
-            One of `NOISES`.
-        joint : Marginal or None
-            Prior of the geometry, in place of the specified one.
+        Shapes: `covariance` (n, n).
         """
         model, ringing, phase_sd = noise
         if covariance is None and joint is not None:
@@ -146,19 +139,7 @@ def fit_in_rounds(
 ) -> CoherentBandFit:
     """Fit, take the coherence that the fit's own geometry permits, and fit again.
 
-    Parameters
-    ----------
-    start : float array, shape (n_free,)
-    noise, joint
-        As for `CoherentBand.objective`.
-    covariance : float array, shape (n, n), optional
-        Of the fitted geometry, for the first round; left out: the prior's.
-    rounds : int
-        1 or more; one is enough where nothing of the geometry is fitted.
-    max_rounds : int
-        How often weights are renewed in each of them at most.
-    settled_sd : float, optional
-        As for `score_band`, in the last round; those before it end a standard deviation away.
+    Shapes: `start` (n_free,), `covariance` (n, n).
     """
     vector = start
     for left in reversed(range(rounds)):
@@ -194,13 +175,7 @@ def forward_pass(
     data scatter more than the model says. Where the model is chosen, a band whose evidence is that
     of energies leaves the geometry as it was.
 
-    Parameters
-    ----------
-    starts : sequence of float arrays, shape (n_free,), or None, optional
-        Where each band begins, as an earlier pass has found it, geometry last or left out; else at
-        its fit by energies.
-    known_before : Marginal, optional
-        The geometry where all begin, with its coherence; left out: that of the lower bands.
+    Shapes: `starts` (n_free,).
     """
     fits: list[CoherentBandFit | None] = []
     known: Marginal | None = None
@@ -339,14 +314,7 @@ def geometry_information(parameters: Parameters) -> FloatArray:
 def cavity_prior(final: Marginal, after: Marginal, before: FloatArray) -> Marginal:
     """Return what all bands but one say of the geometry, as a prior for that one.
 
-    Parameters
-    ----------
-    final : Marginal
-        What all bands say.
-    after : Marginal
-        What was known after that band.
-    before : float array, shape (n, n)
-        Information before it.
+    Shapes: `before` (n, n).
     """
     return Marginal(final.mean, final.information - (after.information - before))
 

@@ -55,19 +55,7 @@ def sides(
 ) -> int:
     """Write the planes that bound a beam, normals inwards, the one of its opening first.
 
-    Parameters
-    ----------
-    opening : float array, shape (ROWS, 3)
-        The first n corners count.
-    wall_normal, wall_offset_m : vector, float
-        The plane of the opening; the beam goes where ``normal . x`` is smaller.
-    planes : float array, shape (ROWS + 1, 4)
-        Receives normal and offset of each.
-
-    Returns
-    -------
-    int
-        How many planes there are.
+    Shapes: `opening` (ROWS, 3), `planes` (ROWS + 1, 4).
     """
     planes[0, 0], planes[0, 1], planes[0, 2] = -wall_normal[0], -wall_normal[1], -wall_normal[2]
     planes[0, 3] = -wall_offset_m
@@ -125,13 +113,7 @@ def clip(
 ) -> int:
     """Cut a convex polygon in its place to what lies within planes; return its corners [1]_.
 
-    Parameters
-    ----------
-    polygon, scratch : float arrays, shape (ROWS, 3)
-    planes : float array, shape (n_planes, 4)
-        Those from `first` to before `stop` cut.
-    least_m : float
-        Points down to this height are kept: negative for a polygon too wide.
+    Shapes: `polygon, scratch` (ROWS, 3), `planes` (n_planes, 4).
 
     References
     ----------

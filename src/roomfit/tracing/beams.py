@@ -119,12 +119,7 @@ def only_wall(
 
     Most beams of a high order are narrow and fall on one wall only: nothing need be cut.
 
-    Parameters
-    ----------
-    apex, wall, opening, n : vector, int, float array (ROWS, 3), int
-        The beam, out of an opening of n corners in a wall.
-    image : float array, shape (ROWS, 3)
-        Receives the part of the wall that the beam falls on, n corners.
+    Shapes: `image` (ROWS, 3).
     """
     middle = (0.0, 0.0, 0.0)
     for c in range(n):
@@ -228,17 +223,8 @@ def is_visible(
     between two points. An edge belongs to both its walls, and a wall does not obstruct a path
     within `Walls.edge_m` of its edge or of its plane at either end.
 
-    Parameters
-    ----------
-    chain_m : float array, shape (at least order + 1, 3)
-        The source and its images one by one.
-    chain_wall : int64 array, shape (at least order + 1,)
-        The wall that made each; entry 0 is not used.
-    receiver_m : float array, shape (3,)
-    points : float array, shape (at least order + 2, 3)
-        Receives source, reflection points and receiver.
-    triangle : int64 array, shape (at least order,)
-        Receives the triangle of each hit, first hit first.
+    Shapes: `chain_m` (at least order + 1, 3), `chain_wall` (at least order + 1,), `receiver_m`
+    (3,), `points` (at least order + 2, 3), `triangle` (at least order,).
     """
     if not _strikes(walls, chain_m, chain_wall, order, receiver_m, points, triangle):
         return False
@@ -332,12 +318,7 @@ def beam_tree(
 ) -> Found:
     """Return the images of a source visible from each receiver.
 
-    Parameters
-    ----------
-    source_m : float array, shape (3,)
-    receivers_m : float array, shape (n_receivers, 3)
-    to_receiver_m : float array, shape (n_walls,)
-        No more than the distance from a point of the wall to the nearest receiver.
+    Shapes: `source_m` (3,), `receivers_m` (n_receivers, 3), `to_receiver_m` (n_walls,).
     """
     chain = _chain_of(source_m, limits.order)
     shadows = no_shadows(blockers)

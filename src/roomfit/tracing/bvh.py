@@ -80,21 +80,7 @@ def _boxes_hit(
 ) -> Any:
     """Return which of the eight boxes of a node a ray enters, as bits; only for use in kernels.
 
-    Parameters
-    ----------
-    bounds : float32 array, flat
-        `NODE_FLOATS` for each node.
-    near_x, near_y, near_z : int
-        Row of the planes that the ray meets first along each axis: 0, 1, 2 where it runs towards
-        higher coordinates and 3, 4, 5 otherwise.
-    inverse_x, inverse_y, inverse_z : float32
-        One over the direction, finite.
-    shift_x, shift_y, shift_z : float32
-        Start times `inverse`.
-    limit : float32
-        Boxes entered later are left out.
-    entries : float32 array, shape (at least 8,)
-        Filled with the distance at which each box is entered.
+    Shapes: `entries` (at least 8,).
     """
     single = types.float32
     return types.int64(bounds, *[types.int64] * 4, *[single] * 7, entries), _code_boxes_hit
@@ -307,13 +293,7 @@ def folded(tree: BinaryTree) -> tuple[FloatArray, IntArray]:
     Starting from its two children, the widest child of a node is replaced by that one's own, until
     there are eight or only leaves.
 
-    Returns
-    -------
-    box_m : float array, shape (n_nodes, 8, 2, 3)
-        Of the children; upside down (lowest over highest) where there is none.
-    child : int64 array, shape (n_nodes, 8)
-        Number of a node; or, for a leaf, minus one minus eight times its first facet minus its
-        number of facets.
+    Shapes: box_m (n_nodes, 8, 2, 3), child (n_nodes, 8).
     """
     size = max(len(tree.left) // 2, 1)
     box_m = np.empty((size, WIDTH, 2, 3))
@@ -479,11 +459,6 @@ def next_wall(walls: Walls, o: Vector, d: Vector, last: int) -> tuple[float, int
 
     Only for use in kernels, where the type of `walls` selects the method. Infinity and -1 where the
     ray meets nothing: it has left through a leak.
-
-    Parameters
-    ----------
-    last : int
-        The wall on which the ray starts, -1 for none.
     """
     raise TypeError("only compiled code may call this")
 

@@ -62,24 +62,8 @@ def polyhedron_images(
     Lengths, hits and angles are exact. In a room of few walls all images within some ten mean free
     paths are a matter of seconds; in a room of thousands of walls, those of order 1 or 2.
 
-    Parameters
-    ----------
-    source_m : float array, shape (3,)
-    receivers_m : float array, shape (n_receivers, 3)
-    limits : Limits
-        From `limits_of`.
-    with_image_transforms : bool
-        Return the product of each path's reflections as well.
-    mirrors : tuple of Walls and Blockers, optional
-        From `mirrors_of`, where several sources share a room of thousands of walls.
+    Shapes: `source_m` (3,), `receivers_m` (n_receivers, 3).
 
-    Raises
-    ------
-    InputError
-        The images pass the memory limit, or the search for them that of the work.
-
-    Notes
-    -----
     A path through an edge, within the tolerance of `Walls`, is found from both its walls and kept
     once. One that passes the edge of an obstructing wall that closely is not stopped.
     """
@@ -202,21 +186,6 @@ def affordable_duration_s(
     """Return the duration up to which the images of any one source keep to a budget of work.
 
     Counted, not timed, so that the same scene gives the same answer on any machine.
-
-    Parameters
-    ----------
-    longest_s : float
-        No more is tried.
-    work : float
-        Walls tested against beams for one source; ten million take about 2 s on one core.
-    images : float
-        Images of one source, all receivers together.
-
-    Returns
-    -------
-    float
-        `longest_s`, or less by a power of 1.1; at least the hundredth part of it, even where that
-        costs more.
     """
     speed = speed_of_sound_m_s(scene.air)
     share = _budget_shares(scene, work, images)
@@ -251,20 +220,6 @@ def affordable_order(
 
     For rooms of thousands of walls, where each order costs a hundred times the one before it.
     Counted, not timed, so that the same scene gives the same answer on any machine.
-
-    Parameters
-    ----------
-    most : int
-        No more is tried; 0 or more.
-    duration_s : float
-        Of the trace.
-    work, images : float
-        As of `affordable_duration_s`.
-
-    Returns
-    -------
-    int
-        At least 0: the direct sound costs nothing.
     """
     length_m = duration_s * speed_of_sound_m_s(scene.air)
     share = _budget_shares(scene, work, images)
@@ -330,30 +285,7 @@ def trace_images(
     budget: Budget = USUAL_BUDGET,
     progress: Progress | None = None,
 ) -> Paths:
-    """Return the exact specular paths of every pair, shortest first within a pair.
-
-    Parameters
-    ----------
-    scene : Scene
-        Of a box come the images of its lattice, of any other room those of a tree of beams.
-    order : int
-        Most hits of a path; 0 for the direct sound alone.
-    duration_s : float
-        Paths that take longer are left out.
-    scattering : Scattering
-        Thins a path by ``1 - s`` a hit, in the mean over groups; materials in any order.
-    with_image_transforms : bool
-        Keep the product of each path's reflections, with which the paths of moved sources and
-        receivers are known without another search, see `Paths`.
-    budget : Budget
-        A trace that would need more memory or work is refused, early where the volume decides it.
-
-    Raises
-    ------
-    InputError
-        Other materials, a source where a receiver is, or more images than the memory or the work
-        allows.
-    """
+    """Return the exact specular paths of every pair, shortest first within a pair."""
     if scene.room.states:
         single, of_parts = as_one_state(scene, scattering)
         traced = trace_images(
@@ -414,17 +346,7 @@ def images_of_source(
     with_image_transforms: bool = False,
     with_triangles: bool = False,
 ) -> list[ImageSet]:
-    """Return a source's images for each of its pairs, in their order.
-
-    Parameters
-    ----------
-    reflectors : Lattice, or Walls and Blockers
-        From `reflectors_of`.
-    source : int
-        Index in the scene.
-    with_image_transforms, with_triangles : bool
-        As of `box_images`; a tree of beams knows the triangles anyway.
-    """
+    """Return a source's images for each of its pairs, in their order."""
     room, start = scene.room, scene.sources[source].position_m
     receivers = np.array([scene.receivers[r].position_m for s, r in scene.pairs if s == source])
     options = {"with_image_transforms": with_image_transforms}

@@ -61,15 +61,7 @@ def box_images(
     from the far wall [1]_. On a wall of several materials, hits are those of the triangles in which
     the path, folded back into the box, lies deepest.
 
-    Parameters
-    ----------
-    lattice : Lattice
-        Of the room, from `lattice_of`.
-    source_m, receiver_m : float array, shape (3,)
-    order : int
-        Most hits of a path, 0 or more.
-    with_image_transforms, with_triangles : bool
-        Return the product of each path's reflections, and the triangles that it strikes, as well.
+    Shapes: `source_m, receiver_m` (3,).
 
     References
     ----------

@@ -110,11 +110,6 @@ def losses(paths: Paths, own: BoolArray | IntArray | slice) -> IntArray:
 
     At every hit on a wall, and of an object that stands in the room of the pair, which is met with
     equal probability wherever sound travels, at every `OBJECT_STEP_M` of the path's length.
-
-    Parameters
-    ----------
-    own : array or slice
-        Which paths.
     """
     found = np.asarray(paths.hits_specular[own] + paths.hits_diffuse[own])
     if paths.objects is not None:
@@ -134,11 +129,6 @@ def concatenate(parts: Sequence[Paths]) -> Paths:
     """Return all paths of several traces of one scene as one.
 
     Where some part has image transforms, the paths of the others get zeros.
-
-    Raises
-    ------
-    InputError
-        The parts disagree on materials, pairs or sampling scattering.
     """
     first = parts[0]
     for other in parts[1:]:
@@ -194,12 +184,7 @@ def unfolded_normals(normal: FloatArray, first: IntArray) -> FloatArray:
 
     Their product with the arrival is the cosine of incidence, for moved sources and receivers, too.
 
-    Parameters
-    ----------
-    normal : float array, shape (n_hits, 3)
-        Unit normal of each hit's wall, either side, first hit of a path first.
-    first : int array, shape (n_paths + 1,)
-        Path i owns the hits ``first[i]:first[i + 1]``.
+    Shapes: `normal` (n_hits, 3), `first` (n_paths + 1,).
     """
     unfolded = np.empty_like(normal)
     later = np.tile(np.eye(3), (len(first) - 1, 1, 1))

@@ -73,22 +73,7 @@ def spheres(centre_m: FloatArray, radius_m: FloatArray, pair: IntArray) -> Spher
 
 @kernel(allocates=False)
 def chord(spheres: Spheres, k: int, o: Vector, d: Vector, flight_m: float) -> tuple[float, float]:
-    """Return where a flight comes nearest to the centre of a sphere and its chord within.
-
-    Parameters
-    ----------
-    o, d : vector
-        Start and unit direction.
-    flight_m : float
-        Length of the flight.
-
-    Returns
-    -------
-    tuple of float
-        Distance from the start to the point of the flight nearest to the centre, and the length
-        inside the sphere, both in metres; the length is 0 for a miss. Both ends of the flight may
-        lie inside.
-    """
+    """Return where a flight comes nearest to the centre of a sphere and its chord within."""
     x = spheres.centre_m[k, 0] - o[0]
     y = spheres.centre_m[k, 1] - o[1]
     z = spheres.centre_m[k, 2] - o[2]
@@ -138,15 +123,7 @@ _SAME_PLACE = 1e-9
 
 
 def unobstructed(walls: Planes | Tree, o: Vector, d: Vector, last: int, distance_m: float) -> bool:
-    """Return whether a straight path is free of walls; only for use in kernels.
-
-    Parameters
-    ----------
-    o, d : vector
-        Start, on wall `last`, and unit direction.
-    distance_m : float
-        Length of the path.
-    """
+    """Return whether a straight path is free of walls; only for use in kernels."""
     raise TypeError("only compiled code may call this")
 
 
@@ -168,26 +145,6 @@ def towards(
 ) -> tuple[float, Vector, float]:
     """Return the path from a diffuse reflection to the centre of a sphere.
 
-    Parameters
-    ----------
-    o : vector
-        Point on the wall.
-    d : vector
-        Direction before the hit: the wall scatters to the side from which it came.
-    normal : vector
-        Unit normal, of either sense.
-
-    Returns
-    -------
-    float
-        Distance to the centre in metres.
-    vector
-        Unit direction.
-    float
-        ``cos / pi / distance**2`` in 1/m2, 0 where the centre lies behind the wall.
-
-    Notes
-    -----
     The variance of the sum of many is finite for every receiver that is off the walls; nothing is
     clamped. At distance h from a wall it grows as ``1 / h**2``.
     """
@@ -263,14 +220,7 @@ def trace_chunks(
 ) -> None:
     """Trace consecutive rays, each chunk into its own part of `caught` and `tally`; for threads.
 
-    Parameters
-    ----------
-    directions : float array, shape (n_rays, 3)
-        Start directions of these rays.
-    first_ray : int
-        Number of the first of them among all rays of the source.
-    met : uint16 array, shape (2, n_chunks, n_materials)
-        Memory for the specular and diffuse hits of a ray.
+    Shapes: `directions` (n_rays, 3), `met` (2, n_chunks, n_materials).
     """
     for chunk in range(first_chunk, last_chunk):
         specular, diffuse = met[0, chunk], met[1, chunk]

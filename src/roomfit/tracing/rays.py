@@ -69,17 +69,7 @@ def sobol_directions(n_rays: int, n_batches: int, seed: tuple[int, ...]) -> Floa
     its sequence: any number will do, but one whose number of rays is a power of two covers the
     sphere most evenly.
 
-    Parameters
-    ----------
-    n_rays : int
-        All batches together; they differ in size by at most one ray.
-    seed : tuple of int
-        Feeds the scrambles.
-
-    Returns
-    -------
-    float array, shape (n_rays, 3)
-        Ray i is point ``i // n_batches`` of batch ``i % n_batches``.
+    Shape (n_rays, 3).
     """
     directions = np.empty((n_rays, 3))
     for batch in range(min(n_batches, n_rays)):
@@ -283,27 +273,7 @@ def trace_rays(
     rays and sphere volume, so that direct sound averages ``1 / (4 pi r**2)`` over the sphere.
     All rays come back, whatever `settings.image_order`, unless image paths are given.
 
-    Parameters
-    ----------
-    settings : TraceSettings
-        A ray ends at its wall hit number `max_hits`, or when its time is up.
-    scattering : Scattering
-        One coefficient for each material of the room, in any order; of several groups each gets
-        as many rays, `settings.n_rays` together, rounded up.
-    receiver_radii_m : array_like, shape (n_receivers,), optional
-        Radius of each receiver of the scene instead of `settings.receiver_radius_m`.
-    memory_limit_bytes : int
-        More, at `path_bytes` a path and 24 bytes a ray, is refused: before the trace where so many
-        paths are expected, on the way where so many are found. The peak is that, once again the
-        largest array of the paths, and about 100 MB.
-    images : callable, optional
-        Gives exact paths up to `settings.image_order` and `settings.image_until_s`, which come
-        first; rays that they cover are left out. They are let go of as they are copied.
-
-    Raises
-    ------
-    InputError
-        Scattering of other materials, or too many paths for the memory.
+    Shapes: `receiver_radii_m` (n_receivers,).
     """
     exact = None if images is None else images()
     radii = _radii(scene, settings, receiver_radii_m)
@@ -449,11 +419,6 @@ def expected_paths(
 
     In a diffuse field a ray of length L crosses a sphere of radius a in a room of volume V
     ``pi a**2 L / V`` times. Diffuse rain gives more paths of less weight.
-
-    Parameters
-    ----------
-    scattering : float
-        The largest of any wall; counts for diffuse rain.
     """
     radii = _radii(scene, settings, receiver_radii_m)[scene.pairs[:, 1]]
     length = settings.duration_s * speed_of_sound_m_s(scene.air)

@@ -50,18 +50,7 @@ def convex_pieces(
 
     Two pieces become one where their common hull has no more area than both, again and again.
 
-    Parameters
-    ----------
-    triangles_m : float array, shape (n_triangles, 3 corners, 3)
-        Counter-clockwise about the normal, not overlapping.
-    normal : float array, shape (3,)
-    tolerance_m : float
-        How far a corner may lie off an edge.
-
-    Returns
-    -------
-    list of float arrays, shape (n_corners, 3)
-        Counter-clockwise about the normal; at most 12 corners where merged.
+    Shape (n_corners, 3). Shapes: `triangles_m` (n_triangles, 3 corners, 3), `normal` (3,).
     """
     points = np.asarray(triangles_m, dtype=np.float64).reshape(-1, 3)
     index, corners = _merge(points @ plane_axes(normal).T, tolerance_m)

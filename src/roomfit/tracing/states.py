@@ -18,15 +18,7 @@ from roomfit.tracing.paths import Paths, paths_of_pairs
 
 
 def parts_of(room: Room) -> tuple[Room, IntArray]:
-    """Return a room with a material for each set of surfaces that are alike in every state.
-
-    Returns
-    -------
-    Room
-        Of one state; its materials are the parts.
-    int array, shape (n_states, n_parts)
-        The material of each part in each state, that of the description first.
-    """
+    """Return a room with a material for each set of surfaces that are alike in every state."""
     owners = materials_of_surfaces(room)
     of_part, part_of_surface = np.unique(owners, axis=1, return_inverse=True)
     names = [" / ".join(room.materials[m] for m in column) for column in of_part.T]
@@ -41,20 +33,7 @@ def parts_of(room: Room) -> tuple[Room, IntArray]:
 
 
 def as_one_state(scene: Scene, scattering: Scattering) -> tuple[Scene, Scattering]:
-    """Return what has to be traced: every source and receiver once, and the scattering of parts.
-
-    Parameters
-    ----------
-    scene : Scene
-        Of a room with further states.
-    scattering : Scattering
-        Of the room's materials, in any order.
-
-    Raises
-    ------
-    InputError
-        Two materials that replace each other scatter differently: one trace cannot hold for both.
-    """
+    """Return what has to be traced: every source and receiver once, and the scattering of parts."""
     room, of_part = parts_of(scene.room)
     coefficients = coefficients_in_order(scattering, scene.room.materials)[..., of_part]
     differs = np.any(coefficients != coefficients[..., :1, :], axis=-2).reshape(
@@ -77,18 +56,7 @@ def as_one_state(scene: Scene, scattering: Scattering) -> tuple[Scene, Scatterin
 
 
 def in_every_state(paths: Paths, single: Scene, scene: Scene, scattering: Scattering) -> Paths:
-    """Return the paths of every pair of a scene from those of its sources and receivers.
-
-    Parameters
-    ----------
-    paths : Paths
-        Of `single`.
-    single : Scene
-        From `as_one_state`.
-    scene : Scene
-    scattering : Scattering
-        Of the room's materials, as in `as_one_state`.
-    """
+    """Return the paths of every pair of a scene from those of its sources and receivers."""
     _, of_part = parts_of(scene.room)
     n_materials = len(scene.room.materials)
     number = {tuple(pair): i for i, pair in enumerate(single.pairs.tolist())}

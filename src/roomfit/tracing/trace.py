@@ -136,17 +136,6 @@ def fitting_radii_m(scene: Scene, radius_m: float) -> tuple[FloatArray, tuple[Fi
     """Return for each receiver the largest radius up to `radius_m` clear of walls and sources.
 
     A sphere that a wall cuts or that contains the source does not average ``1 / (4 pi r**2)``.
-
-    Returns
-    -------
-    float array, shape (n_receivers,)
-    tuple of Finding
-        One for each shrunken sphere.
-
-    Raises
-    ------
-    InputError
-        A receiver of some pair has less than 5 mm about it.
     """
     centres = np.array([r.position_m for r in scene.receivers]).reshape(-1, 3)
     to_wall = distance_to_walls_m(scene.room.mesh, centres)

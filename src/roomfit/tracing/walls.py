@@ -67,17 +67,6 @@ def mirrored(d: Vector, normal: Vector) -> Vector:
 def scattered(d: Vector, normal: Vector, u: float, v: float) -> Vector:
     """Return a direction by Lambert's cosine law on the side from which `d` came.
 
-    Parameters
-    ----------
-    d : vector
-        Direction before the hit.
-    normal : vector
-        Unit normal, of either sense.
-    u, v : float
-        Uniform in [0, 1). The cosine to the normal is ``sqrt(1 - u)``, never zero.
-
-    Notes
-    -----
     The two directions across the normal are those of T. Duff et al., "Building an orthonormal
     basis, revisited", J. Computer Graphics Techniques 6 (1), 1-8 (2017).
     """
@@ -103,17 +92,7 @@ def scattered(d: Vector, normal: Vector, u: float, v: float) -> Vector:
 def after_wall(
     d: Vector, normal: Vector, scattering: float, key: np.uint64, hit: int
 ) -> tuple[Vector, bool]:
-    """Return the direction after a hit and whether it was drawn from Lambert's law.
-
-    Parameters
-    ----------
-    scattering : float
-        Probability of a diffuse reflection.
-    key : uint64
-        The ray's, see `roomfit.tracing.walls`.
-    hit : int
-        How many walls the ray has met before.
-    """
+    """Return the direction after a hit and whether it was drawn from Lambert's law."""
     if scattering > 0.0 and uniform(key, 3 * hit) < scattering:
         out = scattered(d, normal, uniform(key, 3 * hit + 1), uniform(key, 3 * hit + 2))
         return out, True
@@ -150,14 +129,7 @@ class Facets(NamedTuple):
 
 
 def facets_of(room: Room) -> tuple[Facets, FloatArray]:
-    """Return the facets of a room and their boxes; triangles without area are left out.
-
-    Returns
-    -------
-    Facets
-    float array, shape (n_facets, 2, 3)
-        Lowest and highest coordinates of each facet, in metres.
-    """
+    """Return the facets of a room and their boxes; triangles without area are left out."""
     corners = corners_m(room.mesh)
     vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     solid = np.flatnonzero(np.linalg.norm(vectors, axis=1) > 0.0)
@@ -189,12 +161,7 @@ def _parallelograms(
 ) -> tuple[IntArray, IntArray]:
     """Pair triangles that make a parallelogram and agree in vertices, kind and orientation.
 
-    Returns
-    -------
-    apex : int array, shape (n_triangles,)
-        The corner opposite to the side shared with the mate; 0 for a triangle that stays alone.
-    mate : int array, shape (n_triangles,)
-        The other triangle; itself for one that stays alone; -1 for the second of a pair.
+    Shapes: apex (n_triangles,), mate (n_triangles,).
     """
     n = len(corners)
     tails, heads = vertices, np.roll(vertices, -1, axis=1)
@@ -259,12 +226,6 @@ def facet_distance(
     A wall is met where the ray goes out of the air through it, also when rounding has put the
     start a little behind it (distance 0 then): that keeps rays in at corners. From behind, or on a
     sheet, it is met only where the start is clear of its plane.
-
-    Parameters
-    ----------
-    left : vector
-        Normal of the wall on which the ray starts, zeros for none. What lies in one plane with
-        that wall is not met: else a ray would never leave a panel of two faces back to back.
     """
     speed = table[i, 0] * d[0] + table[i, 1] * d[1] + table[i, 2] * d[2]
     gap = table[i, 3] - (table[i, 0] * o[0] + table[i, 1] * o[1] + table[i, 2] * o[2])
