@@ -296,24 +296,3 @@ def test_an_interrupt_within_exec_ends_with_the_same_code():
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False)
     assert done.returncode == 130
     assert done.stderr.startswith(b"interrupted")
-
-
-@POSIX
-def test_workers_that_are_starting_get_no_interrupt():
-    """Control-C reaches the whole group; only the parent says so, and ends them."""
-    program = (
-        "import os, signal, threading, time\n"
-        "from functools import partial\n"
-        "from roomfit.base.workers import in_pool, worker_pool\n"
-        "if __name__ == '__main__':\n"
-        "    ask = partial(signal.pthread_sigmask, signal.SIG_BLOCK, ())\n"
-        "    before = ask()\n"
-        "    with worker_pool(2) as pool:\n"
-        "        masks = in_pool(pool, [ask, ask])\n"
-        "    assert all(signal.SIGINT in mask for mask in masks), masks\n"
-        "    assert ask() == before\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr

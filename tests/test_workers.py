@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from cluster_tasks import number_into
-from roomfit.base.workers import cluster_pool, in_pool
+from roomfit.batch.cluster import cluster_pool, completed, result_of
 
 HELPERS = Path(__file__).parent / "helpers"
 
@@ -86,7 +86,8 @@ def test_an_own_cluster_listens_on_the_loopback_alone_and_ends_with_its_block(
         family = [this, *(p for p in this.children(recursive=True) if p.pid not in before)]
         listening = [c for p in family for c in p.net_connections("inet") if c.status == "LISTEN"]
         assert {c.laddr.ip for c in listening} == {"127.0.0.1"}
-        pids = in_pool(executor, [partial(number_into, tmp_path, n, 0.2) for n in range(10)])
+        tasks = [partial(number_into, tmp_path, n, 0.2) for n in range(10)]
+        pids = [result_of(future) for _, future in completed(executor, tasks)]
         # dask's own value has every array given back to the system
         assert executor.submit(os.getenv, "MALLOC_TRIM_THRESHOLD_").result() == trimming
     assert len(set(pids)) == 2
@@ -114,7 +115,7 @@ def test_what_dask_itself_says_of_a_dead_scheduler_is_not_printed(tmp_path: Path
         "import sys, pathlib\n"
         "from functools import partial\n"
         "from cluster_tasks import number_into\n"
-        "from roomfit import workers\n"
+        "from roomfit.batch import cluster as workers\n"
         "from roomfit.base.errors import RoomfitError\n"
         "workers._CONNECTING_S = 120\n"
         "folder = pathlib.Path(sys.argv[2])\n"

@@ -11,20 +11,20 @@ from pathlib import Path
 
 import pytest
 
-from roomfit.base import workers
 from roomfit.base.errors import FolderInUseError, InputError
 from roomfit.base.whole_files import locked
-from roomfit.base.workers import check_memory
+from roomfit.batch import cluster
+from roomfit.batch.cluster import check_memory
 from roomfit.batch.rooms import identify_rooms, room_tasks, rooms_text
 
 HELPERS = Path(__file__).parent / "helpers"
 
 
 def test_a_limit_of_memory_below_what_a_room_takes_is_refused_with_both_figures() -> None:
-    for enough in (0, workers.LEAST_MEMORY_BYTES, 10**10):
+    for enough in (0, cluster.LEAST_MEMORY_BYTES, 10**10):
         check_memory(enough, "worker", "more")
     with pytest.raises(InputError) as refused:
-        check_memory(workers.LEAST_MEMORY_BYTES - 1, "tcp://10.0.0.1:1", "start it with more")
+        check_memory(cluster.LEAST_MEMORY_BYTES - 1, "tcp://10.0.0.1:1", "start it with more")
     assert "400 MB" in str(refused.value.found) and "400 MB" in str(refused.value.needed)
     assert refused.value.where == "tcp://10.0.0.1:1" and refused.value.hint == "start it with more"
 
@@ -59,7 +59,7 @@ def is_running(number: int) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the system ends a process with its parent")
-@pytest.mark.parametrize(("kind", "n"), [("pool", 2), ("cluster", 2), ("page", 1)])
+@pytest.mark.parametrize(("kind", "n"), [("cluster", 2), ("page", 1)])
 def test_a_worker_ends_with_its_parent_whatever_it_is_doing(
     tmp_path: Path, kind: str, n: int
 ) -> None:

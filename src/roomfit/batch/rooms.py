@@ -28,7 +28,7 @@ from roomfit.base.errors import FolderInUseError, InputError, RoomfitError, Stor
 from roomfit.base.table import Cell, Column, Table, Value, csv_of, text_of, written
 from roomfit.base.typing import Progress
 from roomfit.base.whole_files import make_folder, write_json_atomically, write_text_atomically
-from roomfit.base.workers import completed, keep_one_thread, result_of
+from roomfit.batch.cluster import completed, keep_one_thread, result_of
 from roomfit.cli.identify import identify_to_folder
 from roomfit.files.campaign import input_files, read_campaign
 from roomfit.files.encoding import input_digests, written_content
@@ -166,7 +166,7 @@ def identify_rooms(
         A folder, made if needed; it may hold results of this and of other batches. With a pool of
         several machines all of them must reach it, and the campaigns, by the same paths.
     pool : Executor, optional
-        See `roomfit.base.workers`; by default one room after the other in this process.
+        See `roomfit.batch.cluster`; by default one room after the other in this process.
     shard : tuple of int
         i and n: only every n-th room from the i-th is identified; the table shows all.
     quick : bool

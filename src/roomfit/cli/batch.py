@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from roomfit.base.workers import cluster_pool
+from roomfit.batch.cluster import cluster_pool
 from roomfit.batch.rooms import campaign_paths, identify_rooms, rooms_text
 from roomfit.cli.terminal import say
 from roomfit.identify import compile_kernels

@@ -1,4 +1,4 @@
-"""Processes that carry out tasks: those of this machine, or those of a dask cluster.
+"""Processes of a dask cluster that carry out tasks: its own, on this machine, or a running one.
 
 A task is a `functools.partial` of a function at module level. It leaves its results in files that
 are written whole, so that doing one twice is harmless, and returns little: nothing large travels
@@ -9,26 +9,23 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import signal
 import sys
 import time
 import weakref
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import (
     FIRST_COMPLETED,
     CancelledError,
     Executor,
     Future,
-    ProcessPoolExecutor,
-    ThreadPoolExecutor,
     wait,
 )
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib.metadata import version
 from itertools import islice
-from multiprocessing import active_children, get_context, resource_tracker
+from multiprocessing import resource_tracker
 from typing import Any, TypeVar
 
 import numba
@@ -36,7 +33,6 @@ import numba
 from roomfit.base.errors import InputError, InsufficientDataError, StoreError
 from roomfit.base.forks import end_with_parent, interrupts_deferred
 from roomfit.base.kernels import keep_one_blas_thread
-from roomfit.base.typing import Progress
 
 T = TypeVar("T")
 _LOG, _NOTICE = logging.getLogger("roomfit"), 25
@@ -46,7 +42,6 @@ _LOG, _NOTICE = logging.getLogger("roomfit"), 25
 TASKS_A_THREAD = 4
 # A cluster is asked no more often how many threads it has: workers come and go.
 _THREADS_FOR_S = 5.0
-# Below it the work of the scheduler (a few ms a task) and of a worker's turn shows.
 _CONNECTING_S = 20
 # What a worker of the own cluster is given to end by itself.
 _ENDING_S = 0.5
@@ -67,54 +62,11 @@ _ONE_THREAD = {
 }
 
 
-@contextmanager
-def worker_pool(n_workers: int) -> Iterator[Executor]:
-    """Give an executor with so many processes; 1 stays in this process.
-
-    When the block is left early, tasks that have not started are dropped and running ones are
-    waited for, so that nothing is left behind; an interrupt ends running ones as well.
-
-    Notes
-    -----
-    Processes are spawned, not forked, because compiled threads do not survive a fork. A script
-    that asks for more than one must therefore guard its main part with
-    ``if __name__ == "__main__":``. They end with the thread that submits tasks: see
-    `end_with_parent`.
-    """
-    _check_workers(n_workers)
-    pool: Executor
-    if n_workers == 1:
-        pool = ThreadPoolExecutor(1)
-    else:
-        pool = ProcessPoolExecutor(
-            n_workers, mp_context=get_context("spawn"), initializer=_become_worker
-        )
-    others = set(active_children())
-    try:
-        yield pool
-    except KeyboardInterrupt:
-        # Running tasks may be ended: what they write is moved to its place only when it is whole.
-        # A worker that was just starting is not among the pool's own yet, and would be waited for
-        # without end.
-        for worker in set(active_children()) - others:
-            worker.terminate()
-        raise
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
 def _check_workers(n_workers: int) -> None:
     if n_workers < 1:
         what = "number of workers is out of range"
         hint = "leave workers out, or give the number of cores"
         raise InputError(what, found=str(n_workers), needed="1 or more", hint=hint)
-
-
-def _become_worker() -> None:
-    # an interrupt reaches the whole group; only the parent decides what happens then
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent()
-    keep_one_thread()
 
 
 def dask_setup(_: object) -> None:
@@ -181,18 +133,6 @@ def _threads(pool: Executor) -> int:
 def _died(future: Future[Any]) -> bool:
     """Whether all workers that had a task have died."""
     return not future.cancelled() and type(future.exception()).__name__ == _DEATH
-
-
-def in_pool(
-    pool: Executor, tasks: Sequence[Callable[[], T]], progress: Progress | None = None
-) -> list[T]:
-    """Return the results of all tasks in their order; the first failure ends the wait."""
-    results: dict[int, T] = {}
-    for number, future in completed(pool, tasks):
-        results[number] = result_of(future)
-        if progress is not None:
-            progress(len(results) / len(tasks))
-    return [results[number] for number in range(len(tasks))]
 
 
 @contextmanager
@@ -287,7 +227,7 @@ _OWN_CLUSTER: Mapping[str, object] = {
     # a worker that pauses for want of memory waits for ever, since its only task holds it: it is
     # ended at 95 %, and its task given to another
     "distributed.worker.memory.pause": False,
-    "distributed.worker.preload": ["roomfit.base.workers"],
+    "distributed.worker.preload": ["roomfit.batch.cluster"],
 }
 
 
