@@ -12,7 +12,7 @@ from roomfit.room.scene import Scene
 def plane_findings(scene: Scene) -> tuple[Finding, ...]:
     """Return a finding for each plane of symmetry on which all pairs of a scene stand.
 
-    Of planes that exchange different materials; whose absorption is then hardly told apart.
+    Of planes that exchange different materials; whose absorption is then hardly determined.
     """
     findings = []
     for symmetry, normal in mirror_planes(scene):
