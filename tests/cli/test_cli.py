@@ -85,7 +85,7 @@ def test_an_export_and_a_result_that_is_read_wait_for_no_compiler(tmp_path):
     assert "LOADED []" in done.stdout, done.stdout + done.stderr
 
 
-COMMANDS = ("app", "batch", "cache", "catalogue", "check", "compare", "demo",
+COMMANDS = ("app", "batch", "catalogue", "check", "compare", "demo",
             "design", "export", "identify", "impedance", "init", "listen", "measure", "paper",
             "predict", "reverberation", "schema", "treat")  # fmt: skip
 
@@ -148,15 +148,15 @@ def test_identify_writes_every_file_and_prints_what_they_say(tmp_path, monkeypat
     assert sorted(p.name for p in out.iterdir()) == [
         ".roomfit-files",
         "absorption.csv",
-        "absorption.png",
-        "decay_01_a_b_MP1.png",
-        "decay_02_a_b_MP2.png",
-        "decay_times.png",
-        "identifiable.png",
-        "profiles.png",
+        "absorption.svg",
+        "decay_01_a_b_MP1.svg",
+        "decay_02_a_b_MP2.svg",
+        "decay_times.svg",
+        "identifiable.svg",
+        "profiles.svg",
         "report.html",
         "result.json",
-        "room.png",
+        "room.svg",
     ]
     assert [p.name for p in out.parent.iterdir()] == ["out"]
     # made aside, yet with the permissions of any other new folder
@@ -276,7 +276,7 @@ def test_check_of_a_campaign_shows_every_recording_by_band_and_draws_the_room(
     # of 2.15 m; peak over noise, and the decay range at 500 and 1000 Hz
     assert re.fullmatch(r"LS1 to MP1 \(LS1_MP1.wav\) +5.9\d +6.27 +\d\d +4\d +4\d", row)
     assert "Schroeder frequency, Hz" in shown
-    assert [f.name for f in out.iterdir() if f.name[0] != "."] == ["room.png"]
+    assert [f.name for f in out.iterdir() if f.name[0] != "."] == ["room.svg"]
     assert run_command(monkeypatch, "check", campaign, "--out", out) == 2
 
 

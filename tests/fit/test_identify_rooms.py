@@ -29,7 +29,7 @@ def test_the_demo_keeps_its_promise(tmp_path):
     # better than one absorption for all walls
     uniform = np.abs(answer.mean_absorption[0] - true_absorption)
     assert np.median(error) < 0.5 * np.median(uniform)
-    assert (tmp_path / "demo" / "result" / "absorption_and_truth.png").stat().st_size > 10_000
+    assert (tmp_path / "demo" / "result" / "absorption_and_truth.svg").stat().st_size > 10_000
     assert (tmp_path / "demo" / "campaign" / "campaign.toml").exists()
     assert [p.name for p in tmp_path.iterdir()] == ["demo"]
 

@@ -375,7 +375,7 @@ def test_the_command_predicts_from_the_files_of_a_fit(tmp_path, monkeypatch, cap
     assert len(rows) == 2 * 8 * 2
     first = content["pairs"][0]["parameters"][rows[0]["parameter"]]
     assert float(rows[0]["predicted"]) == pytest.approx(first["predicted"][0], abs=1e-4)
-    assert len(list(out.glob("predicted_*.png"))) == 2
+    assert len(list(out.glob("predicted_*.svg"))) == 2
     assert reported.prior_logit_sd is not None
     np.testing.assert_allclose(reported.prior_logit_sd, 1.5)
     np.testing.assert_allclose(reported.scattering, 0.0)

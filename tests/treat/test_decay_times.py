@@ -352,7 +352,7 @@ def test_a_prediction_of_a_change_begins_with_what_was_measured_and_what_is_then
     folder, monkeypatch, capsys
 ):
     out = command(monkeypatch, folder, "predict", "--set", "ceiling=0.6")
-    first = capsys.readouterr().out.splitlines()[0]
+    first = " ".join(capsys.readouterr().out.split())
     assert first.startswith("With ceiling=0.6: T30 at mid frequencies falls from 1.10 s (measured)")
     content = json.loads((out / "predicted.json").read_text())
     time = content["mean"]["T30_s"]

@@ -181,7 +181,7 @@ def test_the_command_writes_what_it_says(tmp_path, capsys, monkeypatch):
     assert all(line in said for line in content["to_measure"])
     lines = (out / "treatment.csv").read_text().splitlines()
     assert lines[0].startswith("arrangement,surface,product,area_m2")
-    assert (out / "treatment.png").read_bytes()[:4] == b"\x89PNG"
+    assert (out / "treatment.svg").read_text().startswith("<svg ")
 
 
 def test_the_absorption_of_a_product_is_given_at_frequencies_in_any_order(tmp_path):

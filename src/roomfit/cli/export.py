@@ -11,9 +11,8 @@ from roomfit.base.door import read_bytes, read_text
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Finding
 from roomfit.base.table import csv_of
-from roomfit.base.whole_files import write_bytes_atomically
+from roomfit.base.whole_files import check_place, write_bytes_atomically
 from roomfit.cli.arguments import result_file
-from roomfit.cli.init import check_place
 from roomfit.cli.terminal import say
 from roomfit.files.budget import budget_records, uncertainty_budget
 from roomfit.files.encoding import ResultFile, path_of

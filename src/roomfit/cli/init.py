@@ -13,7 +13,7 @@ from typing import Any
 
 from roomfit.base.arguments import in_short
 from roomfit.base.errors import InputError
-from roomfit.base.whole_files import make_folder, write_text_atomically
+from roomfit.base.whole_files import check_place, make_folder, write_text_atomically
 from roomfit.cli.terminal import say
 from roomfit.files.campaign import blanks
 from roomfit.files.draft import (
@@ -187,34 +187,3 @@ def draft_to_folder(
         check_place(file, overwrite=overwrite)
         write_text_atomically(file, text)
     return text
-
-
-def check_place(out: Path, *, overwrite: bool) -> None:
-    """Refuse to write a file where something else is, or where one is and may not be replaced."""
-    if out.exists() and not out.is_file():
-        inner = out.is_dir()
-        raise InputError(
-            "one file is written, and something else is in its place",
-            where=str(out),
-            found="a folder" if inner else "a device, a pipe or a socket, which would be replaced",
-            needed="a new name",
-            hint=f"write --out {out / 'materials.txt'}"
-            if inner and not out.suffix  # a folder was meant, not a name that a folder has
-            else "rename what is there, or choose another name",
-        )
-    if out.exists() and not overwrite:
-        raise InputError(
-            "the file to write exists",
-            where=str(out),
-            found="a file of this name",
-            needed="a new name, so that nothing is lost",
-            hint="choose another name, or add --overwrite",
-        )
-    if not out.parent.is_dir():
-        raise InputError(
-            "the folder of the file to write does not exist",
-            where=str(out.parent),
-            found="no such folder",
-            needed="a folder that is there",
-            hint="make it first, or name another one",
-        )
