@@ -170,7 +170,7 @@ def test_predictions_show_the_parameters_that_are_there():
         predicted = predicted_with(names)
         shown = str(predicted)
         time = "T30_s" if "T30_s" in names else time_of(names)
-        assert shown.startswith(f"{SYMBOLS[time]} at " if time else "Means")
+        assert time is None or shown.startswith(f"{SYMBOLS[time]} at ")
         assert "STI is not predicted: it needs the octave bands" in shown
         rows = [line.split()[0] for line in shown.splitlines() if "(predicted)" in line]
         assert set(rows) == {SYMBOLS[n] for n in names}, names

@@ -14,7 +14,8 @@ from roomfit.base.bands import bands_between
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.logit import logit
 from roomfit.predict.changes import Change
-from roomfit.predict.other_walls import predict
+from roomfit.predict.predict import predict
+from roomfit.predict.question import Question
 from roomfit.report.html import page as html_page
 from roomfit.report.predicted import describe
 from roomfit.report.prediction_figures import change_figure
@@ -40,7 +41,7 @@ def foreseen(changes, known_walls: bool = True):
     known = AbsorptionPosterior(
         room.materials, BANDS, a, low, high, covariance, scattering=np.full(a.shape, 0.4)
     )
-    return predict(scene, known, changes, [MEASURED], settings=FEW)
+    return predict(Question(scene, known, changes, [MEASURED], settings=FEW))
 
 
 def page_of(predicted):

@@ -116,7 +116,7 @@ def text_of(shown: Table, gap: str = "  ", indent: str = "") -> str:
     heads = [("\n" * (height - c.name.count("\n")) + c.name).split("\n") for c in columns]
     head: list[tuple[str, ...]] = [*zip(*heads, strict=True)] if any(shown.names) else []
     cells = [[_lines(v, c) for v, c in zip(row, columns, strict=False)] for row in shown.rows]
-    grid = head + [tuple(x[0] + f" ({'; '.join(x[1:])})" * bool(x[1:]) for x in r) for r in cells]
+    grid = head + [tuple(_beside(x) for x in r) for r in cells]
     if len(indent) + len(gap) * (len(columns) - 1) + sum(_widths(grid, columns)) > _WIDEST:
         grid = head + [line for row in cells for line in zip_longest(*row, fillvalue="")]
     widths = _widths(grid, columns)
@@ -127,6 +127,13 @@ def text_of(shown: Table, gap: str = "  ", indent: str = "") -> str:
         for row in grid
     ]
     return "\n".join([*filter(None, [shown.caption]), *map(str.rstrip, rows), *shown.notes])
+
+
+def _beside(lines: Sequence[str]) -> str:
+    first, *small = lines
+    if not first:
+        return "  " * bool(small) + "; ".join(small)
+    return f"{first} ({'; '.join(small)})" if small else first
 
 
 def _widths(grid: Sequence[Sequence[str]], columns: Sequence[Column]) -> list[int]:
