@@ -228,13 +228,7 @@ def table_html(caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]
 
 @contextlib.contextmanager
 def saying_errors(page: Element) -> Iterator[None]:
-    """Show what is wrong with the input until somebody closes it, unless the page has gone.
-
-    Parameters
-    ----------
-    page : Element
-        Any that is not drawn anew: what has been clicked may be.
-    """
+    """Show what is wrong with the input until somebody closes it, unless the page has gone."""
     try:
         yield
     except InputError as error:

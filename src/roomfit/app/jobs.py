@@ -40,13 +40,7 @@ class Worker:
         limit_s: float | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> Any:
-        """Return the answer of a task of `roomfit.app.views.TASKS`.
-
-        Raises
-        ------
-        InputError
-            What the task says of its input; or the process has died, or took longer than `limit_s`.
-        """
+        """Return the answer of a task of `roomfit.app.views.TASKS`."""
         async with self._turn:
             try:
                 return await asyncio.wait_for(self._answer(task, arguments, progress), limit_s)

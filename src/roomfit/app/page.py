@@ -143,13 +143,7 @@ def _forget(job: Job) -> None:
 
 
 def job_text(job: Job) -> str:
-    """Return what a job does, how far it is and how long it will take, in words.
-
-    Examples
-    --------
-    >>> job_text(Job(1, "Full answer", "identify", {}))
-    'Full answer: waiting'
-    """
+    """Return what a job does, how far it is and how long it will take, in words."""
     if job.state != "running":
         return f"{job.label}: {job.state}"
     text = f"{job.label}: {job.stage}, {100 * job.fraction:.0f} %, {job.seconds:.0f} s"

@@ -76,13 +76,7 @@ def best_result(folder: Path) -> Path | None:
 
 
 def campaign_content(folder: Path) -> dict[str, Any]:
-    """Return the campaign file as plain content.
-
-    Raises
-    ------
-    InputError
-        It is no TOML.
-    """
+    """Return the campaign file as plain content."""
     return read_toml(campaign_file(folder))
 
 
@@ -94,13 +88,6 @@ def edit(
     """Change keys of the campaign file; where none is another, it keeps its time.
 
     `of`: returns further edits of what the file says, as plain content.
-
-    Raises
-    ------
-    InputError
-        The file is no TOML, or written in a way that cannot be edited key by key.
-    StoreError
-        The disk refuses.
     """
 
     def change(text: str) -> str:
@@ -116,21 +103,7 @@ def set_room(
     unit: str | None = None,
     space: str | None = None,
 ) -> None:
-    """Give a project its room, as `roomfit init` does; sources, receivers and recordings stay.
-
-    Parameters
-    ----------
-    file : str, optional
-        In the folder; or else
-    shoebox : three lengths in m, optional
-    space : str, optional
-        Which room of a file that has several.
-
-    Raises
-    ------
-    InputError
-        The room cannot be read, or its unit is in doubt.
-    """
+    """Give a project its room, as `roomfit init` does; sources, receivers and recordings stay."""
     if shoebox is not None:
         x, y, z = (float(length) for length in shoebox)
         spec = RoomSpec(shoebox=(x, y, z), unit=unit)
@@ -175,13 +148,7 @@ def _leaves(content: Mapping[str, Any], *above: str) -> dict[tuple[str, ...], An
 
 
 def set_surface_material(folder: Path, surface: str, material: str) -> None:
-    """Say of which material a surface is.
-
-    Raises
-    ------
-    InputError
-        The name is empty.
-    """
+    """Say of which material a surface is."""
     check_name("material", material.strip())
     edit(folder, Edit(("room", "materials"), surface, material.strip()))
 
@@ -202,17 +169,7 @@ def set_prior(folder: Path, material: str, entry: str | None) -> None:
 
 
 def set_position(folder: Path, kind: str, name: str, position_m: Sequence[float] | None) -> None:
-    """Say where a source or a receiver stands, in m; None takes it out.
-
-    Parameters
-    ----------
-    kind : {"sources", "receivers"}
-
-    Raises
-    ------
-    InputError
-        Not three finite numbers, or a name that is none.
-    """
+    """Say where a source or a receiver stands, in m; None takes it out."""
     if kind not in ("sources", "receivers") or not name.strip():
         what = "a position needs a kind and a name"
         needed = "sources or receivers, and a name of one letter or more"
@@ -239,11 +196,6 @@ def name_measured(folder: Path, source: str, receiver: str) -> None:
 
     Devices delay each recording by another time: its clock is that of its direct sound, as its own
     table says (``unknown`` would be one delay for all files of a source).
-
-    Raises
-    ------
-    InputError
-        The campaign is no TOML, or written in a way that does not allow it.
     """
     if has_campaign(folder):
         edit(folder, of=partial(_of_measured, source, receiver))
@@ -269,14 +221,7 @@ def set_bands(folder: Path, from_hz: float, to_hz: float) -> None:
 
 
 def decay_times(folder: Path, *, alone: bool = False) -> Path | None:
-    """Return the table of decay times of the campaign; None without one.
-
-    Parameters
-    ----------
-    folder : Path
-    alone : bool
-        Return it only where nothing else was measured, so that no wall can be identified.
-    """
+    """Return the table of decay times of the campaign; None without one."""
     content = campaign_content(folder) if has_campaign(folder) else {}
     own = _decay_times(content, alone=alone)
     return None if own is None else folder / str(own.get("file", ""))
@@ -289,13 +234,7 @@ def _decay_times(content: Mapping[str, Any], *, alone: bool) -> Mapping[str, Any
 
 
 def set_decay_times(folder: Path, name: str) -> None:
-    """Take a table that was sent as the decay times of the campaign.
-
-    Raises
-    ------
-    InputError
-        There is no room yet.
-    """
+    """Take a table that was sent as the decay times of the campaign."""
     if not has_campaign(folder):
         what = "there is no room yet"
         needed = "a room file or three lengths"
@@ -326,11 +265,6 @@ def filled_campaign(folder: Path) -> Iterator[Campaign]:
 
     Sources, receivers and measurements with blanks are left out, for a room can be looked at
     before its positions are known.
-
-    Raises
-    ------
-    InputError
-        See `roomfit.read_campaign`.
     """
     content = campaign_content(folder)
     if not blanks(content):
@@ -351,19 +285,7 @@ def filled_campaign(folder: Path) -> Iterator[Campaign]:
 
 
 def upload_place(folder: Path, kind: str, name: str) -> Path:
-    """Return where a file that somebody sends may be put.
-
-    Parameters
-    ----------
-    kind : {"room", "recordings", "dry", "positions", "decay-times"}
-    name : str
-        As the sender calls it.
-
-    Raises
-    ------
-    InputError
-        The name is a path, hidden, of no known format, or its place lies outside of the project.
-    """
+    """Return where a file that somebody sends may be put."""
     check_known("there is no such place for files", kind, _KNOWN)
     plain = name and len(name.encode()) <= _LONGEST_NAME and name.isprintable()
     if not plain or name.startswith(".") or any(c in name for c in '/\\:*?"<>|'):
@@ -385,13 +307,7 @@ def upload_place(folder: Path, kind: str, name: str) -> Path:
 
 
 def inside(folder: Path, path: Path) -> Path:
-    """Return a path with links followed; refuse one that leads out of the project.
-
-    Raises
-    ------
-    InputError
-        It does.
-    """
+    """Return a path with links followed; refuse one that leads out of the project."""
     real, root = Path(os.path.realpath(path)), Path(os.path.realpath(folder))
     if real != root and root not in real.parents:
         raise InputError(
@@ -409,13 +325,7 @@ _SHOWN = (QUICK, FULL, MEAN, TREATMENT, LISTENED, "exports")
 
 
 def served_file(folder: Path, path: str) -> Path:
-    """Return a file of a result or an export that may be shown or downloaded.
-
-    Raises
-    ------
-    InputError
-        There is no such file, or it is none of those.
-    """
+    """Return a file of a result or an export that may be shown or downloaded."""
     parts = Path(path).parts
     plain = path.isprintable() and not any(part.startswith(".") for part in parts)
     if plain and len(parts) > 1 and parts[0] in _SHOWN:
@@ -429,13 +339,7 @@ def served_file(folder: Path, path: str) -> Path:
 
 
 def answer_file(folder: Path, *, or_decay_times: bool = False) -> Path:
-    """Return the best result, or the table of decay times where that does as well.
-
-    Raises
-    ------
-    InputError
-        There is none.
-    """
+    """Return the best result, or the table of decay times where that does as well."""
     found = best_result(folder) or (decay_times(folder) if or_decay_times else None)
     if found is None:
         raise InputError(
@@ -448,13 +352,7 @@ def answer_file(folder: Path, *, or_decay_times: bool = False) -> Path:
 
 
 def export(folder: Path, wanted: str) -> list[str]:
-    """Write the best result's materials for another program; return the files, relative.
-
-    Raises
-    ------
-    InputError
-        There is no result, or no such format.
-    """
+    """Write the best result's materials for another program; return the files, relative."""
     result = answer_file(folder)
     check_known("no such format", wanted, _ENDINGS)
     exports = folder / "exports"

@@ -25,13 +25,7 @@ Positions = Mapping[str, Sequence[float]]
 
 
 def table_positions(folder: Path) -> dict[str, tuple[float, float, float]]:
-    """Return positions in m by name of all tables in the project, of the newest that has a name.
-
-    Raises
-    ------
-    InputError
-        A table cannot be read, or its folder is a link that leads out of the project.
-    """
+    """Return positions in m by name of all tables in the project, of the newest that has a name."""
     below = folder / project.POSITIONS
     if not below.is_dir():
         return {}
@@ -48,11 +42,6 @@ def named_recordings(folder: Path, known: Sequence[str]) -> dict[str, tuple[str,
 
     By the tables of its campaign, blanks or not, by the template that this states, or else by names
     in the folder of recordings; `known` are further names of sources and receivers.
-
-    Raises
-    ------
-    InputError
-        The campaign is no TOML.
     """
     content = _content(folder)
     rows = {
@@ -71,17 +60,6 @@ def name_recordings(folder: Path, positions: Positions, moved: Positions | None 
     What has a position keeps it, unless it is `moved`. A measurement whose table says nothing but
     names is named anew while the position of its source or of its receiver is not known, and where
     a template names it.
-
-    Parameters
-    ----------
-    folder : Path
-        Without a campaign nothing is written.
-    positions, moved : mapping of name to x, y, z in m
-
-    Raises
-    ------
-    InputError
-        The campaign is written in a way that does not allow it.
     """
     if project.has_campaign(folder):
         change = partial(_renamed, folder, {**positions, **(moved or {})}, moved or {})
@@ -122,13 +100,7 @@ def _renamed(folder: Path, positions: Positions, moved: Positions, before: str) 
 
 
 def set_template(folder: Path, template: str, positions: Positions) -> None:
-    """Say how recordings are named, as in ``recordings/{source}-{receiver}.wav``; "": by names.
-
-    Raises
-    ------
-    InputError
-        It lacks {source} or {receiver}, leads out of the folder, or no file has its shape.
-    """
+    """Say how recordings are named, as in ``recordings/{source}-{receiver}.wav``; "": by names."""
     if template:
         if Path(template).is_absolute() or ".." in Path(template).parts:
             what = "recordings lie in the project's folder"

@@ -75,17 +75,7 @@ class Door:
 
 
 def new_door(host: str, port: int, upload_bytes: int, names: Iterable[str] = ()) -> Door:
-    """Return a door with a new token.
-
-    Parameters
-    ----------
-    host : str
-        The address that is listened at.
-    port : int
-    upload_bytes : int
-    names : iterable of str
-        Further names of this machine.
-    """
+    """Return a door with a new token."""
     is_local = host in ("127.0.0.1", "localhost", "::1")
     known = {"127.0.0.1", "localhost", "[::1]"} if is_local else {host, *names}
     every = host in ("0.0.0.0", "::")
@@ -105,12 +95,6 @@ def is_own_host(door: Door, host: str) -> bool:
 
     Starlette's ``TrustedHostMiddleware`` looks at no port, at the first of two hosts alone, and
     knows names only, not every address in numbers of a server that listens at all of them.
-
-    Examples
-    --------
-    >>> door = new_door("127.0.0.1", 8321, 1)
-    >>> [is_own_host(door, h) for h in ("localhost:8321", "evil.example:8321", "localhost:80", "")]
-    [True, False, False, False]
     """
     name, mark, port = host.rpartition(":")
     if not mark or port != str(door.port):
@@ -133,13 +117,7 @@ def is_own_origin(door: Door, origin: str) -> bool:
 
 
 def refusal(door: Door, scope: Scope) -> tuple[int, str] | None:
-    """Return status and reason with which a request is refused, None where it is let in.
-
-    Parameters
-    ----------
-    scope : mapping
-        Of an ASGI request, HTTP or WebSocket.
-    """
+    """Return status and reason with which a request is refused, None where it is let in."""
     hosts = _values(scope, b"host")
     if len(hosts) != 1 or not is_own_host(door, hosts[0]):
         return 400, "this server has another name"

@@ -117,13 +117,7 @@ async def _receive(request: Request, file: Path) -> None:
 
 
 def _asked(folder: Path, request: Request) -> tuple[SweepPlan, str, str]:
-    """Return what a page asks to measure: how, the source and the receiver.
-
-    Raises
-    ------
-    InputError
-        A word that is no number, or out of range; a name of no use; or a pair that was measured.
-    """
+    """Return what a page asks to measure: how, the source and the receiver."""
     asked = request.query_params
     try:
         rate_hz, seconds, silence_s = (float(asked[k]) for k in ("rate_hz", "seconds", "silence_s"))
@@ -227,25 +221,7 @@ async def serve(
     open_browser: bool = True,
     say: Callable[[str], None] = print,
 ) -> None:
-    """Show a project in the browser until somebody interrupts.
-
-    Parameters
-    ----------
-    bench : Bench
-        Its folder is made where it is missing.
-    host : str
-        Address to listen at. Any other than this machine's own is reachable by others.
-    port : int, optional
-        0: any that is free. Left out: 8321, or the next that is free.
-    open_browser : bool
-    say : callable
-        Takes the address with its key.
-
-    Raises
-    ------
-    InputError
-        The folder is a file, or the port is taken.
-    """
+    """Show a project in the browser until somebody interrupts."""
     folder = bench.folder
     if folder.exists() and not folder.is_dir():
         what = "a project is a folder"

@@ -30,15 +30,7 @@ _FIRST = "# What may be hung where, and what is to be reached: roomfit treat, do
 def treatment_view(
     _: Progress, folder: str, bands_hz: Sequence[float] = (), fault: str = ""
 ) -> dict[str, Any]:
-    """Return surfaces with their areas, what is asked, and the sentence of the last answer.
-
-    Parameters
-    ----------
-    bands_hz : sequence of float
-        In which targets may be; none: those of the decay times, of which T30 alone is predicted.
-    fault : str
-        What is wrong with the file, where that is known already.
-    """
+    """Return surfaces with their areas, what is asked, and the sentence of the last answer."""
     root = Path(folder)
     with project.filled_campaign(root) as campaign:
         room = campaign_room(campaign)
@@ -71,14 +63,7 @@ def treatment_view(
 
 
 def ask_treatment(_: Progress, folder: str, question: dict[str, Any]) -> None:
-    """Write what is asked into treatment.toml, whole or not at all.
-
-    Raises
-    ------
-    InputError
-        Nothing may be covered, hung or reached; a value is out of range; or the file is written in
-        a way that does not allow it.
-    """
+    """Write what is asked into treatment.toml, whole or not at all."""
     for key, what, hint in (
         ("surfaces", "no surface may be covered", "tick a surface"),
         ("products", "there is nothing to hang", "choose a product from the catalogue"),
@@ -104,18 +89,7 @@ def ask_treatment(_: Progress, folder: str, question: dict[str, Any]) -> None:
 
 
 def written_question(text: str, question: Mapping[str, Any]) -> str:
-    """Return the text of a treatment file with another content; what is equal stays as written.
-
-    Raises
-    ------
-    InputError
-        The text is no TOML, or written in a way that does not allow it.
-
-    Examples
-    --------
-    >>> written_question("[surfaces.a] # mine", {"surfaces": {"a": {}}, "probability": 0.8})
-    'probability = 0.8\\n[surfaces.a] # mine'
-    """
+    """Return the text of a treatment file with another content; what is equal stays as written."""
     then = _tables(question)
     try:
         now = _tables(tomllib.loads(text))

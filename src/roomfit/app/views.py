@@ -206,13 +206,7 @@ def _about_names(
 
 
 def table_positions(_: Progress, folder: str, table: str = "") -> list[dict[str, Any]]:
-    """Return positions in m by name of all tables that were sent, and those of one of them.
-
-    Raises
-    ------
-    InputError
-        A table cannot be read.
-    """
+    """Return positions in m by name of all tables that were sent, and those of one of them."""
     root = Path(folder)
     place = project.upload_place(root, project.POSITIONS, table) if table else None
     return [recordings.table_positions(root), {} if place is None else dict(read_positions(place))]
@@ -268,13 +262,7 @@ def _check(root: Path, rows: dict[str, dict[str, Any]], view: dict[str, Any]) ->
 def advice_view(
     findings: Sequence[Finding], campaign: Campaign, *, changed: bool = False
 ) -> list[dict[str, Any]]:
-    """Return what `roomfit.files.remedies.advised` does, for a page.
-
-    Returns
-    -------
-    list of dict
-        ``code``, ``severity``, ``n``: of how many findings, and ``options``: words and edits.
-    """
+    """Return what `roomfit.files.remedies.advised` does, for a page."""
     shown = []
     for code, options in advised(findings, campaign, changed=changed).items():
         own = [f for f in findings if f.code is code]
@@ -285,14 +273,7 @@ def advice_view(
 
 
 def concerned_recordings(about: About, rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the rows, each with file, source and receiver, that a finding names; not all if none.
-
-    Examples
-    --------
-    >>> row = {"file": "recordings/S_R.wav", "source": "S", "receiver": "R"}
-    >>> [len(concerned_recordings(About(files=[f]), [row])) for f in ("S_R.wav", "x/S_R.wav")]
-    [1, 0]
-    """
+    """Return the rows, each with file, source and receiver, that a finding names; never all."""
     return [
         row
         for row in rows
@@ -367,13 +348,7 @@ def reverberation(_: Progress, folder: str) -> str:
 
 
 def demo(progress: Progress, folder: str) -> str:
-    """Write the campaign of ``roomfit demo``: a room of known absorption, measured by simulation.
-
-    Raises
-    ------
-    InputError
-        The folder has a campaign already.
-    """
+    """Write the campaign of ``roomfit demo``: a simulated room of known absorption."""
     root = Path(folder)
     if project.has_campaign(root):
         what = "the folder has a campaign already"
@@ -390,15 +365,7 @@ def set_room(_: Progress, folder: str, **room: Any) -> None:
 
 
 def treat(progress: Progress, folder: str, doubted: bool = False) -> str:
-    """Choose what to hang where, as ``roomfit treat`` does; return the answer in words.
-
-    Raises
-    ------
-    InputError
-        There is neither a result nor a table of decay times, or no treatment.toml.
-    InsufficientDataError
-        The result is seriously doubted in every band, and `doubted` is false.
-    """
+    """Choose what to hang where, as ``roomfit treat`` does; return the answer in words."""
     root = Path(folder)
     result = project.best_result(root)
     project.answer_file(root, or_decay_times=True)
@@ -417,13 +384,7 @@ def treat(progress: Progress, folder: str, doubted: bool = False) -> str:
 
 
 def look_at_upload(_: Progress, folder: str, kind: str, file: str) -> None:
-    """Read a file that somebody has sent, as far as its kind can be read by itself.
-
-    Raises
-    ------
-    InputError
-        It is not what its name says, cut off, larger than what is taken, or no room or recording.
-    """
+    """Read a file that somebody has sent, as far as its kind can be read by itself."""
     path = Path(folder) / file
     try:
         if kind == "room":
@@ -464,20 +425,7 @@ def _look_at_table(root: Path, kind: str, path: Path) -> None:
 
 
 def measure(_: Progress, folder: str, file: str, plan: dict[str, Any]) -> dict[str, Any]:
-    """Write the response of a recording, which lies beside it as ``recorded``; return its quality.
-
-    Parameters
-    ----------
-    file : str
-        Of the response, in the folder; of the recording it has 32-bit floating point numbers.
-    plan : dict
-        The fields of a `SweepPlan`.
-
-    Raises
-    ------
-    InputError
-        Nothing of use was recorded.
-    """
+    """Write the response of a recording, ``recorded`` beside it; return its quality."""
     path = Path(folder) / file
     try:
         recorded = np.frombuffer(read_bytes(path.with_name("recorded"), "recording"), "<f4")
@@ -493,22 +441,7 @@ def measure(_: Progress, folder: str, file: str, plan: dict[str, Any]) -> dict[s
 def listen(
     progress: Progress, folder: str, changes: list[str], dry: str = "", doubted: bool = False
 ) -> str:
-    """Make what a change sounds like, as ``roomfit listen`` does.
-
-    Parameters
-    ----------
-    changes : list of str
-        As those of ``--set``.
-    dry : str
-        Name of a recording in the folder of dry ones, to be listened to; none: the responses.
-    doubted : bool
-        Whether also from a result that is seriously doubted.
-
-    Raises
-    ------
-    InputError
-        There is no result yet, no change, or the recording has another sampling rate.
-    """
+    """Make what a change sounds like, as ``roomfit listen`` does."""
     root = Path(folder)
     result = project.answer_file(root)
     if not changes:

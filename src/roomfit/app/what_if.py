@@ -42,11 +42,6 @@ def what_if_prepare(progress: Progress, folder: str, doubted: bool = False) -> d
     Without a result it is taken for a diffuse field, by its decay times. Bands in which a result
     is seriously doubted are left out, unless `doubted`; where these are all of them, the answer
     is why, alone.
-
-    Raises
-    ------
-    InputError
-        There is neither a result nor a table of decay times.
     """
     root = Path(folder)
     file, result = project.campaign_file(root), project.best_result(root)
@@ -102,13 +97,7 @@ def _harder(materials: Sequence[str]) -> list[Change]:
 
 
 def prepared(folder: str) -> ChangingRoom:
-    """Return the room that `what_if_prepare` has made ready last.
-
-    Raises
-    ------
-    InputError
-        It is another one.
-    """
+    """Return the room that `what_if_prepare` has made ready last."""
     if folder not in _ready:
         what = "the room is not prepared yet"
         needed, hint = "what_if_prepare of this project", "open What if again"
@@ -119,13 +108,7 @@ def prepared(folder: str) -> ChangingRoom:
 def what_if(
     progress: Progress, folder: str, changes: list[str], doubted: bool = False
 ) -> dict[str, Any]:
-    """Return what changes do, written as those of ``roomfit predict --set``.
-
-    Raises
-    ------
-    InputError
-        Nothing is known of the room, or a change cannot be made.
-    """
+    """Return what changes do, written as those of ``roomfit predict --set``."""
     if folder not in _ready:  # the process was ended meanwhile and started again
         what_if_prepare(progress, folder, doubted)
     room, own = prepared(folder), [read_change(text) for text in changes]

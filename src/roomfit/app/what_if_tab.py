@@ -101,13 +101,6 @@ class Changes:
 
         Absorption that was moved is a factor on what was found, which keeps what is not known of
         it.
-
-        Examples
-        --------
-        >>> changes = Changes((500.0, 1000.0), {"wall": [0.1, 0.3]})
-        >>> changes.chosen |= {"wall": [0.2, 0.3], "floor": "carpet-on-underlay"}
-        >>> changes.written()
-        ['wall=x2,x1', 'floor=carpet-on-underlay']
         """
         texts = []
         for material, own in self.chosen.items():
@@ -573,11 +566,6 @@ def chart_svg(
 
     By hand: `ui.echart` would add 1.7 MB of script, draws intervals only by a function in
     JavaScript, and takes neither the page's colours nor a text that says what is drawn.
-
-    Parameters
-    ----------
-    limits : sequence of mappings
-        Each with a value and the bands in Hz across which it is drawn.
     """
     label, mean = _LABELS[name], view["mean"][name]
     pairs = [pair[name]["predicted"] for pair in view["pairs"]]

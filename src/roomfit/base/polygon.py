@@ -18,13 +18,7 @@ _NO_AREA = 1e-12  # of the squared perimeter: what rounding leaves of a polygon 
 
 
 def place(point_m: FloatArray) -> str:
-    """Return a point as text, in metres to the millimetre.
-
-    Examples
-    --------
-    >>> place(np.array([1.0, 2.5, -0.00001]))
-    '(1.000, 2.500, 0.000) m'
-    """
+    """Return a point as text, in metres to the millimetre."""
     x, y, z = np.round(np.asarray(point_m, dtype=np.float64), 3) + 0.0  # no "-0.000"
     return f"({x:.3f}, {y:.3f}, {z:.3f}) m"
 

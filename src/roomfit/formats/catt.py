@@ -170,13 +170,7 @@ def _add_loop(file: GeoFile, line: Line) -> None:
 
 
 def split_words(text: str, mark: str = " ") -> list[str]:
-    """Split at a mark (or at white space) outside brackets.
-
-    Examples
-    --------
-    >>> split_words("5 x(4) -w/2 lock(4 7 8)")
-    ['5', 'x(4)', '-w/2', 'lock(4 7 8)']
-    """
+    """Split at a mark (or at white space) outside brackets."""
     words, depth = [""], 0
     for letter in text:
         depth += (letter == "(") - (letter == ")")
@@ -457,12 +451,6 @@ def read_catt(path: Path) -> RoomModel:
     MIRROR adds the image at x = 0 of every corner, and of every plane that names no image itself
     and is not its own image. Two planes on the same corners with opposite reflecting sides and
     one material become one sheet that reflects on both sides.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read, or contains a statement that is not supported (IF, ROTATE, COPY,
-        cut() and others); the message has its line. Nothing that may shape the room is ignored.
     """
     files = read_files(path)
     define_names(files)

@@ -41,13 +41,6 @@ def read_dxf(path: Path) -> RoomModel:
     those on layers that are off or frozen are passed over and counted in a finding. z is up; the
     unit is the one of $INSUNITS, where it is inch, foot, mm, cm or m.
 
-    Raises
-    ------
-    InputError
-        ezdxf is not installed; not a DXF file, cut short, without faces; or it contains surfaces
-        that cannot be read: bodies of a solid modeller, extruded lines, curved outlines, missing
-        blocks.
-
     References
     ----------
     .. [1] Autodesk, "DXF Reference" (2018).

@@ -42,12 +42,6 @@ def read_obj(path: Path) -> RoomModel:
     where there is no `o`), `g` its group. The .mtl file describes only looks and is not opened, so
     it may be missing. Lines, points, curves, normals and texture coordinates are passed over.
 
-    Raises
-    ------
-    InputError
-        No faces, a face of less than three corners or with a corner that does not exist, or a
-        coordinate that is not finite; the message has the line.
-
     References
     ----------
     .. [1] Wavefront Technologies, "Advanced Visualizer Manual", appendix B1: Object files.

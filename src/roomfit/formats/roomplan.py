@@ -75,18 +75,6 @@ def read_roomplan(path: Path, space: str | None = None) -> RoomModel:
     Surfaces are Wall0, Door0, Window0, Opening0, ..., Floor0 and Ceiling; their materials and
     groups wall, door, window, opening, floor and ceiling. See `closed_room`.
 
-    Parameters
-    ----------
-    path : Path
-    space : str, optional
-        Which room of a ``CapturedStructure``: the label of its first section, with a number from
-        the second of a label on, as "bedroom 2"; or its identifier.
-
-    Raises
-    ------
-    InputError
-        No such scan or room, one of several floors, or one that does not close.
-
     References
     ----------
     .. [1] Apple Inc., "RoomPlan: CapturedRoom", developer documentation (2022 to 2025).
@@ -178,30 +166,7 @@ def _placed(outline: Sequence[Sequence[float]], transform: Any) -> FloatArray:
 def closed_room(
     parts: Sequence[Part], floor_m: FloatArray | None, things: Sequence[Thing]
 ) -> RoomModel:
-    """Return a closed room of what a scan has found: m, z up.
-
-    Parameters
-    ----------
-    parts : sequence of Part
-        Walls, and what is in them.
-    floor_m : float array, shape (n_corners, 3), or None
-        The outline of the floor; None: where walls meet, whose ends may be 0.3 m apart. A side of
-        it without a wall is an opening, with a finding, unless a curved wall is there.
-    things : sequence of Thing
-        What stands there. It is no wall of the room, and counted in a finding.
-
-    Returns
-    -------
-    RoomModel
-        The longest wall lies along x, the lowest x, y and z are 0: a scan's own origin is where it
-        happened to begin. The ceiling is the plane, level or sloping, from which no wall's top is
-        farther than 0.1 m; else planes that meet along lines from gable to gable.
-
-    Raises
-    ------
-    InputError
-        Walls do not meet, or their tops carry neither; or a wall is curved and nothing says how.
-    """
+    """Return a closed room of what a scan has found: m, z up."""
     n_parts = len(parts) + (0 if floor_m is None else len(floor_m)) + len(things)
     check_limit("scan_parts", n_parts, "the scan")
     walls = [p for p in parts if p.kind == "wall" and _length(_foot(p)) > _DISTINCT_M]

@@ -80,13 +80,7 @@ def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
 
 
 def read_mesh(spec: RoomSpec) -> tuple[Mesh, tuple[Finding, ...]]:
-    """Read a room as far as its mesh, welded, triangulated and oriented, with findings.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read.
-    """
+    """Read a room as far as its mesh, welded, triangulated and oriented, with findings."""
     lengths = shoebox_lengths_m(spec)
     if lengths is not None:
         with located("[room] shoebox"):
@@ -115,13 +109,7 @@ def shoebox_lengths_m(spec: RoomSpec) -> tuple[float, float, float] | None:
 
 
 def read_model(spec: RoomSpec) -> tuple[RoomModel, str]:
-    """Return the polygons of a room file in its own unit and axes, and its name for messages.
-
-    Raises
-    ------
-    InputError
-        The file is of no known format, or cannot be read.
-    """
+    """Return the polygons of a room file in its own unit and axes, and its name for messages."""
     with located(hint="correct the file there, or export it again"):
         return _model(spec)
 

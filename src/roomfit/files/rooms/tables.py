@@ -201,13 +201,7 @@ def _cell(row: list[str], heading: list[str], starts: tuple[str, ...]) -> str | 
 
 
 def _as_number(cell: str) -> str | None:
-    """Return a whole number without leading zeros or a decimal part, or None.
-
-    Examples
-    --------
-    >>> _as_number("616.0"), _as_number("007"), _as_number("K26")
-    ('616', '7', None)
-    """
+    """Return a whole number without leading zeros or a decimal part, or None."""
     match = re.fullmatch(r"0*([0-9]{1,18})(\.0*)?", cell)
     return match.group(1) if match else None
 
@@ -232,12 +226,6 @@ def read_polygons(
 
     The name of a surface is its plane's number, its group the plane's description. No finding says
     of materials that are `renamed` that they are spelt alike.
-
-    Raises
-    ------
-    InputError
-        A table cannot be read, a plane to drop or replace is not there, or a plane names a corner
-        that does not exist.
     """
     corners, moved = _merged_corners(tables.corners)
     planes, replaced = _chosen_planes(tables)
