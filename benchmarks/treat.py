@@ -30,8 +30,7 @@ from roomfit.base.polygon import Face
 from roomfit.base.polygon import Surface as MeshSurface
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.fit.measurements import observe
-from roomfit.predict.other_walls import PreparedRoom
-from roomfit.predict.predict import prepare
+from roomfit.predict.predict import ChangingRoom, prepare
 from roomfit.predict.question import Question
 from roomfit.result import absorption_posterior
 from roomfit.room.build import build_mesh, oriented
@@ -186,7 +185,7 @@ def speed() -> None:
         )
 
 
-def strips(n: int) -> PreparedRoom:
+def strips(n: int) -> ChangingRoom:
     """Return a prepared box, of more than four surfaces with a ceiling of so many strips."""
     scene = box((9.0, 6.0, 3.2), 8)
     if n > 4:

@@ -113,8 +113,7 @@ def treat(
     Parameters
     ----------
     room : PreparedRoom or PreparedField
-        From `roomfit.predict.other_walls.prepare_prediction`, of any pairs; or, of T30 alone, from
-        `roomfit.predict.diffuse.prepare_field`.
+        From `roomfit.prepare`, of any pairs; or, of T30 alone, of a diffuse field.
     surfaces, products, targets : sequences of Surface, Product and Target
     number : int
         How many arrangements.
