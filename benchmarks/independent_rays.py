@@ -57,7 +57,7 @@ def found(problems: list[SquaresProblem], n: int, rng: np.random.Generator) -> n
         least_squares(lambda x: rows(x)[0], s, lambda x: rows(x)[1], bounds=(0, 1), x_scale="jac")
         for s in starts
     ]
-    return min(ends, key=lambda end: end.cost).x
+    return np.asarray(min(ends, key=lambda end: end.cost).x)
 
 
 def main() -> None:

@@ -138,7 +138,7 @@ def _tail_of_squares(m: FloatArray, left: FloatArray) -> FloatArray:
         # 1e-12 of what is subtracted covers the rounding of the test itself
         lies_below = value - slope * (middle - start) + 1e-12 * m * m <= at_left
         low, high = np.where(lies_below, low, middle), np.where(lies_below, middle, high)
-    return np.where(bends, high, bend)
+    return np.asarray(np.where(bends, high, bend))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,7 +182,7 @@ def planes_over(rows: Rows, box: FloatArray, each: FloatArray, threshold: float)
     """
     far = ~np.isfinite(box[0])
     centre, half = centre_of(box)
-    values, energy, slope = _log_slopes(rows, centre, (rows.hits[:, far] > 0).any(axis=1))
+    values, energy, slope = _log_slopes(rows, centre, np.any(rows.hits[:, far] > 0, axis=1))
     # rows that the planes leave out, at the upper corner
     ghost = rows.sums @ np.where(values == 0.0, row_values(rows, box[1]), 0.0)
     planar = energy > 0.0

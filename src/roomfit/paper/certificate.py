@@ -233,7 +233,7 @@ def _shaved(planes: Planes, box: FloatArray, threshold: float, lowest: FloatArra
             edge = ends[0, m] + step if side == 0 else ends[1, m] - step
             part = ends.copy()
             part[1 - side, m] = edge
-            if _minimum_over(planes, *part, threshold, lowest, False)[0] < threshold:
+            if _minimum_over(planes, part[0], part[1], threshold, lowest, False)[0] < threshold:
                 continue
             ends[side, m] = edge
             # more than the rounding of the sum, and of the centre's exponential
