@@ -198,9 +198,9 @@ def _ply_rows(content: bytes) -> dict[str, list[_Row]]:
     if take is None:
         raise ValueError("no line 'format'")
     rows: dict[str, list[_Row]] = {}
-    for name, count, properties in elements:
+    for name, n_rows, properties in elements:
         own = rows.setdefault(name, [])
-        for _ in range(count if properties else 0):
+        for _ in range(n_rows if properties else 0):
             row = {}
             for key, code, counted_by in properties:
                 n = max(int(take(counted_by, 1)[0]), 0) if counted_by else 1
