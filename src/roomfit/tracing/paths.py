@@ -199,7 +199,6 @@ def unfolded_normals(normal: FloatArray, first: IntArray) -> FloatArray:
 
 
 Directions = Literal["fibonacci", "sobol"]
-Estimator = Literal["spheres", "rain"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,11 +215,6 @@ class TraceSettings:
     directions: Directions = "sobol"
     n_batches: int = 16  #: Independent parts whose spread measures the Monte-Carlo noise
     seed: int = 1  #: Same seed, same paths, bit by bit, for any number of threads
-    #: "rain" (diffuse rain): every diffuse reflection adds a path straight to every visible
-    #: receiver, and spheres catch only what was last reflected specularly, or not at all. It costs
-    #: half to all of the tracing for the same Monte-Carlo error, the less the more walls scatter,
-    #: but 1.1 to 1.6 times as many paths to weigh (`benchmarks/rays.py`).
-    estimator: Estimator = "spheres"
     image_until_s: float | None = None  #: Where image sources end; None for the whole duration
     keep_image_transforms: bool = False  #: Image paths keep the product of their reflections
 
@@ -239,4 +233,3 @@ class TraceSettings:
         for name, value, low, high in limits:
             check_range(name, value, low, high, where="trace settings")
         check_known("unknown set of directions", self.directions, ("sobol", "fibonacci"))
-        check_known("unknown estimator of rays at receivers", self.estimator, ("spheres", "rain"))

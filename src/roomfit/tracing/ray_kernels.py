@@ -1,29 +1,20 @@
-"""The compiled loop over rays, walls and receivers, with diffuse rain.
+"""The compiled loop over rays, walls and receivers.
 
-Receivers are spheres that catch rays, sorted into a grid where there are many. With diffuse rain,
-each diffuse reflection also sends energy straight to each receiver: a wall that scatters by
-Lambert's law sends the share ``cos / pi`` of its energy into each unit of solid angle; at r metres
-that is ``cos / (pi r**2)`` of it per square metre. Every diffuse reflection that is visible from a
-receiver thus adds a path, exact in time and direction, where a sphere catches one ray of many.
-Paths whose last reflection is specular are still caught by spheres. The method is "diffuse rain" of
-D. Schroeder, "Physically based real-time auralization of interactive virtual environments", Aachen
-2011, section 5.3, or next-event estimation of path tracing.
+Receivers are spheres that catch rays, sorted into a grid where there are many.
 """
 
-# ruff: noqa: ARG001, ARG005 -- numba matches overloads by the names of all their arguments
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba.extending import overload
 
 from roomfit.base.kernels import kernel
 from roomfit.base.typing import FloatArray, IntArray
 from roomfit.room.inside import Vector
-from roomfit.tracing.bvh import Tree, Walls, nearest_in_tree, next_wall, wall_material
-from roomfit.tracing.walls import Planes, after_wall, mixed, ray_key, uniform
+from roomfit.tracing.bvh import Walls, next_wall, wall_material
+from roomfit.tracing.walls import after_wall, ray_key
 
 # Up to so many spheres it is quicker to try each one than to walk through a grid (measured).
 _TRY_EACH = 24
@@ -118,55 +109,8 @@ def leaves_cell(o: float, d: float, cell: int, low_m: float, cell_m: float) -> f
     return (low_m + wall * cell_m - o) / d
 
 
-# A wall nearer to the receiver than this share of the distance is no screen but rounding.
-_SAME_PLACE = 1e-9
-
-
-def unobstructed(walls: Planes | Tree, o: Vector, d: Vector, last: int, distance_m: float) -> bool:
-    """Return whether a straight path is free of walls; only for use in kernels."""
-    raise TypeError("only compiled code may call this")
-
-
-@overload(unobstructed, strict=False)
-def _unobstructed(walls: Any, o: Any, d: Any, last: Any, distance_m: Any) -> Any:
-    kind = getattr(walls, "instance_class", None)
-    if kind is Planes:  # a convex room hides nothing
-        return lambda walls, o, d, last, distance_m: True
-    if kind is Tree:
-        return lambda walls, o, d, last, distance_m: (
-            nearest_in_tree(walls, o, d, last)[0] >= distance_m * (1.0 - _SAME_PLACE)
-        )
-    return None
-
-
-@kernel(allocates=False)
-def towards(
-    spheres: Spheres, k: int, o: Vector, d: Vector, normal: Vector
-) -> tuple[float, Vector, float]:
-    """Return the path from a diffuse reflection to the centre of a sphere.
-
-    The variance of the sum of many is finite for every receiver that is off the walls; nothing is
-    clamped. At distance h from a wall it grows as ``1 / h**2``.
-    """
-    x = spheres.centre_m[k, 0] - o[0]
-    y = spheres.centre_m[k, 1] - o[1]
-    z = spheres.centre_m[k, 2] - o[2]
-    square = x * x + y * y + z * z
-    if square <= 0.0:
-        return 0.0, d, 0.0
-    distance = math.sqrt(square)
-    x, y, z = x / distance, y / distance, z / distance
-    cosine = x * normal[0] + y * normal[1] + z * normal[2]
-    if d[0] * normal[0] + d[1] * normal[1] + d[2] * normal[2] > 0.0:
-        cosine = -cosine
-    return distance, (x, y, z), max(cosine, 0.0) / (math.pi * square)
-
-
 CHUNK_RAYS = 256
 ESCAPES_KEPT = 4
-# Rain fainter than this share of a mean crossing of the receiver's sphere is drawn at random.
-FAINTEST = 0.25
-_FOR_LOTS = np.uint64(0xD1B54A32D192ED03)
 
 
 class Job(NamedTuple):
@@ -178,7 +122,6 @@ class Job(NamedTuple):
     max_hits: int  # A ray ends at the wall hit of this number
     seed: int
     source: int
-    rain: bool = False  # diffuse rain; spheres then catch only after a specular or no reflection
 
 
 class Caught(NamedTuple):
@@ -188,7 +131,7 @@ class Caught(NamedTuple):
     sphere: IntArray  # int32 (n_chunks, capacity)
     ray: IntArray  # int64 (n_chunks, capacity)
     length_m: FloatArray  # (n_chunks, capacity), of the path
-    chord_m: FloatArray  # (n_chunks, capacity); for rain, the chord of equal energy
+    chord_m: FloatArray  # (n_chunks, capacity)
     hits_specular: IntArray  # uint16 (n_chunks, capacity, n_materials)
     hits_diffuse: IntArray  # uint16 (n_chunks, capacity, n_materials)
     arrival: FloatArray  # float32 (n_chunks, capacity, 3)
@@ -255,12 +198,10 @@ def _trace_ray(
     try_each = len(spheres.first) == 2
     o = (job.start_m[0], job.start_m[1], job.start_m[2])
     travelled, hit, sum_m, sum_m2 = 0.0, 0, 0.0, 0.0
-    last, caught_by_spheres = -1, True
+    last = -1
     while True:
         flight, wall = next_wall(walls, o, d, last)
-        if not caught_by_spheres:
-            pass
-        elif try_each:
+        if try_each:
             for k in range(len(spheres.radius_m)):
                 nearest, length = chord(spheres, k, o, d, flight)
                 if length > 0.0 and travelled + nearest <= job.max_length_m:
@@ -286,70 +227,11 @@ def _trace_ray(
         material = wall_material(walls, wall, o)
         last = wall
         normal = (walls.normal[wall, 0], walls.normal[wall, 1], walls.normal[wall, 2])
-        before = d
         d, is_diffuse = after_wall(d, normal, job.scattering[material], key, hit - 1)
         if is_diffuse:
             diffuse[material] += np.uint16(1)
         else:
             specular[material] += np.uint16(1)
-        if job.rain:
-            caught_by_spheres = not is_diffuse
-            if is_diffuse:
-                _diffuse_rain(
-                    walls,
-                    spheres,
-                    job,
-                    o,
-                    before,
-                    normal,
-                    wall,
-                    travelled,
-                    ray,
-                    hit,
-                    chunk,
-                    specular,
-                    diffuse,
-                    caught,
-                )
-
-
-@kernel(allocates=False)
-def _diffuse_rain(
-    walls: Walls,
-    spheres: Spheres,
-    job: Job,
-    o: Vector,
-    d: Vector,
-    normal: Vector,
-    wall: int,
-    travelled: float,
-    ray: int,
-    hit: int,
-    chunk: int,
-    specular: IntArray,
-    diffuse: IntArray,
-    caught: Caught,
-) -> None:
-    """Record the path from a diffuse reflection to every receiver that is visible from it.
-
-    Faint paths are drawn at random and weighed by the inverse of their probability (Russian
-    roulette): unbiased, with far fewer rows of hardly more variance.
-    """
-    lots = mixed(ray_key(job.seed, job.source, ray) ^ _FOR_LOTS)
-    for k in range(len(spheres.radius_m)):
-        distance, direction, share = towards(spheres, k, o, d, normal)
-        arrived = travelled + distance
-        if share == 0.0 or arrived > job.max_length_m:
-            continue
-        # crossings are recorded by chord over volume of the sphere, and on average 4/3 radii long
-        chord_m = share * 4.0 / 3.0 * np.pi * spheres.radius_m[k] ** 3
-        least_m = FAINTEST * 4.0 / 3.0 * spheres.radius_m[k]
-        if chord_m < least_m:
-            if uniform(lots, hit * len(spheres.radius_m) + k) * least_m >= chord_m:
-                continue
-            chord_m = least_m
-        if unobstructed(walls, o, direction, wall, distance):
-            _record(caught, chunk, k, ray, arrived, chord_m, specular, diffuse, direction)
 
 
 @kernel(allocates=False, inlined=True)

@@ -29,7 +29,6 @@ from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.ray_kernels import (
     CHUNK_RAYS,
     ESCAPES_KEPT,
-    FAINTEST,
     Caught,
     Job,
     Spheres,
@@ -278,9 +277,7 @@ def trace_rays(
     exact = None if images is None else images()
     radii = _radii(scene, settings, receiver_radii_m)
     coefficients = np.atleast_2d(coefficients_in_order(scattering, scene.room.materials))
-    expected = expected_paths(
-        scene, settings, receiver_radii_m=radii, scattering=float(coefficients.max(initial=0.0))
-    )
+    expected = expected_paths(scene, settings, receiver_radii_m=radii)
     _check_memory(scene, settings, expected, memory_limit_bytes)
     reach: tuple[int, float] | None = None  # up to which images replace specular paths
     if exact is not None:
@@ -392,16 +389,14 @@ def _trace_source(
         settings.max_hits,
         settings.seed,
         source,
-        settings.estimator == "rain",
     )
     pair = np.flatnonzero(scene.pairs[:, 0] == source)
     receiver = scene.pairs[pair, 1]
     centres = np.array([scene.receivers[r].position_m for r in receiver])
     receivers = spheres(centres, radii[receiver], pair)
     directions = start_directions(settings, source)
-    rain = float(job.scattering.max(initial=0.0)) if job.rain else 0.0
     size = _size(scene.room)
-    per_ray = _paths_along(size, receivers.radius_m, job.max_length_m, rain)
+    per_ray = _paths_along(size, receivers.radius_m, job.max_length_m)
     for rays in _blocks(size, per_ray, job, settings.n_rays):
         capacity = int(1.2 * per_ray * CHUNK_RAYS) + 64
         caught, tally = _trace_block(walls, receivers, job, directions, rays, capacity)
@@ -413,19 +408,17 @@ def expected_paths(
     settings: TraceSettings,
     *,
     receiver_radii_m: ArrayLike | None = None,
-    scattering: float = 0.0,
 ) -> float:
-    """Return about how many paths a trace will record, or more where walls differ in scattering.
+    """Return about how many paths a trace will record.
 
     In a diffuse field a ray of length L crosses a sphere of radius a in a room of volume V
-    ``pi a**2 L / V`` times. Diffuse rain gives more paths of less weight.
+    ``pi a**2 L / V`` times.
     """
     radii = _radii(scene, settings, receiver_radii_m)[scene.pairs[:, 1]]
     length = settings.duration_s * speed_of_sound_m_s(scene.air)
     size = _size(scene.room)
     length = min(length, settings.max_hits * size.mean_free_path_m)
-    rain = scattering if settings.estimator == "rain" else 0.0
-    return settings.n_rays * _paths_along(size, radii, length, rain)
+    return settings.n_rays * _paths_along(size, radii, length)
 
 
 def path_bytes(scene: Scene) -> int:
@@ -466,15 +459,9 @@ def _size(room: Room) -> _Size:
     return _Size(volume, 4.0 * volume / surface_area_m2(room.mesh))
 
 
-def _paths_along(size: _Size, radii_m: FloatArray, length_m: float, rain: float) -> float:
-    """Return how many paths one ray is expected to give, at most.
-
-    Diffuse rain brings the energy of the crossings that it replaces, in paths of at least
-    `FAINTEST` of their weight, never more than one for a diffuse reflection and a receiver.
-    """
-    crossings = length_m * np.pi * radii_m**2 / size.volume_m3
-    drops = np.minimum(crossings / FAINTEST, length_m / size.mean_free_path_m)
-    return float(crossings.sum() + rain * drops.sum())
+def _paths_along(size: _Size, radii_m: FloatArray, length_m: float) -> float:
+    """Return how many paths one ray is expected to give."""
+    return float((length_m * np.pi * radii_m**2 / size.volume_m3).sum())
 
 
 def _blocks(size: _Size, per_ray: float, job: Job, n_rays: int) -> Iterator[range]:
