@@ -158,7 +158,7 @@ def corner_bounds(rows: Rows, box: FloatArray) -> FloatArray:
     """Return the least misfit of every window with its energy between both corners of a box."""
     low, high = (rows.sums @ row_values(rows, end) for end in box)
     least, most = low * (1.0 - rows.rounding), high * (1.0 + rows.rounding) + VANISHING
-    return np.maximum(np.maximum(least - rows.measured, rows.measured - most), 0.0) ** 2
+    return np.asarray(np.maximum(np.maximum(least - rows.measured, rows.measured - most), 0.0) ** 2)
 
 
 def centre_of(box: FloatArray) -> tuple[FloatArray, FloatArray]:
