@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from roomfit import solver
 
 settings.register_profile(
     "roomfit", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
@@ -70,3 +73,12 @@ def real_data() -> Path:
     if not DATA.is_dir():
         pytest.skip("real measurements are not on this machine")
     return DATA
+
+
+@pytest.fixture(scope="module")
+def exact_fits() -> Iterator[None]:
+    """Fits that end within a ten-millionth of a standard deviation, not a fiftieth."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(solver, "_SETTLED_SD", 1e-7)
+        patch.setattr(solver, "_AGREEMENT_SD", 1e-7)
+        yield
