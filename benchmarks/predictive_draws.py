@@ -102,8 +102,8 @@ def simulated(kind: str, seed: int) -> Simulated:
                 scene, priors, responses, changed = hall(seed, exchanged)
             else:
                 path, changed = write(kind, seed, exchanged, Path(name))
-                campaign = replace(read_campaign(path), bands=BANDS)
-                found = identify_arguments(campaign)
+                ends_hz = float(BANDS.centres_hz[0]), float(BANDS.centres_hz[-1])
+                found = identify_arguments(read_campaign(path), ends_hz)
                 scene, priors = found["scene"], tuple(found["materials"])
                 responses = [m for m in found["measurements"] if isinstance(m, Measurement)]
         both.append((scene, priors, responses, values_of(scene, responses)))

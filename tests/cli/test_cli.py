@@ -189,7 +189,7 @@ def test_the_schema_is_json_that_says_what_every_key_means(monkeypatch, capsys):
     """And takes a campaign that is good: every key of it is among the properties."""
     assert run_command(monkeypatch, "schema") == 0
     schema = json.loads(capsys.readouterr().out)
-    tables = {"CampaignTable": schema, **schema["$defs"]}
+    tables = {"Campaign": schema, **schema["$defs"]}
     silent = [
         f"{name}.{key}"
         for name, table in tables.items()

@@ -13,7 +13,7 @@ from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
 from roomfit.files.campaign import read_campaign
-from roomfit.files.inputs import CampaignInputs, check_campaign
+from roomfit.files.inputs import campaign_room, check_campaign, room_priors
 from roomfit.files.reverberation import diffuse_field
 from roomfit.materials.catalogue import find_material
 from roomfit.materials.priors import object_area_m2
@@ -122,12 +122,11 @@ IDENTIFIED = CAMPAIGN.partition("[reverberation]")[0] + (
 
 def test_identify_has_the_same_area_known_or_with_the_prior_of_the_catalogue(folder):
     campaign = campaign_of(folder, IDENTIFIED)
-    inputs = CampaignInputs(campaign)
-    known = inputs.priors(inputs.room())[-1]
+    known = room_priors(campaign, campaign_room(campaign))[-1]
     assert known.known is not None
     np.testing.assert_allclose(object_area_m2(known.known, VOLUME_M3), WHOLE_M2 * MEDIUM, rtol=1e-6)
-    fitted = CampaignInputs(campaign_of(folder, IDENTIFIED.replace("absorption_area_m2", "prior")))
-    law = fitted.priors(fitted.room())[-1]
+    fitted = campaign_of(folder, IDENTIFIED.replace("absorption_area_m2", "prior"))
+    law = room_priors(fitted, campaign_room(fitted))[-1]
     middle = law.upper / (1.0 + np.exp(-law.prior_logit_mean))
     spread = law.prior_logit_sd * (1.0 - middle / law.upper)
     areas = object_area_m2(middle, VOLUME_M3) * np.exp(0.5 * spread**2)
@@ -135,7 +134,7 @@ def test_identify_has_the_same_area_known_or_with_the_prior_of_the_catalogue(fol
 
 
 def test_the_area_is_told_and_so_is_that_of_seats_that_are_drawn(folder):
-    room = CampaignInputs(campaign_of(folder, IDENTIFIED)).room()
+    room = campaign_room(campaign_of(folder, IDENTIFIED))
     (stated,) = [f for f in room.findings if f.code is Code.AUDIENCE_AREA]
     assert "stalls: 96.0 m2 of seats absorb as 112.5 m2" in stated.sentence
     checked = check_campaign(campaign_of(folder, IDENTIFIED)).findings
@@ -144,7 +143,7 @@ def test_the_area_is_told_and_so_is_that_of_seats_that_are_drawn(folder):
     drawn = '[room]\nfile = "box.obj"\nunit = "m"\n[materials.plaster]\nprior = "audience-heavy"\n'
     (stated,) = [
         f
-        for f in CampaignInputs(campaign_of(folder, drawn)).room().findings
+        for f in campaign_room(campaign_of(folder, drawn)).findings
         if f.code is Code.AUDIENCE_AREA
     ]
     assert stated.evidence == pytest.approx({"level_m2": 40.0, "upright_m2": 54.0})

@@ -11,8 +11,12 @@ from hypothesis import strategies as st
 
 from roomfit.base.errors import InputError, RoomfitError
 from roomfit.files.campaign import read_campaign
-from roomfit.files.inputs import campaign_room, identify_arguments, material_priors
-from roomfit.files.project import project_details
+from roomfit.files.inputs import (
+    campaign_room,
+    identify_arguments,
+    material_priors,
+    project_details,
+)
 from roomfit.materials.catalogue import broad_prior_findings, catalogue, catalogue_prior
 from roomfit.materials.priors import logit_prior, sampling_scattering
 from small_campaign import small_responses, write_wav

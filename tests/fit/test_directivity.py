@@ -302,7 +302,7 @@ def test_the_result_has_b_and_predicts_with_it(tmp_path: Path) -> None:
 
 def in_the_room(campaign: Campaign, found: AbsorptionPosterior) -> AbsorptionPosterior:
     """Return what a result says of the materials and sources of a campaign in the same room."""
-    priors = material_priors(replace(campaign, bands=found.bands), found.materials)
+    priors = material_priors(campaign, found.materials, None, found.bands)
     return room_posterior(found, priors, found.bands, source_directivities(campaign, found.bands))
 
 

@@ -9,7 +9,7 @@ from typing import Any, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from roomfit.files.schema import BECAUSE, CampaignTable
+from roomfit.files.schema import BECAUSE, Campaign
 from roomfit.settings import SETTING_LIMITS
 
 # checked where their meaning is known: lengths after their unit, bands, and the air
@@ -24,10 +24,10 @@ ELSEWHERE = {
 }
 
 
-def numbers(model: type[BaseModel] = CampaignTable, at: str = "") -> Iterator[tuple[str, Any]]:
+def numbers(model: type[BaseModel] = Campaign, at: str = "") -> Iterator[tuple[str, Any]]:
     """Yield the place of every number in a campaign file, and what it may be."""
     for name, field in model.model_fields.items():
-        place = f"{at}.{name}".lstrip(".")
+        place = f"{at}.{field.alias or name}".lstrip(".")
         own = [m for m in field.metadata if hasattr(m, "ge") or hasattr(m, "le")]
         yield from _within(field.annotation, place, own, _why(field))
 

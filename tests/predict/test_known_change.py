@@ -38,7 +38,7 @@ def campaign(tmp_path_factory):
 
 
 def changed(campaign, known, *texts: str, n_draws: int = 32):
-    few = replace(campaign, settings=replace(campaign.settings, n_draws=n_draws))
+    few = campaign.with_settings(n_draws=n_draws)
     return predict(question_of(few, known, [read_change(t) for t in texts]))
 
 
@@ -158,7 +158,7 @@ def test_a_material_that_was_not_found_is_predicted_but_not_compared(campaign):
 
 
 def test_a_standard_deviation_may_be_left_out_and_must_fit_the_values(campaign):
-    few = replace(campaign, settings=replace(campaign.settings, n_draws=2))
+    few = campaign.with_settings(n_draws=2)
     one = predict(question_of(few, posterior(0.0), [Change("carpet", "value", (0.3, 0.4))]))
     assert one.absorption[1].tolist() == [0.3, 0.4]
     assert one.changes == ("carpet=0.3,0.4",)

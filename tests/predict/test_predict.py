@@ -50,7 +50,7 @@ def posterior(sd: float = 0.05, bands: Bands = BANDS, names=NAMES) -> Absorption
 def predict_campaign(
     campaign: Campaign, absorption: AbsorptionPosterior, changes=(), *, pairs="all", n_draws: int
 ) -> Predicted:
-    few = replace(campaign, settings=replace(campaign.settings, n_draws=n_draws))
+    few = campaign.with_settings(n_draws=n_draws)
     return predict(question_of(few, absorption, changes, Wanted(pairs)))
 
 

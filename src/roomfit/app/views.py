@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -83,8 +83,9 @@ def room_view(_: Progress, folder: str) -> dict[str, Any]:
         except InputError as error:  # materials of the campaign and of the room disagree
             faults = [finding_of_error(error)]
             check = check_mesh(mesh, {}, findings)
-            campaign = replace(campaign, room=replace(campaign.room, materials={}))
-        room = _any_room(mesh, campaign.room.materials)
+            room = _any_room(mesh, {})
+        else:
+            room = _any_room(mesh, campaign.room.materials)
         priors = {name: table.prior for name, table in campaign.materials.items()}
         points = {"sources": campaign.sources, "receivers": campaign.receivers}
     largest = np.argsort(-triangle_areas_m2(mesh), kind="stable")[:MOST_FACES]

@@ -23,8 +23,7 @@ from roomfit.cli.check import how_to_write
 from roomfit.cli.terminal import say
 from roomfit.files.campaign import read_campaign
 from roomfit.files.encoding import input_digests
-from roomfit.files.inputs import identify_arguments
-from roomfit.files.project import project_details
+from roomfit.files.inputs import identify_arguments, project_details
 from roomfit.files.remedies import advice
 from roomfit.files.results import check_disk_room, write_result
 from roomfit.fit.measurements import measured_scene

@@ -89,7 +89,7 @@ def _gone(table: type[BaseModel], complaint: ErrorDetails) -> str | None:
     """Return what to do without a key, or a value, that earlier versions had."""
     place, model, known = _place(complaint), table, []
     for part in place[:-1]:
-        field = model.model_fields.get(str(part))
+        field = _fields(model).get(str(part))
         if field is not None:
             known.append(str(part))
             model = next(iter(_models_within(field.annotation)), model)
@@ -115,7 +115,7 @@ def _key(table: type[BaseModel], place: tuple[int | str, ...]) -> FieldInfo | No
     """Return the innermost key of the file's model on the way to a place."""
     model, found = table, None
     for part in place:
-        field = model.model_fields.get(str(part))
+        field = _fields(model).get(str(part))
         if field is not None:
             found = field
             model = next(iter(_models_within(field.annotation)), model)
@@ -173,12 +173,17 @@ def _known_keys(table: type[BaseModel], location: tuple[int | str, ...]) -> list
     """Return the keys that the table at a location may have."""
     model = table
     for part in location:
-        if isinstance(part, str) and part in model.model_fields:
-            inner = _models_within(model.model_fields[part].annotation)
+        if isinstance(part, str) and part in _fields(model):
+            inner = _models_within(_fields(model)[part].annotation)
             if not inner:
                 return []
             model = inner[0]
-    return sorted(model.model_fields)
+    return sorted(_fields(model))
+
+
+def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Return the fields of a table by the names of their keys in the file."""
+    return {field.alias or name: field for name, field in model.model_fields.items()}
 
 
 def _models_within(annotation: Any) -> list[type[BaseModel]]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TypedDict
 
@@ -13,11 +14,11 @@ from numpy.typing import ArrayLike
 
 from roomfit.base.arguments import check_known
 from roomfit.base.bands import Bands, bands_between
-from roomfit.base.door import check_files
+from roomfit.base.door import check_files, read_bytes
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray
-from roomfit.files.campaign import Campaign, MeasuredFile, input_files, read_campaign
+from roomfit.files.campaign import input_files, read_campaign
 from roomfit.files.directivity import read_directivity
 from roomfit.files.iso3382 import read_parameters
 from roomfit.files.responses import read_response
@@ -26,9 +27,12 @@ from roomfit.files.rooms.model import RoomSpec
 from roomfit.files.schema import (
     AreaPrior,
     AreaSpectrum,
+    Campaign,
     MaterialTable,
+    MeasurementTable,
     ObjectTable,
     Prior,
+    ProjectTable,
     SharedDirectivity,
     SourceDirectivity,
     Spectrum,
@@ -68,13 +72,7 @@ from roomfit.signals.speech import speech_levels
 def source_directivities(
     campaign: Campaign, bands: Bands
 ) -> dict[str, Directivity | UnknownDirectivity]:
-    """Return the directivity of every source that is not omnidirectional.
-
-    Raises
-    ------
-    InputError
-        An aim without length, or a file that cannot be read.
-    """
+    """Return the directivity of every source that is not omnidirectional."""
     found = {}
     for name, table in campaign.directivities.items():
         with located(f"{campaign.path}, sources.{name}.directivity"):
@@ -107,36 +105,26 @@ def _directivity(
 
 
 def material_priors(
-    campaign: Campaign, materials: tuple[str, ...], mesh: Mesh | None = None
+    campaign: Campaign,
+    materials: tuple[str, ...],
+    mesh: Mesh | None = None,
+    bands: Bands | None = None,
 ) -> tuple[MaterialPrior, ...]:
     """Return what the campaign says of each of the room's materials, in their order.
 
-    Objects among them have areas in the volume of a mesh, which is needed only of these.
-
-    Raises
-    ------
-    InputError
-        The campaign describes a material that the room does not have; or lists that do not have
-        one value per fitted band; or a prior outside its bounds.
+    Objects among them have areas in the volume of a mesh, which is needed only of these. In the
+    campaign's bands, unless others are given in which its lists have their values.
     """
+    bands = campaign.bands if bands is None else bands
+    volume = 0.0 if mesh is None else volume_m3(mesh)
     with located(str(campaign.path)):
-        return complete_priors(
-            materials,
-            [
-                *(_material_prior(campaign, table, k) for k, table in campaign.materials.items()),
-                *(
-                    object_prior(
-                        k,
-                        campaign.bands,
-                        0.0 if mesh is None else volume_m3(mesh),
-                        **object_areas_m2(campaign, k, mesh),
-                    )
-                    for k in materials
-                    if k in campaign.objects
-                ),
-            ],
-            campaign.bands,
-        )
+        own = [_material_prior(campaign, t, k, bands) for k, t in campaign.materials.items()]
+        own += [
+            object_prior(k, bands, volume, **object_areas_m2(campaign, k, mesh, bands))
+            for k in materials
+            if k in campaign.objects
+        ]
+        return complete_priors(materials, own, bands)
 
 
 class ObjectAreas(TypedDict):
@@ -146,14 +134,8 @@ class ObjectAreas(TypedDict):
     prior_m2: tuple[FloatArray, FloatArray] | None  # mean and standard deviation
 
 
-def object_areas_m2(campaign: Campaign, name: str, mesh: Mesh | None) -> ObjectAreas:
-    """Return what the campaign says of an object, all of its pieces together.
-
-    Raises
-    ------
-    InputError
-        It is measured in two ways, or its outlines are no blocks on the floor of the mesh.
-    """
+def object_areas_m2(campaign: Campaign, name: str, mesh: Mesh | None, bands: Bands) -> ObjectAreas:
+    """Return what the campaign says of an object, all of its pieces together."""
     table = campaign.objects[name]
     with located(f"objects.{name}"):
         ways = ("count", "floor_area_m2", "outlines")
@@ -165,7 +147,7 @@ def object_areas_m2(campaign: Campaign, name: str, mesh: Mesh | None) -> ObjectA
                 needed=f"one of {', '.join(ways)}",
                 hint="keep what the object's absorption was measured by",
             )
-        known, law = _areas_of_one(table, campaign.bands)
+        known, law = _areas_of_one(table, bands)
         n = next((x for x in (table.floor_area_m2, table.count) if x is not None), 1.0)
         if table.outlines is not None:
             n = _blocks_m2(table, mesh)[1]
@@ -186,13 +168,7 @@ def _blocks_m2(table: ObjectTable, mesh: Mesh | None) -> tuple[float, float]:
 
 
 def audience_findings(campaign: Campaign, room: Room) -> tuple[Finding, ...]:
-    """Return what area seats and audience absorb with, as blocks and as faces of the drawing.
-
-    Raises
-    ------
-    InputError
-        Seats are drawn as faces of the floor and outlined as a block upon it.
-    """
+    """Return what area seats and audience absorb with, as blocks and as faces of the drawing."""
     found = []
     seats = {name: entry for name, table in campaign.materials.items() if (entry := _seats(table))}
     areas, owner = area_vectors_m2(room.mesh), triangle_material(room)
@@ -258,8 +234,10 @@ def _areas_of_one(
     return known, law
 
 
-def _material_prior(campaign: Campaign, table: MaterialTable, name: str) -> MaterialPrior:
-    bands, scattering = campaign.bands, table.scattering
+def _material_prior(
+    campaign: Campaign, table: MaterialTable, name: str, bands: Bands
+) -> MaterialPrior:
+    scattering = table.scattering
     product = None if table.product is None else campaign.products[table.product]
     # what is known of a product is stated with it
     stated = table if product is None else product
@@ -309,11 +287,6 @@ def at_bands(
     """Return values at the bands, interpolated over the logarithm of the frequency.
 
     `centres_hz`: in any order. Beyond the lowest and the highest, the nearest value.
-
-    Raises
-    ------
-    InputError
-        Not as many values as centres.
     """
     if len(centres_hz) != len(values):
         raise InputError(
@@ -329,16 +302,7 @@ def at_bands(
 
 
 def read_measurements(campaign: Campaign) -> tuple[Measurement | MeasuredValues, ...]:
-    """Return everything that a campaign file names as measured, responses first.
-
-    Raises
-    ------
-    InputError
-        A file is missing, broken or empty; a table names a source or a receiver that the campaign
-        does not define; or the campaign names spectra, which hold no absorption in bands.
-    StoreError
-        The disk refuses.
-    """
+    """Return everything that a campaign file names as measured, responses first."""
     if campaign.spectra:
         raise InputError(
             "damped spectra hold impedances, not absorption in bands",
@@ -350,14 +314,8 @@ def read_measurements(campaign: Campaign) -> tuple[Measurement | MeasuredValues,
     return (*map(read_file, campaign.measurements), *_read_tables(campaign))
 
 
-def read_file(file: MeasuredFile) -> Measurement:
-    """Read one impulse response that a campaign names, with what is doubtful about it.
-
-    Raises
-    ------
-    InputError, StoreError
-        See `roomfit.files.responses.read_response`.
-    """
+def read_file(file: MeasurementTable) -> Measurement:
+    """Read one impulse response that a campaign names, with what is doubtful about it."""
     spec = file.response
     response, findings = read_response(spec)
     return Measurement(
@@ -380,7 +338,7 @@ def read_file(file: MeasuredFile) -> Measurement:
 def _read_tables(campaign: Campaign) -> list[MeasuredValues]:
     found: list[MeasuredValues] = []
     for table in campaign.tables:
-        values, findings = read_parameters(table.path, table.source, table.receiver)
+        values, findings = read_parameters(table.path, table.source or None, table.receiver or None)
         for i, own in enumerate(values):
             _check_names(campaign, own, str(table.path))
             doubts = findings if i == 0 else ()
@@ -461,20 +419,17 @@ def identify_arguments(
     """
     check_files(input_files(campaign), str(campaign.path))
     room = campaign_room(campaign)
-    own, bands = campaign.bands, campaign.bands
-    if between_hz is not None:
-        bands = bands_between(own.kind, *between_hz)
-    described = campaign
+    own = described = campaign.bands
+    bands = own if between_hz is None else bands_between(own.kind, *between_hz)
     if not np.isin(bands.centres_hz, own.centres_hz).all():
         # all of both: more than a list of the campaign has values for, which is then refused
         ends_hz = np.concatenate([own.centres_hz, bands.centres_hz])
-        every = bands_between(own.kind, float(ends_hz.min()), float(ends_hz.max()))
-        described = replace(campaign, bands=every)
-    at = np.searchsorted(described.bands.centres_hz, bands.centres_hz)
+        described = bands_between(own.kind, float(ends_hz.min()), float(ends_hz.max()))
+    at = np.searchsorted(described.centres_hz, bands.centres_hz)
     return {
         "scene": campaign_scene(campaign, room),
         "measurements": read_measurements(campaign),
-        "materials": in_bands(_room_priors(described, room), at),
+        "materials": in_bands(material_priors(campaign, room.materials, room.mesh, described), at),
         "bands": bands,
         "settings": campaign.settings,
         "directivities": source_directivities(campaign, bands),
@@ -492,8 +447,20 @@ def campaign_room(campaign: Campaign) -> Room:
         return _furnished(replace(described, findings=findings), campaign)
 
 
-def _room_priors(campaign: Campaign, room: Room) -> tuple[MaterialPrior, ...]:
-    return material_priors(campaign, room.materials, room.mesh)
+def room_priors(
+    campaign: Campaign, room: Room, bands: Bands | None = None
+) -> tuple[MaterialPrior, ...]:
+    """Return what is said of each of the room's materials, in some of the campaign's bands."""
+    priors = material_priors(campaign, room.materials, room.mesh)
+    if bands is None:
+        return priors
+    return in_bands(priors, np.flatnonzero(np.isin(campaign.bands.centres_hz, bands.centres_hz)))
+
+
+def speech_db(campaign: Campaign) -> FloatArray | None:
+    """Return octave levels of speech and noise, shape (2, 7), None where none are stated."""
+    speech = campaign.speech
+    return speech_levels(speech.level_dba, speech.noise_db) if speech else None
 
 
 def _furnished(room: Room, campaign: Campaign) -> Room:
@@ -512,51 +479,6 @@ def campaign_scene(campaign: Campaign, room: Room) -> Scene:
         campaign.air,
         groups=campaign.groups,
     )
-
-
-@dataclass(frozen=True, slots=True)
-class CampaignInputs:
-    """What a campaign describes and names, each part read from its files when it is asked for.
-
-    Raises
-    ------
-    InputError, StoreError
-        Of every method: a file is missing or broken, or says what cannot be.
-    """
-
-    campaign: Campaign
-
-    def check_files(self) -> None:
-        """Refuse files that are missing, all of them at once."""
-        check_files(input_files(self.campaign), str(self.campaign.path))
-
-    def room(self) -> Room:
-        """Return the room with what was found in reading it."""
-        return campaign_room(self.campaign)
-
-    def scene(self, room: Room) -> Scene:
-        """Return every source with every receiver."""
-        return campaign_scene(self.campaign, room)
-
-    def priors(self, room: Room, bands: Bands | None = None) -> tuple[MaterialPrior, ...]:
-        """Return what is said of each of the room's materials, in some of the campaign's bands."""
-        priors, own = _room_priors(self.campaign, room), self.campaign.bands
-        if bands is None:
-            return priors
-        return in_bands(priors, np.flatnonzero(np.isin(own.centres_hz, bands.centres_hz)))
-
-    def directivities(self, bands: Bands) -> dict[str, Directivity | UnknownDirectivity]:
-        """Return the directivity of every source that is not omnidirectional."""
-        return source_directivities(self.campaign, bands)
-
-    def measurements(self) -> tuple[Measurement | MeasuredValues, ...]:
-        """Return all recordings, then all tables of room parameters."""
-        return read_measurements(self.campaign)
-
-    def speech_db(self) -> FloatArray | None:
-        """Return octave levels of speech and noise, shape (2, 7), None where none are stated."""
-        speech = self.campaign.speech
-        return speech_levels(speech.level_dba, speech.noise_db) if speech else None
 
 
 def check_room(spec: RoomSpec) -> RoomCheck:
@@ -594,8 +516,33 @@ def check_campaign(campaign: Campaign) -> RoomCheck:
     if not check.traceable:
         return check
     room = _furnished(with_states(room_from_mesh(mesh, spec.materials), campaign.states), campaign)
-    priors = _room_priors(campaign, room)
+    priors = room_priors(campaign, room)
     assumed = (*broad_prior_findings(priors), *product_findings(priors))
     assumed += audience_findings(campaign, room)
     position_doubts = position_findings(room, campaign.sources, campaign.receivers)
     return replace(check, findings=(*check.findings, *position_doubts, *assumed))
+
+
+_LOGOS = {"png": b"\x89PNG\r\n\x1a\n", "jpeg": b"\xff\xd8\xff"}
+
+
+def project_details(own: ProjectTable, folder: Path) -> dict[str, str]:
+    """Return what a project says, as `roomfit.report_html` takes it, the logo as a data URL.
+
+    `folder`: that of the campaign, where the logo is looked for.
+    """
+    said = own.model_dump(exclude_none=True, exclude={"logo"})
+    said |= {"date": str(said.get("date", "")), "instruments": ", ".join(own.instruments)}
+    if own.logo is not None:
+        content = read_bytes(folder / own.logo, "logo", most="logo_bytes")
+        kind = next((k for k, begin in _LOGOS.items() if content.startswith(begin)), None)
+        if kind is None:
+            raise InputError(
+                "the logo is no picture that a report can show",
+                where="project.logo",
+                found=str(folder / own.logo),
+                needed="a PNG or JPEG file",
+                hint="save it as PNG",
+            )
+        said["logo"] = f"data:image/{kind};base64,{b64encode(content).decode()}"
+    return {key: value for key, value in said.items() if value}

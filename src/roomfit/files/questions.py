@@ -9,9 +9,17 @@ from typing import NamedTuple
 import numpy as np
 
 from roomfit.base.arguments import check_known
+from roomfit.base.door import check_files
 from roomfit.base.errors import InputError, InsufficientDataError, located
-from roomfit.files.campaign import Campaign
-from roomfit.files.inputs import CampaignInputs
+from roomfit.files.campaign import Campaign, input_files
+from roomfit.files.inputs import (
+    campaign_room,
+    campaign_scene,
+    read_measurements,
+    room_priors,
+    source_directivities,
+    speech_db,
+)
 from roomfit.files.reverberation import diffuse_field
 from roomfit.predict.changes import Change
 from roomfit.predict.grid import grid_scene
@@ -74,9 +82,9 @@ def question_of_pairs(
 ) -> Question:
     """Return what `question_of` does where positions are known."""
     # spectra, which hold impedances, do not hinder a prediction
-    inputs = CampaignInputs(replace(campaign, spectra=()))
-    inputs.check_files()
-    room, settings, state = inputs.room(), campaign.settings, wanted.state
+    campaign = campaign.with_rows((*campaign.measurements, *campaign.tables))
+    check_files(input_files(campaign), str(campaign.path))
+    room, settings, state = campaign_room(campaign), campaign.settings, wanted.state
     with located(f"{campaign.path}, identify"):
         bands, doubts = common_bands(campaign.bands, found.bands)
     if not wanted.doubted:
@@ -87,7 +95,8 @@ def question_of_pairs(
     found, dominated = for_another_room(found, areas, settings.n_draws, settings.seed)
     replaced = [c.material for c in changes if c.kind != "factor"]
     with located(str(campaign.path)):
-        priors, directivities = inputs.priors(room, bands), inputs.directivities(bands)
+        priors = room_priors(campaign, room, bands)
+        directivities = source_directivities(campaign, bands)
         known = room_posterior(found, priors, bands, directivities, replaced=replaced)
     fitted = found.fitted_states
     if fitted is not None and state not in fitted:
@@ -101,8 +110,8 @@ def question_of_pairs(
             what, where = f"the campaign defines no {kind}", str(campaign.path)
             hint = f"add [{kind}s.NAME] with position = [x, y, z]"
             raise InputError(what, where=where, found="none", needed="one or more", hint=hint)
-    measurements = tuple(m for m in inputs.measurements() if m.state == state)
-    scene = _at_state(inputs.scene(room), campaign, state)
+    measurements = tuple(m for m in read_measurements(campaign) if m.state == state)
+    scene = _at_state(campaign_scene(campaign, room), campaign, state)
     if wanted.pairs == "campaign":
         scene = named_pairs(scene, {m.pair_name[:2] for m in measurements})
         if not len(scene.pairs):
@@ -115,7 +124,7 @@ def question_of_pairs(
     if wanted.grid_m is not None:
         scene, measurements = grid_scene(scene, *wanted.grid_m), ()
     known = replace(known, findings=(*doubts, *known.findings, *dominated))
-    return Question(scene, known, tuple(changes), measurements, settings, inputs.speech_db())
+    return Question(scene, known, tuple(changes), measurements, settings, speech_db(campaign))
 
 
 def _at_state(scene: Scene, campaign: Campaign, state: str) -> Scene:

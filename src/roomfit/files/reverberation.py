@@ -49,7 +49,7 @@ def diffuse_field(campaign: Campaign) -> tuple[DiffuseField, Room | None]:
     room = campaign_room(campaign) if campaign.has_room else None
     if room is not None:
         room = replace(room, materials=wall_materials(room), objects=())
-        priors = material_priors(replace(campaign, bands=bands), room.materials)
+        priors = material_priors(campaign, room.materials, None, bands)
         areas_m2, volume = areas_by_axis_m2(room), volume or volume_m3(room.mesh)
     else:
         if volume is None or own is None or own.surface_m2 is None:
@@ -63,7 +63,7 @@ def diffuse_field(campaign: Campaign) -> tuple[DiffuseField, Room | None]:
         priors = (unknown_material("room", len(bands)),)
         areas_m2 = np.full((3, 1), own.surface_m2 / 3.0)
     formula = "Eyring" if own is None else own.formula
-    known_m2 = _known_objects_m2(replace(campaign, bands=bands), room)
+    known_m2 = _known_objects_m2(campaign, room, bands)
     # what takes energy everywhere in the volume, as the air does
     losses = attenuation_per_m(campaign.air, bands) + known_m2 / (4.0 * volume)
     return DiffuseField(
@@ -71,13 +71,13 @@ def diffuse_field(campaign: Campaign) -> tuple[DiffuseField, Room | None]:
     ), room  # fmt: skip
 
 
-def _known_objects_m2(campaign: Campaign, room: Room | None) -> FloatArray:
+def _known_objects_m2(campaign: Campaign, room: Room | None, bands: Bands) -> FloatArray:
     """Return the area of all objects of the room as described together, shape (n_bands,)."""
-    total = np.zeros(len(campaign.bands))
+    total = np.zeros(len(bands))
     for name, table in campaign.objects.items():
         if table.states is not None and "" not in table.states:
             continue
-        area = object_areas_m2(campaign, name, None if room is None else room.mesh)
+        area = object_areas_m2(campaign, name, None if room is None else room.mesh, bands)
         if area["absorption_area_m2"] is None:
             raise InputError(
                 "decay times alone tell no object from the walls",

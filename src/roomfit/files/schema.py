@@ -1,4 +1,4 @@
-"""The keys of a campaign file, format_version 1: what each means, and what it may hold.
+"""A campaign: the keys of its file, format_version 1, and what they mean together.
 
 Docstrings of keys are their descriptions in the JSON schema that ``roomfit schema`` prints.
 """
@@ -6,12 +6,24 @@ Docstrings of keys are their descriptions in the JSON schema that ``roomfit sche
 from __future__ import annotations
 
 import datetime
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr
 
+from roomfit.base.air import Air
+from roomfit.base.bands import OCTAVES_HZ, Bands, bands_between
+from roomfit.base.errors import InputError, located
+from roomfit.base.findings import Finding
+from roomfit.files.responses.recordings import ResponseSpec
+from roomfit.files.rooms.model import PolygonSpec, RoomSpec
 from roomfit.materials.priors import PRODUCT_SD, PRODUCT_SDS
-from roomfit.settings import SETTING_LIMITS, Method
+from roomfit.room.scene import Point, PointGroup
+from roomfit.settings import SETTING_LIMITS, Method, Settings
+from roomfit.signals.measurement import Level
 
 GONE = {
     "identify.method = certified": "no minimum is proven any more; leave method out",
@@ -343,9 +355,9 @@ class DefaultsTable(Table):
 class MeasurementTable(DefaultsTable):
     """``[[measurements]]``."""
 
-    source: str | None = None
+    source: str = ""
     """Name of a source of this file."""
-    receiver: str | None = None
+    receiver: str = ""
     """Name of a receiver of this file."""
     file: str | None = None
     """Impulse response: WAV, MAT, SOFA or export of REW; with `excitation` a recorded sweep."""
@@ -353,6 +365,33 @@ class MeasurementTable(DefaultsTable):
     """In place of `file`: a CSV table of ISO 3382 values."""
     spectrum: str | None = None
     """In place of `file`: damped pressures (.npz), for `roomfit impedance`."""
+
+    @property
+    def path(self) -> Path:
+        """The file that holds what was measured."""
+        return Path(self.file or self.parameters or self.spectrum or "")
+
+    @property
+    def stated_level(self) -> Level | None:
+        """The level, None where neither the row nor the defaults state it."""
+        return self.level if "level" in self.model_fields_set else None
+
+    @property
+    def response(self) -> ResponseSpec:
+        """How the response is to be read."""
+        return ResponseSpec(
+            path=self.path,
+            channel=self.channel,
+            variable=self.variable,
+            sampling_rate_variable=self.sampling_rate_variable,
+            sampling_rate_hz=self.sampling_rate_hz,
+            measurement=self.measurement,
+            receiver_index=self.receiver_index,
+            time_zero=self.time_zero,
+            latency_s=self.latency_s,
+            excitation=None if self.excitation is None else Path(self.excitation),
+            excitation_channel=self.excitation_channel,
+        )
 
 
 class StateTable(Table):
@@ -537,16 +576,21 @@ class SpeechTable(Table):
     """Levels of noise at the listeners in the octaves from 125 Hz to 8 kHz, in dB."""
 
 
-class CampaignTable(Table):
-    """The whole file."""
+class Campaign(Table):
+    """The whole file, as `roomfit.read_campaign` returns it.
+
+    Keys that mean something else than what stands in the file are at hand as what they mean:
+    `room`, `air`, `sources`, `receivers`, `groups`, `states`, `bands`, `settings`. Paths of
+    measurements are complete; measurements that `recordings` names are among the others.
+    """
 
     format_version: Literal[1] = 1
     """Of this file's format: 1, the only one."""
     project: ProjectTable = ProjectTable()
     """What the report says of itself."""
-    room: RoomTable
+    room_table: RoomTable = Field(alias="room")
     """The room."""
-    air: AirTable = AirTable()
+    air_table: AirTable = Field(AirTable(), alias="air")
     """The air."""
     materials: dict[str, MaterialTable] = {}
     """What is known of materials before the measurement, by name."""
@@ -556,25 +600,25 @@ class CampaignTable(Table):
     """What stands in the room and absorbs in its volume, by name."""
     loudspeakers: dict[str, LoudspeakerTable] = {}
     """What sources of one make have in common, by name."""
-    sources: dict[str, SourceTable] = {}
+    source_tables: dict[str, SourceTable] = Field({}, alias="sources")
     """Sources by name."""
-    receivers: dict[str, ReceiverTable] = {}
+    receiver_tables: dict[str, ReceiverTable] = Field({}, alias="receivers")
     """Receivers by name."""
-    states: list[StateTable] = []
+    state_tables: list[StateTable] = Field([], alias="states")
     """Further states of the room."""
-    groups: dict[str, GroupTable] = {}
+    group_tables: dict[str, GroupTable] = Field({}, alias="groups")
     """Positions that have a common offset, by name."""
     recordings: str | list[str] | None = None
     """Names of recordings, as "DIR/{source}_{receiver}.wav": one of every pair that is there."""
     defaults: DefaultsTable = DefaultsTable()
     """What holds of every measurement that does not say otherwise."""
-    measurements: list[MeasurementTable] = []
+    rows: list[MeasurementTable] = Field([], alias="measurements")
     """What was measured, one table each."""
     identify: IdentifyTable = IdentifyTable()
     """How `roomfit identify` fits."""
     reverberation: ReverberationTable | None = None
     """Decay times of a room where no position is known."""
-    settings: SettingsTable = SettingsTable()
+    settings_table: SettingsTable = Field(SettingsTable(), alias="settings")
     """Constants behind these choices."""
     impedance: ImpedanceTable = ImpedanceTable()
     """How `roomfit impedance` fits."""
@@ -582,6 +626,162 @@ class CampaignTable(Table):
     """Where `roomfit design` may measure."""
     speech: SpeechTable | None = None
     """Levels of speech and noise."""
+
+    _path: Path = PrivateAttr(Path())
+    _has_room: bool = PrivateAttr(True)
+    _findings: tuple[Finding, ...] = PrivateAttr(())
+    _changed: dict[str, Any] = PrivateAttr({})
+
+    def model_post_init(self, context: Any, /) -> None:
+        """Take where the file lies, and whether it has a room, from what reads it."""
+        if context:
+            self._path, self._has_room = context["path"], context["has_room"]
+
+    @property
+    def path(self) -> Path:
+        """The file itself; paths in it are relative to its folder."""
+        return self._path
+
+    @property
+    def has_room(self) -> bool:
+        """Whether it describes a room; only decay times may do without."""
+        return self._has_room
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is doubtful about the file itself."""
+        return self._findings
+
+    @property
+    def room(self) -> RoomSpec:
+        """Which room to read, and how."""
+        own, folder, polygons = self.room_table, self.path.parent, None
+        kinds = [k for k in ("file", "shoebox", "polygons") if getattr(own, k) is not None]
+        if len(kinds) != 1:
+            raise InputError(
+                "the room needs exactly one description",
+                where=f"{self.path}, room",
+                found=", ".join(kinds) or "none",
+                needed="one of file, shoebox, polygons",
+                hint="keep the one that describes the room as it is",
+            )
+        if own.polygons is not None:
+            polygons = PolygonSpec(
+                corners=tuple(folder / f for f in own.polygons.corners),
+                planes=tuple(folder / f for f in own.polygons.planes),
+                replace={key: folder / f for key, f in own.polygons.replace.items()},
+                drop=tuple(own.polygons.drop),
+                sides=dict(own.polygons.sides),
+            )
+        return RoomSpec(
+            file=None if own.file is None else folder / own.file,
+            shoebox=own.shoebox,
+            polygons=polygons,
+            unit=own.unit,
+            up=own.up,
+            materials=own.materials,
+            lengths_sd=own.lengths_sd,
+            space=own.space,
+        )
+
+    @property
+    def air(self) -> Air:
+        """The air."""
+        with located(str(self.path)):
+            return Air(**self.air_table.model_dump(exclude={"temperature_sd_c"}))
+
+    @property
+    def sources(self) -> tuple[Point, ...]:
+        """All sources that the file defines, measured or not."""
+        return _points(self.source_tables)
+
+    @property
+    def receivers(self) -> tuple[Point, ...]:
+        """All receivers."""
+        return _points(self.receiver_tables)
+
+    @property
+    def directivities(self) -> dict[str, SourceDirectivity]:
+        """What is said of the directivity of each source."""
+        return {name: table.directivity for name, table in self.source_tables.items()}
+
+    @property
+    def groups(self) -> tuple[PointGroup, ...]:
+        """Positions with a common offset."""
+        return tuple(PointGroup(n, tuple(g.members), g.sd) for n, g in self.group_tables.items())
+
+    @property
+    def states(self) -> dict[str, dict[str, str]]:
+        """Further states of the room: by name, materials by surface."""
+        return {state.name: state.materials for state in self.state_tables}
+
+    @property
+    def measurements(self) -> tuple[MeasurementTable, ...]:
+        """Responses."""
+        return tuple(row for row in self.rows if row.file is not None)
+
+    @property
+    def tables(self) -> tuple[MeasurementTable, ...]:
+        """Tables of room parameters."""
+        return tuple(row for row in self.rows if row.parameters is not None)
+
+    @property
+    def spectra(self) -> tuple[MeasurementTable, ...]:
+        """Damped pressures."""
+        return tuple(row for row in self.rows if row.spectrum is not None)
+
+    @property
+    def bands(self) -> Bands:
+        """Bands to fit."""
+        own = self.identify
+        if own.from_hz > own.to_hz:
+            raise InputError(
+                "the lowest band lies above the highest",
+                where=f"{self.path}, identify",
+                found=f"from_hz = {own.from_hz:g}, to_hz = {own.to_hz:g}",
+                needed="from_hz <= to_hz",
+                hint="exchange the two",
+            )
+        with located(f"{self.path}, identify.bands"):
+            if isinstance(own.bands, str):
+                return bands_between(own.bands, own.from_hz, own.to_hz)
+            octaves = set(own.bands) <= set(OCTAVES_HZ)
+            return Bands("octave" if octaves else "third-octave", np.array(own.bands))
+
+    @property
+    def settings(self) -> Settings:
+        """How to fit, to predict and to design."""
+        own = self.identify
+        stated = self.settings_table.model_dump(exclude_none=True)
+        with located(str(self.path)):
+            found = Settings(
+                method=own.method,
+                model=own.model,
+                seed=own.seed,
+                positions=own.positions,
+                reflection_delays=own.wall_delays,
+                temperature_sd_c=self.air_table.temperature_sd_c,
+                **{name: None if value == "auto" else value for name, value in stated.items()},
+            )
+            return replace(found, **self._changed)
+
+    def with_settings(self, **changed: Any) -> Campaign:
+        """Return the campaign with some of its `settings` changed."""
+        copied = self.model_copy()
+        copied._changed = {**self._changed, **changed}
+        return copied
+
+    def with_rows(
+        self, rows: Iterable[MeasurementTable], findings: Iterable[Finding] = ()
+    ) -> Campaign:
+        """Return the campaign with other measurements, and with what is doubtful about them."""
+        copied = self.model_copy(update={"rows": list(rows)})
+        copied._findings = (*self._findings, *findings)
+        return copied
+
+
+def _points(tables: Mapping[str, SourceTable | ReceiverTable]) -> tuple[Point, ...]:
+    return tuple(Point(n, np.array(t.position), t.position_sd) for n, t in tables.items())
 
 
 SquareMetre = Annotated[float, _limited(0.0, 1e6, "m2; no surface of a room is larger")]
@@ -670,7 +870,7 @@ def campaign_schema() -> dict[str, Any]:
     >>> campaign_schema()["$defs"]["MeasurementTable"]["properties"]["use"]["description"]
     'Fitted, or predicted and compared only.'
     """
-    own = CampaignTable.model_json_schema()
+    own = Campaign.model_json_schema()
     title = {"title": "Campaign of roomfit, format_version 1"}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **own, **title}
 

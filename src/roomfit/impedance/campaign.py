@@ -22,15 +22,13 @@ from roomfit.base.typing import ComplexArray, FloatArray, Progress, part
 from roomfit.base.whole_files import check_output_folder, sole_writer
 from roomfit.files.campaign import (
     Campaign,
-    MeasuredFile,
-    MeasuredSpectrum,
     input_files,
     read_campaign,
     refuse_objects,
 )
 from roomfit.files.inputs import read_file
 from roomfit.files.rooms import read_room
-from roomfit.files.schema import MaterialTable
+from roomfit.files.schema import MaterialTable, MeasurementTable
 from roomfit.fit.measurements import from_emission
 from roomfit.impedance.data import Observed, damped_noise, damped_spectrum
 from roomfit.impedance.fit import WallModel
@@ -121,7 +119,7 @@ def impedance_arguments(campaign: Campaign) -> tuple[ImpedanceArguments, tuple[F
             needed="impulse responses (file) or damped spectra (spectrum)",
             hint="room parameters do not determine impedances",
         )
-    fitted = replace(campaign, measurements=tuple(files), spectra=tuple(spectra), tables=())
+    fitted = campaign.with_rows((*files, *spectra))
     check_files(input_files(fitted), str(campaign.path))
     scene = _scene(campaign, room, [*files, *spectra])
     read = [read_spectrum(s.path) for s in spectra]
@@ -148,9 +146,7 @@ def impedance_arguments(campaign: Campaign) -> tuple[ImpedanceArguments, tuple[F
     }, (*room_findings, *findings)
 
 
-def _scene(
-    campaign: Campaign, room: Room, measured: list[MeasuredFile | MeasuredSpectrum]
-) -> Scene:
+def _scene(campaign: Campaign, room: Room, measured: list[MeasurementTable]) -> Scene:
     pairs = [(m.source, m.receiver) for m in measured]
     for pair in pairs:
         if pairs.count(pair) > 1:
@@ -181,7 +177,7 @@ def _scene(
 
 
 def _damped_responses(
-    scene: Scene, files: Sequence[MeasuredFile], frequency_hz: FloatArray, tau_s: float
+    scene: Scene, files: Sequence[MeasurementTable], frequency_hz: FloatArray, tau_s: float
 ) -> tuple[list[ComplexArray], list[FloatArray | None], list[Finding]]:
     """Return the damped spectrum of each file, (n_frequencies,), its rms noise where it has any.
 
@@ -263,7 +259,7 @@ _MOST_FREQUENCIES = 5000
 
 
 def _grid(
-    campaign: Campaign, spectra: list[MeasuredSpectrum], read: list[Observed]
+    campaign: Campaign, spectra: list[MeasurementTable], read: list[Observed]
 ) -> tuple[FloatArray, float]:
     """Return the frequencies and the window: those of the spectra where there are any."""
     table = campaign.impedance
@@ -312,7 +308,7 @@ def _grid(
 
 
 def _nuisances(
-    campaign: Campaign, files: list[MeasuredFile], spectra: list[MeasuredSpectrum]
+    campaign: Campaign, files: list[MeasurementTable], spectra: list[MeasurementTable]
 ) -> Nuisances:
     table, usual = campaign.impedance, Nuisances()
     speed_sd = 0.0
@@ -339,11 +335,11 @@ def _nuisances(
 
 
 def _gain(
-    campaign: Campaign, files: list[MeasuredFile], spectra: list[MeasuredSpectrum]
+    campaign: Campaign, files: list[MeasurementTable], spectra: list[MeasurementTable]
 ) -> GainMode:
     if campaign.impedance.gain != "auto":
         return campaign.impedance.gain
-    modes = {_RESPONSE_GAINS[m.level] for m in files} | {_GAINS[s.level] for s in spectra}
+    modes = {_RESPONSE_GAINS[m.level] for m in files} | {_GAINS[s.stated_level] for s in spectra}
     if len(modes) > 1:
         raise InputError(
             "measurements with levels of several kinds",
