@@ -752,7 +752,8 @@ class Campaign(Table):
     def settings(self) -> Settings:
         """How to fit, to predict and to design."""
         own = self.identify
-        stated = self.settings_table.model_dump(exclude_none=True)
+        table = self.settings_table.model_dump(exclude_none=True)
+        stated: dict[str, Any] = {k: None if v == "auto" else v for k, v in table.items()}
         with located(str(self.path)):
             found = Settings(
                 method=own.method,
@@ -761,7 +762,7 @@ class Campaign(Table):
                 positions=own.positions,
                 reflection_delays=own.wall_delays,
                 temperature_sd_c=self.air_table.temperature_sd_c,
-                **{name: None if value == "auto" else value for name, value in stated.items()},
+                **stated,
             )
             return replace(found, **self._changed)
 
