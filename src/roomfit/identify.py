@@ -74,7 +74,11 @@ from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.signals.measurement import Measurement
 from roomfit.uncertainty.combinations import Combination, determined, inseparable_findings
 from roomfit.uncertainty.gaussian import prior_absorptions
-from roomfit.uncertainty.intervals import Refinement
+from roomfit.uncertainty.intervals import (
+    Refinement,
+    identifiable_by_rule,
+    with_errors_of_all_bands,
+)
 from roomfit.uncertainty.posterior import band_draws
 
 _LOG = logging.getLogger("roomfit")
@@ -161,6 +165,8 @@ def identify(
     trim_memory()
     if fits.directivities:
         traced = redirected(observed.measured, traced, fits.directivities)
+    areas_m2 = material_areas_m2(scene.room)
+    fits = replace(fits, answers=with_errors_of_all_bands(fits.answers, areas_m2, fits.added))
     _check_any_fitted(fits)
     _LOG.info("predicting the measured pairs")
     trim_memory()
@@ -290,7 +296,8 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
     """Return the result of all bands together."""
     measured, priors, found = evidence.measured, evidence.priors, evidence.fits.answers
     scene, bands, settings = measured.scene, measured.bands, evidence.settings
-    identifiable = judge(found, doubts, priors, bands)
+    by_rule = identifiable_by_rule(found, priors)
+    identifiable = judge(by_rule, doubts, priors, bands)
     combinations, sentences, shares = _determined(evidence, 0)
     own = wall_materials(scene.room), bands.centres_hz, identifiable[: shares.shape[1]]
     void = any(f.code.voids_identifiability for f in doubts)
@@ -337,7 +344,7 @@ def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
         directivities=evidence.fits.directivities,
         costs=tuple(b.costs for b in found),
         mean_costs=tuple(b.mean_costs for b in found),
-        identifiable_by_rule=np.stack([b.identifiable for b in found], axis=1),
+        identifiable_by_rule=by_rule,
         eyring_absorption=eyring_start(measured),
         settings=settings,
         trace=traced_with(evidence.traced),
@@ -401,15 +408,11 @@ def _refinement(
     measured: Measurements, priors: tuple[MaterialPrior, ...], settings: Settings
 ) -> Refinement:
     """Return what is done to every band after its fit; the paper's searches end where they end."""
-    intervals = "profile"
-    if settings.quick or settings.method in ("simplex", "annealing"):
-        intervals = "gaussian"
     return Refinement(
-        intervals,
+        not settings.quick and settings.method not in ("simplex", "annealing"),
         settings.seed,
         tuple(s.exchange for s in mirror_symmetries(measured, priors)),
-        settings.n_draws if settings.posterior_draws is not False else 0,
-        settings.posterior_draws is None,
+        settings.n_draws,
     )
 
 

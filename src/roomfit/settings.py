@@ -70,10 +70,6 @@ class Settings:
     n_rays_beside_images: int | None = None  # a third of them, in a room of smooth walls
     receiver_radius_m: float | None = None  # of the spheres that catch rays, 0.5 m at least
     default_scattering: float = 0.1  # scattering coefficient of walls where it is unspecified
-    # Draws of the posterior by the model itself, for predictions: of every band, which takes five
-    # times the time of a fit by responses; of none; left out, where room parameters alone are
-    # fitted, where linearised ones are too wide and hold too little (decision 0043).
-    posterior_draws: bool | None = None
     n_draws: int = 128  # draws of the absorption behind a prediction's intervals
     n_random_starts: int = 3  # of energies alone: do they end in one minimum?
     n_scattering_rays: int = 20_000  # rays a source of the trials that choose the scattering

@@ -14,14 +14,10 @@ from roomfit.base.logit import Z95, expit, logit
 from roomfit.base.typing import FloatArray
 from roomfit.demo.boxes import SyntheticBox, pressure_response
 from roomfit.fit.systematics import (
-    DECAY_PROBABILITIES,
-    DECAY_SDS,
     air_error,
     decay_error,
-    decay_error_sds,
     decay_rate,
     shared_errors,
-    with_decay_errors,
     with_shared_errors,
 )
 from roomfit.materials.priors import unknown_material
@@ -38,6 +34,13 @@ from roomfit.uncertainty.gaussian import (
     add_covariance,
     answer_steps,
     prior_only_band,
+)
+from roomfit.uncertainty.intervals import (
+    DECAY_PROBABILITIES,
+    DECAY_SDS,
+    decay_error_sds,
+    identifiable_by_rule,
+    with_errors_of_all_bands,
 )
 
 CENTRE_HZ = 1000.0
@@ -247,7 +250,6 @@ def _answer(a: FloatArray, rate: DecayRate) -> BandEstimate:
         absorption=a,
         lower95=a - 0.01,
         upper95=a + 0.01,
-        identifiable=np.array([True, True]),
         logit_mean=logit(a),
         logit_covariance=np.diag([1e-3, 1e-3]),
         costs={"": np.full(2, 0.1), "noise": np.full(2, 0.05)},
@@ -265,13 +267,13 @@ def test_the_decay_term_widens_answers_along_their_shift_alone() -> None:
     rate = DecayRate(1e-9, 0.0, np.array([0.07, 0.06]) / 0.2)  # nothing known: mixture of priors
     size = float(np.sqrt(DECAY_PROBABILITIES @ DECAY_SDS**2))
     before = _answer(a, rate)
-    (after,) = with_decay_errors([before], areas, _PRIORS)
+    (after,) = with_errors_of_all_bands([before], areas, {})
     more = Z95 * size * (areas @ rate.step) / areas.sum()
     one_sd = expit(logit(a) + np.sqrt(np.diag(after.logit_covariance - before.logit_covariance)))
     np.testing.assert_allclose(one_sd, a + size * rate.step, rtol=1e-6)
     assert 0.1 < after.upper95[0] < 0.16 and after.lower95[0] > 0.0
-    assert not after.identifiable[0]  # its logit is known no better than half its prior's
-    assert after.identifiable[1]
+    # the logit of the first is known no better than half its prior's
+    assert identifiable_by_rule([after], _PRIORS)[:, 0].tolist() == [False, True]
     np.testing.assert_array_equal(after.costs["decay"], before.costs[""])
     assert after.mean_costs["decay"] == 0.005
     np.testing.assert_allclose(after.mean_costs[""], np.hypot(0.005, more / Z95))
@@ -281,10 +283,12 @@ def test_the_decay_term_widens_answers_along_their_shift_alone() -> None:
 
 def test_what_returns_little_is_as_uncertain_as_what_absorbs_little() -> None:
     """Absorption a and reflection 1 - a have mirrored intervals."""
-    priors, areas, rate = _PRIORS, np.ones(2), DecayRate(1e-9, 0.0, np.array([0.3, 0.2]))
+    areas, rate = np.ones(2), DecayRate(1e-9, 0.0, np.array([0.3, 0.2]))
     a = np.array([0.03, 0.2])
-    (low,) = with_decay_errors([_answer(a, rate)], areas, priors)
-    (high,) = with_decay_errors([_answer(1.0 - a, rate._replace(step=-rate.step))], areas, priors)
+    (low,) = with_errors_of_all_bands([_answer(a, rate)], areas, {})
+    (high,) = with_errors_of_all_bands(
+        [_answer(1.0 - a, rate._replace(step=-rate.step))], areas, {}
+    )
     np.testing.assert_allclose(low.upper95, 1.0 - high.lower95)
     np.testing.assert_allclose(low.lower95, 1.0 - high.upper95)
 
@@ -295,9 +299,9 @@ def test_what_is_fixed_stays_beside_a_rate_that_is_not() -> None:
     fixed = _answer(np.array([0.1, 0.2]), rate)
     fixed = replace(fixed, lower95=fixed.absorption, upper95=fixed.absorption)
     without = replace(fixed, decay=None)
-    found = with_decay_errors([fixed, without], np.ones(2), _PRIORS)
+    found = with_errors_of_all_bands([fixed, without], np.ones(2), {})
     np.testing.assert_array_equal(found[0].upper95, fixed.upper95)
-    assert np.all(found[0].identifiable)
+    assert identifiable_by_rule(found[:1], _PRIORS).all()
     assert found[1] is without
 
 

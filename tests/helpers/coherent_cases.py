@@ -152,16 +152,14 @@ def estimates_of(fit: CoherentFit) -> tuple[BandEstimate | None, ...]:
 
 
 def estimate_of(absorption: list[float], half_width: float) -> BandEstimate:
-    """Return the estimate of a band with intervals of one width, all identifiable."""
+    """Return the estimate of a band with intervals of one width."""
     a = np.array(absorption)
     return BandEstimate(
         a,
         a - half_width,
         a + half_width,
-        np.ones(a.size, dtype=np.bool_),
         np.log(a / (1 - a)),
         0.01 * np.eye(a.size),
-        (float(a.mean()), 0.1, 0.4),
         1.0,
         1.0,
         1,

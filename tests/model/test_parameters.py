@@ -99,7 +99,7 @@ def test_a_tied_entry_has_its_leader_s_interval_and_counts_in_the_mean():
     p = Parameters((b,))
     vector, information = np.array([0.3, -0.4]), np.diag([400.0, 100.0])
     found = absorption_intervals(p, vector, information, 1.0)
-    for values in (found.absorption, found.lower95, found.upper95, found.identifiable):
+    for values in (found.absorption, found.lower95, found.upper95):
         assert values[2] == values[0]
     merged = Parameters((block("logit", 2, name="absorption"),))
     pooled = weighted_mean_gradient(merged, vector, np.array([0.7, 0.3]))

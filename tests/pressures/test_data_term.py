@@ -36,8 +36,6 @@ from roomfit.pressures.geometry import moved_scene, whole_covariance
 from roomfit.pressures.sequential import cavity_prior
 from roomfit.solver import marginal, score_band
 
-pytestmark = pytest.mark.usefixtures("exact_fits")
-
 N_OWN, N_SHARED = 2, 3
 
 
@@ -110,9 +108,9 @@ def _carried(bands: list[tuple[FloatArray, FloatArray]], joint: Marginal | None,
 def test_what_is_carried_from_band_to_band_is_the_joint_answer(seed: int) -> None:
     """Two linear bands one after the other, against one system with all unknowns."""
     bands = _bands(seed)
-    first = score_band(_carried(bands, None, 0), np.zeros(5))
+    first = score_band(_carried(bands, None, 0), np.zeros(5), settled_sd=1e-7)
     reported = marginal(first, N_OWN, np.eye(N_SHARED))
-    second = score_band(_carried(bands, reported, 1), np.zeros(5))
+    second = score_band(_carried(bands, reported, 1), np.zeros(5), settled_sd=1e-7)
     mean, covariance = _joint_answer(bands)
     own = slice(2 * N_OWN, None)
     np.testing.assert_allclose(second.vector[N_OWN:], mean[own], atol=1e-6)
@@ -124,9 +122,9 @@ def test_what_is_carried_from_band_to_band_is_the_joint_answer(seed: int) -> Non
 def test_a_bands_own_say_is_taken_out_before_it_is_fitted_again() -> None:
     """The second visit of the first band has the joint answer's covariance, not a narrower one."""
     bands = _bands(7)
-    first = score_band(_carried(bands, None, 0), np.zeros(5))
+    first = score_band(_carried(bands, None, 0), np.zeros(5), settled_sd=1e-7)
     after_first = marginal(first, N_OWN, np.eye(N_SHARED))
-    second = score_band(_carried(bands, after_first, 1), np.zeros(5))
+    second = score_band(_carried(bands, after_first, 1), np.zeros(5), settled_sd=1e-7)
     final = marginal(second, N_OWN, after_first.information)
     again = score_band(
         _carried(bands, cavity_prior(final, after_first, np.eye(N_SHARED)), 0), np.zeros(5)
@@ -160,7 +158,7 @@ def test_the_geometry_is_found_from_exact_data() -> None:
     truth[:3] += np.array([0.4, -0.5, 0.3])
     truth[4:] = 0.2 * np.random.default_rng(2).standard_normal(truth.size - 4)
     problem = objective_of(with_data(term, problem.predict(truth).expected))
-    fit = score_band(problem, start_vector(problem.parameters), max_rounds=36)
+    fit = score_band(problem, start_vector(problem.parameters), max_rounds=36, settled_sd=1e-7)
     # what the prior draws towards itself is far inside the stated deviation
     sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
     assert np.all(np.abs(fit.vector - truth) <= 1.0 * sd)
@@ -191,7 +189,6 @@ def test_absorption_that_jumps_between_bands_has_wider_intervals() -> None:
     np.testing.assert_allclose((middle.lower95[0], middle.upper95[0]), (0.28, 0.32), atol=1e-9)
     # 0.144 of 0.75 above less 0.078 of 0.1 below, times 1.96: about a fifth on either side
     assert middle.upper95[1] - middle.lower95[1] > 0.3
-    np.testing.assert_array_equal(middle.identifiable, [True, False])
     assert inflated_by_adjacent_bands([bands[0], None, None])[0] is bands[0]
 
 

@@ -94,7 +94,7 @@ def test_mirror_images_and_profiles_add_their_evaluations_to_the_answer() -> Non
     Counting.made = 0
     fit = fit_band(problem)
     answer = band_estimate(problem.parameters, fit, "energy")
-    refine = Refinement("profile", 1, exchanges=(np.array([1, 0, 2]),))
+    refine = Refinement(True, 1, exchanges=(np.array([1, 0, 2]),))
     refined = refine(FittedBand(answer, problem, fit))
     assert refined.profiles
     assert refined.evaluations == Counting.made > fit.evaluations

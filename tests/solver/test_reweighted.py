@@ -18,8 +18,6 @@ from roomfit.model.parameters import (
 )
 from roomfit.solver import fit_band, marginal, score_band
 
-pytestmark = pytest.mark.usefixtures("exact_fits")
-
 
 @dataclass(frozen=True, eq=False)
 class Dependent(Linear):
@@ -63,7 +61,10 @@ def test_phi_counts_the_parameters_that_data_and_not_priors_determine(seed, neig
     assert 1.0 < spent < 7.0
     squares = np.sum((problem.observed - problem.matrix @ answer) ** 2) / problem.sd**2
     expected = squares / (problem.observed.size - spent)
-    for fit in (fit_band(problem), score_band(problem, start_vector(problem.parameters))):
+    for fit in (
+        fit_band(problem, settled_sd=1e-7),
+        score_band(problem, start_vector(problem.parameters), settled_sd=1e-7),
+    ):
         np.testing.assert_allclose(fit.vector, answer, atol=1e-6)
         assert fit.chi2_reduced == pytest.approx(expected, rel=1e-6)
 
@@ -83,14 +84,16 @@ def test_phi_is_one_on_average_where_data_and_truth_follow_their_laws():
         truth = np.array([block.prior_mean[0], 0.0, 0.0])
         truth += np.array([block.prior_sd[0], 1.0, 1.0]) * rng.standard_normal(3)
         data = matrix @ truth + 0.5 * rng.standard_normal(5)
-        found.append(fit_band(Linear(matrix, data, 0.5, plain.parameters)).chi2_reduced)
+        found.append(
+            fit_band(Linear(matrix, data, 0.5, plain.parameters), settled_sd=1e-7).chi2_reduced
+        )
     assert np.mean(found) == pytest.approx(1.0, abs=0.16)
 
 
 def test_cost_and_information_are_those_of_the_weighted_squares():
     """Half of all weighted squares, priors included, and its second differences."""
     problem = dependent_case(5, 3.0)
-    fit = fit_band(problem)
+    fit = fit_band(problem, settled_sd=1e-7)
 
     def cost(vector: FloatArray) -> float:
         off = (problem.observed - problem.matrix @ vector) ** 2
@@ -109,7 +112,7 @@ def test_cost_and_information_are_those_of_the_weighted_squares():
 @pytest.mark.parametrize("misfit", [0.5, 4.0])
 def test_what_one_band_says_to_the_next_is_weakened_by_its_misfit(misfit):
     """The information that data added to the prior, over phi where that is above 1."""
-    fit = replace(fit_band(dependent_case(2, 1.0)), chi2_reduced=misfit)
+    fit = replace(fit_band(dependent_case(2, 1.0), settled_sd=1e-7), chi2_reduced=misfit)
     prior = np.eye(4)
     covariance = np.linalg.inv(fit.information)[3:, 3:]
     added = np.linalg.inv(covariance) - prior
@@ -124,7 +127,7 @@ def test_a_law_of_the_geometry_by_other_bands_is_no_datum_of_this_one():
     joint = Marginal(np.zeros(4), 1e6 * np.eye(4))
     narrow = replace(wide, parameters=Parameters(wide.parameters.blocks, joint))
     assert wide.parameters.blocks[1].name == GEOMETRY
-    fit = fit_band(narrow)
+    fit = fit_band(narrow, settled_sd=1e-7)
     squares = np.sum((narrow.observed - narrow.matrix @ fit.vector) ** 2) / narrow.sd**2
     spent = narrow.observed.size - squares / fit.chi2_reduced
     assert 2.5 < spent < 3.001  # three absorptions under their broad prior

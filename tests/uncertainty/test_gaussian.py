@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from posterior_cases import absorption_block, linear_case
 from roomfit.base.logit import expit
+from roomfit.materials.priors import unknown_material
 from roomfit.model.parameters import Parameters
 from roomfit.solver import fit_band
 from roomfit.uncertainty.gaussian import (
@@ -14,9 +17,10 @@ from roomfit.uncertainty.gaussian import (
     add_covariance,
     answer_steps,
     band_estimate,
-    is_identifiable,
+    prior_only_band,
     weighted_mean_gradient,
 )
+from roomfit.uncertainty.intervals import identifiable_by_rule
 
 VECTOR = np.array([-1.0, 0.4])
 # correlated, far better determined than by the priors of 1.5
@@ -51,12 +55,24 @@ def test_the_mean_of_the_room_has_the_spread_of_draws():
 
 
 def test_what_is_called_identifiable_and_what_is_not():
-    """Each of the three conditions alone fails it, just beyond its limit and not just before."""
-    ends, sd, prior = (np.array([0.2]), np.array([0.4])), np.array([0.75]), np.array([1.5])
-    assert is_identifiable(2.0, ends[0], ends[1] - 1e-9, sd, prior).all()
-    assert not is_identifiable(2.01, ends[0], ends[1] - 1e-9, sd, prior).any()
-    assert not is_identifiable(2.0, ends[0], ends[1] + 1e-3, sd, prior).any()
-    assert not is_identifiable(2.0, ends[0], ends[1] - 1e-9, sd + 1e-3, prior).any()
+    """Each of the conditions alone fails it, just beyond its limit and not just before."""
+    priors = (unknown_material("wall", 1),)  # of a spread of 1.5 in the logit
+    just = replace(
+        prior_only_band(priors, 0),
+        lower95=np.array([0.2]),
+        upper95=np.array([0.4 - 1e-9]),
+        logit_covariance=np.array([[0.75**2]]),
+        chi2_reduced=2.0,
+    )
+    beyond = {
+        "chi2_reduced": 2.01,
+        "chi2_beside": 2.01,
+        "upper95": np.array([0.401]),
+        "logit_covariance": np.array([[0.751**2]]),
+    }
+    assert identifiable_by_rule([just], priors).all()
+    for name, value in beyond.items():
+        assert not identifiable_by_rule([replace(just, **{name: value})], priors).any()
 
 
 def test_an_error_that_all_data_share_moves_the_answer_as_stated_and_is_added_once():

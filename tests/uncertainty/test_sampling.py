@@ -21,7 +21,7 @@ from roomfit.uncertainty.sampling import (
 
 
 def fitted(problem):
-    return fit_band(problem)
+    return fit_band(problem, settled_sd=1e-7)
 
 
 def test_arrival_times_are_integrated_out_exactly_where_all_is_linear():
@@ -58,7 +58,6 @@ class StraightInExponents(Linear):
         return Prediction(expected, expected, jacobian)
 
 
-@pytest.mark.usefixtures("exact_fits")
 def test_arrival_times_follow_to_the_best_ones_where_data_are_straight_in_the_exponents():
     """The conditional optimum of a linear problem, by its normal equations: however far away."""
     linear = linear_case(7)
@@ -155,7 +154,7 @@ def test_a_compiled_walk_gains_what_the_readable_law_says():
 def test_a_fit_of_a_band_is_half_done_when_its_logarithms_are():
     told: list[float] = []
     problem = linear_case(5)
-    fit = fit_band(problem, progress=told.append)
+    fit = fit_band(problem, progress=told.append, settled_sd=1e-7)
     assert told == [0.5, 1.0] and fit.evaluations == fitted(problem).evaluations
 
 

@@ -10,31 +10,20 @@ from roomfit.base.bands import Bands
 from roomfit.base.findings import Finding
 from roomfit.base.typing import BoolArray
 from roomfit.materials.priors import MaterialPrior
-from roomfit.uncertainty.gaussian import BandEstimate
 
 
 def judge(
-    answers: Sequence[BandEstimate],
+    by_rule: BoolArray,
     findings: Sequence[Finding],
     priors: Sequence[MaterialPrior],
     bands: Bands,
 ) -> BoolArray:
     """Return which absorptions are identifiable.
 
-    Those that the rule calls so (`roomfit.uncertainty.gaussian.is_identifiable`) and that no
+    Those that the rule calls so (`roomfit.uncertainty.intervals.identifiable_by_rule`) and that no
     finding voids. What the campaign fixes stays.
-
-    Parameters
-    ----------
-    answers : sequence of BandEstimate, one a band
-    findings : sequence of Finding
-    priors : sequence of MaterialPrior, one a material
-
-    Returns
-    -------
-    bool array, shape (n_materials, n_bands)
     """
-    identifiable = np.stack([a.identifiable for a in answers], axis=1)
+    identifiable = np.array(by_rule)
     fixed = np.array([[k.known is not None] for k in priors])
     for finding in findings:
         identifiable &= fixed | ~voided(finding, priors, bands)

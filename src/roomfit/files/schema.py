@@ -33,6 +33,8 @@ GONE = {
         f"materials.impedance = {law}": "R0 is a spline, or a constant; leave the key out"
         for law in ("miki", "resonator", "panel", "auto")
     },
+    "settings.posterior_draws": "draws are made with the model itself where "
+    "room parameters alone are fitted, and nowhere else; leave the key out",
     "identify.smoothness_per_octave": "bands are fitted by themselves; leave the key out",
 }
 """Keys of earlier versions, and their values as ``key = value``, with what to do without them.
@@ -507,8 +509,6 @@ class SettingsTable(Table):
     """Scattering coefficient where nothing chooses it."""
     n_draws: int | None = None
     """Draws of the absorption behind predictions."""
-    posterior_draws: bool | None = None
-    """Whether a fit leaves draws that are made with the model itself."""
     n_random_starts: int | None = None
     """Further starts of a fit of energies."""
     n_scattering_rays: int | None = None

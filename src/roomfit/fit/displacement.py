@@ -23,7 +23,6 @@ from roomfit.fit.fits import BandFits, Displacement, FittedGeometry
 from roomfit.fit.measurements import Measurements
 from roomfit.fit.paths import TracedPaths, trim_memory
 from roomfit.fit.scattering import band_factors
-from roomfit.fit.systematics import widened
 from roomfit.materials.priors import MaterialPrior, Scattering
 from roomfit.model.binned import once
 from roomfit.model.directivity import (
@@ -442,7 +441,7 @@ def located(model: DisplacementModel) -> Located:
 def with_offsets(fits: BandFits, model: DisplacementModel, found: Located) -> BandFits:
     """Return fits with what is displaced, and with the offsets that were fitted in the geometry.
 
-    Intervals allow for what is left open of these offsets.
+    With the covariance of what is left open of these offsets.
     """
     own = np.flatnonzero([o.is_stated for o in model.offsets])
     fits = replace(fits, displacement=found.beyond)
@@ -459,10 +458,8 @@ def with_offsets(fits: BandFits, model: DisplacementModel, found: Located) -> Ba
         prior_sd=np.concatenate((before.prior_sd, [model.offsets[k].sd_m for k in own])),
         n_offsets=own.size,
     )
-    answers = list(fits.answers)
-    for band, steps in offset_steps(model, found.sd_m).items():
-        answers[band] = widened(answers[band], steps @ steps.T)
-    return replace(fits, geometry=geometry, answers=tuple(answers))
+    added = {band: s @ s.T for band, s in offset_steps(model, found.sd_m).items()}
+    return replace(fits, geometry=geometry, added=added)
 
 
 def offset_steps(model: DisplacementModel, sd_m: FloatArray) -> dict[int, FloatArray]:

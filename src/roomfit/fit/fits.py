@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from roomfit.base.typing import FloatArray
 from roomfit.fit.directivity import SourceGain
 from roomfit.model.directivity import DirectivityParameters, FittedDirectivity
 from roomfit.signals.measurement import Measurement
 from roomfit.uncertainty.gaussian import BandEstimate
-
-if TYPE_CHECKING:
-    pass
 
 
 class Freed(NamedTuple):
@@ -65,6 +62,8 @@ class BandFits:
     contradicted: tuple[SourceGain, ...] = ()  # of the sources taken for omnidirectional
     tests: CoherentTests = field(default_factory=CoherentTests)
     displacement: Displacement | None = None  # beyond what is specified
+    # by band, covariance of logits by offsets that are not exactly known, (n_materials,) square
+    added: Mapping[int, FloatArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

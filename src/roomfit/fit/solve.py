@@ -25,7 +25,6 @@ from roomfit.fit.paths import TracedPaths
 from roomfit.fit.systematics import (
     relative_errors,
     shared_errors,
-    with_decay_errors,
     with_shared_errors,
 )
 from roomfit.materials.priors import MaterialPrior
@@ -88,7 +87,6 @@ def estimate_energies(
     """
     unknown = directivity_parameters(measured, settings)
     tested = omnidirectional(measured) if unknown is None else None
-    areas_m2 = material_areas_m2(measured.scene.room)
 
     def estimated(
         unknown: DirectivityParameters | None, tested: DirectivityParameters | None
@@ -106,11 +104,11 @@ def estimate_energies(
             against: DirectivityScore | None = None
             if score is not None and own.objective is not None and own.fit is not None:
                 against = score(band, own.objective, own.fit)
-            return refine(own, None), against
+            return refine(own), against
 
         answers = in_forks(answer, range(n))
         scores = {band: score for band, (_, score) in enumerate(answers) if score is not None}
-        estimates = with_decay_errors([found for found, _ in answers], areas_m2, priors)
+        estimates = tuple(found for found, _ in answers)
         found = band_directivities(measured.scene, unknown, directivities, estimates)
         against = contradicted_sources(tested, scores)
         return BandFits(

@@ -18,9 +18,8 @@ import numpy as np
 
 from roomfit.base.air import Air, pressure_decay_per_m, speed_of_sound_m_s
 from roomfit.base.bands import Bands, steps_per_octave
-from roomfit.base.logit import Z95, expit, logit
 from roomfit.base.typing import FloatArray, IntArray
-from roomfit.materials.priors import MaterialPrior, prior_logit_law
+from roomfit.materials.priors import MaterialPrior
 from roomfit.model.energy import EnergyTerm, parts_of
 from roomfit.model.parameters import Parameters, physical_values
 from roomfit.model.patterns import directed_rows
@@ -30,22 +29,18 @@ from roomfit.model.windows import in_windows
 from roomfit.solver import BandFit, DecayRate
 from roomfit.tracing.paths import Paths
 from roomfit.uncertainty.gaussian import (
-    WIDEST_IDENTIFIABLE,
     BandEstimate,
     add_covariance,
     answer_steps,
     costs_of_terms,
-    is_identifiable,
 )
+from roomfit.uncertainty.intervals import prior_logit_covariance, widened
 
 _LEAST = 1e-9  # distance of an absorption from 0 and 1 in its logit
 # Where absorption runs smoothly (as a raised cosine over octaves) from one band's centre to the
 # next, these shares of the mean over a band belong to the band above and the one below: the
 # integral of that weight over the squared magnitude of the octave filter.
 ABOVE, BELOW = 0.144, 0.078
-# Prior of the rates of decay of a room over those of its model: with each probability a normal law
-# about 1 of that standard deviation in every band. docs/decisions/0048-what-stands-in-the-room.md.
-DECAY_PROBABILITIES, DECAY_SDS = np.array([0.75, 0.25]), np.array([0.01, 0.2])
 # Long enough for many independent values of eight responses, short enough to follow a decay.
 SLOT_S = 0.04
 
@@ -83,50 +78,9 @@ def _likeness(priors: tuple[MaterialPrior, ...], band: int, n: int) -> FloatArra
     """Return the prior correlation of n materials in a band, 1 between those that are tied."""
     if not priors:
         return np.eye(n)
-    covariance = _prior_covariance(priors, band)
+    covariance = prior_logit_covariance(priors, band)
     sd = np.sqrt(np.diag(covariance))
     return np.asarray(covariance / np.outer(sd, sd))
-
-
-def _prior_covariance(priors: tuple[MaterialPrior, ...], band: int) -> FloatArray:
-    """Return that of the logits of all materials, tied ones alike, (n_materials, n_materials)."""
-    names = [k.name for k in priors]
-    leader = [names.index(k.tied_to or k.name) for k in priors]
-    return np.asarray(prior_logit_law(priors)[1][band][np.ix_(leader, leader)])
-
-
-def widened(answer: BandEstimate, covariance: FloatArray) -> BandEstimate:
-    """Return the answer with an error of its logits added, of a covariance (n_materials,) square.
-
-    What is fixed stays.
-    """
-    fixed = answer.upper95 <= answer.lower95
-    covariance = np.where(fixed[:, None] | fixed, 0.0, covariance)
-    logit_sd = np.sqrt(np.diag(covariance))
-    a = np.clip(answer.absorption, _LEAST, 1.0 - _LEAST)
-    middle = logit(a, _LEAST)
-    lower = middle - np.hypot(middle - logit(answer.lower95, _LEAST), Z95 * logit_sd)
-    upper = middle + np.hypot(logit(answer.upper95, _LEAST) - middle, Z95 * logit_sd)
-    lower95 = np.where(fixed, answer.lower95, np.minimum(expit(lower), answer.lower95))
-    upper95 = np.where(fixed, answer.upper95, np.maximum(expit(upper), answer.upper95))
-    narrow = (upper95 - lower95 <= WIDEST_IDENTIFIABLE) | fixed
-    size, directions = np.linalg.eigh(covariance)
-    root = directions * np.sqrt(np.maximum(size, 0.0))
-
-    def moved(samples: FloatArray | None) -> FloatArray | None:
-        if samples is None:
-            return None
-        noise = np.random.default_rng(1).standard_normal(samples.shape) @ root.T
-        return np.where(logit_sd > 0.0, expit(logit(samples, _LEAST) + noise), samples)
-
-    return replace(
-        answer,
-        lower95=lower95,
-        upper95=upper95,
-        draws=moved(answer.draws),
-        identifiable=answer.identifiable & narrow,
-        logit_covariance=answer.logit_covariance + covariance,
-    )
 
 
 def shared_errors(
@@ -138,8 +92,8 @@ def shared_errors(
     """Return the errors that a fit's windows share by name, (n_windows, n), one sd a column.
 
     Over the batches of rays, by one standard deviation of what `relative` holds; and, under
-    "decay", by a rate of decay that is larger by a factor of 2: `with_decay_errors` gives it its
-    size when all bands are fitted.
+    "decay", by a rate of decay that is larger by a factor of 2: `with_errors_of_all_bands`
+    gives it its size when all bands are fitted.
 
     Shapes: `relative` (n_windows, 2).
     """
@@ -251,69 +205,6 @@ def decay_rate(
     known = float(weighed @ error[:, 0] - (weighed @ jacobian[:n]) @ step)
     pull = float(weighed @ (fit.measured - fit.expected)[:n])
     return DecayRate(max(known, 0.0) / misfit, pull / misfit, step)
-
-
-def decay_error_sds(rates: Sequence[DecayRate]) -> FloatArray:
-    """Return how far, relatively, each band's rate of decay may be from that of its walls.
-
-    Shape (n_bands,): the root mean square about 0 of the changes after the data. Their prior is a
-    mixture: of rooms that decay as their model does in every band, and of such that do not. All
-    bands together say which, so that one band that prefers another rate by chance does not; data
-    that contradict the walls' rate widen their intervals, and data that determine it hardly do.
-    The answer is not moved: what data prefer is made by anything that early and late windows
-    disagree about. No law is taken beyond its own width either: a preferred change of several of
-    these is an extrapolation of first order, and says that something else is wrong.
-    """
-    information, score = (np.array([r[i] for r in rates])[:, None] for i in (0, 1))
-    # of each law: its variance and mean after the data, and how well it predicted them
-    variance = 1.0 / (information + DECAY_SDS**-2)
-    log_evidence = 0.5 * np.sum(variance * score**2 + np.log(variance / DECAY_SDS**2), axis=0)
-    weight = DECAY_PROBABILITIES * np.exp(log_evidence - log_evidence.max())
-    square = np.minimum(variance + (variance * score) ** 2, DECAY_SDS**2)
-    return np.sqrt(np.asarray(square @ weight / weight.sum(), dtype=np.float64))
-
-
-def with_decay_errors(
-    answers: Sequence[BandEstimate], areas_m2: FloatArray, priors: tuple[MaterialPrior, ...]
-) -> tuple[BandEstimate, ...]:
-    """Return intervals that allow for a rate of decay that is not that of the walls.
-
-    Walls move along the shift of their answer by such a change, all together: in absorption, of
-    which the rate determines a sum. Its first order in a logit would exaggerate what hardly
-    absorbs.
-
-    Shapes: `areas_m2` (n_materials,).
-    """
-    rates = [a.decay for a in answers if a.decay is not None]
-    sds = iter(decay_error_sds(rates) if rates else ())
-    return tuple(
-        a
-        if a.decay is None
-        else _moved_along(a, next(sds) * a.decay.step, areas_m2, _prior_covariance(priors, band))
-        for band, a in enumerate(answers)
-    )
-
-
-def _moved_along(
-    answer: BandEstimate, step: FloatArray, areas_m2: FloatArray, prior: FloatArray
-) -> BandEstimate:
-    """Return an answer with one error of all absorptions added, of that standard deviation."""
-    a = np.clip(answer.absorption, _LEAST, 1.0 - _LEAST)
-    nearer_half = np.where(a < 0.5, a + np.abs(step), a - np.abs(step))
-    logit_step = np.sign(step) * np.abs(logit(nearer_half, _LEAST) - logit(a, _LEAST))
-    mean_sd = float(np.abs(areas_m2 @ step) / areas_m2.sum())
-    wider = widened(answer, np.outer(logit_step, logit_step))
-    sd = np.sqrt(np.diag(wider.logit_covariance))
-    prior_sd = np.sqrt(np.diag(prior))
-    sure = is_identifiable(wider.chi2_reduced, wider.lower95, wider.upper95, sd, prior_sd)
-    costs = {name: np.hypot(own, logit_step) for name, own in answer.costs.items()}
-    of_mean = {name: float(np.hypot(own, mean_sd)) for name, own in answer.mean_costs.items()}
-    if answer.costs:
-        costs["decay"] = answer.costs[""]
-    if answer.mean_costs:
-        of_mean["decay"] = answer.mean_costs[""]
-    sure = wider.identifiable & (sure | (sd == 0.0))
-    return replace(wider, costs=costs, mean_costs=of_mean, identifiable=sure)
 
 
 def scattering_error(

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from roomfit.base.forks import in_forks
-from roomfit.base.logit import Z95, logit
 from roomfit.base.typing import BoolArray, FloatArray, Progress, part
 from roomfit.fit.bands import fitted_band
 from roomfit.fit.directivity import (
@@ -23,7 +22,7 @@ from roomfit.fit.fits import BandFits
 from roomfit.fit.measurements import Measurements, time_scales
 from roomfit.fit.paths import TracedPaths, traced_paths, trim_memory
 from roomfit.fit.solve import other_terms
-from roomfit.fit.systematics import inflated_by_adjacent_bands, with_decay_errors
+from roomfit.fit.systematics import inflated_by_adjacent_bands
 from roomfit.fit.trace_plan import traced_s
 from roomfit.materials.priors import MaterialPrior
 from roomfit.model.room_parameters import without_responses
@@ -52,9 +51,10 @@ from roomfit.pressures.sequential import (
     forward_pass,
     log_evidences,
 )
-from roomfit.room.scene import material_areas_m2, select_pairs
+from roomfit.room.scene import select_pairs
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
-from roomfit.uncertainty.gaussian import WIDEST_IDENTIFIABLE, BandEstimate, Refine
+from roomfit.uncertainty.gaussian import BandEstimate, Refine
+from roomfit.uncertainty.intervals import with_both_intervals
 
 _LOG = logging.getLogger("roomfit")
 _LEAST = 1e-9  # distance of an absorption from 0 and 1 in its logit
@@ -213,26 +213,24 @@ def coherent_answers(
 
     def answers(b: int) -> tuple[BandEstimate | None, BandEstimate | None]:
         pressures, energies = coherent_estimate(fit, b), by_energies(b)
-        done = part(progress, 0.8 * b / n, 0.8 * (b + 1) / n)
         return (
-            None if pressures is None else refine(pressures, done),
-            None if energies is None else refine(energies, None),
+            None if pressures is None else refine(pressures),
+            None if energies is None else refine(energies),
         )
 
     coherent, energy = zip(*in_forks(answers, range(n)), strict=True)
-    areas_m2 = material_areas_m2(task.scene.room)
     chosen = decided(fit, energy, inflated_by_adjacent_bands(coherent, task.priors))
 
     # where no response has data, room parameters or the prior
     def rest(b: int) -> BandEstimate:
         alone = without_responses(task.others[b], task.priors, b, task.start)
         done = part(progress, 0.8 + 0.2 * b / n, 0.8 + 0.2 * (b + 1) / n)
-        return refine(fitted_band(b, alone, task.priors, settings, done), None)
+        return refine(fitted_band(b, alone, task.priors, settings, done))
 
     missing = [b for b, e in enumerate(chosen) if e is None]
     others = dict(zip(missing, in_forks(rest, missing), strict=True))
     each = [others[b] if e is None else e for b, e in enumerate(chosen)]
-    estimates = with_decay_errors(each, areas_m2, task.priors)
+    estimates = tuple(each)
     directivities = tuple(None if b is None else b.directivity for b in fit.state.bands)
     found = band_directivities(task.scene, task.directivity_parameters, directivities, estimates)
     unknown = task.directivity_parameters
@@ -266,31 +264,3 @@ def _decided(
     better = evidences[1] - evidences[0]
     best, other = (coherent, energy) if better > 0.0 else (energy, coherent)
     return best if abs(better) >= UNDECIDED else with_both_intervals(best, other)
-
-
-def with_both_intervals(best: BandEstimate, other: BandEstimate) -> BandEstimate:
-    """Return an answer whose intervals contain those of another model, too."""
-    lower = np.minimum(best.lower95, other.lower95)
-    upper = np.maximum(best.upper95, other.upper95)
-    sure = best.identifiable & other.identifiable & (upper - lower <= WIDEST_IDENTIFIABLE)
-    middle = logit(best.absorption, _LEAST)
-    reach = np.maximum(logit(upper, _LEAST) - middle, middle - logit(lower, _LEAST)) / Z95
-    sd = np.sqrt(np.diagonal(best.logit_covariance))
-    # draws for a prediction must spread as far as the intervals
-    sd_scale = np.where(sd > 0.0, np.maximum(reach, sd) / np.where(sd > 0.0, sd, 1.0), 1.0)
-    return replace(
-        best,
-        lower95=lower,
-        upper95=upper,
-        draws=_half_each(best.draws, other.draws),
-        identifiable=sure,
-        logit_covariance=best.logit_covariance * np.outer(sd_scale, sd_scale),
-    )
-
-
-def _half_each(one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
-    """Return as many draws, in turn from either law."""
-    if one is None or other is None:
-        return None
-    from_other = (np.arange(len(one)) % 2 == 1)[:, None]
-    return np.where(from_other, other[: len(one)], one)

@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from roomfit.base.logit import Z95, expit
-from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress
+from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.materials.priors import (
     MaterialPrior,
     are_specified,
@@ -48,28 +48,6 @@ _INFORMATION_SHARE = 0.1
 _MOST_MOVED = 3
 
 
-def is_identifiable(
-    chi2_reduced: float,
-    lower95: FloatArray,
-    upper95: FloatArray,
-    sd: FloatArray,
-    prior_sd: FloatArray,
-) -> BoolArray:
-    """Return which absorptions the data determine, shape (n_materials,).
-
-    Reduced chi-square at most 2, 95 % interval no wider than 0.2 in absorption, and a posterior
-    standard deviation in the logit at most half the prior's. Absorptions that are fixed are not
-    asked for: they count as identifiable.
-
-    Shapes: `lower95, upper95` (n_materials,), `sd, prior_sd` (n_materials,).
-    """
-    return np.asarray(
-        (chi2_reduced <= LARGEST_CHI2_REDUCED)
-        & (upper95 - lower95 <= WIDEST_IDENTIFIABLE)
-        & (sd <= 0.5 * prior_sd)
-    )
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class AbsorptionIntervals:
     """Absorption of every material in one band with its 95 % interval."""
@@ -77,7 +55,6 @@ class AbsorptionIntervals:
     absorption: FloatArray  # (n_materials,), and so the next three
     lower95: FloatArray
     upper95: FloatArray
-    identifiable: BoolArray  # by `is_identifiable`; True where an absorption is fixed
     covariance: FloatArray  # (n_free, n_free), of the free vector, misfit included
 
 
@@ -112,13 +89,11 @@ def absorption_intervals(
     shared_sd[block.fitted] = np.sqrt(shared_variance(prior_covariance(block)))
     uninformed &= is_default_prior(block.prior_mean, shared_sd)
     lower, upper = np.where(uninformed, 0.0, lower), np.where(uninformed, 1.0, upper)
-    sure = is_identifiable(chi2_reduced, lower, upper, sd, block.prior_sd)
     leader = leaders(block)
     return AbsorptionIntervals(
         absorption,
         lower[leader],
         upper[leader],
-        (sure | ~block.fitted)[leader],
         np.asarray(covariance, dtype=np.float64),
     )
 
@@ -296,10 +271,9 @@ class MirrorTrial:
 class BandEstimate:
     """Absorption of the materials in one band."""
 
-    absorption: FloatArray  # (n_materials,), and so the next four
+    absorption: FloatArray  # (n_materials,), and so the next three
     lower95: FloatArray
     upper95: FloatArray
-    identifiable: BoolArray
     logit_mean: FloatArray  # logit of the absorption
     # (n_materials, n_materials), its posterior, misfit included; zeros where absorption is fixed
     logit_covariance: FloatArray
@@ -310,6 +284,7 @@ class BandEstimate:
     model: str  # "energy", "coherent", "values", or "prior" where nothing was fitted
     # free numbers of the sources' unknown directivity, (n,), and their covariance, misfit included
     directivity: tuple[FloatArray, FloatArray] | None = None
+    chi2_beside: float = 0.0  # of another model, where its intervals are joined to these
     # how each interval was made: "gaussian", "profile", "given", or "none" where the
     # data determine nothing; empty: all Gaussian
     kinds: tuple[str, ...] = ()
@@ -344,7 +319,7 @@ class FittedBand:
     fit: BandFit | None = None
 
 
-Refine: TypeAlias = Callable[[FittedBand, Progress | None], BandEstimate]
+Refine: TypeAlias = Callable[[FittedBand], BandEstimate]
 
 SharedCovariance: TypeAlias = Callable[[int, Objective, BandFit], BandFit]
 
@@ -368,7 +343,6 @@ def band_estimate(parameters: Parameters, fit: BandFit, model: str) -> BandEstim
         found.absorption,
         found.lower95,
         found.upper95,
-        found.identifiable,
         to_free(block, found.absorption),
         covariance,
         fit.chi2_reduced,
@@ -470,7 +444,6 @@ def prior_only_band(priors: tuple[MaterialPrior, ...], band: int) -> BandEstimat
         absorption,
         least,
         most,
-        fixed,
         free,
         covariance,
         0.0,
