@@ -57,7 +57,7 @@ from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.uncertainty.combinations import determined
 from roomfit.uncertainty.gaussian import BandEstimate
-from roomfit.uncertainty.intervals import Refinement
+from roomfit.uncertainty.intervals import Refinement, identifiable_by_rule
 
 BANDS = bands_between("octave", 125, 4000)
 N_RAYS = 15_000
@@ -213,7 +213,7 @@ def solved(
     case: Case, problems: tuple[Objective | None, ...], n_draws: int = 0
 ) -> tuple[BandEstimate, ...]:
     """Fit every band."""
-    refine = Refinement("gaussian", 1, n_draws=n_draws)
+    refine = Refinement(False, 1, n_draws=n_draws)
     return tuple(
         refine(fitted_band(b, problem, case.priors, Settings()))
         for b, problem in enumerate(problems)
@@ -271,7 +271,7 @@ def print_combinations(case: Case, answers: tuple[BandEstimate, ...]) -> None:
     absorption = absorption_of(answers)
     covariance = np.stack([a.logit_covariance for a in answers])
     areas = material_areas_m2(case.scene.room)
-    sure = np.array([a.identifiable for a in answers])
+    sure = identifiable_by_rule(answers, case.priors)
     print(
         f"identifiable by themselves: {sure.sum()} of {sure.size}; phi "
         + " ".join(f"{a.chi2_reduced:.2f}" for a in answers)

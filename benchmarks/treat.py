@@ -30,6 +30,7 @@ from roomfit.base.polygon import Face
 from roomfit.base.polygon import Surface as MeshSurface
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.fit.measurements import observe
+from roomfit.predict.other_walls import PreparedRoom
 from roomfit.predict.predict import ChangingRoom, prepare
 from roomfit.predict.question import Question
 from roomfit.result import absorption_posterior
@@ -177,6 +178,7 @@ def speed() -> None:
         before = mean_values(room, room.absorption.absorption[None])[0, T30]
         targets = [Target("T30_s", high=float(0.8 * before[2:5].max()))]
         began, cpu = time.perf_counter(), time.process_time()
+        assert isinstance(room, PreparedRoom)
         answer = treat(room, surfaces, products, targets, number=3)
         print(
             f"{n_surfaces} surfaces x {n_products} products, {len(room.few)} pairs, 6 bands: "

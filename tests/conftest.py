@@ -43,7 +43,6 @@ LONGEST = (
     "fit/test_states.py",
     "report/test_progress.py",
     "files/test_bad_input.py",
-    "pressures/test_fit.py",
     "impedance/test_fit.py",
     "fit/test_directivity.py",
     "checks/test_arrivals.py",
