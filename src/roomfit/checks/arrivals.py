@@ -17,15 +17,15 @@ from scipy.special import chdtrc
 
 from roomfit.base.air import speed_of_sound_m_s
 from roomfit.base.errors import InputError
-from roomfit.base.findings import About, Code, Finding
+from roomfit.base.findings import Code, Finding
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.checks.evidence import (
     UNDECIDED,
     ArrivalVerdict,
-    ClockCorrection,
     Law,
     Recorded,
-    pair_of,
+    about_files,
+    files_in_words,
 )
 from roomfit.model.observation import DEFAULT_POSITION_SD_M
 from roomfit.room.scene import Point, Scene
@@ -112,30 +112,14 @@ def arrival_verdicts(
     receivers that are displaced together; coordinates in another unit; every file begins long
     before, each at another instant; two files, or two points, exchanged; one point displaced.
 
-    Parameters
-    ----------
-    scene : Scene
-    measurements : sequence of Measurement
-        Of sources and receivers of the scene.
-
-    Returns
-    -------
-    tuple of ArrivalVerdict
-        Of one cause; several where sources have delays of their own, or a delay beside a displaced
-        point.
+    Several verdicts where sources have delays of their own, or a delay beside a displaced point.
     """
     found = _arrivals(scene, measurements)
     if found is None:
         return ()
     off = np.abs(found.late_m) > found.tolerance_m
     if off.any():
-        for cause in (
-            _begin_at_direct,
-            _likeliest,
-            _other_unit,
-            _begin_anywhere,
-            _exchanged,
-        ):
+        for cause in (_begin_at_direct, _likeliest, _other_unit, _begin_anywhere, _exchanged):
             verdicts = cause(found)
             if verdicts:
                 return verdicts
@@ -183,15 +167,6 @@ def _distances_m(source: Sequence[Point], receiver: Sequence[Point]) -> FloatArr
     return np.asarray(np.linalg.norm(np.array(at[0]) - np.array(at[1]), axis=1))
 
 
-def files_in_words(measurements: Sequence[Measurement], n_all: int) -> str:
-    """Return which of so many files, four of them by their names."""
-    names = ", ".join(m.name for m in measurements[:4])
-    if len(measurements) == n_all:
-        return f"all {n_all} files"
-    more = f" and {len(measurements) - 4} more" if len(measurements) > 4 else ""
-    return f"{len(measurements)} of {n_all} files ({names}{more})"
-
-
 def _begin_at_direct(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
     """Every file was cut at its direct sound: onsets are alike on the files' own clocks."""
     own_m = found.path_m + found.speed_m_s * np.array([m.latency_s for m in found.measurements])
@@ -210,13 +185,9 @@ def _begin_at_direct(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
 
 def _begins_at_direct(found: _Arrivals, text: str) -> ArrivalVerdict:
     """Return that the first sample of every file tells nothing of when the sound was emitted."""
-    about = _about(found.measurements)
+    about = about_files(*found.measurements)
     finding = Finding(Code.RECORDINGS_LATE, about, text, {"time_zero": "direct"})
-    return ArrivalVerdict(finding, ClockCorrection((), time_zero="direct"))
-
-
-def _about(measurements: Sequence[Measurement]) -> About:
-    return About(files=[m.where for m in measurements], pairs=[pair_of(m) for m in measurements])
+    return ArrivalVerdict(finding, time_zero="direct")
 
 
 class _Explanation(NamedTuple):
@@ -262,11 +233,7 @@ def _evidence(
     Student's t with four degrees of freedom, since onsets of real loudspeakers scatter by more than
     a centimetre.
 
-    Parameters
-    ----------
-    columns : float array, shape (n_files, n_unknowns)
-        Derivatives of the arrivals in m.
-    ranges : float array, shape (n_unknowns,)
+    `columns` (n_files, n_unknowns) are derivatives of the arrivals in m, `ranges` (n_unknowns,).
     """
     white = _whitening(found)
     chi2, own = float(np.sum((white @ rest_m) ** 2)), white @ columns
@@ -347,10 +314,9 @@ def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> Arr
         f"{who[0].upper()}{who[1:]} {how} "
         f'({samples:.0f} samples): {advice} or time_zero = "unknown".'
     )
-    files = tuple(m.where for m in measurements)
-    evidence = {"late_s": late_s, "latency_s": latency_s, "files": list(files)}
-    finding = Finding(Code.RECORDINGS_LATE, _about(measurements), text, evidence)
-    return ArrivalVerdict(finding, ClockCorrection(files, late_s))
+    evidence = {"late_s": late_s, "latency_s": latency_s, "files": [m.where for m in measurements]}
+    finding = Finding(Code.RECORDINGS_LATE, about_files(*measurements), text, evidence)
+    return ArrivalVerdict(finding, late_s)
 
 
 def _stretched(found: _Arrivals) -> _Explanation | None:
@@ -406,9 +372,8 @@ def _receivers_displaced(found: _Arrivals) -> _Explanation | None:
         "a delay. Measure them again, or compare the origins of both lists."
     )
     points = {p.name: p.position_m for p in found.receiver}.values()
-    about = replace(
-        _about(found.measurements), points_m=[(float(x), float(y), float(z)) for x, y, z in points]
-    )
+    points_m = [p.tolist() for p in points]
+    about = replace(about_files(*found.measurements), points_m=points_m)
     numbers = {"receivers": sorted(names), "metres": size_m, "shift_m": shift_m.tolist()}
     finding = Finding(Code.DISPLACEMENT_DETECTED, about, text, numbers)
     return _Explanation(evidence, words, (ArrivalVerdict(finding),))
@@ -420,7 +385,7 @@ def _scaled(factor: float, unit: str, what: str, found: _Arrivals) -> ArrivalVer
         f"{factor:.4g} times as far apart: {what}. Compare the positions, the unit of the room "
         "and the files."
     )
-    about = _about(found.measurements)
+    about = about_files(*found.measurements)
     evidence = {"factor": factor, **({"unit": unit} if unit else {})}
     return ArrivalVerdict(Finding(Code.COORDINATES_SCALED, about, text, evidence))
 
@@ -451,19 +416,14 @@ def _begin_anywhere(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
 def with_corrected_clocks(
     measurements: Sequence[Measurement], verdicts: Sequence[ArrivalVerdict]
 ) -> list[Measurement]:
-    """Return recordings on the clocks that the verdicts say to set.
-
-    In their order; those of which nothing is said as they are.
-    """
+    """Return recordings on the clocks that the verdicts say to set."""
     corrected = []
     for m in measurements:
-        for correction in (v.correction for v in verdicts if v.correction is not None):
-            if m.time_zero != "emission":
-                continue
-            if correction.time_zero is not None:
-                m = replace(m, time_zero=correction.time_zero)
-            elif m.where in correction.files:
-                m = replace(m, latency_s=m.latency_s + correction.late_s)
+        for v in verdicts:
+            if m.time_zero == "emission" and v.time_zero is not None:
+                m = replace(m, time_zero=v.time_zero)
+            elif m.time_zero == "emission" and v.late_s and m.where in v.finding.about.files:
+                m = replace(m, latency_s=m.latency_s + v.late_s)
         corrected.append(m)
     return corrected
 
@@ -490,7 +450,7 @@ def _exchanged(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
                 f"({a.source} to {a.receiver}, {b.source} to {b.receiver})."
             )
             evidence = {"files": [a.where, b.where]}
-            return (ArrivalVerdict(Finding(Code.EXCHANGED, _about((a, b)), text, evidence)),)
+            return (ArrivalVerdict(Finding(Code.EXCHANGED, about_files(a, b), text, evidence)),)
     exchanges = [(who, e) for who, e, at_m in _two_exchanged(found, off) if mends(at_m)]
     if len(exchanges) != 1:
         return ()
@@ -501,7 +461,7 @@ def _exchanged(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
     )
     sources, receivers = exchange.get("sources", []), exchange.get("receivers", [])
     both = [m for m in found.measurements if m.source in sources or m.receiver in receivers]
-    return (ArrivalVerdict(Finding(Code.EXCHANGED, _about(both), text, exchange)),)
+    return (ArrivalVerdict(Finding(Code.EXCHANGED, about_files(*both), text, exchange)),)
 
 
 def _two_exchanged(
@@ -618,9 +578,5 @@ def _displacement(
         f"sounds arrive as if it were {each}; those of all other positions agree. Measure it again."
     )
     evidence = {kind: name, "metres": size_m, "files": [m.where for m in chosen]}
-    about = About(
-        files=[m.where for m in chosen],
-        pairs=[pair_of(m) for m in chosen],
-        points_m=[(float(x), float(y), float(z)) for x, y, z in [point.position_m]],
-    )
+    about = replace(about_files(*chosen), points_m=[point.position_m.tolist()])
     return (ArrivalVerdict(Finding(Code.DISPLACEMENT_DETECTED, about, text, evidence)),)

@@ -1,11 +1,12 @@
-"""What a check may look at, and what it states of itself: its null hypothesis and its level."""
+"""What checks may look at, and what each states of itself: its null hypothesis and its level."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
-from roomfit.base.findings import Finding
+from roomfit.base.findings import About, Finding
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.fit.fits import BandFits
 from roomfit.fit.measurements import Measurements
@@ -15,14 +16,12 @@ from roomfit.result import ComparedPair
 from roomfit.settings import Settings
 from roomfit.signals.measurement import Measurement
 
+# Of log-likelihood, unknowns counted: explanations that are no farther apart are both named.
+UNDECIDED = 2.0
 
-@dataclass(frozen=True, slots=True)
-class Law:
-    """The test behind a finding.
 
-    How often a finding was raised in rooms where it should not have been stands in
-    docs/findings.md.
-    """
+class Law(NamedTuple):
+    """The test behind a finding; how often it was wrong in right rooms: docs/findings.md."""
 
     null: str  # what holds in a room of which it is not raised
     statistic: str  # what is compared with what
@@ -32,23 +31,12 @@ class Law:
 
 
 @dataclass(frozen=True, slots=True)
-class ClockCorrection:
-    """By how much the clock of some recordings is to be corrected."""
-
-    files: tuple[str, ...]  # as `Measurement.where`
-    late_s: float = 0.0  # to be added to their latency
-    time_zero: Literal["direct"] | None = None  # to be set in place of "emission"
-
-
-@dataclass(frozen=True, slots=True)
 class ArrivalVerdict:
-    """One cause of arrivals that contradict the geometry, and what corrects it where that is known.
-
-    See `roomfit.checks.arrivals.arrival_verdicts`.
-    """
+    """One cause of arrivals that contradict the geometry, and how clocks are to be set for it."""
 
     finding: Finding
-    correction: ClockCorrection | None = None
+    late_s: float = 0.0  # to be added to the latency of the finding's files
+    time_zero: Literal["direct"] | None = None  # of all files, in place of "emission"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,15 +69,25 @@ class Evidence(Recorded):
         return self.measured.scene.room.materials
 
 
+def pair_of(m: Measurement) -> tuple[str, str]:
+    """Return the source and the receiver of a recording, as findings name them."""
+    return m.source, m.receiver
+
+
+def about_files(*measurements: Measurement) -> About:
+    """Return what concerns recordings and their pairs."""
+    return About(files=[m.where for m in measurements], pairs=[pair_of(m) for m in measurements])
+
+
 def file_name(m: Measurement) -> str:
     """Return a recording in words: its pair and its file."""
     return f"{m.source} to {m.receiver} ({m.name})"
 
 
-# Of log-likelihood, unknowns counted: explanations that are no farther apart are both named.
-UNDECIDED = 2.0
-
-
-def pair_of(m: Measurement) -> tuple[str, str]:
-    """Return the source and the receiver of a recording, as findings name them."""
-    return m.source, m.receiver
+def files_in_words(measurements: Sequence[Measurement], n_all: int) -> str:
+    """Return which of so many files, four of them by their names."""
+    names = ", ".join(m.name for m in measurements[:4])
+    if len(measurements) == n_all:
+        return f"all {n_all} files"
+    more = f" and {len(measurements) - 4} more" if len(measurements) > 4 else ""
+    return f"{len(measurements)} of {n_all} files ({names}{more})"

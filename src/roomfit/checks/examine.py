@@ -1,6 +1,6 @@
 """All checks, in the order in which their findings are reported, and what each may look at.
 
-A new check is a function in a file of its own, and a line here.
+A new check is a function of the evidence in the module of its idea, with its law, and a line here.
 """
 
 from __future__ import annotations
@@ -18,30 +18,15 @@ from roomfit.base.forks import in_forks
 from roomfit.base.typing import FloatArray
 from roomfit.checks import (
     arrivals,
-    convergence,
-    copies,
     decay,
-    displacement,
+    fit,
     levels,
-    minima,
-    mirrors,
-    misfit,
-    missing_data,
-    noise_gate,
-    noise_tail,
-    outliers,
-    polarity,
+    noise,
     positions,
-    prior,
     recordings,
     reflections,
-    repeats,
-    scattering,
-    schroeder,
-    source_patterns,
-    trace,
-    unreached,
-    wall_positions,
+    room,
+    walls,
 )
 from roomfit.checks.evidence import Evidence, Recorded
 from roomfit.fit.compare import compare_all
@@ -70,42 +55,42 @@ FittedCheck: TypeAlias = Callable[[Evidence], Iterable[Finding]]
 
 BEFORE_THE_FIT: tuple[RecordedCheck, ...] = (
     arrivals.check,
-    levels.check,
-    polarity.check,
+    levels.check_levels,
+    levels.check_polarity,
     recordings.check_tables,
-    copies.check,
-    recordings.check,
-    repeats.check,
-    wall_positions.check,
+    recordings.check_copies,
+    recordings.check_single,
+    recordings.check_repeats,
+    walls.check,
 )
 
 AFTER_THE_FIT: tuple[FittedCheck, ...] = (
-    missing_data.check_recordings,
-    trace.check,
-    unreached.check,
-    scattering.check_chosen,
-    noise_tail.check,
-    scattering.check,
+    recordings.check_below_noise,
+    room.check_trace,
+    room.check_reached,
+    room.check_chosen_scattering,
+    noise.check_window,
+    room.check_scattering,
     positions.check_specified,
-    missing_data.check_bands,
-    outliers.check,
+    fit.check_data,
+    recordings.check_outliers,
     positions.check_inflated,
     positions.check_delays,
     positions.check_fixed,
-    source_patterns.check,
+    room.check_sources,
     positions.check_shifts,
-    displacement.check,
-    noise_gate.check,
-    misfit.check_bands,
-    convergence.check,
-    misfit.check,
-    minima.check_starts,
-    prior.check,
-    prior.check_assumed,
-    schroeder.check,
+    positions.check_displacement,
+    noise.check_gate,
+    fit.check_bands,
+    fit.check_convergence,
+    fit.check_misfit,
+    fit.check_starts,
+    fit.check_prior,
+    fit.check_assumed,
+    room.check_schroeder,
     decay.check,
     reflections.check,
-    mirrors.check,
+    fit.check_mirrors,
 )
 
 

@@ -1,4 +1,4 @@
-"""Whether recordings that share a gain have one level."""
+"""Whether recordings that share a gain have one level, and those of one source one polarity."""
 
 from __future__ import annotations
 
@@ -6,27 +6,34 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from roomfit.base.findings import About, Code, Finding
+from roomfit.base.findings import Code, Finding
 from roomfit.base.typing import FloatArray
-from roomfit.checks.evidence import Law, Recorded, pair_of
-from roomfit.checks.polarity import direct_sound
-from roomfit.signals.measurement import MeasuredPair
+from roomfit.checks.evidence import Law, Recorded, about_files, files_in_words
+from roomfit.signals.measurement import MeasuredPair, Measurement
+from roomfit.signals.response import find_onset, times_s
 
 # The reverberant level of a source varies by 1 to 2 dB over a room, the direct sound's more. Two
 # files say nothing of how alike others are: of 87 right rooms with loudspeakers 3 made 4 to 4.7 dB.
 _LEAST_STEP_DB, _LEAST_STEP_OF_TWO_DB, _WITHIN_DB, _DIRECT_WITHIN_DB = 4.0, 5.0, 1.2, 2.0
 _LATE_S = 0.05
+_FEWEST_SIGNS = 3
+_DIRECT_S, _BEFORE_S = 1.5e-3, 0.3e-3
+_LIKENESS = 0.6  # of two direct sounds, whose sign it decides
 
 LAWS = {
     Code.LEVELS_APART: Law(
         "recordings of one source and state share their gain",
         "the largest step between reverberant levels, which direct sounds make as well; or peaks "
         "that are equal to 16 bits",
-    )
+    ),
+    Code.POLARITY_DIFFERS: Law(
+        "recordings of one source have one polarity",
+        "the sign of the largest correlation of direct sounds, where that exceeds 0.6",
+    ),
 }
 
 
-def check(evidence: Recorded) -> Iterator[Finding]:
+def check_levels(evidence: Recorded) -> Iterator[Finding]:
     """Yield a finding where recordings that share a gain fall into two levels apart.
 
     Or have the same peak each, as files that were normalised one by one. Else compared are the
@@ -41,34 +48,25 @@ def check(evidence: Recorded) -> Iterator[Finding]:
             key = "" if own.level == "absolute" else own.source
             groups.setdefault((key, own.state), []).append(m)
     for group in groups.values():
-        peaks = [_peak(m) for m in group]
-        if len(group) > 2 and _is_levelled(peaks, [m.direct_s for m in group]):
-            yield _levelled(group, peaks[0])
-            continue
-        late_db, direct_db = _late_levels_db(group), _direct_levels_db(group)
-        if len(group) < 2 or not np.all(np.isfinite(late_db) & np.isfinite(direct_db)):
-            continue
-        order = np.argsort(late_db)
-        steps = np.diff(late_db[order])
-        at = int(np.argmax(steps)) + 1
-        low, high = order[:at], order[at:]
-        step_db = float(np.median(late_db[high]) - np.median(late_db[low]))
-        apart_db = float(np.median(direct_db[high]) - np.median(direct_db[low]))
-        alike = max(np.std(late_db[low]), np.std(late_db[high])) <= _WITHIN_DB
-        least_db = _LEAST_STEP_DB if len(group) > 2 else _LEAST_STEP_OF_TWO_DB
-        if steps[at - 1] < least_db or not alike or abs(step_db - apart_db) > _DIRECT_WITHIN_DB:
-            continue
-        odd, louder = (high, True) if len(high) <= len(low) else (low, False)
-        files = [group[i].measurement for i in odd]
-        text = (
-            f"{', '.join(m.name for m in files[:4])}{' and more' if files[4:] else ''}: "
-            f"{step_db:.1f} dB {'louder' if louder else 'softer'} than the other "
-            f"{len(group) - len(files)} files of {files[0].source}, direct sound and decay alike, "
-            'as by another gain: set level = "per-file", or correct the levels.'
-        )
-        about = About(files=[m.where for m in files], pairs=[pair_of(m) for m in files])
-        numbers = {"step_db": step_db, "files": [m.where for m in files]}
-        yield Finding(Code.LEVELS_APART, about, text, numbers)
+        finding = _levelled(group) or _stepped(group)
+        if finding is not None:
+            yield finding
+
+
+def _levelled(group: Sequence[MeasuredPair]) -> Finding | None:
+    """Return that all have one peak, to 16 bits, although direct sounds travel 1 dB apart."""
+    peaks, direct_s = np.array([_peak(m) for m in group]), [m.direct_s for m in group]
+    alike = bool(np.ptp(peaks) <= 1e-4 * peaks.max())  # False with NaN
+    if len(group) < 3 or not alike or max(direct_s) <= 1.12 * min(direct_s):
+        return None
+    files, peak = [m.measurement for m in group], float(peaks[0])
+    text = (
+        f"All {len(files)} files of {', '.join(dict.fromkeys(f.source for f in files))} have the "
+        f"same peak, {peak:.3g}, at unlike distances: they were normalised one by one, and their "
+        'levels say nothing. Set level = "per-file", or export them without normalisation.'
+    )
+    numbers = {"peak": peak, "files": [m.where for m in files]}
+    return Finding(Code.LEVELS_APART, about_files(*files), text, numbers)
 
 
 def _peak(m: MeasuredPair) -> float:
@@ -78,25 +76,31 @@ def _peak(m: MeasuredPair) -> float:
     return peak if np.count_nonzero(sizes > 0.9999 * peak) == 1 else np.nan
 
 
-def _is_levelled(peaks: Sequence[float], direct_s: Sequence[float]) -> bool:
-    """Whether all files have one peak, although direct sounds travel distances 1 dB apart."""
-    known = np.array(peaks)
-    # to 16 bits; False with NaN
-    alike = bool(np.ptp(known) <= 1e-4 * known.max())
-    return alike and max(direct_s) > 1.12 * min(direct_s)
-
-
-def _levelled(group: Sequence[MeasuredPair], peak: float) -> Finding:
-    files = [m.measurement for m in group]
+def _stepped(group: Sequence[MeasuredPair]) -> Finding | None:
+    """Return that levels of direct sound and decay fall into two groups, by another gain."""
+    late_db, direct_db = _late_levels_db(group), _direct_levels_db(group)
+    if len(group) < 2 or not np.all(np.isfinite(late_db + direct_db)):
+        return None
+    order = np.argsort(late_db)
+    steps = np.diff(late_db[order])
+    at = int(np.argmax(steps)) + 1
+    low, high = order[:at], order[at:]
+    step_db = float(np.median(late_db[high]) - np.median(late_db[low]))
+    apart_db = float(np.median(direct_db[high]) - np.median(direct_db[low]))
+    alike = max(np.std(late_db[low]), np.std(late_db[high])) <= _WITHIN_DB
+    least_db = _LEAST_STEP_DB if len(group) > 2 else _LEAST_STEP_OF_TWO_DB
+    if steps[at - 1] < least_db or not alike or abs(step_db - apart_db) > _DIRECT_WITHIN_DB:
+        return None
+    odd, louder = (high, True) if len(high) <= len(low) else (low, False)
+    files = [group[i].measurement for i in odd]
     text = (
-        f"All {len(files)} files of {', '.join(dict.fromkeys(f.source for f in files))} have the "
-        f"same peak, {peak:.3g}, at unlike distances: they were normalised one by one, and their "
-        'levels say nothing. Set level = "per-file", or export them without normalisation.'
+        f"{', '.join(m.name for m in files[:4])}{' and more' if files[4:] else ''}: "
+        f"{step_db:.1f} dB {'louder' if louder else 'softer'} than the other "
+        f"{len(group) - len(files)} files of {files[0].source}, direct sound and decay alike, "
+        'as by another gain: set level = "per-file", or correct the levels.'
     )
-    about = About(files=[m.where for m in files], pairs=[pair_of(m) for m in files])
-    return Finding(
-        Code.LEVELS_APART, about, text, {"peak": peak, "files": [m.where for m in files]}
-    )
+    numbers = {"step_db": step_db, "files": [m.where for m in files]}
+    return Finding(Code.LEVELS_APART, about_files(*files), text, numbers)
 
 
 def _late_levels_db(group: Sequence[MeasuredPair]) -> FloatArray:
@@ -117,7 +121,52 @@ def _late_levels_db(group: Sequence[MeasuredPair]) -> FloatArray:
 
 
 def _direct_levels_db(group: Sequence[MeasuredPair]) -> FloatArray:
-    c_distances = np.array([m.direct_s for m in group])
-    energies = np.array([float(np.sum(direct_sound(m) ** 2)) for m in group])
+    energies = np.array([float(np.sum(_direct_sound(m) ** 2)) for m in group])
     with np.errstate(divide="ignore"):
-        return np.asarray(10.0 * np.log10(energies) + 20.0 * np.log10(c_distances))
+        return np.asarray(10.0 * np.log10(energies) + 20.0 * np.log10([m.direct_s for m in group]))
+
+
+def check_polarity(evidence: Recorded) -> Iterator[Finding]:
+    """Yield a finding where some recordings have the opposite polarity of the others.
+
+    By the sign of the largest correlation of direct sounds of one source. Fits by energies, and by
+    pressures whose sign is free, are not affected; a cable or a channel is other than supposed.
+    """
+    measured = evidence.measured.responses
+    by_source: dict[str, list[MeasuredPair]] = {}
+    for m in measured:
+        by_source.setdefault(m.measurement.source, []).append(m)
+    inverted: list[Measurement] = []
+    for group in by_source.values():
+        sounds = [_direct_sound(m) for m in group]
+        strongest = int(np.argmax([float(np.max(np.abs(s), initial=0.0)) for s in sounds]))
+        signs = np.array([_sign(s, sounds[strongest]) for s in sounds])
+        if np.count_nonzero(signs) >= _FEWEST_SIGNS:
+            odd = 1 if np.sum(signs) < 0 else -1
+            minority = [m.measurement for m, s in zip(group, signs, strict=True) if s == odd]
+            inverted += minority if 2 * len(minority) < np.count_nonzero(signs) else []
+    if inverted:
+        who = files_in_words(inverted, len(measured))
+        yield Finding(
+            Code.POLARITY_DIFFERS,
+            about_files(*inverted),
+            f"{who[0].upper()}{who[1:]} have the opposite polarity of the others of their source: "
+            "a cable, a channel or a microphone differs. The fit does not depend on it.",
+            {"files": [m.where for m in inverted]},
+        )
+
+
+def _sign(sound: FloatArray, reference: FloatArray) -> int:
+    """Return the sign of the largest correlation, 0 where the two are not alike."""
+    norm = float(np.linalg.norm(sound) * np.linalg.norm(reference))
+    if norm == 0.0:
+        return 0
+    likeness = np.correlate(sound, reference, mode="full") / norm
+    best = float(likeness[int(np.argmax(np.abs(likeness)))])
+    return 0 if abs(best) < _LIKENESS else int(np.sign(best))
+
+
+def _direct_sound(m: MeasuredPair) -> FloatArray:
+    """Return the samples about the onset, as measured."""
+    since_s = times_s(m.response) - find_onset(m.response, m.measurement.where)
+    return np.asarray(m.response.pressure[(since_s >= -_BEFORE_S) & (since_s <= _DIRECT_S)])

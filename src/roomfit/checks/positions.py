@@ -1,4 +1,4 @@
-"""Whether arrival times agree with the specified positions, speed of sound and latencies.
+"""Whether arrivals agree with the specified positions, lengths, speed of sound and latencies.
 
 Positions and delays that the settings fix are fitted for comparison, and a doubt is raised where
 the data are far likelier then.
@@ -12,8 +12,9 @@ import numpy as np
 
 from roomfit.base.findings import About, Code, Finding
 from roomfit.checks.evidence import Evidence, Law
+from roomfit.fit.displacement import AXES, WORTH_TELLING_M
+from roomfit.fit.fits import Displacement
 from roomfit.model.observation import DEFAULT_POSITION_SD_M
-from roomfit.pressures.geometry import LEVEL
 from roomfit.room.scene import Scene
 
 # In prior standard deviations: beyond it, of some thirty unknowns one moves by chance once in 70.
@@ -33,7 +34,7 @@ LAWS = {
     Code.POSITION_UNCERTAINTY_INFLATED: Law(
         "positions are off by their specified standard deviations",
         "mean square of all coordinates' shifts in standard deviations, chi-square",
-        round(1.0 - LEVEL, 6),
+        0.001,
     ),
     Code.REFLECTION_DELAY_DETECTED: Law(
         "walls reflect without delay", "log-likelihood gained by a delay of each wall"
@@ -45,6 +46,10 @@ LAWS = {
         "shifts have their normal priors",
         "the largest shift in prior standard deviations, above 3.5",
         1.0 / 70.0,  # of some thirty unknowns
+    ),
+    Code.DISPLACEMENT_DETECTED: Law(
+        "groups of positions, and lengths, are within 3.5 standard deviations of the specified",
+        "log-likelihood of early windows gained by one displacement beyond these, above 10",
     ),
 }
 
@@ -136,10 +141,69 @@ def check_shifts(evidence: Evidence) -> Iterator[Finding]:
 
 def _about_points(scene: Scene, labels: Collection[str]) -> About:
     """Return what concerns points that are named as "source LS1" or "receiver MP1"."""
-    points_m = [
-        p.position_m
-        for kind, points in zip(_KINDS, (scene.sources, scene.receivers), strict=True)
-        for p in points
-        if f"{kind} {p.name}" in labels
-    ]
-    return About(points_m=[(float(x), float(y), float(z)) for x, y, z in points_m])
+    return About(
+        points_m=[
+            p.position_m.tolist()
+            for kind, points in zip(_KINDS, (scene.sources, scene.receivers), strict=True)
+            for p in points
+            if f"{kind} {p.name}" in labels
+        ]
+    )
+
+
+def check_displacement(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding where one displacement is farther than its standard deviation allows."""
+    found = evidence.fits.displacement
+    if found is None:
+        return
+    gain, farther_m, ends = round(found.gain, 1), found.farther_m, ""
+    if farther_m:
+        ends = "; counted from all positions " + " and ".join(
+            f"{w} is {_metres(x, s, '+')} farther" for w, (x, s) in farther_m.items()
+        )
+    scene = evidence.measured.scene
+    points = [p for p in (*scene.sources, *scene.receivers) if p.name in found.points]
+    numbers = {
+        "what": found.kind,
+        "axis": AXES[found.axis],
+        "metres": round(found.size_m, 3),
+        "sd_m": round(found.sd_m, 3),
+        "specified_sd_m": found.specified_sd_m,
+        "log_likelihood_gain": gain,
+    }
+    if farther_m is not None:
+        numbers["metres_farther"] = {w: list(pair) for w, pair in farther_m.items()}
+    yield Finding(
+        Code.DISPLACEMENT_DETECTED,
+        About(points_m=[p.position_m.tolist() for p in points]),
+        f"By early reflections {_in_words(found)}, which raises the log-likelihood by "
+        f"{gain:.0f}; {found.specified_sd_m:g} m is its standard deviation{ends}. "
+        "Absorption compensates for it, so that no material is called identifiable. Measure it "
+        "again, or state how well it is known: [groups] or lengths_sd.",
+        numbers,
+    )
+
+
+def _in_words(found: Displacement) -> str:
+    """Return what stands elsewhere, and by how much."""
+    axis, size_m, walls = AXES[found.axis], found.size_m, found.walls
+    size = _metres(abs(size_m), found.sd_m)
+    if found.sd_m >= WORTH_TELLING_M:  # no top, so far as second differences say
+        size = f"about {abs(size_m):.1f} m"
+    if found.points:
+        towards = f", towards {walls[int(size_m > 0.0)]}" if walls else ""
+        sign = "+" if size_m > 0.0 else "-"
+        return f"{found.kind} stand {size} farther along {sign}{axis}{towards}, than specified"
+    if found.kind == "wall":
+        side = "inside" if size_m < 0.0 else "outside"
+        return f"{walls[0]} stands {size} {side} of where it is specified"
+    order = "longer" if size_m > 0.0 else "shorter"
+    return (
+        f"the room is {size} {order} along {axis} than specified, as if {walls[1]} stood elsewhere"
+    )
+
+
+def _metres(x_m: float, sd_m: float, sign: str = "") -> str:
+    """Return a length with its standard deviation, never of 0.00 m."""
+    digits = 2 if sd_m >= 0.005 else 3
+    return f"{x_m:{sign}.{digits}f} +- {sd_m:.{digits}f} m"

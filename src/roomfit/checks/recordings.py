@@ -1,13 +1,44 @@
-"""Whether each recording and table by itself is sound."""
+"""Whether recordings and tables are sound, each by itself and beside the others."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import combinations
+
+import numpy as np
 
 from roomfit.base.air import speed_of_sound_m_s
-from roomfit.base.findings import Code, Finding
-from roomfit.checks.evidence import Recorded
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.typing import FloatArray
+from roomfit.checks.evidence import Evidence, Law, Recorded, about_files, file_name, pair_of
 from roomfit.fit.measurements import recording_findings
+from roomfit.model.observation import has_data_in_band
+from roomfit.signals.decay import ParameterName, in_jnd
+from roomfit.signals.measurement import MeasuredPair
+
+# More than a listener's smallest step by a factor that no repetition at one place explains.
+_LARGEST_JND, _LARGEST_LEVEL_DB = 2.0, 1.5
+_COMPARED: tuple[ParameterName, ...] = ("T20_s", "EDT_s", "C80_dB")
+
+_EQUAL = Law(
+    "no two recordings are equal, sample by sample",
+    "equality of samples, up to a factor and a delay",
+)
+LAWS = {
+    Code.RECORDING_COUNTED_ONCE: _EQUAL,
+    Code.RECORDING_OF_TWO_PAIRS: _EQUAL,
+    Code.REPEATED_RESPONSES_DIFFER: Law(
+        "two responses of one pair have the same decays and levels",
+        "difference of T20, EDT or C80 in just noticeable differences, of levels in dB",
+    ),
+    Code.RECORDING_BELOW_NOISE: Law(
+        "a decay rises above the noise", "the fitted model of decay and noise of a band"
+    ),
+    Code.MEASUREMENT_OUTLIER: Law(
+        "all recordings are explained alike",
+        "misfit of a recording over the median of all, in the median band, above 4",
+    ),
+}
 
 
 def check_tables(evidence: Recorded) -> Iterator[Finding]:
@@ -15,7 +46,7 @@ def check_tables(evidence: Recorded) -> Iterator[Finding]:
     yield from evidence.measured.findings
 
 
-def check(evidence: Recorded) -> Iterator[Finding]:
+def check_single(evidence: Recorded) -> Iterator[Finding]:
     """Yield what is doubtful of each recording by itself.
 
     Where arrivals have one cause, it is not repeated for every recording.
@@ -24,3 +55,101 @@ def check(evidence: Recorded) -> Iterator[Finding]:
     for finding in recording_findings(measured.responses, speed_of_sound_m_s(measured.scene.air)):
         if not (evidence.arrivals and finding.code is Code.TIME_ZERO_MISMATCH):
             yield finding
+
+
+def check_copies(evidence: Recorded) -> Iterator[Finding]:
+    """Yield a finding for each copy: left out where it stands where the first one does."""
+    for copy in evidence.measured.copies:
+        one, other = copy.one, copy.other
+        files = [one.where, other.where]
+        about = About(files=files, pairs=tuple(dict.fromkeys((pair_of(one), pair_of(other)))))
+        said = f"{file_name(one)} and {file_name(other)} are one recording, sample by sample"
+        numbers = {"files": files, "metres_apart": round(copy.apart_m, 4)}
+        if copy.is_left_out:
+            text = f"{said}: it was counted once."
+            yield Finding(Code.RECORDING_COUNTED_ONCE, about, text, numbers)
+        else:
+            text = (
+                f"{said}, of places that are {copy.apart_m:.2f} m apart or of two states of the "
+                "room: one of them is wrong. No material is called identifiable."
+            )
+            yield Finding(Code.RECORDING_OF_TWO_PAIRS, about, text, numbers)
+
+
+def check_repeats(evidence: Recorded) -> Iterator[Finding]:
+    """Yield a finding for each pair that was measured twice with results that differ.
+
+    Compared are T20, EDT and C80, by more than 2 just noticeable differences, and the levels of the
+    bands where they are said to be alike (measurements of one source that share its gain), by more
+    than 1.5 dB. Nothing but the two responses is used: no position, no model.
+    """
+    for one, other in combinations(evidence.measured.responses, 2):
+        ways = _differing(one, other) if one.pair == other.pair else []
+        if not ways:
+            continue
+        own, pair = one.measurement, pair_of(one.measurement)
+        files = [own.where, other.measurement.where]
+        yield Finding(
+            Code.REPEATED_RESPONSES_DIFFER,
+            About(files=files, pairs=[pair]),
+            f"{' to '.join(pair)} was measured twice ({own.name} and {other.measurement.name}) "
+            f"with different results: {'; '.join(ways)}. One of them may belong to another pair, "
+            "or the room was changed in between.",
+            {"source": pair[0], "receiver": pair[1], "files": files, "differences": ways},
+        )
+
+
+def _differing(one: MeasuredPair, other: MeasuredPair) -> list[str]:
+    """Return in words in which decays and levels two responses differ."""
+    parts, centres_hz = [], one.curve.bands.centres_hz
+    for name in _COMPARED:
+        first, second = one.parameters.of(name), other.parameters.of(name)
+        mean = 0.5 * (first + second)  # so that the order does not matter
+        steps = np.abs(np.nan_to_num(in_jnd(name, mean, mean + first - second), nan=0.0))
+        j = int(np.argmax(steps))
+        if steps[j] > _LARGEST_JND:
+            symbol, unit = name.split("_")
+            at = f"at {centres_hz[j]:g} Hz"
+            parts.append(f"{symbol} {first[j]:.2f} and {second[j]:.2f} {unit} {at}")
+    level = one.measurement.level
+    if level == other.measurement.level and level != "per-file":
+        apart_db = np.abs(np.nan_to_num(_level_db(one) - _level_db(other), nan=0.0))
+        j = int(np.argmax(apart_db))
+        if apart_db[j] > _LARGEST_LEVEL_DB:
+            parts.append(f"levels that differ by {apart_db[j]:.1f} dB at {centres_hz[j]:g} Hz")
+    return parts
+
+
+def _level_db(m: MeasuredPair) -> FloatArray:
+    total = m.curve.energy_left[:, 0]
+    return 10.0 * np.log10(np.where(total > 0.0, total, np.nan))
+
+
+def check_below_noise(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding for each recording that is left out of some bands."""
+    centres_hz = evidence.measured.bands.centres_hz.tolist()
+    for m in evidence.measured.responses:
+        own = m.measurement
+        missing = [f for band, f in enumerate(centres_hz) if not has_data_in_band(m, band)]
+        if own.use == "fit" and missing:
+            yield Finding(
+                Code.RECORDING_BELOW_NOISE,
+                About(bands_hz=missing, files=[own.where], pairs=[pair_of(own)]),
+                f"{file_name(own)}: no decay rises above the noise at "
+                f"{', '.join(f'{f:g}' for f in missing)} Hz; it was not fitted there.",
+                {"bands_hz": missing},
+            )
+
+
+def check_outliers(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding for each recording whose variance was inflated, in their order."""
+    outliers = evidence.fits.tests.outliers
+    for m in (p.measurement for p in evidence.measured.responses if p.measurement in outliers):
+        yield Finding(
+            Code.MEASUREMENT_OUTLIER,
+            about_files(m),
+            f"{file_name(m)} is an outlier: its mean squared residual is {outliers[m]:.0f} times "
+            "that of the other measurements. Its variance was inflated by that factor. Check its "
+            "file, its positions and its level.",
+            {"ratio": outliers[m]},
+        )

@@ -10,12 +10,12 @@ import numpy as np
 
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
-from roomfit.base.findings import About, Code, Finding
+from roomfit.base.findings import Code, Finding
 from roomfit.base.shown import Shown
 from roomfit.base.typing import BoolArray, FloatArray
-from roomfit.checks import schroeder
+from roomfit.checks import room
 from roomfit.checks.arrivals import arrival_verdicts, with_corrected_clocks
-from roomfit.checks.evidence import Recorded, pair_of
+from roomfit.checks.evidence import Recorded, about_files
 from roomfit.checks.examine import BEFORE_THE_FIT, examine, recorded
 from roomfit.fit.measurements import Measurements, measured_scene, median_decay_s
 from roomfit.model.eyring import schroeder_hz
@@ -129,7 +129,7 @@ def check_recordings(
         *causes,
         *_unusable(refused, len(given), " ".join(f.sentence for f in causes)),
         *(f for f in others if f.code not in known),
-        *(() if found is None else schroeder.check(found)),
+        *(() if found is None else room.check_schroeder(found)),
     )
     measured = None if found is None else found.measured
     return _table(own, dict(zip(given, responses, strict=True)), bands, measured, findings)
@@ -150,7 +150,7 @@ def _unusable(refused: dict[Measurement, InputError], n_all: int, said: str) -> 
         findings.append(
             Finding(
                 Code.RECORDING_UNUSABLE,
-                About(files=[m.where for m in files], pairs=[pair_of(m) for m in files]),
+                about_files(*files),
                 text,
                 {"files": [m.where for m in files]},
             )

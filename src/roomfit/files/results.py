@@ -334,7 +334,7 @@ def result_content(
             "speed_of_sound_formula": "Cramer 1993 as in pyfar, or as given by the campaign",
         },
     }
-    from roomfit.checks.remaining import what_remains
+    from roomfit.checks.verdict import what_remains
 
     remains = what_remains(answer)
     if remains.voids:

@@ -9,7 +9,7 @@ import numpy as np
 
 from roomfit.base.findings import Code
 from roomfit.base.typing import IntArray
-from roomfit.checks.remaining import VOID_ANY_MEAN, Remaining, what_remains
+from roomfit.checks.verdict import VOID_ANY_MEAN, Remaining, what_remains
 from roomfit.report.wording import (
     band_ranges,
     coefficient,

@@ -1,4 +1,4 @@
-"""Rooms that are described wrongly: what is detected, and what the findings say."""
+"""Standard deviations of positions that arrival times contradict."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Whether the background noise is stationary: it falls where a window was left in the files."""
+"""Whether the background noise is that of a room: stationary, and never cut off.
+
+It falls where a window was left in the files, and stops where it was gated.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from scipy.special import chdtri, digamma, polygamma, stdtrit
 
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray
-from roomfit.checks.evidence import Evidence, Law
+from roomfit.checks.evidence import Evidence, Law, about_files, file_name
 from roomfit.signals.measurement import MeasuredPair
 
 _LEVEL = 1e-4  # of a campaign whose noise is stationary
@@ -38,14 +41,61 @@ _MOST_BY_WINDOW = 0.8  # of the decay rate as measured
 _UNDECIDED = 2.0  # gain in log-likelihood by which the noise that falls has to be the likelier one
 _LATE_RATES, _OVER_NOISE = np.linspace(0.4, 1.0, 7), np.geomspace(0.01, 100.0, 41)
 
+# Runs of equal samples of a gate last so long at least; between them sound is louder than so
+# many of the smallest steps.
+_GAP_S, _GAP_STEPS, _FEWEST_GAPS = 2e-3, 8.0, 3
+
 LAWS = {
+    Code.NOISE_GATED: Law(
+        "noise never stops before the file ends",
+        "number of runs of equal samples after the peak that are followed by signal, from 3",
+    ),
     Code.DECAY_BENT: Law(
         "what precedes the direct sound and ends the files is noise, and stationary",
         "common slope of the logarithms of block energies, whose scatter is that of noise, over "
         "its standard deviation: Student's t, one-sided; none where they do not lie on a line",
         _LEVEL,
-    )
+    ),
 }
+
+
+def check_gate(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding where responses resume after intervals of digital silence, as by a gate.
+
+    A gate, and a noise reduction, leave equal samples wherever the sound falls below a threshold,
+    and let it rise out of them again. A file that is padded with zeros has them once; where the
+    steps of a converter are coarser than the noise, it never is louder than a few of them between.
+    """
+    fitted = [m for m in evidence.measured.responses if m.measurement.use == "fit"]
+    gated = {m.measurement: n for m in fitted if (n := _gaps(m)) >= _FEWEST_GAPS}
+    if not gated:
+        return
+    gaps = {file_name(m): n for m, n in gated.items()}
+    names = ", ".join(list(gaps)[:3]) + (f" and {len(gaps) - 3} more" if len(gaps) > 3 else "")
+    yield Finding(
+        Code.NOISE_GATED,
+        about_files(*gated),
+        f"The response resumes after intervals of digital silence in {names}: a noise gate or "
+        "a noise reduction was left in. It shortens the late decay and hides the noise; no "
+        "material is called identifiable. Export the files without.",
+        {"gaps": gaps},
+    )
+
+
+def _gaps(m: MeasuredPair) -> int:
+    """Count runs of equal samples after the peak that are followed by signal."""
+    x = m.response.pressure
+    steps = np.abs(np.diff(x))
+    ends = np.flatnonzero(np.diff(np.concatenate(([0], (steps == 0.0).astype(np.int8), [0]))))
+    first, last = ends[::2], ends[1::2]
+    long = last - first >= _GAP_S * m.response.sampling_rate_hz
+    long &= first > int(np.argmax(np.abs(x)))
+    first, last = first[long], last[long]
+    coarse = _GAP_STEPS * float(steps[steps > 0.0].min(initial=np.inf))
+    return sum(
+        float(np.abs(x[a : b + 1] - x[a]).max()) > coarse
+        for a, b in zip(last[:-1], first[1:], strict=True)
+    )
 
 
 class _Levels(NamedTuple):
@@ -71,7 +121,7 @@ class _Line(NamedTuple):
     over_steady: float
 
 
-def check(evidence: Evidence) -> Iterator[Finding]:
+def check_window(evidence: Evidence) -> Iterator[Finding]:
     """Yield a finding where the background noise falls, as in files under an exponential window.
 
     Noise is stationary, unless a window was applied after it was recorded. From 500 Hz to a quarter
@@ -86,7 +136,7 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     if not rings:
         return
     ring_per_s = float(np.median(rings))
-    line = noise_line(measured, ring_per_s)
+    line = _noise_line(measured, ring_per_s)
     if line is None or not line.is_straight or line.excess < np.log(_LEAST_EXCESS):
         return
     least = max(float(stdtrit(line.n_free, 1.0 - _LEVEL)) * line.sd, _LEAST_RATE * ring_per_s)
@@ -111,16 +161,11 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     )
 
 
-def noise_line(measured: Sequence[MeasuredPair], ring_per_s: float) -> _Line | None:
+def _noise_line(measured: Sequence[MeasuredPair], ring_per_s: float) -> _Line | None:
     """Return the line of all files' noise, from the longest end that is straight.
 
     The least crooked where none is. None where too little comes before the direct sound, or files
-    are too short.
-
-    Parameters
-    ----------
-    ring_per_s : float
-        At which the measured energy decays, by the room and by the window.
+    are too short. Energy as measured decays by `ring_per_s`, by the room and by the window.
     """
     best = None
     for share in _TAIL_SHARES:
@@ -141,12 +186,9 @@ def noise_line(measured: Sequence[MeasuredPair], ring_per_s: float) -> _Line | N
 def _fitted(files: Sequence[_Levels], ring_per_s: float, steady_per_s: float) -> _Line:
     """Return the weighted least-squares line, beside noise of another level after the sound.
 
-    Parameters
-    ----------
-    ring_per_s, steady_per_s : float
-        At which reverberation falls over the line, and over steady noise.
+    At which reverberation falls over the line, and over steady noise, is given.
     """
-    rate, sd, chi2, n_free = _least_squares(files, [-f.time_s for f in files], ring_per_s)
+    rate, sd, chi2, n_free = _least_squares(files, ring_per_s)
     dispersion = max(chi2 / n_free, 1.0)
     excess = [
         f.early - np.average(f.level + rate * (f.time_s - f.early_s), weights=1.0 / f.variance)
@@ -186,35 +228,28 @@ def _steady_chi2(files: Sequence[_Levels], ring_per_s: float) -> float:
     return best
 
 
-def _least_squares(
-    files: Sequence[_Levels], change: Sequence[FloatArray], ring_per_s: float
-) -> tuple[float, float, float, int]:
-    """Return the size of a change that all files share, its deviation, chi-square, and freedom.
+def _least_squares(files: Sequence[_Levels], ring_per_s: float) -> tuple[float, float, float, int]:
+    """Return the rate that all files share, its deviation, chi-square, and freedom.
 
     Beside a height of each file and one share of reverberation, which is not negative.
-
-    Parameters
-    ----------
-    change : sequence of float arrays
-        Of the levels of each file, by its blocks.
     """
     columns = []
-    for f, own in zip(files, change, strict=True):
+    for f in files:
         since_s = f.time_s - f.time_s[-_TAIL_BLOCKS]
         ringing = np.where(since_s >= 0.0, np.exp(-ring_per_s * np.maximum(since_s, 0.0)), 0.0)
         weight = 1.0 / f.variance
-        rows = np.stack((own, ringing, f.level))
+        rows = np.stack((-f.time_s, ringing, f.level))
         rows -= np.average(rows, axis=1, weights=weight)[:, None]
         columns.append(np.concatenate((rows, weight[None])))
-    changes, ringing, level, weight = np.concatenate(columns, axis=1)
-    both = np.stack((changes, ringing), axis=1)
+    earlier, ringing, level, weight = np.concatenate(columns, axis=1)
+    both = np.stack((earlier, ringing), axis=1)
     covariance = np.linalg.inv(both.T @ (weight[:, None] * both))
-    size, share = covariance @ both.T @ (weight * level)
+    rate, share = covariance @ both.T @ (weight * level)
     if share < 0.0:  # no reverberation takes noise away
-        size, share = float(np.sum(weight * changes * level) / np.sum(weight * changes**2)), 0.0
+        rate, share = float(np.sum(weight * earlier * level) / np.sum(weight * earlier**2)), 0.0
     n_free = level.size - len(files) - 2
-    chi2 = float(np.sum(weight * (level - size * changes - share * ringing) ** 2))
-    return float(size), float(np.sqrt(covariance[0, 0])), chi2, n_free
+    chi2 = float(np.sum(weight * (level - rate * earlier - share * ringing) ** 2))
+    return float(rate), float(np.sqrt(covariance[0, 0])), chi2, n_free
 
 
 def band_passed(x: FloatArray, from_hz: float, to_hz: float, rate_hz: float) -> FloatArray:
@@ -238,13 +273,7 @@ def _poles(order: int) -> NDArray[Any]:
 def _levels(m: MeasuredPair, share: float) -> _Levels | None:
     """Return what noise may be in one file; None where there is too little of it.
 
-    Parameters
-    ----------
-    share : float
-        Of the time from the direct sound to the last sample that is not zero.
-
-    Notes
-    -----
+    `share` is of the time from the direct sound to the last sample that is not zero.
     The energy of Gaussian noise in a block is chi-square with twice as many degrees of freedom as
     the product of time and statistical bandwidth; the mean of its logarithm is taken off.
     """

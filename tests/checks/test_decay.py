@@ -194,7 +194,6 @@ def test_a_floor_that_the_fit_has_far_too_hard_is_named_and_no_other(measured_bo
     assert not list(reflection_findings(returns, HIGH, WALLS, bounds))
 
 
-@pytest.mark.slow
 def returned(absorption: float, sd: float, band: int, *, known: bool) -> WallReflectance:
     return WallReflectance("floor", "carpet", band, 5, absorption, sd, known)
 
@@ -272,3 +271,12 @@ def test_decay_times_scatter_as_the_standard_says_of_ten_decays_at_each_position
     for name, (factor, more) in of_standard.items():
         assert decay.DECAY_SCATTER[name] == pytest.approx(factor * np.sqrt(1.0 + 0.1 * more))
     assert decay.DECAY_SCATTER["EDT_s"] == pytest.approx(1.97 * np.sqrt(1.28))
+
+
+def test_a_mean_miss_has_the_larger_of_the_scatter_by_theory_and_of_three_pairs_the_observed():
+    jnd = np.array([1.0, 2.0, 6.0])
+    mean, sd = decay.mean_miss(jnd, np.full(3, 0.05))
+    assert (mean, sd) == pytest.approx((3.0, np.std(jnd, ddof=1) / np.sqrt(3.0)))
+    assert decay.mean_miss(jnd, np.array([0.1, 0.4, 9.0]))[1] == pytest.approx(8.0 / np.sqrt(3.0))
+    assert decay.mean_miss(jnd[:2], np.full(2, 0.05))[1] == pytest.approx(1.0 / np.sqrt(2.0))
+    assert decay.mean_miss(np.zeros(0), np.zeros(0)) == (0.0, np.inf)

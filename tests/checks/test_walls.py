@@ -9,7 +9,7 @@ from scipy.signal import butter, hilbert, sosfiltfilt
 
 from roomfit.base.air import Air
 from roomfit.base.findings import Code
-from roomfit.checks.wall_positions import outline_findings
+from roomfit.checks.walls import outline_findings
 from roomfit.demo.boxes import SyntheticBox, add_noise, pressure_response
 from roomfit.files.rooms import read_room
 from roomfit.files.rooms.model import RoomSpec

@@ -89,19 +89,9 @@ def outline_findings(
     wall is decided first and its echoes are masked, so that they are attributed to no other wall.
     What the specified outline explains up to the second order is no evidence against it.
 
-    Parameters
-    ----------
-    scene : Scene
-    responses : sequence of (pair, ImpulseResponse)
-        Index of the pair in the scene; time zero is the emission. Not examined: fewer than five
-        responses; those of a single source, whose own stand or table echoes in all of them alike;
-        and a room of more than 2000 triangles.
-
-    Returns
-    -------
-    tuple of Finding
-        `Code.WALL_POSITION_MISMATCH`; `metres_outward` in the evidence is the estimated
-        displacement of the wall from its specified position, out of the room.
+    `responses` are pairs of the scene, each with time zero at emission. Not examined: fewer than
+    five; those of a single source, whose own stand or table echoes in all of them alike; and a room
+    of more than 2000 triangles. `metres_outward` in the evidence is the estimated displacement.
     """
     sources = {int(scene.pairs[pair, 0]) for pair, _ in responses}
     if len(responses) < _LEAST_RESPONSES or len(sources) < 2:

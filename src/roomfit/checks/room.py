@@ -1,0 +1,182 @@
+"""Whether the room and its sources are as described, and sound reaches and suits what is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from roomfit.base.bands import bands_in_words
+from roomfit.base.findings import About, Code, Finding
+from roomfit.checks.evidence import Evidence, Law, Recorded
+from roomfit.fit.measurements import median_decay_s
+from roomfit.fit.scattering import GRID
+from roomfit.model.eyring import schroeder_hz
+from roomfit.room.mesh import volume_m3
+from roomfit.room.scene import pair_names
+from roomfit.tracing.paths import Paths
+
+# A coefficient must gain more than this in log-likelihood, and lose less in every band: of nine
+# boxes that scatter by .08 or .15 one lost 3.7 in a band; a smooth one lost 5, and gained 22.
+_LEAST_GAIN, _LARGEST_LOSS = 5.0, 4.0
+
+_GIVEN = Law("the scattering of every wall is specified", "none")
+_OMNIDIRECTIONAL = Law(
+    "a source radiates alike in all directions",
+    "log-likelihood gained by a first-order directivity, its prior counted, over all bands",
+)
+LAWS = {
+    Code.MATERIAL_NOT_REACHED: Law(
+        "every material is struck by a path between measured pairs", "number of such paths"
+    ),
+    Code.SCATTERING_ASSUMED: _GIVEN,
+    Code.SCATTERING_FITTED: _GIVEN,
+    Code.SCATTERING_UNDERESTIMATED: Law(
+        "walls that are specified as smooth are smooth, and sources radiate as specified",
+        "log-likelihood of a scattering of 0.15 over that of 0, by energies",
+        0.0067,  # e^-5
+    ),
+    Code.SOURCE_NOT_OMNIDIRECTIONAL: _OMNIDIRECTIONAL,
+    Code.SOURCE_PATTERN_FITTED: _OMNIDIRECTIONAL,
+    Code.BELOW_SCHROEDER_FREQUENCY: Law(
+        "modes overlap in the whole band", "lower edge of the band, below the Schroeder frequency"
+    ),
+}
+
+
+def check_trace(evidence: Evidence) -> Iterator[Finding]:
+    """Yield what planning and tracing raised of rays, images and weights, as it stands."""
+    yield from evidence.traced.findings
+
+
+def check_reached(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding that names the materials to be fitted which no path strikes."""
+    priors = [k for k in evidence.priors if k.object_volume_m3 is None]
+    fitted = [k.name for k in priors if k.known is None]
+    names = unreached_materials(evidence.traced.paths, fitted)
+    if names:
+        yield Finding(
+            Code.MATERIAL_NOT_REACHED,
+            About(materials=names),
+            f"No path between the measured pairs strikes {', '.join(names)}: its absorption "
+            "cannot be determined, and its prior is all that is reported.",
+            {"materials": list(names)},
+        )
+
+
+def unreached_materials(paths: Paths, materials: Sequence[str]) -> tuple[str, ...]:
+    """Return which of some materials no path of all fitted pairs strikes."""
+    met = np.asarray(paths.hits_specular.any(axis=0) | paths.hits_diffuse.any(axis=0))
+    return tuple(m for m in materials if not met[paths.materials.index(m)])
+
+
+def check_chosen_scattering(evidence: Evidence) -> Iterator[Finding]:
+    """Yield which scattering was assumed, and which was fitted."""
+    for chosen in evidence.traced.chosen_scattering:
+        names = list(chosen.materials)
+        if chosen.is_fitted:
+            each = zip(*chosen[:4], strict=True)
+            ranges = ", ".join(f"{n} {s:g} ({low:g} to {high:g})" for n, s, low, high in each)
+            text = f"Most likely scattering coefficients, of {len(GRID)} values each: {ranges}."
+            about = About(materials=names)
+            yield Finding(Code.SCATTERING_FITTED, about, text, {"materials": names})
+            continue
+        value, low, high, reason = chosen.value[0], chosen.lower[0], chosen.upper[0], ""
+        if chosen.has_data:
+            others = f"{low:g} to {high:g} do as well" if low < high else "others do worse"
+            reason = f", which explains the responses well ({others})"
+        yield Finding(
+            Code.SCATTERING_ASSUMED,
+            About(materials=names),
+            f"The scattering of {', '.join(names)} is unspecified; {value:g} was assumed{reason}.",
+            {"materials": names, "scattering": value},
+        )
+
+
+def check_scattering(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding where walls taken for smooth explain the data better if they scatter.
+
+    Where 0.15 gains more than 5 in log-likelihood, all bands together, and no band loses 4, which
+    indicates something else than scattering: a loudspeaker that rings, for instance, or sound that
+    runs along hard walls.
+
+    Of walls that are smooth, a model that is otherwise right raises the doubt in fewer than one
+    room in a hundred: a likelihood ratio has the mean 1 under the model in its denominator, so that
+    it exceeds e^5 with a probability below e^-5 (A. Wald, Sequential Analysis, 1947, section 3.2).
+    Sources whose directivity was fitted, or that the data contradict, radiate otherwise than in
+    both of its models, so that the ratio says nothing.
+    """
+    trial, fits = evidence.traced.scattering_trial, evidence.fits
+    if trial is None or fits.unknown_sources is not None or fits.contradicted:
+        return
+    gain, names = float(np.sum(trial.gains)), list(trial.materials)
+    if gain > _LEAST_GAIN and np.all(trial.gains > -_LARGEST_LOSS):
+        yield Finding(
+            Code.SCATTERING_UNDERESTIMATED,
+            About(materials=names),
+            f"The data are explained better if {', '.join(names)} scatter: a coefficient of "
+            f"{trial.coefficient:g} raises the log likelihood by {gain:.0f}. Absorption "
+            "compensates for scattering that is specified as 0, so that no material is called "
+            "identifiable. Specify the scattering of these materials, or have it fitted: "
+            'scattering = "fit".',
+            {"materials": names, "scattering": trial.coefficient, "gain": gain},
+        )
+
+
+def check_sources(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding for each source taken for omnidirectional that the data contradict.
+
+    Where its directivity was fitted for that reason, absorption need not compensate for it.
+    """
+    unknown = evidence.fits.unknown_sources
+    fitted = () if unknown is None else unknown.sources
+    for own in evidence.fits.contradicted:
+        strongest = own.b[int(np.argmax(np.linalg.norm(own.b, axis=1)))]
+        towards = ", ".join(f"{x:.1f}" for x in strongest / np.linalg.norm(strongest))
+        pairs = [(p, r) for p, r, _ in pair_names(evidence.measured.scene) if p == own.source]
+        code, consequence = (
+            Code.SOURCE_NOT_OMNIDIRECTIONAL,
+            "Absorption compensates for it, so that no material is called identifiable. "
+            'Specify the directivity, or have it fitted: directivity = "fit".',
+        )
+        if own.source in fitted:
+            code, consequence = (
+                Code.SOURCE_PATTERN_FITTED,
+                'It was fitted together with the absorption, as by directivity = "fit"; specify '
+                "it where it is known.",
+            )
+        yield Finding(
+            code,
+            About(pairs=tuple(dict.fromkeys(pairs))),
+            f"{own.source} was taken for omnidirectional, which the data contradict: a "
+            f"first-order directivity that radiates more towards ({towards}) raises the "
+            f"log-likelihood by {own.log_likelihood_gain:.0f}. {consequence}",
+            {
+                "source": own.source,
+                "log_likelihood_gain": own.log_likelihood_gain,
+                "b": own.b.tolist(),
+            },
+        )
+
+
+def check_schroeder(evidence: Recorded) -> Iterator[Finding]:
+    """Yield a finding for the bands that begin below the Schroeder frequency.
+
+    There single modes are resolved, and energies that add are no model of them: in simulated boxes
+    the 95 % intervals of such bands covered the true value less often than those above.
+    """
+    bands = evidence.measured.bands
+    decay_s = median_decay_s(evidence.measured, bands.centres_hz)
+    limit_hz = schroeder_hz(decay_s, volume_m3(evidence.measured.scene.room.mesh))
+    low = np.flatnonzero(bands.lower_hz < limit_hz)
+    if low.size:
+        limits = [f"{limit_hz[j]:.0f} Hz" for j in low]
+        about = About(bands_hz=bands.centres_hz[low].tolist())
+        yield Finding(
+            Code.BELOW_SCHROEDER_FREQUENCY,
+            about,
+            "Part of the band lies below the Schroeder frequency at "
+            f"{bands_in_words(bands, low, limits)}: single modes are resolved there, which the "
+            "model does not contain. Trust these intervals less.",
+            {"bands_hz": list(about.bands_hz)},
+        )
