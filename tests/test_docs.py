@@ -281,7 +281,8 @@ def tables() -> list[type[BaseModel]]:
 def test_every_key_of_a_campaign_is_reported_with_its_default(table):
     text = page("campaign-file.md") + page("treat.md")
     rows = [line.strip("| ").split(" | ") for line in text.split("\n") if line.startswith("| `")]
-    for key, field in table.model_fields.items():
+    for name, field in table.model_fields.items():
+        key = field.alias or name
         assert re.search(rf"\b{key}\b", text), key
         default = field.default
         if isinstance(default, int | float | str):

@@ -456,8 +456,8 @@ def listen(
         result,
         out,
         [read_change(text) for text in changes],
+        Wanted("campaign", doubted=doubted),
         dry=project.upload_place(root, project.DRY, dry) if dry else None,
-        doubted=doubted,
         overwrite=True,
         progress=progress,
     )

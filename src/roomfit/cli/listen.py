@@ -39,8 +39,7 @@ def run(options: argparse.Namespace) -> None:
             result_file(options, options.absorption),
             options.out,
             [read_change(text) for text in options.changes or []],
-            state=options.state or "",
-            doubted=options.doubted,
+            Wanted("campaign", options.state or "", doubted=options.doubted),
             dry=options.dry,
             overwrite=options.overwrite,
             progress=progress,
@@ -55,9 +54,8 @@ def listen_to_folder(
     absorption_file: ResultFile,
     out: Path,
     changes: Sequence[Change] = (),
+    wanted: Wanted = Wanted("campaign"),  # noqa: B008 - frozen
     *,
-    state: str = "",
-    doubted: bool = False,
     dry: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
@@ -82,7 +80,6 @@ def listen_to_folder(
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
     found = read_result(absorption_file)
-    wanted = Wanted("campaign", state, doubted=doubted)
     question = question_of_pairs(campaign, found, changes, wanted)
     known = question.known
     for doubt in known.findings:

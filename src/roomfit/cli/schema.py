@@ -7,7 +7,8 @@ import json
 
 from roomfit.base.arguments import check_known
 from roomfit.cli.terminal import say
-from roomfit.files.schema import campaign_schema, treatment_schema
+from roomfit.files.schema import campaign_schema
+from roomfit.files.treatment_schema import treatment_schema
 
 
 def run(options: argparse.Namespace) -> None:

@@ -45,28 +45,28 @@ Names of materials, sources and so on are left out: ``materials.NAME.key`` is ``
 BECAUSE = "because"  # why the range of a number ends where it does, in its schema
 
 
-def _limited(low: float, high: float, why: str) -> Any:
+def limited(low: float, high: float, why: str) -> Any:
     """Return the range of a number of the file, and why it ends there: a refusal says it."""
     return Field(ge=low, le=high, json_schema_extra={BECAUSE: why})
 
 
-Fraction = Annotated[float, _limited(0.0, 1.0, "a share of energy")]
+Fraction = Annotated[float, limited(0.0, 1.0, "a share of energy")]
 PerBand = Fraction | list[Fraction]
 # smaller ones cannot be distinguished from none, and their logit has no bounds
 InnerFraction = Annotated[
-    float, _limited(1e-3, 0.999, "0 and 1 have no logit; what is known is fixed: absorption = ...")
+    float, limited(1e-3, 0.999, "0 and 1 have no logit; what is known is fixed: absorption = ...")
 ]
 PriorSd = Annotated[
-    float, _limited(1e-4, 1.0, "absorption lies between 0 and 1; what is known is fixed")
+    float, limited(1e-4, 1.0, "absorption lies between 0 and 1; what is known is fixed")
 ]
-Metre = Annotated[float, _limited(0.0, 1.0, "m; what is off by more must be measured again")]
-Coordinate = Annotated[float, _limited(-1e6, 1e6, "m; the corners of a room are not farther off")]
+Metre = Annotated[float, limited(0.0, 1.0, "m; what is off by more must be measured again")]
+Coordinate = Annotated[float, limited(-1e6, 1e6, "m; the corners of a room are not farther off")]
 Position = tuple[Coordinate, Coordinate, Coordinate]
-Height = Annotated[float, _limited(0.0, 1e4, "m above the lowest point of a room")]
-Number = Annotated[int, _limited(0, 10**6, "counted from 0; no file holds more")]
-Start = Annotated[float, _limited(-1e9, 1e9, "no number of a wall, in these units, is larger")]
-Strength = Annotated[float, _limited(0.0, 10.0, "1 is a cardioid; beyond 10 nothing changes")]
-Hertz = Annotated[float, _limited(1.0, 1e5, "Hz; bands are defined and sound is recorded there")]
+Height = Annotated[float, limited(0.0, 1e4, "m above the lowest point of a room")]
+Number = Annotated[int, limited(0, 10**6, "counted from 0; no file holds more")]
+Start = Annotated[float, limited(-1e9, 1e9, "no number of a wall, in these units, is larger")]
+Strength = Annotated[float, limited(0.0, 10.0, "1 is a cardioid; beyond 10 nothing changes")]
+Hertz = Annotated[float, limited(1.0, 1e5, "Hz; bands are defined and sound is recorded there")]
 
 
 class Table(BaseModel):
@@ -132,7 +132,7 @@ class AirTable(Table):
 
     temperature_c: float = 20.0
     """Temperature in degrees Celsius, -20 to 50."""
-    temperature_sd_c: Annotated[float, _limited(*SETTING_LIMITS["temperature_sd_c"])] | None = None
+    temperature_sd_c: Annotated[float, limited(*SETTING_LIMITS["temperature_sd_c"])] | None = None
     """Its standard deviation, from which the prior of the speed of sound follows."""
     humidity_percent: float = 50.0
     """Relative humidity, 0 to 100."""
@@ -179,9 +179,9 @@ class MaterialTable(Table):
     """Another material of the room that has the same absorption."""
     product: str | None = None
     """What the material is made of: a table [products.NAME]."""
-    delay_sd_ms: (
-        Annotated[float, _limited(0.0, 5.0, "ms; porous layers delay by tenths")] | None
-    ) = None
+    delay_sd_ms: Annotated[float, limited(0.0, 5.0, "ms; porous layers delay by tenths")] | None = (
+        None
+    )
     """Standard deviation of the delay of its reflections in ms; 0: none. Default: 0.2."""
     impedance: Literal["spline", "constant"] | None = None
     """For `roomfit impedance`: what its reflection coefficient is like over frequency."""
@@ -193,7 +193,7 @@ class ProductTable(Table):
     """``[products.NAME]``: what all materials of one product have in common."""
 
     sd: Annotated[
-        float, _limited(*PRODUCT_SDS, "in logit; equal walls share one: same_absorption_as")
+        float, limited(*PRODUCT_SDS, "in logit; equal walls share one: same_absorption_as")
     ] = PRODUCT_SD
     """How far, in logit, each material lies from what they have in common."""
     prior: Prior | str | None = None
@@ -202,8 +202,8 @@ class ProductTable(Table):
     """Lowest and highest absorption."""
 
 
-ObjectArea = Annotated[float, _limited(0.0, 1e5, "m2; no hall holds more absorption")]
-ObjectAreaLaw = Annotated[float, _limited(1e-4, 1e5, "m2; what is known is absorption_area_m2")]
+ObjectArea = Annotated[float, limited(0.0, 1e5, "m2; no hall holds more absorption")]
+ObjectAreaLaw = Annotated[float, limited(1e-4, 1e5, "m2; what is known is absorption_area_m2")]
 
 
 class AreaSpectrum(Table):
@@ -234,14 +234,14 @@ class ObjectTable(Table):
     1 m2 of floor."""
     prior: AreaPrior | str | None = None
     """{mean, sd} of that area in m2, or an entry of the catalogue: it then is fitted."""
-    count: Annotated[float, _limited(0.0, 1e5, "no hall seats more")] | None = None
+    count: Annotated[float, limited(0.0, 1e5, "no hall seats more")] | None = None
     """How many pieces there are. Default: 1."""
     floor_area_m2: ObjectArea | None = None
     """In place of `count`: floor in m2 on which people or seats stand, the area being of 1 m2."""
     outlines: list[Annotated[list[Position], Field(min_length=3)]] | None = None
     """In place of `count`: corners, x, y, z in m on the floor, of each block of seats. Its area is
     that of the block and of a strip along its free edges."""
-    edge_m: Annotated[float, _limited(0.0, 2.0, "m; tables of seats have 0.5")] = 0.5
+    edge_m: Annotated[float, limited(0.0, 2.0, "m; tables of seats have 0.5")] = 0.5
     """Width of that strip, up to a wall or half an aisle; 0: none."""
     states: list[str] | None = None
     """States of the room in which it is there, "" as described. Default: all."""
@@ -288,7 +288,7 @@ class LoudspeakerTable(Table):
     directivity: str = "fit"
     """"fit", or a SOFA file of responses all around the loudspeaker."""
     b_sd: Annotated[
-        float, _limited(1e-3, 10.0, "0 would be omnidirectional: leave the table out")
+        float, limited(1e-3, 10.0, "0 would be omnidirectional: leave the table out")
     ] = 0.5
     """Prior standard deviation of the coefficients of a pattern that is fitted."""
 
@@ -330,7 +330,7 @@ class DefaultsTable(Table):
     sampling_rate_variable: str | None = None
     """MAT: name of the variable that states the sampling rate."""
     sampling_rate_hz: (
-        Annotated[float, _limited(100.0, 1e7, "Hz; sound of walls is recorded with 8 to 192 kHz")]
+        Annotated[float, limited(100.0, 1e7, "Hz; sound of walls is recorded with 8 to 192 kHz")]
         | None
     ) = None
     """Sampling rate, where the file states none."""
@@ -340,10 +340,10 @@ class DefaultsTable(Table):
     """SOFA: which receiver, from 0."""
     time_zero: Literal["emission", "direct", "unknown"] = "emission"
     """What the first sample is: emission by a common clock, the direct sound, or unknown."""
-    latency_s: Annotated[float, _limited(-10.0, 10.0, "s; cut the file beyond that")] = 0.0
+    latency_s: Annotated[float, limited(-10.0, 10.0, "s; cut the file beyond that")] = 0.0
     """Delay of the measuring chain in s: from the first sample to emission."""
     latency_sd_s: (
-        Annotated[float, _limited(0.0, 0.1, 's; beyond that time_zero = "unknown"')] | None
+        Annotated[float, limited(0.0, 0.1, 's; beyond that time_zero = "unknown"')] | None
     ) = None
     """Its standard deviation in s. Default: 0.02 ms for emission, else 0.1 ms."""
     level: Literal["per-source", "per-file", "absolute"] = "per-source"
@@ -422,7 +422,7 @@ class IdentifyTable(Table):
     """Whether positions, speed of sound and latencies are fitted within their priors."""
     wall_delays: bool = True
     """Whether delays of reflections are fitted."""
-    seed: Annotated[int, _limited(*SETTING_LIMITS["seed"])] = 1
+    seed: Annotated[int, limited(*SETTING_LIMITS["seed"])] = 1
     """Of rays and annealing."""
 
 
@@ -434,11 +434,11 @@ class ImpedanceTable(Table):
     to_hz: Hertz = 1000.0
     """Highest frequency."""
     step_hz: Annotated[
-        float, _limited(0.1, 1000.0, "Hz; finer than 1/(2 pi tau_s) adds no information")
+        float, limited(0.1, 1000.0, "Hz; finer than 1/(2 pi tau_s) adds no information")
     ] = 10.0
     """Distance of frequencies."""
     tau_s: Annotated[
-        float, _limited(1e-3, 1.0, "s; shorter holds no reflection, longer all that is late")
+        float, limited(1e-3, 1.0, "s; shorter holds no reflection, longer all that is late")
     ] = 0.015
     """Time constant of the exponential window."""
     gain: Literal["auto", "known", "common", "source", "pair", "spectrum", "pair-spectrum"] = "auto"
@@ -447,7 +447,7 @@ class ImpedanceTable(Table):
     """Fitted within their standard deviations, or exact."""
     speed_of_sound: Literal["fit", "fixed"] = "fit"
     """Fitted, or exact."""
-    random_starts: Annotated[int, _limited(0, 100, "each costs as much as a fit")] = 3
+    random_starts: Annotated[int, limited(0, 100, "each costs as much as a fit")] = 3
     """Starts at random besides the usual one."""
 
 
@@ -458,11 +458,11 @@ class DesignTable(Table):
     """Positions for sources. Left out: spread evenly."""
     receivers: list[Position] = []
     """Positions for receivers."""
-    new_sources: Annotated[int, _limited(0, 1000, "candidates are traced one by one")] = 8
+    new_sources: Annotated[int, limited(0, 1000, "candidates are traced one by one")] = 8
     """How many positions for sources are generated."""
-    grid_m: (
-        Annotated[float, _limited(0.1, 100.0, "m; nearer positions tell nothing new")] | None
-    ) = None
+    grid_m: Annotated[float, limited(0.1, 100.0, "m; nearer positions tell nothing new")] | None = (
+        None
+    )
     """Spacing of a grid of receivers."""
     source_heights_m: tuple[Height, Height] = (1.0, 2.0)
     """Lowest and highest."""
@@ -471,28 +471,26 @@ class DesignTable(Table):
     region_m: tuple[Position, Position] | None = None
     """Lower and upper corner of a box that contains all generated positions."""
     wall_distance_m: Annotated[
-        float, _limited(0.01, 100.0, "m; 0 is in the wall, and no room is so wide")
+        float, limited(0.01, 100.0, "m; 0 is in the wall, and no room is so wide")
     ] = 1.0
     """Least distance of generated positions from walls and furniture."""
     source_distance_m: (
-        Annotated[float, _limited(0.1, 1000.0, "m; nearer is the source itself")] | None
+        Annotated[float, limited(0.1, 1000.0, "m; nearer is the source itself")] | None
     ) = None
     """Least distance of a receiver from its source."""
-    receiver_distance_m: Annotated[float, _limited(0.0, 1000.0, "m; no room is so long")] = 2.0
+    receiver_distance_m: Annotated[float, limited(0.0, 1000.0, "m; no room is so long")] = 2.0
     """Least distance of chosen receivers from each other."""
-    most_sources: Annotated[int, _limited(1, 1000, "candidates are traced one by one")] | None = (
-        None
-    )
+    most_sources: Annotated[int, limited(1, 1000, "candidates are traced one by one")] | None = None
     """How many different sources a design may have."""
     criterion: Literal["determinant", "mean", "worst"] = "determinant"
     """What is minimised."""
-    decay_range_db: Annotated[float, _limited(10.0, 120.0, "dB; no recording has more")] = 45.0
+    decay_range_db: Annotated[float, limited(10.0, 120.0, "dB; no recording has more")] = 45.0
     """Expected decay above the noise."""
     position_sd: Metre = 0.02
     """Expected standard deviation of positions."""
     level: Literal["per-source", "per-file", "absolute"] = "per-source"
     """As of measurements."""
-    draws: Annotated[int, _limited(1, 100, "each costs as much as a design")] = 2
+    draws: Annotated[int, limited(1, 100, "each costs as much as a design")] = 2
     """Of the absorption from its prior."""
 
 
@@ -558,13 +556,13 @@ class ReverberationTable(Table):
     """CSV table: a line of centres in Hz, then a line of decay times in s for each position."""
     formula: Literal["Sabine", "Eyring", "Arau-Puchades", "Fitzroy"] = "Eyring"
     """By which `roomfit predict` and `treat` go; `reverberation` shows all four."""
-    volume_m3: Annotated[float, _limited(1.0, 1e7, "m3; of rooms")] | None = None
+    volume_m3: Annotated[float, limited(1.0, 1e7, "m3; of rooms")] | None = None
     """Where there is no [room]."""
-    surface_m2: Annotated[float, _limited(1.0, 1e6, "m2; of rooms")] | None = None
+    surface_m2: Annotated[float, limited(1.0, 1e6, "m2; of rooms")] | None = None
     """Where there is no [room]."""
 
 
-Decibels = Annotated[float, _limited(-60.0, 140.0, "dB; quieter is nothing, louder hurts")]
+Decibels = Annotated[float, limited(-60.0, 140.0, "dB; quieter is nothing, louder hurts")]
 
 
 class SpeechTable(Table):
@@ -785,84 +783,6 @@ def _points(tables: Mapping[str, SourceTable | ReceiverTable]) -> tuple[Point, .
     return tuple(Point(n, np.array(t.position), t.position_sd) for n, t in tables.items())
 
 
-SquareMetre = Annotated[float, _limited(0.0, 1e6, "m2; no surface of a room is larger")]
-Depth = Annotated[float, _limited(0.0, 10.0, "m; what is deeper is a piece of furniture")]
-
-
-class TreatedTable(Table):
-    """``[surfaces."NAME"]`` of a treatment: a material of the room that may be covered."""
-
-    free_m2: SquareMetre | None = None
-    """Area that may be covered. Default: all of it."""
-    forbidden_m2: SquareMetre | list[SquareMetre] = 0.0
-    """Of the free area: doors, lamps, what must stay; one number, or one for each piece."""
-    forbidden: list[Annotated[list[Position], Field(min_length=3, max_length=200)]] = []
-    """Such pieces by their corners in m, as polygons on the surface; beside `forbidden_m2`."""
-    depth_m: Depth | None = None
-    """How deep a product may be. Default: any."""
-    products: list[str] = []
-    """Which products may hang there. Default: all."""
-
-
-class HungTable(Table):
-    """``[products."NAME"]`` of a treatment: one of absorption, catalogue and material."""
-
-    absorption: PerBand | Spectrum | None = None
-    """Number, list by band, or {centres_hz, values}."""
-    sd: PriorSd | None = None
-    """Standard deviation of `absorption`. Default: 0.05."""
-    catalogue: str | None = None
-    """Entry of the catalogue, with its spread."""
-    material: str | None = None
-    """Material of the room that was identified, with all that is known of it."""
-    cost_per_m2: Annotated[float, _limited(0.0, 1e6, "in any one unit of your own")] = 1.0
-    """Cost, or how unwelcome it is."""
-    piece_m2: Annotated[float, _limited(1e-3, 1e6, "m2; of one piece")] = 1.0
-    """Least area: whole pieces are hung."""
-    depth_m: Depth = 0.0
-    """Depth."""
-
-
-class TargetTable(Table):
-    """``[[targets]]`` of a treatment: a standard, or limits of a parameter."""
-
-    standard: str | None = None
-    """Entry of roomfit's standards, as din-18041-a3."""
-    parameter: str = "T30_s"
-    """Any that `roomfit predict` names; STI has no bands."""
-    at_most: float | None = None
-    """Upper limit."""
-    at_least: float | None = None
-    """Lower limit."""
-    value: float | None = None
-    """In place of limits, with `tolerance`."""
-    tolerance: Annotated[float, _limited(0.0, 1e3, "of the parameter's own unit")] | None = None
-    """About `value`, either way. Default: a just noticeable difference."""
-    bands_hz: list[Hertz] = []
-    """Centres. Default: 500, 1000 and 2000 Hz."""
-    mean_of_bands: bool = False
-    """Whether the limits are of the mean of these bands."""
-
-
-class TreatmentTable(Table):
-    """A treatment file, for ``roomfit treat``."""
-
-    format_version: Literal[1] = 1
-    """Of this file's format: 1, the only one."""
-    surfaces: dict[str, TreatedTable] = Field(min_length=1)
-    """Which surfaces may be covered, by the name of their material."""
-    products: dict[str, HungTable] = Field(min_length=1)
-    """What may be hung, by name."""
-    targets: list[TargetTable] = Field(min_length=1)
-    """What is to be reached, as means over all pairs."""
-    number: Annotated[int, _limited(1, 20, "more answers than one reads")] = 3
-    """How many arrangements are wanted."""
-    probability: Annotated[float, _limited(0.5, 0.99, "half: just met; 1 is never reached")] = 0.5
-    """With which each target is to be met in each band."""
-    most_cost: Annotated[float, _limited(0.0, 1e12, "in the unit of cost_per_m2")] | None = None
-    """What all of it may cost."""
-
-
 def campaign_schema() -> dict[str, Any]:
     """Return the JSON schema of a campaign file, with which editors complete and check its keys.
 
@@ -873,11 +793,4 @@ def campaign_schema() -> dict[str, Any]:
     """
     own = Campaign.model_json_schema()
     title = {"title": "Campaign of roomfit, format_version 1"}
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **own, **title}
-
-
-def treatment_schema() -> dict[str, Any]:
-    """Return the JSON schema of a treatment file."""
-    own = TreatmentTable.model_json_schema()
-    title = {"title": "Treatment of roomfit, format_version 1"}
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **own, **title}

@@ -99,7 +99,7 @@ class ReducedRows:
 
         1 where nothing changes, towards 0 where other walls return the energy.
 
-        Shapes: `before, after` (n_materials, n_bands), `exchanged` (n_materials,).
+        Shapes: `before, after` (n_materials, n_bands); which are exchanged (n_materials,).
 
         Pressures of paths with the energies ``e_i`` before and ``f_i`` after, of random phases,
         bring energies with the covariance ``(sum_i sqrt(e_i f_i))^2``, less what single paths

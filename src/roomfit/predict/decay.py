@@ -161,7 +161,7 @@ def with_common_noise(
 ) -> PairNumbers:
     """Return the numbers of a pair after a change with what its noise has in common with before.
 
-    Shapes: `absorption, changed` (n_materials, n_bands), `exchanged` (n_materials,).
+    Shapes: `absorption, changed` (n_materials, n_bands); which are exchanged (n_materials,).
     """
     alike = rows.scatter_correlation(absorption, changed, exchanged)
     sti = after.sti

@@ -18,7 +18,8 @@ from roomfit.base.typing import FloatArray
 from roomfit.files.campaign import read_toml
 from roomfit.files.complaints import explained
 from roomfit.files.inputs import at_bands
-from roomfit.files.schema import HungTable, Spectrum, TargetTable, TreatmentTable
+from roomfit.files.schema import Spectrum
+from roomfit.files.treatment_schema import HungTable, TargetTable, TreatmentTable
 from roomfit.materials.catalogue import catalogue_prior
 from roomfit.predict.changes import Change
 from roomfit.room.scene import Room, Scene
