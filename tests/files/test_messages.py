@@ -25,7 +25,6 @@ from roomfit.room.scene import scene_of, shoebox_room, with_states
 from roomfit.settings import Settings
 from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.signals.measurement import Measurement
-from roomfit.tracing.paths import TraceSettings
 
 GEO = "PLANES\n[1 floor / 4 3 2 / brick]\nCORNERS\n1 0 0 0\n2 1 0 0\n3 0 1 0\n"
 HEAD = "material,band_hz,absorption,lower95,upper95,identifiable\n"
@@ -189,16 +188,11 @@ CURES = [
     (lambda _: bands_between("octave", 10.0, 20.0), "10 to 20 Hz", "widen it, as 31.5 to"),
     (lambda _: Bands("octave", np.array([60.0])), "60 Hz", "63 Hz and not 60 Hz"),
     (lambda _: Bands("octave", np.array([500.0, 250.0])), "[500.0, 250.0]", "sort them"),
-    (lambda _: Settings(method="posteriori"), "'posteriori'", "did you mean 'posterior'?"),
+    (lambda _: Settings(method="annealling"), "'annealling'", "did you mean 'annealing'?"),
     (lambda _: Measurement("S", "R", np.ones(9), None), "without a rate", "give sampling_rate_hz"),
     (lambda _: with_states(BOX, {"closed": {"north": ""}}), "''", "name it after what is seen"),
     (lambda _: scene_of(BOX, {"S": (1, 1, 1)}, {}), "none", "give scene_of one of each"),
     (lambda _: read_change("floor"), "'floor'", "floor=0.3"),
-    (
-        lambda _: TraceSettings(duration_s=1.0, n_rays=10, estimator="rays"),
-        "'rays'",
-        "as it is listed",
-    ),
     (lambda _: shard_of((), (3, 2)), "3/2", "--shard 1/2"),
     (_spectrum(f=[100.0], tau=0.1), "f, tau", "store one of the two"),
     (_spectrum(f=[100.0], tau=0.1, p=np.ones(1)), "float64", "under the name magnitude"),

@@ -3,7 +3,8 @@
 Errors that all data of a band share are added to the covariance: variances of single windows know
 how far each of them may be off, and not that all are off together. Such errors hardly show in the
 residuals, for the answer follows them, and they move most of all the sums that data determine best,
-as the mean absorption of the room.
+as the mean absorption of the room. A reduced chi-square above 1 multiplies the covariance (R. T.
+Birge, Phys. Rev. 40, 207-227 (1932)).
 """
 
 from __future__ import annotations
