@@ -93,8 +93,11 @@ def test_an_example_of_the_gallery_runs_in_a_fresh_interpreter(example, tmp_path
             "The room can be traced.",
             "the mesh leaks",
         ],
-        "plot_error_landscape": ["ill_defined  from [0.95 0.95] to [0.65 0.35]"],
-        "plot_identify_box": ["room mean", "model | mean of the others"],
+        "plot_error_landscape": ["ill_defined  [0.65 0.35], one minimum: True"],
+        "plot_identify_box": [
+            "mean of the room",
+            "Each error is shown beside that of the baseline",
+        ],
         "plot_trace_once": ["paths over the materials"],
     }
     assert all(text in printed for text in expected[example.stem])
