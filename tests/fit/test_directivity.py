@@ -7,7 +7,6 @@ nothing with the fit (`roomfit.demo.boxes`).
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -15,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from coherent_cases import estimates_of
 from report_cases import answer_of, scene_of, texts_of
 from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import Bands, bands_between
@@ -39,7 +37,6 @@ from roomfit.files.inputs import (
 from roomfit.files.results import read_result, write_result
 from roomfit.files.rooms import read_room
 from roomfit.fit.directivity import (
-    band_directivities,
     directivity_parameters,
     omnidirectional,
     with_fitted_sources,
@@ -51,13 +48,10 @@ from roomfit.materials.priors import MaterialPrior, uniform_scattering, unknown_
 from roomfit.model.binned import bin_paths
 from roomfit.model.directivity import DirectivityParameters, FittedDirectivity
 from roomfit.model.patterns import Pattern, UnknownDirectivity
-from roomfit.pressures.fit import CoherentFit, CoherentTask, fit_coherent, initialise
-from roomfit.pressures.sequential import CoherentOptions
 from roomfit.report.tables import source_tables
 from roomfit.room.scene import Scene
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths
-from roomfit.uncertainty.gaussian import BandEstimate
 from roomfit.uncertainty.other_room import room_posterior
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 from small_campaign import ABSORPTION, LENGTHS_M, SMALL, SOURCE_M, write_wav
@@ -159,43 +153,6 @@ def case_of(folder: Path, specified: str, *, directional: bool) -> Case:
     return Case(asked, scene, trace_images(scene, 1000, END_S, still))
 
 
-def coherent_answer(
-    case: Case,
-) -> tuple[CoherentFit, tuple[BandEstimate | None, ...], tuple[FittedDirectivity, ...]]:
-    """Return the fit of pressures and energies, its answers, and the directivities."""
-    observed, priors, traced, start = case.arguments
-    unknown = unknown_directivities(case.asked, case.scene)
-    coherent = CoherentTask(
-        case.scene,
-        case.asked.bands,
-        priors,
-        observed.responses,
-        start,
-        CoherentOptions(end_s=END_S, late_end_s=END_S),
-        ((),) * len(case.asked.bands),
-        unknown,
-        omnidirectional(observed) if unknown is None else None,
-    )
-    fit = fit_coherent(initialise(coherent, traced), traced)
-    directed = tuple(None if b is None else b.directivity for b in fit.state.bands)
-    answers = estimates_of(fit)
-    return fit, answers, band_directivities(case.scene, unknown, directed, answers)
-
-
-def covered(answers: Sequence[BandEstimate | None]) -> np.ndarray:
-    """Return whether intervals of walls, carpet and tiles cover the true value, (n_bands, 3)."""
-    true = np.array(list(ABSORPTION.values()))
-    return np.array([(a.lower95 <= true) & (true <= a.upper95) for a in answers if a])
-
-
-def near(found: tuple[FittedDirectivity, ...], b: np.ndarray) -> bool:
-    """Whether each component in each band is within 3 standard deviations of the true one.
-
-    Nine components, one room, a fixed seed: by chance one in forty.
-    """
-    return all(bool(np.all(np.abs(f.b - b) <= 3.0 * f.sd)) for f in found)
-
-
 def test_the_simulated_source_directs_its_images_one_by_one() -> None:
     """The direct sound, and one reflection from each of six walls, traced by hand."""
     truth = box_truth()
@@ -213,17 +170,6 @@ def test_the_simulated_source_directs_its_images_one_by_one() -> None:
         axis = wall // 2
         mirrored[axis] = 2.0 * LENGTHS_M[axis] * (wall % 2) - receiver[axis]
         np.testing.assert_allclose(away[i] * lengths[i], mirrored - source, atol=1e-12)
-
-
-@pytest.mark.slow
-def test_an_omnidirectional_source_may_be_fitted_without_harm(tmp_path: Path) -> None:
-    """b near zero; intervals still cover the walls."""
-    _fit, estimates, found = coherent_answer(
-        case_of(tmp_path, 'directivity = "fit"', directional=False)
-    )
-    assert near(found, np.zeros(3))
-    assert np.linalg.norm(found[0].b, axis=1).max() < 0.3
-    assert covered(estimates).sum() >= 8
 
 
 def test_what_cannot_be_fitted_is_refused(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from scipy.sparse import csr_array
 
 from roomfit.base.air import Air
 from roomfit.base.bands import Bands
-from roomfit.fit.systematics import inflated_by_adjacent_bands
 from roomfit.materials.priors import uniform_scattering
 from roomfit.model.binned import BinnedPaths, bin_paths, in_band
 from roomfit.model.energy import (
@@ -21,13 +20,7 @@ from roomfit.model.energy import (
 from roomfit.model.parameters import Block, Parameters
 from roomfit.model.problem import Objective
 from roomfit.model.windows import window_edges_s
-from roomfit.pressures.choice import decided
 from roomfit.pressures.data_term import CoherentTerm, coherent_term
-from roomfit.pressures.fit import (
-    CoherentFit,
-    coherent_estimate,
-    energy_estimates,
-)
 from roomfit.pressures.geometry import Geometry, geometry_block
 from roomfit.pressures.response import image_paths
 from roomfit.room.mesh import shoebox_mesh
@@ -140,15 +133,6 @@ def with_data(term: CoherentTerm, data: np.ndarray) -> CoherentTerm:
         observed.append(replace(o, energy=data[first : first + n]))
         first += n
     return replace(term, energies=replace(term.energies, observations=tuple(observed)))
-
-
-def estimates_of(fit: CoherentFit) -> tuple[BandEstimate | None, ...]:
-    """Return the Gaussian estimate of every band of a partly coherent fit."""
-    n, by_energies = len(fit.fits), energy_estimates(fit)
-    found = tuple(coherent_estimate(fit, b) for b in range(n))
-    coherent = tuple(b if b is None else b.estimate for b in found)
-    energy = [b if b is None else b.estimate for b in map(by_energies, range(n))]
-    return decided(fit, energy, inflated_by_adjacent_bands(coherent))
 
 
 def estimate_of(absorption: list[float], half_width: float) -> BandEstimate:

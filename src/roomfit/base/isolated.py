@@ -71,8 +71,8 @@ def _run(read: str, content: bytes, library: str, most_bytes: float, answer: IO[
     memory_bytes = 2 * len(content) + 3 * most_bytes + _LIBRARIES_BYTES
     arguments = [f"{number:.0f}" for number in (memory_bytes, max(seconds, 1.0), most_bytes)]
     no_end = f"{library} did not come to an end within {seconds:g} s"
-    places = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
-    environment = {"PYTHONPATH": os.pathsep.join(filter(None, places)), "OMP_NUM_THREADS": "1"}
+    folders = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
+    environment = {"PYTHONPATH": os.pathsep.join(filter(None, folders)), "OMP_NUM_THREADS": "1"}
     try:
         done = subprocess.run(
             [sys.executable, "-P", "-m", "roomfit.base.isolated", read, *arguments],

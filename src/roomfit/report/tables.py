@@ -454,6 +454,11 @@ def pair_sti(answer: Result) -> FloatArray:
     return found
 
 
+def _seconds(time_s: float) -> Cell:
+    text = number(time_s, 2)
+    return Cell(text, ("not determined",), "missing") if text == DASH else Cell(text)
+
+
 def decay_time_tables(answer: Result) -> tuple[Table, ...]:
     """Return the mean decay time of `shown_decay`, measured and predicted, over the same pairs."""
     found = mean_decay_times(answer)
@@ -461,7 +466,7 @@ def decay_time_tables(answer: Result) -> tuple[Table, ...]:
         return ()
     symbol, measured, predicted = found
     rows = [
-        (name, *(Cell(number(float(t), 2)) for t in times_s))
+        (name, *(_seconds(float(t)) for t in times_s))
         for name, times_s in (("measured", measured), ("predicted", predicted))
     ]
     caption = f"{symbol} in s, mean of the {compared_words(answer)}"
