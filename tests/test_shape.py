@@ -89,14 +89,12 @@ def test_no_function_outside_of_kernels_takes_more_than_eight_arguments() -> Non
 
 
 def test_a_function_outside_of_kernels_is_one_screen() -> None:
-    """60 lines beside its docstring; those that wait on purpose (``async``) count as others do."""
-    limit = allowed("longest_function")
-    lines = {
-        f"{m.name}.{f.name}": shape.n_code_lines(f)
-        for m, f in shape.functions(FOUND)
-        if not shape.is_compiled(f)
-    }
-    assert {name for name, n in lines.items() if n > limit} == set()
+    """60 lines beside its docstring; how many are longer, and the longest, only fall."""
+    found = [(m, f) for m, f in shape.functions(FOUND) if not shape.is_compiled(f)]
+    lines = {f"{m.name}.{f.name}": shape.n_code_lines(f) for m, f in found}
+    longer = {name: n for name, n in lines.items() if n > 60}
+    assert len(longer) <= allowed("longer_functions"), longer
+    assert max(lines.values()) <= allowed("longest_function"), longer
 
 
 def test_no_call_spreads_a_tuple_written_on_the_spot() -> None:
