@@ -256,8 +256,11 @@ def glb(content: bytes, _: float, place: list[str]) -> tuple[dict[str, Any], lis
     head = json.loads(content[20 : 20 + length])
     if head.get("extensionsRequired"):
         raise ValueError(f"it needs {', '.join(map(str, head['extensionsRequired']))}")
-    if any("sparse" in accessor for accessor in head.get("accessors", [])):
+    accessors = head.get("accessors", [])
+    if any("sparse" in accessor for accessor in accessors):
         raise ValueError("points that are stored sparsely")
+    if sum(accessor["count"] for accessor in accessors) > len(content):
+        raise ValueError("it says that it has more numbers than bytes")
     return _triangles(content, "glb", place)
 
 

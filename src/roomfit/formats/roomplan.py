@@ -89,6 +89,9 @@ def read_roomplan(path: Path, space: str | None = None) -> RoomModel:
                 hint="export the scan anew; a drawing is given as OBJ, IFC or COLLADA",
             )
         with complete("scan", "dimensions and transform of each surface, as RoomPlan has them"):
+            # before each is looked at, which takes long
+            n_parts = sum(len(content.get(key) or ()) for key in (*_KINDS.values(), "objects"))
+            check_limit("scan_parts", n_parts, "the scan")
             parts = [
                 _part(kind, i, surface)
                 for kind, key in _KINDS.items()
