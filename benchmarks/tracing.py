@@ -24,12 +24,11 @@ import pyroomacoustics as pra
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
-from _embree import embree_hits, embree_of
 from roomfit.base.air import Air
 from roomfit.materials.priors import uniform_scattering
 from roomfit.paper.room import SPEED_OF_SOUND_M_S, paper_scene
 from roomfit.room.mesh import corners_m
-from roomfit.room.scene import Point, Room, Scene
+from roomfit.room.scene import Point, Scene
 from roomfit.tracing.bvh import Walls, next_wall, walls_of
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.rays import fibonacci_directions, path_bytes, trace_rays
@@ -126,13 +125,7 @@ def hall_table() -> None:
     print(
         "\n## Closed hall with seats: the same segments (20,000 rays, 20 flights each) one by one"
     )
-    print(
-        "Counted: finding the nearest triangle only. Embree's own loop calls `rtcIntersect1` from"
-    )
-    print(
-        "compiled code; `embreex` is one Python call for all segments, with its own output arrays."
-    )
-    print("Single calls of `embreex` from Python are given for completeness.")
+    print("Counted: finding the nearest triangle only; embreex is one call for all segments.")
     print("| triangles | tracer | million segments per CPU second | roomfit against it | lost |")
     print("|---|---|---|---|---|")
     for n_triangles in (1012, 12_012, 100_012):
@@ -143,32 +136,13 @@ def hall_table() -> None:
         lost = int(np.isinf(distances_m(walls, starts, directions)).sum())
         ours = n / processor_s(partial(distances_m, walls, starts, directions))
         print(f"| {n_triangles:,} | roomfit, float64 | {ours / 1e6:.2f} | | {lost} |")
-        for name, speed, missed in _embree_speeds(room, starts, directions):
-            print(f"| | {name} | {speed / 1e6:.3g} | {ours / speed:.2f} | {missed} |")
-
-
-def _embree_speeds(
-    room: Room, starts: np.ndarray, directions: np.ndarray
-) -> list[tuple[str, float, int]]:
-    corners = corners_m(room.mesh)
-    start, direction = starts.astype(np.float32), directions.astype(np.float32)
-    n, rows = len(starts), []
-    for robust in (True, False):
-        embree = embree_of(corners, robust=robust)
-        lost = int(np.isinf(embree_hits(embree, start, direction)[0]).sum())
-        speed = n / processor_s(partial(embree_hits, embree, start, direction))
-        rows.append((f"Embree, own loop, {'robust' if robust else 'fast'} mode", speed, lost))
-    scene = EmbreeScene()
-    TriangleMesh(scene, corners.astype(np.float32))
-    lost = int((scene.run(start + 1e-4 * direction, direction) < 0).sum())
-    speed = n / processor_s(lambda: scene.run(start + 1e-4 * direction, direction))
-    rows.append(("embreex, one batch", speed, lost))
-    few = range(2000)
-    speed = len(few) / processor_s(
-        lambda: [scene.run(start[i : i + 1], direction[i : i + 1]) for i in few]
-    )
-    rows.append(("embreex, ray by ray from Python", speed, 0))
-    return rows
+        scene = EmbreeScene()
+        TriangleMesh(scene, corners_m(room.mesh).astype(np.float32))
+        start, direction = starts.astype(np.float32), directions.astype(np.float32)
+        missed = int((scene.run(start + 1e-4 * direction, direction) < 0).sum())
+        embree = partial(scene.run, start + 1e-4 * direction, direction)
+        speed = n / processor_s(embree)
+        print(f"| | embreex | {speed / 1e6:.3g} | {ours / speed:.2f} | {missed} |")
 
 
 def _segments(walls: Walls) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-import shape
+import _shape as shape
 
 FOUND = shape.modules()
 NAMES = frozenset(m.name for m in FOUND)

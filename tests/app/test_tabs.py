@@ -15,7 +15,7 @@ pytest.importorskip("nicegui", reason="the workbench needs the extra app")
 from nicegui import Client, ui
 from nicegui.page import page
 
-import shape
+import _shape as shape
 from roomfit.app import page as own_page
 from roomfit.app import project, views
 from roomfit.app.identify_tab import IdentifyTab

@@ -1,13 +1,8 @@
-"""The shape of the code in numbers: modules, lines, types, functions, and the way to the kernels.
-
-python benchmarks/shape.py
-"""
+"""The shape of the code in numbers, as `tests/test_shape.py` limits it."""
 
 from __future__ import annotations
 
-import argparse
 import ast
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -157,21 +152,6 @@ def _is_number(value: ast.expr) -> bool:
     )
 
 
-def used_once(found: list[Module]) -> list[tuple[Module, ast.FunctionDef]]:
-    """Return the private functions at the top of a module that one place of it mentions."""
-    once = []
-    for m in found:
-        uses = Counter(n.id for n in ast.walk(m.tree) if isinstance(n, ast.Name))
-        once += [
-            (m, node)
-            for node in m.tree.body
-            if isinstance(node, ast.FunctionDef)
-            and node.name.startswith("_")
-            and uses[node.name] == 1
-        ]
-    return once
-
-
 def n_parameters(function: Function) -> int:
     """Return how many arguments a function takes, `self` and `cls` not counted."""
     a = function.args
@@ -194,38 +174,3 @@ def splats(found: list[Module]) -> list[tuple[Module, int]]:
         if isinstance(node, ast.Call)
         and any(isinstance(a, ast.Starred) and isinstance(a.value, ast.Tuple) for a in node.args)
     ]
-
-
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.parse_args()
-    found = modules()
-    names = frozenset(m.name for m in found)
-    inner = core(found)
-    defined = functions(found)
-    arrows = sum(len(imported(m, names) - {""}) for m in found)
-    rows = [
-        ("lines of src", sum(m.n_lines for m in found)),
-        ("lines of the core (what identify imports)", sum(m.n_lines for m in inner)),
-        ("modules", len(found)),
-        ("modules of the core", len(inner)),
-        ("longest module, lines", max(m.n_lines for m in found)),
-        ("dataclasses", len(dataclasses(found))),
-        ("numbers named at the level of a module", n_constants(found)),
-        ("functions and methods", len(defined)),
-        ("private functions used once", len(used_once(found))),
-        (
-            "functions of more than 8 parameters, kernels apart",
-            sum(n_parameters(f) > 8 and not is_compiled(f) for _, f in defined),
-        ),
-        ("calls of the form f(*(a, b), c)", len(splats(found))),
-        ("import arrows", arrows),
-    ]
-    width = max(len(text) for text, _ in rows)
-    for text, number in rows:
-        print(f"{text:<{width}}  {number:>7,}")
-
-
-if __name__ == "__main__":
-    main()
