@@ -17,8 +17,8 @@ from roomfit.fit.paths import TracedPaths, traced_paths
 from roomfit.fit.traced_room import trace_room
 from roomfit.materials.priors import complete_priors
 from roomfit.model.binned import BinnedPaths
+from roomfit.model.pulses import interference
 from roomfit.model.weighing import EnergyRows
-from roomfit.pressures.far_images import interference
 from roomfit.room.scene import Scene
 from roomfit.settings import Settings
 from roomfit.signals.decay import PARAMETER_NAMES

@@ -156,7 +156,7 @@ def objectives() -> list[Objective]:
     images = image_paths(paths, np.arange(2), 0.0)
     pressures = coherent_term(bands, 0, energies, 0.0, images, binned, geometry)
     # finite differences ask for more than single precision
-    pressures = replace(pressures, grid=replace(pressures.grid, is_double=True))
+    pressures = replace(pressures, grid=replace(pressures.grid, real=np.float64))
     pressures = with_coherence(pressures, whole_covariance(geometry))
     upper = np.array([1.0, 1.0, 1.0, 0.05])
     absorption = Block(

@@ -12,9 +12,8 @@ from boxes_in_space import box_with_doors, room_with_doors, rotation
 from images_reference import BOX_MATERIALS, SPEED_M_S, box_room, scene_of
 from roomfit.base.findings import Code
 from roomfit.demo.boxes import SyntheticBox, box_images
-from roomfit.fit.trace_plan import TracePlan, plan_trace, traced_s
+from roomfit.fit.trace_plan import TracePlan, has_every_order, images_until_s, plan_trace, traced_s
 from roomfit.materials.priors import MaterialPrior, Scattering, uniform_scattering
-from roomfit.pressures.far_images import has_every_order, images_until_s
 from roomfit.room.scene import Scene, shoebox_room
 from roomfit.room.scene import scene_of as named_scene
 from roomfit.settings import Settings

@@ -65,7 +65,7 @@ def small_term(centre_hz: float = CENTRE_HZ, paths: Paths | None = None) -> Cohe
     images = image_paths(paths, np.arange(2), 0.0)
     term = coherent_term(bands, 0, energies, 0.0, images, binned, small_geometry())
     # finite differences ask for more than single precision
-    return replace(term, grid=replace(term.grid, is_double=True))
+    return replace(term, grid=replace(term.grid, real=np.float64))
 
 
 def small_paths() -> tuple[Scene, Paths]:

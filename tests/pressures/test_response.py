@@ -11,12 +11,12 @@ from coherent_cases import objective_of, small_geometry, small_paths, small_term
 from roomfit.base.bands import Bands
 from roomfit.base.typing import FloatArray
 from roomfit.model.parameters import start_vector
+from roomfit.model.pulses import band_grid
 from roomfit.pressures.data_term import with_coherence
 from roomfit.pressures.geometry import times_of, whole_covariance
 from roomfit.pressures.response import (
     ImagePaths,
     Times,
-    band_grid,
     coherent_response,
     image_paths,
     images_of,
@@ -266,7 +266,7 @@ def many_paths(n_observations: int) -> tuple[ImagePaths, Times, tuple[FloatArray
 def test_observations_in_blocks_are_what_they_are_one_by_one() -> None:
     """Forty, of which a few are in memory at a time: the same energies and derivatives."""
     paths, moved, edges = many_paths(40)
-    grid, a = replace(band_grid(BANK, 0.0, 0.1), is_double=True), np.array([0.2, 0.4])
+    grid, a = replace(band_grid(BANK, 0.0, 0.1), real=np.float64), np.array([0.2, 0.4])
     whole = coherent_response(paths, a, moved, grid, edges)
     for o in (0, 15, 16, 39):
         own = images_of(paths, np.array([o]), None)
@@ -310,7 +310,8 @@ def test_single_precision_is_finer_than_the_grid() -> None:
     paths, moved, edges = many_paths(5)
     grid, a = band_grid(BANK, 0.0, 0.1), np.array([0.2, 0.4])
     single, double = (
-        coherent_response(paths, a, moved, replace(grid, is_double=d), edges) for d in (False, True)
+        coherent_response(paths, a, moved, replace(grid, real=d), edges)
+        for d in (np.float32, np.float64)
     )
     for name in ("energy", "by_log_reflected", "by_times"):
         found, expected = getattr(single, name), getattr(double, name)

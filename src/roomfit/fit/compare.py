@@ -14,6 +14,7 @@ from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.fit.measurements import Measurements
 from roomfit.model.binned import BinnedPaths, pair_energies
 from roomfit.model.observation import spread_over_time
+from roomfit.model.pulses import interference
 from roomfit.model.room_parameters import predicted_values
 from roomfit.result import Compared, ComparedPair, Decay
 from roomfit.room.scene import Scene, distances_m, pair_names
@@ -164,8 +165,6 @@ def predicted_curve(
     energy = pair_energies(binned, bands, pair, absorption, attenuation_per_m(scene.air, bands))
     energy = spread_over_time(bands, energy)
     if by_pressures is not None and by_pressures.any():
-        from roomfit.pressures.far_images import interference  # kernels of its own
-
         added = interference(scene, bands, binned, pair, absorption, by_pressures)
         energy = np.maximum(energy + added, 0.0)
     direct_s = float(distances_m(scene)[pair]) / speed_of_sound_m_s(scene.air)

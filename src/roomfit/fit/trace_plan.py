@@ -17,7 +17,7 @@ from roomfit.model.scattering import effective_fractions, sampling_groups
 from roomfit.room.mesh import box_of, surface_area_m2, volume_m3
 from roomfit.room.scene import Room, Scene, material_areas_m2
 from roomfit.settings import Settings
-from roomfit.tracing.image_sources import affordable_order
+from roomfit.tracing.image_sources import affordable_duration_s, affordable_order
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.rays import Trace, expected_paths, path_bytes
 from roomfit.tracing.trace import fitting_radii_m, trace
@@ -59,6 +59,11 @@ _MODEL_ERROR, _BANDWIDTH_HZ = 0.2, 2828.0
 _OF_THE_DATA, _CROSSINGS_AS_ONE = 1.0 / 3.0, 5.0
 # A trace takes about twice the memory of its paths.
 _MOST_PATH_BYTES = 480e6
+# A fit asks for image sources of every order as far as its windows go, if they can be had; in a
+# box, where they cost little, as far as energies are compared.
+_FAR_UNTIL_S, _LEAST_FAR_S = 0.22, 0.03
+# Of all pairs together: 1 GB. Of 200 pairs each has 20,000, .2 s of 70 m3.
+_MOST_FAR_IMAGES = 4e6
 # Image sources of all pairs together, where there is nothing else.
 _MOST_IMAGES_OF_ALL = 10e6
 
@@ -100,7 +105,7 @@ def plan_trace(
 
     Where they are all there is, image sources are so many a pair as the settings say, and 10
     million of all pairs together. With `images_until_s` there are image sources of every order for
-    so long, where 0 is none, and they can be moved; see `roomfit.pressures`.
+    so long, where 0 is none, and they can be moved.
     """
     findings = []
     unspecified = [k.name for k in priors if k.scattering is None]
@@ -159,6 +164,25 @@ def in_lattice(room: Room, settings: Settings) -> bool:
     """Whether image sources form a lattice, and few triangles have to be looked up on a wall."""
     few = len(room.mesh.triangles) <= settings.most_triangles_for_images
     return room.shoebox_m is not None or (few and box_of(room.mesh) is not None)
+
+
+def images_until_s(scene: Scene, duration_s: float, settings: Settings) -> float:
+    """Return how long image sources of every order can be had; 0 where it is not worth while."""
+    c = speed_of_sound_m_s(scene.air)
+    volume = volume_m3(scene.room.mesh)
+    n_images = min(settings.most_coherent_images, _MOST_FAR_IMAGES / len(scene.pairs))
+    affordable_s = (n_images * volume * 0.75 / np.pi) ** (1.0 / 3.0) / c
+    longest_s = min(duration_s, float(affordable_s))
+    if not in_lattice(scene.room, settings):
+        if len(scene.room.mesh.triangles) > settings.most_triangles_for_images:
+            return 0.0
+        longest_s = affordable_duration_s(scene, min(longest_s, _FAR_UNTIL_S))
+    return longest_s if longest_s >= _LEAST_FAR_S else 0.0
+
+
+def has_every_order(settings: TraceSettings) -> bool:
+    """Return whether image sources of every order reach far enough to be added as pressures."""
+    return settings.image_order >= _ANY_ORDER
 
 
 def _sampled_scattering(

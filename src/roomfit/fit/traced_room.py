@@ -16,7 +16,15 @@ from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import BoolArray, FloatArray, Progress
 from roomfit.fit.compare import predicted_curve
 from roomfit.fit.scattering import band_factors, specified_scattering
-from roomfit.fit.trace_plan import LEAST_RAYS, TracePlan, plan_trace, planned_trace, traced_s
+from roomfit.fit.trace_plan import (
+    LEAST_RAYS,
+    TracePlan,
+    has_every_order,
+    images_until_s,
+    plan_trace,
+    planned_trace,
+    traced_s,
+)
 from roomfit.materials.priors import MaterialPrior, unknown_material
 from roomfit.model.binned import BinnedPaths, bin_paths, pair_energies, rows_at
 from roomfit.model.eyring import eyring_time_s
@@ -260,8 +268,6 @@ def trace_room(
     def planned() -> TracePlan:
         own = scene, priors, min(longest_s, _LONGEST_S), 0.0
         if added.any():
-            from roomfit.pressures.far_images import has_every_order, images_until_s
-
             far_s = images_until_s(scene, traced_s(*own[2:]), settings)
             plan = plan_trace(*own, beside_images, images_until_s=far_s)
             if has_every_order(plan.settings):

@@ -22,9 +22,9 @@ from roomfit.model.observation import absorption_block
 from roomfit.model.parameters import Parameters
 from roomfit.model.patterns import weigh_parts
 from roomfit.model.problem import DataTerm, Objective, Rows, Values
+from roomfit.model.pulses import energy_of_pulses, image_pulses
 from roomfit.model.weighing import (
     EnergyRows,
-    power_table,
     rows_in_air,
     thinned_rows,
     weigh,
@@ -38,7 +38,6 @@ from roomfit.model.windows import (
     spread_energy,
     spread_squared_energy,
 )
-from roomfit.pressures.response import energy_of_pressures, root_energies
 from roomfit.room.mesh import box_of
 from roomfit.room.scene import Scene, distances_m, pair_names
 from roomfit.signals.decay import DecayCurve, echogram_decay_curve, jnd_of
@@ -303,11 +302,9 @@ def curve_by_pressures(
     image = np.flatnonzero(rows.length_m > 0.0)
     observed = term.observations[i]
     at_s = rows.length_m[image] / rows.length_m[image].min() * observed.direct_s
-    powers = power_table(np.sqrt(1.0 - absorption)[None], rows.max_hits)[0]
-    own = image.astype(np.int32)
-    root = root_energies(rows.weight_per_m2[own], own, rows.hits, powers)
-    together = energy_of_pressures(at_s, root, edges, term.bands)
-    alone = np.bincount(window_of_rows(rows)[image], root**2, edges.size - 1)
+    heights = image_pulses(rows, image, absorption)
+    together = energy_of_pulses(at_s, heights, edges, term.bands)
+    alone = np.bincount(window_of_rows(rows)[image], heights**2, edges.size - 1)
     rest = spread_energy(term.spreading, np.maximum(energy - alone, 0.0))
     return echogram_decay_curve(term.bands, rest + together, edges, observed.direct_s)
 

@@ -23,14 +23,12 @@ from roomfit.fit.measurements import Measurements, time_scales
 from roomfit.fit.paths import TracedPaths, traced_paths, trim_memory
 from roomfit.fit.solve import other_terms
 from roomfit.fit.systematics import inflated_by_adjacent_bands
-from roomfit.fit.trace_plan import traced_s
+from roomfit.fit.trace_plan import has_every_order, images_until_s, traced_s
 from roomfit.materials.priors import MaterialPrior
 from roomfit.model.room_parameters import without_responses
 from roomfit.pressures.far_images import (
     Retrace,
     fit_until_s,
-    has_every_order,
-    images_until_s,
     retracing,
 )
 from roomfit.pressures.fit import (

@@ -31,6 +31,7 @@ from roomfit.model.energy import (
 from roomfit.model.parameters import GEOMETRY
 from roomfit.model.patterns import RowBasis
 from roomfit.model.problem import DataTerm, Rows, Values
+from roomfit.model.pulses import BandGrid, band_grid
 from roomfit.model.weighing import ROWS_WORTH_THREADS, first_rows, shared_zeros
 from roomfit.model.windows import in_windows, squares_in_windows, with_squares
 from roomfit.pressures.directed import (
@@ -42,9 +43,7 @@ from roomfit.pressures.directed import (
 )
 from roomfit.pressures.geometry import Geometry, local_roots, times_of
 from roomfit.pressures.response import (
-    BandGrid,
     ImagePaths,
-    band_grid,
     binned_energies,
     binned_shares,
     chosen_paths,
@@ -305,8 +304,8 @@ def with_coherence(
     if last_s > 0.8 * edges_s.max():
         return known
     first_s = float(edges_s.min())  # where no arrival time is known, the windows begin after all
-    grid = band_grid(term.grid.bands, first_s, max(first_s, last_s))
-    return replace(known, grid=replace(grid, is_double=term.grid.is_double))
+    grid = band_grid(term.grid.band, first_s, max(first_s, last_s))
+    return replace(known, grid=replace(grid, real=term.grid.real))
 
 
 def fully_coherent(term: CoherentTerm) -> CoherentTerm:

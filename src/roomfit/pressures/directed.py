@@ -15,10 +15,8 @@ from scipy import fft
 from roomfit.base.kernels import in_threads, kernel
 from roomfit.base.typing import FloatArray, IntArray
 from roomfit.model.patterns import RowBasis, amplitude_and_slope, pattern_basis
+from roomfit.model.pulses import TABLE_STEPS, TAPS, BandGrid
 from roomfit.pressures.response import (
-    TABLE_STEPS,
-    TAPS,
-    BandGrid,
     ImagePaths,
     RealArray,
     Times,

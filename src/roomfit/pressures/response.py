@@ -19,22 +19,17 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
-from scipy.special import i0
 
-from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
 from roomfit.base.kernels import in_threads, kernel
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
+from roomfit.model.pulses import TABLE_STEPS, TAPS, BandGrid
 from roomfit.model.weighing import ROWS_WORTH_THREADS
-from roomfit.signals.filters import energy_bandwidth_hz, frequency_response
 from roomfit.tracing.paths import Paths, hits, losses, paths_of_pairs
 
 RealArray: TypeAlias = NDArray[np.floating[Any]]
 """Of single or double precision."""
 
-# Taps of the gridding kernel and steps of its table between two taps.
-TAPS = 6
-TABLE_STEPS = 2048
 # Columns of a grid are filled up to so many: a remainder costs as much as all the others.
 _COLUMNS_AT_ONCE = 8
 
@@ -273,15 +268,6 @@ def spread_squared(
             out[i] = total
 
 
-# The octave filter ends at twice its centre; pressures on a grid of eight samples a period of the
-# centre have squares that the grid still resolves.
-_SAMPLES_PER_PERIOD = 8.0
-# A zero-phase octave filter has less than 1e-7 of its energy farther away.
-_PADDING_PERIODS = 16.0
-# Oversampling is 2: the shape parameter of Beatty, Nishimura and Pauly (2005), eq. 5.
-_BETA = np.pi * np.sqrt((TAPS / 2.0) ** 2 * 1.5**2 - 0.8)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ImagePaths:
     """Image paths of several observations of one band, one observation after the other.
@@ -318,30 +304,6 @@ class Times:
     speed_m_s: float
     latency_s: FloatArray  # (n_observations,)
     delays_s: FloatArray  # (n_materials,): delay that each reflection adds
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BandGrid:
-    """The grid of times on which the pressures of one band are added."""
-
-    first_s: float
-    rate_hz: float
-    n: int
-    filter: FloatArray  # (n // 2 + 1,), transfer function from impulses to filtered pressure
-    slope: FloatArray  # (n // 2 + 1,), to minus its time derivative
-    table: FloatArray  # the gridding kernel, see `grid_impulses`
-    bands: Bands  # of the one band
-    is_double: bool = False  # whether pressures are added in double precision
-
-    @property
-    def real(self) -> type[np.float32] | type[np.float64]:
-        """The type of the pressures."""
-        return np.float64 if self.is_double else np.float32
-
-    @property
-    def complex(self) -> type[np.complex64] | type[np.complex128]:
-        """The type of their spectra."""
-        return np.complex128 if self.is_double else np.complex64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -423,45 +385,6 @@ def chosen_paths(paths: ImagePaths, keep: BoolArray) -> ImagePaths:
     )
 
 
-def band_grid(bands: Bands, first_s: float, last_s: float) -> BandGrid:
-    """Return a grid for the only one of some bands that contains the times from first to last.
-
-    Notes
-    -----
-    Impulses between grid points are spread over six points by a Kaiser-Bessel kernel, whose
-    spectrum the filter divides out [1]_. The pressure is exact to 1e-5 of a path's amplitude.
-
-    References
-    ----------
-    .. [1] P. J. Beatty, D. G. Nishimura, J. M. Pauly, "Rapid gridding reconstruction with a
-           minimal oversampling ratio", IEEE Trans. Med. Imaging 24, 799-808 (2005).
-    """
-    if len(bands) != 1:
-        what = "a grid belongs to one band"
-        hint = "make one grid for each band"
-        raise InputError(what, found=f"{len(bands)} bands", needed="one band", hint=hint)
-    top_hz = float(bands.upper_hz[0] ** 2 / bands.exact_centres_hz[0])
-    rate_hz = 0.5 * _SAMPLES_PER_PERIOD * top_hz
-    padding_s = _PADDING_PERIODS / (top_hz - float(bands.exact_centres_hz[0]))
-    half = int(np.ceil(0.5 * (last_s - first_s + 2.0 * padding_s) * rate_hz))
-    n = 2 * int(fft.next_fast_len(half, real=True))  # one more than a fast odd length may be slow
-    frequencies = fft.rfftfreq(n, 1.0 / rate_hz)
-    shape = frequency_response(bands, frequencies)[0]
-    shape = shape / np.sqrt(2.0 * energy_bandwidth_hz(bands)[0])
-    used = shape > 0.0
-    # the Fourier transform of the gridding kernel within its pass band, and its table in time
-    argument = np.maximum(_BETA**2 - (np.pi * TAPS * (frequencies / rate_hz)) ** 2, 1e-12)
-    argument = np.sqrt(argument)
-    kernel = TAPS * np.sinh(argument) / (argument * i0(_BETA))
-    behind = np.arange(TABLE_STEPS + 2)[:, None] / TABLE_STEPS
-    x = behind + TAPS // 2 - 1 - np.arange(TAPS)
-    inside = np.maximum(1.0 - (2.0 * x / TAPS) ** 2, 0.0)
-    table = np.where(np.abs(x) <= TAPS / 2, i0(_BETA * np.sqrt(inside)) / i0(_BETA), 0.0)
-    transfer = np.where(used, shape / np.where(used, kernel, 1.0), 0.0) * rate_hz
-    slope = -2j * np.pi * frequencies * transfer
-    return BandGrid(first_s - padding_s, rate_hz, n, transfer, slope, table, bands)
-
-
 def coherent_response(
     paths: ImagePaths,
     absorption: FloatArray,
@@ -509,29 +432,6 @@ def coherent_response(
     return CoherentResponse(energy, 0.5 * slopes[:, :n_materials], by_times)
 
 
-def energy_of_pressures(
-    at_s: FloatArray, roots: FloatArray, edges_s: FloatArray, band: Bands
-) -> FloatArray:
-    """Return the energy of the sum of filtered pulses in windows end to end, shape (n_windows,).
-
-    Shapes: `at_s, roots` (n,), `edges_s` (n_windows + 1,).
-    """
-    n = len(at_s)
-    pulses = ImagePaths(
-        (),
-        np.array([0, n]),
-        roots**2,
-        np.zeros((n, 0), dtype=np.uint16),
-        np.pad(at_s[:, None], ((0, 0), (0, 2))),  # from any direction, at one metre a second
-        np.zeros((n, 9), dtype=np.float32),
-        np.ones(n),
-        np.arange(n, dtype=np.int32),
-    )
-    still, none = Times(np.zeros((1, 6)), 1.0, np.zeros(1), np.zeros(0)), np.zeros(0)
-    grid = band_grid(band, float(edges_s[0]), float(edges_s[-1]))
-    return coherent_response(pulses, none, still, grid, (edges_s,), derivative=False).energy
-
-
 def _pressures(
     paths: ImagePaths,
     observations: slice,
@@ -571,7 +471,10 @@ def _pressures(
     )
     columns: Any = np.ascontiguousarray(np.swapaxes(impulses[:, :, :n_columns], 1, 2))
     workers = min(numba.get_num_threads(), 2)
-    transfer, slope = grid.filter.astype(grid.real), grid.slope.astype(grid.complex)
+    transfer, slope = (
+        grid.filter.astype(grid.real),
+        grid.slope.astype(np.result_type(grid.real, np.complex64)),
+    )
     spectra = fft.rfft(columns, axis=-1, workers=workers)
     pressure = fft.irfft(spectra[:, 0] * transfer, grid.n, axis=-1, workers=workers)
     if not derivative:
