@@ -17,6 +17,12 @@ import numpy as np
 from _impedance_rooms import random_case
 from roomfit.base.air import Air
 from roomfit.base.typing import ComplexArray, FloatArray
+from roomfit.fit.simplex import (
+    Fit,
+    anneal,
+    downhill_simplex,
+    random_simplex,
+)
 from roomfit.impedance.data import Observed, complex_frequency_hz
 from roomfit.impedance.fit import continuation, distance, distinct, multistart, polish
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance, wave_problem
@@ -32,12 +38,6 @@ from roomfit.impedance.wave_model import (
     predicted_pressure,
     wave_model,
     wavenumber_per_m,
-)
-from roomfit.paper.search import (
-    Fit,
-    anneal,
-    downhill_simplex,
-    random_simplex,
 )
 from roomfit.room.scene import Point, Scene
 from simulated_rooms.impedance_box import (

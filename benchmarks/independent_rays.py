@@ -24,7 +24,6 @@ from roomfit.paper.room import (
     division_rows,
     paper_scene,
     residuals,
-    squares_problem,
     trace_paper_room,
     whole_windows_s,
     window_energies,
@@ -82,7 +81,7 @@ def main() -> None:
             off = []
             for repeat, paths in enumerate(models):
                 pairs = zip(rows_of(paths, division, cases), energies, strict=True)
-                problems = [squares_problem(rows, energy) for rows, energy in pairs]
+                problems = [SquaresProblem(rows, energy) for rows, energy in pairs]
                 rng = np.random.default_rng((rays, repeat))
                 off.append(found(problems, truth.size, rng) - truth)
             error = np.sqrt(np.mean(np.square(off)))

@@ -11,8 +11,8 @@ The room is reconstructed from the arrival times and Table 2 of the paper, whose
 import matplotlib.pyplot as plt
 import numpy as np
 
-from roomfit.paper.certificate import certify
-from roomfit.paper.room import error, paper_problem, paper_scene, trace_paper_room
+from roomfit.paper.proof import certify
+from roomfit.paper.room import error, paper_problem, paper_scene, trace_paper_room, true_absorption
 
 paths = trace_paper_room(paper_scene())
 windows = {
@@ -28,10 +28,10 @@ problems = {name: paper_problem(name, paths) for name in windows}
 grid = np.linspace(0.0, 1.0, 21)
 figure, panels = plt.subplots(1, 2, figsize=(8, 4), sharey=True, layout="constrained")
 for axes, (name, problem) in zip(panels, problems.items(), strict=True):
-    errors = np.array([[error(problem.squares, np.array([a, b])) for a in grid] for b in grid])
+    errors = np.array([[error(problem, np.array([a, b])) for a in grid] for b in grid])
     levels = errors.max() / 3.0 ** np.arange(12, -1, -1)
     axes.contour(grid, grid, errors, levels, cmap="viridis_r", norm="log")
-    axes.plot(*problem.true_absorption, "+", color="#D55E00", ms=12, mew=2)
+    axes.plot(*true_absorption(name), "+", color="#D55E00", ms=12, mew=2)
     axes.set(title=windows[name], xlabel="absorption of floor and ceilings", aspect="equal")
 panels[0].set_ylabel("absorption of walls")
 figure.suptitle("Room reconstructed from the arrival times and Table 2 of the paper", fontsize=10)
@@ -44,6 +44,6 @@ plt.show()
 # other absorption at all has an error within 1e-8 of the lowest.
 
 for name, problem in problems.items():
-    proof = certify(problem.squares)
+    proof = certify(problem)
     for cluster in proof.clusters:
         print(f"{name:<12} {cluster.minimiser.round(4)}, one minimum: {cluster.unique}")

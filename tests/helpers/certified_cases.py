@@ -6,7 +6,7 @@ import numpy as np
 
 from roomfit.base.typing import FloatArray
 from roomfit.model.weighing import EnergyRows
-from roomfit.paper.room import SquaresProblem, squares_problem
+from roomfit.paper.room import SquaresProblem
 
 _ORDER = 8
 _SPEED_M_S = 340.0
@@ -42,7 +42,7 @@ def box_room(rng: np.random.Generator, n_materials: int, window_s: float) -> Ene
         length[kept],
         np.full(kept.size, -1),
     )
-    return squares_problem(rows, np.zeros(n_windows)).rows
+    return SquaresProblem(rows, np.zeros(n_windows)).rows
 
 
 def energies_by_hand(rows: EnergyRows, absorption: FloatArray) -> FloatArray:

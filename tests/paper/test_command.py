@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -67,34 +65,3 @@ def test_the_table_and_pictures_lie_beside_it(written: Path) -> None:
     for name in pictures:
         data = (written / name).read_bytes()
         assert data[:8] == b"\x89PNG\r\n\x1a\n" and len(data) > 20_000
-
-
-@pytest.mark.slow
-def test_an_interrupt_ends_the_run_at_once_and_leaves_nothing(tmp_path: Path) -> None:
-    """Control-C in the middle of the work: exit code 130, no folder, no traceback."""
-    folder = tmp_path / "out"
-    process = subprocess.Popen(
-        [*COMMAND, str(folder)], stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
-    # its lock says that it is at work, however busy the machine; a whole run takes a minute or more
-    while not list(tmp_path.iterdir()):
-        assert process.poll() is None
-        time.sleep(0.05)
-    time.sleep(3.0)
-    assert process.poll() is None
-    process.send_signal(signal.SIGINT)
-    # a machine may be busy; an interrupt that is lost ends in another exit code
-    _, errors = process.communicate()
-    assert process.returncode == 130, errors
-    assert "interrupted" in errors and "Traceback" not in errors
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.slow
-def test_a_folder_that_holds_something_is_left_alone(tmp_path: Path) -> None:
-    """Exit code 2 and a message, before any work."""
-    (tmp_path / "mine.txt").write_text("keep")
-    done = subprocess.run([*COMMAND, str(tmp_path)], capture_output=True, text=True, check=False)
-    assert done.returncode == 2
-    assert "not empty" in done.stderr and "--overwrite" in done.stderr
-    assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from roomfit.base.typing import FloatArray, Progress
+from roomfit.fit.simplex import unit_box_solver
 from roomfit.materials.priors import MaterialPrior
 from roomfit.model.energy import only_energies
 from roomfit.model.parameters import (
-    Parameters,
     physical_values,
     position_of,
     prior_residuals,
@@ -101,7 +101,9 @@ def fitted_band(
     method, seed = settings.method, settings.seed
     starts: Starts | None = None
     model = "energy" if objective.is_gamma().any() else "values"
-    solver = _solver(objective.parameters, method, np.random.default_rng(seed))
+    solver: Solver = gauss_newton
+    if method in ("simplex", "annealing"):
+        solver = unit_box_solver(objective.parameters, method, np.random.default_rng(seed))
     fit = fit_band(objective, solver, max_rounds=settings.max_rounds, progress=progress)
     if method == "auto" and fit.vector.size and only_energies(objective) is not None:
         fit, starts = from_random_starts(
@@ -110,11 +112,3 @@ def fitted_band(
     noisy = fit if shared_covariance is None else shared_covariance(band, objective, fit)
     own = band_estimate(objective.parameters, noisy, model)
     return FittedBand(replace(own, starts=starts), objective, fit)
-
-
-def _solver(parameters: Parameters, method: str, rng: np.random.Generator) -> Solver:
-    if method not in ("simplex", "annealing"):
-        return gauss_newton
-    from roomfit.paper.search import annealing_solver, simplex_solver  # of Suh's paper alone
-
-    return simplex_solver(parameters) if method == "simplex" else annealing_solver(parameters, rng)

@@ -27,11 +27,14 @@ from roomfit.base.whole_files import (
     write_text_atomically,
 )
 from roomfit.paper.repeat import (
+    FINE_GRID,
     FOUND_WITHIN,
+    GRID,
     METHODS,
     CaseResponse,
-    Landscape,
     PaperResult,
+    grid_minima,
+    largest_relative_error,
     repeat_paper,
 )
 from roomfit.paper.room import (
@@ -41,6 +44,8 @@ from roomfit.paper.room import (
     PRINTED_ARRIVALS_MS,
     RECONSTRUCTED,
     SPECIFICATIONS,
+    TABLE2,
+    true_absorption,
 )
 from roomfit.report.figures import new_figure, png
 from roomfit.report.wording import OKABE_ITO
@@ -72,8 +77,7 @@ def run_paper(
 
 
 def _table2_rows(result: PaperResult) -> list[list[float]]:
-    table = result.table2
-    rows: list[list[float]] = np.column_stack((table.absorption, table.paper, table.ours)).tolist()
+    rows: list[list[float]] = np.column_stack((TABLE2, result.table2)).tolist()
     return rows
 
 
@@ -92,19 +96,19 @@ def paper_json(result: PaperResult) -> dict[str, Any]:
             dict(zip(("alpha1", "alpha2", "paper", "ours"), row, strict=True))
             for row in _table2_rows(result)
         ],
-        "table2_common_factor": result.table2.common_factor,
-        "table2_max_relative_error": result.table2.max_relative_error,
-        "grid_minima": {name: s.minima.tolist() for name, s in result.landscapes.items()},
+        "table2_common_factor": result.common_factor,
+        "table2_max_relative_error": largest_relative_error(result.table2),
+        "grid_minima": {name: grid_minima(own).tolist() for name, own in result.grids.items()},
         "found_within": FOUND_WITHIN,
         "searches": [asdict(own) for own in result.searches],
-        "truth": {n: list(s.division.true_absorption) for n, s in SPECIFICATIONS.items()},
+        "truth": {name: true_absorption(name).tolist() for name in SPECIFICATIONS},
         "certified": {name: asdict(c) for name, c in result.certificates.items()},
     }
 
 
 def paper_text(result: PaperResult) -> str:
     """Return the findings in words and tables of at most 100 columns."""
-    worst = 100.0 * result.table2.max_relative_error
+    worst = 100.0 * largest_relative_error(result.table2)
     parts = [
         RECONSTRUCTED,
         _arrivals_text(result),
@@ -132,10 +136,10 @@ def _problems_text(result: PaperResult) -> str:
     for name, proof in result.certificates.items():
         searches = (own[name, method] for method in METHODS)
         cells = [f"{s.found} ({s.median_evaluations:.0f})" for s in searches]
-        shape = result.landscapes.get(name)
+        grid = str(len(grid_minima(result.grids[name]))) if name in result.grids else "-"
         single = len(proof.clusters) == 1 and proof.clusters[0].unique
         proven = "one minimum" if proof.complete and single else f"{len(proof.clusters)} regions"
-        rows.append((name, *cells, "-" if shape is None else str(len(shape.minima)), proven))
+        rows.append((name, *cells, grid, proven))
     caption = (
         f"Searches that found every absorption within {FOUND_WITHIN:g}, of {result.seeds} seeds "
         "(median evaluations)"
@@ -150,7 +154,6 @@ def _problems_text(result: PaperResult) -> str:
 
 _BLUE, _RED, _GREEN = OKABE_ITO[:3]
 _LEVELS = np.logspace(-1.0, 5.0, 25)  # in the paper's unit of error
-_AXIS_LABELS = ("absorption of floor and ceilings", "absorption of walls")
 _TITLES = {"case1": "Case 1", "case2": "Case 2", "case3": "Case 3"}
 
 
@@ -189,9 +192,8 @@ def _contours_figure(result: PaperResult) -> Figure:
     figure = _new_figure(3.9 * len(CASES) + 0.8, 5.0)
     panels = figure.subplots(1, len(CASES), sharey=True, squeeze=False)[0]
     for axes, name in zip(panels, CASES, strict=True):
-        shape = result.landscapes[name]
-        drawn = _contours(axes, shape.grid, shape.errors)
-        _mark_minima(axes, result, name, shape)
+        drawn = _contours(axes, GRID, result.grids[name])
+        _mark_minima(axes, result, name, grid_minima(result.grids[name]))
         axes.set_title(_TITLES[name], fontsize=10)
     _finish(figure, panels, drawn)
     return figure
@@ -199,17 +201,17 @@ def _contours_figure(result: PaperResult) -> Figure:
 
 def _ill_defined_figure(result: PaperResult) -> Figure:
     """Return Figure 5 twice: on the paper's grid, with its islands, and on a fine grid without."""
-    shape, fine_errors = result.landscapes["ill_defined"], result.ill_defined_fine
+    errors = result.grids["ill_defined"]
+    minima = grid_minima(errors)
     figure = _new_figure(9.6, 5.4)
     panels = figure.subplots(1, 2, sharey=True)
-    fine = np.linspace(0.0, 1.0, len(fine_errors))
-    _contours(panels[0], shape.grid, shape.errors)
-    drawn = _contours(panels[1], fine, fine_errors)
-    _mark_minima(panels[0], result, "ill_defined", shape)
+    _contours(panels[0], GRID, errors)
+    drawn = _contours(panels[1], FINE_GRID, result.ill_defined_fine)
+    _mark_minima(panels[0], result, "ill_defined", minima)
     _mark_minima(panels[1], result, "ill_defined", None)
-    title = f"the paper's grid, 21 x 21: {len(shape.minima) - 1} minima that are none"
+    title = f"the paper's grid, 21 x 21: {len(minima) - 1} minima that are none"
     panels[0].set_title(title, fontsize=10)
-    panels[1].set_title(f"{len(fine)} x {len(fine)}: one valley", fontsize=10)
+    panels[1].set_title(f"{len(FINE_GRID)} x {len(FINE_GRID)}: one valley", fontsize=10)
     _finish(figure, panels, drawn)
     return figure
 
@@ -231,23 +233,23 @@ def _contours(axes: Axes, grid: FloatArray, errors: FloatArray) -> ScalarMappabl
     filled = axes.contourf(grid, grid, shown, _LEVELS, norm=norm, cmap="viridis_r")
     axes.contour(grid, grid, shown, _LEVELS, colors="white", linewidths=0.4)
     axes.set_aspect("equal")
-    axes.set_xlabel(_AXIS_LABELS[0])
+    axes.set_xlabel("absorption of floor and ceilings")
     return filled
 
 
-def _mark_minima(axes: Axes, result: PaperResult, name: str, shape: Landscape | None) -> None:
+def _mark_minima(axes: Axes, result: PaperResult, name: str, minima: FloatArray | None) -> None:
     """Mark the minima of the grid, where there is one, and those that are proven."""
-    inside: dict[str, Any] = {"clip_on": False, "zorder": 5, "ls": "none"}
-    if shape is not None:
-        axes.plot(*shape.minima.T, marker="o", color=_RED, mfc="none", mew=1.8, ms=9,
-                  label="minimum of the grid", **inside)  # fmt: skip
+    inside: dict[str, Any] = {"clip_on": False, "zorder": 5, "ls": "none", "mew": 1.8}
+    if minima is not None:
+        text = "minimum of the grid"
+        axes.plot(*minima.T, marker="o", color=_RED, mfc="none", ms=9, label=text, **inside)
     proven = np.array([c.minimiser for c in result.certificates[name].clusters])
-    axes.plot(*proven.T, marker="x", color="black", mew=1.8, ms=6,
-              label="lowest error of all, proven", **inside)  # fmt: skip
+    text = "lowest error of all, proven"
+    axes.plot(*proven.T, marker="x", color="black", ms=6, label=text, **inside)
 
 
 def _finish(figure: Figure, panels: Sequence[Axes], drawn: ScalarMappable) -> None:
-    panels[0].set_ylabel(_AXIS_LABELS[1])
+    panels[0].set_ylabel("absorption of walls")
     bar = figure.colorbar(drawn, ax=list(panels), shrink=0.8, ticks=10.0 ** np.arange(-1, 6))
     bar.ax.yaxis.set_major_formatter(LogFormatterSciNotation())
     bar.set_label("error (unit of the paper)")

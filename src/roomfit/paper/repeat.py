@@ -11,10 +11,11 @@ from functools import partial
 
 import numpy as np
 
-from roomfit.base.arguments import int_array
+from roomfit.base.arguments import check_range
 from roomfit.base.forks import in_forks
 from roomfit.base.typing import FloatArray, Progress
-from roomfit.paper.certificate import Certificate, certify
+from roomfit.fit.simplex import anneal, downhill_simplex, random_simplex
+from roomfit.paper.proof import Certificate, certify
 from roomfit.paper.room import (
     CASES,
     COMPARED_ABOVE,
@@ -22,23 +23,24 @@ from roomfit.paper.room import (
     SPECIFICATIONS,
     TABLE2,
     TRUE_ABSORPTION,
-    PaperProblem,
+    SquaresProblem,
     arrivals_ms,
     division_rows,
     error,
     paper_problem,
     paper_scene,
     trace_paper_room,
+    true_absorption,
     whole_windows_s,
     window_energies,
 )
-from roomfit.paper.search import anneal, downhill_simplex, random_simplex
 from roomfit.tracing.paths import Paths
 
 METHODS = ("simplex", "annealing")
 # Largest error of any absorption that still counts as found.
 FOUND_WITHIN = 0.005
-_FINE = 201
+GRID = np.arange(21) / 20  # of absorptions, the paper's
+FINE_GRID = np.linspace(0.0, 1.0, 201)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,26 +53,6 @@ class CaseResponse:
     fine: FloatArray  # (200,), energy of each 1 ms bin from emission on, in the paper's unit
     edges_s: FloatArray  # (n_windows + 1,)
     windows: FloatArray  # (n_windows,), energy of each 5 ms window from the first reflection on
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Table2:
-    """Errors of the paper beside ours, row by row."""
-
-    absorption: FloatArray  # (n_rows, 2)
-    paper: FloatArray  # (n_rows,)
-    ours: FloatArray  # (n_rows,), after the common factor
-    common_factor: float  # near 1, for the unit of energy was found in the same way
-    max_relative_error: float  # over the rows whose error in the paper is above 10
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Landscape:
-    """The error of a problem of two materials on the paper's grid (Figures 4 and 5)."""
-
-    grid: FloatArray  # (21,)
-    errors: FloatArray  # (21, 21), first absorption along the first axis
-    minima: FloatArray  # (n, 2), points of the grid below their four neighbours, lowest first
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,12 +68,15 @@ class Searches:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperResult:
-    """What `roomfit paper` finds."""
+    """The results of `roomfit paper`."""
 
     seeds: int
     responses: tuple[CaseResponse, ...]
-    table2: Table2
-    landscapes: Mapping[str, Landscape]  # by name, of the problems of two materials
+    table2: FloatArray  # (n_rows,), our errors in the rows of `TABLE2`, after the common factor
+    common_factor: float  # near 1, for the unit of energy was found in the same way
+    # by name, of the problems of two materials (Figures 4 and 5): the error on the paper's grid,
+    # (21, 21), first absorption along the first axis
+    grids: Mapping[str, FloatArray]
     ill_defined_fine: FloatArray  # (201, 201): the error of Figure 5, on a grid ten times finer
     searches: tuple[Searches, ...]
     certificates: Mapping[str, Certificate]  # by name, of every problem
@@ -107,26 +92,28 @@ def repeat_paper(seeds: int, *, progress: Progress | None = None) -> PaperResult
     seeds : int
         Searches of every problem by every method, 1 to 100,000.
     """
-    int_array("number of seeds", np.array(seeds), (), low=1, high=100_000)
+    check_range("number of seeds", seeds, 1, 100_000)
     shapes = sorted({s.shape for s in SPECIFICATIONS.values()})
     paths = {shape: trace_paper_room(paper_scene(shape)) for shape in shapes}
     problems = {n: paper_problem(n, paths[s.shape]) for n, s in SPECIFICATIONS.items()}
-    searched = [(p, method) for method in reversed(METHODS) for p in problems.values()]
+    searched = [(name, method) for method in reversed(METHODS) for name in problems]
 
     def found(i: int) -> Searches:
         if progress is not None:
             progress(i / len(searched))
-        return _searches(*searched[i], seeds)
+        name, method = searched[i]
+        return _searches(problems[name], name, method, seeds)
 
-    flat = {n: p for n, p in problems.items() if p.true_absorption.size == 2}
+    errors, factor = table2(problems["case1"])
     return PaperResult(
         seeds,
         case_responses(paths["paper"]),
-        table2(problems["case1"]),
-        {name: landscape(problem) for name, problem in flat.items()},
-        grid_errors(problems["ill_defined"], np.linspace(0.0, 1.0, _FINE)),
+        errors,
+        factor,
+        {n: grid_errors(p, GRID) for n, p in problems.items() if len(p.rows.materials) == 2},
+        grid_errors(problems["ill_defined"], FINE_GRID),
         tuple(in_forks(found, range(len(searched)))),
-        {name: certify(problem.squares) for name, problem in problems.items()},
+        {name: certify(problem) for name, problem in problems.items()},
     )
 
 
@@ -146,34 +133,31 @@ def case_responses(paths: Paths) -> tuple[CaseResponse, ...]:
     return tuple(found)
 
 
-def table2(problem: PaperProblem) -> Table2:
-    """Return Table 2 beside the errors of case 1, after one common factor.
+def table2(problem: SquaresProblem) -> tuple[FloatArray, float]:
+    """Return the errors of case 1 in the rows of Table 2 after one common factor, and the factor.
 
-    The factor is the one of least squared relative difference over the rows that count.
+    It is the one of least squared relative difference over the rows that count.
     """
-    paper = TABLE2[:, 2]
-    ours = np.array([error(problem.squares, row[:2]) for row in TABLE2])
-    counts = paper > COMPARED_ABOVE
-    ratio = ours[counts] / paper[counts]
+    ours = np.array([error(problem, row[:2]) for row in TABLE2])
+    counts = TABLE2[:, 2] > COMPARED_ABOVE
+    ratio = ours[counts] / TABLE2[counts, 2]
     factor = float(np.sum(ratio) / np.sum(ratio**2))
-    largest = float(np.max(np.abs(factor * ratio - 1.0)))
-    return Table2(TABLE2[:, :2], paper, factor * ours, factor, largest)
+    return factor * ours, factor
 
 
-def landscape(problem: PaperProblem) -> Landscape:
-    """Return the error of a problem of two materials on the paper's grid of steps of 0.05."""
-    grid = np.arange(21) / 20
-    errors = grid_errors(problem, grid)
-    return Landscape(grid, errors, grid_minima(errors, grid))
+def largest_relative_error(errors: FloatArray) -> float:
+    """Return by how much the rows of Table 2 that count differ from ours at most, relative."""
+    counts = TABLE2[:, 2] > COMPARED_ABOVE
+    return float(np.max(np.abs(errors[counts] / TABLE2[counts, 2] - 1.0)))
 
 
-def grid_errors(problem: PaperProblem, grid: FloatArray) -> FloatArray:
+def grid_errors(problem: SquaresProblem, grid: FloatArray) -> FloatArray:
     """Return the error on a square grid, the first absorption along the first axis."""
-    return np.array([[error(problem.squares, np.array([a, b])) for b in grid] for a in grid])
+    return np.array([[error(problem, np.array([a, b])) for b in grid] for a in grid])
 
 
-def grid_minima(errors: FloatArray, grid: FloatArray) -> FloatArray:
-    """Return the points of a grid that lie below their four neighbours, lowest first.
+def grid_minima(errors: FloatArray, grid: FloatArray = GRID) -> FloatArray:
+    """Return the points of a grid that lie below their four neighbours, lowest first, (n, 2).
 
     They need not be minima of the function: where a narrow valley runs askew to the grid, points
     next to it alternate between its floor and its flanks.
@@ -185,20 +169,14 @@ def grid_minima(errors: FloatArray, grid: FloatArray) -> FloatArray:
     return np.asarray(grid[at[order]])
 
 
-def _searches(problem: PaperProblem, method: str, seeds: int) -> Searches:
-    of_point, n = partial(error, problem.squares), problem.true_absorption.size
+def _searches(problem: SquaresProblem, name: str, method: str, seeds: int) -> Searches:
+    of_point, truth = partial(error, problem), true_absorption(name)
     fits = []
-    for seed in range(seeds):
-        rng = np.random.default_rng(seed)
+    for rng in map(np.random.default_rng, range(seeds)):
         if method == "annealing":
-            fits.append(anneal(of_point, n, rng))
+            fits.append(anneal(of_point, truth.size, rng))
         else:
-            fits.append(downhill_simplex(of_point, random_simplex(n, rng)))
-    off = np.array([np.max(np.abs(fit.x - problem.true_absorption)) for fit in fits])
-    return Searches(
-        problem.name,
-        method,
-        int(np.count_nonzero(off <= FOUND_WITHIN)),
-        float(off.max()),
-        float(np.median([fit.evaluations for fit in fits])),
-    )
+            fits.append(downhill_simplex(of_point, random_simplex(truth.size, rng)))
+    off = np.array([np.max(np.abs(fit.x - truth)) for fit in fits])
+    evaluations = float(np.median([fit.evaluations for fit in fits]))
+    return Searches(name, method, int(np.sum(off <= FOUND_WITHIN)), float(off.max()), evaluations)

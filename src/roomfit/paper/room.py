@@ -32,16 +32,14 @@ _NO_AIR = np.zeros(1)
 class SquaresProblem:
     """One band, no air, no noise: find the absorption whose window energies are the measured ones.
 
-    Rows, hits and windows are public, for methods that need more than a function to call.
+    Without air equal rows can be merged, which changes no energy.
     """
 
     rows: EnergyRows  # the windows of all pairs end to end
     measured: FloatArray  # (n_windows,), M of equation (1), in the unit of the rows' weights
 
-
-def squares_problem(rows: EnergyRows, measured: FloatArray) -> SquaresProblem:
-    """Return the problem with equal rows merged, which without air changes no energy."""
-    return SquaresProblem(merge_equal_rows(rows), measured)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rows", merge_equal_rows(self.rows))
 
 
 def window_energies(rows: EnergyRows, absorption: FloatArray) -> FloatArray:
@@ -185,9 +183,6 @@ def whole_windows_s(first_ms: int, step_ms: int) -> FloatArray:
     return count / 1e3
 
 
-Windows = Literal["reflections", "direct"]
-
-
 @dataclass(frozen=True, slots=True)
 class Specification:
     """What makes a problem."""
@@ -195,17 +190,8 @@ class Specification:
     case: int  # pair of the scene, 0 to 2
     division: Division
     shape: Shape = "paper"
-    # 5 ms from the first reflection on, or 50 ms from the direct sound on
-    windows: Windows = "reflections"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PaperProblem:
-    """A problem ready to be solved."""
-
-    name: str
-    true_absorption: FloatArray  # (n_materials,)
-    squares: SquaresProblem  # energies in the paper's unit; measured by the rays of the model
+    # 50 ms from the direct sound on, else 5 ms from the first reflection on
+    ill_defined: bool = False
 
 
 _EXTREME = replace(DIVISIONS[2], true_absorption=(0.01, 0.99))
@@ -214,7 +200,7 @@ SPECIFICATIONS: Mapping[str, Specification] = MappingProxyType(
         "case1": Specification(0, DIVISIONS[2]),
         "case2": Specification(1, DIVISIONS[2]),
         "case3": Specification(2, DIVISIONS[2]),
-        "ill_defined": Specification(0, DIVISIONS[2], windows="direct"),
+        "ill_defined": Specification(0, DIVISIONS[2], ill_defined=True),
         "extreme": Specification(0, _EXTREME),
         "disproportionate": Specification(0, DIVISIONS[2], "disproportionate"),
         "extreme_and_disproportionate": Specification(0, _EXTREME, "disproportionate"),
@@ -223,18 +209,22 @@ SPECIFICATIONS: Mapping[str, Specification] = MappingProxyType(
 )
 
 
-def paper_problem(name: str, paths: Paths) -> PaperProblem:
-    """Return a problem by its name, from the paths of `paper_scene` in the shape that it asks for.
+def true_absorption(name: str) -> FloatArray:
+    """Return the absorption with which a problem of `SPECIFICATIONS` is made, (n_materials,)."""
+    return np.array(SPECIFICATIONS[name].division.true_absorption)
 
-    `name`: a key of `SPECIFICATIONS`.
+
+def paper_problem(name: str, paths: Paths) -> SquaresProblem:
+    """Return a problem of `SPECIFICATIONS`, measured by the rays of the model.
+
+    `paths`: of `paper_scene` in the shape that is specified.
     """
     wanted = SPECIFICATIONS[name]
     direct_ms, first_reflection_ms = arrivals_ms(paths, wanted.case)
-    late = wanted.windows == "reflections"
-    windows_s = whole_windows_s(first_reflection_ms if late else direct_ms, 5 if late else 50)
+    begin_ms, step_ms = (direct_ms, 50) if wanted.ill_defined else (first_reflection_ms, 5)
+    windows_s = whole_windows_s(begin_ms, step_ms)
     rows = division_rows(paths, wanted.case, windows_s, wanted.division)
-    truth = np.array(wanted.division.true_absorption)
-    return PaperProblem(name, truth, squares_problem(rows, window_energies(rows, truth)))
+    return SquaresProblem(rows, window_energies(rows, true_absorption(name)))
 
 
 def division_rows(paths: Paths, case: int, windows_s: FloatArray, division: Division) -> EnergyRows:
@@ -257,29 +247,17 @@ def division_rows(paths: Paths, case: int, windows_s: FloatArray, division: Divi
 # alpha of floor and ceilings, alpha of walls, error in the paper's unknown unit
 TABLE2 = read_only(
     np.array(
-        [
-            (0.010, 0.900, 448.681),
-            (0.025, 0.880, 423.263),
-            (0.020, 0.900, 430.133),
-            (0.010, 0.900, 448.681),
-            (0.020, 0.900, 430.133),
-            (0.018, 0.930, 432.507),
-            (0.003, 0.950, 458.833),
-            (0.031, 0.925, 409.098),
-            (0.049, 0.867, 382.489),
-            (0.111, 0.849, 293.459),
-            (0.384, 0.688, 63.880),
-            (0.977, 0.221, 69.751),
-            (0.402, 0.630, 53.198),
-            (0.977, 0.221, 69.751),
-            (0.241, 0.790, 157.592),
-            (0.653, 0.340, 0.022),
-            (0.662, 0.352, 0.129),
-            (0.653, 0.340, 0.022),
-            (0.653, 0.363, 0.053),
-            (0.650, 0.350, 0.000),
-        ]
-    )
+        """
+        0.010 0.900 448.681; 0.025 0.880 423.263; 0.020 0.900 430.133
+        0.010 0.900 448.681; 0.020 0.900 430.133; 0.018 0.930 432.507
+        0.003 0.950 458.833; 0.031 0.925 409.098; 0.049 0.867 382.489
+        0.111 0.849 293.459; 0.384 0.688 63.880; 0.977 0.221 69.751
+        0.402 0.630 53.198; 0.977 0.221 69.751; 0.241 0.790 157.592
+        0.653 0.340 0.022; 0.662 0.352 0.129; 0.653 0.340 0.022
+        0.653 0.363 0.053; 0.650 0.350 0.000
+        """.replace(";", " ").split(),
+        dtype=np.float64,
+    ).reshape(-1, 3)
 )
 # Smaller errors are printed with too few digits, and depend on digits of alpha that are not.
 COMPARED_ABOVE = 10.0
