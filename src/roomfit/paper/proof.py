@@ -2,10 +2,10 @@
 
 A box is the lower and upper ends of g = log(1 - absorption), shape (2, n); a lower end of minus
 infinity is an absorption of 1. Energies are sums of nonnegative rows and rise with every g, so that
-both corners of a box bound them; where the error is proven convex in a box, a tangent plane does. The
-box of lowest bound goes first: it is dropped where its bound exceeds the threshold, kept where it is
-narrow, and else cut in two. Boxes left over that touch are joined to clusters. What roundings may add is said in
-docs/the-paper.md.
+both corners of a box bound them; where the error is proven convex in a box, a tangent plane does.
+The box of lowest bound goes first: it is dropped where its bound exceeds the threshold, kept where
+it is narrow, and else cut in two. Boxes left over that touch are joined to clusters. What roundings
+may add is said in docs/the-paper.md.
 """
 
 from __future__ import annotations
