@@ -238,7 +238,7 @@ class _ErrorOverBoxes:
             xtol=1e-14,
             gtol=1e-14,
         )
-        return np.clip(found.x, low, high)
+        return np.asarray(np.clip(found.x, low, high))
 
     def least_by_corners(self, box: FloatArray) -> float:
         """Return a bound: every window at its best between its energies at both corners."""
