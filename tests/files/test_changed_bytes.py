@@ -15,8 +15,13 @@ from roomfit.base.whole_files import content_digest, write_json_atomically
 from roomfit.cli.export import export_result
 from roomfit.cli.predict import predict_to_folder
 from roomfit.files.encoding import EditedFile, written_content
-from roomfit.files.exports import RESULT_KEYS, read_material_table
-from roomfit.files.results import read_result, result_content, write_result
+from roomfit.files.results import (
+    RESULT_KEYS,
+    read_materials,
+    read_result,
+    result_content,
+    write_result,
+)
 from small_campaign import run_command, write_campaign
 
 SEED, PLACES = 20_261, 500
@@ -96,7 +101,7 @@ def test_a_changed_result_is_refused_with_a_sentence_and_taken_as_edited(tmp_pat
     content = json.loads(path.read_text())
     content["materials"]["floor"]["absorption"][2] = 0.5
     path.write_text(json.dumps(content))
-    for read in (read_result, read_material_table):
+    for read in (read_result, read_materials):
         with pytest.raises(InputError, match="was changed after roomfit wrote it") as refused:
             read(path)
         assert all((refused.value.where, refused.value.found, refused.value.needed))
@@ -161,7 +166,7 @@ def test_the_digest_is_that_of_the_text_without_spaces_and_without_itself(tmp_pa
     assert read_result(path).result_findings == ()
     table = tmp_path / "absorption.csv"
     table.write_bytes(table.read_bytes().replace(b"\n", b"\r\n"))
-    assert read_material_table(table).findings == ()
+    assert read_materials(table)[0].findings == ()
 
 
 @pytest.mark.parametrize(

@@ -19,9 +19,10 @@ from roomfit.base.table import Table, csv_of
 from roomfit.files.campaign import read_campaign
 from roomfit.files.directivity import read_directivity
 from roomfit.files.encoding import one_line
-from roomfit.files.exports import catt_text, read_material_table
+from roomfit.files.exports import catt_text
 from roomfit.files.responses import read_response
 from roomfit.files.responses.recordings import ResponseSpec
+from roomfit.files.results import read_materials
 from roomfit.files.rooms import read_mesh
 from roomfit.files.rooms.model import RoomSpec
 
@@ -101,7 +102,7 @@ def test_only_regular_files_are_read(tmp_path, kind, monkeypatch):
         lambda path: read_response(ResponseSpec(path.with_suffix(".wav"))),
         lambda path: read_response(ResponseSpec(path.with_suffix(".sofa"))),
         lambda path: read_directivity(path.with_suffix(".sofa"), None),
-        lambda path: read_material_table(path.with_suffix(".csv")),
+        lambda path: read_materials(path.with_suffix(".csv")),
         lambda path: read_campaign(path.with_suffix(".toml")),
     ],
 )
@@ -174,7 +175,7 @@ def test_no_name_becomes_a_formula_or_a_statement(tmp_path):
     values = ["500", "0.3", "0.2", "0.4", "true"]
     path = tmp_path / "absorption.csv"
     path.write_text(csv_of(Table("", head, [[name, *values] for name in names[:6]])))
-    assert list(read_material_table(path).names) == names[:6]
+    assert list(read_materials(path)[0].names) == names[:6]
     hostile = "wall\r\nINCLUDE evil\x0b\x85\u2028\x1aabs x = <1 1 1 1 1 1>"
     table = np.full((1, 8), 0.3)
     text = catt_text({hostile: "wall"}, table, table, [f"remark of {hostile}"])

@@ -22,11 +22,10 @@ from roomfit.base.findings import Code
 from roomfit.cli.export import export_result
 from roomfit.files.exports import (
     FORMATS,
-    read_material_table,
     resample,
     short_names,
 )
-from roomfit.files.results import absorption_csv
+from roomfit.files.results import absorption_csv, read_materials
 from small_campaign import run_command
 
 OCTAVES = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
@@ -74,7 +73,7 @@ def write_table(folder: Path) -> Path:
 
 
 def test_json_and_csv_of_a_result_are_the_same_table(tmp_path):
-    a, b = (read_material_table(w(tmp_path)) for w in (write_result, write_table))
+    a, b = (read_materials(w(tmp_path))[0] for w in (write_result, write_table))
     assert a.names == b.names
     assert a.bands.centres_hz.tolist() == b.bands.centres_hz.tolist() == OCTAVES
     np.testing.assert_array_equal(a.absorption, b.absorption)
@@ -264,7 +263,7 @@ def test_a_result_that_cannot_be_exported_is_refused(tmp_path, text, words):
 def test_a_table_that_cannot_be_exported_is_refused(tmp_path, text, words):
     (tmp_path / "absorption.csv").write_text(text)
     with pytest.raises(InputError, match=words):
-        read_material_table(tmp_path / "absorption.csv")
+        read_materials(tmp_path / "absorption.csv")
 
 
 def with_parameters(folder: Path) -> Path:

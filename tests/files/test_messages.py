@@ -12,9 +12,9 @@ from roomfit.base.errors import InputError, located
 from roomfit.batch.rooms import shard_of
 from roomfit.files.campaign import read_campaign
 from roomfit.files.draft import read_positions
-from roomfit.files.exports import read_material_table as read_table
 from roomfit.files.iso3382 import read_parameters
 from roomfit.files.responses import ResponseSpec, read_response
+from roomfit.files.results import read_materials as read_table
 from roomfit.files.reverberation import read_decay_times
 from roomfit.files.rooms import read_model
 from roomfit.files.rooms.model import PolygonSpec, RoomSpec
@@ -107,8 +107,8 @@ def test_tables_of_corners_and_planes_that_are_refused_do_so_as_well(
         (read_decay_times, "name,500\nA,long\n", "not a number", "'long'", "a time in s"),
         (read_decay_times, "name,500\n", "without values", "1 line", "a line of centres"),
         (read_positions, "# nothing\n", "is empty", "no line", "name, x, y, z"),
-        (read_table, HEAD + "brick,500,a lot,0.1,0.2,true\n", "no number", "'a lot'", "a number"),
-        (read_table, HEAD + "brick,500,0.1,0.1\n", "too short", "brick", "6 cells"),
+        (read_table, HEAD + "brick,500,a lot,0.1,0.2,true\n", "not a number", "'a lot'", "a number"),
+        (read_table, HEAD + "brick,500,0.1,0.1\n", "not a number", "''", "a number"),
     ],
 )  # fmt: skip
 def test_tables_of_numbers_that_are_refused_do_so_as_well(

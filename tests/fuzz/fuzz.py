@@ -173,12 +173,11 @@ def readers(folder: Path) -> dict[str, Callable[[Path], object]]:
     from roomfit.base.bands import bands_between
     from roomfit.files.campaign import read_campaign
     from roomfit.files.directivity import read_directivity
-    from roomfit.files.exports import read_material_table
     from roomfit.files.inputs import check_room, identify_arguments
     from roomfit.files.iso3382 import read_parameters
     from roomfit.files.responses import read_response
     from roomfit.files.responses.recordings import ResponseSpec
-    from roomfit.files.results import read_result
+    from roomfit.files.results import read_materials, read_result
     from roomfit.files.rooms import read_mesh
     from roomfit.files.rooms.model import PolygonSpec, RoomSpec
     from roomfit.impedance.campaign import read_spectrum
@@ -203,7 +202,7 @@ def readers(folder: Path) -> dict[str, Callable[[Path], object]]:
         return checked(RoomSpec(polygons=PolygonSpec((corners,), (planes,))), corners)
 
     def result(path: Path) -> object:
-        return read_material_table(path), read_result(path)
+        return read_materials(path), read_result(path)
 
     def campaign(path: Path) -> object:
         place = good / "tried.toml"

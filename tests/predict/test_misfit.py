@@ -122,7 +122,7 @@ def test_departures_of_fitted_pairs_go_through_the_file(tmp_path):
     content = json.loads(file.read_text())
     content["pairs"][0]["parameters"]["EDT_s"]["jnd"] = [1.0]
     file.write_text(json.dumps(content))
-    with pytest.raises(InputError, match="pairs of the result: no table of numbers"):
+    with pytest.raises(InputError, match="the result is incomplete"):
         read_result(EditedFile(file))
     del content["pairs"]
     file.write_text(json.dumps(content))

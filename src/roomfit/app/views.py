@@ -36,13 +36,13 @@ from roomfit.files.encoding import (
     number_or_null,
     numbers_or_null,
 )
-from roomfit.files.exports import read_result_content
 from roomfit.files.inputs import check_campaign
 from roomfit.files.questions import Wanted
 from roomfit.files.remedies import advised, changed_since, is_file
 from roomfit.files.responses import SOUND_SUFFIXES, read_response
 from roomfit.files.responses.recordings import ResponseSpec
 from roomfit.files.responses.sweep import SweepPlan, response_from_recording, wav_bytes
+from roomfit.files.results import read_result_content
 from roomfit.files.reverberation import read_decay_times
 from roomfit.files.rooms import read_mesh
 from roomfit.files.rooms.model import RoomSpec

@@ -32,8 +32,7 @@ from roomfit.batch.cluster import completed, keep_one_thread, result_of
 from roomfit.cli.identify import identify_to_folder
 from roomfit.files.campaign import input_files, read_campaign
 from roomfit.files.encoding import input_digests, written_content
-from roomfit.files.exports import read_result_content
-from roomfit.files.results import check_disk_room
+from roomfit.files.results import check_disk_room, read_result_content
 from roomfit.report.blocks import Blocks, Sentence
 from roomfit.report.html import page
 from roomfit.report.wording import in_file_name

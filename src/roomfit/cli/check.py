@@ -139,7 +139,7 @@ def how_to_write(campaign: Path, result: Path | None = None) -> str:
 
 def _remedy(options: argparse.Namespace) -> None:
     """Write what findings advise into the campaign, or take that back."""
-    from roomfit.files.exports import read_result_content
+    from roomfit.files.results import read_result_content
 
     file: Path = options.room
     if options.undo and options.remedy is None and options.result is None:

@@ -16,12 +16,8 @@ from roomfit.cli.arguments import result_file
 from roomfit.cli.terminal import say
 from roomfit.files.budget import budget_records, uncertainty_budget
 from roomfit.files.encoding import ResultFile, path_of
-from roomfit.files.exports import (
-    export_materials,
-    material_table_of,
-    read_material_table,
-    workbook_bytes,
-)
+from roomfit.files.exports import export_materials, workbook_bytes
+from roomfit.files.results import material_table_of, read_materials
 from roomfit.report.pdf import report_pdf
 from roomfit.report.word import report_word
 from roomfit.result import Result
@@ -124,7 +120,7 @@ def _content(
     elif wanted in ("pdf", "word"):
         return _report(result_file, wanted)
     else:
-        table = read_material_table(result_file)
+        table, _ = read_materials(result_file)
         if wanted == "excel":
             return workbook_bytes(result_file), table.findings
     usual = Settings().default_scattering if scattering is None else scattering
@@ -139,6 +135,6 @@ def _report(result_file: ResultFile, wanted: str) -> tuple[bytes, tuple[Finding,
     page = read_text(path if own else path.with_name("report.html"), "report")
     if wanted == "pdf":
         return report_pdf(page), ()
-    findings = () if own else read_material_table(result_file).findings
+    findings = () if own else read_materials(result_file)[0].findings
     beside = sorted(path.parent.glob("*.png"))
     return report_word(page, {f.stem: read_bytes(f, "picture") for f in beside}), findings

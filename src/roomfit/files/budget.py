@@ -19,8 +19,7 @@ from roomfit.base.logit import Z95, logit
 from roomfit.base.table import Column, Table, Value
 from roomfit.base.typing import FloatArray, IntArray
 from roomfit.files.encoding import ResultFile, path_of
-from roomfit.files.exports import read_result_content
-from roomfit.files.results import result_content
+from roomfit.files.results import read_result_content, result_content
 from roomfit.result import Result
 
 MEAN = "mean of the room"

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from roomfit.base.arguments import check_known
 from roomfit.base.door import files_read, json_content, read_bytes, read_text
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding, code_of
@@ -83,21 +82,6 @@ def digest_findings(file: ResultFile, what: str, found: str, needed: object) -> 
         else f"The {what} {path.name} was edited after roomfit wrote it; it was read as it is."
     )
     return (Finding(code, About(), text, {"found": found, "needed": needed}),)
-
-
-def check_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
-    """Refuse keys that a table of a file cannot have.
-
-    Raises
-    ------
-    InputError
-        Names the first of them, and the known key most like it.
-    """
-    names = sorted(known)
-    unknown = next((key for key in table if key not in names), None)
-    if unknown is not None:
-        hint = "read it with the version of roomfit that wrote it, which `provenance` names"
-        check_known("unknown key in a file of roomfit", unknown, names, where=where, else_try=hint)
 
 
 def numbers_or_null(values: FloatArray) -> list[float | None]:

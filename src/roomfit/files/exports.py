@@ -9,33 +9,23 @@ pyroomacoustics (its arguments as JSON), or as a wide CSV.
 from __future__ import annotations
 
 import colorsys
-import hashlib
 import json
 import re
 import unicodedata
-from contextlib import suppress
-from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from roomfit.base.arguments import bool_array, check_known, check_range, float_array, unique_names
-from roomfit.base.bands import OCTAVES_HZ, Bands
-from roomfit.base.door import complete, csv_rows, decoded, read_text
-from roomfit.base.errors import InputError, RoomfitError, located
+from roomfit.base.arguments import check_known, check_range
+from roomfit.base.bands import Bands
+from roomfit.base.door import complete
+from roomfit.base.errors import located
 from roomfit.base.findings import About, Code, Finding
-from roomfit.base.table import Table, csv_of, without_apostrophe, workbook_of
+from roomfit.base.table import Table, csv_of, workbook_of
 from roomfit.base.typing import BoolArray, FloatArray
-from roomfit.files.encoding import (
-    ResultFile,
-    check_keys,
-    digest_findings,
-    one_line,
-    path_of,
-    written_content,
-)
-from roomfit.result import Result, absorption_records
+from roomfit.files.encoding import ResultFile, one_line, path_of
+from roomfit.files.results import MaterialTable, read_materials
+from roomfit.result import absorption_records
 
 CATT_BANDS = Bands("octave", np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3, 16e3]))
 ISIMPA_BANDS = Bands("octave", np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3]))
@@ -57,10 +47,11 @@ def catt_text(
         hue = colorsys.hsv_to_rgb(i / max(len(names), 1), 0.55, 0.85)
         colour = " ".join(str(round(255 * part)) for part in hue)
         exact = " ".join(f"{v:.4f}" for v in absorption[i])
-        lines.append(
-            f"ABS {short} = <{_eight(absorption[i], 1)}> L <{_eight(scattering[i], 0)}> "
-            f"{{{colour}}} ; {one_line(name)}: {exact}"
+        own, scattered = (
+            f"<{_percent(x[i, :6], least)} : {_percent(x[i, 6:], least)}>"
+            for x, least in ((absorption, 1), (scattering, 0))
         )
+        lines.append(f"ABS {short} = {own} L {scattered} {{{colour}}} ; {one_line(name)}: {exact}")
     return "\r\n".join(lines) + "\r\n"
 
 
@@ -80,10 +71,6 @@ def isimpa_text(names: dict[str, str], absorption: FloatArray, scattering: Float
         for i, short in enumerate(names.values())
     ]
     return "\n".join(lines) + "\n"
-
-
-def _eight(values: FloatArray, least: int) -> str:
-    return f"{_percent(values[:6], least)} : {_percent(values[6:], least)}"
 
 
 def _percent(values: FloatArray, least: int) -> str:
@@ -167,237 +154,21 @@ def resample(values: FloatArray, bands: Bands, wanted: Bands) -> tuple[FloatArra
     return resampled, filled
 
 
-_COLUMNS = ("material", "band_hz", "absorption", "lower95", "upper95", "identifiable")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MaterialTable:
-    """Materials of a result."""
-
-    names: tuple[str, ...]
-    bands: Bands
-    # (n_materials, n_bands); 0 to 1
-    absorption: FloatArray
-    lower95: FloatArray
-    upper95: FloatArray
-    identifiable: BoolArray  # (n_materials, n_bands)
-    scattering: FloatArray | None = None  # (n_materials, n_bands); None where the result has none
-    findings: tuple[Finding, ...] = ()  # on the file
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "names", unique_names("material", self.names))
-        shape = (len(self.names), len(self.bands))
-        for name in ("absorption", "lower95", "upper95", "scattering"):
-            value = getattr(self, name)
-            if value is not None:
-                values = float_array(name, value, shape, low=0.0, high=1.0)
-                object.__setattr__(self, name, values)
-        flags = bool_array("identifiable", self.identifiable, shape)
-        object.__setattr__(self, "identifiable", flags)
-
-
-def material_table_of(result: Result) -> MaterialTable:
-    """Return the materials of a result in memory."""
-    return MaterialTable(
-        result.materials, result.bands, result.absorption, result.lower95, result.upper95,
-        result.identifiable, result.scattering,
-    )  # fmt: skip
-
-
-# Of result.json, by table: what may stand there.
-RESULT_KEYS = {
-    "": "format format_version bands_hz materials combinations pairs findings fit plan settings "
-    "trace provenance usable remains states sd_without mean_sd_without directivity geometry "
-    "posterior objects reverberation files_sha256 content_sha256",
-    "materials": "absorption lower95 upper95 identifiable area_m2 scattering share share_lower95 "
-    "share_upper95 prior interval",
-    "posterior": "materials logit_mean logit_covariance prior_logit_mean prior_logit_sd "
-    "prior_logit_covariance draws prior_specified",
-    "fit": "method model cost models phi by_pressures evaluations converged seconds seed "
-    "intervals method_chosen reasons",
-    "pairs": "source receiver use state parameters sti",
-    "findings": "code severity sentence about evidence",
-}
-
-
-def read_result_content(file: ResultFile) -> tuple[dict[str, Any], tuple[Finding, ...]]:
-    """Return the content of a ``result.json`` of this version, and what its digest says of it.
-
-    Raises
-    ------
-    InputError
-        There is no such file, it is no result, has unknown keys, or was changed.
-    """
-    content, findings = written_content(file, "result")
-    path = path_of(file)
-    with located(str(path)), complete("result", "a result.json as roomfit writes it"):
-        _check_format(content)
-        for name, known in RESULT_KEYS.items():
-            part = content.get(name, {}) if name else content
-            tables: dict[str, Any] = {name or "top level": part}
-            if name == "materials":
-                tables = {f"materials.{own}": table for own, table in part.items()}
-            elif isinstance(part, list):
-                tables = {f"{name}[{i}]": table for i, table in enumerate(part, start=1)}
-            for where, table in tables.items():
-                check_keys(table, known.split(), where)
-    return content, findings
-
-
-def _check_format(content: Any) -> None:
-    if not isinstance(content, dict) or content.get("format") != "roomfit-result":
-        raise InputError(
-            "this is no result of roomfit",
-            found="another format" if isinstance(content, dict) else "no table",
-            needed='"format": "roomfit-result" in the file',
-            hint="give a result.json that roomfit identify has written",
-        )
-    if content.get("format_version") != 1:
-        raise InputError(
-            "this version of roomfit cannot read that result",
-            found=f"format_version {content.get('format_version')}",
-            needed="format_version 1",
-            hint="identify again, or export with the version of roomfit that wrote it",
-        )
-
-
-def read_material_table(file: ResultFile) -> MaterialTable:
-    """Read the materials of a ``result.json`` or an ``absorption.csv``.
-
-    Raises
-    ------
-    InputError
-        There is no such file, it is neither of the two, or its numbers are out of range; or its
-        content is not that of its digest, which is in the ``result.json`` beside a table.
-    """
-    path = path_of(file)
-    if path.suffix.lower() != ".csv":
-        return material_table(file, *read_result_content(file))
-    text = read_text(path, "result")
-    findings = digest_findings(file, "table", text_digest(text), _digest_beside(path))
-    with located(str(path), hint="export the table again, or give the result.json beside it"):
-        return replace(_from_csv(text), findings=findings)
-
-
-def text_digest(text: str) -> str:
-    """Return the SHA-256 of a text file as roomfit writes it, whatever ends its lines."""
-    return hashlib.sha256(decoded(text.encode(errors="replace")).encode()).hexdigest()
-
-
-def _digest_beside(path: Path) -> object:
-    """Return the digest of a file that the result beside it states; None without such a result."""
-    with suppress(RoomfitError, AttributeError):
-        content, doubts = written_content(path.with_name("result.json"), "result")
-        return None if doubts else content.get("files_sha256", {}).get(path.name)
-    return None
-
-
-def material_table(
-    file: ResultFile, content: dict[str, Any], findings: tuple[Finding, ...] = ()
-) -> MaterialTable:
-    """Return the materials of a result from its content.
-
-    Raises
-    ------
-    InputError
-        Something is missing, or out of range.
-    """
-    with (
-        located(str(path_of(file))),
-        complete(
-            "result", "bands_hz, and for each material absorption, lower95, upper95, identifiable"
-        ),
-    ):
-        materials: dict[str, Any] = content["materials"]
-        entries = list(materials.values())
-        scattering = [m.get("scattering") for m in entries]
-        return MaterialTable(
-            tuple(materials),
-            _bands(content["bands_hz"]),
-            np.array([m["absorption"] for m in entries]),
-            np.array([m["lower95"] for m in entries]),
-            np.array([m["upper95"] for m in entries]),
-            np.array([m["identifiable"] for m in entries]),
-            None if None in scattering or not entries else np.array(scattering),
-            findings,
-        )
-
-
-def _from_csv(text: str) -> MaterialTable:
-    header, *lines = [cells for _, cells in csv_rows(text, "") if cells] or [[]]
-    if not (set(_COLUMNS) <= set(header) and lines):
-        raise InputError(
-            "the table of absorption lacks columns or rows",
-            found=", ".join(header)[:200] or "nothing",
-            needed=", ".join(_COLUMNS),
-            hint="give absorption.csv as roomfit identify has written it",
-        )
-    short = next((cells for cells in lines if len(cells) < len(header)), None)
-    if short is not None:
-        what = "a row of the table of absorption is too short"
-        hint = "fill the row up, or remove it"
-        raise InputError(what, found=",".join(short)[:80], needed=f"{len(header)} cells", hint=hint)
-    rows = [dict(zip(header, cells, strict=False)) for cells in lines]
-    place: dict[tuple[str, float], tuple[list[float], bool]] = {}
-    for number, row in enumerate(rows, start=1):
-        centre, *values = (_number_in(row, column, number) for column in _NUMBERS)
-        is_sure = row["identifiable"].lower() == "true"
-        place[without_apostrophe(row["material"]), centre] = (values, is_sure)
-    names = tuple(dict.fromkeys(name for name, _ in place))
-    centres = sorted({centre for _, centre in place})
-    if len(place) != len(rows) or len(rows) != len(names) * len(centres):
-        raise InputError(
-            "the table of absorption is not complete",
-            found=f"{len(rows)} rows, {len(names)} materials, {len(centres)} bands",
-            needed="each material in each band once",
-            hint="remove the rows given twice, and add what is missing",
-        )
-    absorption, lower, upper = np.array(
-        [[place[m, f][0] for f in centres] for m in names]
-    ).transpose(2, 0, 1)
-    sure = np.array([[place[m, f][1] for f in centres] for m in names])
-    return MaterialTable(names, _bands(centres), absorption, lower, upper, sure)
-
-
-_NUMBERS = ("band_hz", "absorption", "lower95", "upper95")
-
-
-def _number_in(row: dict[str, str], column: str, number: int) -> float:
-    try:
-        return float(row[column])
-    except ValueError:
-        raise InputError(
-            "a cell of the table of absorption is no number",
-            where=f"column {column} of row {number} below the heading",
-            found=repr(row[column][:40]),
-            needed="a number with a decimal point",
-            hint="replace it by a number, with a point and without a unit",
-        ) from None
-
-
-def _bands(centres: list[float]) -> Bands:
-    octaves = set(centres) <= set(OCTAVES_HZ)
-    return Bands("octave" if octaves else "third-octave", np.array(centres, dtype=np.float64))
-
-
 def pyroomacoustics_text(table: MaterialTable, scattering: FloatArray) -> str:
     """Return JSON that maps each material to the arguments of ``pyroomacoustics.Material``.
 
     ``pra.Material(**json.load(open(file))["brick"])``: ``energy_absorption`` and ``scattering``,
     each with ``coeffs`` and ``center_freqs`` in the bands of the result.
     """
-    centres = [float(f) for f in table.bands.centres_hz]
-    quantities = (("energy_absorption", table.absorption), ("scattering", scattering))
+    centres = table.bands.centres_hz.tolist()
+
+    def spectrum(name: str, values: FloatArray) -> dict[str, Any]:
+        own = [round(float(v), 5) for v in values]
+        return {"description": name, "coeffs": own, "center_freqs": centres}
+
     content = {
-        name: {
-            quantity: {
-                "description": name,
-                "coeffs": [round(float(v), 5) for v in values[i]],
-                "center_freqs": centres,
-            }
-            for quantity, values in quantities
-        }
-        for i, name in enumerate(table.names)
+        name: {"energy_absorption": spectrum(name, a), "scattering": spectrum(name, s)}
+        for name, a, s in zip(table.names, table.absorption, scattering, strict=True)
     }
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
@@ -418,46 +189,33 @@ def wide_csv_text(table: MaterialTable) -> str:
     return csv_of(Table("", ("material", "quantity", *bands), rows, form=".5f"))
 
 
+_COMPARED = ("measured", "predicted", "jnd", "mean_of_others")
+
+
 def workbook_bytes(file: ResultFile) -> bytes:
     """Return the tables of a ``result.json`` or an ``absorption.csv`` as an Excel workbook.
+
+    The sheet ``absorption`` has a row for each material and band, ``absorption by band`` one for
+    each material. Of a ``result.json`` also ``room parameters`` (measured, predicted, and the mean
+    of the others), ``fit`` (a row a band) and ``findings``.
 
     Raises
     ------
     InputError
         The result cannot be read, or openpyxl is not installed.
     """
-    return workbook_of(result_tables(file))
-
-
-_COMPARED = ("measured", "predicted", "jnd", "mean_of_others")
-
-
-def result_tables(file: ResultFile) -> dict[str, Table]:
-    """Return the tables of a result by name.
-
-    ``absorption`` has a row for each material and band, ``absorption by band`` one for each
-    material. Of a ``result.json`` also ``room parameters`` (measured, predicted, and the mean of
-    the others), ``fit`` (a row a band) and ``findings``.
-
-    Raises
-    ------
-    InputError
-        The result cannot be read.
-    """
-    path = path_of(file)
-    content = {} if path.suffix.lower() == ".csv" else read_result_content(file)[0]
-    table = material_table(file, content) if content else read_material_table(file)
+    table, content = read_materials(file)
     values = np.stack([table.absorption, table.lower95, table.upper95])
     heads = ("material", *(f"{f:g}" for f in table.bands.centres_hz))
     by_band = [(n, *a) for n, a in zip(table.names, table.absorption.tolist(), strict=True)]
-    tables = {
+    sheets = {
         "absorption": absorption_records(table.names, table.bands, values, table.identifiable),
         "absorption by band": Table("", heads, by_band),
     }
-    if not content:
-        return tables
-    with located(str(path)), complete("result", "a result.json as roomfit writes it"):
-        return tables | _further_tables(content)
+    if content:
+        with located(str(path_of(file))), complete("result", "as roomfit writes it"):
+            sheets |= _further_tables(content)
+    return workbook_of(sheets)
 
 
 def _further_tables(content: dict[str, Any]) -> dict[str, Table]:
@@ -546,31 +304,19 @@ def export_materials(
     return isimpa_text(names, absorption, scatter), tuple(findings)
 
 
-def _where(bands: Bands, chosen: BoolArray) -> str:
-    if np.all(chosen):
-        return "in any band"
-    return f"at {', '.join(f'{f:g}' for f in bands.centres_hz[chosen])} Hz"
-
-
 def _not_identifiable(table: MaterialTable) -> list[Finding]:
-    doubtful = {
-        name: [float(f) for f in table.bands.centres_hz[~sure]]
-        for name, sure in zip(table.names, table.identifiable, strict=True)
-        if not np.all(sure)
-    }
+    doubtful, listed = {}, []
+    for name, sure in zip(table.names, table.identifiable, strict=True):
+        if not sure.all():
+            doubtful[name] = table.bands.centres_hz[~sure].tolist()
+            at = f"at {', '.join(f'{f:g}' for f in doubtful[name])} Hz"
+            listed.append(f"{name} {at if sure.any() else 'in any band'}")
     if not doubtful:
         return []
-    flags = dict(zip(table.names, table.identifiable, strict=True))
-    listed = "; ".join(f"{name} {_where(table.bands, ~flags[name])}" for name in doubtful)
-    return [
-        Finding(
-            Code.EXPORT_NOT_IDENTIFIABLE,
-            About(
-                materials=list(doubtful),
-                entries=[(name, f) for name, bands in doubtful.items() for f in bands],
-            ),
-            f"The measurement does not determine {listed}; the exported values there are not to "
-            "be trusted one by one.",
-            {"materials": doubtful},
-        )
-    ]
+    entries = [(name, f) for name, bands in doubtful.items() for f in bands]
+    text = (
+        f"The measurement does not determine {'; '.join(listed)}; the exported values there are "
+        "not to be trusted one by one."
+    )
+    about = About(materials=list(doubtful), entries=entries)
+    return [Finding(Code.EXPORT_NOT_IDENTIFIABLE, about, text, {"materials": doubtful})]

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import math
+import re
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
-from roomfit.base.arguments import nearest
-from roomfit.base.door import csv_rows, read_text
+from roomfit.base.arguments import did_you_mean
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
 from roomfit.base.typing import FloatArray
+from roomfit.files.tables import number_in, table_rows
 from roomfit.signals.iso3382 import (
     MeasuredValues,
     ValueName,
@@ -31,9 +32,7 @@ NAMES: dict[str, ValueName] = {
     "G": "G_dB",
 }
 _SPREAD = "_sd"
-_HEAD = ("source", "receiver", "parameter")
-
-
+_HEAD = "source,receiver,parameter,125,250,..."
 # One line: a parameter, whether it is the spread of one, and its values by band, NaN for none.
 _Row = tuple[ValueName, bool, FloatArray]
 
@@ -46,8 +45,8 @@ def read_parameters(
     The first line is ``source,receiver,parameter,125,250,...`` with nominal centres in Hz. Each
     further line holds one parameter of one pair: T20, T30, EDT in s, C50, C80, G in dB, D50 in
     percent, TS in ms; T20_sd and the like hold the standard deviation. Empty cells are unknown.
-    Lines that begin with # are left out. Semicolons may stand for commas, and decimals then have
-    commas.
+    Lines that begin with # are left out. Semicolons or tabs may stand for commas, and decimals then
+    have commas; or it is an Excel workbook.
 
     Parameters
     ----------
@@ -102,20 +101,15 @@ def read_parameters(
 
 def _rows_by_pair(path: Path) -> tuple[FloatArray, dict[tuple[str, str], list[_Row]]]:
     """Return the centre frequencies, and the lines of each source and receiver."""
-    text = read_text(path, "table of room parameters")
-    # semicolons leave commas to the decimals
-    delimiter = ";" if ";" in text.partition("\n")[0] else ","
-    lines = [
-        (number, [c.replace(",", ".") for c in cells] if delimiter == ";" else cells)
-        for number, cells in csv_rows(text, str(path), delimiter)
-        if any(c.strip() for c in cells) and not cells[0].lstrip().startswith("#")
-    ]
+    delimiter, lines = table_rows(path, "table of room parameters")
+    if delimiter != ",":
+        lines = [(number, [c.replace(",", ".") for c in cells]) for number, cells in lines]
     if len(lines) < 2:
         raise InputError(
             "a table of room parameters without values",
             where=str(path),
             found=f"{len(lines)} line{'' if len(lines) == 1 else 's'}",
-            needed="a line source,receiver,parameter,125,250,... and lines of values",
+            needed=f"a line {_HEAD} and lines of values",
             hint="export the parameters of every pair, one a line",
         )
     centres_hz = _centres_hz(lines[0][1], f"{path}, line {lines[0][0]}")
@@ -127,38 +121,31 @@ def _rows_by_pair(path: Path) -> tuple[FloatArray, dict[tuple[str, str], list[_R
 
 
 def _centres_hz(cells: list[str], where: str) -> FloatArray:
-    head = tuple(c.strip().lower() for c in cells[:3])
-    if head != _HEAD:
-        what = "a table of room parameters begins otherwise"
-        needed = "source,receiver,parameter,125,250,..."
-        hint = "name the first three columns so, and the others by their bands"
-        raise InputError(what, where=where, found=",".join(cells)[:80], needed=needed, hint=hint)
-    centres: list[float] = []
-    for column, cell in enumerate(cells[3:], start=4):
-        centre = _number(cell, f"{where}, column {column}", "a centre frequency in Hz")
-        if not (centre > 0.0 and (not centres or centre > centres[-1])):
-            raise InputError(
-                "centre frequencies must rise",
-                where=f"{where}, column {column}",
-                found=cell.strip() or "an empty cell",
-                needed="nominal centres in Hz, low to high",
-                hint="write the bands in rising order, each once",
-            )
-        centres.append(centre)
-    if not centres:
+    begins = [c.lower() for c in cells[:3]] == _HEAD.split(",")[:3]
+    if not begins or len(cells) == 3:
         raise InputError(
-            "a table of room parameters without bands",
+            f"a table of room parameters {'without bands' if begins else 'begins otherwise'}",
             where=where,
             found=",".join(cells)[:80],
-            needed="centre frequencies from the fourth column on",
-            hint="add a column for each band, as 500",
+            needed=f"{_HEAD}: centre frequencies from the fourth column on",
+            hint="name the first three columns so, and the others by their bands",
         )
+    needed = "nominal centres in Hz, low to high"
+    hint = "write the bands in rising order, each once"
+    centres = [
+        number_in(cell, f"{where}, column {column}", needed, hint)
+        for column, cell in enumerate(cells[3:], start=4)
+    ]
+    if np.any(np.diff([0.0, *centres]) <= 0.0):
+        found = ",".join(cells[3:])
+        what = "centre frequencies must rise"
+        raise InputError(what, where=where, found=found[:80], needed=needed, hint=hint)
     return np.array(centres)
 
 
 def _row(cells: list[str], centres_hz: FloatArray, where: str) -> tuple[tuple[str, str], _Row]:
     """Return source and receiver, and what the line says of them."""
-    if len(cells) > 3 + centres_hz.size and any(c.strip() for c in cells[3 + centres_hz.size :]):
+    if any(cells[3 + centres_hz.size :]):
         raise InputError(
             "more values than bands",
             where=where,
@@ -166,7 +153,7 @@ def _row(cells: list[str], centres_hz: FloatArray, where: str) -> tuple[tuple[st
             needed=f"{centres_hz.size}",
             hint="decimal commas make two cells of one number: write a point",
         )
-    source, receiver, parameter = (c.strip() for c in (*cells, "", "", "")[:3])
+    source, receiver, parameter = (*cells, "", "", "")[:3]
     if not (source and receiver):
         raise InputError(
             "a line without source or receiver",
@@ -178,68 +165,45 @@ def _row(cells: list[str], centres_hz: FloatArray, where: str) -> tuple[tuple[st
     name, is_spread = _name(parameter, where)
     values: FloatArray = np.full(centres_hz.size, np.nan)
     for band, cell in enumerate(cells[3 : 3 + centres_hz.size]):
+        if not cell:
+            continue
         at = f"{where}, column {band + 4} ({parameter} of {source} to {receiver} at "
         at += f"{centres_hz[band]:g} Hz)"
-        values[band] = _number(cell, at, "a number, or an empty cell where it is unknown")
-        if is_spread and values[band] < 0.0:
-            what = "a standard deviation below zero"
-            hint = "leave the cell empty where it is unknown"
-            raise InputError(what, where=at, found=cell.strip(), needed="0 or more", hint=hint)
-        if not is_spread and not math.isnan(values[band]):
+        values[band] = number_in(cell, at, "a number, or an empty cell where it is unknown")
+        if not is_spread:
             check_possible(name, float(values[band]), at)
+        elif values[band] < 0.0:
+            what, hint = "a standard deviation below zero", "leave the cell empty"
+            raise InputError(what, where=at, found=cell, needed="0 or more", hint=hint)
     return (source, receiver), (name, is_spread, values)
 
 
 def _name(parameter: str, where: str) -> tuple[ValueName, bool]:
-    bare = parameter[: -len(_SPREAD)] if parameter.lower().endswith(_SPREAD) else parameter
+    """Return the value that a line is of, and whether it is the spread of it."""
+    bare = re.sub(f"{_SPREAD}$", "", parameter, flags=re.IGNORECASE)
     known = {k.upper(): v for k, v in NAMES.items()}
     if bare.upper() not in known:
-        near = nearest(bare.upper(), known)
         raise InputError(
             "unknown room parameter",
             where=where,
             found=repr(parameter),
             needed=f"{', '.join(NAMES)}, or one of them with {_SPREAD}",
-            hint=f"did you mean {near}?" if near else "leave the line out, or begin it with #",
+            hint=did_you_mean(bare.upper(), NAMES) or "leave the line out, or begin it with #",
         )
     return known[bare.upper()], bare != parameter
-
-
-def _number(cell: str, where: str, needed: str) -> float:
-    """Return the number in a cell, NaN where it is empty."""
-    if not cell.strip():
-        return math.nan
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.inf
-    if not math.isfinite(value):
-        what = "not a number"
-        hint = "leave the cell empty where nothing is known"
-        raise InputError(what, where=where, found=repr(cell.strip()[:40]), needed=needed, hint=hint)
-    return value
 
 
 def _pair(
     pair: tuple[str, str], rows: list[_Row], centres_hz: FloatArray, where: str
 ) -> tuple[MeasuredValues, tuple[Finding, ...]]:
     """Return the values of one pair; each repetition of a parameter is another measurement."""
-    counts: dict[tuple[str, bool], int] = {}
+    counts: Counter[tuple[str, bool]] = Counter()
     tables: list[tuple[dict[ValueName, FloatArray], dict[ValueName, FloatArray]]] = []
     for name, is_spread, values in rows:
-        number = counts.get((name, is_spread), 0)
-        counts[name, is_spread] = number + 1
+        number = counts[name, is_spread]
+        counts[name, is_spread] += 1
         if number == len(tables):
             tables.append(({}, {}))
         tables[number][is_spread][name] = values
-    for known, spread in tables:
-        for name in [name for name in spread if name not in known]:
-            symbol = name.split("_")[0]
-            raise InputError(
-                "a spread without its value",
-                where=f"{where}, {pair[0]} to {pair[1]}",
-                found=f"{symbol}{_SPREAD}",
-                needed=f"a line {symbol} of the same pair",
-                hint=f"add the line, or leave {symbol}{_SPREAD} out",
-            )
-    return joined_values(tuple(MeasuredValues(*pair, centres_hz, v, s) for v, s in tables))
+    with located(f"{where}, {pair[0]} to {pair[1]}"):
+        return joined_values(tuple(MeasuredValues(*pair, centres_hz, v, s) for v, s in tables))

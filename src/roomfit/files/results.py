@@ -6,54 +6,60 @@ contract: they keep their names where a term in the code is another.
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from roomfit.base.bands import Bands
-from roomfit.base.door import complete
-from roomfit.base.errors import InputError, StoreError, located
+from roomfit.base.arguments import bool_array, check_known, float_array, unique_names
+from roomfit.base.bands import OCTAVES_HZ, BandKind, Bands
+from roomfit.base.door import complete, csv_rows, decoded, read_text
+from roomfit.base.errors import InputError, RoomfitError, StoreError, located
+from roomfit.base.findings import Finding
 from roomfit.base.logit import logit
-from roomfit.base.table import csv_of
-from roomfit.base.typing import FloatArray
+from roomfit.base.table import csv_of, without_apostrophe
+from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.base.whole_files import nearest_existing, write_json_atomically, write_text_atomically
 from roomfit.files.encoding import (
     ResultFile,
+    digest_findings,
     finding_content,
     finding_of,
     number_or_null,
     numbers_or_null,
     path_of,
     provenance,
+    written_content,
 )
-from roomfit.files.exports import (
-    material_table,
-    read_material_table,
-    read_result_content,
-    text_digest,
-)
+from roomfit.files.tables import number_in
 from roomfit.materials.priors import object_absorption
-from roomfit.result import (
-    ComparedPair,
-    ObjectAreas,
-    Result,
-    absorption_posterior,
-    departures_jnd,
-)
+from roomfit.result import ComparedPair, Result, absorption_posterior, departures_jnd
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
-
-if TYPE_CHECKING:  # compiled: reading a result does not wait for it
-    from roomfit.fit.fits import FittedGeometry
-    from roomfit.model.patterns import Pattern
-    from roomfit.uncertainty.combinations import Combination, Difference
 
 _LOG = logging.getLogger("roomfit")
 
+# Of result.json, by table: what may stand there.
+RESULT_KEYS = {
+    "": "format format_version bands_hz materials combinations pairs findings fit plan settings "
+    "trace provenance usable remains states sd_without mean_sd_without directivity geometry "
+    "posterior objects reverberation files_sha256 content_sha256",
+    "materials": "absorption lower95 upper95 identifiable area_m2 scattering share share_lower95 "
+    "share_upper95 prior interval",
+    "posterior": "materials logit_mean logit_covariance prior_logit_mean prior_logit_sd "
+    "prior_logit_covariance draws prior_specified",
+    "fit": "method model cost models phi by_pressures evaluations converged seconds seed "
+    "intervals method_chosen reasons",
+    "pairs": "source receiver use state parameters sti",
+    "findings": "code severity sentence about evidence",
+}
+_WHOLE = "a result.json as roomfit writes it"
+_COLUMNS = ("material", "band_hz", "absorption", "lower95", "upper95", "identifiable")
 
 # Of report, tables and pictures of the demo, and of a pair's decay: 2.0 MB with eight pairs.
 _RESULT_BYTES, _PAIR_BYTES = 1.5e6, 2e5
@@ -71,9 +77,8 @@ def check_disk_room(path: Path, n_pairs: int, n_results: int = 1) -> None:
         Too little is free.
     """
     needed_mb = (n_results * _RESULT_BYTES + n_pairs * _PAIR_BYTES) / 1e6
-    nearest = nearest_existing(Path(path))
     with suppress(OSError):
-        disk = shutil.disk_usage(nearest)
+        disk = shutil.disk_usage(nearest_existing(Path(path)))
         if disk.total > 0 and disk.free < 1e6 * needed_mb:
             raise StoreError(
                 "the disk has no room for the result",
@@ -82,6 +87,42 @@ def check_disk_room(path: Path, n_pairs: int, n_results: int = 1) -> None:
                 needed=f"about {needed_mb:.1f} MB",
                 hint="make room, or choose a folder on another disk",
             )
+
+
+# Reading.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MaterialTable:
+    """Materials of a result."""
+
+    names: tuple[str, ...]
+    bands: Bands
+    absorption: FloatArray  # (n_materials, n_bands), 0 to 1; and so the next two
+    lower95: FloatArray
+    upper95: FloatArray
+    identifiable: BoolArray  # (n_materials, n_bands)
+    scattering: FloatArray | None = None  # (n_materials, n_bands); None where the result has none
+    findings: tuple[Finding, ...] = ()  # on the file
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "names", unique_names("material", self.names))
+        shape = (len(self.names), len(self.bands))
+        for name in ("absorption", "lower95", "upper95", "scattering"):
+            value = getattr(self, name)
+            if value is not None:
+                values = float_array(name, value, shape, low=0.0, high=1.0)
+                object.__setattr__(self, name, values)
+        flags = bool_array("identifiable", self.identifiable, shape)
+        object.__setattr__(self, "identifiable", flags)
+
+
+def material_table_of(result: Result) -> MaterialTable:
+    """Return the materials of a result in memory."""
+    return MaterialTable(
+        result.materials, result.bands, result.absorption, result.lower95, result.upper95,
+        result.identifiable, result.scattering,
+    )  # fmt: skip
 
 
 def read_result(file: ResultFile) -> AbsorptionPosterior:
@@ -114,149 +155,208 @@ def read_result(file: ResultFile) -> AbsorptionPosterior:
     >>> found.materials, found.absorption
     (('carpet',), array([[0.3]]))
     """
-    path = path_of(file)
-    content: dict[str, Any] = {}
-    if path.suffix.lower() == ".csv":
-        table = read_material_table(file)
-    else:
-        content, doubts = read_result_content(file)
-        table = material_table(file, content, doubts)
+    table, content = read_materials(file)
     for doubt in table.findings:
         _LOG.warning("%s: %s", doubt.severity, doubt.sentence)
-    with located(str(path)), complete("result", "a result.json as roomfit writes it"):
-        posterior = content.get("posterior")
-        objects, of_objects = _read_objects(content, len(table.bands))
-        of_walls = (table.absorption, table.lower95, table.upper95)
-        value, low, high = (np.concatenate(x) for x in zip(of_walls, of_objects, strict=True))
-        if posterior is None:
-            covariance = covariance_from_intervals(value, low, high)
-        else:
-            covariance = _posterior_table(posterior, "logit_covariance")
-        mean = sd = together = None
-        if posterior is not None and "prior_logit_mean" in posterior:
-            mean = _posterior_table(posterior, "prior_logit_mean").T
-            sd = _posterior_table(posterior, "prior_logit_sd").T
-        if posterior is not None and "prior_logit_covariance" in posterior:
-            together = _posterior_table(posterior, "prior_logit_covariance")
-        # None of a file that does not say which priors were specified
-        flags = (posterior or {}).get("prior_specified")
+    with located(str(path_of(file))), complete("result", _WHOLE):
+        volumes_m3, (value, low, high) = _with_objects(table, content)
+        posterior, fit, pairs = (content.get(k, {}) for k in ("posterior", "fit", "pairs"))
+        own = {
+            name: np.array(posterior[name], dtype=np.float64)
+            for name in ("logit_covariance", *_OF_PRIOR, "prior_logit_covariance", "draws")
+            if name in posterior or (posterior and name == "logit_covariance")
+        }
+        flags = posterior.get("prior_specified")
+        fitted = [pair for pair in pairs if pair["use"] == "fit"]
+        departures = [{k: c["jnd"] for k, c in p["parameters"].items()} for p in fitted]
+        areas = [content.get("materials", {}).get(n, {}).get("area_m2") for n in table.names]
+        scattering, of_objects = table.scattering, np.zeros((len(volumes_m3), len(table.bands)))
         return AbsorptionPosterior(
-            (*table.names, *objects),
+            (*table.names, *volumes_m3),
             table.bands,
             value,
             low,
             high,
-            logit_covariance=covariance,
-            prior_logit_mean=mean,
-            prior_logit_sd=sd,
-            prior_logit_covariance=together,
-            scattering=_read_scattering(content, table.names, np.zeros_like(of_objects[0])),
-            directivities=_read_directivities(content),
-            by_pressures=content.get("fit", {}).get("by_pressures"),
-            chi2_reduced=content.get("fit", {}).get("phi"),
+            own.pop("logit_covariance", covariance_from_intervals(value, low, high)),
+            **{name: own.pop(name).T for name in _OF_PRIOR if name in own},
+            **own,
+            scattering=None if scattering is None else np.concatenate((scattering, of_objects)),
+            directivities=_directivities(content.get("directivity", {})),
+            by_pressures=fit.get("by_pressures"),
+            chi2_reduced=fit.get("phi"),
+            # None of a file that does not say which priors were specified
             prior_specified=None if flags is None else np.array(flags, dtype=np.bool_),
-            draws=_posterior_table(posterior, "draws") if "draws" in (posterior or {}) else None,
-            fitted_jnd=_read_departures(content, table.bands),
-            areas_m2=_read_areas(content, table.names, len(objects)),
-            fitted_states=_read_states(content),
+            fitted_jnd=departures_jnd(departures, table.bands) if fitted else None,
+            areas_m2=None if None in areas else np.array([*areas, *(0.0,) * len(volumes_m3)]),
+            fitted_states=tuple(sorted({str(p.get("state", "")) for p in fitted})) or None,
             result_findings=(
                 *table.findings,
                 *(finding_of(one, "findings") for one in content.get("findings", ())),
             ),
-            objects=objects,
+            objects=volumes_m3,
         )
 
 
-@contextmanager
-def _of_numbers(where: str, needed: str) -> Iterator[None]:
-    """Refuse a part of a result that is no table of numbers, as one that was edited may be."""
-    try:
-        yield
-    except (AttributeError, KeyError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(
-            f"{where} of the result: no table of numbers",
-            where=where,
-            found=f"{type(error).__name__}: {error}",
-            needed=needed,
-            hint="give result.json as roomfit identify wrote it, or identify again",
-        ) from error
+_OF_PRIOR = ("prior_logit_mean", "prior_logit_sd")  # bands first in the file
 
 
-def _read_objects(
-    content: dict[str, Any], n_bands: int
-) -> tuple[dict[str, float], tuple[FloatArray, FloatArray, FloatArray]]:
-    """Return the volume of each object's room, and the absorption of its area with both bounds."""
+def _with_objects(
+    table: MaterialTable, content: Mapping[str, Any]
+) -> tuple[dict[str, float], list[FloatArray]]:
+    """Return the volume of each object's room, and absorption and bounds of walls and objects."""
     found = content.get("objects", {})
-    with _of_numbers(
-        "objects", "by object: room_volume_m3, absorption_area_m2, lower95_m2 and upper95_m2"
-    ):
-        volumes_m3 = {name: float(one["room_volume_m3"]) for name, one in found.items()}
-        keys = ("absorption_area_m2", "lower95_m2", "upper95_m2")
-        areas = [
-            [object_absorption(np.array(one[k], float), volumes_m3[n]) for n, one in found.items()]
-            for k in keys
+    volumes_m3 = {name: float(one["room_volume_m3"]) for name, one in found.items()}
+    whole = []
+    for key in ("absorption", "lower95", "upper95"):
+        area = key.replace("absorption", "absorption_area") + "_m2"
+        shares = [
+            object_absorption(np.array(one[area], dtype=np.float64), volumes_m3[name])
+            for name, one in found.items()
         ]
-    value, low, high = (np.array(own).reshape(-1, n_bands) for own in areas)
-    return volumes_m3, (value, low, high)
+        whole.append(np.concatenate([getattr(table, key), *(s[None] for s in shares)]))
+    return volumes_m3, whole
 
 
-def _posterior_table(posterior: Any, name: str) -> FloatArray:
-    with _of_numbers("posterior", "logit_covariance: for each band a matrix over the materials"):
-        return np.array(posterior[name], dtype=np.float64)
-
-
-def _read_directivities(content: dict[str, Any]) -> dict[str, Pattern]:
-    """Return the directivity of every source for which it was fitted."""
-    by_source = content.get("directivity", {})
+def _directivities(by_source: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the pattern of every source for which it was fitted."""
     if not by_source:
         return {}
-    from roomfit.model.patterns import Pattern
+    from roomfit.model.patterns import Pattern  # compiled: other results do not wait for it
 
-    with _of_numbers("directivity", "by source: b, three numbers for each band"):
-        return {
-            name: Pattern(np.array(one["b"]), one.get("aim"), one.get("loudspeaker", ""))
-            for name, one in by_source.items()
-        }
-
-
-def _read_states(content: dict[str, Any]) -> tuple[str, ...] | None:
-    """Return the states of the fitted pairs, None where the file has no pairs."""
-    found = {str(p.get("state", "")) for p in content.get("pairs", ()) if p.get("use") == "fit"}
-    return tuple(sorted(found)) or None
+    return {
+        name: Pattern(np.array(one["b"]), one.get("aim"), one.get("loudspeaker", ""))
+        for name, one in by_source.items()
+    }
 
 
-def _read_areas(
-    content: dict[str, Any], names: tuple[str, ...], n_objects: int
-) -> FloatArray | None:
-    """Return the areas of walls in the room that was fitted, 0 of objects; None where one lacks."""
-    found = [content.get("materials", {}).get(name, {}).get("area_m2") for name in names]
-    if not found or any(not isinstance(a, int | float) for a in found):
-        return None
-    return np.array([*found, *(0.0,) * n_objects])
+def read_result_content(file: ResultFile) -> tuple[dict[str, Any], tuple[Finding, ...]]:
+    """Return the content of a ``result.json`` of this version, and what its digest says of it.
+
+    Raises
+    ------
+    InputError
+        There is no such file, it is no result, has unknown keys, or was changed.
+    """
+    content, findings = written_content(file, "result")
+    with located(str(path_of(file))), complete("result", _WHOLE):
+        _check_format(content)
+        for name, known in RESULT_KEYS.items():
+            part = content.get(name, {}) if name else content
+            tables: dict[str, Any] = {name or "top level": part}
+            if name == "materials":
+                tables = {f"materials.{own}": table for own, table in part.items()}
+            elif isinstance(part, list):
+                tables = {f"{name}[{i}]": table for i, table in enumerate(part, start=1)}
+            for where, table in tables.items():
+                for key in table:
+                    hint = "read it with the version of roomfit that `provenance` names"
+                    what = "unknown key in a file of roomfit"
+                    check_known(what, key, sorted(known.split()), where=where, else_try=hint)
+    return content, findings
 
 
-def _read_departures(content: dict[str, Any], bands: Bands) -> FloatArray | None:
-    """Return the departures of the fitted pairs, None where the file has no pairs."""
-    with _of_numbers(
-        "pairs", "parameters with jnd, one number or null for each band, of every pair"
-    ):
-        tables = [
-            {name: c["jnd"] for name, c in pair["parameters"].items()}
-            for pair in content.get("pairs", ())
-            if pair["use"] == "fit"
-        ]
-        return departures_jnd(tables, bands) if tables else None
+def _check_format(content: Any) -> None:
+    if not isinstance(content, dict) or content.get("format") != "roomfit-result":
+        raise InputError(
+            "this is no result of roomfit",
+            found="another format" if isinstance(content, dict) else "no table",
+            needed='"format": "roomfit-result" in the file',
+            hint="give a result.json that roomfit identify has written",
+        )
+    if content.get("format_version") != 1:
+        raise InputError(
+            "this version of roomfit cannot read that result",
+            found=f"format_version {content.get('format_version')}",
+            needed="format_version 1",
+            hint="identify again, or export with the version of roomfit that wrote it",
+        )
 
 
-def _read_scattering(
-    content: dict[str, Any], names: tuple[str, ...], of_objects: FloatArray
-) -> FloatArray | None:
-    """Return the scattering that the fit used, that of objects last, None where some is lacking."""
-    rows = [content.get("materials", {}).get(name, {}).get("scattering") for name in names]
-    if not rows or any(row is None for row in rows):
-        return None
-    with _of_numbers("materials", "scattering: one number for each band"):
-        return np.concatenate((np.array(rows, dtype=np.float64), of_objects))
+def read_materials(file: ResultFile) -> tuple[MaterialTable, dict[str, Any]]:
+    """Return the materials of a ``result.json`` or an ``absorption.csv``, and the former's content.
+
+    Raises
+    ------
+    InputError
+        There is no such file, it is neither of the two, or its numbers are out of range; or its
+        content is not that of its digest, which is in the ``result.json`` beside a table.
+    """
+    path = path_of(file)
+    if path.suffix.lower() == ".csv":
+        text = read_text(path, "result")
+        findings = digest_findings(file, "table", text_digest(text), _digest_beside(path))
+        with located(str(path), hint="export the table again, or give the result.json beside it"):
+            return replace(_from_csv(text), findings=findings), {}
+    content, findings = read_result_content(file)
+    needed = "bands_hz, and for each material absorption, lower95, upper95, identifiable"
+    with located(str(path)), complete("result", needed):
+        entries = content["materials"].values()
+        scattering = [m.get("scattering") for m in entries]
+        table = MaterialTable(
+            tuple(content["materials"]),
+            bands_of(content["bands_hz"]),
+            *(np.array([m[key] for m in entries]) for key in _COLUMNS[2:]),
+            None if None in scattering or not entries else np.array(scattering),
+            findings,
+        )
+    return table, content
+
+
+def bands_of(centres_hz: Sequence[float], chosen: BoolArray | None = None) -> Bands:
+    """Return bands of centres in Hz, or some of them: octaves where all centres are of octaves."""
+    kind: BandKind = "octave" if set(centres_hz) <= set(OCTAVES_HZ) else "third-octave"
+    centres = np.array(centres_hz, dtype=np.float64)
+    return Bands(kind, centres if chosen is None else centres[chosen])
+
+
+def text_digest(text: str) -> str:
+    """Return the SHA-256 of a text file as roomfit writes it, whatever ends its lines."""
+    return hashlib.sha256(decoded(text.encode(errors="replace")).encode()).hexdigest()
+
+
+def _digest_beside(path: Path) -> object:
+    """Return the digest of a file that the result beside it states; None without such a result."""
+    with suppress(RoomfitError, AttributeError):
+        content, doubts = written_content(path.with_name("result.json"), "result")
+        return None if doubts else content.get("files_sha256", {}).get(path.name)
+    return None
+
+
+def _from_csv(text: str) -> MaterialTable:
+    header, *lines = [cells for _, cells in csv_rows(text, "") if cells] or [[]]
+    if not (set(_COLUMNS) <= set(header) and lines):
+        raise InputError(
+            "the table of absorption lacks columns or rows",
+            found=", ".join(header)[:200] or "nothing",
+            needed=", ".join(_COLUMNS),
+            hint="give absorption.csv as roomfit identify has written it",
+        )
+    place: dict[tuple[str, float], tuple[float, ...]] = {}
+    needed, hint = "a number with a decimal point", "fill the row up, or remove it"
+    for number, cells in enumerate(lines, start=1):
+        # a row that is too short has empty cells
+        row = dict.fromkeys(header, "") | dict(zip(header, cells, strict=False))
+        at = f"row {number} below the heading"
+        centre, *values = (
+            number_in(row[name], f"column {name} of {at}", needed, hint) for name in _COLUMNS[1:-1]
+        )
+        sure, what = row["identifiable"].lower(), "identifiable is neither true nor false"
+        check_known(what, sure, ("true", "false"), where=at, else_try=hint)
+        place[without_apostrophe(row["material"]), centre] = (*values, sure == "true")
+    names = tuple(dict.fromkeys(name for name, _ in place))
+    centres = sorted({centre for _, centre in place})
+    if len(place) != len(lines) or len(lines) != len(names) * len(centres):
+        raise InputError(
+            "the table of absorption is not complete",
+            found=f"{len(lines)} rows, {len(names)} materials, {len(centres)} bands",
+            needed="each material in each band once",
+            hint="remove the rows given twice, and add what is missing",
+        )
+    *table, sure = np.array([[place[m, f] for f in centres] for m in names]).transpose(2, 0, 1)
+    return MaterialTable(names, bands_of(centres), *table, sure.astype(np.bool_))
+
+
+# Writing.
 
 
 def write_result(
@@ -306,6 +406,10 @@ def absorption_csv(answer: Result) -> str:
     return csv_of(answer.records(), missing="nan")
 
 
+def _stated(content: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in content.items() if value is not None}
+
+
 def result_content(
     answer: Result, inputs: Iterable[Path], usable: Sequence[str] = ()
 ) -> dict[str, Any]:
@@ -315,28 +419,29 @@ def result_content(
     ``posterior`` is the Gaussian of logit absorption in each band, where the answer has it.
     `roomfit.base.whole_files.json_text` turns it into text.
     """
+    from roomfit.checks.verdict import what_remains
+
+    remains, geometry = what_remains(answer), answer.geometry
+    interval = ("mean_absorption", "lower95", "upper95")
     content: dict[str, Any] = {
         "format": "roomfit-result",
         "format_version": 1,
         "bands_hz": answer.bands.centres_hz,
         "materials": {name: _material(answer, i) for i, name in enumerate(answer.materials)},
-        **({"objects": _objects(answer.objects)} if answer.objects is not None else {}),
+        "objects": _objects(answer),
         "combinations": _combinations(answer),
         "pairs": [_pair(p, answer.bands) for p in answer.pairs],
         "findings": [finding_content(f) for f in answer.findings],
         "fit": _fit(answer),
-        **({"plan": answer.plan} if answer.plan else {}),
+        "plan": answer.plan or None,
         "settings": answer.settings.changed(),
-        **({"trace": answer.trace} if answer.trace else {}),
+        "trace": answer.trace or None,
         "provenance": provenance(inputs)
         | {
             "speed_of_sound_m_s": answer.speed_of_sound_m_s,
             "speed_of_sound_formula": "Cramer 1993 as in pyfar, or as given by the campaign",
         },
     }
-    from roomfit.checks.verdict import what_remains
-
-    remains = what_remains(answer)
     if remains.voids:
         content["usable"] = usable
         content["remains"] = {
@@ -348,27 +453,10 @@ def result_content(
         }
     if answer.state_means:
         content["states"] = {
-            name: dict(zip(("mean_absorption", "lower95", "upper95"), mean, strict=True))
+            name: dict(zip(interval, mean, strict=True))
             for name, mean in answer.state_means.items()
         }
-    content |= _sd_without(answer)
-    if answer.directivities:
-        content["directivity"] = {
-            name: {"b": d.b, "sd": d.sd}
-            | ({} if p.aim is None else {"aim": p.aim, "loudspeaker": p.loudspeaker})
-            for d in answer.directivities
-            for name, p in d.patterns().items()
-        }
-    if answer.geometry is not None:
-        content["geometry"] = _geometry(answer.geometry)
-    if answer.logit_covariance is not None:
-        content["posterior"] = _posterior(answer)
-    return content
-
-
-def _sd_without(answer: Result) -> dict[str, Any]:
-    """Return how well materials and the mean of the room were known without each term."""
-    content: dict[str, Any] = {}
+    # how well materials and the mean of the room were known without each term
     if any(answer.costs):
         content["sd_without"] = [
             {name or "nothing": numbers_or_null(np.round(sd, 4)) for name, sd in band.items()}
@@ -379,82 +467,89 @@ def _sd_without(answer: Result) -> dict[str, Any]:
             {name or "nothing": number_or_null(round(sd, 6)) for name, sd in band.items()}
             for band in answer.mean_costs
         ]
-    return content
+    if answer.directivities:
+        content["directivity"] = {
+            name: {"b": d.b, "sd": d.sd}
+            | ({} if p.aim is None else {"aim": p.aim, "loudspeaker": p.loudspeaker})
+            for d in answer.directivities
+            for name, p in d.patterns().items()
+        }
+    if geometry is not None:  # shifts that arrival times need: no measurement of positions
+        content["geometry"] = {
+            "note": "fitted to arrival times; these absorb errors of the model, too",
+            "speed_of_sound_m_s": geometry.speed_of_sound_m_s,
+            "labels": geometry.labels,
+            "change": geometry.change,
+            "sd": geometry.sd,
+            "told_sd": geometry.prior_sd,
+        }
+    if answer.logit_covariance is not None:
+        content["posterior"] = posterior_content(absorption_posterior(answer))
+    return _stated(content)
+
+
+_FIT = ("method", "model", "cost", "models", "evaluations", "converged", "seed", "reasons")
 
 
 def _fit(answer: Result) -> dict[str, Any]:
     """How the answer was found, how well it fits, and how its intervals were made."""
     added = answer.by_pressures
-    return {
-        "method": answer.method,
-        "model": answer.model,
-        "cost": answer.cost,
-        "models": answer.models,
+    content = {name: getattr(answer, name) for name in _FIT} | {
         "phi": answer.chi2_reduced,
-        **({"by_pressures": added} if added is not None and added.any() else {}),
-        "evaluations": answer.evaluations,
-        "converged": answer.converged,
+        "by_pressures": added if added is not None and added.any() else None,
         "seconds": round(answer.seconds, 3),
-        "seed": answer.seed,
         "intervals": answer.interval_kind,
         "method_chosen": answer.method,
-        "reasons": answer.reasons,
     }
+    return _stated(content)
 
 
-def _posterior(answer: Result) -> dict[str, Any]:
-    """The Gaussian of logit absorption in each band, its prior, and draws of it."""
-    own = absorption_posterior(answer)  # objects among the materials
-    content: dict[str, Any] = {
+def posterior_content(own: AbsorptionPosterior) -> dict[str, Any]:
+    """Return the Gaussian of logit absorption in each band, its prior, and draws of it.
+
+    Objects are among the materials.
+    """
+    mean, sd, specified = own.prior_logit_mean, own.prior_logit_sd, own.prior_specified
+    # a share that objects absorb in a step is a hundred times smaller than that of a wall
+    decimals = 7 if own.objects else 5
+    content = {
         "materials": own.materials,
         "logit_mean": logit(own.absorption).T,
         "logit_covariance": own.logit_covariance,
+        "prior_logit_mean": None if mean is None else mean.T,
+        "prior_logit_sd": None if sd is None else sd.T,
+        "prior_logit_covariance": own.prior_logit_covariance,
+        "draws": None if own.draws is None else np.round(own.draws, decimals),
+        "prior_specified": None if specified is None else [bool(b) for b in specified],
     }
-    if own.prior_logit_mean is not None and own.prior_logit_sd is not None:
-        content |= {"prior_logit_mean": own.prior_logit_mean.T}
-        content |= {"prior_logit_sd": own.prior_logit_sd.T}
-    if own.prior_logit_covariance is not None:
-        content["prior_logit_covariance"] = own.prior_logit_covariance
-    if own.draws is not None:
-        # a share that objects absorb in a step is a hundred times smaller than that of a wall
-        content["draws"] = np.round(own.draws, 7 if own.objects else 5)
-    if own.prior_specified is not None:
-        content["prior_specified"] = [bool(b) for b in own.prior_specified]
-    return content
+    return _stated(content)
 
 
-def _objects(found: ObjectAreas) -> dict[str, Any]:
+def _objects(answer: Result) -> dict[str, Any] | None:
     """Return the equivalent absorption area of each object in m2, with its interval."""
+    if (found := answer.objects) is None:
+        return None
     volumes_m3 = found.posterior.objects
-    return {
-        name: {
-            "absorption_area_m2": found.area_m2[i],
-            "lower95_m2": found.lower95_m2[i],
-            "upper95_m2": found.upper95_m2[i],
-            "identifiable": found.identifiable[i],
-            "room_volume_m3": round(volumes_m3[name], 4),
-        }
-        for i, name in enumerate(found.names)
-    }
+    rows = zip(
+        found.names, found.area_m2, found.lower95_m2, found.upper95_m2, found.identifiable,
+        [round(volumes_m3[name], 4) for name in found.names], strict=True,
+    )  # fmt: skip
+    keys = ("absorption_area_m2", "lower95_m2", "upper95_m2", "identifiable", "room_volume_m3")
+    return {name: dict(zip(keys, values, strict=True)) for name, *values in rows}
 
 
 def _material(answer: Result, i: int) -> dict[str, Any]:
     """Absorption of a material, its share (air left out), its prior, and kinds of intervals."""
-    content: dict[str, Any] = {
-        "absorption": answer.absorption[i],
-        "lower95": answer.lower95[i],
-        "upper95": answer.upper95[i],
-        "identifiable": answer.identifiable[i],
-        "area_m2": round(float(answer.areas_m2[i]), 4),
-    }
+    interval = _COLUMNS[2:5]
+    content: dict[str, Any] = {name: getattr(answer, name)[i] for name in _COLUMNS[2:]}
+    content["area_m2"] = round(float(answer.areas_m2[i]), 4)
     if answer.scattering is not None:
         content["scattering"] = answer.scattering[i]
     if answer.shares is not None:
         names = ("share", "share_lower95", "share_upper95")
         content |= zip(names, answer.shares[:, i], strict=True)
     if answer.prior is not None:
-        names = ("absorption", "lower95", "upper95")
-        content["prior"] = dict(zip(names, answer.prior[:, i], strict=True))
+        content["prior"] = dict(zip(interval, answer.prior[:, i], strict=True))
     if answer.interval_kinds and all(answer.interval_kinds):
         content["interval"] = [kinds[i] for kinds in answer.interval_kinds]
     return content
@@ -463,7 +558,7 @@ def _material(answer: Result, i: int) -> dict[str, Any]:
 def _combinations(answer: Result) -> list[dict[str, Any]]:
     """Means over groups of materials that the data determine, the whole room's first."""
 
-    def entry(kind: str, c: Combination | Difference) -> dict[str, Any]:
+    def entry(kind: str, c: Any) -> dict[str, Any]:
         named = zip(answer.materials, c.weights, strict=True)
         return {
             "kind": kind,
@@ -488,18 +583,6 @@ def _combinations(answer: Result) -> list[dict[str, Any]]:
     ]
 
 
-def _geometry(geometry: FittedGeometry) -> dict[str, Any]:
-    """Shifts of positions that arrival times need: no measurement of positions."""
-    return {
-        "note": "fitted to arrival times; these absorb errors of the model, too",
-        "speed_of_sound_m_s": geometry.speed_of_sound_m_s,
-        "labels": geometry.labels,
-        "change": geometry.change,
-        "sd": geometry.sd,
-        "told_sd": geometry.prior_sd,
-    }
-
-
 def _pair(pair: ComparedPair, bands: Bands) -> dict[str, Any]:
     sti = np.full(2, np.nan)
     if pair.decay is not None:
@@ -507,12 +590,12 @@ def _pair(pair: ComparedPair, bands: Bands) -> dict[str, Any]:
 
         curves = (pair.decay.measured_db, pair.decay.predicted_db)
         sti = np.array([sti_of_decay(bands, pair.decay.time_s, levels) for levels in curves])
-    known = {"sti": dict(zip(("measured", "predicted"), numbers_or_null(sti), strict=True))}
-    return {
+    known = dict(zip(("measured", "predicted"), numbers_or_null(sti), strict=True))
+    content = {
         "source": pair.source,
         "receiver": pair.receiver,
         "use": pair.use,
-        **({"state": pair.state} if pair.state else {}),
+        "state": pair.state or None,
         "parameters": {
             name: {
                 "measured": numbers_or_null(c.measured),
@@ -522,5 +605,6 @@ def _pair(pair: ComparedPair, bands: Bands) -> dict[str, Any]:
             }
             for name, c in pair.parameters.items()
         },
-        **(known if np.isfinite(sti).any() else {}),
+        "sti": known if np.isfinite(sti).any() else None,
     }
+    return _stated(content)

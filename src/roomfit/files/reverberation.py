@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from roomfit.base.air import attenuation_per_m, speed_of_sound_m_s
-from roomfit.base.bands import OCTAVES_HZ, Bands
+from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
-from roomfit.base.logit import logit
 from roomfit.base.typing import FloatArray
 from roomfit.files.campaign import Campaign
 from roomfit.files.encoding import provenance
 from roomfit.files.inputs import campaign_room, material_priors, object_areas_m2
-from roomfit.files.tables import table_rows
+from roomfit.files.results import bands_of, posterior_content
+from roomfit.files.tables import number_in, table_rows
 from roomfit.materials.priors import unknown_material
 from roomfit.predict.diffuse_field import (
     FORMULAS,
@@ -100,7 +100,6 @@ def diffuse_result_content(
     tell walls apart.
     """
     known = field_posterior(field, _DRAWS, np.random.default_rng(seed))
-    mean, prior_sd = known.prior_logit_mean, known.prior_logit_sd
     areas_m2, own = field.areas_m2.sum(axis=0), found.mean[FORMULAS.index(field.formula)]
     weights = dict(zip(known.materials, (areas_m2 / areas_m2.sum()).round(6), strict=True))
     bands = zip(field.bands.centres_hz, *own, strict=True)
@@ -139,16 +138,7 @@ def diffuse_result_content(
             "seed": seed,
             "intervals": "Gaussian in the logit, the disagreement of formulas included",
         },
-        "posterior": {
-            "materials": known.materials,
-            "logit_mean": logit(known.absorption).T,
-            "logit_covariance": known.logit_covariance,
-            "prior_logit_mean": None if mean is None else mean.T,
-            "prior_logit_sd": None if prior_sd is None else prior_sd.T,
-            "prior_logit_covariance": known.prior_logit_covariance,
-            "prior_specified": known.prior_specified,
-            "draws": None if known.draws is None else known.draws.round(5),
-        },
+        "posterior": posterior_content(known),
         "provenance": provenance(inputs) | {"speed_of_sound_m_s": field.speed_of_sound_m_s},
     }  # fmt: skip
 
@@ -193,7 +183,7 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands]:
     centres = [c for c in numbers[0] if np.isfinite(c)]
     table = np.full((len(rows) - 1, len(centres)), np.nan)
     for i, values in enumerate(numbers[1:]):
-        if len(values) > len(centres) and np.any(np.isfinite(values[len(centres) :])):
+        if np.any(np.isfinite(values[len(centres) :])):
             raise InputError(
                 "more decay times than bands",
                 where=f"{path}, line {rows[i + 1][0]}",
@@ -213,24 +203,14 @@ def read_decay_times(path: Path) -> tuple[FloatArray, Bands]:
             needed="above 0 and up to 60 s",
             hint="give seconds, not ms",
         )
-    octaves = set(centres) <= set(OCTAVES_HZ)
-    bands = Bands("octave" if octaves else "third-octave", np.array(centres)[known])
-    return table[:, known], bands
+    return table[:, known], bands_of(centres, known)
 
 
 def _number(cell: str, where: str) -> float:
-    """Return a time or a frequency, which may be written as 500 Hz or 1 kHz."""
+    """Return a time or a frequency, which may be written as 500 Hz or 1 kHz; NaN of no cell."""
     if not cell:
         return float("nan")
     number = re.sub(r"(hz|s)$", "", cell.lower()).rstrip()
-    kilo = number.endswith("k")
-    try:
-        return float(number.removesuffix("k").replace(",", ".")) * (1000.0 if kilo else 1.0)
-    except ValueError:
-        raise InputError(
-            "not a number",
-            where=where,
-            found=repr(cell[:40]),
-            needed="a time in s, or a centre as 500, 500 Hz or 1 kHz in the first line",
-            hint="leave the cell empty where nothing is known",
-        ) from None
+    kilo = 1000.0 if number.endswith("k") else 1.0
+    needed = "a time in s, or a centre as 500, 500 Hz or 1 kHz in the first line"
+    return kilo * number_in(number.removesuffix("k").replace(",", "."), where, needed)

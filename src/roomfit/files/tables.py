@@ -6,6 +6,7 @@ What a spreadsheet copies has tabs between its columns.
 from __future__ import annotations
 
 import io
+import math
 import re
 import zipfile
 from collections.abc import Iterator
@@ -45,10 +46,25 @@ def table_rows(path: Path, what: str) -> tuple[str, list[tuple[int, list[str]]]]
         delimiter, rows = "\t", _sheet_rows(read_bytes(path, what, most="text_bytes"), str(path))
     else:
         text = read_text(path, what)
-        delimiter = next((d for d in ";\t" if d in text), ",")
+        bare = re.sub(r"^#.*", "", text, flags=re.MULTILINE)
+        delimiter = next((d for d in ";\t" if d in bare), ",")
         rows = csv_rows(text, str(path), delimiter)
     stripped = ((number, [cell.strip() for cell in cells]) for number, cells in rows)
     return delimiter, [(n, c) for n, c in stripped if any(c) and not c[0].startswith("#")]
+
+
+def number_in(
+    cell: str, where: str, needed: str, hint: str = "leave the cell empty where nothing is known"
+) -> float:
+    """Return the finite number in a cell, with a decimal point."""
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.inf
+    if not math.isfinite(value):
+        found = repr(cell.strip()[:40])
+        raise InputError("not a number", where=where, found=found, needed=needed, hint=hint)
+    return value
 
 
 def _sheet_rows(content: bytes, where: str) -> Iterator[tuple[int, list[str]]]:
