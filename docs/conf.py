@@ -4,7 +4,7 @@ import json
 from importlib.metadata import version as package_version
 from pathlib import Path
 
-from roomfit.files.schema import campaign_schema
+from roomfit.files.schema import Campaign, json_schema
 
 project = "roomfit"
 author = "the roomfit founders"
@@ -57,7 +57,7 @@ sphinx_gallery_conf = {
 def _write_schema(app, error):
     """Put the JSON schema of a campaign beside the first page."""
     if error is None:
-        text = json.dumps(campaign_schema(), indent=1)
+        text = json.dumps(json_schema(Campaign, "Campaign"), indent=1)
         (Path(app.outdir) / "campaign.schema.json").write_text(text + "\n", encoding="utf-8")
 
 

@@ -154,7 +154,7 @@ def test_the_area_is_told_and_so_is_that_of_seats_that_are_drawn(folder):
     ("old", "new", "words"),
     [
         ("absorption = 0.02", 'prior = "seats-heavy-empty"', r"absorb twice(.|\n)*'floor'"),
-        ("outlines =", "count = 3\noutlines =", r"measured in two ways(.|\n)*count and outlines"),
+        ("outlines =", "count = 3\noutlines =", r"measured in two ways(.|\n)*count, outlines"),
         ("outlines = [[[0, 2, 0]", "outlines = [[[0, 2, 9]", "no air|stands upright"),
         ("absorption_area_m2", "prior", r"no object from the walls(.|\n)*absorption_area_m2"),
         ('"audience-medium"', '"person-seated"', r"another kind(.|\n)*count"),

@@ -107,7 +107,7 @@ def test_tables_of_corners_and_planes_that_are_refused_do_so_as_well(
         (read_decay_times, "name,500\nA,long\n", "not a number", "'long'", "a time in s"),
         (read_decay_times, "name,500\n", "without values", "1 line", "a line of centres"),
         (read_positions, "# nothing\n", "is empty", "no line", "name, x, y, z"),
-        (read_table, HEAD + "brick,500,a lot,0.1,0.2,true\n", "not a number", "'a lot'", "a number"),
+        (read_table, HEAD + "brick,500,a lot,0.1,0.2,true\n", "a number", "'a lot'", "a number"),
         (read_table, HEAD + "brick,500,0.1,0.1\n", "not a number", "''", "a number"),
     ],
 )  # fmt: skip

@@ -418,7 +418,7 @@ def test_a_broken_posterior_in_a_result_is_refused(tmp_path):
     for covariance, words in (
         ([[[-0.1]]], "none"),
         ([[0.1]], "shape"),
-        ("x", "no table of numbers"),
+        ("x", "is incomplete"),
     ):
         path.write_text(json.dumps({**content, "posterior": {"logit_covariance": covariance}}))
         with pytest.raises(InputError, match=words):

@@ -7,11 +7,11 @@ import json
 
 from roomfit.base.arguments import check_known
 from roomfit.cli.terminal import say
-from roomfit.files.schema import campaign_schema
-from roomfit.files.treatment_schema import treatment_schema
+from roomfit.files.schema import Campaign, Table, json_schema
+from roomfit.treat.campaign import TreatmentTable
 
 
 def run(options: argparse.Namespace) -> None:
-    schemas = {"campaign": campaign_schema, "treatment": treatment_schema}
-    check_known("no schema of this name", options.of, schemas)
-    say(json.dumps(schemas[options.of](), indent=2))
+    tables: dict[str, type[Table]] = {"campaign": Campaign, "treatment": TreatmentTable}
+    check_known("no schema of this name", options.of, tables)
+    say(json.dumps(json_schema(tables[options.of], options.of.capitalize()), indent=2))

@@ -1,31 +1,43 @@
-"""Reading a campaign file: its names checked, its recordings found.
+"""Reading a campaign file: its keys, its names, and its recordings.
 
 Every complaint names the key and what was needed.
 """
 
 from __future__ import annotations
 
+import re
 import tomllib
-from collections.abc import Iterable
+import types
+from collections.abc import Iterable, Iterator
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, Union, get_args, get_origin
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
 
-from roomfit.base.arguments import check_known, in_short, unique_names
+from roomfit.base.arguments import check_known, did_you_mean, in_short, unique_names
 from roomfit.base.door import read_bytes, same_file
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import About, Code, Finding
-from roomfit.files.complaints import explained
 from roomfit.files.file_names import files_of_shape, shape_of
-from roomfit.files.schema import Campaign, MeasuredDirectivity, MeasurementTable, SharedDirectivity
+from roomfit.files.schema import (
+    BECAUSE,
+    GONE,
+    Campaign,
+    MeasuredDirectivity,
+    MeasurementTable,
+    SharedDirectivity,
+    the_one,
+)
 from roomfit.room.scene import check_groups
 
 __all__ = [
     "FILL_IN",
     "Campaign",
     "blanks",
+    "explained",
     "input_files",
     "read_campaign",
     "read_toml",
@@ -83,212 +95,6 @@ def blanks(content: object, key: str = "") -> list[str]:
     return []
 
 
-def _check_blanks(path: Path, content: dict[str, Any]) -> None:
-    found = blanks(content)
-    if found:
-        raise InputError(
-            "the campaign is not filled in",
-            where=str(path),
-            found=f"{FILL_IN} for {', '.join(found)}",
-            needed="values, as [1.2, 3.4, 1.5] for a position: x, y, z in m",
-            hint="roomfit measure asks for positions, or write them beside each FILL IN",
-        )
-
-
-def _check_data(campaign: Campaign) -> None:
-    """Refuse a campaign that leaves nothing to fit."""
-    if not campaign.rows:
-        raise InputError(
-            "the campaign has no measurement",
-            where=str(campaign.path),
-            needed="at least one [[measurements]] table, or recordings = "
-            '"DIR/{source}_{receiver}.wav"',
-            hint="roomfit reverberation reads decay times without positions"
-            if campaign.reverberation
-            else None,
-            found="neither [[measurements]] nor files that recordings names",
-        )
-    if all(row.use == "validate" for row in campaign.rows):
-        raise InputError(
-            "every measurement is for validation and none is left to fit",
-            where=str(campaign.path),
-            needed='at least one measurement with use = "fit"',
-            found='use = "validate" for all of them',
-            hint="leave use out of those that are to be fitted",
-        )
-
-
-def _with_recordings(campaign: Campaign, *, to_fit: bool) -> Campaign:
-    """Return a campaign with all measurements in full: those found by name, and all defaults.
-
-    A pair, or a file, that has a [[measurements]] of its own is left to it.
-    """
-    path = campaign.path
-    common = campaign.defaults.model_dump(exclude_unset=True)
-    rows = list(campaign.rows)
-    # a state that is the default is that of a row, too, when it is asked who has one
-    stated = {(r.source, r.receiver, r.state or campaign.defaults.state) for r in rows}
-    used = {same_file(path.parent / r.file) for r in rows if r.file}
-    templates = (
-        campaign.recordings if isinstance(campaign.recordings, list) else [campaign.recordings]
-    )
-    found, findings = [], []
-    for template in filter(None, templates):
-        with located(f"{path}, recordings"):
-            files = files_of_shape(path.parent, template)
-        known: list[tuple[str, dict[str, str]]] = []
-        for source, receiver in product(campaign.source_tables, campaign.receiver_tables):
-            own = {"source": source, "receiver": receiver}
-            shape = shape_of(template, own)
-            known += [(name, own) for name in files if shape.fullmatch(name)]
-        new = [
-            {**own, "file": name}
-            for name, own in known
-            if same_file(path.parent / name) not in used
-            and (*own.values(), campaign.defaults.state) not in stated
-        ]
-        if to_fit and not new and not rows:
-            raise InputError(
-                "no recording has the name of a source and a receiver",
-                where=f"{path}, recordings",
-                found=f"{template}: {in_short(files) or 'no files'}",
-                needed=f"sources {in_short(list(campaign.source_tables))}, "
-                f"receivers {in_short(list(campaign.receiver_tables))}",
-                hint="name them alike: LS1_MP1.wav for [sources.LS1] and [receivers.MP1]",
-            )
-        found += [MeasurementTable.model_validate(row) for row in new]
-        names = {name for name, _ in known}
-        unused = [f for f in files if f not in names and same_file(path.parent / f) not in used]
-        if unused:
-            text = f"No source and receiver have the names of these recordings: {in_short(unused)}."
-            findings.append(
-                Finding(Code.RECORDINGS_UNUSED, About(files=unused), text, {"files": unused})
-            )
-    rows = [
-        row.model_copy(update={k: v for k, v in common.items() if k not in row.model_fields_set})
-        for row in (*rows, *found)
-    ]
-    return campaign.with_rows(rows, findings)
-
-
-def _check_defined(owner: str, kind: str, name: str, known: Iterable[str], where: str) -> None:
-    """Refuse a name that no table defines."""
-    check_known(
-        f"a {owner} names a {kind} that is not defined",
-        name,
-        sorted(known),
-        where=where,
-        else_needed=f"a table [{kind}s.NAME]",
-        else_try=f"add [{kind}s.{name}]",
-    )
-
-
-def _check_products(campaign: Campaign) -> None:
-    for name, table in campaign.materials.items():
-        product, where = table.product, f"{campaign.path}, materials.{name}"
-        if product is None:
-            continue
-        _check_defined("material", "product", product, campaign.products, f"{where}.product")
-        for key in ("prior", "bounds", "same_absorption_as"):
-            if getattr(table, key) is not None:
-                raise InputError(
-                    f"a material of a product has {key} of its own",
-                    where=f"{where}.{key}",
-                    needed=f"either product = {product!r} or {key}",
-                    hint=f"what is known of all its walls belongs to [products.{product}]",
-                    found=f"{key} beside product = {product!r}",
-                )
-
-
-def _check_names(campaign: Campaign) -> None:
-    path = campaign.path
-    used = [campaign.room.materials, *(state.materials for state in campaign.state_tables)]
-    named: dict[str, Iterable[str]] = {
-        "material": dict.fromkeys(
-            [*campaign.materials, *(name for given in used for name in given.values() if name)]
-        ),
-        "product": campaign.products,
-        "object": campaign.objects,
-        "loudspeaker": campaign.loudspeakers,
-        "source": campaign.source_tables,
-        "receiver": campaign.receiver_tables,
-        "group": campaign.group_tables,
-        "state": [state.name for state in campaign.state_tables],
-    }
-    with located(str(path)):
-        for kind, names in named.items():
-            with located(f"[{kind}s]"):
-                unique_names(kind, names)
-    _check_products(campaign)
-    for own, of_source in campaign.source_tables.items():
-        table = of_source.directivity
-        if isinstance(table, SharedDirectivity):
-            where = f"{path}, sources.{own}.directivity.loudspeaker"
-            _check_defined("source", "loudspeaker", table.loudspeaker, campaign.loudspeakers, where)
-    states = [state.name for state in campaign.state_tables]
-    for number, row in enumerate(campaign.rows, start=1):
-        where = f"{path}, measurements[{number}]"
-        if row.state:
-            check_known(
-                "a measurement names a state of the room that is not defined",
-                row.state,
-                states,
-                where=where,
-                else_needed="a table [[states]]",
-                else_try="leave it out for the room as described",
-            )
-        kinds = [k for k in ("file", "parameters", "spectrum") if getattr(row, k) is not None]
-        if len(kinds) != 1:
-            raise InputError(
-                "a measurement needs exactly one kind of data",
-                where=where,
-                found=", ".join(kinds) or "none",
-                needed="one of file, parameters, spectrum",
-                hint="a table [[measurements]] for each file",
-            )
-        for kind, name, known in (
-            ("source", row.source, campaign.source_tables),
-            ("receiver", row.receiver, campaign.receiver_tables),
-        ):
-            if not name and row.parameters is None:
-                raise InputError(
-                    f"a measurement without a {kind}",
-                    where=where,
-                    needed=kind,
-                    found=f"no key {kind}",
-                    hint=f'{kind} = "NAME", as in [{kind}s.NAME]',
-                )
-            if name:
-                _check_defined("measurement", kind, name, known, where)
-
-
-def _check_pairs(campaign: Campaign) -> None:
-    """Refuse the same data twice, for one pair or for two: they are one measurement."""
-    path = campaign.path
-    visited: dict[tuple[object, ...], int] = {}
-    for number, row in enumerate(campaign.rows, start=1):
-        data = row.file or row.parameters or row.spectrum
-        # a table of parameters holds many pairs, a file's channel one; unspecified, it is the first
-        pair = () if row.file else (row.source, row.receiver, row.state)
-        part = (row.channel or 0, row.variable, row.measurement or 0, row.receiver_index or 0)
-        key = (same_file(path.parent / str(data)), *part, *pair)
-        earlier = visited.setdefault(key, number)
-        if earlier != number:
-            other = campaign.rows[earlier - 1]
-            same = (row.source, row.receiver, row.state) == (
-                other.source,
-                other.receiver,
-                other.state,
-            )
-            raise InputError(
-                "the same measurement stands twice" if same else "two pairs have the same response",
-                where=f"{path}, measurements[{earlier}] and measurements[{number}]",
-                found=data,
-                hint="remove one of them" if same else "name each pair's own file or channel",
-                needed="each response once, with its own pair",
-            )
-
-
 # stands where decay times come with a volume and a surface alone, and is not looked at
 _NO_ROOM = {"shoebox": [1.0, 1.0, 1.0]}
 
@@ -335,7 +141,14 @@ def read_campaign(path: Path, *, to_fit: bool = True, decay_times: bool = False)
     """
     path = Path(path)
     content = read_toml(path)
-    _check_blanks(path, content)
+    if found := blanks(content):
+        raise InputError(
+            "the campaign is not filled in",
+            where=str(path),
+            found=f"{FILL_IN} for {', '.join(found)}",
+            needed="values, as [1.2, 3.4, 1.5] for a position: x, y, z in m",
+            hint="roomfit measure asks for positions, or write them beside each FILL IN",
+        )
     has_room = "room" in content or not (decay_times and "reverberation" in content)
     if not has_room:
         content["room"] = _NO_ROOM
@@ -347,16 +160,62 @@ def read_campaign(path: Path, *, to_fit: bool = True, decay_times: bool = False)
     if to_fit:
         _check_data(campaign)
     _check_names(campaign)
+    for number, row in enumerate(campaign.rows, start=1):
+        _check_row(campaign, row, f"{path}, measurements[{number}]")
     _check_pairs(campaign)
-    with located(str(path)):
-        check_groups(
-            {name: group.members for name, group in campaign.group_tables.items()},
-            [*campaign.source_tables, *campaign.receiver_tables],
-        )
     # keys that are right one by one and not together
+    with located(str(path)):
+        members = {name: group.members for name, group in campaign.group_tables.items()}
+        check_groups(members, [*campaign.source_tables, *campaign.receiver_tables])
     _ = campaign.room, campaign.air, campaign.sources, campaign.receivers, campaign.bands
     _ = campaign.settings, campaign.groups
     return campaign.with_rows(_in_folder(row, path.parent) for row in campaign.rows)
+
+
+def _with_recordings(campaign: Campaign, *, to_fit: bool) -> Campaign:
+    """Return a campaign with all measurements in full: those found by name, and all defaults.
+
+    A pair, or a file, that has a [[measurements]] of its own is left to it.
+    """
+    path, rows = campaign.path, list(campaign.rows)
+    common = campaign.defaults.model_dump(exclude_unset=True)
+    # a state that is the default is that of a row, too, when it is asked who has one
+    stated = {(r.source, r.receiver, r.state or campaign.defaults.state) for r in rows}
+    used = {same_file(path.parent / r.file) for r in rows if r.file}
+    given = campaign.recordings
+    found, findings = [], []
+    for template in given if isinstance(given, list) else [given] if given else []:
+        with located(f"{path}, recordings"):
+            files = files_of_shape(path.parent, template)
+        free = [f for f in files if same_file(path.parent / f) not in used]
+        known: set[str] = set()
+        new: list[dict[str, str]] = []
+        for source, receiver in product(campaign.source_tables, campaign.receiver_tables):
+            own = {"source": source, "receiver": receiver}
+            shape = shape_of(template, own)
+            names = [name for name in files if shape.fullmatch(name)]
+            known.update(names)
+            if (source, receiver, campaign.defaults.state) not in stated:
+                new += [{**own, "file": name} for name in names if name in free]
+        if to_fit and not new and not rows:
+            raise InputError(
+                "no recording has the name of a source and a receiver",
+                where=f"{path}, recordings",
+                found=f"{template}: {in_short(files) or 'no files'}",
+                needed=f"sources {in_short(list(campaign.source_tables))}, "
+                f"receivers {in_short(list(campaign.receiver_tables))}",
+                hint="name them alike: LS1_MP1.wav for [sources.LS1] and [receivers.MP1]",
+            )
+        found += [MeasurementTable.model_validate(row) for row in new]
+        if unused := [f for f in free if f not in known]:
+            text = f"No source and receiver have the names of these recordings: {in_short(unused)}."
+            about, evidence = About(files=unused), {"files": unused}
+            findings.append(Finding(Code.RECORDINGS_UNUSED, about, text, evidence))
+    whole = [
+        row.model_copy(update={k: v for k, v in common.items() if k not in row.model_fields_set})
+        for row in (*rows, *found)
+    ]
+    return campaign.with_rows(whole, findings)
 
 
 def _in_folder(row: MeasurementTable, folder: Path) -> MeasurementTable:
@@ -364,6 +223,120 @@ def _in_folder(row: MeasurementTable, folder: Path) -> MeasurementTable:
     names = ("file", "parameters", "spectrum", "excitation")
     paths = {k: str(folder / own) for k in names if (own := getattr(row, k)) is not None}
     return row.model_copy(update=paths)
+
+
+# What is checked once every key is right by itself.
+
+
+def _check_data(campaign: Campaign) -> None:
+    """Refuse a campaign that leaves nothing to fit."""
+    if not campaign.rows:
+        hint = "roomfit reverberation reads decay times without positions"
+        raise InputError(
+            "the campaign has no measurement",
+            where=str(campaign.path),
+            needed="at least one [[measurements]] table, or recordings = "
+            '"DIR/{source}_{receiver}.wav"',
+            hint=hint if campaign.reverberation else None,
+            found="neither [[measurements]] nor files that recordings names",
+        )
+    if all(row.use == "validate" for row in campaign.rows):
+        raise InputError(
+            "every measurement is for validation and none is left to fit",
+            where=str(campaign.path),
+            needed='at least one measurement with use = "fit"',
+            found='use = "validate" for all of them',
+            hint="leave use out of those that are to be fitted",
+        )
+
+
+def _check_defined(owner: str, kind: str, name: str, known: Iterable[str], where: str) -> None:
+    """Refuse a name that no table defines."""
+    what, hint = f"a {owner} names a {kind} that is not defined", f"add [{kind}s.{name}]"
+    needed = f"a table [{kind}s.NAME]"
+    check_known(what, name, sorted(known), where=where, else_needed=needed, else_try=hint)
+
+
+def _check_names(campaign: Campaign) -> None:
+    """Refuse names that are none, twice the same, or of nothing that is defined."""
+    path = campaign.path
+    used = [campaign.room.materials, *campaign.states.values()]
+    named: dict[str, Iterable[str]] = {
+        "material": dict.fromkeys(
+            (*campaign.materials, *(m for own in used for m in own.values() if m))
+        ),
+        "product": campaign.products,
+        "object": campaign.objects,
+        "loudspeaker": campaign.loudspeakers,
+        "source": campaign.source_tables,
+        "receiver": campaign.receiver_tables,
+        "group": campaign.group_tables,
+        "state": [state.name for state in campaign.state_tables],
+    }
+    for kind, names in named.items():
+        with located(f"{path}, [{kind}s]"):
+            unique_names(kind, names)
+    for own, table in campaign.source_tables.items():
+        shared = table.directivity
+        if isinstance(shared, SharedDirectivity):
+            where = f"{path}, sources.{own}.directivity.loudspeaker"
+            makes = campaign.loudspeakers
+            _check_defined("source", "loudspeaker", shared.loudspeaker, makes, where)
+    for name, wall in campaign.materials.items():
+        if (product_name := wall.product) is None:
+            continue
+        where = f"{path}, materials.{name}"
+        known = campaign.products
+        _check_defined("material", "product", product_name, known, f"{where}.product")
+        for key in ("prior", "bounds", "same_absorption_as"):
+            if getattr(wall, key) is not None:
+                raise InputError(
+                    f"a material of a product has {key} of its own",
+                    where=f"{where}.{key}",
+                    needed=f"either product = {product_name!r} or {key}",
+                    hint=f"what is known of all its walls belongs to [products.{product_name}]",
+                    found=f"{key} beside product = {product_name!r}",
+                )
+
+
+def _check_row(campaign: Campaign, row: MeasurementTable, where: str) -> None:
+    if row.state:
+        what = "a measurement names a state of the room that is not defined"
+        known, hint = list(campaign.states), "leave it out for the room as described"
+        needed = "a table [[states]]"
+        check_known(what, row.state, known, where=where, else_needed=needed, else_try=hint)
+    what = "a measurement needs exactly one kind of data"
+    hint = "a table [[measurements]] for each file"
+    the_one(row, ("file", "parameters", "spectrum"), what, where, hint)
+    for kind, name, tables in (
+        ("source", row.source, campaign.source_tables),
+        ("receiver", row.receiver, campaign.receiver_tables),
+    ):
+        if name:
+            _check_defined("measurement", kind, name, tables, where)
+        elif row.parameters is None:
+            what, hint = f"a measurement without a {kind}", f'{kind} = "NAME", as in [{kind}s.NAME]'
+            raise InputError(what, where=where, found=f"no key {kind}", needed=kind, hint=hint)
+
+
+def _check_pairs(campaign: Campaign) -> None:
+    """Refuse the same data twice, for one pair or for two: they are one measurement."""
+    first: dict[tuple[object, ...], tuple[int, tuple[str, str, str]]] = {}
+    for number, row in enumerate(campaign.rows, start=1):
+        data, pair = row.path, (row.source, row.receiver, row.state)
+        # a table of parameters holds many pairs, a file's channel one; unspecified, it is the first
+        part = (row.channel or 0, row.variable, row.measurement or 0, row.receiver_index or 0)
+        key = (same_file(campaign.path.parent / data), *part, *(() if row.file else pair))
+        earlier, of = first.setdefault(key, (number, pair))
+        if earlier != number:
+            same = pair == of
+            raise InputError(
+                "the same measurement stands twice" if same else "two pairs have the same response",
+                where=f"{campaign.path}, measurements[{earlier}] and measurements[{number}]",
+                found=str(data),
+                hint="remove one of them" if same else "name each pair's own file or channel",
+                needed="each response once, with its own pair",
+            )
 
 
 def refuse_objects(campaign: Campaign, command: str) -> None:
@@ -380,14 +353,14 @@ def refuse_objects(campaign: Campaign, command: str) -> None:
 
 def input_files(campaign: Campaign) -> tuple[Path, ...]:
     """Return every file whose content decides the answer, each once, the campaign's own first."""
-    room = campaign.room
+    room, measured = campaign.room, campaign.measurements
     files = [campaign.path]
     if room.file is not None:
         files.append(room.file)
     if room.polygons is not None:
         files += [*room.polygons.corners, *room.polygons.planes, *room.polygons.replace.values()]
-    files += [m.path for m in campaign.measurements]
-    files += [Path(m.excitation) for m in campaign.measurements if m.excitation]
+    files += [m.path for m in measured]
+    files += [Path(m.excitation) for m in measured if m.excitation]
     files += [row.path for row in (*campaign.tables, *campaign.spectra)]
     directivities = campaign.directivities.values()
     named = [t for t in directivities if isinstance(t, str) and t not in ("omni", "fit")]
@@ -395,3 +368,134 @@ def input_files(campaign: Campaign) -> tuple[Path, ...]:
     named += [t.directivity for t in campaign.loudspeakers.values() if t.directivity != "fit"]
     files += [campaign.path.parent / name for name in named]
     return tuple(dict.fromkeys(files))
+
+
+# What pydantic complains of, as one message that says what, where, found and needed.
+
+
+def explained(
+    path: Path, error: ValidationError, table: type[BaseModel], file: str = "campaign file"
+) -> InputError:
+    """Turn pydantic's most telling complaint into one message in our words.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file that was read.
+    error : ValidationError
+    table : type
+        Of the whole file, whose keys are named where one is unknown.
+    file : str
+        What the file is called.
+    """
+    complaints = error.errors(include_url=False)
+    # a union tries every member: an unknown key says most, then what lies deepest in the file
+    first = next((c for c in complaints if c["type"] == "extra_forbidden"), None)
+    if first is None:
+        start = _place(complaints[0])[:2]
+        alike = [c for c in complaints if _place(c)[:2] == start]
+        first = max(alike, key=lambda c: len(_place(c)))
+    place, kind, given = _place(first), first["type"], first.get("input")
+    is_unknown, last = kind == "extra_forbidden", first["loc"][-1] if first["loc"] else ""
+    keys, field, inside = _walk(table, place[:-1] if is_unknown else place)
+    words = " ".join(((field and field.description) or "").split()).partition(". ")[0].rstrip(".")
+    hint: str | None = f"{words} (roomfit schema prints all keys)".lstrip()
+    found: str | None = repr(last if is_unknown else given)
+    key = ".".join([*keys, str(last)] if is_unknown else keys)
+    gone = GONE.get(f"{key} = {given}" if kind == "literal_error" else key)
+    if gone is not None:
+        what = f"a key or value of the {file} is of an earlier version"
+        needed, hint = "keys and values of this version", gone
+    elif is_unknown:
+        known = sorted(_fields(inside)) if inside else []
+        what, needed = f"unknown key in the {file}", f"one of {', '.join(known)}" if known else ""
+        hint = did_you_mean(str(last), known)
+    elif kind == "missing" and isinstance(last, int):
+        # a position of two numbers lacks its third: the fault is the list's
+        what, place = f"a list in the {file} is too short", place[:-1]
+        needed = f"{last + 1} values or more"
+    elif kind == "missing":
+        what, place, found = f"the {file} lacks a key", place[:-1], "no such key"
+        needed = repr(str(last))
+    else:
+        # where several kinds are taken, a number of the right kind but out of its range says most
+        same = [c for c in complaints if _place(c) == place]
+        ranged = [c for c in same if c["type"].endswith("than_equal")]
+        what = f"a value in the {file} is not what it must be"
+        needed = ", or ".join(dict.fromkeys(_in_our_words(c["msg"]) for c in ranged or same))
+        hint = (next(_reasons(field), None) if ranged and field else None) or hint
+    where = "".join(f"[{p + 1}]" if isinstance(p, int) else f".{p}" for p in place).lstrip(".")
+    return InputError(
+        what, where=f"{path}, {where or 'top level'}", found=found, needed=needed, hint=hint
+    )
+
+
+def _in_our_words(message: str) -> str:
+    text = re.sub(_OF_PYDANTIC, "", message)
+    text = re.sub(r"greater than or equal to (\S+)", r"\1 or more", text)
+    text = re.sub(r"less than or equal to (\S+)", r"\1 or less", text)
+    return text.replace("a valid dictionary", "a table").replace("valid tuple", "valid list")
+
+
+_OF_PYDANTIC = (
+    r"^Input should be |^\w+ should have |, unable to parse.*| after validation.*"
+    r"| or (instance|an object).*"
+)
+
+
+def _walk(
+    table: type[BaseModel], place: tuple[int | str, ...]
+) -> tuple[list[str], FieldInfo | None, type[BaseModel] | None]:
+    """Return the keys on the way to a place, the innermost one, and the table below it if any.
+
+    Names of materials and the like, and numbers of rows, are no keys.
+    """
+    keys: list[str] = []
+    field, model = None, table
+    below: type[BaseModel] | None = table
+    for part in place:
+        if (own := _fields(model).get(str(part))) is not None:
+            keys.append(str(part))
+            field, below = own, next(iter(_models_within(own.annotation)), None)
+            model = below or model
+    return keys, field, below
+
+
+def _fields(model: type[BaseModel]) -> dict[str, FieldInfo]:
+    """Return the fields of a table by the names of their keys in the file."""
+    return {field.alias or name: field for name, field in model.model_fields.items()}
+
+
+def _models_within(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    if get_origin(annotation) in (Union, types.UnionType, dict, list):
+        return [m for a in get_args(annotation) for m in _models_within(a)]
+    return []
+
+
+def _reasons(part: Any) -> Iterator[str]:
+    """Yield why the numbers of a key end where they do, of unions and lists the first."""
+    if isinstance(part, FieldInfo):
+        if isinstance(part.json_schema_extra, dict) and BECAUSE in part.json_schema_extra:
+            yield str(part.json_schema_extra[BECAUSE])
+        part = part.annotation
+    for inner in (*get_args(part), *getattr(part, "__metadata__", ())):
+        yield from _reasons(inner)
+
+
+_MEMBER_NAMES = {
+    *("AreaSpectrum", "AreaPrior", "Spectrum", "Prior"),
+    *("Directivity", "MeasuredDirectivity", "SharedDirectivity"),
+    *("float", "str", "int", "constrained-float", "constrained-str"),
+}
+
+
+def _place(complaint: ErrorDetails) -> tuple[int | str, ...]:
+    """Return where in the file a complaint points, without the names of union members."""
+    return tuple(
+        part
+        for part in complaint["loc"]
+        if isinstance(part, int)
+        or not (part.endswith("Table") or "[" in part or part in _MEMBER_NAMES)
+    )

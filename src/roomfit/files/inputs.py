@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TypedDict
+from typing import Any, TypedDict, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,7 +26,6 @@ from roomfit.files.rooms import read_mesh, read_room
 from roomfit.files.rooms.model import RoomSpec
 from roomfit.files.schema import (
     AreaPrior,
-    AreaSpectrum,
     Campaign,
     MaterialTable,
     MeasurementTable,
@@ -36,6 +35,7 @@ from roomfit.files.schema import (
     SharedDirectivity,
     SourceDirectivity,
     Spectrum,
+    the_one,
 )
 from roomfit.files.schema import Directivity as FirstOrderTable
 from roomfit.materials.catalogue import (
@@ -119,42 +119,45 @@ def material_priors(
     volume = 0.0 if mesh is None else volume_m3(mesh)
     with located(str(campaign.path)):
         own = [_material_prior(campaign, t, k, bands) for k, t in campaign.materials.items()]
-        own += [
-            object_prior(k, bands, volume, **object_areas_m2(campaign, k, mesh, bands))
-            for k in materials
-            if k in campaign.objects
-        ]
+        for name in (k for k in materials if k in campaign.objects):
+            known, law = object_areas_m2(campaign, name, mesh, bands)
+            own.append(object_prior(name, bands, volume, absorption_area_m2=known, prior_m2=law))
         return complete_priors(materials, own, bands)
 
 
-class ObjectAreas(TypedDict):
-    """What is known of the equivalent absorption area of all pieces of an object, in m2."""
-
-    absorption_area_m2: FloatArray | None
-    prior_m2: tuple[FloatArray, FloatArray] | None  # mean and standard deviation
-
-
-def object_areas_m2(campaign: Campaign, name: str, mesh: Mesh | None, bands: Bands) -> ObjectAreas:
-    """Return what the campaign says of an object, all of its pieces together."""
-    table = campaign.objects[name]
+def object_areas_m2(
+    campaign: Campaign, name: str, mesh: Mesh | None, bands: Bands
+) -> tuple[FloatArray | None, tuple[FloatArray, FloatArray] | None]:
+    """Return the absorption area of all pieces of an object in m2: known, or mean and sd."""
+    table, ways = campaign.objects[name], ("count", "floor_area_m2", "outlines")
     with located(f"objects.{name}"):
-        ways = ("count", "floor_area_m2", "outlines")
-        given = [way for way in ways if getattr(table, way) is not None]
-        if len(given) > 1:
-            raise InputError(
-                "an object is measured in two ways",
-                found=" and ".join(given),
-                needed=f"one of {', '.join(ways)}",
-                hint="keep what the object's absorption was measured by",
-            )
-        known, law = _areas_of_one(table, bands)
+        if sum(getattr(table, way) is not None for way in ways) > 1:
+            hint = "keep what the object's absorption was measured by"
+            the_one(table, ways, "an object is measured in two ways", "", hint)
         n = next((x for x in (table.floor_area_m2, table.count) if x is not None), 1.0)
+        known, law = _areas_of_one(table, bands)
         if table.outlines is not None:
             n = _blocks_m2(table, mesh)[1]
-    return {
-        "absorption_area_m2": None if known is None else n * known,
-        "prior_m2": None if law is None else (n * law[0], n * law[1]),
-    }
+    return None if known is None else n * known, None if law is None else (n * law[0], n * law[1])
+
+
+def _areas_of_one(
+    table: ObjectTable, bands: Bands
+) -> tuple[FloatArray | None, tuple[FloatArray, FloatArray] | None]:
+    """Return the known area of a piece or of 1 m2 of floor, and mean and sd of an unknown one."""
+    by_floor = table.floor_area_m2 is not None or table.outlines is not None
+    own, prior = table.absorption_area_m2, table.prior
+    known, law = None, None
+    if isinstance(own, str):
+        known = object_catalogue_area(own, bands, by_floor=by_floor)[0]
+    elif own is not None:
+        known = np.asarray(in_these(own, bands, "absorption_area_m2"), dtype=np.float64)
+    if isinstance(prior, str):
+        law = object_catalogue_area(prior, bands, by_floor=by_floor)
+    elif prior is not None:
+        mean, sd = _mean_and_sd(prior, bands)
+        law = np.asarray(mean, dtype=np.float64), np.asarray(sd, dtype=np.float64)
+    return known, law
 
 
 def _blocks_m2(table: ObjectTable, mesh: Mesh | None) -> tuple[float, float]:
@@ -196,13 +199,14 @@ def audience_findings(campaign: Campaign, room: Room) -> tuple[Finding, ...]:
         own_areas = areas[owner == room.materials.index(name)]
         sizes = np.linalg.norm(own_areas, axis=1)
         upright = float(sizes[np.abs(own_areas[:, 2]) < 0.5 * sizes].sum())
+        level = float(sizes.sum() - upright)
         text = (
-            f"{name}: {sizes.sum() - upright:.1f} m2 of level and {upright:.1f} m2 of upright "
-            f"faces absorb as {seats[name]!r}. Its coefficients are of the floor that seats take "
-            "with a strip of 0.5 m along free edges, for which the upright faces stand: half of it "
-            "where they are 0.25 m high, 1.6 times where they are 0.8 m high."
+            f"{name}: {level:.1f} m2 of level and {upright:.1f} m2 of upright faces absorb as "
+            f"{seats[name]!r}. Its coefficients are of the floor that seats take with a strip of "
+            "0.5 m along free edges, for which the upright faces stand: half of it where they are "
+            "0.25 m high, 1.6 times where they are 0.8 m high."
         )
-        evidence = {"level_m2": float(sizes.sum() - upright), "upright_m2": upright}
+        evidence = {"level_m2": level, "upright_m2": upright}
         found.append(Finding(Code.AUDIENCE_AREA, About((name,)), text, evidence))
     return tuple(found)
 
@@ -213,75 +217,53 @@ def _seats(table: MaterialTable) -> str:
     return named[0] if named and find_material(named[0]).group == SEATS else ""
 
 
-def _areas_of_one(
-    table: ObjectTable, bands: Bands
-) -> tuple[FloatArray | None, tuple[FloatArray, FloatArray] | None]:
-    """Return the known area of a piece or of 1 m2 of floor, and mean and sd of an unknown one."""
-    by_floor = table.floor_area_m2 is not None or table.outlines is not None
-    own, prior = table.absorption_area_m2, table.prior
-    known, law = None, None
-    if isinstance(own, str):
-        known = object_catalogue_area(own, bands, by_floor=by_floor)[0]
-    elif isinstance(own, AreaSpectrum):
-        known = at_bands(own.centres_hz, own.values, bands, "absorption_area_m2")
-    elif own is not None:
-        known = np.asarray(own, dtype=np.float64)
-    if isinstance(prior, str):
-        law = object_catalogue_area(prior, bands, by_floor=by_floor)
-    elif prior is not None:
-        mean, sd = _mean_and_sd(prior, bands)
-        law = np.asarray(mean, dtype=np.float64), np.asarray(sd, dtype=np.float64)
-    return known, law
-
-
 def _material_prior(
     campaign: Campaign, table: MaterialTable, name: str, bands: Bands
 ) -> MaterialPrior:
-    scattering = table.scattering
-    product = None if table.product is None else campaign.products[table.product]
-    # what is known of a product is stated with it
-    stated = table if product is None else product
-    prior, where = stated.prior, f"materials.{name}"
-    known: ArrayLike | None
-    if isinstance(table.absorption, str):
+    where, known = f"materials.{name}", cast("Any", table.absorption)
+    if isinstance(known, str):
         with located(f"{where}.absorption"):
-            known, _ = catalogue_prior(table.absorption, bands)
-    elif isinstance(table.absorption, Spectrum):
-        own = table.absorption
-        known = at_bands(own.centres_hz, own.values, bands, f"{where}.absorption")
-    else:
-        known = table.absorption
+            known, _ = catalogue_prior(known, bands)
+    # what is known of a product is stated with it
+    product = None if table.product is None else campaign.products[table.product]
+    stated = table if product is None else product
+    prior = stated.prior
     with nullcontext() if product is None else located(f"products.{table.product}"):
         found = material_prior(
             name,
             bands,
-            absorption=known,
+            absorption=in_these(known, bands, f"{where}.absorption"),
             prior=prior if prior is None or isinstance(prior, str) else _mean_and_sd(prior, bands),
             bounds=stated.bounds,
-            scattering=(
-                at_bands(scattering.centres_hz, scattering.values, bands, f"{where}.scattering")
-                if isinstance(scattering, Spectrum)
-                else scattering
-            ),
+            scattering=in_these(table.scattering, bands, f"{where}.scattering"),
             same_absorption_as=table.same_absorption_as,
             delay_sd_s=None if table.delay_sd_ms is None else 1e-3 * table.delay_sd_ms,
         )
-    return (
-        found if product is None else replace(found, product=table.product, product_sd=product.sd)
-    )
+    if product is None:
+        return found
+    return replace(found, product=table.product, product_sd=product.sd)
 
 
 def _mean_and_sd(prior: Prior | AreaPrior, bands: Bands) -> tuple[ArrayLike, ArrayLike]:
     if prior.centres_hz is None:
         return prior.mean, prior.sd
     mean, sd = (
-        at_bands(prior.centres_hz, own, bands, f"prior.{key}") if isinstance(own, list) else own
+        _interpolated(prior.centres_hz, own, bands, f"prior.{key}")
+        if isinstance(own, list)
+        else own
         for key, own in (("mean", prior.mean), ("sd", prior.sd))
     )
     return mean, sd
 
 
-def at_bands(
+def in_these(given: Any, bands: Bands, where: str) -> Any:
+    """Return the values of a spectrum at the bands; anything else as it is."""
+    if not isinstance(given, Spectrum):
+        return given
+    return _interpolated(given.centres_hz, given.values, bands, where)
+
+
+def _interpolated(
     centres_hz: Sequence[float], values: Sequence[float], bands: Bands, where: str
 ) -> FloatArray:
     """Return values at the bands, interpolated over the logarithm of the frequency.
@@ -337,23 +319,21 @@ def read_file(file: MeasurementTable) -> Measurement:
 
 def _read_tables(campaign: Campaign) -> list[MeasuredValues]:
     found: list[MeasuredValues] = []
+    known: dict[str, Iterable[str]] = {
+        "source": campaign.source_tables,
+        "receiver": campaign.receiver_tables,
+    }
     for table in campaign.tables:
         values, findings = read_parameters(table.path, table.source or None, table.receiver or None)
         for i, own in enumerate(values):
-            _check_names(campaign, own, str(table.path))
+            for kind, names in known.items():
+                name, where = getattr(own, kind), str(table.path)
+                what = f"a table of room parameters names a {kind} that no table defines"
+                hint = f"add [{kind}s.{name}], or choose rows with source and receiver"
+                check_known(what, name, names, where=where, else_try=hint)
             doubts = findings if i == 0 else ()
             found.append(replace(own, use=table.use, findings=doubts, state=table.state))
     return found
-
-
-def _check_names(campaign: Campaign, found: MeasuredValues, where: str) -> None:
-    for kind, name, known in (
-        ("source", found.source, [s.name for s in campaign.sources]),
-        ("receiver", found.receiver, [r.name for r in campaign.receivers]),
-    ):
-        what = f"a table of room parameters names a {kind} that the campaign does not define"
-        hint = f"add [{kind}s.{name}], or choose rows with source and receiver"
-        check_known(what, name, known, where=where, else_try=hint)
 
 
 class IdentifyArguments(TypedDict):

@@ -161,7 +161,7 @@ def read_result(file: ResultFile) -> AbsorptionPosterior:
     with located(str(path_of(file))), complete("result", _WHOLE):
         volumes_m3, (value, low, high) = _with_objects(table, content)
         posterior, fit, pairs = (content.get(k, {}) for k in ("posterior", "fit", "pairs"))
-        own = {
+        own: dict[str, Any] = {
             name: np.array(posterior[name], dtype=np.float64)
             for name in ("logit_covariance", *_OF_PRIOR, "prior_logit_covariance", "draws")
             if name in posterior or (posterior and name == "logit_covariance")
@@ -295,9 +295,9 @@ def read_materials(file: ResultFile) -> tuple[MaterialTable, dict[str, Any]]:
         table = MaterialTable(
             tuple(content["materials"]),
             bands_of(content["bands_hz"]),
-            *(np.array([m[key] for m in entries]) for key in _COLUMNS[2:]),
-            None if None in scattering or not entries else np.array(scattering),
-            findings,
+            **{key: np.array([m[key] for m in entries]) for key in _COLUMNS[2:]},
+            scattering=None if None in scattering or not entries else np.array(scattering),
+            findings=findings,
         )
     return table, content
 
@@ -352,8 +352,9 @@ def _from_csv(text: str) -> MaterialTable:
             needed="each material in each band once",
             hint="remove the rows given twice, and add what is missing",
         )
-    *table, sure = np.array([[place[m, f] for f in centres] for m in names]).transpose(2, 0, 1)
-    return MaterialTable(names, bands_of(centres), *table, sure.astype(np.bool_))
+    found = np.array([[place[m, f] for f in centres] for m in names]).transpose(2, 0, 1)
+    table = dict(zip(_COLUMNS[2:], (*found[:3], found[3].astype(np.bool_)), strict=True))
+    return MaterialTable(names, bands_of(centres), **table)
 
 
 # Writing.

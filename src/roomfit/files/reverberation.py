@@ -77,8 +77,9 @@ def _known_objects_m2(campaign: Campaign, room: Room | None, bands: Bands) -> Fl
     for name, table in campaign.objects.items():
         if table.states is not None and "" not in table.states:
             continue
-        area = object_areas_m2(campaign, name, None if room is None else room.mesh, bands)
-        if area["absorption_area_m2"] is None:
+        mesh = None if room is None else room.mesh
+        area_m2, _ = object_areas_m2(campaign, name, mesh, bands)
+        if area_m2 is None:
             raise InputError(
                 "decay times alone tell no object from the walls",
                 where=f"{campaign.path}, objects.{name}",
@@ -86,7 +87,7 @@ def _known_objects_m2(campaign: Campaign, room: Room | None, bands: Bands) -> Fl
                 needed="absorption_area_m2, which is known",
                 hint="roomfit identify fits areas, from responses",
             )
-        total += area["absorption_area_m2"]
+        total += area_m2
     return total
 
 

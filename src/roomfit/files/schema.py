@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -206,20 +206,16 @@ ObjectArea = Annotated[float, limited(0.0, 1e5, "m2; no hall holds more absorpti
 ObjectAreaLaw = Annotated[float, limited(1e-4, 1e5, "m2; what is known is absorption_area_m2")]
 
 
-class AreaSpectrum(Table):
+class AreaSpectrum(Spectrum):
     """Equivalent absorption areas at frequencies, whatever bands are fitted."""
 
-    centres_hz: list[Hertz] = Field(min_length=1)
-    """Frequencies of the values, in any order."""
     values: list[ObjectArea] = Field(min_length=1)
     """One for each frequency, in m2."""
 
 
-class AreaPrior(Table):
+class AreaPrior(Prior):
     """Prior of an equivalent absorption area: its mean and standard deviation."""
 
-    centres_hz: list[Hertz] | None = None
-    """Frequencies of lists of `mean` and `sd`, where they are not those of the fitted bands."""
     mean: ObjectAreaLaw | list[ObjectAreaLaw]
     """In m2: one number, or one for each band."""
     sd: ObjectAreaLaw | list[ObjectAreaLaw]
@@ -296,17 +292,6 @@ class LoudspeakerTable(Table):
 SourceDirectivity = str | Directivity | MeasuredDirectivity | SharedDirectivity
 
 
-class SourceTable(Table):
-    """``[sources.NAME]``."""
-
-    position: Position
-    """x, y, z in m, z up, in the room's frame."""
-    position_sd: Metre | None = None
-    """Standard deviation of each coordinate in m; 0: exact. Default: 0.02."""
-    directivity: SourceDirectivity = "omni"
-    """"omni", "fit", a SOFA file, or a table."""
-
-
 class ReceiverTable(Table):
     """``[receivers.NAME]``."""
 
@@ -314,6 +299,13 @@ class ReceiverTable(Table):
     """x, y, z in m, z up, in the room's frame."""
     position_sd: Metre | None = None
     """Standard deviation of each coordinate in m; 0: exact. Default: 0.02."""
+
+
+class SourceTable(ReceiverTable):
+    """``[sources.NAME]``."""
+
+    directivity: SourceDirectivity = "omni"
+    """"omni", "fit", a SOFA file, or a table."""
 
 
 class DefaultsTable(Table):
@@ -381,19 +373,9 @@ class MeasurementTable(DefaultsTable):
     @property
     def response(self) -> ResponseSpec:
         """How the response is to be read."""
-        return ResponseSpec(
-            path=self.path,
-            channel=self.channel,
-            variable=self.variable,
-            sampling_rate_variable=self.sampling_rate_variable,
-            sampling_rate_hz=self.sampling_rate_hz,
-            measurement=self.measurement,
-            receiver_index=self.receiver_index,
-            time_zero=self.time_zero,
-            latency_s=self.latency_s,
-            excitation=None if self.excitation is None else Path(self.excitation),
-            excitation_channel=self.excitation_channel,
-        )
+        own = {f.name: getattr(self, f.name) for f in fields(ResponseSpec) if f.name != "path"}
+        own["excitation"] = None if self.excitation is None else Path(self.excitation)
+        return ResponseSpec(path=self.path, **own)
 
 
 class StateTable(Table):
@@ -574,6 +556,17 @@ class SpeechTable(Table):
     """Levels of noise at the listeners in the octaves from 125 Hz to 8 kHz, in dB."""
 
 
+_OF_ROOM = ("shoebox", "unit", "up", "materials", "lengths_sd", "space")
+
+
+def the_one(table: Table, keys: tuple[str, ...], what: str, where: str, hint: str) -> None:
+    """Refuse a table that has none or several of some keys."""
+    given = [key for key in keys if getattr(table, key) is not None]
+    if len(given) != 1:
+        found, needed = ", ".join(given) or "none", f"one of {', '.join(keys)}"
+        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
+
+
 class Campaign(Table):
     """The whole file, as `roomfit.read_campaign` returns it.
 
@@ -654,33 +647,20 @@ class Campaign(Table):
     def room(self) -> RoomSpec:
         """Which room to read, and how."""
         own, folder, polygons = self.room_table, self.path.parent, None
-        kinds = [k for k in ("file", "shoebox", "polygons") if getattr(own, k) is not None]
-        if len(kinds) != 1:
-            raise InputError(
-                "the room needs exactly one description",
-                where=f"{self.path}, room",
-                found=", ".join(kinds) or "none",
-                needed="one of file, shoebox, polygons",
-                hint="keep the one that describes the room as it is",
-            )
-        if own.polygons is not None:
+        hint = "keep the one that describes the room as it is"
+        what, where = "the room needs exactly one description", f"{self.path}, room"
+        the_one(own, ("file", "shoebox", "polygons"), what, where, hint)
+        if (given := own.polygons) is not None:
             polygons = PolygonSpec(
-                corners=tuple(folder / f for f in own.polygons.corners),
-                planes=tuple(folder / f for f in own.polygons.planes),
-                replace={key: folder / f for key, f in own.polygons.replace.items()},
-                drop=tuple(own.polygons.drop),
-                sides=dict(own.polygons.sides),
+                corners=tuple(folder / f for f in given.corners),
+                planes=tuple(folder / f for f in given.planes),
+                replace={key: folder / f for key, f in given.replace.items()},
+                drop=tuple(given.drop),
+                sides=dict(given.sides),
             )
-        return RoomSpec(
-            file=None if own.file is None else folder / own.file,
-            shoebox=own.shoebox,
-            polygons=polygons,
-            unit=own.unit,
-            up=own.up,
-            materials=own.materials,
-            lengths_sd=own.lengths_sd,
-            space=own.space,
-        )
+        stated = {key: getattr(own, key) for key in _OF_ROOM}
+        file = None if own.file is None else folder / own.file
+        return RoomSpec(file=file, polygons=polygons, **stated)
 
     @property
     def air(self) -> Air:
@@ -783,14 +763,14 @@ def _points(tables: Mapping[str, SourceTable | ReceiverTable]) -> tuple[Point, .
     return tuple(Point(n, np.array(t.position), t.position_sd) for n, t in tables.items())
 
 
-def campaign_schema() -> dict[str, Any]:
-    """Return the JSON schema of a campaign file, with which editors complete and check its keys.
+def json_schema(table: type[Table], what: str) -> dict[str, Any]:
+    """Return the JSON schema of a file, with which editors complete and check its keys.
 
     Examples
     --------
-    >>> campaign_schema()["$defs"]["MeasurementTable"]["properties"]["use"]["description"]
+    >>> found = json_schema(Campaign, "Campaign")
+    >>> found["$defs"]["MeasurementTable"]["properties"]["use"]["description"]
     'Fitted, or predicted and compared only.'
     """
-    own = Campaign.model_json_schema()
-    title = {"title": "Campaign of roomfit, format_version 1"}
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **own, **title}
+    own = {"$schema": "https://json-schema.org/draft/2020-12/schema", **table.model_json_schema()}
+    return own | {"title": f"{what} of roomfit, format_version 1"}

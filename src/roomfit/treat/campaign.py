@@ -5,21 +5,28 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from roomfit.base.arguments import check_known
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
 from roomfit.base.typing import FloatArray
-from roomfit.files.campaign import read_toml
-from roomfit.files.complaints import explained
-from roomfit.files.inputs import at_bands
-from roomfit.files.schema import Spectrum
-from roomfit.files.treatment_schema import HungTable, TargetTable, TreatmentTable
+from roomfit.files.campaign import explained, read_toml
+from roomfit.files.inputs import in_these
+from roomfit.files.schema import (
+    Hertz,
+    PerBand,
+    Position,
+    PriorSd,
+    Spectrum,
+    Table,
+    limited,
+    the_one,
+)
 from roomfit.materials.catalogue import catalogue_prior
 from roomfit.predict.changes import Change
 from roomfit.room.scene import Room, Scene
@@ -37,6 +44,83 @@ from roomfit.treat.question import (
 from roomfit.treat.standards import standard_target
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
+SquareMetre = Annotated[float, limited(0.0, 1e6, "m2; no surface of a room is larger")]
+Depth = Annotated[float, limited(0.0, 10.0, "m; what is deeper is a piece of furniture")]
+
+
+class TreatedTable(Table):
+    """``[surfaces."NAME"]`` of a treatment: a material of the room that may be covered."""
+
+    free_m2: SquareMetre | None = None
+    """Area that may be covered. Default: all of it."""
+    forbidden_m2: SquareMetre | list[SquareMetre] = 0.0
+    """Of the free area: doors, lamps, what must stay; one number, or one for each piece."""
+    forbidden: list[Annotated[list[Position], Field(min_length=3, max_length=200)]] = Field([])
+    """Such pieces by their corners in m, as polygons on the surface; beside `forbidden_m2`."""
+    depth_m: Depth | None = None
+    """How deep a product may be. Default: any."""
+    products: list[str] = Field([])
+    """Which products may hang there. Default: all."""
+
+
+class HungTable(Table):
+    """``[products."NAME"]`` of a treatment: one of absorption, catalogue and material."""
+
+    absorption: PerBand | Spectrum | None = None
+    """Number, list by band, or {centres_hz, values}."""
+    sd: PriorSd | None = None
+    """Standard deviation of `absorption`. Default: 0.05."""
+    catalogue: str | None = None
+    """Entry of the catalogue, with its spread."""
+    material: str | None = None
+    """Material of the room that was identified, with all that is known of it."""
+    cost_per_m2: Annotated[float, limited(0.0, 1e6, "in any one unit of your own")] = 1.0
+    """Cost, or how unwelcome it is."""
+    piece_m2: Annotated[float, limited(1e-3, 1e6, "m2; of one piece")] = 1.0
+    """Least area: whole pieces are hung."""
+    depth_m: Depth = 0.0
+    """Depth."""
+
+
+class TargetTable(Table):
+    """``[[targets]]`` of a treatment: a standard, or limits of a parameter."""
+
+    standard: str | None = None
+    """Entry of roomfit's standards, as din-18041-a3."""
+    parameter: str = "T30_s"
+    """Any that `roomfit predict` names; STI has no bands."""
+    at_most: float | None = None
+    """Upper limit."""
+    at_least: float | None = None
+    """Lower limit."""
+    value: float | None = None
+    """In place of limits, with `tolerance`."""
+    tolerance: Annotated[float, limited(0.0, 1e3, "of the parameter's own unit")] | None = None
+    """About `value`, either way. Default: a just noticeable difference."""
+    bands_hz: list[Hertz] = Field([])
+    """Centres. Default: 500, 1000 and 2000 Hz."""
+    mean_of_bands: bool = False
+    """Whether the limits are of the mean of these bands."""
+
+
+class TreatmentTable(Table):
+    """A treatment file, for ``roomfit treat``."""
+
+    format_version: Literal[1] = 1
+    """Of this file's format: 1, the only one."""
+    surfaces: dict[str, TreatedTable] = Field(min_length=1)
+    """Which surfaces may be covered, by the name of their material."""
+    products: dict[str, HungTable] = Field(min_length=1)
+    """What may be hung, by name."""
+    targets: list[TargetTable] = Field(min_length=1)
+    """What is to be reached, as means over all pairs."""
+    number: Annotated[int, limited(1, 20, "more answers than one reads")] = 3
+    """How many arrangements are wanted."""
+    probability: Annotated[float, limited(0.5, 0.99, "half: just met; 1 is never reached")] = 0.5
+    """With which each target is to be met in each band."""
+    most_cost: Annotated[float, limited(0.0, 1e12, "in the unit of cost_per_m2")] | None = None
+    """What all of it may cost."""
+
 
 def read_treatment(path: Path) -> TreatmentTable:
     """Read a treatment file."""
@@ -48,11 +132,7 @@ def checked_treatment(path: Path, content: Mapping[str, Any]) -> TreatmentTable:
     try:
         return TreatmentTable.model_validate(content)
     except ValidationError as error:
-        found = explained(path, error, TreatmentTable)
-        what = found.what.replace("campaign file", "treatment file")
-        raise InputError(
-            what, where=found.where, found=found.found, needed=found.needed, hint=found.hint
-        ) from None
+        raise explained(path, error, TreatmentTable, "treatment file") from None
 
 
 def treat_arguments(
@@ -114,14 +194,9 @@ def _forbidden_m2(
 
 def _product(name: str, table: HungTable, known: AbsorptionPosterior) -> Product:
     bands = known.bands
-    given = [k for k in ("absorption", "catalogue", "material") if getattr(table, k) is not None]
-    if len(given) != 1:
-        raise InputError(
-            "a product has not one absorption",
-            found=", ".join(given) or "none of the three",
-            needed="one of absorption, catalogue and material",
-            hint="keep what is known best, and leave the others out",
-        )
+    hint = "keep what is known best, and leave the others out"
+    what, known_by = "a product has not one absorption", ("absorption", "catalogue", "material")
+    the_one(table, known_by, what, "", hint)
     material = ""
     if table.catalogue is not None:
         mean, sd = catalogue_prior(table.catalogue, bands)
@@ -138,9 +213,7 @@ def _product(name: str, table: HungTable, known: AbsorptionPosterior) -> Product
 
 
 def _in_bands(values: float | Sequence[float] | Spectrum, bands: Bands) -> FloatArray:
-    if isinstance(values, Spectrum):
-        return at_bands(values.centres_hz, values.values, bands, "absorption")
-    found = np.atleast_1d(np.array(values, dtype=np.float64))
+    found = np.atleast_1d(np.array(in_these(values, bands, "absorption"), dtype=np.float64))
     if found.size not in (1, len(bands)):
         raise InputError(
             "a product has not one absorption per predicted band",
