@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from roomfit.base.bands import bands_between
 from roomfit.materials.catalogue import catalogue_prior
 from roomfit.predict.changes import Change, changed_draws
-from roomfit.predict.prediction import PredictedValue, ValueChange, change_findings
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 BANDS = bands_between("octave", 500, 1000)
@@ -57,39 +55,3 @@ def test_an_object_is_set_in_square_metres_as_the_absorption_they_stand_for():
     assert np.all(absorption[2] > 0.0) and absorption[2][0] == absorption[2][1]
     relative = drawn[:, 2].std(axis=0) / absorption[2]
     np.testing.assert_allclose(relative, 0.1, rtol=0.05)
-
-
-def value_of(low: float, high: float) -> PredictedValue:
-    """Return a decay time whose change, after over before, lies between two numbers."""
-    none, one = np.full(2, np.nan), np.ones(2)
-    change = ValueChange(
-        one, one, one, np.full(2, 0.5 * (low + high)), np.full(2, low), np.full(2, high),
-        none, none, none,
-    )  # fmt: skip
-    return PredictedValue(one, one, one, none, none, none, none, none, change)
-
-
-@pytest.mark.parametrize("is_measured", [False, True])
-def test_what_is_measured_beside_a_change_is_said_to_be_of_the_room_before_it(is_measured):
-    change = (Change("wall", "value", (0.3,)),)
-    (finding, *_) = change_findings(change, is_measured, BANDS, {"T30_s": value_of(0.7, 0.9)})
-    assert finding.sentence.startswith("Predicted with wall=0.3.")
-    said = "Measured values beside it are those of the room as it was measured." in finding.sentence
-    assert said is is_measured
-    assert change_findings((), is_measured, BANDS, {}) == ()
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "words"),
-    [
-        (0.7, 0.9, "falls"),
-        (1.1, 1.3, "rises"),
-        (0.9, 1.1, "has no determined direction"),
-    ],
-)
-def test_the_direction_of_a_change_is_that_of_its_whole_interval(low, high, words):
-    """After over before of a decay time; below 1 it falls."""
-    change = (Change("wall", "value", (0.3,)),)
-    (finding,) = change_findings(change, False, BANDS, {"T30_s": value_of(low, high)})
-    assert finding.sentence.endswith(f" At 95 % the mean of T30 {words} at 500, 1000 Hz.")
-    assert finding.evidence["directions"] == {"T30_s": {words: [500.0, 1000.0]}}

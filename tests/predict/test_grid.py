@@ -108,14 +108,6 @@ def test_a_grid_that_cannot_be_is_refused(height_m, spacing_m, words):
         grid_scene(hall(), height_m, spacing_m)
 
 
-def test_a_room_in_which_all_points_are_near_its_source_is_refused():
-    """A booth of 90 cm: its corners, 10 cm within, are 49 cm from the middle."""
-    booth = roomfit.shoebox_room((0.9, 0.9, 2.0), "walls")
-    scene = roomfit.scene_of(booth, {"S": (0.45, 0.45, 1.2)}, {"R": (0.7, 0.2, 1.2)})
-    with pytest.raises(InputError, match="50 cm from a source"):
-        grid_scene(scene, 1.2, 0.3)
-
-
 CAMPAIGN = """
 [room]
 shoebox = [6, 5, 3]

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from roomfit.base.bands import Bands
-from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
 from roomfit.base.logit import logit
 from roomfit.files.campaign import read_campaign
 from roomfit.files.questions import question_of
 from roomfit.materials.priors import DEFAULT_LOGIT_SD
-from roomfit.predict.changes import Change, read_change
+from roomfit.predict.changes import read_change
 from roomfit.predict.predict import predict
 from roomfit.predict.split import prior_dominated
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
@@ -155,16 +154,6 @@ def test_a_material_that_was_not_found_is_predicted_but_not_compared(campaign):
     assert not found.compares_states
     assert found.mean["T20_s"].change is None
     assert found.lower95[1, 0] > 0.15 and found.upper95[1, 0] < 0.5
-
-
-def test_a_standard_deviation_may_be_left_out_and_must_fit_the_values(campaign):
-    few = campaign.with_settings(n_draws=2)
-    one = predict(question_of(few, posterior(0.0), [Change("carpet", "value", (0.3, 0.4))]))
-    assert one.absorption[1].tolist() == [0.3, 0.4]
-    assert one.changes == ("carpet=0.3,0.4",)
-    for sds in ((0.1, 0.2), (-0.1,)):
-        with pytest.raises(InputError, match="one standard deviation per value"):
-            Change("carpet", "value", (0.3,), sds)
 
 
 # ---------------------------------------------------------------- names of materials

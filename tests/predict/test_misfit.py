@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from report_cases import answer_of, scene_of
-from roomfit.base.errors import InputError
-from roomfit.files.encoding import EditedFile
-from roomfit.files.results import read_result, write_result
 from roomfit.model.room_parameters import model_sd
 from roomfit.predict.decay import PairNumbers
 from roomfit.predict.misfit import with_misfit
 from roomfit.predict.prediction import PredictedDecay
-from roomfit.predict.split import for_another_room
-from roomfit.result import absorption_posterior
 from roomfit.signals.decay import jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES
 
@@ -92,69 +85,6 @@ def test_about_pressures_fitted_pairs_that_depart_less_make_the_noise_less_too()
         unknown = with_misfit(given, rows, ~known)[0]
         assert np.all(own.noise_sd <= unknown.noise_sd)
         assert np.all((own.noise_sd < unknown.noise_sd) == (departures == 0.0))
-
-
-def test_what_was_not_measured_widens_nothing():
-    departures = np.full((N_PAIRS, N, 1), np.nan)
-    departures[:, 0] = 9.0
-    noise, model = widened_jnd(departures)
-    np.testing.assert_allclose(noise, NOISE_JND)  # all six depart alike
-    np.testing.assert_allclose(model[1:], MODEL_JND)
-    assert model[0] > 4.0
-    assert with_misfit(numbers(), None) is not None
-    assert all(
-        np.array_equal(a.noise_sd, b.noise_sd)
-        for a, b in zip(with_misfit(numbers(), None), numbers(), strict=True)
-    )
-
-
-def test_departures_of_fitted_pairs_go_through_the_file(tmp_path):
-    """Those kept apart do not count; a file without pairs knows none; a broken one is refused."""
-    answer = answer_of(scene_of(receivers=("R1", "R2", "R3")), kept=(1,))
-    answer = replace(answer, combinations=((),) * len(answer.bands))
-    write_result(tmp_path, answer, ())
-    file = tmp_path / "result.json"
-    own, found = absorption_posterior(answer).fitted_jnd, read_result(file).fitted_jnd
-    assert own.shape == (2, N, len(answer.bands))
-    np.testing.assert_array_equal(own[1, 0], answer.pairs[2].parameters[VALUE_NAMES[0]].jnd)
-    assert np.isnan(own[:, VALUE_NAMES.index("G_dB")]).all()
-    np.testing.assert_allclose(found, own)
-    content = json.loads(file.read_text())
-    content["pairs"][0]["parameters"]["EDT_s"]["jnd"] = [1.0]
-    file.write_text(json.dumps(content))
-    with pytest.raises(InputError, match="the result is incomplete"):
-        read_result(EditedFile(file))
-    del content["pairs"]
-    file.write_text(json.dumps(content))
-    assert read_result(EditedFile(file)).fitted_jnd is None
-
-
-def test_in_which_bands_pressures_are_added_goes_through_the_file_and_not_into_another_room(
-    tmp_path,
-):
-    answer = answer_of(scene_of())
-    answer = replace(answer, combinations=((),) * len(answer.bands))
-    n = len(answer.bands)
-    for number, flags in enumerate((None, np.zeros(n, dtype=bool), np.arange(n) == 1)):
-        folder = tmp_path / str(number)
-        folder.mkdir()
-        write_result(folder, replace(answer, by_pressures=flags), ())
-        found = read_result(folder / "result.json")
-        if flags is None or not flags.any():
-            assert found.by_pressures is None
-            continue
-        assert found.by_pressures.tolist() == flags.tolist()
-        areas = dict(zip(found.materials, found.areas_m2.tolist(), strict=True))
-        assert for_another_room(found, areas, 100, 1)[0].by_pressures is found.by_pressures
-        larger = {name: 2.0 * area for name, area in areas.items()}
-        assert for_another_room(found, larger, 100, 1)[0].by_pressures is None
-        file = folder / "result.json"
-        content = json.loads(file.read_text())
-        for broken, words in (([0.5] * n, "true or false"), ([True] * (n + 1), "shape")):
-            content["fit"]["by_pressures"] = broken
-            file.write_text(json.dumps(content))
-            with pytest.raises(InputError, match=f"by_pressures .*{words}"):
-                read_result(EditedFile(file))
 
 
 def test_one_outlier_among_many_pairs_does_not_widen_all_by_itself():

@@ -69,12 +69,6 @@ def test_a_prepared_room_predicts_a_change_as_predict_does(given, room, text):
             assert np.all(np.abs(own.parameters[name].predicted - one.predicted) < unit), name
 
 
-def test_without_a_change_it_is_the_prediction_itself(given, room):
-    found, expected = predict_change(room), predict(given)
-    for name, one in expected.mean.items():
-        np.testing.assert_array_equal(found.mean[name].upper95, one.upper95)
-
-
 def test_few_rows_bring_the_energies_of_all_of_them(room):
     """Each wall changed, all of them, and cases between: whole energies within 1 %."""
     a = room.absorption.absorption
@@ -106,21 +100,3 @@ def test_what_is_not_known_before_a_change_is_said(given):
     with pytest.raises(InputError, match="not known before the change"):
         numbers_at(room, known.absorption, room.draws)
     assert predict_change(room, [change], exact=True).mean["T30_s"].change is None
-
-
-def test_means_and_pairs_are_the_same_where_pairs_are_not_compared(room):
-    """Bit by bit; what is left out is what a change does to every pair, and what states share."""
-    bare, change = replace(room, observed=()), [read_change(CHANGES[0])]
-    whole, brief = predict_change(bare, change), predict_change(bare, change, compare_pairs=False)
-    pairs = zip(whole.pairs, brief.pairs, strict=True)
-    tables = [(whole.mean, brief.mean), *((p.parameters, q.parameters) for p, q in pairs)]
-    for table, other in tables:
-        for name, value in table.items():
-            for key in ("predicted", "lower95", "upper95"):
-                np.testing.assert_array_equal(getattr(other[name], key), getattr(value, key))
-    one, other = (found.mean["C80_dB"].change for found in (whole, brief))
-    for key in ("before_upper95", "change", "carried"):
-        np.testing.assert_array_equal(getattr(other, key), getattr(one, key))
-    assert np.all(other.change_lower95 <= one.change_lower95)
-    assert np.all(other.change_upper95 >= one.change_upper95)
-    assert all(p.parameters["C80_dB"].change is None for p in brief.pairs)

@@ -7,18 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from report_cases import answer_of, scene_of
 from roomfit.base.bands import bands_between
 from roomfit.base.errors import InputError, InsufficientDataError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.logit import logit
 from roomfit.files.campaign import read_campaign
 from roomfit.files.questions import Wanted, question_of
-from roomfit.files.results import read_result, write_result
 from roomfit.materials.priors import DEFAULT_LOGIT_SD
 from roomfit.predict.changes import read_change
 from roomfit.predict.split import doubted_walls, for_another_room, open_splits
-from roomfit.result import absorption_posterior
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
 
 BANDS = bands_between("octave", 500, 1000)
@@ -58,13 +55,6 @@ def test_other_splits_leave_the_sum_of_exponents_and_hold_every_share():
     kept = found[1::2, [0, 2], 1] / found[1::2, [0, 2], 1].sum(axis=1, keepdims=True)
     assert np.all(np.isfinite(kept)) and np.all((found >= 0.0) & (found < 0.96))
     np.testing.assert_array_equal(found, open_splits(known, draws, CURTAIN, AREAS[None], 1))
-
-
-def test_nothing_is_open_where_nothing_is_doubted():
-    known = one_decay()
-    draws = draw_absorption(known, 16, np.random.default_rng(1))
-    np.testing.assert_array_equal(open_splits(known, draws, (), AREAS[None], 1), draws)
-    assert not doubted_walls(known).any()
 
 
 def test_a_doubted_result_leaves_the_splits_of_what_it_doubts_open():
@@ -127,15 +117,6 @@ def test_a_room_with_other_areas_is_predicted_with_its_splits_open_and_the_same_
     )
     old = replace(known, areas_m2=None)  # of a file that does not say
     assert for_another_room(old, {"walls": 100.0}, 64, 1) == (old, ())
-
-
-def test_areas_of_the_fitted_room_go_through_the_file(tmp_path):
-    answer = answer_of(scene_of())
-    answer = replace(answer, combinations=((),) * len(answer.bands))
-    write_result(tmp_path, answer, ())
-    found, own = read_result(tmp_path / "result.json"), absorption_posterior(answer)
-    np.testing.assert_allclose(found.areas_m2, own.areas_m2, atol=1e-4)
-    assert found.fitted_states == own.fitted_states == ("",)
 
 
 TURNED = """
