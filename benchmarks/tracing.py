@@ -1,7 +1,6 @@
 """How fast rays are, against pyroomacoustics and Embree in the same run, and what they cost.
 
     python benchmarks/tracing.py            about two minutes
-    python benchmarks/tracing.py --full     with ten million rays
 
 A segment is one flight of a ray from a wall (or the source) to the next wall. Speeds are millions
 of segments per second of processor time, all threads together, best of three after a warm-up, so
@@ -229,9 +228,9 @@ def _scene(load: Load) -> Scene:
     return Scene(room, (source,), receivers, pairs, Air(attenuation="none"))
 
 
-def cost_tables(*, full: bool) -> None:
+def cost_tables() -> None:
     """Print time and memory against rays, triangles and receivers."""
-    rays = [10**4, 10**5, 10**6, *([10**7] if full else [])]
+    rays = [10**4, 10**5, 10**6]
     triangles = [12, 112, 1012, 12_012, 100_012]
     receivers = [1, 3, 10, 30, 100, 300, 1000]
     tables = (
@@ -257,12 +256,10 @@ def cost_tables(*, full: bool) -> None:
 
 def main() -> None:
     """Print all tables."""
-    parser = argparse.ArgumentParser(description="Speed and cost of tracing rays.")
-    parser.add_argument("--full", action="store_true", help="ten million rays as well")
-    full = parser.parse_args().full
+    argparse.ArgumentParser(description="Speed and cost of tracing rays.").parse_args()
     paper_room_table()
     hall_table()
-    cost_tables(full=full)
+    cost_tables()
 
 
 if __name__ == "__main__":
