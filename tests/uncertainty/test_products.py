@@ -33,7 +33,6 @@ from roomfit.uncertainty.gaussian import (
 )
 from roomfit.uncertainty.other_room import room_posterior
 from roomfit.uncertainty.posterior import AbsorptionPosterior, band_draws, prior_law
-from roomfit.uncertainty.sampling import log_posterior, surrogate
 
 BANDS = bands_between("octave", 500, 1000)
 MEAN = float(np.log(0.15 / 0.85))
@@ -234,25 +233,6 @@ def test_a_difference_that_only_the_product_limits_is_not_in_the_data():
     words = band_sentence(("left", "right", "floor"), (), left_open)
     assert words == "the difference of left and right is not in the data"
     assert undetermined_groups(1e-6 * np.eye(3), prior[0]) == ()
-
-
-def test_the_sampled_law_has_the_same_prior():
-    """Two points of the log posterior by hand, and the surrogate's prior."""
-    data = with_prior(linear_data(np.random.default_rng(6), 3), panels())
-    fit = fitted(data)
-    law = log_posterior(data, fit)
-    near = surrogate(law, fit)
-    _, covariance = prior_logit_law(panels())
-    np.testing.assert_allclose(near.prior, np.linalg.inv(covariance[0]), rtol=1e-9)
-
-    def by_hand(x):
-        off = x - MEAN
-        misfit = (data.observed - data.matrix @ x) / 0.5
-        flat = max(fit.chi2_reduced, 1.0)
-        return -0.5 * misfit @ misfit / flat - 0.5 * off @ np.linalg.solve(covariance[0], off)
-
-    one, other = fit.vector, fit.vector + np.array([0.5, -0.5, 0.2])
-    assert law(other) - law(one) == pytest.approx(by_hand(other) - by_hand(one), rel=1e-9)
 
 
 def test_a_prediction_in_another_order_takes_the_law_along():

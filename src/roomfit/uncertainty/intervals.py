@@ -28,9 +28,8 @@ from roomfit.uncertainty.gaussian import (
     FittedBand,
     MirrorTrial,
 )
-from roomfit.uncertainty.population import posterior_draws
 from roomfit.uncertainty.profile import may_be_bent, profile
-from roomfit.uncertainty.sampling import absorption_columns
+from roomfit.uncertainty.sampling import posterior_draws
 
 # A profile never narrows either side of an interval, in the logit, to less than this of the
 # Gaussian's: a skew likelihood halves a side at most in every case examined, and what asks for
@@ -62,10 +61,10 @@ class Refinement:
         answer = replace(answer, mirrors=trials, evaluations=evaluations)
         if self.n_draws and answer.model == "values":
             rng, parameters = np.random.default_rng(self.seed), objective.parameters
-            found = posterior_draws(objective, fit, self.n_draws, rng)
+            drawn, more = posterior_draws(objective, fit, self.n_draws, rng)
             beyond = _beyond_fit(parameters, fit, answer)
-            draws = _absorptions(parameters, found.draws, answer, beyond, rng)
-            evaluations = answer.evaluations + found.evaluations
+            draws = _absorptions(parameters, drawn, answer, beyond, rng)
+            evaluations = answer.evaluations + more
             answer = replace(answer, draws=draws, evaluations=evaluations)
         return profiled(objective, fit, answer) if self.profiles else answer
 
@@ -82,7 +81,7 @@ def profiled(
     to either side as one more standard deviation.
     """
     block = absorption_of(objective.parameters)
-    first, fitted = absorption_columns(objective.parameters)
+    first, fitted = _columns(objective.parameters)
     free, sd = to_free(block, answer.absorption), np.sqrt(np.diag(answer.logit_covariance))
     lower, upper = np.array(answer.lower95), np.array(answer.upper95)
     kinds, found = list(answer.kinds), []
@@ -127,7 +126,7 @@ def _absorptions(
     They are scattered by the covariance `beyond`, of what the law drawn from does not include.
     """
     block = absorption_of(parameters)
-    first, fitted = absorption_columns(parameters)
+    first, fitted = _columns(parameters)
     low, high = block.lower[fitted], block.upper[fitted]
     free = draws[:, first : first + fitted.size]
     if beyond.any():
@@ -139,12 +138,18 @@ def _absorptions(
     return found[:, leaders(block)]
 
 
+def _columns(parameters: Parameters) -> tuple[int, IntArray]:
+    """Return where the fitted absorptions begin, and which entries of their block they are."""
+    block = absorption_of(parameters)
+    return position_of(parameters, "absorption"), np.flatnonzero(block.fitted)
+
+
 def _beyond_fit(parameters: Parameters, fit: BandFit, answer: BandEstimate) -> FloatArray:
     """Return the covariance of an answer's fitted logits that its fit does not know of.
 
     Shape (n_fitted, n_fitted), symmetric, positive semi-definite.
     """
-    first, fitted = absorption_columns(parameters)
+    first, fitted = _columns(parameters)
     own = slice(first, first + fitted.size)
     plain = np.linalg.inv(fit.information)[own, own] * max(fit.chi2_reduced, 1.0)
     more = answer.logit_covariance[np.ix_(fitted, fitted)] - plain

@@ -1,178 +1,286 @@
-"""The density of a band's posterior, and a law near to it under which walks cost no evaluation.
+"""Equal-weight draws from a band's posterior by room parameters, which may have several modes.
 
-Arrival times are integrated out.
+A population is led from the prior to the posterior: weighed, resampled, and moved by Metropolis
+steps, for some hundred evaluations.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from roomfit.base.kernels import kernel
-from roomfit.base.typing import BoolArray, FloatArray, IntArray
+from roomfit.base.typing import FloatArray, IntArray
 from roomfit.model.parameters import (
-    GEOMETRY,
     Parameters,
     absorption_of,
     physical_values,
-    position_of,
     prior_residuals,
 )
-from roomfit.model.problem import Objective, Prediction
+from roomfit.model.problem import Objective
 from roomfit.solver import BandFit
 
 # An absorption this near to 1 or 0 can no longer be distinguished from it.
 FARTHEST_FREE = 40.0
 # Least 1 - a of which a log is taken.
 LEAST_REFLECTED = 1e-18
+# Fewer points say little of where all have to go.
+_LEAST_POINTS = 128
+# Share of the population that must still count after it was weighed.
+_LEAST_SHARE = 0.5
+# Accepted moves a point before it is drawn from, and how many rounds of one evaluation a point
+# they may take.
+_MOVES, _MOST_ROUNDS = 0.8, 5
+# Powers between the prior and the posterior, at most.
+_MOST_LEVELS = 20
+# Above so many numbers the second derivatives of all data cost more than what they save.
+_MOST_CURVATURES = 20_000
+# Of a free number, for second derivatives: large beside rounding, small beside what bends.
+_STEP = 0.05
+
+LogP: TypeAlias = Callable[[FloatArray], FloatArray]
+"""From points, shape (n_points, n_free), to their log densities, up to a constant."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LogPosterior:
-    """Log density of a band's absorptions, gains and directivity, up to a constant.
+def posterior_draws(
+    objective: Objective, fit: BandFit, n_draws: int, rng: np.random.Generator
+) -> tuple[FloatArray, int]:
+    """Return draws, (n_draws, n_free), of absorptions that data with normal errors determine.
 
-    The data count as the fit counts them: neighbours that share information once, and a misfit
-    flattens their likelihood by phi. Their variances are those of each point, with every constant.
+    And how many evaluations they took. The variances of the data are those of the fit, so that the
+    most likely point is the fit's own. Neighbours count once, and a misfit flattens the data by
+    phi. The law goes from the prior to the posterior by powers of their ratio, each as far as
+    leaves half of the population [1]_. Moves are walks under a surrogate law [2]_, and differences
+    of two other points [3]_.
 
-    Arrival times (dozens of unknowns, of which no number is asked for) are integrated out by
-    Laplace's rule: they follow the other numbers along the fit's own ridge, and what one Newton
-    step would still gain there is added. The fit's curvature is kept, so that its determinant
-    is a constant. The ridge is straight in the exponents ``-log(1 - a)``, as the data are: one in
-    logits leaves them where a wall is hard, and the step would promise what it does not gain.
+    References
+    ----------
+    .. [1] P. Del Moral, A. Doucet, A. Jasra, "Sequential Monte Carlo samplers", J. R. Stat. Soc. B
+           68, 411-436 (2006).
+    .. [2] J. S. Liu, Monte Carlo Strategies in Scientific Computing, 2001, section 9.4.3
+           ("surrogate transition").
+    .. [3] C. J. F. ter Braak, "A Markov chain Monte Carlo version of the genetic algorithm
+           differential evolution", Stat. Comput. 16, 239-249 (2006).
     """
-
-    objective: Objective
-    centre: FloatArray  # (n_free,), the fit's answer
-    n_kept: int  # entries of the free vector, from its beginning, whose density this is
-    follow: FloatArray  # (n_free - n_kept, n_kept), by how much arrival times follow the exponents
-    inner: FloatArray  # (n_free - n_kept, n_free - n_kept), their information, given the others
-    flattening: float  # max(phi, 1)
-    # a fit whose weights are kept: energies keep its shapes, all other data its variances
-    fixed_weights: BandFit | None = None
-
-    def __call__(self, kept: FloatArray) -> float:
-        """Return the log density at kept numbers, shape (n_kept,); minus infinity far outside."""
-        if not np.all(np.abs(kept) < FARTHEST_FREE):
-            return -np.inf
-        vector = np.concatenate((kept, self.ridge(kept)))
-        with_slopes = self.inner.size > 0 or self.fixed_weights is None
-        found_there = self.objective.predict(vector) if with_slopes else None
-        expected = self.objective.expected(vector) if found_there is None else found_there.expected
-        variance = self._variance(vector, expected)
-        neighbours = self.objective.correlation_length()
-        each = self.objective.log_likelihood(expected, variance)
-        prior, rows = prior_residuals(self.objective.parameters, vector)
-        found = float(np.sum(each / neighbours)) / self.flattening - 0.5 * float(prior @ prior)
-        if self.inner.size and found_there is not None:
-            spread = neighbours * variance * self.flattening
-            off = (self.objective.measured() - expected) / spread
-            slope = (found_there.jacobian.T @ off - rows.T @ prior)[self.n_kept :]
-            found += 0.5 * float(slope @ np.linalg.solve(self.inner, slope))
-        return found if np.isfinite(found) else -np.inf
-
-    def _variance(self, vector: FloatArray, expected: FloatArray) -> FloatArray:
-        if self.fixed_weights is None:
-            return self.objective.variance(vector)
-        energies, before = self.objective.is_gamma(), self.fixed_weights.expected
-        grown = np.where(energies, expected / np.where(energies, before, 1.0), 1.0)
-        return np.asarray(self.fixed_weights.variance * grown**2)
-
-    def ridge(self, kept: FloatArray) -> FloatArray:
-        """Return where arrival times follow kept numbers, shape (n_free - n_kept,)."""
-        parameters, centre = self.objective.parameters, self.centre[: self.n_kept]
-        here, there = exponents(parameters, np.stack((centre, kept)))
-        return np.asarray(self.centre[self.n_kept :] + self.follow @ (there - here))
+    log_p_at, near = _log_density(objective, fit), _surrogate(objective, fit)
+    size = max(n_draws, _LEAST_POINTS)
+    root = np.linalg.cholesky(np.linalg.inv(near.law.prior))
+    points = near.law.prior_mean + rng.standard_normal((size, len(root))) @ root.T
+    log_p, of_prior = log_p_at(points), _log_prior(near.law, points)
+    power, rounds = 0.0, 0
+    for rounds in range(_MOST_LEVELS):
+        ratio = log_p - of_prior
+        step = _power_step(ratio, 1.0 - power)
+        power += step
+        chosen = _resampled(step * ratio, rng)
+        points, log_p, of_prior = points[chosen], log_p[chosen], of_prior[chosen]
+        if power >= 1.0 - 1e-9:
+            break
+        points, log_p, _ = _differed(log_p_at, points, log_p, rng, (near.law, power))
+        of_prior = _log_prior(near.law, points)
+    else:
+        rounds = _MOST_LEVELS
+    moves = 0.0
+    for number in range(_MOST_ROUNDS):
+        if number % 2 == 0:
+            points, log_p, taken = _differed(log_p_at, points, log_p, rng)
+        else:
+            points, log_p, taken = _walked(log_p_at, near, points, log_p, rng)
+        moves += taken
+        if moves >= _MOVES:
+            break
+    drawn = rng.permutation(rng.permutation(points)[:n_draws])
+    return drawn, size * (2 + rounds + number)
 
 
-def log_posterior(objective: Objective, fit: BandFit) -> LogPosterior:
-    """Return the posterior of all unknowns of a band but its arrival times."""
-    parameters, flattening = objective.parameters, max(fit.chi2_reduced, 1.0)
-    n = fit.vector.size
-    timed = any(b.name == GEOMETRY for b in parameters.blocks)
-    kept = position_of(parameters, GEOMETRY) if timed else n
-    prior = prior_information(parameters, fit.vector)
-    # the data are flattened, the prior is not
-    whole = (fit.information - prior) / flattening + prior
-    inner = whole[kept:, kept:]
-    follow = -np.linalg.solve(inner, whole[kept:, :kept]) if kept < n else np.zeros((0, kept))
-    follow = follow / exponent_slopes(parameters, fit.vector)[:kept]
-    return LogPosterior(objective, fit.vector, kept, np.asarray(follow), inner, flattening)
+def _log_density(objective: Objective, fit: BandFit) -> LogP:
+    """Return the log density of the posterior at many points; minus infinity far outside."""
+    parameters, measured = objective.parameters, objective.measured()
+    approximation = objective.at_points(fit.vector)
+    spread = fit.variance * objective.correlation_length() * max(fit.chi2_reduced, 1.0)
+    weight = 1.0 / spread
+
+    def log_p(points: FloatArray) -> FloatArray:
+        inside = np.all(np.abs(points) < FARTHEST_FREE, axis=1)
+        if approximation is None:
+            expected = np.array([objective.expected(p) for p in points])
+        else:
+            walls = [physical_values(parameters, p)[0]["absorption"] for p in points]
+            expected = approximation(np.array(walls))
+        off = measured - expected
+        prior = np.array([prior_residuals(parameters, p)[0] for p in points])
+        found = -0.5 * (np.sum(weight * off**2, axis=1) + np.sum(prior**2, axis=1))
+        return np.where(inside & np.isfinite(found), found, -np.inf)
+
+    return log_p
 
 
-def prior_information(parameters: Parameters, vector: FloatArray) -> FloatArray:
-    """Return the information of the prior, shape (n_free, n_free)."""
-    _, rows = prior_residuals(parameters, vector)
-    return np.asarray(rows.T @ rows)
+def _share(ratio: FloatArray, power: float) -> float:
+    """Return which share of points counts that are weighed by a power of a ratio, by its log."""
+    w = np.exp(power * (ratio - ratio.max()))
+    return float(w.sum() ** 2 / (w @ w) / w.size)
 
 
-def absorption_columns(parameters: Parameters) -> tuple[int, IntArray]:
-    """Return where the fitted absorptions begin, and which entries of their block they are."""
-    block = absorption_of(parameters)
-    return position_of(parameters, "absorption"), np.flatnonzero(block.fitted)
+def _power_step(ratio: FloatArray, most: float) -> float:
+    """Return by how much the power may grow, `most` at most."""
+    if _share(ratio, most) >= _LEAST_SHARE:
+        return most
+    low, high = 0.0, most
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _share(ratio, middle) >= _LEAST_SHARE else (low, middle)
+    return max(low, 1e-3 * most)
 
 
-def exponent_slopes(parameters: Parameters, vector: FloatArray) -> FloatArray:
-    """Return the derivative of each exponent by its free number, 1 where there is no exponent."""
-    values, slopes = physical_values(parameters, vector)
-    by_exponent = slopes["absorption"] / np.maximum(1.0 - values["absorption"], 1e-12)
-    out = np.ones(vector.size)
-    first, columns = absorption_columns(parameters)
-    out[first : first + columns.size] = np.maximum(by_exponent[columns], 1e-9)
-    return out
+def _resampled(log_weight: FloatArray, rng: np.random.Generator) -> IntArray:
+    """Return indices of points, systematically as often as their weights ask for."""
+    w = np.exp(log_weight - log_weight.max())
+    at = (np.arange(w.size) + rng.random()) / w.size
+    return np.asarray(np.minimum(np.searchsorted(np.cumsum(w / w.sum()), at), w.size - 1))
 
 
-def exponents(parameters: Parameters, kept: FloatArray) -> FloatArray:
-    """Return the exponents of absorptions, all other free numbers as they are, (n_points, n)."""
-    out = np.array(kept)
-    first, columns = absorption_columns(parameters)
-    own = slice(first, first + columns.size)
-    block = absorption_of(parameters)
-    low, high = block.lower[columns], block.upper[columns]
-    # 1 - a, without rounding where a comes near to 1
-    less = (1.0 - high) + (high - low) * 0.5 * (1.0 - np.tanh(0.5 * kept[:, own]))
-    out[:, own] = -np.log(np.maximum(less, LEAST_REFLECTED))
-    return out
+def _walked(
+    log_p_at: LogP, near: _Surrogate, points: FloatArray, log_p: FloatArray, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray, float]:
+    """Move points by walks under the surrogate."""
+    there, gain = _walk(near, points, int(rng.choice(near.usual_steps)), rng)
+    new = log_p_at(there)
+    taken = np.log(rng.random(len(points))) < new - log_p - gain
+    moved = np.where(taken[:, None], there, points)
+    return moved, np.where(taken, new, log_p), float(taken.mean())
 
 
-class Windows(NamedTuple):
-    """Data whose expectation without noise is known to second order in the exponents.
+def _log_prior(law: _Law, points: FloatArray) -> FloatArray:
+    away = points - law.prior_mean
+    return np.asarray(-0.5 * np.einsum("pi,ij,pj->p", away, law.prior, away))
 
-    Of energies its log, a sum over paths of exponentials of the exponents: the mean and the
-    covariance of their counts of hits are its first two derivatives.
-    """
 
-    # measured, signal, noise: (n_data,), `signal` at the centre; `noise` is what is expected
-    # besides
-    measured: FloatArray
-    signal: FloatArray
-    noise: FloatArray
-    # (n_data, n_kept), of the log of the signal by the exponents; of data that are no energies, of
-    # the signal
-    slopes: FloatArray
-    curvature: FloatArray  # (n_data, n_kept, n_kept), second derivative of the same
-    # (n_data,), of energies the shape of their Gamma law, else one over the variance; neighbours
-    # that share information counted once, flattened by the misfit
-    weight: FloatArray
-    energies: BoolArray  # (n_data,)
+def _differed(
+    log_p_at: LogP,
+    points: FloatArray,
+    log_p: FloatArray,
+    rng: np.random.Generator,
+    tempered: tuple[_Law, float] | None = None,
+) -> tuple[FloatArray, FloatArray, float]:
+    """Move each half of the points by differences of two points of the other half."""
+    points, log_p = points.copy(), log_p.copy()
+    taken = 0.0
+    halves = np.array_split(rng.permutation(len(points)), 2)
+    for own, other in (halves, halves[::-1]):
+        pairs = np.array([rng.choice(other, 2, replace=False) for _ in own])
+        scale = 2.38 / np.sqrt(2.0 * points.shape[1]) * rng.uniform(0.2, 1.0, (own.size, 1))
+        there = points[own] + scale * (points[pairs[:, 0]] - points[pairs[:, 1]])
+        there += 1e-5 * rng.standard_normal(there.shape)
+        new = log_p_at(there)
+        more = new - log_p[own]
+        if tempered is not None:
+            law, power = tempered
+            by_prior = _log_prior(law, there) - _log_prior(law, points[own])
+            more = power * more + (1.0 - power) * by_prior
+        better = np.log(rng.random(own.size)) < more
+        points[own[better]], log_p[own[better]] = there[better], new[better]
+        taken += float(better.sum()) / len(points)
+    return points, log_p, taken
 
 
 class _Law(NamedTuple):
-    """What a density of free numbers is made of, in the words of `Surrogate`."""
+    """A law near to a posterior: in the exponents ``-log(1 - a)`` the data are nearly linear.
 
-    farthest: float  # no free number may be farther from zero
-    first: int  # where the absorptions begin, whose bounds are `low` and `high`
-    low: FloatArray
+    Only the prior is Gaussian in the logits; see `roomfit.uncertainty.posterior`. The expectation
+    of the data is quadratic in the exponents; where there are so many data that this costs more
+    than it saves, the log-likelihood as a whole is.
+    """
+
+    low: FloatArray  # (n,), bounds of the fitted absorptions
     high: FloatArray
-    # (n,) and (n, n)
-    centre: FloatArray
-    prior: FloatArray
+    centre: FloatArray  # (n,), the fit's answer
+    prior: FloatArray  # (n, n), information
     prior_mean: FloatArray
-    data: FloatArray
-    pull: FloatArray
-    windows: Windows  # of no data where `data` and `pull` suffice
+    data: FloatArray  # (n, n), information of the data in the exponents
+    pull: FloatArray  # (n,), slope of the data's log-likelihood at the centre
+    residual: FloatArray  # (n_data,), at the centre; empty where `data` and `pull` suffice
+    slopes: FloatArray  # (n_data, n), of the data by the exponents
+    curvature: FloatArray  # (n_data, n, n), second derivative of the same
+    weight: FloatArray  # (n_data,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Surrogate:
+    """A law under which walks cost no evaluation."""
+
+    law: _Law
+    root: FloatArray  # (n, n), Cholesky root of the covariance at the centre
+
+    @property
+    def usual_steps(self) -> tuple[int, ...]:
+        """Lengths of walks: a short one, and one that costs less than what it is weighed by.
+
+        A random walk needs some 500 steps to forget its start under the skew laws of hard walls.
+        """
+        return (50, 500) if self.law.residual.size else (50, 4000)
+
+
+def _surrogate(objective: Objective, fit: BandFit) -> _Surrogate:
+    """Return the law that proposals for a band's posterior are drawn from."""
+    parameters, n, flattening = objective.parameters, fit.vector.size, max(fit.chi2_reduced, 1.0)
+    block = absorption_of(parameters)
+    low, high = block.lower[block.fitted], block.upper[block.fitted]
+    _, rows = prior_residuals(parameters, fit.vector)
+    prior, mean = rows.T @ rows, block.prior_mean[block.fitted]
+    data = (fit.information - prior) / flattening
+    slope = _exponent_slopes(parameters, fit.vector)
+    pull = prior @ (fit.vector - mean) / slope
+    size, directions = np.linalg.eigh(0.5 * (data + data.T))
+    data = (directions * np.maximum(size, 0.0)) @ directions.T
+    covariance = np.linalg.inv(data + prior + 1e-6 * np.eye(n))
+    residual, weight = np.zeros(0), np.zeros(0)
+    slopes, curvature = np.zeros((0, n)), np.zeros((0, n, n))
+    if fit.variance.size * n * n <= _MOST_CURVATURES:
+        there = objective.predict(fit.vector)
+        residual = objective.measured() - there.expected
+        slopes = there.jacobian / slope
+        weight = 1.0 / (fit.variance * (objective.correlation_length() * flattening))
+        curvature = np.empty((*slopes.shape, n))
+        for k in range(n):
+            moved = fit.vector + _STEP * (np.arange(n) == k)
+            ends = np.empty((2, n))
+            for vector, out in zip((fit.vector, moved), ends, strict=True):
+                _exponents(vector, low, high, out)
+            step = max(float(ends[1, k] - ends[0, k]), 1e-12)
+            by = objective.predict(moved).jacobian / _exponent_slopes(parameters, moved)
+            curvature[:, :, k] = (by - slopes) / step
+        curvature = 0.5 * (curvature + curvature.transpose(0, 2, 1))
+    centre, data = np.array(fit.vector), data / np.outer(slope, slope)
+    law = _Law(low, high, centre, prior, mean, data, pull, residual, slopes, curvature, weight)
+    root = 2.38 / np.sqrt(n) * np.linalg.cholesky(covariance)
+    return _Surrogate(_Law._make(np.ascontiguousarray(a) for a in law), root)
+
+
+def _exponent_slopes(parameters: Parameters, vector: FloatArray) -> FloatArray:
+    """Return the derivative of each exponent by its free number, (n_free,)."""
+    values, slopes = physical_values(parameters, vector)
+    by_exponent = slopes["absorption"] / np.maximum(1.0 - values["absorption"], 1e-12)
+    return np.asarray(np.maximum(by_exponent[absorption_of(parameters).fitted], 1e-9))
+
+
+def _walk(
+    near: _Surrogate, points: FloatArray, steps: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Return points after Metropolis steps under a law, and their gain in its log density.
+
+    The walk is reversible under the law, so a proposal made by it is weighed by that gain alone.
+    """
+    # drawn whatever the point, so that each step stays reversible; small ones still move along
+    # narrow ridges
+    sizes = np.exp(rng.uniform(np.log(0.1), np.log(2.0), steps))
+    here = np.array(points, dtype=np.float64, order="C")
+    noise = rng.standard_normal((steps, *here.shape))
+    gain = walk_points(here, near.root, sizes, noise, np.log(rng.random(noise.shape[:2])), near.law)
+    return here, gain
 
 
 @kernel()
@@ -191,19 +299,19 @@ def walk_points(
     """
     n = points.shape[1]
     zero = np.empty(n)
-    _exponents(law.centre, law.first, law.low, law.high, zero)
+    _exponents(law.centre, law.low, law.high, zero)
     gain = np.empty(len(points))
     here, trial, away = np.empty(n), np.empty(n), np.empty(n)
     for p in range(len(points)):
         here[:] = points[p]
-        now = start = _log_density(here, away, zero, law)
+        now = start = _log_density_near(here, away, zero, law)
         for s in range(len(sizes)):
             for i in range(n):
                 step = 0.0
                 for j in range(i + 1):  # a Cholesky root is zero above its diagonal
                     step += root[i, j] * noise[s, p, j]
                 trial[i] = here[i] + sizes[s] * step
-            there = _log_density(trial, away, zero, law)
+            there = _log_density_near(trial, away, zero, law)
             if chances[s, p] < there - now:  # false where both are minus infinity, whose gap is nan
                 now = there
                 here[:] = trial
@@ -213,208 +321,43 @@ def walk_points(
 
 
 @kernel()
-def _exponents(
-    kept: FloatArray, first: int, low: FloatArray, high: FloatArray, out: FloatArray
-) -> None:
-    """Fill in ``-log(1 - a)`` of absorptions, all other free numbers as they are."""
-    out[:] = kept
+def _exponents(kept: FloatArray, low: FloatArray, high: FloatArray, out: FloatArray) -> None:
+    """Fill in ``-log(1 - a)`` of absorptions, without rounding where a comes near to 1."""
     for i in range(len(low)):
-        share = 0.5 * (1.0 - math.tanh(0.5 * kept[first + i]))
+        share = 0.5 * (1.0 - math.tanh(0.5 * kept[i]))
         less = (1.0 - high[i]) + (high[i] - low[i]) * share
-        out[first + i] = -math.log(max(less, LEAST_REFLECTED))
+        out[i] = -math.log(max(less, LEAST_REFLECTED))
 
 
 @kernel()
-def _log_density(kept: FloatArray, away: FloatArray, zero: FloatArray, law: _Law) -> float:
-    """Return the log density of a `Surrogate` at one point, up to a constant; `away` is scratch.
-
-    Minus infinity far outside, and where a window's likelihood is no number.
-    """
-    farthest, first, low, high, _, prior, prior_mean, data, pull, windows = law
-    measured, signal, background, slopes, curvature, weight, energies = windows
+def _log_density_near(kept: FloatArray, away: FloatArray, zero: FloatArray, law: _Law) -> float:
+    """Return the log density of a law at one point, up to a constant; `away` is scratch."""
     n = len(kept)
     for i in range(n):
-        if not abs(kept[i]) < farthest:
+        if not abs(kept[i]) < FARTHEST_FREE:
             return -math.inf
-    _exponents(kept, first, low, high, away)
+    _exponents(kept, law.low, law.high, away)
     total = 0.0
     for i in range(n):
         away[i] -= zero[i]
         of_prior = 0.0
         for j in range(n):
-            of_prior += prior[i, j] * (kept[j] - prior_mean[j])
-        total -= 0.5 * (kept[i] - prior_mean[i]) * of_prior
-    if len(measured) == 0:
+            of_prior += law.prior[i, j] * (kept[j] - law.prior_mean[j])
+        total -= 0.5 * (kept[i] - law.prior_mean[i]) * of_prior
+    if len(law.residual) == 0:
         for i in range(n):
             of_data = 0.0
             for j in range(n):
-                of_data += data[i, j] * away[j]
-            total += away[i] * (pull[i] - 0.5 * of_data)
+                of_data += law.data[i, j] * away[j]
+            total += away[i] * (law.pull[i] - 0.5 * of_data)
         return total
-    for w in range(len(measured)):
+    for w in range(len(law.residual)):
         change = 0.0
         for i in range(n):
             bend = 0.0
             for j in range(n):
-                bend += curvature[w, i, j] * away[j]
-            change += away[i] * (slopes[w, i] + 0.5 * bend)
-        if energies[w]:
-            grown = signal[w] * math.exp(change) + background[w]
-            total += weight[w] * (-math.log(grown) - measured[w] / grown)
-        else:
-            off = measured[w] - background[w] - signal[w] - change
-            total -= 0.5 * weight[w] * off * off
+                bend += law.curvature[w, i, j] * away[j]
+            change += away[i] * (law.slopes[w, i] + 0.5 * bend)
+        off = law.residual[w] - change
+        total -= 0.5 * law.weight[w] * off * off
     return total if math.isfinite(total) else -math.inf
-
-
-# Of a free number, for second derivatives: large beside rounding, small beside what bends.
-_STEP = 0.05
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Surrogate:
-    """A law near to a posterior, with the fit's curvature.
-
-    A path's energy is linear in the exponents ``-log(1 - a)``, and in the logs of gains. Where the
-    data are windows alone, the log of each window's energy is taken as quadratic in them. Where
-    arrival times are integrated out, so that windows hang together, the whole log-likelihood is
-    taken as quadratic in them. Only the prior is Gaussian in the logits; see
-    `roomfit.uncertainty.posterior`.
-    """
-
-    parameters: Parameters
-    centre: FloatArray  # (n_kept,)
-    windows: Windows | None
-    # (n_kept, n_kept), information of the data in the exponents; used without windows
-    data: FloatArray
-    # (n_kept,), slope of the data's log-likelihood at the centre; used without windows
-    pull: FloatArray
-    prior: FloatArray  # (n_kept, n_kept)
-    prior_mean: FloatArray  # (n_kept,)
-    covariance: FloatArray  # (n_kept, n_kept), of the free numbers, Gaussian at the centre
-
-    @property
-    def usual_steps(self) -> tuple[int, ...]:
-        """Lengths of walks: a short one, and one that costs less than what it is weighed by.
-
-        A random walk needs some 500 steps to forget its start under the skew laws of hard walls.
-        """
-        return (50, 4000) if self.windows is None else (50, 500)
-
-    def walk(
-        self, points: FloatArray, steps: int, rng: np.random.Generator
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return points after Metropolis steps under this law, and their gain in log density.
-
-        The walk is reversible under the law, so a proposal made by it is weighed by that gain
-        alone [1]_.
-
-        References
-        ----------
-        .. [1] J. S. Liu, Monte Carlo Strategies in Scientific Computing, 2001, section 9.4.3
-               ("surrogate transition").
-        """
-        n = points.shape[1]
-        root = 2.38 / np.sqrt(n) * np.linalg.cholesky(self.covariance)
-        # drawn whatever the point, so that each step stays reversible; small ones still move along
-        # narrow ridges
-        sizes = np.exp(rng.uniform(np.log(0.1), np.log(2.0), steps))
-        here = np.array(points, dtype=np.float64, order="C")
-        first, columns = absorption_columns(self.parameters)
-        block = absorption_of(self.parameters)
-        windows = self.windows
-        if windows is None:
-            none: FloatArray = np.zeros(0)
-            no_curvature, no_flags = np.zeros((0, n, n)), np.zeros(0, dtype=np.bool_)
-            windows = Windows(none, none, none, np.zeros((0, n)), no_curvature, none, no_flags)
-        law = _Law(
-            FARTHEST_FREE,
-            first,
-            np.array(block.lower[columns]),
-            np.array(block.upper[columns]),
-            np.array(self.centre),
-            np.array(self.prior),
-            np.array(self.prior_mean),
-            np.array(self.data),
-            np.array(self.pull),
-            Windows._make(np.array(column) for column in windows),
-        )
-        gain = walk_points(
-            here,
-            root,
-            sizes,
-            rng.standard_normal((steps, *here.shape)),
-            np.log(rng.random((steps, len(here)))),
-            law,
-        )
-        return here, gain
-
-
-def surrogate(posterior: LogPosterior, fit: BandFit, *, windows: bool = True) -> Surrogate:
-    """Return the law that proposals for a band's posterior are drawn from.
-
-    Without `windows` the log-likelihood as a whole is taken as quadratic, which costs no
-    prediction.
-    """
-    parameters, n = posterior.objective.parameters, posterior.n_kept
-    whole = prior_information(parameters, fit.vector)
-    prior = whole[:n, :n]
-    inner = posterior.inner
-    data = (fit.information - whole)[:n, :n] / posterior.flattening
-    slope = exponent_slopes(parameters, fit.vector)[:n]
-    if inner.size:
-        follow = posterior.follow * slope
-        data = data - follow.T @ inner @ follow
-    means = np.concatenate([b.prior_mean[b.fitted] for b in parameters.blocks])[:n]
-    pull = prior @ (fit.vector[:n] - means) / slope
-    size, directions = np.linalg.eigh(0.5 * (data + data.T))
-    data = (directions * np.maximum(size, 0.0)) @ directions.T
-    free = data + prior + 1e-6 * np.eye(n)
-    return Surrogate(
-        parameters,
-        np.array(fit.vector[:n]),
-        _windows(posterior, fit) if windows and not inner.size else None,
-        data / np.outer(slope, slope),
-        pull,
-        prior,
-        means,
-        np.asarray(np.linalg.inv(free)),
-    )
-
-
-def _windows(posterior: LogPosterior, fit: BandFit) -> Windows:
-    objective = posterior.objective
-    found, energies = objective.predict(fit.vector), objective.is_gamma()
-    count = objective.correlation_length() * posterior.flattening
-    variance = np.maximum(fit.variance, np.where(energies, (1e-3 * fit.expected) ** 2, 0.0))
-    slopes = _signal_slopes(objective, found, fit.vector)
-    weight = np.where(energies, found.expected**2, 1.0) / (variance * count)
-    return Windows(
-        objective.measured(),
-        found.signal,
-        found.expected - found.signal,
-        slopes,
-        _curvature(objective, slopes, fit.vector),
-        weight,
-        energies,
-    )
-
-
-def _signal_slopes(objective: Objective, found: Prediction, vector: FloatArray) -> FloatArray:
-    """Return the slopes of `Windows` at a point."""
-    by_exponent = found.jacobian / exponent_slopes(objective.parameters, vector)
-    least = 1e-9 * float(found.signal.max(initial=0.0)) + np.finfo(np.float64).tiny
-    scale = np.where(objective.is_gamma(), np.maximum(found.signal, least), 1.0)
-    return np.asarray(by_exponent / scale[:, None])
-
-
-def _curvature(objective: Objective, slopes: FloatArray, vector: FloatArray) -> FloatArray:
-    """Return the curvature of `Windows` from one more prediction an unknown."""
-    out = np.empty((*slopes.shape, vector.size))
-    for k in range(vector.size):
-        moved = np.array(vector)
-        moved[k] += _STEP
-        step = exponents(objective.parameters, np.stack((vector, moved)))
-        there = _signal_slopes(objective, objective.predict(moved), moved)
-        out[:, :, k] = (there - slopes) / max(float(step[1, k] - step[0, k]), 1e-12)
-    return 0.5 * (out + out.transpose(0, 2, 1))
