@@ -8,8 +8,8 @@ to go is short. Also: what one band's fit says to the next.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 from typing import NamedTuple, TypeAlias
@@ -214,14 +214,6 @@ _FIRST_DAMPING, _MOST_DAMPING, _LONGEST_STEP = 0.01, 1e8, 3.0
 _LEAST_GAIN = 1e-3
 
 
-class DecayRate(NamedTuple):
-    """What a band's data say of a relative change of its rate of decay, all else fitted along."""
-
-    information: float  # its inverse variance by the data alone, misfit included
-    score: float  # derivative of the log-likelihood by it, misfit included
-    step: FloatArray  # (n,), how far a change by 1 moves each unknown
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class BandFit:
     """Best free vector of one band, how it was found, and what is needed for its uncertainty."""
@@ -241,10 +233,6 @@ class BandFit:
     evaluations: int  # how often the response was weighed with its derivative
     ending: Ending
     previous: FloatArray | None = None  # (n_free,), the answer before the last step
-    # (n_free,), standard deviation of the answer if a term of its uncertainty were left out
-    costs: Mapping[str, FloatArray] = field(default_factory=dict)
-    decay: DecayRate | None = None  # where windows were fitted; its step (n_free,)
-    mean_costs: Mapping[str, float] = field(default_factory=dict)  # of the room's mean absorption
 
     @property
     def converged(self) -> bool:

@@ -160,7 +160,9 @@ def test_a_material_that_no_sound_meets_is_not_determined(tmp_path):
         )
         information = np.diag([1.0 / sd**2 + 4000.0, 1.0 / sd**2])
         vector = np.array([-1.0, mean])
-        found = absorption_intervals(Parameters((block,)), vector, information, 1.9)
+        found = absorption_intervals(
+            Parameters((block,)), vector, 1.9 * np.linalg.inv(information), 1.9
+        )
         assert (found.lower95[1], found.upper95[1]) == pytest.approx((low, high), abs=1e-5)
         assert found.upper95[0] - found.lower95[0] < 0.05
 

@@ -98,7 +98,7 @@ def test_a_tied_entry_has_its_leader_s_interval_and_counts_in_the_mean():
               leader=np.array([0, 1, 0]))  # fmt: skip
     p = Parameters((b,))
     vector, information = np.array([0.3, -0.4]), np.diag([400.0, 100.0])
-    found = absorption_intervals(p, vector, information, 1.0)
+    found = absorption_intervals(p, vector, np.linalg.inv(information), 1.0)
     for values in (found.absorption, found.lower95, found.upper95):
         assert values[2] == values[0]
     merged = Parameters((block("logit", 2, name="absorption"),))

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from coherent_cases import objective_of, small_term
-from roomfit.fit.systematics import with_shared_errors
+from roomfit.fit.systematics import effect_on_answer
 from roomfit.model.parameters import prior_residuals, start_vector
 from roomfit.solver import score_band
 from roomfit.uncertainty.gaussian import (
-    add_covariance,
     answer_steps,
     costs_of_terms,
+    fit_covariance,
     sd_without_term,
     weighted_mean_gradient,
 )
@@ -31,7 +31,9 @@ def costs(**changed):
     given = {"parts": PARTS, "shared": SHARED, "neighbours": NEIGHBOURS, "misfit": 1.3}
     given |= changed
     misfit = given.pop("misfit")
-    return sd_without_term(JACOBIAN, PRIOR, **given, known={"gain": np.array([2])}, misfit=misfit)
+    known = {"gain": np.array([2])}
+    found = sd_without_term(JACOBIAN, PRIOR, **given, known=known, misfit=misfit, along=np.zeros(3))
+    return {name: sd[:-1] for name, sd in found.items()}
 
 
 def plain(variance, prior, shared, misfit):
@@ -59,7 +61,9 @@ def test_each_term_left_out_is_the_information_of_the_others():
 
 
 def test_what_is_taken_for_known_is_no_unknown():
-    alone = sd_without_term(JACOBIAN[:, :2], PRIOR[:2, :2], PARTS, SHARED, NEIGHBOURS, {}, 1.3)[""]
+    alone = sd_without_term(
+        JACOBIAN[:, :2], PRIOR[:2, :2], PARTS, SHARED, NEIGHBOURS, {}, 1.3, np.zeros(2)
+    )[""][:-1]
     np.testing.assert_allclose(costs()["gain"], [*alone, 0.0], rtol=1e-9)
 
 
@@ -74,7 +78,7 @@ def test_no_part_of_a_variance_costs_less_than_nothing():
 def test_without_a_prior_nothing_is_known_where_the_data_say_nothing():
     nothing = np.array(JACOBIAN)
     nothing[:, 0] = 0.0
-    found = sd_without_term(nothing, PRIOR + np.eye(3), PARTS, {}, NEIGHBOURS, {})
+    found = sd_without_term(nothing, PRIOR + np.eye(3), PARTS, {}, NEIGHBOURS, {}, 1.0, np.ones(3))
     assert np.all(np.isinf(found["prior"]))
     assert np.all(np.isfinite(found[""]))
 
@@ -89,9 +93,10 @@ def test_all_terms_together_are_the_covariance_that_is_reported(centre_hz):
     assert set(parts) == {"interference", "positions", "rays", "noise", "model", "ringing"}
     errors = {"air": 0.1 * fit.expected[:, None]}
     there = objective.predict(fit.vector).jacobian
-    reported = add_covariance(fit, answer_steps(objective, fit, there, errors["air"]))
-    found = costs_of_terms(objective, fit, there, errors)
-    expected = np.sqrt(np.diag(np.linalg.inv(reported.information)) * max(fit.chi2_reduced, 1.0))
+    reported = fit_covariance(fit, answer_steps(objective, fit, there, errors["air"]))
+    areas_m2 = np.ones(len(objective.parameters.blocks[0].labels))
+    found, _ = costs_of_terms(objective, fit, there, errors, areas_m2)
+    expected = np.sqrt(np.diag(reported))
     np.testing.assert_allclose(found[""], expected, rtol=1e-6)
     _, rows = prior_residuals(objective.parameters, fit.vector)
     narrow = replace(objective.terms[0], model_error=0.0)
@@ -111,7 +116,6 @@ def test_a_mean_has_the_standard_deviation_of_its_direction():
     along = np.array([0.5, -0.2, 0.0])
     given = (PARTS, SHARED, NEIGHBOURS, {"gain": np.array([2])}, 1.3)
     found = sd_without_term(JACOBIAN, PRIOR, *given, along)
-    alone = sd_without_term(JACOBIAN, PRIOR, *given)
     both = PARTS["noise"] + PARTS["model"]
     for name, variance, shared in (
         ("", both, np.hstack((SHARED["air"], SHARED["model"]))),
@@ -122,7 +126,7 @@ def test_a_mean_has_the_standard_deviation_of_its_direction():
         steps = inverse @ JACOBIAN.T @ weight @ shared
         covariance = 1.3 * inverse + steps @ steps.T
         np.testing.assert_allclose(found[name][-1] ** 2, along @ covariance @ along, rtol=1e-9)
-        np.testing.assert_array_equal(found[name][:-1], alone[name])
+        np.testing.assert_allclose(found[name][:-1] ** 2, np.diag(covariance), rtol=1e-9)
 
 
 def test_the_mean_of_the_room_has_the_costs_of_its_own_interval():
@@ -131,10 +135,9 @@ def test_the_mean_of_the_room_has_the_costs_of_its_own_interval():
     fit = score_band(objective, start_vector(objective.parameters))
     areas_m2 = np.arange(1.0, 1.0 + len(objective.parameters.blocks[0].labels))
     errors = {"air": 0.1 * fit.expected[:, None], "decay": 0.2 * fit.expected[:, None]}
-    wider = with_shared_errors(objective, fit, errors, areas_m2=areas_m2)
-    phi = max(wider.chi2_reduced, 1.0)
+    found = effect_on_answer(objective, fit, errors, areas_m2)
     gradient = weighted_mean_gradient(objective.parameters, fit.vector, areas_m2 / areas_m2.sum())
-    variance = phi * gradient @ np.linalg.solve(wider.information, gradient)
-    np.testing.assert_allclose(wider.mean_costs[""] ** 2, variance, rtol=1e-6)
-    assert wider.mean_costs["interference"] < wider.mean_costs[""]
-    assert wider.costs[""].shape == fit.vector.shape
+    variance = gradient @ fit_covariance(fit, found.steps) @ gradient
+    np.testing.assert_allclose(found.mean_costs[""] ** 2, variance, rtol=1e-6)
+    assert found.mean_costs["interference"] < found.mean_costs[""]
+    assert found.costs[""].shape == fit.vector.shape

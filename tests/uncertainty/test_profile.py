@@ -22,7 +22,12 @@ from posterior_cases import (
 )
 from roomfit.model.parameters import Parameters, prior_residuals
 from roomfit.solver import BandFit, fit_band
-from roomfit.uncertainty.gaussian import FittedBand, absorption_intervals, band_estimate
+from roomfit.uncertainty.gaussian import (
+    FittedBand,
+    absorption_intervals,
+    band_estimate,
+    fit_covariance,
+)
 from roomfit.uncertainty.intervals import LEAST_SIDE, Refinement, profiled
 from roomfit.uncertainty.profile import RISE95, may_be_bent, profile, profile_curve
 
@@ -157,9 +162,8 @@ def test_intervals_of_hard_walls_hold_the_truth_as_often_as_they_say():
         problem = hard_wall_case(rng, a)
         fit = fitted(problem)
         found = profile(problem, fit, 0)
-        gauss = absorption_intervals(
-            problem.parameters, fit.vector, fit.information, fit.chi2_reduced
-        )
+        how = fit_covariance(fit), fit.chi2_reduced
+        gauss = absorption_intervals(problem.parameters, fit.vector, *how)
         ends = 1.0 / (1.0 + np.exp(-np.array([found.lower, found.upper])))
         held.append(ends[0] <= a <= ends[1])
         widths.append((ends[1] - ends[0], gauss.upper95[0] - gauss.lower95[0]))
@@ -173,7 +177,7 @@ def test_profiles_replace_gaussian_intervals_where_they_are_skew_and_are_named()
     problem = decay_case(rng, np.array([0.02, 0.5]))
     fit = fitted(problem)
     gauss = band_estimate(problem.parameters, fit, "energy")
-    better = profiled(problem, fit, gauss)
+    better = profiled(FittedBand(gauss, problem, fit))
     assert set(better.kinds) <= {"gaussian", "profile"}
     assert "profile" in better.kinds
     for i, kind in enumerate(better.kinds):
@@ -202,8 +206,9 @@ def logits(a):
 def test_what_a_fit_does_not_know_of_widens_either_side_of_a_profile_by_itself():
     """Rays add 0.2 to the standard deviation of a logit: each side as a root of squares."""
     problem, fit, plain = skew_case()
+    steps = 0.2 * np.eye(2, fit.vector.size).T
     more = replace(plain, logit_covariance=plain.logit_covariance + 0.04 * np.eye(2))
-    found = profiled(problem, fit, more)
+    found = profiled(FittedBand(more, problem, fit, steps))
     assert "profile" in found.kinds
     for own in np.flatnonzero(np.array(found.kinds) == "profile"):
         line, at = profile(problem, fit, int(own)), fit.vector[own]

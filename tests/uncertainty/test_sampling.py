@@ -62,9 +62,7 @@ def test_values_that_two_walls_explain_either_way_are_drawn_either_way():
 
 def test_draws_for_predictions_are_those_of_the_seed():
     """Two seeds differ and one repeats itself."""
-    case = exact_values(
-        decay_case(np.random.default_rng(4), np.array([0.2, 0.4]), gain=False), 0.3
-    )
+    case = exact_values(decay_case(np.random.default_rng(4), np.array([0.2, 0.4]), gain=False), 0.3)
     fit = fit_band(case)
     band = FittedBand(band_estimate(case.parameters, fit, "values"), case, fit)
     one, two, again = (Refinement(False, seed, n_draws=16)(band) for seed in (1, 2, 2))

@@ -1,4 +1,4 @@
-"""The absorption of every band estimated: by energies, or by pressures where they explain more."""
+"""The absorption of every band estimated by window energies and room parameters."""
 
 from __future__ import annotations
 
@@ -22,11 +22,7 @@ from roomfit.fit.directivity import (
 from roomfit.fit.fits import BandFits
 from roomfit.fit.measurements import Measurements
 from roomfit.fit.paths import TracedPaths
-from roomfit.fit.systematics import (
-    relative_errors,
-    shared_errors,
-    with_shared_errors,
-)
+from roomfit.fit.systematics import effect_on_answer, relative_errors, shared_errors
 from roomfit.materials.priors import MaterialPrior
 from roomfit.model.directivity import (
     BandDirectivities,
@@ -40,36 +36,7 @@ from roomfit.model.room_parameters import value_terms, without_responses
 from roomfit.room.scene import material_areas_m2
 from roomfit.settings import Settings
 from roomfit.solver import BandFit
-from roomfit.uncertainty.gaussian import BandEstimate, Refine, SharedCovariance
-
-
-def shared_error_covariance(measured: Measurements, traced: TracedPaths) -> SharedCovariance:
-    """Return what adds to a band's fit the covariance of the errors that its windows share.
-
-    Room parameters without responses stay as they are.
-    """
-    scene, bands = measured.scene, measured.bands
-    areas_m2 = material_areas_m2(scene.room)
-
-    def add_shared_errors(band: int, objective: Objective, fit: BandFit) -> BandFit:
-        windows = objective.as_energies(fit.vector)
-        if windows is None or not fit.vector.size:
-            return fit
-        files = fitted_in_band(measured.responses, band)
-        sources = [int(scene.pairs[m.pair][0]) for m in files]
-        walls = physical_values(objective.parameters, fit.vector)[0]["absorption"]
-        relative = relative_errors(
-            scene.air,
-            bands,
-            windows,
-            traced.paths,
-            walls,
-            (traced.scattering, traced.scattering_sd),
-        )
-        shared = shared_errors(objective, fit, sources, relative)
-        return with_shared_errors(objective, fit, shared, areas_m2=areas_m2)
-
-    return add_shared_errors
+from roomfit.uncertainty.gaussian import BandEstimate, Refine, SharedErrors
 
 
 def estimate_energies(
@@ -83,6 +50,8 @@ def estimate_energies(
 ) -> BandFits:
     """Estimate the absorption of every band by window energies and room parameters.
 
+    Where data contradict a source that was taken for omnidirectional, its directivity is fitted.
+
     Shapes: `start` (n_bands,).
     """
     unknown = directivity_parameters(measured, settings)
@@ -93,24 +62,24 @@ def estimate_energies(
     ) -> BandFits:
         directivities = directed_energies(measured, priors, traced, start, unknown)
         objective_of = energy_objectives(measured, priors, traced, start, directivities)
-        score = None
-        if tested is not None:
-            score = source_scorer(measured, traced, tested)
-        shared, n = shared_error_covariance(measured, traced), len(measured.bands)
+        score = None if tested is None else source_scorer(measured, traced, tested)
+        n = len(measured.bands)
+
+        def errors(band: int, objective: Objective, fit: BandFit) -> SharedErrors | None:
+            return _shared_errors(measured, traced, band, objective, fit)
 
         def answer(band: int) -> tuple[BandEstimate, DirectivityScore | None]:
             done = part(progress, band / n, (band + 1) / n)
-            own = fitted_band(band, objective_of(band), priors, settings, done, shared)
+            own = fitted_band(band, objective_of(band), priors, settings, done, errors)
             against: DirectivityScore | None = None
             if score is not None and own.objective is not None and own.fit is not None:
                 against = score(band, own.objective, own.fit)
             return refine(own), against
 
-        answers = in_forks(answer, range(n))
-        scores = {band: score for band, (_, score) in enumerate(answers) if score is not None}
-        estimates = tuple(found for found, _ in answers)
+        estimates, scores = zip(*in_forks(answer, range(n)), strict=True)
         found = band_directivities(measured.scene, unknown, directivities, estimates)
-        against = contradicted_sources(tested, scores)
+        known = {band: score for band, score in enumerate(scores) if score is not None}
+        against = contradicted_sources(tested, known)
         return BandFits(
             estimates, directivities=found, unknown_sources=unknown, contradicted=against
         )
@@ -120,6 +89,21 @@ def estimate_energies(
     if not against or tested is None or settings.quick or not is_fittable(measured, settings):
         return fits
     return replace(estimated(with_fitted_sources(unknown, tested), None), contradicted=against)
+
+
+def _shared_errors(
+    measured: Measurements, traced: TracedPaths, band: int, objective: Objective, fit: BandFit
+) -> SharedErrors | None:
+    """Return what errors that windows share do to a band's fit; None without responses."""
+    scene, windows = measured.scene, objective.as_energies(fit.vector)
+    if windows is None or not fit.vector.size:
+        return None
+    sources = [int(scene.pairs[m.pair][0]) for m in fitted_in_band(measured.responses, band)]
+    walls = physical_values(objective.parameters, fit.vector)[0]["absorption"]
+    scattering = traced.scattering, traced.scattering_sd
+    known = scene.air, measured.bands, windows, traced.paths, walls, scattering
+    shared = shared_errors(objective, fit, sources, relative_errors(*known))
+    return effect_on_answer(objective, fit, shared, material_areas_m2(scene.room))
 
 
 def energy_objectives(

@@ -11,7 +11,6 @@ within it with its neighbours.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -26,11 +25,12 @@ from roomfit.model.patterns import directed_rows
 from roomfit.model.problem import Objective, Prediction
 from roomfit.model.weighing import weigh
 from roomfit.model.windows import in_windows
-from roomfit.solver import BandFit, DecayRate
+from roomfit.solver import BandFit
 from roomfit.tracing.paths import Paths
 from roomfit.uncertainty.gaussian import (
     BandEstimate,
-    add_covariance,
+    DecayRate,
+    SharedErrors,
     answer_steps,
     costs_of_terms,
 )
@@ -108,19 +108,19 @@ def shared_errors(
     }
 
 
-def with_shared_errors(
+def effect_on_answer(
     objective: Objective,
     fit: BandFit,
     shared: Mapping[str, FloatArray],
+    areas_m2: FloatArray,
     there: Prediction | None = None,
-    areas_m2: FloatArray | None = None,
-) -> BandFit:
-    """Return a fit whose information allows for the errors that its windows share.
+) -> SharedErrors:
+    """Return what the errors that a fit's windows share do to its answer [1]_.
 
-    The covariance of the answer's shifts (`roomfit.uncertainty.gaussian.answer_steps`) by these
-    `shared_errors` is added [1]_, of the rate of decay kept apart. `costs` of the fit says how well
-    the unknowns were known without one term or the other, and `mean_costs`, with `areas_m2` of all
-    materials, the mean of the room. `there` is the fit's prediction, where it is known.
+    Its shifts by these `shared_errors` (`roomfit.uncertainty.gaussian.answer_steps`), of the rate
+    of decay kept apart; and how well the unknowns, and the mean of a room with such areas of its
+    materials, were known without one term or the other. `there` is the fit's prediction, where it
+    is known.
 
     References
     ----------
@@ -131,10 +131,8 @@ def with_shared_errors(
     rate = decay_rate(objective, fit, jacobian, shared["decay"])
     shared = {name: errors for name, errors in shared.items() if name != "decay"}
     costs = costs_of_terms(objective, fit, jacobian, shared, areas_m2)
-    mean = {} if areas_m2 is None else {name: float(sd[-1]) for name, sd in costs.items()}
-    costs = {name: sd[: fit.vector.size] for name, sd in costs.items()}
     steps = answer_steps(objective, fit, jacobian, np.concatenate(list(shared.values()), axis=1))
-    return replace(add_covariance(fit, steps), costs=costs, mean_costs=mean, decay=rate)
+    return SharedErrors(steps, *costs, rate)
 
 
 def relative_errors(

@@ -42,10 +42,10 @@ from roomfit.fit.outliers import (
 from roomfit.fit.paths import TracedPaths, trim_memory
 from roomfit.fit.systematics import (
     SLOT_S,
+    effect_on_answer,
     middles_s,
     relative_errors,
     shared_errors,
-    with_shared_errors,
 )
 from roomfit.materials.priors import MaterialPrior
 from roomfit.model.binned import BinnedPaths
@@ -97,6 +97,7 @@ from roomfit.uncertainty.gaussian import (
     FittedBand,
     absorption_intervals,
     band_estimate,
+    fit_covariance,
 )
 
 # Shortest window in units of 1 / B: finer ones than energies need tell of phases.
@@ -558,8 +559,8 @@ def _log_first_answer(state: SequentialState, fits: Sequence[CoherentBandFit | N
         parameters, found = own.energies.parameters, own.energy_fit
         if fit is not None and not evidences[b, 1] < evidences[b, 0]:
             parameters, found = fit.parameters, fit.fit
-        how = parameters, found.vector, found.information, found.chi2_reduced
-        at = absorption_intervals(*how)
+        how = fit_covariance(found), found.chi2_reduced
+        at = absorption_intervals(parameters, found.vector, *how)
         numbers = 100.0 * np.stack([at.absorption, at.lower95, at.upper95], axis=1)
         entries = [f"{a:.0f} ({low:.0f}-{high:.0f})" for a, low, high in numbers]
         columns.append([f"{state.task.bands.centres_hz[b]:g} Hz", *entries])
@@ -643,12 +644,12 @@ def coherent_estimate(fit: CoherentFit, b: int) -> FittedBand | None:
     if band is None or found is None or errors is None:
         return None
     objective = found.objective(band)
-    noisy = with_shared_errors(objective, found.fit, *errors, areas_m2)
-    own = band_estimate(objective.parameters, noisy, "coherent")
+    effect = effect_on_answer(objective, found.fit, errors[0], areas_m2, errors[1])
+    own = band_estimate(objective.parameters, found.fit, "coherent", effect)
     own = replace(own, window_decays_s=_window_decays_s(band.coherent.energies, found.fit))
     lost = float(fit.log_evidences[b, 0] - fit.log_evidences[b, 1])
     beaten = task.settings.model != "coherent" and lost >= UNDECIDED
-    return FittedBand(own) if beaten else FittedBand(own, objective, found.fit)
+    return FittedBand(own) if beaten else FittedBand(own, objective, found.fit, effect.steps)
 
 
 def _window_decays_s(windows: EnergyTerm, fit: BandFit) -> dict[str, FloatArray]:
@@ -729,9 +730,9 @@ def energy_estimates(fit: CoherentFit) -> Callable[[int], FittedBand | None]:
         own_fit = fit_band(objective, max_rounds=task.settings.max_rounds)
         relative = _relative_errors(state, objective, own_fit, windows)
         shared = shared_errors(objective, own_fit, _sources(task, number), relative)
-        noisy = with_shared_errors(objective, own_fit, shared, areas_m2=areas_m2)
-        answer = band_estimate(objective.parameters, noisy, "energy")
-        return FittedBand(answer, objective, own_fit)
+        effect = effect_on_answer(objective, own_fit, shared, areas_m2)
+        answer = band_estimate(objective.parameters, own_fit, "energy", effect)
+        return FittedBand(answer, objective, own_fit, effect.steps)
 
     return estimate
 

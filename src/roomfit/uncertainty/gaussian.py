@@ -10,8 +10,8 @@ Birge, Phys. Rev. 40, 207-227 (1932)).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import TypeAlias
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -38,7 +38,7 @@ from roomfit.model.parameters import (
     to_physical,
 )
 from roomfit.model.problem import Objective
-from roomfit.solver import BandFit, DecayRate, Ending
+from roomfit.solver import BandFit, Ending
 from roomfit.uncertainty.profile import Profile
 
 WIDEST_IDENTIFIABLE = 0.2
@@ -49,37 +49,120 @@ _INFORMATION_SHARE = 0.1
 _MOST_MOVED = 3
 
 
+class DecayRate(NamedTuple):
+    """What a band's data say of a relative change of its rate of decay, all else fitted along."""
+
+    information: float  # its inverse variance by the data alone, misfit included
+    score: float  # derivative of the log-likelihood by it, misfit included
+    step: FloatArray  # (n,), how far a change by 1 moves each unknown
+
+
+class SharedErrors(NamedTuple):
+    """What errors that all windows of a band share do to the answer of its fit."""
+
+    steps: FloatArray  # (n_free, n_errors), shifts of the answer, one standard deviation each
+    costs: Mapping[str, FloatArray]  # (n_free,), see `sd_without_term`
+    mean_costs: Mapping[str, float]  # likewise, of the room's mean absorption
+    decay: DecayRate
+
+
+class Starts(NamedTuple):
+    """Where least squares from random starts ended."""
+
+    number: int  # of random starts
+    agreeing: int  # of them, within the interval of the best
+    other: FloatArray | None  # (n_materials,), the likeliest outside of it that explains data alike
+    loss: float  # by how much its log-likelihood, prior included, is lower
+
+
+class MirrorTrial(NamedTuple):
+    """Where a second fit ended that began with absorptions exchanged by a symmetry."""
+
+    absorption: FloatArray  # (n_materials,)
+    gain: float  # its log-likelihood less that of the first fit
+    evaluations: int = 0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class AbsorptionIntervals:
-    """Absorption of every material in one band with its 95 % interval."""
+class BandEstimate:
+    """Absorption of the materials in one band."""
 
     absorption: FloatArray  # (n_materials,), and so the next three
     lower95: FloatArray
     upper95: FloatArray
-    covariance: FloatArray  # (n_free, n_free), of the free vector, misfit included
+    logit_mean: FloatArray  # logit of the absorption
+    # (n_materials, n_materials), its posterior, misfit included; zeros where absorption is fixed
+    logit_covariance: FloatArray
+    chi2_reduced: float  # 0 where nothing was fitted, and so the cost
+    cost: float
+    evaluations: int  # of the model with its derivative: fits, starts, profiles, draws
+    ending: Ending
+    model: str  # "energy", "coherent", "values", or "prior" where nothing was fitted
+    # free numbers of the sources' unknown directivity, (n,), and their covariance, misfit included
+    directivity: tuple[FloatArray, FloatArray] | None = None
+    chi2_beside: float = 0.0  # of another model, where its intervals are joined to these
+    # how each interval was made: "gaussian", "profile", "given", or "none" where the
+    # data determine nothing
+    kinds: tuple[str, ...] = ()
+    profiles: tuple[Profile, ...] = ()  # of some absorptions, `entry` counting materials
+    # (n_draws, n_materials), of the posterior, for predictions; None: not drawn
+    draws: FloatArray | None = None
+    mirrors: tuple[MirrorTrial, ...] = ()  # one a symmetry
+    starts: Starts | None = None  # where random starts were tried
+    moved: tuple[str, ...] = ()  # of a fit that did not converge: what the last round moved most
+    # (n_materials,), sd in the logit by which term were left out, see `sd_without_term`
+    costs: Mapping[str, FloatArray] = field(default_factory=dict)
+    decay: DecayRate | None = None  # its step in absorption, (n_materials,)
+    # as `costs`, of the area-weighted mean absorption, not in the logit
+    mean_costs: Mapping[str, float] = field(default_factory=dict)
+    # by parameter, (2, n_files): decay of each file's windows in s, measured and as fitted, where
+    # pressures were fitted
+    window_decays_s: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit met its test of convergence."""
+        return self.ending.converged
+
+
+class FittedBand(NamedTuple):
+    """A band with its Gaussian estimate, and the fit from which better intervals can be found."""
+
+    estimate: BandEstimate
+    objective: Objective | None = None  # None, as the fit, where only the prior is known
+    fit: BandFit | None = None
+    steps: FloatArray | None = None  # (n_free, n_errors), of errors that its windows share
+
+
+Refine: TypeAlias = Callable[[FittedBand], BandEstimate]
+
+
+class AbsorptionIntervals(NamedTuple):
+    """Absorption of every material in one band with its 95 % interval."""
+
+    absorption: FloatArray  # (n_materials,), and so the next two
+    lower95: FloatArray
+    upper95: FloatArray
 
 
 def absorption_intervals(
-    parameters: Parameters, vector: FloatArray, information: FloatArray, chi2_reduced: float
+    parameters: Parameters, vector: FloatArray, covariance: FloatArray, chi2_reduced: float
 ) -> AbsorptionIntervals:
     """Return symmetric intervals of logit absorption, mapped to absorption.
 
-    The covariance is the inverse information times max(phi, 1): a misfit widens every interval.
     These are local, Gaussian intervals: they know nothing of a second minimum, and near absorption
     0 or 1 their true coverage is not 95 %. A material of which the data determine nothing, even if
     all others were known, has the interval of the prior that was stated, 0 to 1 if none was.
+
+    Shapes: `vector` (n_free,), `covariance` (n_free, n_free), misfit included.
     """
-    covariance = np.linalg.inv(information) * max(chi2_reduced, 1.0)
-    block = absorption_of(parameters)
-    n = int(np.count_nonzero(block.fitted))
-    first = position_of(parameters, "absorption")
-    sd: FloatArray = np.zeros(len(block.labels))
-    sd[block.fitted] = np.sqrt(np.diag(covariance)[first : first + n])
-    free = np.zeros(len(block.labels))
-    free[block.fitted] = vector[first : first + n]
-    values, _ = physical_values(parameters, vector)
-    absorption = values["absorption"]
-    uninformed = _is_uninformed(block, np.diag(information)[first : first + n])
+    block, own = absorption_of(parameters), _absorption_entries(parameters)
+    sd, free = np.zeros((2, len(block.labels)))
+    sd[block.fitted] = np.sqrt(np.diag(covariance)[own])
+    free[block.fitted] = vector[own]
+    absorption = physical_values(parameters, vector)[0]["absorption"]
+    information = np.diag(np.linalg.inv(covariance))[own] * max(chi2_reduced, 1.0)
+    uninformed = _is_uninformed(block, information)
     # a misfit says nothing against what was stated
     sd = np.where(uninformed, block.prior_sd, sd)
     lower, upper = (
@@ -91,28 +174,13 @@ def absorption_intervals(
     uninformed &= is_default_prior(block.prior_mean, shared_sd)
     lower, upper = np.where(uninformed, 0.0, lower), np.where(uninformed, 1.0, upper)
     leader = leaders(block)
-    return AbsorptionIntervals(
-        absorption,
-        lower[leader],
-        upper[leader],
-        np.asarray(covariance, dtype=np.float64),
-    )
+    return AbsorptionIntervals(absorption, lower[leader], upper[leader])
 
 
-def weighted_mean_gradient(
-    parameters: Parameters, vector: FloatArray, weights: FloatArray
-) -> FloatArray:
-    """Return the derivative of a weighted mean of the absorptions by the free numbers, (n_free,).
-
-    0 by gains, geometry and directivity. `weights`, (n_materials,), have the sum 1.
-    """
-    _, slopes = physical_values(parameters, vector)
-    block = absorption_of(parameters)
-    whole = np.bincount(leaders(block), weights * slopes["absorption"], len(block.labels))
-    gradient: FloatArray = np.zeros(vector.size)
+def _absorption_entries(parameters: Parameters) -> slice:
+    """Return where the fitted absorptions stand in a free vector."""
     first = position_of(parameters, "absorption")
-    gradient[first : first + int(np.count_nonzero(block.fitted))] = whole[block.fitted]
-    return gradient
+    return slice(first, first + int(np.count_nonzero(absorption_of(parameters).fitted)))
 
 
 def _is_uninformed(block: Block, information: FloatArray) -> BoolArray:
@@ -146,17 +214,29 @@ def answer_steps(
     return np.asarray(np.linalg.solve(fit.information, pull))
 
 
-def add_covariance(fit: BandFit, steps: FloatArray) -> BandFit:
-    """Return a fit whose covariance has the outer products of steps of its answer added.
+def fit_covariance(fit: BandFit, steps: FloatArray | None = None) -> FloatArray:
+    """Return the covariance of a fit's free numbers, misfit and steps of its answer included.
 
     Shapes: `steps` (n_free, n_errors).
     """
-    if not np.any(steps):
-        return fit
-    # misfit multiplies the covariance later on; these errors are as large as they are
-    more = steps @ steps.T / max(fit.chi2_reduced, 1.0)
-    information = np.linalg.inv(np.linalg.inv(fit.information) + more)
-    return replace(fit, information=0.5 * (information + information.T))
+    covariance = np.linalg.inv(fit.information) * max(fit.chi2_reduced, 1.0)
+    # these errors are as large as they are: a misfit does not multiply them
+    return np.asarray(covariance if steps is None else covariance + steps @ steps.T)
+
+
+def weighted_mean_gradient(
+    parameters: Parameters, vector: FloatArray, weights: FloatArray
+) -> FloatArray:
+    """Return the derivative of a weighted mean of the absorptions by the free numbers, (n_free,).
+
+    0 by gains, geometry and directivity. `weights`, (n_materials,), have the sum 1.
+    """
+    _, slopes = physical_values(parameters, vector)
+    block = absorption_of(parameters)
+    whole = np.bincount(leaders(block), weights * slopes["absorption"], len(block.labels))
+    gradient: FloatArray = np.zeros(vector.size)
+    gradient[_absorption_entries(parameters)] = whole[block.fitted]
+    return gradient
 
 
 def costs_of_terms(
@@ -164,11 +244,11 @@ def costs_of_terms(
     fit: BandFit,
     jacobian: FloatArray,
     shared: Mapping[str, FloatArray],
-    areas_m2: FloatArray | None = None,
-) -> dict[str, FloatArray]:
-    """Return `sd_without_term` of a fit, gains and other blocks of unknowns among what is known.
+    areas_m2: FloatArray,
+) -> tuple[dict[str, FloatArray], dict[str, float]]:
+    """Return `sd_without_term` of a fit, (n_free,), and of the mean absorption of the room.
 
-    With areas, the last entry is the standard deviation of the mean absorption of the room.
+    Gains and other blocks of unknowns are among what is known.
 
     Shapes: `jacobian` (n_data, n_free), `shared` (n, n_errors), `areas_m2` (n_materials,).
     """
@@ -180,7 +260,7 @@ def costs_of_terms(
         for b, first, last in zip(parameters.blocks, ends[:-1], ends[1:], strict=True)
         if b.name != "absorption" and last > first
     }
-    return sd_without_term(
+    found = sd_without_term(
         jacobian,
         rows.T @ rows,
         objective.variance_parts(fit.vector),
@@ -188,10 +268,9 @@ def costs_of_terms(
         objective.correlation_length(),
         known,
         max(fit.chi2_reduced, 1.0),
-        None
-        if areas_m2 is None
-        else weighted_mean_gradient(parameters, fit.vector, areas_m2 / areas_m2.sum()),
+        weighted_mean_gradient(parameters, fit.vector, areas_m2 / areas_m2.sum()),
     )
+    return {k: sd[:-1] for k, sd in found.items()}, {k: float(sd[-1]) for k, sd in found.items()}
 
 
 def sd_without_term(
@@ -201,8 +280,8 @@ def sd_without_term(
     shared: Mapping[str, FloatArray],
     neighbours: FloatArray,
     known: Mapping[str, IntArray],
-    misfit: float = 1.0,
-    along: FloatArray | None = None,
+    misfit: float,
+    along: FloatArray,
 ) -> dict[str, FloatArray]:
     """Return how well unknowns are known with all terms of the uncertainty, and without each.
 
@@ -211,20 +290,20 @@ def sd_without_term(
     the answer. Without a term the weights are those that suit the others.
 
     By what is left out, "" for nothing, "neighbours", "misfit" and "prior" among it; 0 of what is
-    taken for known, infinite where without the prior nothing is determined. `shared`: one standard
-    deviation a column. `known`: unknowns that may be taken for known.
+    taken for known, infinite where without the prior nothing is determined. The last entry is that
+    of the sum of all unknowns weighed by `along`. `shared`: one standard deviation a column.
+    `known`: unknowns that may be taken for known.
 
-    Shape (n_free,). Shapes: `jacobian` (n_data, n_free), `prior` (n_free, n_free), `parts`
+    Shape (n_free + 1,). Shapes: `jacobian` (n_data, n_free), `prior` (n_free, n_free), `parts`
     (n_data,), `shared` (n, n_errors), `neighbours` (n_data,), `along` (n_free,).
     """
     others = np.concatenate([*known.values(), []])
-    wanted = np.vstack((np.eye(len(prior)), *(() if along is None else (along[None],))))
+    wanted = np.vstack((np.eye(len(prior)), along))
 
     def sds(without: str) -> FloatArray:
         kept = [part for name, part in parts.items() if name != without]
-        weight = 1.0 / np.maximum(
-            np.sum(kept, axis=0), 1e-12 * np.sum(list(parts.values()), axis=0)
-        )
+        least = 1e-12 * np.sum(list(parts.values()), axis=0)
+        weight = 1.0 / np.maximum(np.sum(kept, axis=0), least)
         weight /= 1.0 if without == "neighbours" else neighbours
         free = np.setdiff1d(np.arange(len(prior)), known.get(without, []))
         rows, own = jacobian[:, free], wanted[:, free]  # zeros of what is taken for known
@@ -249,122 +328,50 @@ def sd_without_term(
     return {name: sds(name) for name in dict.fromkeys(names)}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Starts:
-    """Where least squares from random starts ended."""
+def band_estimate(
+    parameters: Parameters, fit: BandFit, model: str, shared: SharedErrors | None = None
+) -> BandEstimate:
+    """Return one band's absorption of each material, errors that its windows share included."""
+    covariance = fit_covariance(fit, None if shared is None else shared.steps)
+    found = absorption_intervals(parameters, fit.vector, covariance, fit.chi2_reduced)
+    block, own = absorption_of(parameters), _absorption_entries(parameters)
+    leader, fitted = leaders(block), np.flatnonzero(block.fitted)
+    whole: FloatArray = np.zeros((leader.size, leader.size))
+    whole[np.ix_(fitted, fitted)] = covariance[own, own]
 
-    number: int  # of random starts
-    agreeing: int  # of them, within the interval of the best
-    other: FloatArray | None  # (n_materials,), the likeliest outside of it that explains data alike
-    loss: float  # by how much its log-likelihood, prior included, is lower
+    def of_materials(values: FloatArray) -> FloatArray:
+        """Return what belongs to fitted entries for all materials, 0 where fixed."""
+        every = np.zeros(leader.size)
+        every[fitted] = values[own]
+        return every[leader]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MirrorTrial:
-    """Where a second fit ended that began with absorptions exchanged by a symmetry."""
-
-    absorption: FloatArray  # (n_materials,)
-    gain: float  # its log-likelihood less that of the first fit
-    evaluations: int = 0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BandEstimate:
-    """Absorption of the materials in one band."""
-
-    absorption: FloatArray  # (n_materials,), and so the next three
-    lower95: FloatArray
-    upper95: FloatArray
-    logit_mean: FloatArray  # logit of the absorption
-    # (n_materials, n_materials), its posterior, misfit included; zeros where absorption is fixed
-    logit_covariance: FloatArray
-    chi2_reduced: float  # 0 where nothing was fitted, and so the cost
-    cost: float
-    evaluations: int  # of the model with its derivative: fits, starts, profiles, draws
-    ending: Ending
-    model: str  # "energy", "coherent", "values", or "prior" where nothing was fitted
-    # free numbers of the sources' unknown directivity, (n,), and their covariance, misfit included
-    directivity: tuple[FloatArray, FloatArray] | None = None
-    chi2_beside: float = 0.0  # of another model, where its intervals are joined to these
-    # how each interval was made: "gaussian", "profile", "given", or "none" where the
-    # data determine nothing; empty: all Gaussian
-    kinds: tuple[str, ...] = ()
-    profiles: tuple[Profile, ...] = ()  # of some absorptions, `entry` counting materials
-    # (n_draws, n_materials), of the posterior, for predictions; None: not drawn
-    draws: FloatArray | None = None
-    mirrors: tuple[MirrorTrial, ...] = ()  # one a symmetry
-    starts: Starts | None = None  # where random starts were tried
-    moved: tuple[str, ...] = ()  # of a fit that did not converge: what the last round moved most
-    # (n_materials,), sd in the logit by which term were left out, see `sd_without_term`
-    costs: Mapping[str, FloatArray] = field(default_factory=dict)
-    decay: DecayRate | None = None  # its step in absorption, (n_materials,)
-    # as `costs`, of the area-weighted mean absorption, not in the logit
-    mean_costs: Mapping[str, float] = field(default_factory=dict)
-
-    # by parameter, (2, n_files): decay of each file's windows in s, measured and as fitted, where
-    # pressures were fitted
-    window_decays_s: Mapping[str, FloatArray] = field(default_factory=dict)
-
-    @property
-    def converged(self) -> bool:
-        """Whether the fit met its test of convergence."""
-        return self.ending.converged
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FittedBand:
-    """A band with its Gaussian estimate, and the fit from which better intervals can be found."""
-
-    estimate: BandEstimate
-    objective: Objective | None = None  # None, as the fit, where only the prior is known
-    fit: BandFit | None = None
-
-
-Refine: TypeAlias = Callable[[FittedBand], BandEstimate]
-
-SharedCovariance: TypeAlias = Callable[[int, Objective, BandFit], BandFit]
-
-
-def band_estimate(parameters: Parameters, fit: BandFit, model: str) -> BandEstimate:
-    """Return one band's absorption of each material and of the room as a whole."""
-    found = absorption_intervals(parameters, fit.vector, fit.information, fit.chi2_reduced)
-    block = absorption_of(parameters)
-    own: FloatArray = np.zeros((block.fitted.size, block.fitted.size))
-    fitted = np.flatnonzero(block.fitted)
-    first = position_of(parameters, "absorption")
-    chosen = slice(first, first + fitted.size)
-    own[np.ix_(fitted, fitted)] = found.covariance[chosen, chosen]
-    leader = leaders(block)
-    covariance = own[np.ix_(leader, leader)]
-    decay = fit.decay
-    if decay is not None:
+    decay, costs, mean_costs = None, {}, dict[str, float]()
+    if shared is not None:
         slope = physical_values(parameters, fit.vector)[1]["absorption"]
-        decay = decay._replace(step=slope * _of_materials(block, decay.step[chosen]))
+        decay = shared.decay._replace(step=slope * of_materials(shared.decay.step))
+        costs = {name: of_materials(sd) for name, sd in shared.costs.items()}
+        mean_costs = dict(shared.mean_costs)
+    directivity = None
+    for sources in (b for b in parameters.blocks if b.name == DIRECTIVITY):
+        first = position_of(parameters, DIRECTIVITY)
+        at = slice(first, first + len(sources.labels))
+        directivity = fit.vector[at], covariance[at, at]
     return BandEstimate(
-        found.absorption,
-        found.lower95,
-        found.upper95,
+        *found,
         to_free(block, found.absorption),
-        covariance,
+        whole[np.ix_(leader, leader)],
         fit.chi2_reduced,
         fit.cost,
         fit.evaluations,
         fit.ending,
         model,
-        _directivity(parameters, fit.vector, found.covariance),
+        directivity,
         kinds=_kinds(found.lower95, found.upper95, block.fitted[leader]),
         moved=() if fit.converged else _moved(parameters, fit),
-        costs={name: _of_materials(block, sd[chosen]) for name, sd in fit.costs.items()},
+        costs=costs,
         decay=decay,
-        mean_costs=fit.mean_costs,
+        mean_costs=mean_costs,
     )
-
-
-def _of_materials(block: Block, fitted: FloatArray) -> FloatArray:
-    """Return what belongs to the fitted entries of a block for all of them, 0 where fixed."""
-    own = np.zeros(len(block.labels))
-    own[block.fitted] = fitted
-    return own[leaders(block)]
 
 
 def _moved(parameters: Parameters, fit: BandFit) -> tuple[str, ...]:
@@ -377,13 +384,12 @@ def _moved(parameters: Parameters, fit: BandFit) -> tuple[str, ...]:
         return ()
     sds = np.abs(fit.vector - fit.previous) / np.sqrt(np.diag(np.linalg.inv(fit.information)))
     before, after = (physical_values(parameters, v)[0] for v in (fit.previous, fit.vector))
-    entries = [(b.name, i) for b in parameters.blocks for i in np.flatnonzero(b.fitted)]
-    labels = {b.name: b.labels for b in parameters.blocks}
+    entries = [(b, i) for b in parameters.blocks for i in np.flatnonzero(b.fitted)]
     return tuple(
-        f"{name} of {labels[name][i]} from {before[name][i]:.3g} to {after[name][i]:.3g}"
+        f"{b.name} of {b.labels[i]} from {before[b.name][i]:.3g} to {after[b.name][i]:.3g}"
         for n in np.argsort(-sds)[:_MOST_MOVED]
         if sds[n] > 0.0
-        for name, i in (entries[n],)
+        for b, i in (entries[n],)
     )
 
 
@@ -395,24 +401,12 @@ def _kinds(lower: FloatArray, upper: FloatArray, fitted: BoolArray) -> tuple[str
     )
 
 
-def _directivity(
-    parameters: Parameters, vector: FloatArray, covariance: FloatArray
-) -> tuple[FloatArray, FloatArray] | None:
-    block = next((b for b in parameters.blocks if b.name == DIRECTIVITY), None)
-    if block is None:
-        return None
-    first = position_of(parameters, DIRECTIVITY)
-    own = slice(first, first + len(block.labels))
-    return vector[own], covariance[own, own]
-
-
 def prior_absorptions(
     priors: tuple[MaterialPrior, ...], band: int, n_draws: int, rng: np.random.Generator
 ) -> FloatArray:
     """Return draws of absorption from the priors alone, shape (n_draws, n_materials)."""
     mean, covariance = prior_logit_law(priors)
     noise = rng.standard_normal((len(priors), n_draws))
-    names = [k.name for k in priors]
     own = np.array([i for i, k in enumerate(priors) if k.tied_to is None])
     drawn: FloatArray = np.zeros((n_draws, len(priors)))
     root = np.linalg.cholesky(covariance[band][np.ix_(own, own)])
@@ -420,37 +414,31 @@ def prior_absorptions(
     for i, k in enumerate(priors):
         free = k.lower + (k.upper - k.lower) * expit(drawn[:, i])
         drawn[:, i] = free if k.known is None else k.known[band]
-    return drawn[:, [names.index(k.tied_to or k.name) for k in priors]]
+    return drawn[:, leaders_of(priors)]
+
+
+def leaders_of(priors: tuple[MaterialPrior, ...]) -> IntArray:
+    """Return the material whose absorption each one has, another than itself where it is tied."""
+    names = [k.name for k in priors]
+    return np.array([names.index(k.tied_to or k.name) for k in priors])
 
 
 def prior_only_band(priors: tuple[MaterialPrior, ...], band: int) -> BandEstimate:
     """Return the answer of a band without data: the prior, 0 to 1 where none was stated."""
     mean, law = prior_logit_law(priors)
     stated = are_specified(priors)
-    by_name = {k.name: k for k in priors}
-    priors = tuple(by_name[k.tied_to or k.name] for k in priors)
+    priors = tuple(priors[i] for i in leaders_of(priors))
     fixed = np.array([k.known is not None for k in priors])
     known = np.array([np.nan if k.known is None else k.known[band] for k in priors])
-    free = mean[:, band]
-    lower = np.array([k.lower for k in priors])
-    upper = np.array([k.upper for k in priors])
-    expected = lower + (upper - lower) * expit(free)
-    absorption = np.where(fixed, known, expected)
+    low = np.array([k.lower for k in priors])
+    width = np.array([k.upper for k in priors]) - low
     covariance = np.where(fixed[:, None] | fixed, 0.0, law[band])
-    sd = np.sqrt(np.diag(covariance))
-    low, high = (lower + (upper - lower) * expit(free + z * sd) for z in (-Z95, Z95))
-    least = np.where(fixed, known, np.where(stated, low, 0.0))
-    most = np.where(fixed, known, np.where(stated, high, 1.0))
-    return BandEstimate(
-        absorption,
-        least,
-        most,
-        free,
-        covariance,
-        0.0,
-        0.0,
-        0,
-        Ending.CONVERGED,
-        "prior",
-        kinds=_kinds(least, most, ~fixed),
-    )
+    reach = Z95 * np.sqrt(np.diag(covariance))
+    free = mean[:, band]
+    absorption, least, most = (low + width * expit(free + by) for by in (0.0, -reach, reach))
+    lower = np.where(fixed, known, np.where(stated, least, 0.0))
+    upper = np.where(fixed, known, np.where(stated, most, 1.0))
+    absorption = np.where(fixed, known, absorption)
+    kinds = _kinds(lower, upper, ~fixed)
+    none = 0.0, 0.0, 0, Ending.CONVERGED
+    return BandEstimate(absorption, lower, upper, free, covariance, *none, "prior", kinds=kinds)

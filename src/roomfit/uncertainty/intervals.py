@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +11,6 @@ from roomfit.base.logit import Z95, expit, logit
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.materials.priors import MaterialPrior, prior_logit_law
 from roomfit.model.parameters import (
-    Parameters,
     absorption_of,
     leaders,
     physical_values,
@@ -20,13 +19,15 @@ from roomfit.model.parameters import (
     to_physical,
 )
 from roomfit.model.problem import Objective
-from roomfit.solver import BandFit, DecayRate, score_band
+from roomfit.solver import BandFit, score_band
 from roomfit.uncertainty.gaussian import (
     LARGEST_CHI2_REDUCED,
     WIDEST_IDENTIFIABLE,
     BandEstimate,
+    DecayRate,
     FittedBand,
     MirrorTrial,
+    leaders_of,
 )
 from roomfit.uncertainty.profile import may_be_bent, profile
 from roomfit.uncertainty.sampling import posterior_draws
@@ -53,110 +54,21 @@ class Refinement:
 
     def __call__(self, band: FittedBand) -> BandEstimate:
         """Return a band's estimate with better intervals, and what mirror images explain."""
-        objective, fit, answer = band.objective, band.fit, band.estimate
+        answer, objective, fit, _ = band
         if objective is None or fit is None or fit.vector.size == 0:
             return answer
         trials = tuple(_mirrored(objective, fit, exchange) for exchange in self.exchanges)
         evaluations = answer.evaluations + sum(t.evaluations for t in trials)
-        answer = replace(answer, mirrors=trials, evaluations=evaluations)
+        draws = None
         if self.n_draws and answer.model == "values":
-            rng, parameters = np.random.default_rng(self.seed), objective.parameters
-            drawn, more = posterior_draws(objective, fit, self.n_draws, rng)
-            beyond = _beyond_fit(parameters, fit, answer)
-            draws = _absorptions(parameters, drawn, answer, beyond, rng)
-            evaluations = answer.evaluations + more
-            answer = replace(answer, draws=draws, evaluations=evaluations)
-        return profiled(objective, fit, answer) if self.profiles else answer
-
-
-def profiled(
-    objective: Objective,
-    fit: BandFit,
-    answer: BandEstimate,
-) -> BandEstimate:
-    """Return the answer with profile intervals for the absorptions whose likelihood is skew.
-
-    Weights are kept. An interval of 0 to 1, where the data determine nothing, stays as it is. What
-    the Gaussian answer allows for beyond its fit's information, as the noise of the rays, is added
-    to either side as one more standard deviation.
-    """
-    block = absorption_of(objective.parameters)
-    first, fitted = _columns(objective.parameters)
-    free, sd = to_free(block, answer.absorption), np.sqrt(np.diag(answer.logit_covariance))
-    lower, upper = np.array(answer.lower95), np.array(answer.upper95)
-    kinds, found = list(answer.kinds), []
-    more = np.sqrt(np.diag(_beyond_fit(objective.parameters, fit, answer)))
-    prediction = None  # at the answer, the same for all
-    for number, own in enumerate(fitted):
-        unspecified = (lower[own], upper[own]) == (0.0, 1.0)
-        if unspecified or not may_be_bent(fit, first + number):
-            continue
-        prediction = objective.predict(fit.vector) if prediction is None else prediction
-        line = profile(objective, fit, first + number, prediction)
-        found.append(replace(line, entry=int(own)))
-        if line.gaussian:
-            continue
-        ends, at, least = np.array(free), free[own], LEAST_SIDE * Z95 * sd[own]
-        ends[own] = at - max(np.hypot(at - line.lower, Z95 * more[number]), least)
-        lower[own] = to_physical(block, ends)[0][own]
-        ends[own] = at + max(np.hypot(line.upper - at, Z95 * more[number]), least)
-        upper[own] = to_physical(block, ends)[0][own]
-        kinds[own] = "profile"
-    leader = leaders(block)
-    lower, upper = lower[leader], upper[leader]
-    return replace(
-        answer,
-        lower95=lower,
-        upper95=upper,
-        kinds=tuple(kinds[i] for i in leader),
-        profiles=tuple(found),
-        evaluations=answer.evaluations + bool(found) + sum(p.evaluations for p in found),
-    )
-
-
-def _absorptions(
-    parameters: Parameters,
-    draws: FloatArray,
-    answer: BandEstimate,
-    beyond: FloatArray,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Return absorptions of draws of free vectors.
-
-    They are scattered by the covariance `beyond`, of what the law drawn from does not include.
-    """
-    block = absorption_of(parameters)
-    first, fitted = _columns(parameters)
-    low, high = block.lower[fitted], block.upper[fitted]
-    free = draws[:, first : first + fitted.size]
-    if beyond.any():
-        size, directions = np.linalg.eigh(beyond)
-        root = directions * np.sqrt(np.maximum(size, 0.0))
-        free = free + rng.standard_normal(free.shape) @ root.T
-    found = np.tile(answer.absorption, (len(draws), 1))
-    found[:, fitted] = low + (high - low) * expit(free)
-    return found[:, leaders(block)]
-
-
-def _columns(parameters: Parameters) -> tuple[int, IntArray]:
-    """Return where the fitted absorptions begin, and which entries of their block they are."""
-    block = absorption_of(parameters)
-    return position_of(parameters, "absorption"), np.flatnonzero(block.fitted)
-
-
-def _beyond_fit(parameters: Parameters, fit: BandFit, answer: BandEstimate) -> FloatArray:
-    """Return the covariance of an answer's fitted logits that its fit does not know of.
-
-    Shape (n_fitted, n_fitted), symmetric, positive semi-definite.
-    """
-    first, fitted = _columns(parameters)
-    own = slice(first, first + fitted.size)
-    plain = np.linalg.inv(fit.information)[own, own] * max(fit.chi2_reduced, 1.0)
-    more = answer.logit_covariance[np.ix_(fitted, fitted)] - plain
-    size, directions = np.linalg.eigh(0.5 * (more + more.T))
-    # what is left by rounding is no noise
-    size = np.where(size > 1e-9 * max(float(np.trace(plain)), 1e-300), size, 0.0)
-    return np.asarray((directions * size) @ directions.T)
+            rng, block = np.random.default_rng(self.seed), absorption_of(objective.parameters)
+            free, more = posterior_draws(objective, fit, self.n_draws, rng)
+            low, high = block.lower[block.fitted], block.upper[block.fitted]
+            draws = np.tile(answer.absorption, (len(free), 1))
+            draws[:, block.fitted] = low + (high - low) * expit(free)
+            draws, evaluations = draws[:, leaders(block)], evaluations + more
+        answer = replace(answer, mirrors=trials, draws=draws, evaluations=evaluations)
+        return profiled(band._replace(estimate=answer)) if self.profiles else answer
 
 
 def _mirrored(objective: Objective, fit: BandFit, exchange: IntArray) -> MirrorTrial:
@@ -172,10 +84,52 @@ def _mirrored(objective: Objective, fit: BandFit, exchange: IntArray) -> MirrorT
     return MirrorTrial(there["absorption"], gain, other.evaluations)
 
 
+def profiled(band: FittedBand) -> BandEstimate:
+    """Return the estimate with profile intervals for absorptions whose likelihood is skew.
+
+    Weights are kept. An interval of 0 to 1, where the data determine nothing, stays as it is. What
+    windows share of errors is added to either side as one more standard deviation.
+    """
+    answer, objective, fit, steps = band
+    if objective is None or fit is None:
+        return answer
+    parameters = objective.parameters
+    block, first = absorption_of(parameters), position_of(parameters, "absorption")
+    free, sd = to_free(block, answer.absorption), np.sqrt(np.diag(answer.logit_covariance))
+    shared_sd = np.zeros(fit.vector.size) if steps is None else np.linalg.norm(steps, axis=1)
+    lower, upper = np.array(answer.lower95), np.array(answer.upper95)
+    kinds, found = list(answer.kinds), []
+    prediction = None  # at the answer, the same for all
+    for entry, own in enumerate(np.flatnonzero(block.fitted), start=first):
+        unspecified = (lower[own], upper[own]) == (0.0, 1.0)
+        if unspecified or not may_be_bent(fit, entry):
+            continue
+        prediction = objective.predict(fit.vector) if prediction is None else prediction
+        line = profile(objective, fit, entry, prediction)
+        found.append(replace(line, entry=int(own)))
+        if line.gaussian:
+            continue
+        at, ends = free[own], np.array(free)
+        more, least = Z95 * shared_sd[entry], LEAST_SIDE * Z95 * sd[own]
+        ends[own] = at - max(np.hypot(at - line.lower, more), least)
+        lower[own] = to_physical(block, ends)[0][own]
+        ends[own] = at + max(np.hypot(line.upper - at, more), least)
+        upper[own] = to_physical(block, ends)[0][own]
+        kinds[own] = "profile"
+    leader = leaders(block)
+    return replace(
+        answer,
+        lower95=lower[leader],
+        upper95=upper[leader],
+        kinds=tuple(kinds[i] for i in leader),
+        profiles=tuple(found),
+        evaluations=answer.evaluations + bool(found) + sum(p.evaluations for p in found),
+    )
+
+
 def prior_logit_covariance(priors: tuple[MaterialPrior, ...], band: int) -> FloatArray:
     """Return that of the logits of all materials, tied ones alike, (n_materials, n_materials)."""
-    names = [k.name for k in priors]
-    leader = [names.index(k.tied_to or k.name) for k in priors]
+    leader = leaders_of(priors)
     return np.asarray(prior_logit_law(priors)[1][band][np.ix_(leader, leader)])
 
 
@@ -224,20 +178,20 @@ def widened(answer: BandEstimate, covariance: FloatArray) -> BandEstimate:
     """
     fixed = answer.upper95 <= answer.lower95
     covariance = np.where(fixed[:, None] | fixed, 0.0, covariance)
-    logit_sd = np.sqrt(np.diag(covariance))
+    reach = Z95 * np.sqrt(np.diag(covariance))
     middle = logit(np.clip(answer.absorption, _LEAST, 1.0 - _LEAST), _LEAST)
-    lower = middle - np.hypot(middle - logit(answer.lower95, _LEAST), Z95 * logit_sd)
-    upper = middle + np.hypot(logit(answer.upper95, _LEAST) - middle, Z95 * logit_sd)
+    lower = expit(middle - np.hypot(middle - logit(answer.lower95, _LEAST), reach))
+    upper = expit(middle + np.hypot(logit(answer.upper95, _LEAST) - middle, reach))
     draws = answer.draws
     if draws is not None:
         size, directions = np.linalg.eigh(covariance)
         root = directions * np.sqrt(np.maximum(size, 0.0))
         noise = np.random.default_rng(1).standard_normal(draws.shape) @ root.T
-        draws = np.where(logit_sd > 0.0, expit(logit(draws, _LEAST) + noise), draws)
+        draws = np.where(reach > 0.0, expit(logit(draws, _LEAST) + noise), draws)
     return replace(
         answer,
-        lower95=np.where(fixed, answer.lower95, np.minimum(expit(lower), answer.lower95)),
-        upper95=np.where(fixed, answer.upper95, np.maximum(expit(upper), answer.upper95)),
+        lower95=np.where(fixed, answer.lower95, np.minimum(lower, answer.lower95)),
+        upper95=np.where(fixed, answer.upper95, np.maximum(upper, answer.upper95)),
         draws=draws,
         logit_covariance=answer.logit_covariance + covariance,
     )
@@ -274,29 +228,21 @@ def with_errors_of_all_bands(
     hardly absorbs.
     """
     rates = [a.decay for a in answers if a.decay is not None]
-    sds = iter(decay_error_sds(rates) if rates else ())
-    return tuple(
-        _with_errors(a, None if a.decay is None else next(sds) * a.decay.step, areas_m2, own)
-        for a, own in zip(answers, map(more.get, range(len(answers))), strict=True)
-    )
-
-
-def _with_errors(
-    answer: BandEstimate, step: FloatArray | None, areas_m2: FloatArray, more: FloatArray | None
-) -> BandEstimate:
-    """Return an answer with one error of all absorptions added, of that sd, and a covariance."""
-    if step is None:
-        return answer if more is None else widened(answer, more)
-    a = np.clip(answer.absorption, _LEAST, 1.0 - _LEAST)
-    nearer_half = np.where(a < 0.5, a + np.abs(step), a - np.abs(step))
-    logit_step = np.sign(step) * np.abs(logit(nearer_half, _LEAST) - logit(a, _LEAST))
-    mean_sd = float(np.abs(areas_m2 @ step) / areas_m2.sum())
-    costs = {name: np.hypot(own, logit_step) for name, own in answer.costs.items()}
-    of_mean = {name: float(np.hypot(own, mean_sd)) for name, own in answer.mean_costs.items()}
-    if answer.costs:
-        costs["decay"] = answer.costs[""]
-    if answer.mean_costs:
-        of_mean["decay"] = answer.mean_costs[""]
-    added = np.outer(logit_step, logit_step)
-    wider = widened(answer, added if more is None else added + more)
-    return replace(wider, costs=costs, mean_costs=of_mean)
+    sds: Iterator[float] = iter(decay_error_sds(rates).tolist() if rates else [])
+    found = []
+    for band, answer in enumerate(answers):
+        own, added = answer, more.get(band)
+        if answer.decay is not None:
+            step = next(sds) * answer.decay.step
+            a = np.clip(answer.absorption, _LEAST, 1.0 - _LEAST)
+            nearer_half = np.where(a < 0.5, a + np.abs(step), a - np.abs(step))
+            change = np.sign(step) * np.abs(logit(nearer_half, _LEAST) - logit(a, _LEAST))
+            mean_sd = float(np.abs(areas_m2 @ step) / areas_m2.sum())
+            costs = {name: np.hypot(sd, change) for name, sd in answer.costs.items()}
+            of_mean = {name: float(np.hypot(x, mean_sd)) for name, x in answer.mean_costs.items()}
+            costs["decay"], of_mean["decay"] = answer.costs[""], answer.mean_costs[""]
+            own = replace(answer, costs=costs, mean_costs=of_mean)
+            by_rate = np.outer(change, change)
+            added = by_rate if added is None else by_rate + added
+        found.append(own if added is None else widened(own, added))
+    return tuple(found)

@@ -72,7 +72,7 @@ def posterior_draws(
     points = near.law.prior_mean + rng.standard_normal((size, len(root))) @ root.T
     log_p, of_prior = log_p_at(points), _log_prior(near.law, points)
     power, rounds = 0.0, 0
-    for rounds in range(_MOST_LEVELS):
+    for level in range(_MOST_LEVELS):
         ratio = log_p - of_prior
         step = _power_step(ratio, 1.0 - power)
         power += step
@@ -80,10 +80,9 @@ def posterior_draws(
         points, log_p, of_prior = points[chosen], log_p[chosen], of_prior[chosen]
         if power >= 1.0 - 1e-9:
             break
+        rounds = level + 1
         points, log_p, _ = _differed(log_p_at, points, log_p, rng, (near.law, power))
         of_prior = _log_prior(near.law, points)
-    else:
-        rounds = _MOST_LEVELS
     moves = 0.0
     for number in range(_MOST_ROUNDS):
         if number % 2 == 0:
@@ -144,7 +143,11 @@ def _resampled(log_weight: FloatArray, rng: np.random.Generator) -> IntArray:
 
 
 def _walked(
-    log_p_at: LogP, near: _Surrogate, points: FloatArray, log_p: FloatArray, rng: np.random.Generator
+    log_p_at: LogP,
+    near: _Surrogate,
+    points: FloatArray,
+    log_p: FloatArray,
+    rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray, float]:
     """Move points by walks under the surrogate."""
     there, gain = _walk(near, points, int(rng.choice(near.usual_steps)), rng)
