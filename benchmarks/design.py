@@ -34,8 +34,8 @@ from roomfit.files.campaign import Campaign, read_campaign
 from roomfit.files.inputs import load_campaign
 from roomfit.identify import identify
 from roomfit.paper.room import DIVISIONS, PLANES
-from roomfit.report.design_figures import design_gain, design_map
 from roomfit.report.figures import png
+from roomfit.report.prediction_figures import design_gain, design_map
 from simulated_rooms.measured_polyhedron import PolyhedronPlan, write_measured_polyhedron
 from simulated_rooms.polyhedral_rooms import obj_text, paper_cells
 

@@ -152,8 +152,6 @@ def test_identify_writes_every_file_and_prints_what_they_say(tmp_path, monkeypat
         "decay_01_a_b_MP1.svg",
         "decay_02_a_b_MP2.svg",
         "decay_times.svg",
-        "identifiable.svg",
-        "profiles.svg",
         "report.html",
         "result.json",
         "room.svg",

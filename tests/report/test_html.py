@@ -189,10 +189,10 @@ def test_the_plan_and_the_side_views_show_where_everything_stands(case):
 def test_of_a_box_in_space_the_floor_and_the_two_far_walls_are_drawn(case):
     """The viewer stands at low x and low y, above: ceiling, west and south walls are in front."""
     room = case[1].room
-    faces, n_observed = drawn_faces(room)
+    faces = drawn_faces(room)
     names = {room.mesh.surfaces[k].name for k in room.mesh.triangle_surface[faces]}
     assert names == {"floor", "east", "north"}
-    assert n_observed == len(faces) == 6 < MOST_FACES
+    assert len(faces) == 6 < MOST_FACES
 
 
 def test_decay_curves_follow_the_answer_where_they_are_shown(case):
@@ -238,16 +238,6 @@ def test_findings_come_first_with_the_most_serious_ahead(case):
     # a serious one is open, warnings are a count that opens
     doubts = next(a for tag, a in page.elements if tag == "details")
     assert doubts == {"class": "doubts serious", "open": ""}
-
-
-def test_the_summary_counts_what_can_be_reported(case):
-    answer, _, _, page = case
-    words = " ".join("".join(page.words).split())
-    n = int(answer.identifiable.sum())
-    assert f"The data determine {n} of {answer.absorption.size} coefficients." in words
-    assert "5 fitted measurements and 1 measurement kept for validation" in words
-    assert "does not explain the data at 2 kHz to 4 kHz" in words  # phi: 0.8, 1.16, ..., 2.24, 2.6
-    assert "1 serious finding, 2 warnings and 1 note" in words
 
 
 def test_equal_arguments_give_equal_text(case):
@@ -300,7 +290,7 @@ def test_drawings_of_one_page_share_no_id_and_refer_only_to_their_own(case):
     text, page = case[2], case[3]
     ids = [a["id"] for _, a in page.elements if "id" in a]
     assert len(ids) == len(set(ids))
-    for name in ("room", "absorption", "identifiable", "decay"):
+    for name in ("room", "absorption", "decay"):
         root = ET.fromstring(drawing(text, name))
         own = {e.attrib["id"] for e in root.iter() if "id" in e.attrib}
         assert own
@@ -466,7 +456,7 @@ def test_a_name_is_drawn_letter_by_letter(names):
     """A formula, an entry left out of a legend, the end of a comment: all are only names."""
     scene = scene_of(names, names, ("R1",))
     text = report_html(answer_of(scene), scene, title="t")
-    for drawn in ("room", "absorption", "identifiable"):
+    for drawn in ("room", "absorption"):
         root = ET.fromstring(drawing(text, drawn))
         words = [
             "".join(e.itertext()).replace("\N{ZERO WIDTH SPACE}", "") for e in root.iter("text")
@@ -511,7 +501,7 @@ def test_a_browser_draws_all_figures_and_logs_no_error(tmp_path):
     picture, drawn, logged = look_at(file, tmp_path)
     assert logged == []
     assert "<title>A drawn room</title>" in drawn
-    assert drawn.count('<svg role="img"') == 5
+    assert drawn.count('<svg role="img"') == 4
     grey = imread(picture)[..., :3].mean(axis=2)
     # words, lines and pale walls: a blank page has no dark and no middling pixels
     assert (grey < 0.3).mean() > 0.005

@@ -93,7 +93,7 @@ def test_the_picture_holds_means_before_and_after_beside_each_other_in_every_ban
     panels = {axes.get_title(): axes for axes in figure.axes if axes.get_visible()}
     assert [t.get_text() for t in panels["STI"].get_xticklabels()] == ["125 to 8000"]
     axes, v = panels["T20 s"], compared.mean["T20_s"]
-    assert [t.get_text() for t in axes.get_xticklabels()][3] == "1000"
+    assert [t.get_text() for t in axes.get_xticklabels()][3] == "1k"
     assert axes.get_xlim() == (-0.6, 6.6)
     c = v.change
     wanted = {

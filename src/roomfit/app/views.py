@@ -54,7 +54,6 @@ from roomfit.report.wording import material_colour
 from roomfit.room.mesh import Mesh, area_vectors_m2, triangle_areas_m2
 from roomfit.room.scene import Room, check_mesh, surface_materials
 
-_MOST_EDGES = 1500
 _MOST_WALLS = 16  # of more walls names hide each other
 _NO_MATERIAL = "(no material)"
 _IN_WALLS = ("door", "window", "opening")  # of a scan, whose names would lie upon the wall's
@@ -92,7 +91,7 @@ def room_view(_: Progress, folder: str) -> dict[str, Any]:
     return {
         "vertices": np.round(mesh.vertices_m, 4).tolist(),
         "faces": [[*mesh.triangles[i].tolist(), int(mesh.triangle_surface[i])] for i in largest],
-        "edges": np.round(outline_m(room, _MOST_EDGES), 4).tolist(),
+        "edges": np.round(outline_m(room), 4).tolist(),
         **_surfaces(room, priors),
         **{
             kind: [{"name": p.name, "position_m": np.asarray(p.position_m).tolist()} for p in own]
@@ -216,7 +215,7 @@ def table_positions(_: Progress, folder: str, table: str = "") -> list[dict[str,
 def _plan(campaign: Campaign) -> tuple[list[list[float]], list[list[Any]]]:
     """Return the edges of the room from above, each x, y, x, y in m, and x, y, name of walls."""
     mesh = read_mesh(campaign.room)[0]
-    edges = outline_m(_any_room(mesh, campaign.room.materials), _MOST_EDGES)[:, :, :2]
+    edges = outline_m(_any_room(mesh, campaign.room.materials))[:, :, :2]
     # an upright edge is a point from above, and two lie upon each other
     plan: list[list[float]] = np.unique(np.round(edges.reshape(-1, 4), 3), axis=0).tolist()
     areas, centres_m = triangle_areas_m2(mesh), mesh.vertices_m[mesh.triangles].mean(axis=1)

@@ -33,7 +33,7 @@ from roomfit.report.blocks import Blocks
 from roomfit.report.html import page
 from roomfit.report.progress import shown_progress
 from roomfit.report.text import text
-from roomfit.report.usable import remaining_usable
+from roomfit.report.doubts import remaining_usable
 from roomfit.result import Result
 
 _LOG = logging.getLogger("roomfit")

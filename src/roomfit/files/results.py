@@ -374,7 +374,7 @@ def write_result(
         Files whose SHA-256 is written; the first is the campaign, relative to which the others are
         named.
     usable : sequence of str, optional
-        What remains usable where findings void walls, from `roomfit.report.usable`.
+        What remains usable where findings void walls, from `roomfit.report.doubts`.
 
     Raises
     ------

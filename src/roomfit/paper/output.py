@@ -218,7 +218,7 @@ def _ill_defined_figure(result: PaperResult) -> Figure:
 
 def _new_figure(width_in: float, height_in: float) -> Figure:
     """Return a figure that says above that the room is a reconstruction."""
-    figure = new_figure(width_in, height_in, formulas=True)
+    figure = new_figure(width_in, height_in)
     engine = figure.get_layout_engine()
     if isinstance(engine, ConstrainedLayoutEngine):
         engine.set(rect=(0.0, 0.0, 1.0, 1.0 - 0.25 / height_in))

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from roomfit.base.table import Cell, Table
 from roomfit.base.typing import BoolArray
 from roomfit.report.blocks import (
-    SEVERITIES,
     Block,
     Blocks,
     Drawing,
@@ -22,7 +22,7 @@ from roomfit.report.blocks import (
     Terms,
     drawing,
 )
-from roomfit.report.disagreement import disagreement_table
+from roomfit.report.doubts import disagreement_table, remaining_usable
 from roomfit.report.html import page, translator
 from roomfit.report.tables import (
     absorption_tables,
@@ -32,7 +32,6 @@ from roomfit.report.tables import (
     compared_words,
     condition_tables,
     decay_time_tables,
-    digest_table,
     error_tables,
     errors_of,
     fit_tables,
@@ -42,8 +41,6 @@ from roomfit.report.tables import (
     mean_abs_jnd,
     mean_decay_times,
     object_tables,
-    offset_terms,
-    overview_table,
     pair_sections,
     pair_title,
     parameter_keys,
@@ -53,9 +50,9 @@ from roomfit.report.tables import (
     source_tables,
     sti_tables,
 )
-from roomfit.report.usable import remaining_usable
 from roomfit.report.wording import (
     DASH,
+    Series,
     area,
     band_ranges,
     coefficient,
@@ -63,24 +60,20 @@ from roomfit.report.wording import (
     decay_time_key,
     hertz,
     in_file_name,
-    listing,
     number,
     parameter,
 )
 from roomfit.result import ComparedPair, Result
 from roomfit.room.mesh import surface_area_m2, volume_m3
 from roomfit.room.scene import Scene, wall_materials
-from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from roomfit.files.remedies import Advice
 
-_MOST_ENDS, _MOST_NAMES, _MOST_OPEN = 3, 8, 4
+_MOST_ENDS, _MOST_OPEN, _MOST_DECAY_FILES = 3, 4, 12
 _PROJECT = ("client", "author", "date", "instruments")
-_REPORTED = ("T20_s", "T30_s", "EDT_s", "C80_dB")
-_MOST_DECAY_FILES = 12
 
 
 def report_html(
@@ -161,8 +154,8 @@ def result_blocks(
     language, logo = about.pop("language", "en"), about.pop("logo", "")
     say = translator(language)
     usable = remaining_usable(answer)
-    head: list[Block] = [Sentence(text, "usable" if i else "lead") for i, text in enumerate(usable)]
-    head.append(Sentence(headline(answer, say), "usable" if usable else "lead"))
+    first = [*usable, headline(answer, say)]
+    head: list[Block] = [Sentence(x, "usable" if i else "lead") for i, x in enumerate(first)]
     head += [Numbers(key_figures(answer, say)), *_decay_times(answer, say)]
     blocks: list[Block] = [
         Findings(answer.findings, advice or {}),
@@ -174,26 +167,22 @@ def result_blocks(
     if answer.plan:
         words = "The plan in words: no recording tells it from its mirror image"
         blocks.append(Part(words, (Listed(answer.plan),), folded=True))
-    about_fit = "widths of intervals, profiles of the likelihood, priors, the fit"
-    blocks.append(
-        Part("How sure", tuple(_certainty(answer)), "certainty", about_fit, True, in_text=False)
-    )
+
+    def folded(heading: str, name: str, words: str, shown: Iterable[Block], **more: bool) -> None:
+        blocks.append(Part(heading, tuple(shown), name, words, folded=True, in_text=False, **more))
+
+    folded("How sure", "certainty", "priors, the fit, the uncertainty budget", _certainty(answer))
     if scene is not None:
-        areas: tuple[Block, ...] = (
-            Sentence(_AREAS),
-            *area_tables(answer, scene),
-            *share_tables(answer),
-        )
+        areas: list[Block] = [Sentence(_AREAS), *area_tables(answer, scene), *share_tables(answer)]
         words = "\N{GREEK SMALL LETTER ALPHA}S of every material, and its share of the room"
-        blocks.append(Part("Absorption areas", areas, "areas", words, True, in_text=False))
+        folded("Absorption areas", "areas", words, areas)
     few = len(answer.pairs) <= _MOST_DECAY_FILES
     words = "every room parameter, measured and predicted"
-    pairs = tuple(_pairs(answer, few=few))
-    blocks.append(Part("Pair by pair", pairs, "pairs", words, True, on_paper=few, in_text=False))
+    folded("Pair by pair", "pairs", words, _pairs(answer, few=few), on_paper=few)
     if scene is not None:
         words = "how the answer was made, and from which files"
         made = _provenance(answer, scene, campaign, inputs_sha256 or {})
-        blocks.append(Part("Provenance", made, "provenance", words, True, in_text=False))
+        folded("Provenance", "provenance", words, made)
     return Blocks(
         title,
         tuple(head),
@@ -324,9 +313,9 @@ def _decay_times(answer: Result, say: Callable[[str], str]) -> list[Block]:
         "the pale box of a band, one just noticeable difference about what was measured."
     ).format(symbol=symbol, pairs=say(_the(compared_words(answer))))
     title = f"{symbol} over frequency, measured and predicted"
-    named = (say("measured"), measured), (say("predicted"), predicted)
-    of = answer.bands.centres_hz, named, symbol
-    return [drawing("decay_times", title, words, "measured_decay_figure", *of)]
+    series = Series(say("measured"), measured), Series(say("predicted"), predicted)
+    of = answer.bands.centres_hz, series, symbol
+    return [drawing("decay_times", title, words, "decay_time_figure", *of)]
 
 
 # ---------------------------------------------------------------- the parts
@@ -345,8 +334,17 @@ def _absorption(answer: Result, say: Callable[[str], str]) -> list[Block]:
             "“±” precedes half of the 95 % interval. What is not in the data comes from the prior."
         )
         more.append(Part(words, (Terms(sentences), Sentence(half)), folded=True))
-    if offsets := offset_terms(answer):
+    if (found := answer.geometry) is not None and found.n_offsets:
         words = "Fitted along by early reflections, from the specified value; intervals hold there"
+        at = range(len(found.labels) - found.n_offsets, len(found.labels))
+        offsets = tuple(
+            (
+                found.labels[i],
+                f"{found.change[i]:+.3f} ± {found.sd[i]:.3f} m "
+                f"(specified within {found.prior_sd[i]:.3f} m)",
+            )
+            for i in at
+        )
         more += [Sentence(words), Terms(offsets)]
     return [
         _absorption_drawing(answer, say),
@@ -378,17 +376,16 @@ def _absorption_drawing(answer: Result, say: Callable[[str], str]) -> Drawing:
 
 
 def _predictions(answer: Result, scene: Scene | None) -> list[Block]:
-    summary = Sentence(" ".join(summary_sentences(answer)))
+    done = Sentence(_what_was_done(answer))
     if not answer.pairs:
-        return [summary, Sentence("There are no measurements to compare with.")]
-    found: list[Block] = [summary]
-    overview = overview_table(answer)
-    disagreement = None if scene is None else disagreement_table(answer, scene)
-    if disagreement is not None:
-        found.append(disagreement)
-    elif overview is not None and scene is not None:
+        return [done, Sentence("There are no measurements to compare with.")]
+    found: list[Block] = [done]
+    if scene is not None:
         words = "Decay times and clarity agree: no mean over the pairs is off by more than a "
-        found.append(Sentence(words + "listener notices."))
+        agree = Sentence(words + "listener notices.")
+        off = disagreement_table(answer, scene)
+        if off is not None or parameter_keys(answer.pairs):
+            found.append(off or agree)
     errors = error_tables(answer)
     worse = (("worse", "▲ marks where the model is worse than the baseline."),) if errors else ()
     found += [
@@ -402,20 +399,11 @@ def _predictions(answer: Result, scene: Scene | None) -> list[Block]:
         *errors,
         *sti_tables(answer),
     ]
-    jnd: list[Block] = [
-        Sentence(
-            "Audible differences (ISO 3382-1: 5 % of T20, T30 and EDT, 1 dB of C50, C80 and G, 5 "
-            "points of D50, 10 ms of TS are one just noticeable difference, JND):",
-            "",
-            (("near", "up to 1 JND"), ("middle", "1 to 2 JND"), ("far", "above 2 JND")),
-        )
-    ]
-    jnd += [overview] if overview is not None else []
-    return [*found, Part("", (*jnd, *_decays(answer)), in_text=False)]
+    return [*found, Part("", tuple(_decays(answer)), in_text=False)]
 
 
 def _decays(answer: Result) -> list[Block]:
-    pairs = [pair for pair in answer.pairs if has_curves(pair)]
+    pairs = [pair for pair in answer.pairs if _has_curves(pair)]
     if not pairs:
         words = "No measurement came as a recording, so there are no curves to show."
         return [Sentence(words)]
@@ -431,7 +419,7 @@ def _decays(answer: Result) -> list[Block]:
     names = [
         f"decay_{i:02d}_{in_file_name(*filter(None, (p.source, p.receiver, p.state)))}"
         for i, p in enumerate(answer.pairs, start=1)
-        if has_curves(p)
+        if _has_curves(p)
     ]
     shown: list[Block] = [
         drawing(
@@ -454,7 +442,7 @@ def _decays(answer: Result) -> list[Block]:
     return shown
 
 
-def has_curves(pair: ComparedPair) -> bool:
+def _has_curves(pair: ComparedPair) -> bool:
     """Return whether there are decay curves to draw: values alone have none."""
     decay = pair.decay
     if decay is None or not decay.time_s.size:
@@ -478,36 +466,11 @@ def _room(scene: Scene) -> tuple[Block, ...]:
 
 
 def _certainty(answer: Result) -> list[Block]:
-    found: list[Block] = [
-        drawing(
-            "identifiable",
-            "Matrix of materials by bands: width of the 95 % interval; the tables hold every "
-            "number.",
-            "Width of the 95 % interval of every coefficient, dark where it is narrow. The scale "
-            f"ends at {WIDEST_IDENTIFIABLE:g}, beyond which nothing is identifiable. A tick marks "
-            "what is identifiable, G what was given.",
-            "identifiability_figure",
-            answer,
-        )
-    ]
-    if any(kind == "profile" for kinds in answer.interval_kinds for kind in kinds):
-        found.append(
-            drawing(
-                "profiles",
-                "Profiles of the likelihood of single coefficients; their ends are in the table.",
-                "How the cost rises when one coefficient is moved and all else is fitted again, "
-                "misfit taken out. The 95 % interval ends where the curve meets the dotted line "
-                "at 1.92; bands beside are taken for another standard deviation where absorption "
-                "changes fast.",
-                "profiles_figure",
-                answer,
-            )
-        )
     phi = (
         "φ is chi-square over degrees of freedom. Where it is above 2 the model does not explain "
         "the data, and no coefficient counts as identifiable."
     )
-    found += [*prior_tables(answer), *fit_tables(answer), Sentence(phi, "note")]
+    found: list[Block] = [*prior_tables(answer), *fit_tables(answer), Sentence(phi, "note")]
     if budget := budget_tables(answer):
         words = (
             "Each source: by how much the combined uncertainty would be smaller without it, as the "
@@ -528,7 +491,12 @@ def _pairs(answer: Result, *, few: bool) -> list[Block]:
         "(measured → predicted), and the error of the mean of the others, in just noticeable "
         "differences, too."
     )
-    found: list[Block] = [Sentence(words)]
+    jnd = (
+        "Audible differences (ISO 3382-1: 5 % of T20, T30 and EDT, 1 dB of C50, C80 and G, 5 "
+        "points of D50, 10 ms of TS are one just noticeable difference, JND):"
+    )
+    keys = (("near", "up to 1 JND"), ("middle", "1 to 2 JND"), ("far", "above 2 JND"))
+    found: list[Block] = [Sentence(jnd, "", keys), Sentence(words)]
     if not few:
         found.append(Sentence("What is folded is not printed."))
     for i, (title, shown) in enumerate(pair_sections(answer)):
@@ -558,28 +526,9 @@ def _provenance(
         ),
         ("speed of sound", f"{number(answer.speed_of_sound_m_s, 2)} m/s"),
     )
-    digest = (digest_table(digests),) if digests else ()
+    rows = [(name, Cell(digest, style="words")) for name, digest in digests.items()]
+    digest = (Table("SHA-256 of the inputs", ("file", "digest"), rows),) if rows else ()
     return (*map(Sentence, answer.reasons), Terms(terms), *digest)
-
-
-# ---------------------------------------------------------------- the summary
-
-
-def summary_sentences(answer: Result) -> tuple[str, ...]:
-    """Return what was done, what is identifiable, what is not, and how well it predicts."""
-    counts = [
-        (sum(f.severity == severity for f in answer.findings), severity) for severity in SEVERITIES
-    ]
-    words = {"serious": "serious finding", "warning": "warning", "info": "note"}
-    counted = [count(n, words[severity]) for n, severity in counts if n]
-    sentences = (
-        _what_was_done(answer),
-        *_what_is_determined(answer),
-        _where_it_does_not_fit(answer),
-        _how_well_it_predicts(answer),
-        f"Read first: {listing(counted)}." if counted else "",
-    )
-    return tuple(filter(None, sentences))
 
 
 def _what_was_done(answer: Result) -> str:
@@ -594,67 +543,4 @@ def _what_was_done(answer: Result) -> str:
         f"{count(len(answer.bands), f'{answer.bands.kind} band')} "
         f"({band_ranges(answer.bands.centres_hz, everywhere)}), from {data}; "
         f"method {answer.method}, model {answer.model}."
-    )
-
-
-def _what_is_determined(answer: Result) -> list[str]:
-    is_fixed = fixed_coefficients(answer)
-    sure = answer.identifiable & ~is_fixed
-    wanted = int(np.sum(~is_fixed))
-    if not wanted:
-        return ["Every coefficient was given; nothing was fitted."]
-    groups: dict[str, list[str]] = {
-        "Identified in every band": [],
-        "Identified in some bands": [],
-        "Not identifiable in any band": [],
-        "Given and fixed": [],
-    }
-    whole, some, never, given = groups.values()
-    for name, found, fixed in zip(answer.materials, sure, is_fixed, strict=True):
-        if fixed.all():
-            given.append(name)
-        elif (found | fixed).all():
-            whole.append(name)
-        elif not found.any():
-            never.append(name)
-        else:
-            some.append(f"{name} ({_where(answer, found)})")
-    first = f"The data determine {int(sure.sum())} of {wanted} coefficients."
-    return [first, *(f"{words}: {_first(names)}." for words, names in groups.items() if names)]
-
-
-def _first(names: list[str]) -> str:
-    """Return a list short enough to be read; the tables are complete."""
-    more = len(names) - _MOST_NAMES
-    return listing(names) if more <= 0 else listing([*names[:_MOST_NAMES], f"{more} more"])
-
-
-def _where_it_does_not_fit(answer: Result) -> str:
-    misfit = answer.chi2_reduced > LARGEST_CHI2_REDUCED
-    if not misfit.any():
-        return ""
-    return (
-        f"The model does not explain the data at {band_ranges(answer.bands.centres_hz, misfit)} "
-        f"(φ above {LARGEST_CHI2_REDUCED:g}); no coefficient counts as identifiable there."
-    )
-
-
-def _how_well_it_predicts(answer: Result) -> str:
-    pairs = compared_pairs(answer)
-    sentences = []
-    known = parameter_keys(pairs)
-    for key in [key for key in _REPORTED if key in known] or known:
-        model, baseline = map(known_mean, errors_of(pairs, key))
-        if not np.isfinite(model):
-            continue
-        how = parameter(key)
-        words = f"{how.symbol} {number(model, how.error_decimals)} {how.error_unit}"
-        if np.isfinite(baseline):
-            words += f" ({number(baseline, how.error_decimals)})"
-        sentences.append(words)
-    if not sentences:
-        return ""
-    return (
-        f"Mean error of the {compared_words(answer)}, in brackets that of guessing the mean of the "
-        f"others: {listing(sentences)}."
     )

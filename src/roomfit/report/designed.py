@@ -29,8 +29,8 @@ def describe(design: Design) -> Blocks:
     head = (
         Sentence(_opening(design), "lead"),
         _pairs_table(design),
-        drawing("design_map", title, "", "design_figures.design_map", design),
-        drawing("design_gain", gain, "", "design_figures.design_gain", design),
+        drawing("design_map", title, "", "prediction_figures.design_map", design),
+        drawing("design_gain", gain, "", "prediction_figures.design_gain", design),
         Sentence(_comparison(design)),
         _widths_table(design),
     )
@@ -39,7 +39,7 @@ def describe(design: Design) -> Blocks:
 
 def draw(design: Design) -> Figure:
     """Return the room from above and from the side, with candidates and chosen pairs."""
-    from roomfit.report.design_figures import design_map
+    from roomfit.report.prediction_figures import design_map
 
     return design_map(design)
 

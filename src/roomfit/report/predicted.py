@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
-from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from roomfit.base.bands import Bands
-from roomfit.base.findings import Code, Finding
+from roomfit.base.findings import Code
 from roomfit.base.table import Cell, Table
-from roomfit.base.typing import BoolArray, FloatArray
+from roomfit.base.typing import FloatArray
 from roomfit.files.encoding import finding_of
 from roomfit.predict.prediction import PredictedValue, ValueChange, is_undetermined, named_values
 from roomfit.report.blocks import (
@@ -26,15 +24,18 @@ from roomfit.report.blocks import (
     Sentence,
     drawing,
 )
-from roomfit.report.decay_times import (
+from roomfit.report.wording import (
     MID_HZ,
-    Limit,
     Series,
+    band_tables,
+    decay_time_key,
+    in_file_name,
     mid_mean,
     mid_words,
+    number,
+    parameter,
     with_interval,
 )
-from roomfit.report.wording import band_tables, decay_time_key, in_file_name, number, parameter
 from roomfit.signals.decay import FIT_RANGES_DB, jnd_of
 from roomfit.signals.iso3382 import ValueName
 from roomfit.signals.speech import sti_missing
@@ -44,6 +45,21 @@ if TYPE_CHECKING:
 
     from roomfit.predict.prediction import Predicted
     from roomfit.room.scene import Scene
+
+SHOWN: tuple[tuple[str, str, str], ...] = (
+    ("T20_s", "T20 s", "{:.2f}"),
+    ("T30_s", "T30 s", "{:.2f}"),
+    ("EDT_s", "EDT s", "{:.2f}"),
+    ("C50_dB", "C50 dB", "{:.1f}"),
+    ("C80_dB", "C80 dB", "{:.1f}"),
+    ("D50_percent", "D50 %", "{:.0f}"),
+    ("TS_ms", "TS ms", "{:.0f}"),
+    ("G_dB", "G dB", "{:.1f}"),
+    ("STI", "STI", "{:.2f}"),
+)
+
+
+# ---------------------------------------------------------------- the decay time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,54 +79,56 @@ class DecayAnswer:
     def sentence(self) -> str:
         """The answer in a sentence, of the mean at mid frequencies."""
         centres = self.bands.centres_hz
-        after = with_interval(*self.after.mid_s(centres))
-        what = f"{self.symbol} at {mid_words(centres)}"
+        mid_s = self.after.mid_s(centres)
+        after, what = with_interval(*mid_s), f"{self.symbol} at {mid_words(centres)}"
         if self.before is None:
             return f"{what} is predicted as {after}."
         value, low, high = self.before.mid_s(centres)
-        label = self.before.label.removesuffix(" before")
+        now, label = f"{number(value, 2)} s", self.before.label.removesuffix(" before")
         if not self.is_changed:
-            return f"{what} is predicted as {after}; {label} {number(value, 2)} s."
+            return f"{what} is predicted as {after}; {label} {now}."
         if np.isfinite([low, high]).all():
             label += f", {number(low, 2)} to {number(high, 2)}"
         if self.open_because:
             return (
-                f"{what} is {number(value, 2)} s ({label}); what the change does to it is not "
-                f"determined ({self.open_because})."
+                f"{what} is {now} ({label}); what the change does to it is not determined "
+                f"({self.open_because})."
             )
-        moved = self.after.mid_s(centres)[0] - value
-        if abs(moved) < 0.005:
-            return f"{what} stays at {number(value, 2)} s ({label}): {after} after the change."
-        way = "falls" if moved < 0.0 else "rises"
+        if abs(mid_s[0] - value) < 0.005:
+            return f"{what} stays at {now} ({label}): {after} after the change."
+        way = "falls" if mid_s[0] < value else "rises"
         if self.is_determined:
-            return f"{what} {way} from {number(value, 2)} s ({label}) to {after}."
+            return f"{what} {way} from {now} ({label}) to {after}."
         return (
-            f"{what} is {number(value, 2)} s ({label}), and {after} is expected after the change; "
-            f"whether it {way} is not determined."
+            f"{what} is {now} ({label}), and {after} is expected after the change; whether it "
+            f"{way} is not determined."
         )
 
     @property
     def numbers(self) -> list[tuple[str, str]]:
         """The time as it is, the time after, and by how much it moves."""
-        centres = self.bands.centres_hz
-        after = self.after.mid_s(centres)
-        where = f"{self.symbol} at {mid_words(centres)}"
-        if self.before is None:
-            return [_figure(f"{where}, predicted", *after)]
-        before = self.before.mid_s(centres)
-        shown = [_figure(f"{where}, {self.before.label}", *before)]
-        if self.open_because:
-            return [*shown, ("not determined", f"{where}, {self.after.label}: {self.open_because}")]
-        shown.append(_figure(f"{where}, {self.after.label}", *after))
-        steps = (after[0] - before[0]) / float(jnd_of("T30_s", np.array(before[0])))
-        change = f"{number(100.0 * (after[0] / before[0] - 1.0), 0, signed=True)} %"
-        words = f"{number(abs(steps), 1)} just noticeable differences"
-        return [
-            *shown,
-            (change, words if self.is_changed else f"beside what was measured: {words}"),
-        ]
+        where = f"{self.symbol} at {mid_words(self.bands.centres_hz)}"
+        shown: list[tuple[str, str]] = []
+        times = []
+        for series in filter(None, (self.before, self.after)):
+            value, low, high = series.mid_s(self.bands.centres_hz)
+            words = f"{where}, {series.label}"
+            if series is self.after and self.open_because:
+                return [*shown, ("not determined", f"{words}: {self.open_because}")]
+            if np.isfinite([low, high]).all():
+                words += f"; {number(low, 2)} to {number(high, 2)} s at 95 %"
+            shown.append((f"{number(value, 2)} s", words))
+            times.append(value)
+        if len(times) == 2:
+            before_s, after_s = times
+            steps = (after_s - before_s) / float(jnd_of("T30_s", np.array(before_s)))
+            words = f"{number(abs(steps), 1)} just noticeable differences"
+            words = words if self.is_changed else f"beside what was measured: {words}"
+            change = number(100.0 * (after_s / before_s - 1.0), 0, signed=True)
+            shown.append((f"{change} %", words))
+        return shown
 
-    def drawing(self, limits: Sequence[Limit] = ()) -> Drawing:
+    def drawing(self, limits: Sequence[tuple[Sequence[float], float, float]] = ()) -> Drawing:
         """Return the decay time over frequency, with limits where there are some."""
         series = [s for s in (self.before, self.after) if s is not None]
         of = self.bands.centres_hz, series, self.symbol, limits
@@ -120,13 +138,6 @@ class DecayAnswer:
         )
         title = "Decay times over frequency"
         return drawing("decay_times", title, caption, "decay_time_figure", *of)
-
-
-def _figure(words: str, value: float, low: float, high: float) -> tuple[str, str]:
-    """Return a number, and what it is with its interval."""
-    if np.isfinite([low, high]).all():
-        words += f"; {number(low, 2)} to {number(high, 2)} s at 95 %"
-    return f"{number(value, 2)} s", words
 
 
 def decay_answer(
@@ -141,7 +152,7 @@ def decay_answer(
     """Return the answer of a table of means; None where it has no decay time.
 
     `before` and `after` say in a word what the room is before and after the change, or are left
-    out: whether it was measured. `open_for` is that of `parameter_lines`.
+    out: whether it was measured. `open_for` is that of `parameter_rows`.
     """
     known = [name for name, v in means.items() if np.isfinite(v.predicted).any()]
     # T30 is what a client asks for
@@ -150,16 +161,14 @@ def decay_answer(
         return None
     v, symbol = means[name], parameter(name).symbol
     measured, is_measured = v.measured, np.isfinite(v.measured)
-    if not is_changed:
-        own = Series("measured", measured) if is_measured.any() else None
-        predicted = Series("predicted", v.predicted, v.lower95, v.upper95)
-        return DecayAnswer(bands, symbol, own, predicted, is_changed)
-    if v.change is None:
-        later = Series(after, v.predicted, v.lower95, v.upper95)
-        return DecayAnswer(bands, symbol, None, later, is_changed)
+    if not is_changed or v.change is None:
+        own = Series("measured", measured) if is_measured.any() and not is_changed else None
+        label = after if is_changed else "predicted"
+        later = Series(label, v.predicted, v.lower95, v.upper95)
+        return DecayAnswer(bands, symbol, own, later, is_changed)
     c = v.change
     is_carried = np.isfinite(c.carried)
-    values, low, high = (
+    after_s = (
         np.where(is_carried, own, model)
         for own, model in (
             (c.carried, v.predicted),
@@ -172,26 +181,18 @@ def decay_answer(
     first = "measured before" if is_measured.all() else "predicted before"
     if is_measured.any() and not is_measured.all():
         first = "before, measured where it was"
-    earlier = Series(
-        before or first,
-        np.where(is_measured, measured, c.before),
-        np.where(is_alone, np.nan, c.before_lower95),
-        np.where(is_alone, np.nan, c.before_upper95),
-    )
-    why = _open_because(bands.centres_hz, is_undetermined(name, c), open_for)
-    later = Series(after, values, low, high)
-    _, least, most = Series("", c.change, c.change_lower95, c.change_upper95).mid_s(
-        bands.centres_hz
-    )
+    bounds = (np.where(is_alone, np.nan, x) for x in (c.before_lower95, c.before_upper95))
+    earlier = Series(before or first, np.where(is_measured, measured, c.before), *bounds)
+    # of a band that the mid frequencies are made of
+    mid = np.isin(bands.centres_hz, MID_HZ)
+    unknown = is_undetermined(name, c) & (mid if mid.any() else True)
+    each = zip(open_for, unknown, strict=False)
+    why = next((why for why, is_open in each if why and is_open), "")
+    factor = Series("", c.change, c.change_lower95, c.change_upper95)
+    _, least, most = factor.mid_s(bands.centres_hz)
     # without an interval, the likeliest is all that is known
-    return DecayAnswer(bands, symbol, earlier, later, is_changed, why, not least <= 1.0 <= most)
-
-
-def _open_because(centres_hz: FloatArray, unknown: BoolArray, open_for: Sequence[str]) -> str:
-    """Return why a change is not determined in a band that the mid frequencies are made of."""
-    mid = np.isin(centres_hz, MID_HZ)
-    each = zip(open_for, unknown & (mid if mid.any() else True), strict=False)
-    return next((why for why, is_open in each if why and is_open), "")
+    sure = not least <= 1.0 <= most
+    return DecayAnswer(bands, symbol, earlier, Series(after, *after_s), is_changed, why, sure)
 
 
 # ---------------------------------------------------------------- the blocks
@@ -200,7 +201,8 @@ def _open_because(centres_hz: FloatArray, unknown: BoolArray, open_for: Sequence
 _MEAN = "Mean over the pairs (over those measured, where some are): predicted, 95 % interval"
 _STI = "Speech transmission index (IEC 60268-16), 95 % interval"
 _USES = {None: "not measured", "fit": "measured", "validate": "measured, kept for validation"}
-_MOST_PICTURES = 24
+_MOST_PICTURES, _MOST_IN_TEXT = 24, 4
+_OPEN = ((Code.CHANGE_PRIOR_DOMINATED, "prior alone"), (Code.RESULT_DOUBTED, "result doubted"))
 
 
 def describe(predicted: Predicted) -> Blocks:
@@ -209,32 +211,36 @@ def describe(predicted: Predicted) -> Blocks:
     Of a change each parameter has what was measured before, the model before and after, what was
     measured carried over by the change, and the change, with their intervals.
     """
-    answer, open_for = _answer(predicted), _open_for(predicted)
     is_changed, centres_hz = bool(predicted.changes), predicted.bands.centres_hz
+    # by band why the absorption may be split otherwise among walls; "" where it may not
+    open_for = tuple(
+        next((why for code, why in _OPEN if _is_said(predicted, code, f)), "")
+        for f in centres_hz.tolist()
+    )
+    means = named_values(predicted.mean, None)
+    answer = decay_answer(predicted.bands, means, is_changed=is_changed, open_for=open_for)
     lead = [f"With {'; '.join(predicted.changes)}:"] if predicted.changes else []
     lead += [] if answer is None else [answer.sentence]
     head: list[Block] = [Sentence(" ".join(lead), "lead")] if lead else []
     head += [] if answer is None else [answer.drawing()]
-    head.append(Numbers(tuple(_numbers(predicted, answer))))
+    head.append(Numbers(tuple(_numbers(predicted, [] if answer is None else answer.numbers))))
     if predicted.compares_states:
         title = "Means over the pairs before and after the change, one panel a parameter"
-        caption = "Bars are 95 % intervals."
-        head.append(
-            drawing("change", title, caption, "prediction_figures.change_figure", predicted)
-        )
+        maker = "prediction_figures.change_figure"
+        head.append(drawing("change", title, "Bars are 95 % intervals.", maker, predicted))
 
     def shown(title: str, values: Mapping[ValueName, PredictedValue]) -> tuple[Table, ...]:
-        named = named_values(values, None)
-        lines = parameter_lines(named, is_changed=is_changed, open_for=open_for)
-        return band_tables(title, "parameter", centres_hz, parameter_rows(lines))
+        rows = parameter_rows(named_values(values, None), is_changed=is_changed, open_for=open_for)
+        return band_tables(title, "parameter", centres_hz, rows)
 
     named = [(f"{p.source} to {p.receiver}, {_USES[p.use]}", p) for p in predicted.pairs]
     sti = [("mean over the pairs", predicted.sti), *((title, p.sti) for title, p in named)]
-    rows: list[tuple[Cell, ...]] = []
-    for title, value in sti:
-        if value is not None:
-            lines = parameter_lines({"STI": value}, is_changed=is_changed)
-            rows += parameter_rows([(title, what, cells) for _, what, cells in lines])
+    rows = [
+        row
+        for title, value in sti
+        if value is not None
+        for row in parameter_rows({"STI": value}, is_changed=is_changed, title=title)
+    ]
     speech: Block = Sentence(f"STI is not predicted: {sti_missing(predicted.bands)}.")
     if rows:
         speech = Table(_STI, ("pair", "125 Hz to 8 kHz"), rows)
@@ -249,9 +255,6 @@ def describe(predicted: Predicted) -> Blocks:
         blocks.append(Part("Pair by pair", tables, "", words, folded=True, in_text=few))
     title = "Before and after" if predicted.compares_states else "Predicted"
     return Blocks(title, tuple(head), tuple(blocks), "predicted.json")
-
-
-_MOST_IN_TEXT = 4
 
 
 def draw(predicted: Predicted, pair: int = 0) -> Figure:
@@ -269,82 +272,6 @@ def pair_drawings(predicted: Predicted) -> Iterator[Drawing]:
         yield drawing(name, "Energy decay curves", "", maker, predicted, pair)
 
 
-SHOWN: tuple[tuple[str, str, str], ...] = (
-    ("T20_s", "T20 s", "{:.2f}"),
-    ("T30_s", "T30 s", "{:.2f}"),
-    ("EDT_s", "EDT s", "{:.2f}"),
-    ("C50_dB", "C50 dB", "{:.1f}"),
-    ("C80_dB", "C80 dB", "{:.1f}"),
-    ("D50_percent", "D50 %", "{:.0f}"),
-    ("TS_ms", "TS ms", "{:.0f}"),
-    ("G_dB", "G dB", "{:.1f}"),
-    ("STI", "STI", "{:.2f}"),
-)
-
-
-_OPEN = ((Code.CHANGE_PRIOR_DOMINATED, "prior alone"), (Code.RESULT_DOUBTED, "result doubted"))
-
-
-def _open_for(predicted: Predicted) -> tuple[str, ...]:
-    """Return by band why the absorption may be split otherwise among walls; "" where it may not."""
-    centres_hz, found = predicted.bands.centres_hz.tolist(), predicted.findings
-    return tuple(
-        next((why for code, why in _OPEN if _is_said(found, code, f)), "") for f in centres_hz
-    )
-
-
-def _is_said(findings: Sequence[Finding], code: Code, band_hz: float) -> bool:
-    return any(f.code is code and f.about.in_band(band_hz) for f in findings)
-
-
-def parameter_lines(
-    table: Mapping[str, PredictedValue], *, is_changed: bool, open_for: Sequence[str] = ()
-) -> list[tuple[str, str, list[Cell]]]:
-    """Return name, what is said of it, and cells of every line of a table.
-
-    What was measured is set against the model of the room as it was measured, never against a
-    changed one. `open_for` says by band why the absorption may be split otherwise among walls: a
-    change of which `is_undetermined` holds is not determined there, and the reason stands beside.
-    """
-    lines = []
-    for name, label, form in SHOWN:
-        if name not in table:
-            continue
-        v, c = table[name], table[name].change
-        after = _with_bounds(form, v.predicted, v.lower95, v.upper95)
-        is_measured = np.isfinite(v.measured).any()
-        lines.append((label, "model after" if is_changed else "predicted", after))
-        if is_measured and c is not None:
-            cells = [Cell(form.format(m) if np.isfinite(m) else "-") for m in v.measured]
-            lines.append((label, "measured before", cells))
-        elif is_measured:
-            lines.append((label, "measured", _measured_cells(v, form)))
-        if is_changed and c is not None:
-            lines += [
-                (label, what, cells)
-                for what, cells in _change_cells(name, c, form, open_for)
-                if is_measured or what != "carried over"
-            ]
-    return lines
-
-
-def _change_cells(
-    name: str, c: ValueChange, form: str, open_for: Sequence[str]
-) -> Iterator[tuple[str, list[Cell]]]:
-    yield "model before", _with_bounds(form, c.before, c.before_lower95, c.before_upper95)
-    yield "carried over", _with_bounds(form, c.carried, c.carried_lower95, c.carried_upper95)
-    rows = (c.change, c.change_lower95, c.change_upper95)
-    label, cells = "change %", _with_bounds("{:+.0f}", *(100 * (r - 1) for r in rows))
-    if name not in FIT_RANGES_DB:
-        unit = {n: label for n, label, _ in SHOWN}[name].partition(" ")[2].replace("%", "points")
-        label, cells = f"change {unit}".rstrip(), _with_bounds(form.replace(":", ":+"), *rows)
-    unknown = is_undetermined(name, c)
-    for band, why in enumerate(open_for[: unknown.size]):
-        if why and unknown[band]:
-            cells[band] = Cell("not determined", (why,))
-    yield label, cells
-
-
 def grid_drawings(predicted: Predicted, scene: Scene) -> Iterator[Drawing]:
     """Return the maps of every source."""
     sources = dict.fromkeys(pair.source for pair in predicted.pairs)
@@ -353,15 +280,12 @@ def grid_drawings(predicted: Predicted, scene: Scene) -> Iterator[Drawing]:
         yield drawing(name, "Maps", "", maker, predicted, scene, source)
 
 
-def _answer(predicted: Predicted) -> DecayAnswer | None:
-    means = named_values(predicted.mean, None)
-    is_changed, open_for = bool(predicted.changes), _open_for(predicted)
-    return decay_answer(predicted.bands, means, is_changed=is_changed, open_for=open_for)
+def _is_said(predicted: Predicted, code: Code, band_hz: float) -> bool:
+    return any(f.code is code and f.about.in_band(band_hz) for f in predicted.findings)
 
 
-def _numbers(predicted: Predicted, answer: DecayAnswer | None) -> list[tuple[str, str]]:
-    """Return at most four numbers and what they are."""
-    shown = [] if answer is None else answer.numbers
+def _numbers(predicted: Predicted, shown: list[tuple[str, str]]) -> list[tuple[str, str]]:
+    """Return at most four numbers and what they are: those of the decay time first."""
     named = named_values(predicted.mean, predicted.sti)
     centres = predicted.bands.centres_hz
     for key, label, form in SHOWN:
@@ -377,19 +301,67 @@ def _numbers(predicted: Predicted, answer: DecayAnswer | None) -> list[tuple[str
     return shown
 
 
-# Of a change, in the order of time.
-_IN_A_PAGE = ("predicted", "measured", "measured before", "model before", "model after")
+def parameter_rows(
+    table: Mapping[str, PredictedValue],
+    *,
+    is_changed: bool,
+    open_for: Sequence[str] = (),
+    title: str = "",
+) -> list[tuple[Cell, ...]]:
+    """Return the rows of a table of parameters in the order of time; each name stands once.
 
-
-def parameter_rows(lines: Sequence[tuple[str, str, list[Cell]]]) -> list[tuple[Cell, ...]]:
-    """Return lines in the order of time; each name stands once."""
+    What was measured is set against the model of the room as it was measured, never against a
+    changed one. `open_for` says by band why the absorption may be split otherwise among walls: a
+    change of which `is_undetermined` holds is not determined there, and the reason stands beside.
+    `title` stands in place of the names.
+    """
     rows = []
-    order = {what: i for i, what in enumerate(_IN_A_PAGE)}
-    for label, own in groupby(lines, key=itemgetter(0)):
-        ordered = sorted(own, key=lambda line: order.get(line[1], len(order)))
-        for i, (_, what, cells) in enumerate(ordered):
-            rows.append((Cell(label if i == 0 else "", (what,)), *cells))
+    for name, label, form in SHOWN:
+        if name not in table:
+            continue
+        v, c = table[name], table[name].change
+        lines: dict[str, list[Cell]] = {}
+        predicted = _with_bounds(form, v.predicted, v.lower95, v.upper95)
+        if not is_changed:
+            lines["predicted"] = predicted
+        if np.isfinite(v.measured).any():
+            steps = [f"{x:+.1f} jnd" if np.isfinite(x) and c is None else "" for x in v.jnd]
+            lines["measured" if c is None else "measured before"] = [
+                Cell(form.format(m), tuple(filter(None, [x]))) if np.isfinite(m) else Cell("-")
+                for m, x in zip(v.measured, steps, strict=True)
+            ]
+        if is_changed and c is not None:
+            lines["model before"] = _with_bounds(form, c.before, c.before_lower95, c.before_upper95)
+        if is_changed:
+            lines["model after"] = predicted
+        if is_changed and c is not None:
+            if np.isfinite(v.measured).any():
+                carried = (c.carried, c.carried_lower95, c.carried_upper95)
+                lines["carried over"] = _with_bounds(form, *carried)
+            lines |= dict([_change_cells(name, c, form, open_for)])
+        heads = [title or label] + [""] * len(lines)
+        rows += [
+            (Cell(head, (what,)), *cells)
+            for head, (what, cells) in zip(heads, lines.items(), strict=False)
+        ]
     return rows
+
+
+def _change_cells(
+    name: str, c: ValueChange, form: str, open_for: Sequence[str]
+) -> tuple[str, list[Cell]]:
+    """Return the name of a change with its unit, and its cells."""
+    rows = (c.change, c.change_lower95, c.change_upper95)
+    if name in FIT_RANGES_DB:
+        label, cells = "change %", _with_bounds("{:+.0f}", *(100 * (r - 1) for r in rows))
+    else:
+        unit = {n: label for n, label, _ in SHOWN}[name].partition(" ")[2].replace("%", "points")
+        label, cells = f"change {unit}".rstrip(), _with_bounds(form.replace(":", ":+"), *rows)
+    unknown = is_undetermined(name, c)
+    for band, why in enumerate(open_for[: unknown.size]):
+        if why and unknown[band]:
+            cells[band] = Cell("not determined", (why,))
+    return label, cells
 
 
 def _with_bounds(
@@ -400,16 +372,6 @@ def _with_bounds(
         if np.isfinite(v)
         else Cell("-")
         for v, low, high in zip(values, lower95, upper95, strict=True)
-    ]
-
-
-def _measured_cells(value: PredictedValue, form: str) -> list[Cell]:
-    """Measured values; below how far the prediction is above, in just noticeable steps."""
-    return [
-        Cell(form.format(m), (f"{steps:+.1f} jnd",) if np.isfinite(steps) else ())
-        if np.isfinite(m)
-        else Cell("-")
-        for m, steps in zip(value.measured, value.jnd, strict=True)
     ]
 
 

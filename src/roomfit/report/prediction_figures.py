@@ -1,32 +1,43 @@
-"""Figures of predictions and treatments: a change, decay curves, maps, what hangs where."""
+"""Figures of predictions, treatments and designs: a change, decays, maps, what goes where."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex, to_rgb, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
 
 from roomfit.base.typing import FloatArray, IntArray
+from roomfit.design.output import mean_widths
+from roomfit.design.positions import Design
 from roomfit.predict.grid import MAPPED
 from roomfit.predict.prediction import Predicted, PredictedPair, named_values
-from roomfit.report.decay_times import mid_mean, mid_words
 from roomfit.report.figures import (
     LOWEST_DB,
-    band_panels,
+    bands_side_by_side,
+    decay_panels,
     figure_legend,
-    frame_panels,
     literal,
     new_figure,
 )
 from roomfit.report.predicted import SHOWN
-from roomfit.report.room_figure import drawn_faces, outline_m, projection
-from roomfit.report.wording import COLOURS, OKABE_ITO, decay_time_key, parameter
-from roomfit.room.mesh import corners_m
+from roomfit.report.room_figure import draw_edges, draw_faces, drawn_faces, outline_m
+from roomfit.report.wording import (
+    COLOURS,
+    OKABE_ITO,
+    decay_time_key,
+    mid_mean,
+    mid_words,
+    parameter,
+)
 from roomfit.room.scene import Scene, triangle_material
-from roomfit.treat.arrangements import Arrangement, Treatment
+from roomfit.treat.arrangements import Treatment
+
+# ---------------------------------------------------------------- predictions
 
 
 def change_figure(predicted: Predicted) -> Figure:
@@ -34,19 +45,20 @@ def change_figure(predicted: Predicted) -> Figure:
 
     Beside each other in every band: measured before, model before, model after, and measured before
     carried over by the model's change; bars are 95 % intervals.
-
     """
     means = named_values(predicted.mean, predicted.sti)
-    compared = [(v.change, name) for name, v in means.items() if v.change is not None]
-    shown = [(c, n, label) for n, label, _ in SHOWN for c, m in compared if m == n]
-    shown = [row for row in shown if np.isfinite(row[0].change).any()]
-    heads = [f"{f:g}" for f in predicted.bands.centres_hz]
-    figure = new_figure(9.0, 2.2 * -(-len(shown) // 2) + 0.8)
-    panels = figure.subplots(-(-len(shown) // 2), 2, squeeze=False).ravel()
-    for unused in panels[len(shown) :]:
+    shown = [(n, label, means[n]) for n, label, _ in SHOWN if n in means]
+    rows = [(n, x, v, v.change) for n, x, v in shown if v.change is not None]
+    rows = [row for row in rows if np.isfinite(row[3].change).any()]
+    figure = new_figure(9.0, 2.2 * -(-len(rows) // 2) + 0.8)
+    panels = figure.subplots(-(-len(rows) // 2), 2, squeeze=False).ravel()
+    for unused in panels[len(rows) :]:
         unused.set_visible(False)
-    for axes, (c, name, label) in zip(panels, shown, strict=False):
-        v, at = means[name], np.arange(means[name].predicted.size)
+    for axes, (name, label, v, c) in zip(panels, rows, strict=False):
+        is_sti = name == "STI"
+        at = bands_side_by_side(axes, predicted.bands.centres_hz[: 1 if is_sti else None])
+        if is_sti:
+            axes.set_xticks(at, ["125 to 8000"])
         series = (
             ("measured before", "black", v.measured, v.measured, v.measured),
             ("model before", OKABE_ITO[0], c.before, c.before_lower95, c.before_upper95),
@@ -59,56 +71,51 @@ def change_figure(predicted: Predicted) -> Figure:
             axes.vlines(x, low, high, color=color, lw=1.6)
             axes.plot(x, middle, "o", color=color, ms=4, label=text)
         axes.set_title(label, fontsize=9)
-        axes.set_xticks(at, ["125 to 8000"] if name == "STI" else heads)
-        axes.set_xlim(-0.6, at.size - 0.4)
-        axes.grid(alpha=0.25, axis="y")
     figure.supxlabel("frequency (Hz)", fontsize=10)
-    figure_legend(figure, panels[0], 4, "mean with " + literal("; ".join(predicted.changes), 80))
+    figure_legend(figure, 4, "mean with " + literal("; ".join(predicted.changes), 80))
     return figure
 
 
 def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
     """Return predicted energy decay curves of one pair, one panel a band, measured ones beside."""
-    figure, panels = band_panels(len(predicted.bands), 2.3)
-    decay = pair.decay
-    times = {str(name): value for name, value in pair.parameters.items()}
+    figure, panels = decay_panels(predicted.bands.centres_hz)
+    decay, times = pair.decay, {str(name): value for name, value in pair.parameters.items()}
     key = decay_time_key(times)
+    curves = [
+        ("predicted before the change", decay.before_db, OKABE_ITO[0], "--"),
+        (
+            "measured before the change" if predicted.compares_states else "measured",
+            decay.measured_db,
+            "black",
+            "-",
+        ),
+        (
+            "predicted after the change" if predicted.changes else "predicted",
+            decay.predicted_db,
+            OKABE_ITO[1],
+            "-",
+        ),
+    ]
     shown_s = 1e-3
     for j, axes in enumerate(panels):
         axes.fill_between(
             decay.time_s, decay.lower_db[j], decay.upper_db[j], color=OKABE_ITO[1], alpha=0.25,
             lw=0.0, label="95 % interval (absorption alone)",
         )  # fmt: skip
-        axes.plot(
-            decay.time_s,
-            decay.predicted_db[j],
-            color=OKABE_ITO[1],
-            lw=1.6,
-            label="predicted after the change" if predicted.changes else "predicted",
-        )
-        if decay.before_db is not None:
-            axes.plot(
-                decay.time_s, decay.before_db[j], color=OKABE_ITO[0], lw=1.2, ls="--",
-                label="predicted before the change",
-            )  # fmt: skip
-        if decay.measured_db is not None:
-            label = "measured before the change" if predicted.compares_states else "measured"
-            axes.plot(decay.time_s, decay.measured_db[j], color="black", lw=1.4, label=label)
+        for label, level_db, colour, style in curves:
+            if level_db is not None:
+                axes.plot(decay.time_s, level_db[j], style, color=colour, lw=1.5, label=label)
         known = decay.predicted_db[j] > LOWEST_DB
         shown_s = max(shown_s, float(decay.time_s[known].max(initial=0.0)))
-        label = f"{predicted.bands.centres_hz[j]:g} Hz"
         if key is not None and np.isfinite(times[key].predicted[j]):
-            label += f": {parameter(key).symbol} {times[key].predicted[j]:.2f} s"
-        axes.set_title(label, fontsize=9)
-    panels[0].set_ylim(LOWEST_DB, 2.0)
+            title = f"{axes.get_title(loc='left')}: {parameter(key).symbol}"
+            title += f" {times[key].predicted[j]:.2f} s"
+            axes.set_title(title, fontsize=9, loc="left")
     panels[0].set_xlim(0.0, shown_s)
     title = f"{literal(pair.source)} to {literal(pair.receiver)}"
     if predicted.changes:
         title += " with " + literal("; ".join(predicted.changes), 80)
-    frame_panels(
-        figure, panels, "time after emission (s)", "energy decay curve (dB)",
-        legend_columns=3, title=title,
-    )  # fmt: skip
+    figure_legend(figure, 3, title)
     return figure
 
 
@@ -118,22 +125,22 @@ def grid_figure(predicted: Predicted, scene: Scene, source: str) -> Figure:
     Means of 500 and 1000 Hz, or of the bands nearest to them.
     """
     pairs = [p for p in predicted.pairs if p.source == source]
-    known = [n for n in MAPPED if any(np.isfinite(v).any() for v in _of(predicted, pairs, n))]
+    maps = {name: _mid_values(predicted, pairs, name) for name in MAPPED}
+    maps = {name: both for name, both in maps.items() if np.isfinite(both).any()}
     positions = {p.name: p.position_m for p in scene.receivers}
     at_m = np.array([positions[p.receiver] for p in pairs])
     here_m = next(p.position_m for p in scene.sources if p.name == source)
     x_m, y_m, cells = _cells(at_m[:, :2])
-    figure = new_figure(9.0, 2.8 * len(known) + 0.6)
-    panels = figure.subplots(len(known), 2, squeeze=False)
-    for row, name in zip(panels, known, strict=True):
-        value, width = _of(predicted, pairs, name)
+    figure = new_figure(9.0, 2.8 * len(maps) + 0.6)
+    panels = figure.subplots(len(maps), 2, squeeze=False)
+    for row, (name, both) in zip(panels, maps.items(), strict=True):
         how, where = parameter(name), f", {mid_words(predicted.bands.centres_hz)}"
         unit = f" ({how.unit})" if how.unit else ""
         words = f"{how.symbol}{unit}{where if name != 'STI' else ''}"
         titles = (words, f"width of its 95 % interval{unit}")
-        for axes, numbers, title in zip(row, (value, width), titles, strict=True):
+        for axes, values, title in zip(row, both, titles, strict=True):
             table = np.full((y_m.size, x_m.size), np.nan)
-            table[cells[:, 1], cells[:, 0]] = numbers
+            table[cells[:, 1], cells[:, 0]] = values
             drawn = axes.pcolormesh(x_m, y_m, table, shading="nearest", cmap="viridis")
             axes.plot(*here_m[:2], "k*", ms=9)
             axes.set_title(title, fontsize=9)
@@ -158,9 +165,7 @@ def _cells(at_m: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
     return x_m, y_m, cells
 
 
-def _of(
-    predicted: Predicted, pairs: list[PredictedPair], name: str
-) -> tuple[FloatArray, FloatArray]:
+def _mid_values(predicted: Predicted, pairs: list[PredictedPair], name: str) -> FloatArray:
     """Return a parameter of every pair at mid frequencies, and the width of its interval."""
     centres_hz = np.array([1000.0]) if name == "STI" else predicted.bands.centres_hz
     rows = []
@@ -168,68 +173,134 @@ def _of(
         v = named_values(pair.parameters, pair.sti).get(name)
         both = () if v is None else (v.predicted, v.upper95 - v.lower95)
         rows.append([mid_mean(centres_hz, x) for x in both] or [np.nan, np.nan])
-    value, width = np.array(rows).T
-    return value, width
+    return np.array(rows).T
+
+
+# ---------------------------------------------------------------- treatments
 
 
 def treatment_figure(treatment: Treatment) -> Figure:
-    """Return the room and what hangs where in the first arrangement."""
+    """Return the room from above one corner, what hangs where in the first arrangement in colour.
+
+    The less of a surface is covered the paler it is; covered walls towards the viewer are seen
+    through.
+    """
     figure = new_figure(6.4, 4.4)
-    _draw_room(figure.add_subplot(), treatment, treatment.arrangements[0])
-    return figure
-
-
-def _draw_room(axes: Axes, treatment: Treatment, a: Arrangement) -> None:
-    """Draw the room from above one corner, treated surfaces in colour; walls in front left out."""
-    room, onto = treatment.room.scene.room, projection()[:2]
-    by_surface: dict[str, list[str]] = {}
+    axes, room = figure.add_subplot(), treatment.room.scene.room
+    texts: dict[str, list[str]] = {}
     covered: dict[str, float] = {}
-    for h in a.hung:
+    for h in treatment.arrangements[0].hung:
         text = f"{h.area_m2:.4g} m² {h.product} ({100 * h.share:.0f} %)"
-        by_surface.setdefault(h.surface, []).append(text)
+        texts.setdefault(h.surface, []).append(text)
         covered[h.surface] = covered.get(h.surface, 0.0) + h.share
-    # the less of a surface is covered the paler it is
-    colour = {}
+    colours = {}
     for i, (name, share) in enumerate(covered.items()):
-        red, green, blue = (
-            1.0 - (0.3 + 0.7 * min(share, 1.0)) * (1.0 - part)
-            for part in to_rgb(COLOURS[i % len(COLOURS)])
-        )
-        colour[name] = to_hex((red, green, blue))
-    faces, _ = drawn_faces(room)
-    owner = [room.materials[int(i)] for i in triangle_material(room)[faces]]
-    colours = [colour.get(name, "#EEEEEE") for name in owner]
-    axes.add_collection(
-        PolyCollection(
-            list(corners_m(room.mesh)[faces] @ onto.T),
-            facecolors=colours, edgecolors=colours, linewidths=0.5, closed=True, clip_on=False,
-        )
-    )  # fmt: skip
+        full = np.array(to_rgb(COLOURS[i % len(COLOURS)]))
+        colours[name] = to_hex(tuple(1.0 - (0.3 + 0.7 * min(share, 1.0)) * (1.0 - full)))
+    faces = drawn_faces(room)
+    owner = np.array(room.materials)[triangle_material(room)]
+    behind = [colours.get(name, "#EEEEEE") for name in owner[faces]]
+    draw_faces(axes, room, faces, behind, behind)
     # covered walls whose inside is turned away stand before the others, and are seen through
-    is_hidden = ~np.isin(np.arange(len(room.mesh.triangles)), faces)
-    for name in colour:
-        front = is_hidden & (triangle_material(room) == room.materials.index(name))
-        axes.add_collection(
-            PolyCollection(
-                list(corners_m(room.mesh)[front] @ onto.T),
-                facecolors=[to_rgba(colour[name], 0.35)], edgecolors=[to_rgba(colour[name], 0.9)],
-                linewidths=0.5, closed=True, clip_on=False, zorder=2.5,
-            )
-        )  # fmt: skip
-    edges = outline_m(room, 1500)
-    axes.add_collection(
-        LineCollection(list(edges @ onto.T), colors="#444444", linewidths=0.8, clip_on=False)
-    )
-    flat = room.mesh.vertices_m @ onto.T
-    axes.set_xlim(flat[:, 0].min(), flat[:, 0].max())
-    axes.set_ylim(flat[:, 1].min(), flat[:, 1].max())
+    for name, colour in colours.items():
+        front = np.setdiff1d(np.flatnonzero(owner == name), faces)
+        ends = [to_rgba(colour, 0.35)], [to_rgba(colour, 0.9)]
+        draw_faces(axes, room, front, *ends, zorder=2.5)
+    draw_edges(axes, room)
     axes.set_aspect("equal")
-    axes.set_axis_off()
     handles = [
-        Patch(facecolor=colour[s], edgecolor="#777777", label=literal(f"{s}: {', '.join(t)}", 60))
-        for s, t in by_surface.items()
+        Patch(facecolor=colours[s], edgecolor="#777777", label=literal(f"{s}: {', '.join(t)}", 60))
+        for s, t in texts.items()
     ]
     handles.append(Patch(facecolor="#EEEEEE", edgecolor="#777777", label="as it is"))
     axes.legend(
         handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.02), frameon=False, fontsize=8
     )
+    return figure
+
+
+# ---------------------------------------------------------------- designs
+
+_BLUE, _ORANGE, _GREY = OKABE_ITO[0], OKABE_ITO[1], "0.62"
+_MAP_IN = 8.6
+
+
+def design_map(design: Design) -> Figure:
+    """Return the room from above and from the side, with candidates and numbered pairs."""
+    edges = outline_m(design.scene.room)
+    size = np.ptp(design.scene.room.mesh.vertices_m, axis=0)
+    across = _MAP_IN - 1.1
+    tall = [min(across * max(size[i] / max(size[0], 1e-9), 0.18), 7.0) for i in (1, 2)]
+    figure = new_figure(_MAP_IN, sum(tall) + 2.1)
+    plan, side = figure.subplots(2, 1, sharex=True, height_ratios=tall)
+    for axes, up, title, label in (
+        (plan, 1, "from above", "y (m)"),
+        (side, 2, "from the side", "z (m)"),
+    ):
+        lines = LineCollection(list(edges[:, :, [0, up]]), colors="black", linewidths=0.9)
+        axes.add_collection(lines)
+        _draw_pairs(axes, design, up)
+        axes.set_title(title, fontsize=9, loc="left")
+        axes.set_ylabel(label)
+        axes.set_aspect("equal")
+        axes.margins(0.03)
+    side.set_xlabel("x (m)")
+    figure_legend(figure, 3)
+    return figure
+
+
+def _draw_pairs(axes: Axes, design: Design, up: int) -> None:
+    """Draw candidates and chosen pairs along x and one other axis."""
+    scene = design.scene
+    sources, receivers = (
+        np.array([p.position_m for p in points])[:, [0, up]]
+        for points in (scene.sources, scene.receivers)
+    )
+    pairs, fixed = scene.pairs[design.chosen], scene.pairs[: design.n_fixed]
+    axes.plot(*receivers.T, ".", color=_GREY, ms=4, label="candidate receiver")
+    axes.plot(*sources.T, "^", color=_GREY, ms=6, mfc="none", label="candidate source")
+    if len(fixed):
+        used = receivers[np.unique(fixed[:, 1])]
+        axes.plot(*used.T, "s", color="black", ms=6, mfc="none", label="measured already")
+    for s, r in pairs:
+        axes.plot(*np.array([sources[s], receivers[r]]).T, "-", color=_BLUE, lw=0.9, alpha=0.6)
+    axes.plot(*sources[np.unique(pairs[:, 0])].T, "^", color=_ORANGE, ms=10, label="source")
+    axes.plot(*receivers[pairs[:, 1]].T, "o", color=_BLUE, ms=12, label="receiver, in this order")
+    for r in np.unique(pairs[:, 1]):
+        number = ",".join(str(i + 1) for i in np.flatnonzero(pairs[:, 1] == r))
+        axes.annotate(
+            number, receivers[r], color="white", fontsize=8, ha="center", va="center_baseline",
+            fontweight="bold", zorder=5,
+        )  # fmt: skip
+    for s in np.unique(pairs[:, 0]):
+        axes.annotate(
+            literal(scene.sources[s].name), sources[s], xytext=(7, 5), textcoords="offset points",
+            fontsize=8, color=_ORANGE, zorder=5,
+            path_effects=[withStroke(linewidth=2.0, foreground="white")],
+        )  # fmt: skip
+
+
+def design_gain(design: Design) -> Figure:
+    """Return the expected mean interval against the number of pairs, beside random designs."""
+    figure = new_figure(6.4, 4.0)
+    axes = figure.subplots()
+    reached = np.isfinite(design.random_means).any(axis=0)
+    if len(design.random_means):
+        rows = np.nanquantile(design.random_means[:, reached], (0.05, 0.5, 0.95), axis=0)
+        low, middle, high = rows
+        steps, label = (
+            np.flatnonzero(reached),
+            f"{len(design.random_means)} random designs, 5 to 95 %",
+        )
+        axes.fill_between(steps, low, high, color=_GREY, alpha=0.35, lw=0.0, label=label)
+        axes.plot(steps, middle, color="0.25", lw=1.4, ls="--", label="their median")
+    axes.plot(mean_widths(design), "o-", color=_BLUE, lw=1.8, label="chosen")
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlim(left=0.0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    beside = " beside what is known" if design.after_fit or design.n_fixed else ""
+    axes.set_xlabel(f"measured pairs of source and receiver{beside}")
+    axes.set_ylabel("expected width of the 95 % interval,\nmean over materials and bands")
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False)
+    return figure

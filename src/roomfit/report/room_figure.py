@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -16,7 +16,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from roomfit.base.typing import FloatArray, IntArray
-from roomfit.report.figures import PlainFigure, literal
+from roomfit.report.figures import literal
 from roomfit.report.wording import OKABE_ITO, material_colour
 from roomfit.room.mesh import area_vectors_m2, corners_m
 from roomfit.room.scene import Room, Scene, triangle_material, wall_materials
@@ -24,16 +24,13 @@ from roomfit.room.scene import Room, Scene, triangle_material, wall_materials
 _SAME_PLANE = 0.9995
 """Cosine between normals above which two faces look flat together, 1.8 degrees."""
 
-MOST_FACES = 2500
+MOST_FACES, MOST_EDGES = 2500, 1500
 """Of more visible faces, the largest are drawn: a hundred bytes each in the report."""
 
 _SOURCE, _RECEIVER = OKABE_ITO[1], "#222222"
 _SOURCE_NAME = "#8A3C00"
-_WIDTH_IN, _GAP_IN = 10.2, 0.75
+_WIDTH_IN, _GAP_IN, _BELOW_IN = 10.2, 0.75, 1.2
 _SPACE_IN = (6.9, 4.4)
-_BELOW_IN = 1.2
-_MOST_EDGES = 1500
-_MOST_WALL_NAMES = 10
 _UPRIGHT = 0.3
 """Vertical part of a unit normal below which a wall stands and above one less which it lies."""
 _MOST_NAMES, _MOST_STEMS, _MOST_IN_LEGEND = 24, 16, 18
@@ -41,62 +38,53 @@ _LETTER_PT, _NAME_PT = 5.0, 8.0
 # Viewed from the south-south-west, 30 degrees above the floor.
 _AZIMUTH, _ELEVATION = np.radians(-118.0), np.radians(30.0)
 _AXES = ("x (m)", "y (m)", "z (m)")
-_Offset = tuple[float, float, Literal["left", "right", "center"]]
 
 
 def room_figure(scene: Scene) -> Figure:
     """Return the room from above one corner, its plan and two side views, to scale.
 
     In space the walls towards the viewer are left out, so that its inside shows; the
-    colours are those of `material_colour`. The plan names the materials of walls, floor and
-    ceiling.
+    colours are those of `material_colour`. The plan names the materials of floor and ceiling.
     """
-    edges = outline_m(scene.room, _MOST_EDGES)
+    edges = outline_m(scene.room)
     vertices = scene.room.mesh.vertices_m
     low, size = vertices.min(axis=0), np.maximum(np.ptp(vertices, axis=0), 1e-6)
     views = ((0, 1, "plan"), (0, 2, "side (x, z)"), (1, 2, "side (y, z)"))
-    across = [float(size[i]) for i, _, _ in views]
-    tall_m = [float(size[j]) for _, j, _ in views]
-    scale = min((_WIDTH_IN - 3.0 * _GAP_IN) / sum(across), 3.4 / max(tall_m))
-    below_in = max(tall_m) * scale + _BELOW_IN
-    flat = (vertices @ projection().T)[:, :2]
-    extent = np.maximum(np.ptp(flat, axis=0), 1e-6)
-    space_scale = min(_SPACE_IN[0] / extent[0], _SPACE_IN[1] / extent[1])
+    across_m, tall_m = sum(size[i] for i, _, _ in views), max(size[1:])
+    scale = float(min((_WIDTH_IN - 3.0 * _GAP_IN) / across_m, 3.4 / tall_m))
+    extent = np.maximum(np.ptp(vertices @ projection()[:2].T, axis=0), 1e-6)
+    space_scale = float(min(np.array(_SPACE_IN) / extent))
     entries = min(len(wall_materials(scene.room)), _MOST_IN_LEGEND) + 2
+    below_in = tall_m * scale + _BELOW_IN
     above_in = max(extent[1] * space_scale + 0.5, 0.2 * entries + 0.3)
-    height_in = above_in + below_in
-    figure = PlainFigure(figsize=(_WIDTH_IN, height_in))
+    figure = Figure(figsize=(_WIDTH_IN, above_in + below_in))
     FigureCanvasAgg(figure)
 
     def panel(left_in: float, bottom_in: float, wide_in: float, tall_in: float) -> Axes:
-        inches = (left_in, bottom_in, wide_in, tall_in)
-        whole = (_WIDTH_IN, height_in, _WIDTH_IN, height_in)
-        left, bottom, width, tall = (float(a / b) for a, b in zip(inches, whole, strict=True))
-        return figure.add_axes((left, bottom, width, tall))
+        width_in, height_in = _WIDTH_IN, above_in + below_in
+        place = (left_in / width_in, bottom_in / height_in, wide_in / width_in, tall_in / height_in)
+        return figure.add_axes(place)
 
     width, tall = extent * space_scale
     middle = below_in + 0.5 * (above_in - tall)
     space = panel(0.1 + 0.5 * (_SPACE_IN[0] - width), middle, width, tall)
-    _draw_space(space, scene, edges, space_scale)
+    _draw_space(space, scene, space_scale)
     _draw_legend(figure, scene)
-    left_in, bottom_in = _GAP_IN - 0.15, 0.6
+    left_in = _GAP_IN - 0.15
     for right, up, title in views:
-        axes = panel(left_in, bottom_in, size[right] * scale, size[up] * scale)
+        axes = panel(left_in, 0.6, size[right] * scale, size[up] * scale)
         if up == 1:
-            title += _draw_walls(axes, scene, scale)
-        _draw_view(axes, scene, edges, right, up, scale)
-        axes.set_title(title, fontsize=9, loc="left", y=1.0)
+            title += _draw_walls(axes, scene)
         axes.set_xlim(low[right], low[right] + size[right])
         axes.set_ylim(low[up], low[up] + size[up])
+        axes.set_title(title, fontsize=9, loc="left")
+        _draw_view(axes, scene, edges, (right, up), scale)
         left_in += size[right] * scale + _GAP_IN
     return figure
 
 
-def _draw_walls(axes: Axes, scene: Scene, scale: float) -> str:
-    """Draw upright walls in their colours with the name of each material once, in a plan.
-
-    Returned are the materials of floor and ceiling, the largest first, for the title.
-    """
+def _draw_walls(axes: Axes, scene: Scene) -> str:
+    """Draw upright walls in their colours; return the materials of floor and ceiling in words."""
     room, owner = scene.room, triangle_material(scene.room)
     outwards = area_vectors_m2(room.mesh)
     area_m2 = np.linalg.norm(outwards, axis=1)
@@ -109,37 +97,21 @@ def _draw_walls(axes: Axes, scene: Scene, scale: float) -> str:
     rows = np.arange(len(upright))
     ends = np.stack([corners[rows, at.argmin(axis=1)], corners[rows, at.argmax(axis=1)]], axis=1)
     colours = [material_colour(int(i)) for i in owner[upright]]
-    axes.add_collection(
-        LineCollection(list(ends), colors=colours, linewidths=6.0, clip_on=False, zorder=0.9)
-    )
-    first: dict[int, int] = {}
-    for i, material in enumerate(owner[upright].tolist()):
-        first.setdefault(material, i)
-    for material, i in list(first.items())[:_MOST_WALL_NAMES]:
-        length_pt = float(np.linalg.norm(ends[i, 1] - ends[i, 0])) * scale * 72.0
-        name = literal(room.materials[material], 24)
-        if len(name) * _LETTER_PT > length_pt:
-            continue
-        inwards = -normal[upright[i], :2] * 9.0
-        turn = float(np.degrees(np.arctan2(along[i, 1], along[i, 0])))
-        axes.annotate(
-            name, ends[i].mean(axis=0), xytext=tuple(inwards), textcoords="offset points",
-            ha="center", va="center", fontsize=_NAME_PT, color="0.3", annotation_clip=False,
-            rotation=(turn + 90.0) % 180.0 - 90.0,
-        )  # fmt: skip
-    words = []
+    look: dict[str, Any] = {"linewidths": 6.0, "clip_on": False, "zorder": 0.9}
+    axes.add_collection(LineCollection(list(ends), colors=colours, **look))
+    words = ""
     for what, sign in (("floor", -1.0), ("ceiling", 1.0)):
         level = sign * normal[:, 2] > 1.0 - _UPRIGHT
         sums = np.bincount(owner[level], area_m2[level], len(room.materials))
         names = [literal(room.materials[k], 18) for k in np.argsort(-sums)[:2] if sums[k] > 0.0]
-        words += [f"{what} {', '.join(names)}"] if names else []
-    return "".join(f"\n{word}" for word in words)
+        words += f"\n{what} {', '.join(names)}" if names else ""
+    return words
 
 
-def drawn_faces(room: Room) -> tuple[IntArray, int]:
-    """Return the triangles that are drawn in space, farthest first, and how many are visible.
+def drawn_faces(room: Room) -> IntArray:
+    """Return the triangles that are drawn in space, farthest first, the largest of many.
 
-    Visible are those whose side in the air faces the viewer, and both sides of sheets.
+    Those whose side in the air faces the viewer, and both sides of sheets.
     """
     towards = projection()[2]
     away = area_vectors_m2(room.mesh) @ towards
@@ -147,39 +119,54 @@ def drawn_faces(room: Room) -> tuple[IntArray, int]:
     observed = np.flatnonzero((away < 0.0) | (sheet & (away != 0.0)))
     largest = observed[np.argsort(-np.abs(away[observed]), kind="stable")[:MOST_FACES]]
     depth = corners_m(room.mesh)[largest].mean(axis=1) @ towards
-    return largest[np.argsort(depth, kind="stable")], len(observed)
+    return largest[np.argsort(depth, kind="stable")]
 
 
 def projection() -> FloatArray:
     """Return the axes of the picture in the room: to the right, up, and towards the viewer."""
-    towards = np.array(
-        [
-            np.cos(_AZIMUTH) * np.cos(_ELEVATION),
-            np.sin(_AZIMUTH) * np.cos(_ELEVATION),
-            np.sin(_ELEVATION),
-        ]
-    )
+    flat = np.cos(_ELEVATION)
+    towards = np.array([np.cos(_AZIMUTH) * flat, np.sin(_AZIMUTH) * flat, np.sin(_ELEVATION)])
     right = np.cross([0.0, 0.0, 1.0], towards)
     right /= np.linalg.norm(right)
     return np.array([right, np.cross(towards, right), towards])
 
 
-def _draw_space(axes: Axes, scene: Scene, edges: FloatArray, scale: float) -> None:
-    room, onto = scene.room, projection()[:2]
-    faces, _ = drawn_faces(room)
-    owner = triangle_material(room)
-    colours = [material_colour(int(i)) for i in owner[faces]]
+def draw_faces(
+    axes: Axes,
+    room: Room,
+    faces: IntArray,
+    colours: Sequence[Any],
+    edge_colours: Sequence[Any],
+    *,
+    zorder: float = 1.0,
+) -> None:
+    """Draw triangles in space."""
+    onto = projection()[:2]
     # edges of the same colour close the gaps between neighbours
-    axes.add_collection(
-        PolyCollection(
-            list(corners_m(room.mesh)[faces] @ onto.T),
-            facecolors=colours, edgecolors=colours, linewidths=0.5, closed=True, clip_on=False,
-        )
+    filled = PolyCollection(
+        list(corners_m(room.mesh)[faces] @ onto.T), facecolors=colours, edgecolors=edge_colours,
+        linewidths=0.5, closed=True, clip_on=False, zorder=zorder,
     )  # fmt: skip
+    axes.add_collection(filled)
+
+
+def draw_edges(axes: Axes, room: Room) -> None:
+    """Draw the edges of the room in space, and fit the axes to it."""
+    edges, onto = outline_m(room), projection()[:2]
     thin = 0.9 if len(edges) <= 300 else 0.4
-    axes.add_collection(
-        LineCollection(list(edges @ onto.T), colors="#444444", linewidths=thin, clip_on=False)
-    )
+    look: dict[str, Any] = {"colors": "#444444", "linewidths": thin, "clip_on": False}
+    axes.add_collection(LineCollection(list(edges @ onto.T), **look))
+    flat = room.mesh.vertices_m @ onto.T
+    axes.set_xlim(flat[:, 0].min(), flat[:, 0].max())
+    axes.set_ylim(flat[:, 1].min(), flat[:, 1].max())
+    axes.set_axis_off()
+
+
+def _draw_space(axes: Axes, scene: Scene, scale: float) -> None:
+    room, onto, faces = scene.room, projection()[:2], drawn_faces(scene.room)
+    colours = [material_colour(int(i)) for i in triangle_material(room)[faces]]
+    draw_faces(axes, room, faces, colours, colours)
+    draw_edges(axes, room)
     if len(scene.sources) + len(scene.receivers) <= _MOST_STEMS:
         floor = float(room.mesh.vertices_m[:, 2].min())
         for p in (*scene.sources, *scene.receivers):
@@ -188,98 +175,52 @@ def _draw_space(axes: Axes, scene: Scene, edges: FloatArray, scale: float) -> No
             right, up = onto @ np.array([p.position_m, foot]).T
             axes.plot(right, up, ":", color="#222223", lw=0.9)
     _draw_points(axes, scene, onto, scale)
-    flat = room.mesh.vertices_m @ onto.T
-    axes.set_xlim(flat[:, 0].min(), flat[:, 0].max())
-    axes.set_ylim(flat[:, 1].min(), flat[:, 1].max())
-    axes.set_axis_off()
 
 
 def _draw_view(
-    axes: Axes, scene: Scene, edges: FloatArray, right: int, up: int, scale: float
+    axes: Axes, scene: Scene, edges: FloatArray, along: tuple[int, int], scale: float
 ) -> None:
-    room_m = scene.room.mesh.vertices_m
-    onto = np.eye(3)[[right, up]]
-    flat = np.round(edges @ onto.T, 4)
+    """Draw edges and points in a plan or from a side."""
+    flat = np.round(edges[:, :, along], 4)
     # edges above each other are one line, and those along the view are none
     lines = {tuple(sorted((tuple(a), tuple(b)))) for a, b in flat.tolist() if a != b}
     axes.add_collection(
         LineCollection(sorted(lines), colors="#444444", linewidths=0.9, clip_on=False)
     )
-    reach = room_m[:, right]
-    _draw_points(axes, scene, onto, scale, np.array([reach.min(), reach.max()]))
-    axes.set_xlabel(_AXES[right], fontsize=9)
-    axes.set_ylabel(_AXES[up], fontsize=9)
+    _draw_points(axes, scene, np.eye(3)[list(along)], scale)
+    for axis, k, most in ((axes.xaxis, along[0], 6), (axes.yaxis, along[1], 5)):
+        axis.set_label_text(_AXES[k], fontsize=9)
+        axis.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10]))
     axes.tick_params(labelsize=8)
-    axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
-    axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
-def _draw_points(
-    axes: Axes, scene: Scene, onto: FloatArray, scale: float, ends_m: FloatArray | None = None
-) -> None:
-    """Draw sources and receivers; their names where no other name or mark is.
-
-    Between `ends_m`, where given: beyond them are the numbers of an axis.
-    """
+def _draw_points(axes: Axes, scene: Scene, onto: FloatArray, scale: float) -> None:
+    """Draw sources and receivers; their names to the right where nothing else stands."""
     marks = (
         (scene.receivers, "o", _RECEIVER, _RECEIVER, 5.0),
         (scene.sources, "D", _SOURCE, _SOURCE_NAME, 6.5),
     )
+    end_pt = axes.get_xlim()[1] * scale * 72.0 + _LETTER_PT
     names, at = [], []
     for points, marker, colour, ink, size in marks:
         flat = np.array([p.position_m for p in points]).reshape(-1, 3) @ onto.T
-        axes.plot(
-            *flat.T, marker, color=colour, ms=size, mec="white", mew=0.8, clip_on=False, zorder=4
-        )
+        look: dict[str, Any] = {"mec": "white", "mew": 0.8, "clip_on": False, "zorder": 4}
+        axes.plot(*flat.T, marker, color=colour, ms=size, **look)
         names += [(literal(p.name, 16), ink) for p in points]
         at += list(flat)
-    if len(names) > _MOST_NAMES:
-        return
-    at_pt = np.array(at).reshape(-1, 2) * scale * 72.0
-    lengths = [len(name) for name, _ in names]
-    beside = _name_offsets_pt(lengths, at_pt, None if ends_m is None else ends_m * scale * 72.0)
-    for (name, ink), point, offset in zip(names, at, beside, strict=True):
-        if offset is None:
-            continue
-        x, y, align = offset
+    taken = [(x - 4.0, y - 4.0, x + 4.0, y + 4.0) for x, y in np.array(at) * scale * 72.0]
+    for (name, ink), point in zip(names[:_MOST_NAMES], at, strict=False):
+        x, y = point * scale * 72.0
+        box = (x + 6.0, y - 5.0, x + 6.0 + _LETTER_PT * len(name), y + 5.0)
+        if box[2] > end_pt or any(_overlap(box, other) for other in taken):
+            continue  # the table of positions has the name
+        taken.append(box)
         axes.annotate(
-            name, point, xytext=(x, y), textcoords="offset points", ha=align, va="center",
+            name, point, xytext=(6.0, 0.0), textcoords="offset points", va="center",
             fontsize=_NAME_PT, color=ink, zorder=5, annotation_clip=False,
             bbox={"boxstyle": "square,pad=0.05", "fc": "white", "ec": "none", "alpha": 0.75},
         )  # fmt: skip
-
-
-def _name_offsets_pt(
-    lengths: Sequence[int], at_pt: FloatArray, ends_pt: FloatArray | None
-) -> list[_Offset | None]:
-    """Put each name beside its mark, at the first of four positions that nothing else takes.
-
-    None where all four are taken: the table of positions has the name.
-    """
-    taken = [(x - 4.0, y - 4.0, x + 4.0, y + 4.0) for x, y in at_pt]
-    out: list[_Offset | None] = []
-    for n, (x, y) in zip(lengths, at_pt, strict=True):
-        long = _LETTER_PT * n
-        choices: tuple[tuple[float, float, Literal["left", "right", "center"], float], ...] = (
-            (6.0, 0.0, "left", 6.0),
-            (-6.0, 0.0, "right", -6.0 - long),
-            (0.0, 9.0, "center", -0.5 * long),
-            (0.0, -9.0, "center", -0.5 * long),
-        )
-        boxes = [
-            (x + left, y + dy - 5.0, x + left + long, y + dy + 5.0) for _, dy, _, left in choices
-        ]
-        free = [
-            i
-            for i, b in enumerate(boxes)
-            if not any(_overlap(b, t) for t in taken)
-            and (ends_pt is None or (ends_pt[0] <= b[0] and b[2] <= ends_pt[1] + _LETTER_PT))
-        ]
-        taken += [boxes[i] for i in free[:1]]
-        out.append(choices[free[0]][:3] if free else None)
-    return out
 
 
 def _overlap(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
@@ -293,19 +234,19 @@ def _draw_legend(figure: Figure, scene: Scene) -> None:
         Line2D([], [], marker="D", color=_SOURCE, ms=7, label="source", **common),
         Line2D([], [], marker="o", color=_RECEIVER, ms=6, label="receiver", **common),
     ]
-    names = wall_materials(scene.room)[:_MOST_IN_LEGEND]
+    names = wall_materials(scene.room)
     handles += [
         Patch(facecolor=material_colour(i), edgecolor="#777777", label=literal(name, 28))
-        for i, name in enumerate(names)
+        for i, name in enumerate(names[:_MOST_IN_LEGEND])
     ]
-    if len(names) < len(wall_materials(scene.room)):
+    if len(names) > _MOST_IN_LEGEND:
         handles.append(Patch(facecolor="none", label="others: in the table"))
     figure.legend(
         handles=handles, loc="upper left", bbox_to_anchor=(0.7, 0.99), frameon=False, fontsize=9
     )
 
 
-def outline_m(room: Room, at_most: int) -> FloatArray:
+def outline_m(room: Room, at_most: int = MOST_EDGES) -> FloatArray:
     """Return the visible edges, shape (n_edges, 2 ends, 3), in metres.
 
     An edge is left out where two triangles of one material lie in one plane. Of more than
@@ -319,25 +260,19 @@ def outline_m(room: Room, at_most: int) -> FloatArray:
     owner = owner.reshape(-1)
     order = np.argsort(owner, kind="stable")
     starts = np.searchsorted(owner[order], np.arange(len(lines)))
-    several = np.bincount(owner, minlength=len(lines)) == 2
     first = triangle[order[starts]]
     second = triangle[order[np.minimum(starts + 1, len(order) - 1)]]
-    flat = several & _alike(room, first, second)
-    edges = room.mesh.vertices_m[lines[~flat]]
+    normals = area_vectors_m2(room.mesh)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = normals / np.where(lengths > 0.0, lengths, 1.0)
+    is_plane = np.abs(np.einsum("ij,ij->i", normals[first], normals[second])) > _SAME_PLANE
+    material = triangle_material(room)
+    is_flat = is_plane & (material[first] == material[second])
+    is_flat &= np.bincount(owner, minlength=len(lines)) == 2
+    edges = room.mesh.vertices_m[lines[~is_flat]]
     if len(edges) <= at_most:
         return np.asarray(edges)
     lengths = np.linalg.norm(edges[:, 0] - edges[:, 1], axis=1)
     longest = np.argsort(-lengths, kind="stable")[:at_most]
     diagonal = np.linalg.norm(np.ptp(room.mesh.vertices_m, axis=0))
     return np.asarray(edges[longest[lengths[longest] >= diagonal / 20.0]])
-
-
-def _alike(
-    room: Room, first: IntArray, second: IntArray
-) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    normals = area_vectors_m2(room.mesh)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = normals / np.where(lengths > 0.0, lengths, 1.0)
-    material = triangle_material(room)
-    cosine = np.einsum("ij,ij->i", normals[first], normals[second])
-    return np.asarray((np.abs(cosine) > _SAME_PLANE) & (material[first] == material[second]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import groupby
 
 import numpy as np
@@ -14,7 +14,6 @@ from roomfit.base.table import Cell, Table, Value
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.checks.decay import DECAY_SCATTER
 from roomfit.files.budget import SOURCES, Budget, contribution, share, uncertainty_budget
-from roomfit.model.directivity import FittedDirectivity
 from roomfit.model.patterns import axial_index_db
 from roomfit.report.wording import (
     BANDS_AT_MOST,
@@ -31,7 +30,7 @@ from roomfit.report.wording import (
     parameter,
     shortened,
 )
-from roomfit.result import Compared, ComparedPair, Result, Use
+from roomfit.result import Compared, ComparedPair, Result
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import Room, Scene, material_areas_m2, wall_materials
 from roomfit.signals.decay import in_jnd
@@ -69,18 +68,11 @@ def object_tables(answer: Result) -> tuple[Table, ...]:
         return ()
     rows = []
     for i, name in enumerate(found.names):
-        columns = zip(
-            found.area_m2[i], found.lower95_m2[i], found.upper95_m2[i], found.identifiable[i],
-            strict=True,
-        )  # fmt: skip
-        cells = []
-        for value, low, high, sure in columns:
-            cell = _area_cell(value, low, high)
-            if high <= low:
-                cell = Cell(cell.text, ("given",), "given")
-            elif not sure:
-                cell = Cell(f"({cell.text})", (*cell.small, NOT_IDENTIFIABLE), "unsure")
-            cells.append(cell)
+        bounds = found.area_m2[i], found.lower95_m2[i], found.upper95_m2[i]
+        cells = [
+            _marked(_area_cell(value, low, high), sure=sure, fixed=high <= low)
+            for value, low, high, sure in zip(*bounds, found.identifiable[i], strict=True)
+        ]
         rows.append((Cell(name), *cells))
     caption = "Equivalent absorption area of objects in m², 95 % interval"
     return band_tables(caption, "object", answer.bands.centres_hz, rows)
@@ -89,42 +81,40 @@ def object_tables(answer: Result) -> tuple[Table, ...]:
 def coefficient_cells(
     values: FloatArray, sure: ArrayLike = True, fixed: ArrayLike = False
 ) -> list[Cell]:
-    """Return cells of coefficients and their bounds, shape (3, n_bands)."""
+    """Return cells of coefficients and their bounds, shape (3, n_bands); doubts are in words."""
     rest = np.broadcast_arrays(values[0], sure, fixed)[1:]
-    columns = zip(*values.tolist(), *(x.tolist() for x in rest), strict=True)
-    return [coefficient_cell(*x, sure=is_sure, fixed=given) for *x, is_sure, given in columns]
+    cells = []
+    for value, lower, upper, is_sure, given in zip(*values, *rest, strict=True):
+        low, middle, high = (coefficient(float(x), float(upper)) for x in (lower, value, upper))
+        cell = known_or(Cell(middle, (f"{low}{DASH}{high}",)), "not determined", "unsure")
+        cells.append(_marked(cell, sure=is_sure, fixed=given))
+    return cells
 
 
-def coefficient_cell(value: float, lower: float, upper: float, *, sure: bool, fixed: bool) -> Cell:
-    """Return an absorption with its interval; doubts and given values are marked in words."""
-    if not np.isfinite(value):
-        return Cell(DASH, ("not determined",), "unsure")
+def known_or(cell: Cell, reason: str, style: str = "missing") -> Cell:
+    """Return a cell, with the reason below it where nothing is known."""
+    return Cell(DASH, (reason,), style) if cell.text == DASH else cell
+
+
+def _marked(cell: Cell, *, sure: object, fixed: object) -> Cell:
+    """Return a cell with the words for what was given, or is not identifiable."""
+    if cell.text == DASH or (sure and not fixed):
+        return cell
     if fixed:
-        return Cell(coefficient(value, upper), ("given",), "given")
-    text = coefficient(value, upper)
-    interval = f"{coefficient(lower, upper)}{DASH}{coefficient(upper, upper)}"
-    if sure:
-        return Cell(text, (interval,))
-    return Cell(f"({text})", (interval, NOT_IDENTIFIABLE), "unsure")
+        return Cell(cell.text, ("given",), "given")
+    return Cell(f"({cell.text})", (*cell.small, NOT_IDENTIFIABLE), "unsure")
 
 
 def fit_tables(answer: Result) -> tuple[Table, ...]:
     """Return how well the model fits each band, and whether the fit converged."""
+    phi = []
+    for chi2 in answer.chi2_reduced:
+        words, style = ("does not fit", "far") if chi2 > LARGEST_CHI2_REDUCED else ("fits", "near")
+        phi.append(known_or(Cell(number(chi2, 1), (words,), style), "too few data", "unsure"))
     converged = (Cell("yes") if c else Cell("no", style="far") for c in answer.converged)
-    rows = [
-        (Cell("φ", ("1: as expected",)), *map(_chi2_cell, answer.chi2_reduced)),
-        ("the fit converged", *converged),
-    ]
+    rows = [(Cell("φ", ("1: as expected",)), *phi), ("the fit converged", *converged)]
     caption = "How well the model explains the data"
     return band_tables(caption, "", answer.bands.centres_hz, rows)
-
-
-def _chi2_cell(chi2_reduced: float) -> Cell:
-    if not np.isfinite(chi2_reduced):
-        return Cell(DASH, ("too few data",), "unsure")
-    if chi2_reduced > LARGEST_CHI2_REDUCED:
-        return Cell(number(chi2_reduced, 1), ("does not fit",), "far")
-    return Cell(number(chi2_reduced, 1), ("fits",), "near")
 
 
 def area_tables(answer: Result, scene: Scene) -> tuple[Table, ...]:
@@ -133,46 +123,39 @@ def area_tables(answer: Result, scene: Scene) -> tuple[Table, ...]:
     The interval of the sum is that of the mean absorption times the whole area; the air's part is
     the last term of equation 6 of ISO 354:2003.
     """
-    areas = answer.absorption * answer.areas_m2[:, None]
-    solid, volume_ = areas.sum(axis=0), volume_m3(scene.room.mesh)
-    air = 4.0 * attenuation_per_m(scene.air, answer.bands) * volume_
-    whole = float(np.sum(answer.areas_m2))
-    rows: list[Sequence[Value]] = []
-    for i, name in enumerate(answer.materials):
-        cells = map(_doubted_area, areas[i], answer.identifiable[i])
-        rows.append((name, Cell(area(float(answer.areas_m2[i])), style="first"), *cells))
-    all_walls = map(_area_cell, solid, *(answer.mean_absorption[1:] * whole))
-    head = Cell("all surfaces", ("95 % interval below",), "total")
-    rows.append((head, Cell(area(whole), style="first"), *all_walls))
+    areas, whole = answer.absorption * answer.areas_m2[:, None], float(np.sum(answer.areas_m2))
+    solid, volume = areas.sum(axis=0), volume_m3(scene.room.mesh)
+    air = 4.0 * attenuation_per_m(scene.air, answer.bands) * volume
     nothing = Cell("", style="first")
+    rows: list[Sequence[Value]] = []
+    for name, area_m2, values, sure in zip(
+        answer.materials, answer.areas_m2, areas, answer.identifiable, strict=True
+    ):
+        cells = (
+            cell if is_sure or cell.text == DASH else Cell(f"({cell.text})", style="unsure")
+            for cell, is_sure in zip(map(_area_cell, values), sure, strict=True)
+        )
+        rows.append((name, Cell(area(float(area_m2)), style="first"), *cells))
+    bounds = map(_area_cell, solid, *(answer.mean_absorption[1:] * whole))
+    head = Cell("all surfaces", ("95 % interval below",), "total")
+    rows.append((head, Cell(area(whole), style="first"), *bounds))
     if (found := answer.objects) is not None:
         for i, name in enumerate(found.names):
-            bounds = found.area_m2[i], found.lower95_m2[i], found.upper95_m2[i]
-            rows.append((Cell(name, ("object",)), nothing, *map(_area_cell, *bounds)))
+            own = found.area_m2[i], found.lower95_m2[i], found.upper95_m2[i]
+            rows.append((Cell(name, ("object",)), nothing, *map(_area_cell, *own)))
         solid = solid + found.area_m2.sum(axis=0)
-    volume = f"V = {area(volume_)} m³"
-    rows.append((Cell("air, 4mV", (volume,)), nothing, *map(_area_cell, air)))
-    total = Cell(
-        "total", ("surfaces and air" if found is None else "with objects and air",), "total"
-    )
-    rows.append((total, nothing, *map(_area_cell, solid + air)))
+    rows.append((Cell("air, 4mV", (f"V = {area(volume)} m³",)), nothing, *map(_area_cell, air)))
+    words = "surfaces and air" if found is None else "with objects and air"
+    rows.append((Cell("total", (words,), "total"), nothing, *map(_area_cell, solid + air)))
     caption = "Equivalent absorption area A = \N{GREEK SMALL LETTER ALPHA}S in m²"
     centres = answer.bands.centres_hz
     return band_tables(caption, "material", centres, rows, before=("S in m²",))
 
 
 def _area_cell(value_m2: float, low_m2: float = np.nan, high_m2: float = np.nan) -> Cell:
-    if not np.isfinite(value_m2):
-        return Cell(DASH, ("not determined",), "unsure")
     known = np.isfinite(low_m2) and np.isfinite(high_m2)
-    return Cell(area(value_m2), (f"{area(low_m2)}{DASH}{area(high_m2)}",) if known else ())
-
-
-def _doubted_area(value_m2: float, identifiable: bool) -> Cell:
-    cell = _area_cell(value_m2)
-    if identifiable or not np.isfinite(value_m2):
-        return cell
-    return Cell(f"({cell.text})", style="unsure")
+    interval = (f"{area(low_m2)}{DASH}{area(high_m2)}",) if known else ()
+    return known_or(Cell(area(value_m2), interval), "not determined", "unsure")
 
 
 def share_tables(answer: Result) -> tuple[Table, ...]:
@@ -219,30 +202,32 @@ def budget_tables(answer: Result) -> tuple[Table, ...]:
 
 
 def _budget_rows(block: Sequence[Budget]) -> list[Sequence[Value]]:
-    def cell(one: Budget, name: str) -> Cell:
-        variance = one.variances.get(name, 0.0)
-        small = f"{number(share(variance, one), 0)} %"
-        return Cell(number(contribution(variance), 4), (small,))
-
-    names = list(dict.fromkeys(name for one in block for name in one.variances))
     rows: list[Sequence[Value]] = [
         ("absorption coefficient", *(number(one.value, 3) for one in block))
     ]
+    names = dict.fromkeys(name for one in block for name in one.variances)
     for name in sorted(names, key=lambda n: [*SOURCES, n].index(n)):
-        words = (SOURCES[name],) if name in SOURCES else ()
-        rows.append((Cell(name, words), *(cell(one, name) for one in block)))
-    sums: dict[str, list[Value]] = {
-        "combined standard uncertainty": [number(one.standard, 4) for one in block],
-        "coverage factor": [f"{Z95:.2f}"] * len(block),
-        "expanded uncertainty": [
-            Cell(number(Z95 * one.standard, 3), (f"{one.lower95:.3f}{DASH}{one.upper95:.3f}",))
-            for one in block
-        ],
-        "without the prior": [
-            _known_or(Cell(number(one.without_prior, 4)), "nothing would be known") for one in block
-        ],
-    }
-    rows += [(Cell(name, style="total"), *cells) for name, cells in sums.items()]
+        cells = []
+        for one in block:
+            variance = one.variances.get(name, 0.0)
+            percent = (f"{number(share(variance, one), 0)} %",)
+            cells.append(Cell(number(contribution(variance), 4), percent))
+        rows.append((Cell(name, (SOURCES[name],) if name in SOURCES else ()), *cells))
+    expanded = [
+        Cell(number(Z95 * one.standard, 3), (f"{one.lower95:.3f}{DASH}{one.upper95:.3f}",))
+        for one in block
+    ]
+    free = (Cell(number(one.without_prior, 4)) for one in block)
+    without = [known_or(cell, "nothing would be known") for cell in free]
+    rows += [
+        (Cell(name, style="total"), *cells)
+        for name, cells in (
+            ("combined standard uncertainty", [number(one.standard, 4) for one in block]),
+            ("coverage factor", [f"{Z95:.2f}"] * len(block)),
+            ("expanded uncertainty", expanded),
+            ("without the prior", without),
+        )
+    ]
     return rows
 
 
@@ -257,32 +242,29 @@ def condition_tables(answer: Result) -> tuple[Table, ...]:
     if key is None:
         return ()
     rows_s = np.array([p.parameters[key].measured for p in fitted if key in p.parameters])
-    cells: list[list[Value]] = [[], [], []]
-    for width_hz, measured_s in zip(
-        answer.bands.upper_hz - answer.bands.lower_hz, rows_s.T, strict=True
-    ):
+    widths_hz = answer.bands.upper_hz - answer.bands.lower_hz
+    columns = []
+    for width_hz, measured_s in zip(widths_hz, rows_s.T, strict=True):
         times_s = measured_s[np.isfinite(measured_s)]
         n, mean_s = times_s.size, float(times_s.mean()) if times_s.size else np.nan
         theory = DECAY_SCATTER[key] / np.sqrt(n * width_hz * mean_s) if n else np.nan
         observed = times_s.std(ddof=1) / mean_s / np.sqrt(n) if n > 1 else np.nan
-        cells[0].append(_known_or(Cell(number(mean_s, 2), (count(n, "pair"),)), "not measured"))
-        cells[1].append(_known_or(Cell(number(100.0 * theory, 1)), "not measured"))
-        cells[2].append(
-            _known_or(Cell(number(100.0 * observed, 1)), "one pair" if n else "not measured")
+        columns.append(
+            (
+                known_or(Cell(number(mean_s, 2), (count(n, "pair"),)), "not measured"),
+                known_or(Cell(number(100.0 * theory, 1)), "not measured"),
+                known_or(Cell(number(100.0 * observed, 1)), "one pair" if n else "not measured"),
+            )
         )
     symbol = parameter(key).symbol
-    rows = [
-        (f"mean {symbol} in s", *cells[0]),
-        (Cell("its standard deviation in %", ("ISO 3382-2, clause 7, n = 10",)), *cells[1]),
-        (Cell("the same in %", ("from the scatter of the pairs",)), *cells[2]),
-    ]
+    heads = (
+        Cell(f"mean {symbol} in s"),
+        Cell("its standard deviation in %", ("ISO 3382-2, clause 7, n = 10",)),
+        Cell("the same in %", ("from the scatter of the pairs",)),
+    )
+    rows = [(head, *cells) for head, *cells in zip(heads, *columns, strict=True)]
     caption = f"Conditions of the measurement: how well the mean {symbol} is known"
     return band_tables(caption, "", answer.bands.centres_hz, rows)
-
-
-def _known_or(cell: Cell, reason: str) -> Cell:
-    """Return a cell, with the reason below it where nothing is known."""
-    return Cell(DASH, (reason,), "missing") if cell.text == DASH else cell
 
 
 NEAR_JND, FAR_JND = 1.0, 2.0
@@ -331,27 +313,28 @@ def known_mean(values: FloatArray) -> float:
 
 def pair_sections(answer: Result) -> tuple[tuple[str, tuple[Table, ...]], ...]:
     """Return the title and the tables of every pair."""
-    keys, found = parameter_keys(answer.pairs), []
+    keys, found, centres = parameter_keys(answer.pairs), [], answer.bands.centres_hz
     for pair in answer.pairs:
-        title = pair_title(pair)
-        caption, rows = f"{title}: predicted minus measured in JND", []
+        rows = []
         for key in keys:
-            rows.append(_parameter_row(pair, key, len(answer.bands)))
-        found.append((title, band_tables(caption, "parameter", answer.bands.centres_hz, rows)))
+            how, compared = parameter(key), pair.parameters.get(key)
+            cells = [Cell(DASH, ("not given",), "missing")] * len(centres)
+            head = Cell(how.symbol, (f"in {how.unit}",) if how.unit and compared else ())
+            if compared is not None:
+                columns = (compared.measured, compared.predicted, compared.jnd)
+                beside = baseline_jnd(key, compared)
+                rest = zip(*columns, beside, strict=True)
+                cells = [_jnd_cell(how.decimals, *map(float, x)) for x in rest]
+            rows.append((head, *cells))
+        title = pair_title(pair)
+        caption = f"{title}: predicted minus measured in JND"
+        found.append((title, band_tables(caption, "parameter", centres, rows)))
     return tuple(found)
 
 
-def _parameter_row(pair: ComparedPair, key: str, n_bands: int) -> tuple[Cell, ...]:
-    how, compared = parameter(key), pair.parameters.get(key)
-    if compared is None:
-        return (Cell(how.symbol), *[Cell(DASH, ("not given",), "missing")] * n_bands)
-    baseline = baseline_jnd(key, compared)
-    cells = (_jnd_cell(compared, float(baseline[j]), j, how.decimals) for j in range(n_bands))
-    return (Cell(how.symbol, (f"in {how.unit}",) if how.unit else ()), *cells)
-
-
-def _jnd_cell(compared: Compared, baseline: float, band: int, decimals: int) -> Cell:
-    measured, predicted = float(compared.measured[band]), float(compared.predicted[band])
+def _jnd_cell(
+    decimals: int, measured: float, predicted: float, jnd: float, baseline: float
+) -> Cell:
     if not np.isfinite(measured):
         guess = [f"predicted {number(predicted, decimals)}"] if np.isfinite(predicted) else []
         return Cell(DASH, ("not measured", *guess), "missing")
@@ -360,7 +343,6 @@ def _jnd_cell(compared: Compared, baseline: float, band: int, decimals: int) -> 
         return Cell(DASH, ("not predicted", f"measured {text}"), "missing")
     values = f"{number(measured, decimals)} → {number(predicted, decimals)}"
     beside = f"others {number(baseline, 1, signed=True)}" if np.isfinite(baseline) else "no others"
-    jnd = float(compared.jnd[band])
     return Cell(number(jnd, 1, signed=True), (values, beside), jnd_style(jnd))
 
 
@@ -370,30 +352,6 @@ def jnd_style(jnd: float) -> str:
         return "missing"
     size = abs(round(jnd, 1))
     return "near" if size <= NEAR_JND else "middle" if size <= FAR_JND else "far"
-
-
-def overview_table(answer: Result) -> Table | None:
-    """Return the mean |JND| over bands of every pair and parameter beside the baseline's."""
-    keys = parameter_keys(answer.pairs)
-    if not keys:
-        return None
-    return Table(
-        "Mean size of the error over all bands in JND, beside that of the mean of the others",
-        ("pair", *(parameter(key).symbol for key in keys)),
-        [(pair_title(pair), *(_overview_cell(pair, key) for key in keys)) for pair in answer.pairs],
-    )
-
-
-def _overview_cell(pair: ComparedPair, key: str) -> Cell:
-    compared = pair.parameters.get(key)
-    if compared is None:
-        return Cell(DASH, ("not given",), "missing")
-    ours, baseline = known_mean(abs(compared.jnd)), known_mean(abs(baseline_jnd(key, compared)))
-    if not np.isfinite(ours):
-        why = "not predicted" if np.isfinite(compared.measured).any() else "not measured"
-        return Cell(DASH, (why,), "missing")
-    beside = f"others {number(baseline, 1)}" if np.isfinite(baseline) else "no others"
-    return Cell(number(ours, 1), (beside,), jnd_style(ours))
 
 
 WORSE = "▲"
@@ -421,53 +379,43 @@ def errors_of(pairs: Sequence[ComparedPair], key: str) -> tuple[FloatArray, Floa
 
 def error_tables(answer: Result) -> tuple[Table, ...]:
     """Return mean |error| per parameter and band, model beside baseline, by use of the pairs."""
-    uses: tuple[tuple[Use, str], ...] = (("validate", "not fitted"), ("fit", "fitted"))
     tables: list[Table] = []
-    for use, words in uses:
+    for use, words in (("validate", "not fitted"), ("fit", "fitted")):
         pairs = [pair for pair in answer.pairs if pair.use == use]
-        if keys := parameter_keys(pairs):
+        rows = []
+        for key in parameter_keys(pairs):
+            model, baseline = errors_of(pairs, key)
+            columns = [*zip(model.T, baseline.T, strict=True), (model, baseline)]
+            head = Cell(parameter(key).symbol, (f"in {parameter(key).error_unit}",))
+            cells = (_error_cell(key, *map(known_mean, own)) for own in columns)
+            rows.append((head, *cells))
+        if rows:
             caption = f"Mean error over {count(len(pairs), 'pair')} {words}"
-            centres, rows = answer.bands.centres_hz, [_error_row(pairs, k) for k in keys]
+            centres = answer.bands.centres_hz
             tables += band_tables(caption, "parameter", centres, rows, after=("all bands",))
     return tuple(tables)
 
 
-def pair_sti(answer: Result) -> FloatArray:
-    """Return the speech transmission index of every pair: measured, predicted, mean of the others.
-
-    Of the room alone, from the decay curves, shape (3, n_pairs); NaN where it is not known. The
-    others are those that were fitted in the same state.
-    """
-    found = np.full((3, len(answer.pairs)), np.nan)
-    for i, pair in enumerate(answer.pairs):
-        if pair.decay is not None:
-            for k, levels_db in enumerate((pair.decay.measured_db, pair.decay.predicted_db)):
-                found[k, i] = sti_of_decay(answer.bands, pair.decay.time_s, levels_db)
-    for i, pair in enumerate(answer.pairs):
-        others = [
-            found[0, j]
-            for j, other in enumerate(answer.pairs)
-            if j != i and other.use == "fit" and other.state == pair.state
-            if np.isfinite(found[0, j])
-        ]
-        found[2, i] = np.mean(others) if others else np.nan
-    return found
-
-
-def _seconds(time_s: float) -> Cell:
-    text = number(time_s, 2)
-    return Cell(text, ("not determined",), "missing") if text == DASH else Cell(text)
+def _error_cell(key: str, model: float, baseline: float) -> Cell:
+    decimals = parameter(key).error_decimals
+    text = number(model, decimals)
+    if not np.isfinite(baseline):
+        return known_or(Cell(text, ("no others",)), "not comparable")
+    others = (f"others {number(baseline, decimals)}",)
+    if round(model, decimals) > round(baseline, decimals):
+        return Cell(f"{WORSE} {text}", others, "worse")
+    return known_or(Cell(text, others), "not comparable")
 
 
 def decay_time_tables(answer: Result) -> tuple[Table, ...]:
-    """Return the mean decay time of `shown_decay`, measured and predicted, over the same pairs."""
+    """Return the mean decay time, measured and predicted, over the same pairs."""
     found = mean_decay_times(answer)
     if found is None:
         return ()
-    symbol, measured, predicted = found
+    symbol, *both = found
     rows = [
-        (name, *(_seconds(float(t)) for t in times_s))
-        for name, times_s in (("measured", measured), ("predicted", predicted))
+        (name, *(known_or(Cell(number(t, 2)), "not determined") for t in times_s))
+        for name, times_s in zip(("measured", "predicted"), both, strict=True)
     ]
     caption = f"{symbol} in s, mean of the {compared_words(answer)}"
     return band_tables(caption, "", answer.bands.centres_hz, rows)
@@ -504,41 +452,33 @@ def mean_decay_times(answer: Result) -> tuple[str, FloatArray, FloatArray] | Non
 
 
 def sti_tables(answer: Result) -> tuple[Table, ...]:
-    """Return the speech transmission index of every pair, where the bands give it."""
-    measured, predicted, others = pair_sti(answer)
-    known = np.isfinite(measured) & np.isfinite(predicted)
-    if not known.any():
-        return ()
-    jnd, beside = in_jnd("STI", measured, predicted), in_jnd("STI", measured, others)
+    """Return the speech transmission index of every pair, where the bands give it.
+
+    Of the room alone, from the decay curves, beside the mean of the others that were fitted in the
+    same state.
+    """
+    found = []
+    for pair in answer.pairs:
+        if (decay := pair.decay) is not None:
+            curves = (decay.measured_db, decay.predicted_db)
+            both = [sti_of_decay(answer.bands, decay.time_s, levels) for levels in curves]
+            if np.isfinite(both).all():
+                found.append((pair, both))
     rows = []
-    for i in np.flatnonzero(known):
-        small = (f"others {number(beside[i], 1, signed=True)}",)
-        error = Cell(number(jnd[i], 1, signed=True), small, jnd_style(float(jnd[i])))
-        rows.append((pair_title(answer.pairs[i]), measured[i], predicted[i], error))
+    for pair, (measured, predicted) in found:
+        fitted = [
+            value
+            for other, (value, _) in found
+            if other is not pair and other.use == "fit" and other.state == pair.state
+        ]
+        others = np.mean(fitted) if fitted else np.nan
+        own, steps = (in_jnd("STI", np.array(measured), np.array(x)) for x in (predicted, others))
+        small = (f"others {number(float(steps), 1, signed=True)}",)
+        error = Cell(number(float(own), 1, signed=True), small, jnd_style(float(own)))
+        rows.append((pair_title(pair), measured, predicted, error))
     caption = "Speech transmission index of the room alone: without noise, masking and threshold"
     columns = ("pair", "measured", "predicted", "error in JND")
-    return (Table(caption, columns, rows, form=".2f"),)
-
-
-def _error_row(pairs: Sequence[ComparedPair], key: str) -> tuple[Cell, ...]:
-    """Return the mean errors of a parameter in each band, and over all of them."""
-    model, baseline = errors_of(pairs, key)
-    every = np.arange(model.shape[1])
-    bands = (*every[:, None], every)
-    cells = (_cell(key, known_mean(model[:, j]), known_mean(baseline[:, j])) for j in bands)
-    return (Cell(parameter(key).symbol, (f"in {parameter(key).error_unit}",)), *cells)
-
-
-def _cell(key: str, model: float, baseline: float) -> Cell:
-    if not np.isfinite(model):
-        return Cell(DASH, ("not comparable",), "missing")
-    decimals = parameter(key).error_decimals
-    text = number(model, decimals)
-    if not np.isfinite(baseline):
-        return Cell(text, ("no others",))
-    if round(model, decimals) > round(baseline, decimals):
-        return Cell(f"{WORSE} {text}", (f"others {number(baseline, decimals)}",), "worse")
-    return Cell(text, (f"others {number(baseline, decimals)}",))
+    return (Table(caption, columns, rows, form=".2f"),) if rows else ()
 
 
 _SURFACES_SHOWN = 6
@@ -548,36 +488,24 @@ def material_table(room: Room) -> Table:
     """Return colour, area, share and surfaces of each material: the legend of the picture."""
     areas = material_areas_m2(room)
     whole = float(areas.sum())
+    owners = [("", room.surface_material)]
+    owners += [(f"{s.name}: ", s.surface_material) for s in room.states]
     rows: list[Sequence[Value]] = []
     for i, name in enumerate(wall_materials(room)):
+        names = [
+            state + room.mesh.surfaces[k].name
+            for state, owner in owners
+            for k in np.flatnonzero(owner == i)
+            if not state or room.surface_material[k] != i
+        ]
+        shown = ", ".join(shortened(name) for name in names[:_SURFACES_SHOWN])
+        more = len(names) - _SURFACES_SHOWN
+        words = Cell(f"{shown} and {more} more" if more > 0 else shown, style="words")
         share = f"{number(100.0 * areas[i] / whole, 1) if whole > 0.0 else DASH} %"
-        surfaces = Cell(_surfaces(room, i), style="words")
-        rows.append((Cell(name, colour=material_colour(i)), area(float(areas[i])), share, surfaces))
+        rows.append((Cell(name, colour=material_colour(i)), area(float(areas[i])), share, words))
     rows.append((Cell("all", style="total"), area(whole), "100 %", ""))
     heads = ("material", "area in m²", "share", "surfaces")
     return Table("Materials", heads, rows, kind="last-words")
-
-
-def _surfaces(room: Room, material: int) -> str:
-    owners = [
-        ("", room.surface_material),
-        *((f"{s.name}: ", s.surface_material) for s in room.states),
-    ]
-    names = [
-        state + room.mesh.surfaces[k].name
-        for state, owner in owners
-        for k in np.flatnonzero(owner == material)
-        if not state or room.surface_material[k] != material
-    ]
-    shown = ", ".join(shortened(name) for name in names[:_SURFACES_SHOWN])
-    more = len(names) - _SURFACES_SHOWN
-    return f"{shown} and {more} more" if more > 0 else shown
-
-
-def digest_table(digests: Mapping[str, str]) -> Table:
-    """Return the SHA-256 of every input."""
-    rows = [(name, Cell(digest, style="words")) for name, digest in digests.items()]
-    return Table("SHA-256 of the inputs", ("file", "digest"), rows)
 
 
 def position_table(scene: Scene) -> Table:
@@ -587,51 +515,25 @@ def position_table(scene: Scene) -> Table:
     return Table("Positions in metres", ("name", "", "x", "y", "z"), rows, form=".2f")
 
 
-def offset_terms(answer: Result) -> tuple[tuple[str, str], ...]:
-    """Return where groups of positions and lengths were found by early reflections, in words."""
-    found = answer.geometry
-    if found is None:
-        return ()
-    return tuple(
-        (
-            found.labels[i],
-            f"{found.change[i]:+.3f} ± {found.sd[i]:.3f} m "
-            f"(specified within {found.prior_sd[i]:.3f} m)",
-        )
-        for i in range(len(found.labels) - found.n_offsets, len(found.labels))
-    )
-
-
 def source_tables(answer: Result) -> tuple[Table, ...]:
     """Return a table of every source whose directivity was fitted, none where none was."""
     tables: list[Table] = []
     for found in answer.directivities:
-        axial = any(aim is not None for aim in found.aims.values())
-        words = (
-            "by Legendre polynomials of the cosine of the angle to the aim"
-            if axial
-            else "1 + b cos of the angle to its axis"
-        )
+        words, names = "1 + b cos of the angle to its axis", ("along x", "along y", "along z")
+        head = Cell("strength |b|", ("0 omnidirectional, 1 cardioid",))
+        first = [number(float(length), 2) for length in np.linalg.norm(found.b, axis=1)]
+        if any(aim is not None for aim in found.aims.values()):
+            words = "by Legendre polynomials of the cosine of the angle to the aim"
+            names = ("order 1", "order 2", "order 3")
+            head = Cell("directivity index, dB", (f"{len(found.aims)} sources",))
+            first = [number(axial_index_db(b), 1) for b in found.b]
+        rows = [(head, *map(Cell, first))]
+        for name, values, sds in zip(names, found.b.T, found.sd.T, strict=True):
+            cells = (
+                Cell(number(float(b), 2, signed=True), (f"± {number(float(sd), 2)}",))
+                for b, sd in zip(values, sds, strict=True)
+            )
+            rows.append((Cell(name, ("± standard deviation",)), *cells))
         caption = f"Directivity of {found.source}: amplitude {words}"
-        rows = _directivity_rows(found, axial=axial)
         tables += band_tables(caption, "b", answer.bands.centres_hz, rows)
     return tuple(tables)
-
-
-def _directivity_rows(found: FittedDirectivity, *, axial: bool) -> list[tuple[Cell, ...]]:
-    if axial:
-        first = [number(axial_index_db(b), 1) for b in found.b]
-        head = Cell("directivity index, dB", (f"{len(found.aims)} sources",))
-        names = ("order 1", "order 2", "order 3")
-    else:
-        first = [number(float(length), 2) for length in np.linalg.norm(found.b, axis=1)]
-        head = Cell("strength |b|", ("0 omnidirectional, 1 cardioid",))
-        names = ("along x", "along y", "along z")
-    rows = [(head, *map(Cell, first))]
-    for name, values, sds in zip(names, found.b.T, found.sd.T, strict=True):
-        cells = (
-            Cell(number(float(b), 2, signed=True), (f"± {number(float(sd), 2)}",))
-            for b, sd in zip(values, sds, strict=True)
-        )
-        rows.append((Cell(name, ("± standard deviation",)), *cells))
-    return rows

@@ -16,8 +16,7 @@ from roomfit.report.blocks import (
     Sentence,
     drawing,
 )
-from roomfit.report.decay_times import Limit
-from roomfit.report.predicted import DecayAnswer, decay_answer, parameter_lines, parameter_rows
+from roomfit.report.predicted import DecayAnswer, decay_answer, parameter_rows
 from roomfit.report.wording import band_tables
 from roomfit.treat.arrangements import apart
 from roomfit.treat.question import USUAL_HZ
@@ -30,17 +29,23 @@ if TYPE_CHECKING:
 
 def describe(treatment: Treatment) -> Blocks:
     """Return the first arrangement in a sentence, T30 before and after, and all arrangements."""
-    answer, first = _answer(treatment, treatment.arrangements[0]), treatment.arrangements[0]
+    answer, first = _answer(treatment), treatment.arrangements[0]
     wanted = "all targets" if len(first.probability) > 1 else "the target"
     words = f"probability that a measurement meets {wanted}"
     area_m2 = sum(h.area_m2 for h in first.hung)
     numbers = [
         (f"{area_m2:.4g} m²", f"hung, cost {first.cost:g}"),
         (f"{_percent(treatment, first.joint)} %", words),
-        *([] if answer is None else answer.numbers[:2]),
     ]
     head: list[Block] = [Sentence(treatment_sentence(treatment), "lead")]
-    head += [] if answer is None else [answer.drawing(_limits(treatment, answer.symbol))]
+    if answer is not None:
+        limits = [
+            (t.bands_hz or USUAL_HZ, t.low, t.high)
+            for t in treatment.targets
+            if t.parameter == f"{answer.symbol}_s"
+        ]
+        head.append(answer.drawing(limits))
+        numbers += answer.numbers[:2]
     caption = (
         "The room from above one corner. Covered surfaces are coloured, the paler the less of "
         "them is covered; those that face away from the viewer are seen through."
@@ -50,12 +55,12 @@ def describe(treatment: Treatment) -> Blocks:
         Numbers(tuple(numbers)),
         drawing("treatment", "The room and what hangs where", caption, maker, treatment),
     ]
-    blocks = [
-        Part(_title(treatment, a, number), _arrangement(treatment, a, number), folded=True)
-        for number, a in enumerate(treatment.arrangements, start=1)
-    ]
-    found = Findings(treatment.findings)
-    return Blocks("What to hang where", tuple(head), (found, *blocks), "treatment.json")
+    blocks: list[Block] = [Findings(treatment.findings)]
+    for number, a in enumerate(treatment.arrangements, start=1):
+        title = f"Arrangement {number}" if treatment.is_met else "Not met; what misses least"
+        shown = _arrangement(treatment, a, number)
+        blocks.append(Part(f"{title}, cost {a.cost:g}", shown, folded=True))
+    return Blocks("What to hang where", tuple(head), tuple(blocks), "treatment.json")
 
 
 def draw(treatment: Treatment) -> Figure:
@@ -65,52 +70,44 @@ def draw(treatment: Treatment) -> Figure:
     return treatment_figure(treatment)
 
 
-def _title(treatment: Treatment, a: Arrangement, number: int) -> str:
-    first = f"Arrangement {number}" if treatment.is_met else "Not met; what misses least"
-    return f"{first}, cost {a.cost:g}"
-
-
 def _arrangement(treatment: Treatment, a: Arrangement, number: int) -> tuple[Block, ...]:
     """Return what hangs where, the targets with their odds, what to measure, every parameter."""
-    hung = [(h.surface, h.product, f"{h.area_m2:.2f}", f"{100 * h.share:.0f}") for h in a.hung] or [
-        ("nothing", "", "", "")
-    ]
+    hung = [(h.surface, h.product, f"{h.area_m2:.2f}", f"{100 * h.share:.0f}") for h in a.hung]
     odds = [
         (str(t), f"{100 * before:.0f}", _percent(treatment, after))
         for t, before, after in zip(treatment.targets, a.before, a.probability, strict=True)
     ]
     if len(treatment.targets) > 1:
         odds.append(("all targets", "", _percent(treatment, a.joint)))
-    more: list[Block] = []
+    heads = ("target, as a mean over all pairs", "as it is", "treated")
+    blocks: list[Block] = [
+        Table(
+            "What hangs where", ("surface", "product", "m²", "% of it"),
+            hung or [("nothing", "", "", "")],
+        ),
+        Table("Met with a probability of, %", heads, odds),
+    ]  # fmt: skip
     if a.decisive and not a.is_sure:
         name, share = a.decisive[0]
         words = (
             f"To be surer, measure {name}: {100 * share:.0f} % of the spread of the least likely "
             "target goes with its absorption."
         )
-        more = [Sentence(words), *([Listed(treatment.to_measure)] if number == 1 else [])]
-    lines = parameter_lines(named_values(a.mean, None), is_changed=True)
-    heads = ("target, as a mean over all pairs", "as it is", "treated")
-    speech: tuple[Block, ...] = ()
+        blocks += [Sentence(words), *([Listed(treatment.to_measure)] if number == 1 else [])]
+    rows = parameter_rows(named_values(a.mean, None), is_changed=True)
+    centres_hz = treatment.bands.centres_hz
+    blocks += band_tables("Means over all pairs", "parameter", centres_hz, rows)
     if a.sti is not None:
-        rows = parameter_rows(parameter_lines({"STI": a.sti}, is_changed=True))
-        speech = (Table("Speech transmission index", ("", "125 Hz to 8 kHz"), rows),)
-    return (
-        Table("What hangs where", ("surface", "product", "m²", "% of it"), hung),
-        Table("Met with a probability of, %", heads, odds),
-        *more,
-        *band_tables(
-            "Means over all pairs", "parameter", treatment.bands.centres_hz, parameter_rows(lines)
-        ),
-        *speech,
-    )
+        rows = parameter_rows({"STI": a.sti}, is_changed=True)
+        blocks.append(Table("Speech transmission index", ("", "125 Hz to 8 kHz"), rows))
+    return tuple(blocks)
 
 
 def treatment_sentence(treatment: Treatment) -> str:
     """Return what is hung where, what the decay time does then, and how likely it is enough."""
-    first = treatment.arrangements[0]
-    answer = _answer(treatment, first)
-    found = f"{_words(first)}." if answer is None else f"{_words(first)}: {answer.sentence}"
+    first, answer = treatment.arrangements[0], _answer(treatment)
+    hung = ", ".join(f"{h.area_m2:.4g} m² {h.product} on {h.surface}" for h in first.hung)
+    found = f"{hung or 'Nothing'}." if answer is None else f"{hung or 'Nothing'}: {answer.sentence}"
     all_ = "All targets are" if len(treatment.targets) > 1 else "The target is"
     met = f"{all_} met with a probability of {_percent(treatment, first.joint)} %"
     if treatment.is_met:
@@ -133,21 +130,7 @@ def _percent(treatment: Treatment, probability: float) -> str:
     return apart(100 * probability, 100 * treatment.asked, 0)[0]
 
 
-def _words(a: Arrangement) -> str:
-    """Return what is hung where in a line."""
-    return ", ".join(f"{h.area_m2:.4g} m² {h.product} on {h.surface}" for h in a.hung) or "Nothing"
-
-
-def _answer(treatment: Treatment, a: Arrangement) -> DecayAnswer | None:
-    means = named_values(a.mean, None)
-    return decay_answer(
-        treatment.bands, means, is_changed=True, before=treatment.before, after="treated"
-    )
-
-
-def _limits(treatment: Treatment, symbol: str) -> list[Limit]:
-    return [
-        Limit(t.bands_hz or USUAL_HZ, t.low, t.high)
-        for t in treatment.targets
-        if t.parameter == f"{symbol}_s"
-    ]
+def _answer(treatment: Treatment) -> DecayAnswer | None:
+    """Return what the first arrangement does to the decay time."""
+    means, before = named_values(treatment.arrangements[0].mean, None), treatment.before
+    return decay_answer(treatment.bands, means, is_changed=True, before=before, after="treated")
