@@ -30,10 +30,10 @@ from roomfit.fit.measurements import measured_scene
 from roomfit.identify import identify
 from roomfit.report.answer import result_blocks
 from roomfit.report.blocks import Blocks
+from roomfit.report.doubts import remaining_usable
 from roomfit.report.html import page
 from roomfit.report.progress import shown_progress
 from roomfit.report.text import text
-from roomfit.report.doubts import remaining_usable
 from roomfit.result import Result
 
 _LOG = logging.getLogger("roomfit")
