@@ -28,7 +28,7 @@ from roomfit.materials.priors import uniform_scattering
 from roomfit.paper.room import SPEED_OF_SOUND_M_S, paper_scene
 from roomfit.room.mesh import corners_m
 from roomfit.room.scene import Point, Scene
-from roomfit.tracing.bvh import Walls, next_wall, walls_of
+from roomfit.tracing.bvh import WAITING, Walls, next_wall, walls_of
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.rays import fibonacci_directions, path_bytes, trace_rays
 from simulated_rooms.hall import hall_room
@@ -67,8 +67,8 @@ def paper_room_table() -> None:
     theirs = 0.0
     for s in (0.0, 1.0):
         still = uniform_scattering(scene.room.materials, s)
-        statistics = trace_rays(scene, settings, still).statistics
-        segments = (statistics.n_hits + n_rays) / 1e6  # every ray has one flight more than hits
+        n_hits = trace_rays(scene, settings, still).n_hits
+        segments = (n_hits + n_rays) / 1e6  # every ray has one flight more than hits
         if s == 0.0:
             theirs = segments / processor_s(room.ray_tracing)
             name = f"pyroomacoustics {pra.__version__}, specular"
@@ -172,10 +172,11 @@ def distances_m(walls: Walls, starts: np.ndarray, directions: np.ndarray) -> np.
 @numba.njit(nogil=True, error_model="numpy")
 def _nearest(walls, starts, directions):  # type: ignore[no-untyped-def]
     distance, wall = np.empty(len(starts)), np.empty(len(starts), np.int64)
+    waiting = np.empty(WAITING, np.int32)
     for i in range(len(starts)):
         o = (starts[i, 0], starts[i, 1], starts[i, 2])
         d = (directions[i, 0], directions[i, 1], directions[i, 2])
-        distance[i], wall[i] = next_wall(walls, o, d, -1)
+        distance[i], wall[i] = next_wall(walls, o, d, -1, waiting)
     return distance, wall
 
 
@@ -211,7 +212,7 @@ def cost(load: Load) -> Cost:
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     n = len(trace.paths)
-    segments = trace.statistics.n_hits + load.n_rays
+    segments = trace.n_hits + load.n_rays
     return Cost(seconds, segments, n, n * path_bytes(scene), peak)
 
 

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import settings as hypothesis_settings
-from hypothesis import strategies as st
 
-from images_reference import BOX_M, SPEED_M_S, box_room, l_shaped_room, scene_of, their_images
+from images_reference import BOX_M, SPEED_M_S, box_room, scene_of
 from roomfit.base.errors import InputError
 from roomfit.base.typing import FloatArray, IntArray
-from roomfit.demo.polyhedra import Cells, cell_images
+from roomfit.demo.polyhedra import cell_images
 from roomfit.materials.priors import uniform_scattering
-from roomfit.room.scene import Room, shoebox_room
+from roomfit.room.scene import Room
 from roomfit.tracing.image_sources import (
     Budget,
     affordable_duration_s,
@@ -24,15 +20,13 @@ from roomfit.tracing.image_sources import (
     trace_images,
 )
 from roomfit.tracing.lattice import box_images, lattice_of
-from roomfit.tracing.paths import ImageSet, concatenate, select
-from roomfit.tracing.reflectors import convex_pieces, mirrors_of
+from roomfit.tracing.paths import ImageSet
 from simulated_rooms.polyhedral_rooms import (
     cell_volume_m3,
     l_shaped_cells,
     paper_cells,
     room_of,
     slanted_cells,
-    with_moved_planes,
 )
 
 ALL_ORDERS = 1000
@@ -102,34 +96,6 @@ def test_other_rooms_have_the_images_of_a_room_mirrored_instead_of_the_source(na
     for (lengths, hits), images in zip(expected, found, strict=True):
         assert len(lengths) > 1200
         assert_same(lengths, hits, images)
-
-
-@given(st.integers(0, 2**32 - 1))
-@hypothesis_settings(max_examples=15, deadline=None)
-def test_rooms_with_walls_anywhere_have_them_too(seed: int) -> None:
-    """Planes moved by some decimetres, source and receiver anywhere: all images within 20 m."""
-    rng = np.random.default_rng(seed)
-    cells = with_moved_planes(slanted_cells(), rng.uniform(-0.4, 0.4, 6))
-    source, receiver = rng.uniform([1.2, 1.2, 0.9], [4.6, 3.4, 2.0], (2, 3))
-    if np.linalg.norm(source - receiver) < 0.01:
-        return
-    found = tree(room_of(cells), source, receiver[None], 20.0)[0]
-    (lengths, hits), *_ = cell_images(cells, source, receiver[None], 20.0)
-    assert_same(lengths, hits, found)
-
-
-@pytest.mark.parametrize(("name", "order"), [("paper", 5), ("slanted", 6), ("L", 5)])
-def test_another_program_has_the_same_images(name: str, order: int) -> None:
-    """pyroomacoustics' polyhedral images of orders 0 to 5 and 6; single precision there."""
-    room = room_of(CELLS[name])
-    source, receiver = np.array(SOURCES[name]), np.array(RECEIVERS[name][0])
-    found = polyhedron_images(room, source, receiver[None], limits_of(order, 1e3))[0]
-    distance, left = their_images(room, source, receiver, order)
-    assert len(distance) == len(found.length_m)
-    np.testing.assert_allclose(found.length_m, distance, atol=5e-4)
-    a = np.linspace(0.1, 0.7, len(room.materials))
-    own = np.prod((1.0 - a) ** found.hits, axis=1)
-    assert np.sum(own / found.length_m**2) == pytest.approx(np.sum(left / distance**2), rel=1e-4)
 
 
 @pytest.mark.parametrize("name", ["box", *CELLS])
@@ -230,26 +196,6 @@ def test_an_unfolding_turns_arrival_into_departure_and_mirrors_once_a_hit() -> N
     np.testing.assert_allclose(back, found.departure, atol=1e-13)
 
 
-def test_chosen_and_joined_paths_keep_image_transforms() -> None:
-    """Those that have none get zeros."""
-    room = l_shaped_room()
-    scene = scene_of(room, [[1.0, 1.0, 1.2]], [[1.3, 4.1, 0.9]])
-    still = uniform_scattering(room.materials, 0.0)
-    rich = trace_images(scene, 3, 0.1, still, with_image_transforms=True)
-    poor = trace_images(scene, 2, 0.1, still)
-    assert poor.image_transform is None
-    both = concatenate([poor, rich, poor])
-    assert both.image_transform is not None
-    assert not both.image_transform[: len(poor)].any()
-    assert not both.image_transform[-len(poor) :].any()
-    own = np.arange(len(both))[len(poor) : len(poor) + len(rich)][::-3]
-    kept = select(both, own)
-    assert kept.image_transform is not None
-    assert rich.image_transform is not None
-    np.testing.assert_array_equal(kept.image_transform, rich.image_transform[own - len(poor)])
-    assert concatenate([poor, poor]).image_transform is None
-
-
 @pytest.mark.parametrize("name", CELLS)
 def test_images_fill_space_with_one_for_each_volume_of_the_room(name: str) -> None:
     """On average over receivers, whatever the shape. Eight of them differ by some 15 % each."""
@@ -267,74 +213,22 @@ def test_images_fill_space_with_one_for_each_volume_of_the_room(name: str) -> No
     assert mean == pytest.approx(expected, rel=0.15)
 
 
-def test_a_convex_room_has_nothing_that_stands_in_the_way() -> None:
-    """And an L has the two walls of its inner corner, each in one piece."""
-    assert len(mirrors_of(room_of(CELLS["paper"]))[1].wall) == 0
-    assert len(mirrors_of(box_room(lattice=False))[1].wall) == 0
-    walls, blockers = mirrors_of(room_of(CELLS["L"]))
-    assert len(walls.normal) == 8
-    assert np.diff(blockers.first_corner).tolist() == [4, 4]
-
-
-def test_pieces_cover_what_their_triangles_cover() -> None:
-    """A square of eight triangles is one piece, an L of three squares two; no area is lost."""
-    square = [[(0, 0), (1, 0), (1, 1)], [(0, 0), (1, 1), (0, 1)]]
-    flat = np.array(
-        [
-            [(x + i, y + j) for x, y in t]
-            for i, j in ((0, 0), (1, 0), (0, 1), (1, 1))
-            for t in square
-        ],
-        dtype=float,
-    )
-    triangles = np.dstack([flat, np.zeros(flat.shape[:2])])
-    up = np.array([0.0, 0.0, 1.0])
-    for n, pieces, area in ((8, 1, 4.0), (6, 2, 3.0)):
-        found = convex_pieces(triangles[:n], up, 1e-6)
-        assert len(found) == pieces
-        total = sum(_area(piece) for piece in found)
-        assert total == pytest.approx(area, rel=1e-12)
-
-
-def _area(polygon: FloatArray) -> float:
-    x, y = polygon[:, 0], polygon[:, 1]
-    return float(0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
-
-
 def test_what_would_take_too_long_is_refused_and_how_far_one_can_go_is_reported() -> None:
     """The duration reported is affordable, and a tenth more is not."""
     scene = scene_of(room_of(CELLS["slanted"]), [SOURCES["slanted"]], RECEIVERS["slanted"])
     still = uniform_scattering(scene.room.materials, 0.0)
-    with pytest.raises(InputError, match="too many image sources to look for"):
+    with pytest.raises(InputError, match="too many image sources"):
         trace_images(scene, ALL_ORDERS, 0.5, still, budget=Budget(work=1e4))
-    with pytest.raises(InputError, match="too many image sources for the memory"):
+    with pytest.raises(InputError, match="too many image sources"):
         trace_images(scene, ALL_ORDERS, 60.0, still)
     longest_s = affordable_duration_s(scene, 0.5, work=1e5)
     assert 0.02 < longest_s < 0.2
     trace_images(scene, ALL_ORDERS, longest_s, still, budget=Budget(work=1e5))
-    with pytest.raises(InputError, match="too many image sources to look for"):
+    with pytest.raises(InputError, match="too many image sources"):
         trace_images(scene, ALL_ORDERS, 1.1 * longest_s, still, budget=Budget(work=1e5))
     assert affordable_duration_s(scene, 0.03) == 0.03
     few = affordable_duration_s(scene, 0.5, images=500.0)
     assert len(trace_images(scene, ALL_ORDERS, few, still)) <= 500
-
-
-def test_several_sources_in_threads_give_the_bits_of_one_after_the_other() -> None:
-    """Each source is traced by itself."""
-    room = room_of(CELLS["L"])
-    sources = [SOURCES["L"], [1.1, 5.1, 1.4], [2.0, 2.0, 1.0]]
-    scene = scene_of(room, sources, RECEIVERS["L"])
-    still = uniform_scattering(room.materials, 0.0)
-    before = numba.get_num_threads()
-    found = []
-    try:
-        for n in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-            numba.set_num_threads(n)
-            found.append(trace_images(scene, ALL_ORDERS, 0.06, still))
-    finally:
-        numba.set_num_threads(before)
-    for name in ("pair", "length_m", "hits_specular", "departure"):
-        np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))
 
 
 def test_points_on_symmetry_planes_and_edges_of_view_count_once() -> None:
@@ -343,20 +237,3 @@ def test_points_on_symmetry_planes_and_edges_of_view_count_once() -> None:
     lattice = box_images(box_room(), lattice_of(box_room()), middle, above, ALL_ORDERS, 25.0)
     found = tree(box_room(lattice=False), middle, above[None], 25.0)[0]
     assert_same(lattice.length_m, lattice.hits, found)
-
-
-def test_walls_of_one_plane_mirror_once() -> None:
-    """Eleven faces of the cells of the L are eight walls: floor, ceiling and south are in two."""
-    cells: Cells = CELLS["L"]
-    walls, _ = mirrors_of(room_of(cells))
-    assert len(walls.normal) == 8
-    assert sum(face.material >= 0 for face in cells.faces) == 11
-
-
-def test_images_have_their_transforms_only_where_they_are_asked_for():
-    room = shoebox_room((5.0, 4.0, 3.0), "plaster")
-    points = np.array([[1.0, 1.2, 1.4], [3.0, 2.0, 1.0]])
-    limits = limits_of(1, 20.0)
-    for asked, kept in (({}, False), ({"with_image_transforms": True}, True)):
-        (found,) = polyhedron_images(room, points[0], points[1:], limits, **asked)
-        assert (found.image_transform is not None) == kept

@@ -7,15 +7,12 @@ from pathlib import Path
 import numba
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from _ac3d import as_obj
 from images_reference import (
     BOX_M,
     BOX_MATERIALS,
-    SPEED_M_S,
     all_images,
     box_room,
     box_with_sheet,
@@ -82,24 +79,6 @@ def assert_followed(room: Room, source: FloatArray, receiver: FloatArray, found:
         np.testing.assert_allclose(np.abs(turned @ found.arrival[i]), ball.cosines, atol=1e-10)
 
 
-def test_a_ball_sent_along_every_path_of_a_box_arrives() -> None:
-    """Length, directions and hits, for 231 paths up to order 5."""
-    room = box_room()
-    source, receiver = [1.23, 1.51, 1.13], [4.12, 2.97, 1.29]
-    found = images(room, source, receiver, 5)
-    assert len(found.length_m) == 231
-    assert_followed(room, source, receiver, found)
-
-
-@pytest.mark.parametrize("name", ROOMS)
-def test_a_ball_sent_along_every_path_of_any_room_arrives(name: str) -> None:
-    """And the order and the angles of hits: gabled, not convex, and with a sheet in it."""
-    source, receiver = PLACES[name]
-    found = images(ROOMS[name], source, receiver, 4)
-    assert len(found.length_m) > 20
-    assert_followed(ROOMS[name], source, receiver, found)
-
-
 def test_a_ball_sent_along_every_path_of_a_real_room_arrives(real_data: Path) -> None:
     """A seminar room of 504 triangles with furniture and niches, order 2."""
     room, _ = read_room(RoomSpec(file=as_obj(real_data / "bras_cr2" / "scene9.ac"), unit="m"))
@@ -133,45 +112,10 @@ def test_no_path_of_order_3_is_missed_or_counted_twice(name: str) -> None:
 POSITION = st.tuples(*(st.integers(1, 9).map(lambda i, n=n: i * n / 10.0) for n in BOX_M))
 
 
-@given(POSITION, POSITION, st.integers(0, 5))
-@hypothesis_settings(max_examples=40)
-def test_mirrored_walls_give_the_lattice(
-    source: tuple[float, ...], receiver: tuple[float, ...], order: int
-) -> None:
-    """In a box, at tenths of its lengths, where many paths run into edges and corners.
-
-    Each image once: same places, which are receiver less length times arrival, and same hits.
-    """
-    if source == receiver:
-        return
-    args = (np.array(source), np.array(receiver), order)
-    lattice = images(box_room(), *args)
-    mirrored = images(box_room(lattice=False), *args)
-    expected, found = _by_place(lattice), _by_place(mirrored)
-    np.testing.assert_allclose(found[:, :3], expected[:, :3], atol=LENGTH_ATOL_M * 10)
-    np.testing.assert_array_equal(found[:, 3:], expected[:, 3:])
-
-
 def test_a_box_has_as_many_images_as_an_octahedron_has_points() -> None:
     """(2 N + 1)(2 N**2 + 2 N + 3) / 3 up to order N."""
     counts = [len(images(box_room(), [1, 1, 1], [2, 2, 2], n).length_m) for n in range(8)]
     assert counts == [1, 7, 25, 63, 129, 231, 377, 575]
-
-
-def test_a_length_limit_cuts_and_leaves_the_rest_as_it_was() -> None:
-    """With an order that does not limit, all images within a sphere are there."""
-    room = box_room()
-    far = images(room, [1.2, 1.5, 1.1], [4.1, 2.9, 1.2], 60, 40.0)
-    near = images(room, [1.2, 1.5, 1.1], [4.1, 2.9, 1.2], 60, 25.0)
-    n = len(near.length_m)
-    assert near.length_m[-1] <= 25.0 < far.length_m[n]
-    np.testing.assert_array_equal(near.length_m, far.length_m[:n])
-    # one image for each volume of a box, but for the surface of the sphere
-    density = 4.0 / 3.0 * np.pi * 40.0**3 / np.prod(BOX_M)
-    assert len(far.length_m) == pytest.approx(density, rel=0.02)
-    mirrored = images(box_room(lattice=False), [1.2, 1.5, 1.1], [4.1, 2.9, 1.2], 3, 9.0)
-    lattice = images(room, [1.2, 1.5, 1.1], [4.1, 2.9, 1.2], 3, 9.0)
-    np.testing.assert_allclose(mirrored.length_m, lattice.length_m, atol=LENGTH_ATOL_M)
 
 
 @pytest.mark.parametrize("name", [*ROOMS, "box"])
@@ -240,19 +184,6 @@ def test_weights_thin_by_scattering_and_spread_as_a_sphere() -> None:
     assert not paths.hits_diffuse.any()
     assert set(paths.batch.tolist()) == {-1}
     np.testing.assert_allclose(np.linalg.norm(paths.departure, axis=1), 1.0, rtol=1e-6)
-
-
-def test_each_pair_gets_its_own_paths_whatever_the_order_of_the_pairs() -> None:
-    """Pairs of two sources, mixed: the same paths as one by one."""
-    room = ROOMS["L"]
-    sources, receivers = [[1.0, 1.0, 1.2], [5.2, 1.1, 1.3]], [[1.3, 4.1, 0.9], [2.0, 0.7, 1.0]]
-    pairs = [(1, 0), (0, 1), (0, 0), (1, 1)]
-    scattering = uniform_scattering(room.materials, 0.0)
-    scene = scene_of(room, sources, receivers, pairs)
-    paths = trace_images(scene, 2, 0.1, scattering)
-    for i, (s, r) in enumerate(pairs):
-        alone = images(room, sources[s], receivers[r], 2, 0.1 * SPEED_M_S)
-        np.testing.assert_array_equal(paths.length_m[paths.pair == i], alone.length_m)
 
 
 def test_one_thread_and_two_find_the_same_bits() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
 
@@ -20,16 +18,6 @@ def area_m2(piece: np.ndarray) -> float:
     """Return the area of a polygon in the plane z = 0, by the formula of Gauss."""
     x, y = piece[:, 0], piece[:, 1]
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
-
-
-@pytest.mark.parametrize("turned", list(itertools.product(range(3), repeat=2)))
-@pytest.mark.parametrize("at", [(0.0, 0.0), (-40.0, 7.0), (3.0, -90.0)])
-def test_two_triangles_of_a_square_are_one_piece_whichever_corner_comes_first(turned, at):
-    triangles = [np.roll(t, n, axis=0) for t, n in zip(square(*at), turned, strict=True)]
-    (piece,) = convex_pieces(np.array(triangles), np.array([0.0, 0.0, 1.0]), 1e-6)
-    assert len(piece) == 4
-    assert area_m2(piece) == pytest.approx(1.0, rel=1e-9)
-    assert set(map(tuple, piece)) == {tuple(p) for p in square(*at).reshape(-1, 3)}
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -2,30 +2,25 @@
 
 from __future__ import annotations
 
-import tracemalloc
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from roomfit.base.errors import InputError
-from roomfit.fit.symmetry import room_symmetries
 from roomfit.materials.priors import Scattering, uniform_scattering
 from roomfit.room.mesh import shoebox_mesh
 from roomfit.room.scene import (
     Room,
     Scene,
-    material_areas_m2,
     pair_names,
     room_from_mesh,
     scene_of,
-    select_pairs,
     shoebox_room,
     with_states,
 )
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths, TraceSettings
-from roomfit.tracing.states import as_one_state, in_every_state
 from roomfit.tracing.trace import trace
 
 LENGTHS_M = (6.0, 5.0, 3.0)
@@ -103,20 +98,6 @@ def test_materials_that_replace_each_other_must_scatter_alike():
     assert "curtain" in str(error.value)
 
 
-def test_areas_are_those_of_each_state():
-    room = two_states().room
-    assert dict(zip(room.materials, material_areas_m2(room, 1), strict=True)) == {
-        "west": 0.0, "east": 15.0, "south": 0.0, "north": 18.0, "floor": 30.0, "ceiling": 30.0,
-        "curtain": 33.0,
-    }  # fmt: skip
-    assert material_areas_m2(room)[-1] == 0.0
-
-
-def test_pairs_are_chosen_with_their_states():
-    chosen = select_pairs(two_states(), slice(1, 4))
-    assert pair_names(chosen) == [("B", "M", "closed"), ("B", "N", ""), ("A", "M", "closed")]
-
-
 @pytest.mark.parametrize(
     ("states", "message"),
     [
@@ -127,39 +108,3 @@ def test_pairs_are_chosen_with_their_states():
 def test_a_state_that_cannot_be_is_refused(states, message):
     with pytest.raises(InputError, match=message):
         with_states(shoebox_room(LENGTHS_M, SIX), states)
-
-
-def test_a_symmetry_must_hold_in_every_state():
-    """One curtain leaves the mirror planes of the other two axes; of materials in both, one."""
-    n_plain = len(room_symmetries(shoebox_room(LENGTHS_M, SIX)))
-    one = with_states(shoebox_room(LENGTHS_M, SIX), {"closed": {"south": "curtain"}})
-    found = room_symmetries(one)
-    names = one.materials
-    assert (n_plain, len(found)) == (7, 3)
-    for s in found:
-        assert names[s.exchange[names.index("curtain")]] == "curtain"
-        assert names[s.exchange[names.index("north")]] == "north"
-    # exchanged in one state, not in the other: the same material would have two images
-    tied = with_states(
-        shoebox_room(LENGTHS_M, SIX), {"closed": {"south": "curtain", "north": "curtain"}}
-    )
-    assert len(room_symmetries(tied)) == 7
-
-
-def test_paths_of_all_states_take_hardly_more_memory_to_make_than_to_keep():
-    """Their indices, 8 of 66 bytes a path, a pair at a time more; twice as much before."""
-    room = with_states(shoebox_room(LENGTHS_M, SIX), {"closed": CLOSED})
-    ends = [("A", f"M{i}") for i in range(8)]
-    receivers = {f"M{i}": (1.0 + 0.5 * i, 3.1, 1.4) for i in range(8)}
-    both = scene_of(room, {"A": (1.0, 1.2, 1.5)}, receivers, [*ends, *ends])
-    both = replace(both, pair_state=np.repeat([0, 1], 8))
-    scattering = uniform_scattering(room.materials, 0.2)
-    single, of_parts = as_one_state(both, scattering)
-    traced = trace(single, SETTINGS, of_parts).paths
-    tracemalloc.start()
-    found = in_every_state(traced, single, both, scattering)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    arrays = [getattr(found, f.name) for f in fields(found)]
-    kept = sum(a.nbytes for a in arrays if isinstance(a, np.ndarray))
-    assert len(found) > 10_000 and peak < 1.4 * kept

@@ -7,7 +7,6 @@ seed fails about once in 500.
 
 from __future__ import annotations
 
-import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +32,7 @@ from roomfit.room.mesh import Mesh
 from roomfit.room.scene import Room, Scene
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths, TraceSettings, select
-from roomfit.tracing.rays import Trace, covered_by_images, trace_rays
+from roomfit.tracing.rays import Trace, trace_rays
 from roomfit.tracing.trace import fitting_radii_m, trace
 
 ERRORS_ALLOWED = 5.0
@@ -203,20 +202,10 @@ def test_each_path_is_either_an_image_or_a_ray_that_no_image_stands_for() -> Non
     assert paths.n_batches == BATCHES
 
 
-def test_rays_that_an_image_stands_for_are_reported_by_their_hits() -> None:
-    """No diffuse hit and at most so many; order -1 stands for none, the direct sound included."""
-    scene = scene_of(box_room(), *PLACES)
-    rays = traced(scene, 5000, -1, s=0.5).paths
-    assert not covered_by_images(rays, -1).any()
-    direct = (rays.hits_specular.sum(axis=1) == 0) & (rays.hits_diffuse.sum(axis=1) == 0)
-    np.testing.assert_array_equal(covered_by_images(rays, 0), direct)
-
-
 def test_images_only_and_rays_only_are_what_they_say() -> None:
     """And neither of them is refused."""
     scene = scene_of(box_room(), *PLACES)
     assert np.all(traced(scene, 0, 2).paths.batch == -1)
-    assert traced(scene, 0, 2).statistics.n_rays == 0
     assert np.all(traced(scene, 1000, -1).paths.batch >= 0)
     with pytest.raises(InputError, match="nothing to trace"):
         traced(scene, 0, -1)
@@ -309,16 +298,6 @@ def test_a_leak_is_reported() -> None:
     assert findings[0].evidence["n_escaped"] > 500
 
 
-def test_progress_rises_from_0_to_1() -> None:
-    """Through images and rays alike."""
-    observed: list[float] = []
-    scene = scene_of(box_room(), *PLACES)
-    still = uniform_scattering(BOX_MATERIALS, 0.0)
-    trace(scene, settings(2000, 2), still, observed.append)
-    assert observed == sorted(observed)
-    assert 0.0 <= observed[0] < observed[-1] == 1.0
-
-
 def _of_order(paths: Paths, order: int) -> Paths:
     return select(paths, paths.hits_specular.sum(axis=1, dtype=np.int64) == order)
 
@@ -338,22 +317,3 @@ def test_images_may_end_at_a_time_and_rays_go_on_from_there():
     expected, _ = energies(exact.paths, a, edges)
     found, sd = energies(mixed.paths, a, edges)
     assert np.all(np.abs(found - expected) <= 4.5 * sd + 1e-3 * expected)
-
-
-def test_image_paths_are_let_go_of_as_they_are_joined_with_rays() -> None:
-    """The peak is that of the paths and some of their arrays once more, not of all twice."""
-    scene = scene_of(box_room(), [[1.2, 1.5, 1.1]], [[4.1, 2.9, 1.2]])
-    scattering = uniform_scattering(scene.room.materials, 0.3)
-    chosen = replace(settings(64, 1000), duration_s=0.3)
-    n_paths = len(trace(scene, chosen, scattering).paths)  # compiles
-    tracemalloc.start()
-    try:
-        images = [trace_images(scene, 1000, 0.3, scattering)]
-        size, _ = tracemalloc.get_traced_memory()
-        tracemalloc.reset_peak()
-        found = trace_rays(scene, chosen, scattering, images=images.pop)
-        _, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert len(found.paths) == n_paths > 20_000
-    assert peak < 1.6 * size

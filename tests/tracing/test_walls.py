@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from roomfit.tracing.walls import (
-    after_wall,
     ray_key,
     scattered,
     uniform,
@@ -32,23 +31,6 @@ def test_draws_of_a_ray_are_split_mix_64_in_steps_of_2_to_the_minus_53():
         for draw in (0, 1, 2, 1000):
             bits = split_mix_64((key + (draw + 1) * step) % 2**64)
             assert uniform(found, draw) == (bits >> 11) / 2**53
-
-
-def test_walls_scatter_as_often_as_their_coefficient_says_and_by_lamberts_law():
-    """Share s of 4000 hits within four standard deviations; the mean cosine of Lambert is 2/3."""
-    n, d, normal = 4000, (0.6, 0.0, -0.8), (0.0, 0.0, 1.0)
-    for s in (0.0, 0.3, 1.0):
-        keys = [np.uint64(ray_key(5, 0, i)) for i in range(n)]
-        out = [after_wall(d, normal, s, key, i % 7) for i, key in enumerate(keys)]
-        diffuse = np.array([is_diffuse for _, is_diffuse in out])
-        assert abs(diffuse.mean() - s) <= 4.0 * np.sqrt(s * (1.0 - s) / n)
-        away = np.array([v for v, _ in out])
-        np.testing.assert_allclose(np.linalg.norm(away, axis=1), 1.0, rtol=1e-12)
-        np.testing.assert_allclose(away[~diffuse], np.tile((0.6, 0.0, 0.8), (sum(~diffuse), 1)))
-        if s > 0.0:
-            # the cosine has the variance 1/2 - (2/3)^2, and both others have none in the mean
-            mean, sd = away[diffuse].mean(axis=0), np.sqrt([0.25, 0.25, 1.0 / 18.0] / diffuse.sum())
-            assert np.all(np.abs(mean - (0.0, 0.0, 2.0 / 3.0)) <= 4.0 * sd)
 
 
 def test_scattered_directions_are_at_their_angle_to_a_wall_of_any_tilt():

@@ -25,7 +25,7 @@ from roomfit.base.typing import FloatArray, IntArray, Progress
 from roomfit.materials.priors import Scattering, coefficients_in_order
 from roomfit.room.mesh import mean_free_path_m, surface_area_m2, volume_m3
 from roomfit.room.scene import Room, Scene, distances_m, object_pairs, triangle_material
-from roomfit.tracing.beams import DONE, TOO_MUCH_MEMORY, TOO_MUCH_WORK, Found, Limits, beam_tree
+from roomfit.tracing.beams import DONE, Found, Limits, beam_tree
 from roomfit.tracing.lattice import Lattice, box_images, count_of_box_images, lattice_of
 from roomfit.tracing.paths import ImageSet, Paths
 from roomfit.tracing.reflectors import Blockers, Walls, mirrors_of
@@ -70,9 +70,15 @@ def polyhedron_images(
     walls, blockers = mirrors_of(room) if mirrors is None else mirrors
     source = np.array(source_m, dtype=np.float64)
     receivers = np.array(receivers_m, dtype=np.float64).reshape(-1, 3)
-    to_receiver_m = distances_to_m(walls, receivers)
-    found = beam_tree(walls, blockers, source, receivers, to_receiver_m, limits)
-    _refuse(found)
+    found, ending, work = beam_tree(walls, blockers, source, receivers, limits)
+    if ending != DONE:
+        n = len(found.receiver)
+        raise InputError(
+            "too many image sources of one source",
+            found=f"{n} and more, after {work:.3g} walls tested against beams",
+            needed="a search that ends within memory and work",
+            hint="lower image_order or duration_s and leave the rest to rays",
+        )
     first = np.concatenate(([0], np.cumsum(found.order)))
     owner = triangle_material(room)
     sets = []
@@ -91,29 +97,6 @@ def limits_of(order: int, max_length_m: float, budget: Budget = USUAL_BUDGET) ->
     return Limits(
         int(order), float(max_length_m), int(min(budget.work, largest)), int(min(n_hits, largest))
     )
-
-
-def distances_to_m(walls: Walls, receivers_m: FloatArray) -> FloatArray:
-    """Return how far each wall's plane is from the nearest receiver at least, (n_walls,)."""
-    heights = np.abs(walls.normal @ receivers_m.T - walls.offset_m[:, None])
-    return np.asarray(np.min(heights, axis=1, initial=np.inf))
-
-
-def _refuse(found: Found) -> None:
-    if found.ending == TOO_MUCH_MEMORY:
-        raise InputError(
-            "too many image sources for the memory",
-            found=f"more than {len(found.receiver)} images of one source",
-            needed=f"at most {len(found.receiver)}",
-            hint="lower image_order or duration_s and leave the rest to rays",
-        )
-    if found.ending == TOO_MUCH_WORK:
-        raise InputError(
-            "too many image sources to look for",
-            found=f"{found.work:.3g} walls tested against beams, and the search was not complete",
-            needed="a search that ends",
-            hint="lower image_order or duration_s and leave the rest to rays",
-        )
 
 
 def _one_of_each(own: IntArray, found: Found, tolerance_m: float) -> IntArray:
@@ -247,17 +230,12 @@ def _budget_shares(scene: Scene, work: float, images: float) -> Callable[[int, f
         def of_source(i: int) -> FloatArray:
             own = scene.pairs[scene.pairs[:, 0] == sources[i], 1]
             receivers = np.array([scene.receivers[r].position_m for r in own])
-            found = beam_tree(
-                walls,
-                blockers,
-                np.array(scene.sources[sources[i]].position_m),
-                receivers,
-                distances_to_m(walls, receivers),
-                limits_of(order, length_m, budget),
-            )
-            if found.ending != DONE:
+            start = np.array(scene.sources[sources[i]].position_m)
+            limits = limits_of(order, length_m, budget)
+            found, ending, spent = beam_tree(walls, blockers, start, receivers, limits)
+            if ending != DONE:
                 return np.full(2, np.inf)
-            return np.array([found.work / work, len(found.receiver) / images])
+            return np.array([spent / work, len(found.receiver) / images])
 
         of_each = [np.zeros(2), *each_in_threads(of_source, len(sources))]
         return np.asarray(np.max(of_each, axis=0))

@@ -93,6 +93,11 @@ _PER_PATH = (
 )
 
 
+def path_columns(paths: Paths) -> list[Any]:
+    """Return the arrays of paths with one row a path, in the order of `Paths`."""
+    return [getattr(paths, name) for name in _PER_PATH]
+
+
 def paths_of_pairs(paths: Paths) -> list[IntArray]:
     """Return the indices of the paths of every pair, rising: one search for all pairs."""
     order = np.argsort(paths.pair, kind="stable")

@@ -2,40 +2,32 @@
 
 The same seed gives the same bits for any number of threads. A wall or the source may cut a sphere:
 what counts is the part of the chord inside the room. Rays that leave through a leak are counted and
-dropped. The method is that of M. Vorlaender, "Auralization", Springer 2008, section 11.3. Rays are
-traced block by block and packed into path arrays.
+dropped. The method is that of M. Vorlaender, "Auralization", Springer 2008, section 11.3.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from roomfit.base.air import speed_of_sound_m_s
-from roomfit.base.arguments import float_array, read_only
+from roomfit.base.arguments import float_array
 from roomfit.base.errors import InputError
-from roomfit.base.findings import Finding
-from roomfit.base.kernels import in_threads
+from roomfit.base.findings import About, Code, Finding
+from roomfit.base.kernels import in_threads, kernel
 from roomfit.base.typing import BoolArray, FloatArray, IntArray, Progress
 from roomfit.materials.priors import Scattering, coefficients_in_order
+from roomfit.room.inside import Vector
 from roomfit.room.mesh import surface_area_m2, volume_m3
 from roomfit.room.scene import Room, Scene
-from roomfit.tracing.bvh import Walls, walls_of
-from roomfit.tracing.paths import Paths, TraceSettings
-from roomfit.tracing.ray_kernels import (
-    CHUNK_RAYS,
-    ESCAPES_KEPT,
-    Caught,
-    Job,
-    Spheres,
-    Tally,
-    spheres,
-    trace_chunks,
-)
+from roomfit.tracing.bvh import WAITING, Walls, next_wall, wall_material, walls_of
+from roomfit.tracing.paths import Paths, TraceSettings, path_columns
+from roomfit.tracing.walls import after_wall, ray_key
 
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
@@ -104,145 +96,177 @@ def _on_sphere(z: FloatArray, azimuth: FloatArray) -> FloatArray:
     return np.stack((across * np.cos(azimuth), across * np.sin(azimuth), z), axis=1)
 
 
-Float32Array: TypeAlias = np.ndarray[tuple[int, int], np.dtype[np.float32]]
+_CHUNK_RAYS = 256
+# Starts of last flights of escaped rays: kept of each chunk, and reported of all.
+ESCAPES_KEPT, _ESCAPES_REPORTED = 4, 8
 
 
-class Piece(NamedTuple):
-    """Part of the arrays of `Paths`, in their order; the first axis is the path."""
+class Job(NamedTuple):
+    """What all rays of one source have in common."""
 
-    pair: IntArray
-    length_m: FloatArray
-    weight_per_m2: FloatArray
-    hits_specular: IntArray
-    hits_diffuse: IntArray
-    departure: Float32Array
-    arrival: Float32Array
-    batch: IntArray
+    start_m: FloatArray  # (3,)
+    scattering: FloatArray  # (n_materials,)
+    max_length_m: float  # Nothing is recorded that arrives after more than this
+    max_hits: int  # A ray ends at the wall hit of this number
+    seed: int
+    source: int
+    centre_m: FloatArray  # (n_spheres, 3), of the receivers
+    radius_m: FloatArray  # (n_spheres,)
 
 
-def new_tally(n_chunks: int) -> Tally:
-    """Return zeroed counters for so many chunks."""
-    return Tally(
-        np.zeros(n_chunks, np.int64),
-        np.zeros(n_chunks, np.int64),
-        np.zeros(n_chunks, np.int64),
-        np.zeros(n_chunks),
-        np.zeros(n_chunks),
-        np.zeros((n_chunks, ESCAPES_KEPT, 3)),
-    )
+class Caught(NamedTuple):
+    """Memory for what each chunk of rays records; the first axis of every array is the chunk."""
+
+    found: IntArray  # int64 (n_chunks,), crossings, more than `capacity` where not all fitted
+    sphere: IntArray  # int32 (n_chunks, capacity)
+    ray: IntArray  # int64 (n_chunks, capacity)
+    length_m: FloatArray  # (n_chunks, capacity), of the path
+    chord_m: FloatArray  # (n_chunks, capacity)
+    hits_specular: IntArray  # uint16 (n_chunks, capacity, n_materials)
+    hits_diffuse: IntArray  # uint16 (n_chunks, capacity, n_materials)
+    arrival: FloatArray  # float32 (n_chunks, capacity, 3)
+    hits: IntArray  # int64 (n_chunks,), on walls
+    escapes: IntArray  # int64 (n_chunks,), rays that met no wall
+    escape_from_m: FloatArray  # (n_chunks, ESCAPES_KEPT, 3), start of the last flight of the first
+
+
+@kernel(allocates=False)
+def _chord(job: Job, k: int, o: Vector, d: Vector, flight_m: float) -> tuple[float, float]:
+    """Return where a flight comes nearest to the centre of a sphere and its chord within."""
+    x = job.centre_m[k, 0] - o[0]
+    y = job.centre_m[k, 1] - o[1]
+    z = job.centre_m[k, 2] - o[2]
+    nearest = x * d[0] + y * d[1] + z * d[2]
+    radius = job.radius_m[k]
+    square = radius * radius - (x * x + y * y + z * z - nearest * nearest)
+    if square <= 0.0:
+        return 0.0, 0.0
+    half = math.sqrt(square)
+    start, end = max(nearest - half, 0.0), min(nearest + half, flight_m)
+    return min(max(nearest, 0.0), flight_m), max(end - start, 0.0)
+
+
+@kernel(allocates=False)
+def _trace_chunks(
+    first_chunk: int,
+    last_chunk: int,
+    walls: Walls,
+    job: Job,
+    directions: FloatArray,
+    first_ray: int,
+    met: IntArray,
+    waiting: IntArray,
+    caught: Caught,
+) -> None:
+    """Trace consecutive rays, each chunk into its own part of `caught`; for threads.
+
+    Shapes: `directions` (n_rays, 3), `met` (2, n_chunks, n_materials), `waiting` (n_chunks, n).
+    """
+    for chunk in range(first_chunk, last_chunk):
+        specular, diffuse = met[0, chunk], met[1, chunk]
+        for i in range(chunk * _CHUNK_RAYS, min((chunk + 1) * _CHUNK_RAYS, len(directions))):
+            specular[:] = 0
+            diffuse[:] = 0
+            d = (directions[i, 0], directions[i, 1], directions[i, 2])
+            _trace_ray(
+                walls, job, d, first_ray + i, chunk, specular, diffuse, waiting[chunk], caught
+            )
+
+
+@kernel(allocates=False)
+def _trace_ray(
+    walls: Walls,
+    job: Job,
+    d: Vector,
+    ray: int,
+    chunk: int,
+    specular: IntArray,
+    diffuse: IntArray,
+    waiting: IntArray,
+    caught: Caught,
+) -> None:
+    """Follow one ray to its end and record every sphere that it crosses."""
+    key = ray_key(job.seed, job.source, ray)
+    o = (job.start_m[0], job.start_m[1], job.start_m[2])
+    travelled, hit, last = 0.0, 0, -1
+    while True:
+        flight, wall = next_wall(walls, o, d, last, waiting)
+        for k in range(len(job.radius_m)):
+            nearest, length = _chord(job, k, o, d, flight)
+            if length > 0.0 and travelled + nearest <= job.max_length_m:
+                i = caught.found[chunk]
+                caught.found[chunk] += 1
+                if i >= caught.ray.shape[1]:  # no memory is left: counted for the next attempt
+                    continue
+                caught.sphere[chunk, i] = k
+                caught.ray[chunk, i] = ray
+                caught.length_m[chunk, i] = travelled + nearest
+                caught.chord_m[chunk, i] = length
+                for m in range(len(specular)):
+                    caught.hits_specular[chunk, i, m] = specular[m]
+                    caught.hits_diffuse[chunk, i, m] = diffuse[m]
+                for axis in range(3):
+                    caught.arrival[chunk, i, axis] = d[axis]
+        if wall < 0:
+            n = caught.escapes[chunk]
+            caught.escapes[chunk] += 1
+            if n < ESCAPES_KEPT:
+                for axis in range(3):
+                    caught.escape_from_m[chunk, n, axis] = o[axis]
+            break
+        travelled += flight
+        if travelled > job.max_length_m:
+            break
+        hit += 1
+        if hit == job.max_hits:
+            break
+        o = (o[0] + flight * d[0], o[1] + flight * d[1], o[2] + flight * d[2])
+        material = wall_material(walls, wall, o)
+        last = wall
+        normal = (walls.normal[wall, 0], walls.normal[wall, 1], walls.normal[wall, 2])
+        d, is_diffuse = after_wall(d, normal, job.scattering[material], key, hit - 1)
+        if is_diffuse:
+            diffuse[material] += np.uint16(1)
+        else:
+            specular[material] += np.uint16(1)
+    caught.hits[chunk] += hit
 
 
 def _trace_block(
-    walls: Walls, spheres: Spheres, job: Job, directions: FloatArray, rays: range, capacity: int
-) -> tuple[Caught, Tally]:
+    walls: Walls, job: Job, directions: FloatArray, rays: range, capacity: int
+) -> Caught:
     """Trace some of a source's rays, again where a chunk finds more crossings than `capacity`."""
-    n_chunks = -(-len(rays) // CHUNK_RAYS)
+    n_chunks, n_materials = -(-len(rays) // _CHUNK_RAYS), len(job.scattering)
     own = directions[rays.start : rays.stop]
     while True:
-        caught, tally = _new_caught(n_chunks, capacity, len(job.scattering)), new_tally(n_chunks)
-        met = np.zeros((2, n_chunks, len(job.scattering)), np.uint16)
-        in_threads(trace_chunks, n_chunks, walls, spheres, job, own, rays.start, met, caught, tally)
+        size = (n_chunks, capacity)
+        caught = Caught(
+            np.zeros(n_chunks, np.int64),
+            np.empty(size, np.int32),
+            np.empty(size, np.int64),
+            np.empty(size),
+            np.empty(size),
+            np.empty((*size, n_materials), np.uint16),
+            np.empty((*size, n_materials), np.uint16),
+            np.empty((*size, 3), np.float32),
+            np.zeros(n_chunks, np.int64),
+            np.zeros(n_chunks, np.int64),
+            np.zeros((n_chunks, ESCAPES_KEPT, 3)),
+        )
+        met = np.zeros((2, n_chunks, n_materials), np.uint16)
+        waiting = np.empty((n_chunks, WAITING), np.int32)
+        in_threads(_trace_chunks, n_chunks, walls, job, own, rays.start, met, waiting, caught)
         found = int(caught.found.max(initial=0))
         if found <= capacity:
-            return caught, tally
+            return caught
         capacity = found
 
 
-def _packed(caught: Caught, spheres: Spheres, directions: FloatArray, n_batches: int) -> Piece:
-    """Return the recorded crossings of a block as paths, in the order of chunks."""
-    filled = np.arange(caught.ray.shape[1]) < caught.found[:, None]
-    ray, sphere = caught.ray[filled], caught.sphere[filled]
-    share = 1.0 / (len(directions) * 4.0 / 3.0 * np.pi * spheres.radius_m**3)
-    return Piece(
-        spheres.pair[sphere],
-        caught.length_m[filled],
-        caught.chord_m[filled] * share[sphere],
-        caught.hits_specular[filled],
-        caught.hits_diffuse[filled],
-        directions[ray].astype(np.float32),
-        np.asarray(caught.arrival[filled], dtype=np.float32),
-        (ray % n_batches).astype(np.int32),
-    )
-
-
-def _joined(pieces: list[Piece], n_materials: int) -> Piece:
-    """Join pieces array by array, emptying the list and letting go of each array once copied."""
-    no_hits, nowhere = np.empty((0, n_materials), np.uint16), np.empty((0, 3), np.float32)
-    nothing, none = np.empty(0), np.empty(0, np.int32)
-    no_paths = Piece(none, nothing, nothing, no_hits, no_hits, nowhere, nowhere, none)
-    columns = [list(column) for column in zip(no_paths, *pieces, strict=True)]
-    pieces.clear()
-    arrays = []
-    for column in columns:
-        arrays.append(np.concatenate(column))
-        column.clear()
-    return Piece(*arrays)
-
-
-def _new_caught(n_chunks: int, capacity: int, n_materials: int) -> Caught:
-    size = (n_chunks, capacity)
-    return Caught(
-        np.zeros(n_chunks, np.int64),
-        np.empty(size, np.int32),
-        np.empty(size, np.int64),
-        np.empty(size),
-        np.empty(size),
-        np.empty((*size, n_materials), np.uint16),
-        np.empty((*size, n_materials), np.uint16),
-        np.empty((*size, 3), np.float32),
-    )
-
-
-_ESCAPES_REPORTED = 8
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RayStatistics:
-    """Counts of a trace.
-
-    Free paths run from one wall to the next. Each that begins before a ray's time is up counts in
-    full, even where it ends later: counting only those that fit would favour short ones.
-    """
-
-    n_rays: int  # of all sources
-    n_hits: int  # of walls
-    n_escaped: int  # met no wall and were dropped
-    n_free_paths: int
-    mean_free_path_m: float  # 0 without free paths
-    relative_variance: float  # Of the free paths, over their squared mean: Kuttruff's gamma squared
-    escapes_from_m: FloatArray  # (n, 3), where the first escaped rays began their last flight
-
-    @property
-    def escape_fraction(self) -> float:
-        """Share of flights that met no wall."""
-        return self.n_escaped / max(self.n_hits + self.n_escaped, 1)
-
-
-def ray_statistics(n_rays: int, tallies: Sequence[Tally]) -> RayStatistics:
-    """Return the sum of all chunks of all blocks."""
-    hits = sum(int(t.hits.sum()) for t in tallies)
-    escapes = sum(int(t.escapes.sum()) for t in tallies)
-    n = sum(int(t.free_paths.sum()) for t in tallies)
-    mean = sum(float(t.sum_m.sum()) for t in tallies) / max(n, 1)
-    square = sum(float(t.sum_m2.sum()) for t in tallies) / max(n, 1)
-    kept = [np.arange(ESCAPES_KEPT) < t.escapes[:, None] for t in tallies]
-    starts = [t.escape_from_m[k] for t, k in zip(tallies, kept, strict=True)]
-    return RayStatistics(
-        n_rays,
-        hits,
-        escapes,
-        n,
-        mean,
-        max(square / mean**2 - 1.0, 0.0) if mean > 0.0 else 0.0,
-        read_only(np.concatenate([np.empty((0, 3)), *starts])[:_ESCAPES_REPORTED].copy()),
-    )
-
-
-MEMORY_LIMIT_BYTES = 4 * 2**30
+_MEMORY_LIMIT_BYTES = 4 * 2**30
+_TOLERABLE_LEAK = 1e-3
 # A block is what runs between two moves of the progress bar or two chances to interrupt: well
 # under a second of work, and little memory.
-_BLOCK_FLIGHTS = 2_000_000
-_BLOCK_CROSSINGS = 500_000
+_BLOCK_FLIGHTS, _BLOCK_CROSSINGS = 2_000_000, 500_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -251,8 +275,8 @@ class Trace:
 
     # Image paths (batch -1) before rays, these in the order of groups, sources, rays, and time
     paths: Paths
-    statistics: RayStatistics  # Of all rays, including those whose paths image paths replace
     findings: tuple[Finding, ...] = ()  # `Code.RECEIVER_SPHERE_SHRUNK`, `Code.RAYS_ESCAPED`
+    n_hits: int = 0  # of all rays on walls, including those whose paths image paths replace
 
 
 def trace_rays(
@@ -262,100 +286,100 @@ def trace_rays(
     progress: Progress | None = None,
     *,
     receiver_radii_m: ArrayLike | None = None,
-    memory_limit_bytes: int = MEMORY_LIMIT_BYTES,
-    images: Callable[[], Paths] | None = None,
+    images: list[Paths] | None = None,
 ) -> Trace:
     """Send rays from every source that a pair needs and record each crossing of its receivers.
 
     A crossing gives a path. Its length runs to the point of the flight nearest to the centre and
     decides whether it lies within `settings.duration_s`; its weight is the chord over number of
     rays and sphere volume, so that direct sound averages ``1 / (4 pi r**2)`` over the sphere.
-    All rays come back, whatever `settings.image_order`, unless image paths are given.
+    All rays come back, whatever `settings.image_order`, unless image paths are given: the last of
+    `images`, which is taken from the list, so that it need not stay in memory while it is joined.
 
     Shapes: `receiver_radii_m` (n_receivers,).
     """
-    exact = None if images is None else images()
     radii = _radii(scene, settings, receiver_radii_m)
     coefficients = np.atleast_2d(coefficients_in_order(scattering, scene.room.materials))
     expected = expected_paths(scene, settings, receiver_radii_m=radii)
-    _check_memory(scene, settings, expected, memory_limit_bytes)
-    reach: tuple[int, float] | None = None  # up to which images replace specular paths
-    if exact is not None:
+    _check_memory(scene, settings, expected)
+    exact, reach_m = images.pop() if images else None, 0.0
+    if exact is not None:  # images replace specular paths as far as they reach
         images_s = settings.duration_s if settings.image_until_s is None else settings.image_until_s
-        reach_s = min(images_s, settings.duration_s)
-        reach = settings.image_order, reach_s * speed_of_sound_m_s(scene.air)
-    pieces, statistics = _recorded(
-        scene, settings, radii, coefficients, reach, memory_limit_bytes, progress
-    )
-    if exact is not None and not pieces:
-        alone = replace(exact, n_batches=settings.n_batches, sampling_scattering=coefficients)
-        return Trace(alone, statistics)
-    of_images = None
-    if exact is not None:
-        pieces.insert(0, Piece(**{name: getattr(exact, name) for name in Piece._fields}))
-        of_images, exact = exact.image_transform, None
-    return Trace(_as_paths(scene, settings, pieces, coefficients, of_images), statistics)
-
-
-def _recorded(
-    scene: Scene,
-    settings: TraceSettings,
-    radii: FloatArray,
-    coefficients: FloatArray,
-    reach: tuple[int, float] | None,
-    memory_limit_bytes: int,
-    progress: Progress | None,
-) -> tuple[list[Piece], RayStatistics]:
-    """Return the paths of rays from all sources, without those within the `reach` of images."""
+        reach_m = min(images_s, settings.duration_s) * speed_of_sound_m_s(scene.air)
     walls = walls_of(scene.room)
-    pieces: list[Piece] = []
-    tallies: list[Tally] = []
-    found = 0
+    pieces: list[list[Any]] = []
+    every: list[Caught] = []
+    n_found = 0
     sources = np.unique(scene.pairs[:, 0]).tolist() if settings.n_rays else []
     parts = [(row, one) for row in _groups(settings, coefficients) for one in sources]
     for done, ((own, s), source) in enumerate(parts):
-        for last, piece, tally in _trace_source(scene, own, walls, source, radii, s):
-            piece.weight_per_m2[:] /= len(coefficients)
-            if reach is not None:
-                late = ~covered_by_images(piece, *reach)
-                piece = Piece._make([column[late] for column in piece])
+        for last, piece, caught in _trace_source(scene, own, walls, source, radii, s):
+            piece[2] /= len(coefficients)
+            if exact is not None:
+                _, length_m, _, specular, diffuse, *_ = piece
+                late = ~covered_by_images(
+                    length_m, specular, diffuse, settings.image_order, reach_m
+                )
+                piece = [column[late] for column in piece]
             pieces.append(piece)
-            tallies.append(tally)
-            found += len(piece.length_m)
-            _check_memory(scene, settings, found, memory_limit_bytes)
+            every.append(caught)
+            n_found += len(piece[0])
+            _check_memory(scene, settings, n_found)
             if progress is not None:
                 progress((done + last / own.n_rays) / len(parts))
-    return pieces, ray_statistics(sum(own.n_rays for (own, _), _ in parts), tallies)
-
-
-def _as_paths(
-    scene: Scene,
-    settings: TraceSettings,
-    pieces: list[Piece],
-    coefficients: FloatArray,
-    of_images: NDArray[np.float32] | None,
-) -> Paths:
-    """Return pieces as paths, emptying the list; `of_images` are the transforms of the first."""
-    joined = _joined(pieces, coefficients.shape[1])
-    transform = None
+    of_images = None
+    if exact is not None:
+        of_images = exact.image_transform
+        pieces.insert(0, path_columns(exact))
+        exact = None
+    paths = _joined(scene, settings, pieces, coefficients)
     if of_images is not None:
-        transform = np.zeros((len(joined.length_m), 3, 3), np.float32)
+        transform = np.zeros((len(paths), 3, 3), np.float32)
         transform[: len(of_images)] = of_images
-    return Paths(
-        len(scene.pairs),
-        scene.room.materials,
-        *joined,
-        n_batches=settings.n_batches,
-        sampling_scattering=coefficients,
-        image_transform=transform,
+        paths = replace(paths, image_transform=transform)
+    n_hits = sum(int(c.hits.sum()) for c in every)
+    return Trace(paths, _leaks(every, n_hits), n_hits)
+
+
+def _joined(
+    scene: Scene, settings: TraceSettings, pieces: list[list[Any]], coefficients: FloatArray
+) -> Paths:
+    """Return pieces as paths, letting go of each array once it is copied."""
+    if not pieces:
+        no_hits, nowhere = np.empty((0, coefficients.shape[1]), np.uint16), np.empty((0, 3), "f4")
+        nothing, none = np.empty(0), np.empty(0, np.int32)
+        pieces = [[none, nothing, nothing, no_hits, no_hits.copy(), nowhere, nowhere.copy(), none]]
+    columns: list[Any] = [np.concatenate([p.pop(0) for p in pieces]) for _ in range(len(pieces[0]))]
+    columns += [settings.n_batches, coefficients]
+    return Paths(len(scene.pairs), scene.room.materials, *columns)
+
+
+def _leaks(every: list[Caught], n_hits: int) -> tuple[Finding, ...]:
+    n_escaped = sum(int(c.escapes.sum()) for c in every)
+    if n_escaped == 0:
+        return ()
+    kept = [c.escape_from_m[np.arange(ESCAPES_KEPT) < c.escapes[:, None]] for c in every]
+    from_m = np.concatenate(kept)[:_ESCAPES_REPORTED]
+    share = n_escaped / (n_hits + n_escaped)
+    place = ", ".join(f"{x:.2f}" for x in from_m[0])
+    return (
+        Finding(
+            Code.RAYS_ESCAPED,
+            About(points_m=from_m.tolist()),
+            f"{n_escaped} rays left the room through gaps, {100.0 * share:.2g} % of "
+            f"their flights, the first one in a flight from ({place}) m: the room is not closed.",
+            {"n_escaped": n_escaped, "escape_fraction": share},
+            graded="warning" if share < _TOLERABLE_LEAK else "serious",
+        ),
     )
 
 
-def covered_by_images(paths: Paths | Piece, image_order: int, reach_m: float = np.inf) -> BoolArray:
+def covered_by_images(
+    length_m: FloatArray, specular: IntArray, diffuse: IntArray, order: int, reach_m: float
+) -> BoolArray:
     """Return which paths images up to an order and a length replace: specular only, and short."""
-    specular = paths.hits_specular.sum(axis=1, dtype=np.int64)
-    near = (specular <= image_order) & (paths.length_m < reach_m)
-    return np.asarray(~paths.hits_diffuse.any(axis=1) & near)
+    near = (specular.sum(axis=1, dtype=np.int64) <= order) & (length_m < reach_m)
+    return np.asarray(~diffuse.any(axis=1) & near)
 
 
 def _groups(
@@ -380,8 +404,10 @@ def _trace_source(
     source: int,
     radii: FloatArray,
     coefficients: FloatArray,
-) -> Iterator[tuple[int, Piece, Tally]]:
-    """Trace block by block; give the rays done so far, and paths and counts of the block."""
+) -> Iterator[tuple[int, list[Any], Caught]]:
+    """Trace block by block; give the rays done so far, and the columns of paths of the block."""
+    pair = np.flatnonzero(scene.pairs[:, 0] == source)
+    receiver = scene.pairs[pair, 1]
     job = Job(
         scene.sources[source].position_m,
         coefficients,
@@ -389,25 +415,37 @@ def _trace_source(
         settings.max_hits,
         settings.seed,
         source,
+        np.array([scene.receivers[r].position_m for r in receiver]),
+        radii[receiver],
     )
-    pair = np.flatnonzero(scene.pairs[:, 0] == source)
-    receiver = scene.pairs[pair, 1]
-    centres = np.array([scene.receivers[r].position_m for r in receiver])
-    receivers = spheres(centres, radii[receiver], pair)
     directions = start_directions(settings, source)
-    size = _size(scene.room)
-    per_ray = _paths_along(size, receivers.radius_m, job.max_length_m)
-    for rays in _blocks(size, per_ray, job, settings.n_rays):
-        capacity = int(1.2 * per_ray * CHUNK_RAYS) + 64
-        caught, tally = _trace_block(walls, receivers, job, directions, rays, capacity)
-        yield rays.stop, _packed(caught, receivers, directions, settings.n_batches), tally
+    volume, free_path_m = _volume_and_free_path(scene.room)
+    per_ray = float((job.max_length_m * np.pi * job.radius_m**2 / volume).sum())
+    flights = 1.0 + job.max_length_m / free_path_m
+    at_once = min(_BLOCK_FLIGHTS / flights, _BLOCK_CROSSINGS / max(per_ray, 1e-9))
+    step = max(int(at_once) // _CHUNK_RAYS, 1) * _CHUNK_RAYS
+    share = 1.0 / (settings.n_rays * 4.0 / 3.0 * np.pi * job.radius_m**3)
+    for start in range(0, settings.n_rays, step):
+        rays = range(start, min(start + step, settings.n_rays))
+        caught = _trace_block(walls, job, directions, rays, int(1.2 * per_ray * _CHUNK_RAYS) + 64)
+        filled = np.arange(caught.ray.shape[1]) < caught.found[:, None]
+        ray, sphere = caught.ray[filled], caught.sphere[filled]
+        columns = [
+            pair.astype(np.int32)[sphere],
+            caught.length_m[filled],
+            caught.chord_m[filled] * share[sphere],
+            caught.hits_specular[filled],
+            caught.hits_diffuse[filled],
+            directions[ray].astype(np.float32),
+            caught.arrival[filled],
+            (ray % settings.n_batches).astype(np.int32),
+        ]
+        counts: Any = [caught.found, *[np.empty(0)] * 7, *caught[-3:]]
+        yield rays.stop, columns, Caught(*counts)
 
 
 def expected_paths(
-    scene: Scene,
-    settings: TraceSettings,
-    *,
-    receiver_radii_m: ArrayLike | None = None,
+    scene: Scene, settings: TraceSettings, *, receiver_radii_m: ArrayLike | None = None
 ) -> float:
     """Return about how many paths a trace will record.
 
@@ -415,10 +453,10 @@ def expected_paths(
     ``pi a**2 L / V`` times.
     """
     radii = _radii(scene, settings, receiver_radii_m)[scene.pairs[:, 1]]
+    volume, free_path_m = _volume_and_free_path(scene.room)
     length = settings.duration_s * speed_of_sound_m_s(scene.air)
-    size = _size(scene.room)
-    length = min(length, settings.max_hits * size.mean_free_path_m)
-    return settings.n_rays * _paths_along(size, radii, length)
+    length = min(length, settings.max_hits * free_path_m)
+    return settings.n_rays * float((length * np.pi * radii**2 / volume).sum())
 
 
 def path_bytes(scene: Scene) -> int:
@@ -426,47 +464,27 @@ def path_bytes(scene: Scene) -> int:
     return 48 + 4 * len(scene.room.materials)
 
 
-def _check_memory(scene: Scene, settings: TraceSettings, n_paths: float, limit_bytes: int) -> None:
+def _check_memory(scene: Scene, settings: TraceSettings, n_paths: float) -> None:
     needed = n_paths * path_bytes(scene) + 24.0 * settings.n_rays
-    if needed > limit_bytes:
+    if needed > _MEMORY_LIMIT_BYTES:
         raise InputError(
             "the trace would not fit into memory",
             found=f"about {n_paths:.3g} paths, {needed / 2**30:.3g} GiB",
-            needed=f"at most {limit_bytes / 2**30:.3g} GiB",
+            needed=f"at most {_MEMORY_LIMIT_BYTES / 2**30:.3g} GiB",
             hint="fewer rays, a smaller receiver radius, a shorter duration or fewer pairs",
         )
 
 
 def _radii(scene: Scene, settings: TraceSettings, receiver_radii_m: ArrayLike | None) -> FloatArray:
+    n = len(scene.receivers)
     if receiver_radii_m is None:
-        return np.full(len(scene.receivers), settings.receiver_radius_m)
-    return float_array(
-        "radius of each receiver", receiver_radii_m, (len(scene.receivers),), low=1e-3, unit="m"
-    )
+        return np.full(n, settings.receiver_radius_m)
+    return float_array("radius of each receiver", receiver_radii_m, (n,), low=1e-3, unit="m")
 
 
-class _Size(NamedTuple):
-    """Of a room; where its mesh encloses nothing, of the bounding box."""
-
-    volume_m3: float
-    mean_free_path_m: float
-
-
-def _size(room: Room) -> _Size:
+def _volume_and_free_path(room: Room) -> tuple[float, float]:
+    """Return volume, m3, and mean free path, m; of the bounding box of a mesh without volume."""
     volume = abs(volume_m3(room.mesh))
     box = float(np.prod(np.ptp(room.mesh.vertices_m, axis=0)))
     volume = volume if volume > 1e-3 * box else max(box, 1e-9)
-    return _Size(volume, 4.0 * volume / surface_area_m2(room.mesh))
-
-
-def _paths_along(size: _Size, radii_m: FloatArray, length_m: float) -> float:
-    """Return how many paths one ray is expected to give."""
-    return float((length_m * np.pi * radii_m**2 / size.volume_m3).sum())
-
-
-def _blocks(size: _Size, per_ray: float, job: Job, n_rays: int) -> Iterator[range]:
-    flights = 1.0 + job.max_length_m / size.mean_free_path_m
-    rays = min(_BLOCK_FLIGHTS / flights, _BLOCK_CROSSINGS / max(per_ray, 1e-9))
-    step = max(int(rays) // CHUNK_RAYS, 1) * CHUNK_RAYS
-    for start in range(0, n_rays, step):
-        yield range(start, min(start + step, n_rays))
+    return volume, 4.0 * volume / surface_area_m2(room.mesh)

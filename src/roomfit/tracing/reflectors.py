@@ -13,7 +13,7 @@ import numpy as np
 
 from roomfit.base.kernels import kernel
 from roomfit.base.polygon import plane_axes
-from roomfit.base.typing import BoolArray, FloatArray, IntArray
+from roomfit.base.typing import FloatArray, IntArray
 from roomfit.room.inside import Vector, corner, dot, row
 from roomfit.room.mesh import area_vectors_m2, corners_m, is_double_sided
 from roomfit.room.scene import Room
@@ -215,10 +215,6 @@ class Walls(NamedTuple):
     piece_triangle: IntArray  # int64 (n_pieces,), index of the triangle in the mesh
     first_corner: IntArray  # int64 (n_walls + 1,), where the corners of each outline begin
     outline_m: FloatArray  # (n_corners, 3), a convex polygon about each wall's pieces
-    edge: FloatArray  # (n_corners, 4), inward normal and offset of the plane on each outline's side
-    # (n_walls,), whether no sound passes beyond the outline: its pieces fill it, or the whole room
-    # lies in front of it
-    ends_sound: BoolArray
 
 
 class Blockers(NamedTuple):
@@ -276,22 +272,8 @@ def mirrors_of(room: Room) -> tuple[Walls, Blockers]:
         kept[piece[order]].astype(np.int64),
         _starts(outlines),
         np.concatenate(outlines),
-        np.concatenate([_edges(o, n) for o, n in zip(outlines, normal, strict=True)]),
-        np.array(
-            [
-                len(b) == 0 or (len(b) == 1 and len(b[0]) == len(o))
-                for b, o in zip(blocking, outlines, strict=True)
-            ]
-        ),
     )
     return walls, _as_blockers(blocking)
-
-
-def _edges(outline_m: FloatArray, normal: FloatArray) -> FloatArray:
-    along = np.roll(outline_m, -1, axis=0) - outline_m
-    inwards = np.cross(normal, along)
-    inwards /= np.linalg.norm(inwards, axis=1)[:, None]
-    return np.column_stack([inwards, np.einsum("ij,ij->i", inwards, outline_m)])
 
 
 def _as_blockers(blocking: list[list[FloatArray]]) -> Blockers:

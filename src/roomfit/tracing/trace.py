@@ -14,13 +14,12 @@ from roomfit.room.inside import distance_to_walls_m
 from roomfit.room.scene import Scene, distances_m, object_pairs
 from roomfit.tracing.image_sources import thinned_images, trace_images
 from roomfit.tracing.paths import Paths, TraceSettings
-from roomfit.tracing.rays import RayStatistics, Trace, trace_rays
+from roomfit.tracing.rays import Trace, trace_rays
 from roomfit.tracing.states import as_one_state, in_every_state
 
 # A sphere so much smaller than the room it has stays clear of the wall in spite of rounding.
 _CLEARANCE = 0.999
 _SMALLEST_RADIUS_M = 0.005
-_TOLERABLE_LEAK = 1e-3
 _SHARE_OF_IMAGES = 0.1
 
 
@@ -121,9 +120,9 @@ def trace(
         scattering,
         part(progress, share, 1.0),
         receiver_radii_m=radii,
-        images=images.pop if images else None,
+        images=images,
     )
-    return _with_objects(replace(rays, findings=(*findings, *_leaks(rays.statistics))), scene)
+    return _with_objects(replace(rays, findings=(*findings, *rays.findings)), scene)
 
 
 def _with_objects(found: Trace, scene: Scene) -> Trace:
@@ -170,20 +169,3 @@ def fitting_radii_m(scene: Scene, radius_m: float) -> tuple[FloatArray, tuple[Fi
             )
         )
     return radii, tuple(findings)
-
-
-def _leaks(statistics: RayStatistics) -> tuple[Finding, ...]:
-    if statistics.n_escaped == 0:
-        return ()
-    share = statistics.escape_fraction
-    place = ", ".join(f"{x:.2f}" for x in statistics.escapes_from_m[0])
-    return (
-        Finding(
-            Code.RAYS_ESCAPED,
-            About(points_m=statistics.escapes_from_m.tolist()),
-            f"{statistics.n_escaped} rays left the room through gaps, {100.0 * share:.2g} % of "
-            f"their flights, the first one in a flight from ({place}) m: the room is not closed.",
-            {"n_escaped": statistics.n_escaped, "escape_fraction": share},
-            graded="warning" if share < _TOLERABLE_LEAK else "serious",
-        ),
-    )
