@@ -376,16 +376,15 @@ def the_papers_way(seeds: int = 15) -> None:
     at = 40
     model = at_frequencies(wave_model(box_scene(), F_HZ, TAU_S), np.array([at]))
     true = TRUE[:, [at]]
-    data = predicted_pressure(model, true, at_rest(model), spherical=False)
-    scale = np.sum(np.abs(data) ** 2)
-    model = replace(model, whole=model.short)
-    data = predicted_pressure(model, true, at_rest(model), spherical=False)
+    scale = np.sum(np.abs(predicted_pressure(model, true, at_rest(model), spherical=False)) ** 2)
+    plane = {"spherical": False, "short": True}
+    data = predicted_pressure(model, true, at_rest(model), **plane)
 
     def r0_of(x: FloatArray) -> ComplexArray:
         return r0_of_impedance(200.0 * x[:3] + 1j * (400.0 * x[3:] - 200.0))[:, None]
 
     def error(x: FloatArray) -> float:
-        off = predicted_pressure(model, r0_of(x), at_rest(model), spherical=False) - data
+        off = predicted_pressure(model, r0_of(x), at_rest(model), **plane) - data
         return float(np.sum(np.abs(off) ** 2) / scale)
 
     ways: dict[str, Callable[[np.random.Generator], Fit]] = {

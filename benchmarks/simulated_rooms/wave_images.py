@@ -23,8 +23,8 @@ def image_pressure(model: WaveModel, walls: Mapping[str, Reflection], state: Sta
     model : WaveModel
         Its paths are taken, and nothing else of how the fit predicts.
     """
-    paths = model.whole
-    vector = moved_vectors_m(model, paths, state)
+    paths = model.paths
+    vector = moved_vectors_m(model, state)
     length = np.linalg.norm(vector, axis=1)
     k = wavenumber_per_m(model, state)
     value = np.exp(-1j * length[:, None] * k) / (4.0 * np.pi * length[:, None])

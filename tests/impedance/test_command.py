@@ -107,20 +107,12 @@ def test_the_same_by_hand_in_python_is_the_same(finished):
         np.testing.assert_array_equal(mine.r0, theirs.r0)
 
 
-def test_identify_refuses_spectra_and_names_the_command(finished, tmp_path):
-    from roomfit.cli.identify import identify_to_folder
-
-    folder, _, _ = finished
-    with pytest.raises(InputError, match="damped spectra hold impedances"):
-        identify_to_folder(folder / "campaign.toml", tmp_path / "out")
-
-
 def response_of(model, pair, z, rate_hz=24_000.0, shift_s=0.0):
     """A pair's impulse response with one real impedance everywhere, laid out in time by hand.
 
     Each path is a band-limited impulse (a sinc cut at 10 ms by a raised cosine) of its amplitude.
     """
-    paths, n = model.whole, 4800
+    paths, n = model.paths, 4800
     first, last = paths.pair_first[pair : pair + 2]
     t = np.arange(n) / rate_hz - shift_s
     pressure = np.zeros(n)
@@ -142,7 +134,7 @@ def test_the_spectrum_of_a_damped_response_is_the_model_at_the_complex_frequency
     r0 = np.full((3, len(F_HZ)), r0_of_impedance(np.array([8.0]))[0])
     expected = predicted_pressure(model, r0, at_rest(model), spherical=False)
     for pair in range(2):
-        direct_s = np.linalg.norm(model.whole.vector_m[model.whole.pair_first[pair]]) / 343.0
+        direct_s = np.linalg.norm(model.paths.vector_m[model.paths.pair_first[pair]]) / 343.0
         response = ImpulseResponse(response_of(model, pair, 8.0, shift_s=0.005), 24_000.0, 0.005)
         found = damped_spectrum(response, F_HZ, TAU_S, direct_s)
         # what a 2 ms lead cuts off of a band-limited impulse, and paths beyond the model's last
@@ -241,16 +233,6 @@ def test_what_a_campaign_may_not_say_is_refused(finished, more, words):
         identify_campaign_impedance(read_campaign(file))
 
 
-def test_the_speed_of_sound_is_as_uncertain_as_the_temperature_of_this_air_makes_it(finished):
-    """dc / c = dT / (2 T): two kelvins at 5 degrees C are a 278th."""
-    folder, _, _ = finished
-    air = "temperature_c = 5.0\ntemperature_sd_c = 2.0"
-    file = folder / "cold.toml"
-    file.write_text(campaign_text().replace("speed_of_sound_m_s = 343.0", air))
-    read, _ = impedance_arguments(read_campaign(file))
-    assert read["nuisances"].speed_sd == pytest.approx(1.0 / 278.15, rel=1e-12)
-
-
 def test_spectra_that_do_not_belong_together_are_refused(finished, tmp_path):
     folder, _, _ = finished
     for n in range(6):
@@ -296,7 +278,7 @@ def test_clocks_and_levels_of_recordings_are_taken_as_the_campaign_specifies_the
     model = wave_model(box_scene(n_pairs=5), F_HZ, TAU_S)
     noise = 1e-5 * np.random.default_rng(4).normal(size=4800)
     clean = [response_of(model, n, 8.0) + noise for n in range(5)]
-    direct_s = np.linalg.norm(model.whole.vector_m[model.whole.pair_first[4]]) / 343.0
+    direct_s = np.linalg.norm(model.paths.vector_m[model.paths.pair_first[4]]) / 343.0
     clean[4][: round(24_000 * (direct_s + 0.0015))] *= 0.05
     late = [np.concatenate([np.zeros((1200, 264)[n % 2]), p]) for n, p in enumerate(clean)]
     reported, _ = pressures_of(tmp_path, clean, "")

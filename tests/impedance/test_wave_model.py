@@ -10,7 +10,6 @@ from scipy.special import wofz
 
 from impedance_cases import exact, nearest
 from roomfit.base.air import Air
-from roomfit.base.errors import InputError
 from roomfit.impedance.data import Observed, complex_frequency_hz, standard_deviation
 from roomfit.impedance.laws import (
     absorption_random,
@@ -21,7 +20,7 @@ from roomfit.impedance.laws import (
     spline,
 )
 from roomfit.impedance.problem import Problem, data_rows, prior_rows, start_of
-from roomfit.impedance.wave_kernels import boundary_loss, reflect
+from roomfit.impedance.wave_kernels import boundary_loss, plane_reflection
 from roomfit.impedance.wave_model import (
     Nuisances,
     State,
@@ -47,13 +46,6 @@ from simulated_rooms.wall_impedances import miki_layer, panel, resonator
 from simulated_rooms.wave_images import image_pressure, locally_reacting
 
 
-def plane_reflection(r0, cosine):
-    """Return the reflection of plane waves by the compiled kernel."""
-    r0, out = np.asarray(r0, dtype=np.complex128), np.empty(len(r0), dtype=np.complex128)
-    reflect(r0, r0, cosine, r0, 1.0, False, out)
-    return out
-
-
 def test_a_passive_wall_gives_back_no_more_than_it_gets_at_any_angle():
     rng = np.random.default_rng(1)
     radius, phase = rng.random((2, 100))
@@ -75,10 +67,10 @@ def test_reflection_in_r0_is_that_of_the_impedance():
 
 def test_the_boundary_loss_is_that_of_the_error_function():
     rng = np.random.default_rng(2)
-    w = 5.0 * (rng.normal(size=4000) + 1j * rng.normal(size=4000))
+    w = 20.0 * (rng.normal(size=4000) + 1j * rng.normal(size=4000))
     w = w[w.imag > -2.0]  # below, the surface wave grows past any use
     expected = 1.0 + 1j * np.sqrt(np.pi) * w * wofz(w)
-    found = np.array([boundary_loss(complex(x)) for x in w])
+    found = boundary_loss(w)
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
 
 
@@ -88,19 +80,6 @@ def test_absorption_at_random_incidence_is_the_closed_form_of_a_real_impedance()
     expected = 8.0 / r * (1.0 + 1.0 / (1.0 + r) - 2.0 / r * np.log(1.0 + r))
     np.testing.assert_allclose(absorption_random(r0_of_impedance(r)), expected, rtol=1e-9)
     assert expected[0] == pytest.approx(0.951, abs=1e-3)  # the known maximum
-
-
-def test_layers_become_what_they_are_made_of():
-    f = np.array([200.0, 500.0, 1500.0]) - 10j
-    c = 343.0
-    k = 2.0 * np.pi * f / c
-    # a layer of nearly air is air before a wall; so is a panel without mass and losses
-    np.testing.assert_allclose(miki_layer(f, 1e-9, 0.1, 0.0, c), -1j / np.tan(k * 0.1), rtol=1e-4)
-    np.testing.assert_allclose(panel(f, 0.0, 0.0, 0.1, c), -1j / np.tan(k * 0.1), rtol=1e-12)
-    whole = miki_layer(f, 1e-9, 0.04, 0.06, c)
-    np.testing.assert_allclose(whole, -1j / np.tan(k * 0.1), rtol=1e-4)
-    neck = resonator(f, 0.2, 0.3, 0.1, 5e3, c) - miki_layer(f, 5e3, 0.1, 0.0, c)
-    np.testing.assert_allclose(neck, 0.2 + 0.3j * k, rtol=1e-12)
 
 
 def band_errors(model, observed, p):
@@ -284,22 +263,6 @@ def test_sums_and_single_reflections_are_those_of_plain_numpy_and_scipy():
         np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda: Observed(np.array([2.0, 1.0]), 0.01, np.ones((1, 2))), "out of order"),
-        (lambda: Observed(np.array([1.0, 2.0]), 0.01, np.ones((1, 3))), "disagree"),
-        (lambda: Observed(np.array([1.0, 2.0]), 0.0, np.ones((1, 2))), "time constant"),
-        (lambda: Observed(np.array([1.0]), 0.01, np.array([[np.nan]])), "not finite"),
-        (lambda: Nuisances(gain="loud"), "unknown kind of gain"),
-        (lambda: Nuisances(position_sd_m=2.0), "out of range"),
-    ],
-)
-def test_what_cannot_be_is_refused(make, words):
-    with pytest.raises(InputError, match=words):
-        make()
-
-
 # Walls that are passive and causal, and any that are smooth.
 
 
@@ -392,8 +355,3 @@ def test_a_rigid_wall_cannot_answer_before_it_is_struck_but_may_answer_late():
         off.append(np.sqrt(np.mean(np.abs(found - r0) ** 2)))
     assert off[0] > 0.08
     assert off[1] < 0.02
-
-
-def test_of_few_frequencies_each_is_free():
-    curve = causal_curve(damped(200.0, 400.0, 100.0), 0.3 + 0.2j)
-    np.testing.assert_array_equal(curve.r0(curve.start), np.full(3, 0.3 + 0.2j))

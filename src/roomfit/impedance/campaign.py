@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypedDict
+from typing import Any
 
 import numpy as np
 
@@ -31,9 +31,9 @@ from roomfit.files.rooms import read_room
 from roomfit.files.schema import MaterialTable, MeasurementTable
 from roomfit.fit.measurements import from_emission
 from roomfit.impedance.data import Observed, damped_noise, damped_spectrum
-from roomfit.impedance.fit import WallModel
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
-from roomfit.impedance.result import ImpedanceResult
+from roomfit.impedance.laws import WallModel
+from roomfit.impedance.result import ImpedanceResult, write_impedance
 from roomfit.impedance.wave_model import GainMode, Nuisances
 from roomfit.room.scene import Room, Scene, distances_m, scene_of
 from roomfit.signals.measurement import LATENCY_SD_S
@@ -46,16 +46,6 @@ _RESPONSE_GAINS: dict[str | None, GainMode] = {
     "absolute": "known",
 }
 _GAINS: dict[str | None, GainMode] = {**_RESPONSE_GAINS, "per-file": "pair", None: "known"}
-
-
-class ImpedanceArguments(TypedDict):
-    """What `roomfit.identify_impedance` takes, but for the random generator."""
-
-    scene: Scene
-    observed: Observed
-    walls: dict[str, WallModel]
-    nuisances: Nuisances
-    settings: ImpedanceSettings
 
 
 def identify_campaign_impedance(
@@ -95,8 +85,6 @@ def impedance_to_folder(
     StoreError
         The disk refuses.
     """
-    from roomfit.impedance.output import write_impedance
-
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file)
     result = identify_campaign_impedance(campaign, progress=part(progress, 0.0, 0.95))
@@ -104,8 +92,11 @@ def impedance_to_folder(
     return result
 
 
-def impedance_arguments(campaign: Campaign) -> tuple[ImpedanceArguments, tuple[Finding, ...]]:
-    """Read the room and everything that is to be fitted; return it with doubts about the files."""
+def impedance_arguments(campaign: Campaign) -> tuple[dict[str, Any], tuple[Finding, ...]]:
+    """Return a campaign's files as arguments of `roomfit.identify_impedance`, and doubts.
+
+    All arguments but the random generator.
+    """
     room, room_findings = read_room(campaign.room)
     refuse_objects(campaign, "roomfit impedance")
     walls = _wall_models(campaign, room.materials)
@@ -119,8 +110,7 @@ def impedance_arguments(campaign: Campaign) -> tuple[ImpedanceArguments, tuple[F
             needed="impulse responses (file) or damped spectra (spectrum)",
             hint="room parameters do not determine impedances",
         )
-    fitted = campaign.with_rows((*files, *spectra))
-    check_files(input_files(fitted), str(campaign.path))
+    check_files(input_files(campaign.with_rows((*files, *spectra))), str(campaign.path))
     scene = _scene(campaign, room, [*files, *spectra])
     read = [read_spectrum(s.path) for s in spectra]
     frequency_hz, tau_s = _grid(campaign, spectra, read)
@@ -130,16 +120,11 @@ def impedance_arguments(campaign: Campaign) -> tuple[ImpedanceArguments, tuple[F
         pressure.append(one.pressure[0, own])
         noise.append(None if one.noise is None else one.noise[0, own])
     known = [n for n in noise if n is not None]
-    observed = Observed(
-        frequency_hz,
-        tau_s,
-        np.array(pressure),
-        np.array(known) if len(known) == len(noise) else None,
-        all(one.has_phase for one in read),
-    )
+    all_known = np.array(known) if len(known) == len(noise) else None
+    has_phase = all(one.has_phase for one in read)
     return {
         "scene": scene,
-        "observed": observed,
+        "observed": Observed(frequency_hz, tau_s, np.array(pressure), all_known, has_phase),
         "walls": walls,
         "nuisances": _nuisances(campaign, files, spectra),
         "settings": ImpedanceSettings(random_starts=campaign.impedance.random_starts),
@@ -148,15 +133,15 @@ def impedance_arguments(campaign: Campaign) -> tuple[ImpedanceArguments, tuple[F
 
 def _scene(campaign: Campaign, room: Room, measured: list[MeasurementTable]) -> Scene:
     pairs = [(m.source, m.receiver) for m in measured]
-    for pair in pairs:
-        if pairs.count(pair) > 1:
-            raise InputError(
-                "a pair stands twice among the pressures",
-                where=str(campaign.path),
-                found=" to ".join(pair),
-                needed="one measurement a pair",
-                hint='mark the others with use = "validate"',
-            )
+    twice = next((pair for pair in pairs if pairs.count(pair) > 1), None)
+    if twice is not None:
+        raise InputError(
+            "a pair stands twice among the pressures",
+            where=str(campaign.path),
+            found=" to ".join(twice),
+            needed="one measurement a pair",
+            hint='mark the others with use = "validate"',
+        )
     sources = tuple(s for s in campaign.sources if s.name in {p[0] for p in pairs})
     receivers = tuple(r for r in campaign.receivers if r.name in {p[1] for p in pairs})
     for source in sources:
@@ -188,9 +173,8 @@ def _damped_responses(
     measured = [read_file(file) for file in files]
     findings = [finding for m in measured for finding in m.findings]
     pressure, noise = [], []
-    for m, response, direct_s in zip(
-        measured, from_emission(measured, travel_s), travel_s, strict=True
-    ):
+    responses = from_emission(measured, travel_s)
+    for m, response, direct_s in zip(measured, responses, travel_s, strict=True):
         check_travel(response, direct_s, m.where)
         if m.time_zero == "emission":
             onset_s = find_onset(response, m.where)
@@ -210,48 +194,35 @@ def read_spectrum(path: Path) -> Observed:
     (``|p|``, not in decibels) stands in place of ``p``.
     """
     arrays = npz_arrays(read_bytes(Path(path), "spectrum"), str(path))
-    has_phase = "p" in arrays
+    names, has_phase = ", ".join(sorted(arrays)) or "nothing", "p" in arrays
+
+    def refuse(what: str, found: str, needed: str, hint: str) -> InputError:
+        return InputError(what, where=str(path), found=found, needed=needed, hint=hint)
+
+    if has_phase == ("magnitude" in arrays):
+        what, hint = "a spectrum needs pressures or magnitudes", "store one of the two"
+        raise refuse(what, names, "p (complex), or magnitude", hint)
+    for name, meaning in (("f", "f (Hz)"), ("tau", "tau (s), the window's time constant")):
+        if name not in arrays:
+            hint = "store it in the file, with numpy.savez(file, f=..., tau=...)"
+            raise refuse("a spectrum lacks an array", names, meaning, hint)
+    for name in {"f", "tau", "noise", "magnitude"} & arrays.keys():
+        if arrays[name].dtype.kind not in "iuf":
+            found, hint = f"an array of type {arrays[name].dtype}", f"store {name}.astype(float)"
+            raise refuse(f"{name} holds no real numbers", found, "integers or floats", hint)
+    if np.size(arrays["tau"]) != 1:
+        found, hint = f"{np.shape(arrays['tau'])}", "store one spectrum a file, each with its tau"
+        raise refuse("tau is not one number", found, "one number (s)", hint)
+    pressure = np.asarray(arrays["p" if has_phase else "magnitude"])
+    if has_phase and pressure.dtype.kind != "c":
+        found, needed = f"an array of type {pressure.dtype}", "p of complex numbers, or magnitude"
+        raise refuse("pressures without phase", found, needed, "store them as magnitude")
+    noise = arrays.get("noise")
+    if noise is not None:
+        noise = np.reshape(noise, (1, -1))
+        noise = np.broadcast_to(noise, (1, pressure.size)) if noise.size == 1 else noise
+    tau_s = float(np.reshape(arrays["tau"], ()))
     with located(str(path)):
-        if has_phase == ("magnitude" in arrays):
-            raise InputError(
-                "a spectrum needs pressures or magnitudes",
-                found=", ".join(sorted(arrays)) or "nothing",
-                needed="p (complex), or magnitude",
-                hint="store one of the two, with numpy.savez",
-            )
-        for name, meaning in (("f", "f (Hz)"), ("tau", "tau (s), the window's time constant")):
-            if name not in arrays:
-                what = "a spectrum lacks an array"
-                hint = "store it in the file, with numpy.savez(file, f=..., tau=...)"
-                raise InputError(what, found=", ".join(sorted(arrays)), needed=meaning, hint=hint)
-        for name in ("f", "tau", "noise", "magnitude"):
-            if name in arrays and arrays[name].dtype.kind not in "iuf":
-                raise InputError(
-                    f"{name} holds no real numbers",
-                    found=f"an array of type {arrays[name].dtype}",
-                    needed="an array of integers or floats",
-                    hint=f"store {name}.astype(float)",
-                )
-        if np.size(arrays["tau"]) != 1:
-            raise InputError(
-                "tau is not one number",
-                found=f"{np.shape(arrays['tau'])}",
-                needed="one number (s)",
-                hint="store one spectrum a file, each with its tau",
-            )
-        pressure = np.asarray(arrays["p" if has_phase else "magnitude"])
-        if has_phase and pressure.dtype.kind != "c":
-            raise InputError(
-                "pressures without phase",
-                found=f"an array of type {pressure.dtype}",
-                needed="p of complex numbers, or magnitude in its stead",
-                hint="store them under the name magnitude",
-            )
-        noise = arrays.get("noise")
-        if noise is not None:
-            noise = np.reshape(noise, (1, -1))
-            noise = np.broadcast_to(noise, (1, pressure.size)) if noise.size == 1 else noise
-        tau_s = float(np.reshape(arrays["tau"], ()))
         return Observed(arrays["f"], tau_s, pressure[None], noise, has_phase)
 
 
@@ -262,26 +233,22 @@ def _grid(
     campaign: Campaign, spectra: list[MeasurementTable], read: list[Observed]
 ) -> tuple[FloatArray, float]:
     """Return the frequencies and the window: those of the spectra where there are any."""
-    table = campaign.impedance
-    where = f"{campaign.path}, impedance"
-    if table.from_hz >= table.to_hz and not read:
-        found = f"from_hz = {table.from_hz:g}, to_hz = {table.to_hz:g}"
-        what, needed = "the lowest frequency lies above the highest", "from_hz below to_hz"
-        raise InputError(what, where=where, found=found, needed=needed, hint="exchange the two")
+    table, where = campaign.impedance, f"{campaign.path}, impedance"
+    low, high, step = table.from_hz, table.to_hz, table.step_hz
     if not read:
-        n = (table.to_hz - table.from_hz) / table.step_hz
-        if n > _MOST_FREQUENCIES:
+        if low >= high:
+            found = f"from_hz = {low:g}, to_hz = {high:g}"
+            what, needed = "the lowest frequency lies above the highest", "from_hz below to_hz"
+            raise InputError(what, where=where, found=found, needed=needed, hint="exchange them")
+        if (high - low) / step > _MOST_FREQUENCIES:
             raise InputError(
                 "more frequencies than can be fitted",
                 where=f"{where}.step_hz",
-                found=f"{n:.0f}, every {table.step_hz:g} Hz from {table.from_hz:g} to "
-                f"{table.to_hz:g} Hz",
+                found=f"{(high - low) / step:.0f}, every {step:g} Hz from {low:g} to {high:g} Hz",
                 needed=f"at most {_MOST_FREQUENCIES}",
                 hint="finer than 1/(2 pi tau_s) adds no information",
             )
-        return np.arange(
-            table.from_hz, table.to_hz + 0.5 * table.step_hz, table.step_hz
-        ), table.tau_s
+        return np.arange(low, high + 0.5 * step, step), table.tau_s
     first = read[0]
     for file, other in zip(spectra[1:], read[1:], strict=True):
         same = np.array_equal(other.frequency_hz, first.frequency_hz)
@@ -295,28 +262,36 @@ def _grid(
                 hint="compute them alike, or put them into campaigns of their own",
             )
     f = first.frequency_hz
-    own = f[(f >= table.from_hz) & (f <= table.to_hz)]
+    own = f[(f >= low) & (f <= high)]
     if len(own) == 0:
-        raise InputError(
-            "no frequency of the spectra lies between from_hz and to_hz",
-            where=where,
-            found=f"{f[0]:g} to {f[-1]:g} Hz",
-            needed=f"{table.from_hz:g} to {table.to_hz:g} Hz",
-            hint="set from_hz and to_hz to the range of the spectra",
-        )
+        what = "no frequency of the spectra lies between from_hz and to_hz"
+        found, needed = f"{f[0]:g} to {f[-1]:g} Hz", f"{low:g} to {high:g} Hz"
+        hint = "set from_hz and to_hz to the range of the spectra"
+        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
     return own, first.tau_s
 
 
 def _nuisances(
     campaign: Campaign, files: list[MeasurementTable], spectra: list[MeasurementTable]
 ) -> Nuisances:
-    table, usual = campaign.impedance, Nuisances()
+    table, usual, gain = campaign.impedance, Nuisances(), campaign.impedance.gain
     speed_sd = 0.0
     if table.speed_of_sound == "fit":
         sd_c, speed_sd = campaign.settings.temperature_sd_c, usual.speed_sd
         if sd_c is not None:
             speed_sd = min(relative_speed_sd(campaign.air, sd_c), 0.2)
-    gain = _gain(campaign, files, spectra)
+    if gain == "auto":
+        modes = {_RESPONSE_GAINS[m.level] for m in files}
+        modes |= {_GAINS[s.stated_level] for s in spectra}
+        if len(modes) > 1:
+            raise InputError(
+                "measurements with levels of several kinds",
+                where=str(campaign.path),
+                found=", ".join(sorted(modes)),
+                needed="one kind of level for all pressures",
+                hint="specify gain under [impedance]",
+            )
+        (gain,) = modes
     # an onset that was found in each file errs in each; a clock is one of a source
     own = any(m.response.time_zero == "direct" for m in files)
     delays = [
@@ -334,23 +309,6 @@ def _nuisances(
     )
 
 
-def _gain(
-    campaign: Campaign, files: list[MeasurementTable], spectra: list[MeasurementTable]
-) -> GainMode:
-    if campaign.impedance.gain != "auto":
-        return campaign.impedance.gain
-    modes = {_RESPONSE_GAINS[m.level] for m in files} | {_GAINS[s.stated_level] for s in spectra}
-    if len(modes) > 1:
-        raise InputError(
-            "measurements with levels of several kinds",
-            where=str(campaign.path),
-            found=", ".join(sorted(modes)),
-            needed="one kind of level for all pressures",
-            hint="specify gain under [impedance]",
-        )
-    return modes.pop()
-
-
 def _wall_models(campaign: Campaign, materials: tuple[str, ...]) -> dict[str, WallModel]:
     """Return how each material's R0 depends on frequency; what is unspecified is a spline."""
     found = {name: WallModel() for name in materials}
@@ -364,8 +322,7 @@ def _wall_models(campaign: Campaign, materials: tuple[str, ...]) -> dict[str, Wa
 
 
 def _wall_model(table: MaterialTable) -> WallModel:
-    kind = table.impedance or "spline"
-    start: complex = 0.8
+    kind, start = table.impedance or "spline", complex(0.8)
     for name, value in (table.impedance_start or {}).items():
         if name != "r0":
             what = "unknown key of impedance_start"
@@ -373,11 +330,8 @@ def _wall_model(table: MaterialTable) -> WallModel:
             raise InputError(what, found=repr(name), needed=needed, hint=f"leave {name} out")
         parts = [float(v) for v in value] if isinstance(value, list) else [float(value), 0.0]
         if len(parts) != 2:
-            raise InputError(
-                "r0 of impedance_start is not a complex number",
-                found=repr(value),
-                needed="a number, or [real, imaginary]",
-                hint="write r0 = 0.8, or r0 = [0.8, 0.1]",
-            )
+            what, needed = "r0 of impedance_start is not a complex number", "a number, or [re, im]"
+            hint = "write r0 = 0.8, or r0 = [0.8, 0.1]"
+            raise InputError(what, found=repr(value), needed=needed, hint=hint)
         start = complex(*parts)
     return WallModel(kind, start)

@@ -19,8 +19,7 @@ from roomfit.signals.response import ImpulseResponse, times_s
 # this over the wavenumber times the mean free path; see docs/impedance.md.
 MODEL_ERROR = 0.16
 PLANE_MODEL_ERROR = 1.3
-_SMOOTHED_OVER = 0.15
-_LOUDEST = 1e12  # of a recording, too
+_LOUDEST = 1e12  # so that squares stay finite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,48 +61,23 @@ class Observed:
 
     def __post_init__(self) -> None:
         f = float_array("frequencies (Hz)", self.frequency_hz, (None,), low=1.0, high=1e5)
-        falls = np.flatnonzero(np.diff(f) <= 0.0)
-        if len(f) == 0 or len(falls):
-            at = int(falls[0]) if len(falls) else 0
-            raise InputError(
-                "frequencies are out of order",
-                found=f"{f[at + 1]:g} Hz after {f[at]:g} Hz at index {at + 1}"
-                if len(f)
-                else "none of them",
-                needed="each above the one before, at least one",
-                hint="sort them, each once, and the pressures with them",
-            )
         check_range("the time constant of the exponential window", self.tau_s, 1e-4, 10.0, "s")
         p = np.array(self.pressure, dtype=np.complex128)
-        if p.ndim != 2 or p.shape[1] != len(f):
-            raise InputError(
-                "pressures and frequencies disagree",
-                found=f"pressures of shape {p.shape}, {len(f)} frequencies",
-                needed=f"shape (pairs, {len(f)})",
-                hint="give one row a pair, one column a frequency",
-            )
-        if not np.isfinite(p).all():
-            pair, at = np.argwhere(~np.isfinite(p))[0]
-            raise InputError(
-                "pressures are not finite everywhere",
-                found=f"{p[pair, at]} of pair {pair} at {f[at]:g} Hz",
-                needed="finite numbers",
-                hint="leave out this frequency in every pair",
-            )
-        if not np.abs(p).max(initial=0.0) <= _LOUDEST:
-            raise InputError(
-                "sound pressure exceeds the largest plausible value",
-                found=f"{np.abs(p).max():.3g}",
-                needed=f"at most {_LOUDEST:g} in whatever unit, so that squares stay finite",
-                hint="divide all pressures by the same number",
-            )
-        if not p.any():
-            raise InputError(
-                "pressures are 0 everywhere",
-                found="0 of all pairs",
-                needed="what was measured, not silence",
-                hint="look whether the channel that was recorded is the microphone",
-            )
+        largest = float(np.abs(p).max(initial=0.0))
+        for what, is_wrong, found, needed, hint in (
+            ("frequencies are out of order", not f.size or np.any(np.diff(f) <= 0.0), str(f),
+             "each above the one before, at least one", "sort them, and the pressures with them"),
+            ("pressures and frequencies disagree", p.ndim != 2 or p.shape[-1:] != f.shape,
+             f"pressures of shape {p.shape}", f"shape (pairs, {len(f)})", "one row a pair"),
+            ("pressures are not finite everywhere", not np.isfinite(p).all(), "nan or infinity",
+             "finite numbers", "leave out this frequency in every pair"),
+            ("sound pressure exceeds the largest plausible value", not largest <= _LOUDEST,
+             f"{largest:.3g}", f"at most {_LOUDEST:g} in whatever unit", "divide all alike"),
+            ("pressures are 0 everywhere", largest == 0.0, "0 of all pairs", "what was measured",
+             "look whether the channel that was recorded is the microphone"),
+        ):  # fmt: skip
+            if is_wrong:
+                raise InputError(what, found=found, needed=needed, hint=hint)
         object.__setattr__(self, "frequency_hz", f)
         object.__setattr__(self, "pressure", read_only(p))
         if self.noise is not None:
@@ -118,10 +92,14 @@ def complex_frequency_hz(observed: Observed) -> ComplexArray:
 
 def level_at(observed: Observed) -> FloatArray:
     """Return the rms pressure of all pairs about each frequency, shape (n_frequencies,)."""
-    f = observed.frequency_hz
-    near = np.abs(np.log(f[:, None] / f)) <= _SMOOTHED_OVER
     power = np.mean(np.abs(observed.pressure) ** 2, axis=0)
-    return np.asarray(np.sqrt((near @ power) / near.sum(axis=1)))
+    return np.asarray(np.sqrt(smoothed(power, observed.frequency_hz, 0.15)))
+
+
+def smoothed(values: FloatArray, frequency_hz: FloatArray, reach: float) -> FloatArray:
+    """Return means over neighbours in frequency; `reach`: of the logarithm, one or for each."""
+    near = np.abs(np.log(frequency_hz[:, None] / frequency_hz)) <= reach
+    return np.asarray((near @ values) / near.sum(axis=1))
 
 
 def model_error(
@@ -150,9 +128,6 @@ def standard_deviation(
 
 # Times tau after which nothing of a window is left, exp(-12) = 6e-6.
 _WINDOW = 12.0
-# So long before the direct sound a response may begin: filters ring both ways.
-_EARLY_S = 0.002
-_LEAST_PARTS = 2
 
 
 def damped_spectrum(
@@ -162,9 +137,7 @@ def damped_spectrum(
 
     ``sum h exp(-t / tau) exp(-j w t)``: a response whose direct sound is a single sample of
     ``1 / (4 pi r)`` gives ``exp(-j k r) / (4 pi r)`` with the complex wavenumber of the window.
-    What lies more than 2 ms before the direct sound is left out.
-
-    Shapes: `frequency_hz` (n_frequencies,).
+    What lies more than 2 ms before the direct sound is left out: filters ring both ways.
     """
     t = times_s(response)
     if t[-1] < direct_s + 3.0 * tau_s:
@@ -181,7 +154,7 @@ def damped_spectrum(
             needed=f"at most {0.4 * response.sampling_rate_hz:g} Hz",
             hint="lower to_hz",
         )
-    own = (t >= direct_s - _EARLY_S) & (t <= direct_s + _WINDOW * tau_s)
+    own = (t >= direct_s - 0.002) & (t <= direct_s + _WINDOW * tau_s)
     return _transformed(response.pressure[own], t[own], frequency_hz, tau_s)
 
 
@@ -197,21 +170,16 @@ def damped_noise(
     window_s = min(_WINDOW * tau_s, 0.25 * (t[-1] - direct_s))
     start = max(direct_s + _WINDOW * tau_s, 0.5 * t[-1])
     n = round(window_s * response.sampling_rate_hz)
-    first = int(np.searchsorted(t, start))
-    count = (len(t) - first) // max(n, 1)
-    if count < _LEAST_PARTS or n < 8:
+    count = (len(t) - int(np.searchsorted(t, start))) // max(n, 1)
+    if count < 2 or n < 8:
         return None
     # weighed as the response itself, from its direct sound on
     clock = direct_s + np.arange(n) / response.sampling_rate_hz
     parts = np.reshape(response.pressure[len(t) - count * n :], (count, n))
-    power = np.array(
-        [np.abs(_transformed(part, clock, frequency_hz, tau_s)) ** 2 for part in parts]
-    )
-    quiet = np.argsort(power.sum(axis=1))[: max(count // 3, _LEAST_PARTS)]
+    power = np.array([np.abs(_transformed(p, clock, frequency_hz, tau_s)) ** 2 for p in parts])
+    quiet = np.argsort(power.sum(axis=1))[: max(count // 3, 2)]
     # few windows: neighbouring frequencies are averaged
-    mean = power[quiet].mean(axis=0)
-    near = np.abs(np.log(frequency_hz[:, None] / frequency_hz)) <= 0.2
-    return np.asarray(np.sqrt((near @ mean) / near.sum(axis=1)))
+    return np.asarray(np.sqrt(smoothed(power[quiet].mean(axis=0), frequency_hz, 0.2)))
 
 
 def _transformed(

@@ -18,30 +18,27 @@ from roomfit.impedance.data import (
     Observed,
     complex_frequency_hz,
     level_at,
-    standard_deviation,
-)
-from roomfit.impedance.diagnostics import (
-    data_findings,
-    estimated_noise,
-    judged_result,
-    result_without_fit,
 )
 from roomfit.impedance.fit import (
     SAME_WITHIN,
     ImpedanceFit,
     Start,
-    WallModel,
     distance,
     distinct,
     multistart,
     polish,
     reduced_chi2,
 )
-from roomfit.impedance.laws import causal_curve, constant
-from roomfit.impedance.problem import Problem
+from roomfit.impedance.laws import Curve, WallModel
+from roomfit.impedance.problem import Problem, check_observed, deviation
 from roomfit.impedance.result import ImpedanceResult
-from roomfit.impedance.wave_model import Nuisances, WaveModel, model_without_paths, wave_model
-from roomfit.room.mesh import mean_free_path_m
+from roomfit.impedance.verdict import (
+    data_findings,
+    estimated_noise,
+    judged_result,
+    result_without_fit,
+)
+from roomfit.impedance.wave_model import Nuisances, wave_model
 from roomfit.room.scene import Scene
 
 _LOG = logging.getLogger("roomfit")
@@ -168,22 +165,20 @@ def identify_impedance(
     ('identified', True)
     """
     began = time.perf_counter()
-    settings = settings or ImpedanceSettings()
-    bare = model_without_paths(scene, observed.frequency_hz, observed.tau_s)
-    problem = _problem(bare, observed, walls or {}, nuisances or Nuisances(), settings)
-    findings = data_findings(problem)
+    settings, nuisances = settings or ImpedanceSettings(), nuisances or Nuisances()
+    curves, sd = _curves_and_sd(scene, observed, walls or {}, nuisances, settings)
+    findings = data_findings(scene, observed, curves, nuisances)
     if findings:
-        return result_without_fit(problem, findings, time.perf_counter() - began)
-    problem = replace(problem, model=wave_model(scene, observed.frequency_hz, observed.tau_s))
+        return result_without_fit(scene, observed, sd, findings, time.perf_counter() - began)
+    problem = wave_problem(scene, observed, walls, nuisances, settings)
     _LOG.info("searching starts")
     starts = multistart(problem, settings.random_starts, rng, part(progress, 0.0, 0.3))
     _LOG.info("fitting impedances")
     fit = polish(problem, starts[0].x, progress=part(progress, 0.3, 0.6))
     rivals = _rivals(problem, starts, fit)
     if observed.noise is None:
-        problem = fit.problem
-        shown = replace(problem.observed, noise=estimated_noise(fit))
-        sd = _deviation(problem.model, shown, problem.model_error)
+        shown = replace(observed, noise=estimated_noise(fit))
+        sd = _deviation(scene, shown, problem.model_error)
         fit = polish(replace(problem, observed=shown, sd=sd), fit.x, fit.roughness_sd)
     if progress is not None:
         progress(0.9)
@@ -198,39 +193,38 @@ def wave_problem(
     settings: ImpedanceSettings | None = None,
 ) -> Problem:
     """Return what `identify_impedance` solves first; arguments and errors as there."""
+    settings, nuisances = settings or ImpedanceSettings(), nuisances or Nuisances()
+    curves, sd = _curves_and_sd(scene, observed, walls or {}, nuisances, settings)
     model = wave_model(scene, observed.frequency_hz, observed.tau_s)
-    settings = settings or ImpedanceSettings()
-    return _problem(model, observed, walls or {}, nuisances or Nuisances(), settings)
+    factor = _model_error(settings)
+    return Problem(model, observed, sd, curves, nuisances, settings.spherical, factor)
 
 
-def _problem(
-    model: WaveModel,
+def _curves_and_sd(
+    scene: Scene,
     observed: Observed,
     walls: Mapping[str, WallModel],
     nuisances: Nuisances,
     settings: ImpedanceSettings,
-) -> Problem:
-    materials = model.scene.room.materials
+) -> tuple[tuple[Curve, ...], FloatArray]:
+    """Return the curve of each material and the deviation of a perfect fit; refuse what differs."""
+    check_observed(scene, observed, nuisances)
     for name in walls:
-        check_known("a model is specified for a wall that does not exist", name, materials)
+        what = "a model is specified for a wall that does not exist"
+        check_known(what, name, scene.room.materials)
+    f = complex_frequency_hz(observed)
+    curves = tuple(walls.get(name, WallModel()).curve(f) for name in scene.room.materials)
+    return curves, _deviation(scene, observed, _model_error(settings))
+
+
+def _model_error(settings: ImpedanceSettings) -> float:
     usual = MODEL_ERROR if settings.spherical else PLANE_MODEL_ERROR
-    factor = usual if settings.model_error is None else settings.model_error
-    sd = _deviation(model, observed, factor)
-    # a search starts with any smooth course for everything but a constant
-    curves = tuple(
-        constant(observed.frequency_hz, wall.start_r0)
-        if wall.kind == "constant"
-        else causal_curve(complex_frequency_hz(observed), wall.start_r0)
-        for wall in (walls.get(name, WallModel()) for name in materials)
-    )
-    return Problem(model, observed, sd, curves, nuisances, settings.spherical, factor)
+    return usual if settings.model_error is None else settings.model_error
 
 
-def _deviation(model: WaveModel, observed: Observed, factor: float) -> FloatArray:
-    free_path_m = mean_free_path_m(model.scene.room.mesh)
-    sd = standard_deviation(observed, free_path_m, model.speed_m_s, factor)
+def _deviation(scene: Scene, observed: Observed, factor: float) -> FloatArray:
     # exact data and an exact model: rounding, and images beyond the last
-    return np.maximum(sd, 1e-4 * level_at(observed))
+    return np.maximum(deviation(scene, observed, factor), 1e-4 * level_at(observed))
 
 
 def _rivals(

@@ -13,6 +13,8 @@ from typing import TypeAlias
 import numpy as np
 from scipy.interpolate import BSpline
 
+from roomfit.base.arguments import check_known
+from roomfit.base.errors import InputError
 from roomfit.base.typing import ComplexArray, FloatArray, IntArray
 
 _KNOTS_PER_OCTAVE = 4
@@ -278,3 +280,42 @@ def absorption_random(r0: ComplexArray) -> FloatArray:
     q = (1.0 - cosine) / (1.0 + cosine)
     reflected = np.abs((r - q) / (1.0 - q * r)) ** 2
     return np.asarray(np.sum((1.0 - reflected) * 2.0 * cosine * weight, axis=-1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WallModel:
+    """How R0, the reflection coefficient of one material, is to depend on frequency.
+
+    Parameters
+    ----------
+    kind : str
+        "spline" (any smooth course of a passive, causal wall), or "constant".
+    start_r0 : complex
+        Where it starts, ``|start_r0| <= 1``.
+
+    Raises
+    ------
+    InputError
+        An unknown kind, or a start that is not passive.
+
+    Examples
+    --------
+    >>> WallModel("constant").kind
+    'constant'
+    """
+
+    kind: str = "spline"
+    start_r0: complex = 0.8
+
+    def __post_init__(self) -> None:
+        check_known("unknown model of a wall", self.kind, ("spline", "constant"))
+        if not abs(self.start_r0) <= 1.0:
+            what = "a wall cannot reflect more than it receives"
+            found, hint = f"a start of |R0| = {abs(self.start_r0):.4g}", "start from 0.8"
+            raise InputError(what, found=found, needed="|R0| <= 1", hint=hint)
+
+    def curve(self, frequency_hz: ComplexArray) -> Curve:
+        """Return R0 at complex frequencies, as a fit starts with it."""
+        if self.kind == "constant":
+            return constant(np.asarray(frequency_hz.real), self.start_r0)
+        return causal_curve(frequency_hz, self.start_r0)

@@ -1,34 +1,42 @@
-"""What an identification of impedances finds: every quantity of a wall with its 95 % interval.
+"""What an identification of impedances finds, and its files.
 
-All quantities follow from R0 and the covariance of its real and imaginary part.
+Every quantity of a wall has its 95 % interval; all follow from R0 and the covariance of its real
+and imaginary part.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from roomfit.base.arguments import read_only
 from roomfit.base.findings import Finding
-from roomfit.base.table import Column, Table
+from roomfit.base.table import Column, Table, Value, csv_of
 from roomfit.base.typing import BoolArray, ComplexArray, FloatArray
+from roomfit.base.whole_files import (
+    whole_output_folder,
+    write_bytes_atomically,
+    write_json_atomically,
+    write_text_atomically,
+)
+from roomfit.files.encoding import finding_content, number_or_null, numbers_or_null, provenance
 from roomfit.impedance.laws import absorption_normal, absorption_random, impedance_of_r0
 from roomfit.report.blocks import Block, Blocks, Findings, Sentence
+from roomfit.report.figures import new_figure, png
 from roomfit.report.text import text
-
-if TYPE_CHECKING:
-    pass
+from roomfit.report.wording import OKABE_ITO
 
 Z95 = 1.959964  # standard normal, 97.5 %
 # R0 counts as identified where its interval is no wider, Z is shown where its is, relative.
 WIDEST_R0 = 0.2
 WIDEST_Z = 0.2
 _STEP = 1e-6
-# Of a table of a material in text.
-_ROWS = 8
 
 # Name of a column, field of `MaterialImpedance`, part of the complex number.
 _COLUMNS = (
@@ -99,17 +107,14 @@ class MaterialImpedance:
         }
 
 
-Word = Literal["identified", "not identifiable", "does not fit"]
-
-
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """Whether the walls may be used."""
 
-    word: Word
+    word: Literal["identified", "not identifiable", "does not fit"]
     cause: str  # "" where identified
     sentence: str
-    weaker: bool  # whether noise was estimated from the residual, or phases were missing
+    weaker: bool = False  # whether noise was estimated from the residual, or phases were missing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,26 +152,19 @@ class ImpedanceResult:
     rounds: int = 0
     seed: int | None = None
 
-    def _described(self) -> Blocks:
-        head: list[Block] = [Sentence(_headline(self), "lead")]
-        if self.evaluations:
-            head += [*(_table(self, m) for m in self.materials), Sentence(_fit_text(self))]
-        return Blocks("Impedance", tuple(head), (Findings(self.findings),))
-
     def __str__(self) -> str:
         """Return the verdict, a table of some frequencies for every material, and all findings."""
-        return text(self._described())
-
-
-def _headline(result: ImpedanceResult) -> str:
-    weaker = " (a weaker verdict, see the findings)" if result.verdict.weaker else ""
-    return result.verdict.sentence + weaker
+        weaker = " (a weaker verdict, see the findings)" if self.verdict.weaker else ""
+        head: list[Block] = [Sentence(self.verdict.sentence + weaker, "lead")]
+        if self.evaluations:
+            head += [*(_table(self, m) for m in self.materials), Sentence(_fit_text(self))]
+        return text(Blocks("Impedance", tuple(head), (Findings(self.findings),)))
 
 
 def _table(result: ImpedanceResult, material: MaterialImpedance) -> Table:
     """Return some frequencies: R0 (with ? where not identified), absorption and impedance."""
     n, rows = len(result.frequency_hz), []
-    for i in np.unique(np.linspace(0, n - 1, min(_ROWS, n)).round()).astype(int):
+    for i in np.unique(np.linspace(0, n - 1, min(8, n)).round()).astype(int):
         r0, z = material.r0[i], material.impedance[i]
         low, up = material.absorption_normal_lower95[i], material.absorption_normal_upper95[i]
         rows.append(
@@ -201,30 +199,32 @@ def _fit_text(result: ImpedanceResult) -> str:
 
 
 def material_impedance(
-    name: str,
-    kind: str,
-    r0: ComplexArray,
-    covariance: FloatArray,
+    name: str, kind: str, r0: ComplexArray, covariance: FloatArray
 ) -> MaterialImpedance:
     """Return all quantities of a material with their intervals.
 
     Shapes: `r0` (n_frequencies,), `covariance` (n_frequencies, 2, 2).
     """
     reach = _complex_reach(covariance, np.ones(len(r0), dtype=np.complex128))
-    normal = absorption_normal(r0)
-    dn, below_normal = _normal_reach(covariance, r0)
-    random = absorption_random(r0)
+    normal, random = absorption_normal(r0), absorption_random(r0)
+    # With the second order, without which a wall that is matched, R0 = 0, would be known exactly:
+    # of a normal R0 with mean r and covariance S the square has the variance 4 r S r + 2 trace(S S)
+    # and a mean that is larger by trace(S).
+    parts = np.stack([r0.real, r0.imag], axis=1)
+    first = np.einsum("fa,fab,fb->f", parts, covariance, parts)
+    second = np.einsum("fab,fba->f", covariance, covariance)
+    dn = Z95 * np.sqrt(np.maximum(4.0 * first + 2.0 * second, 0.0))
+    below_normal = np.trace(covariance, axis1=1, axis2=2)
     # inside the disc, so that the steps meet walls that absorb
     inner = r0 * (1.0 - 2.0 * _STEP)
     at = absorption_random(inner)
     by = [(absorption_random(inner + d) - at) / _STEP for d in (_STEP, 1j * _STEP)]
     dr = _reach(covariance, np.stack(by, axis=1))
-    below = np.where(np.abs(1.0 + r0) < 1e-9, 1e-9, 1.0 + r0)
+    below, above = (np.where(np.abs(x) < 1e-9, 1e-9, x) for x in (1.0 + r0, 1.0 - r0))
     admittance = (1.0 - r0) / below
     da = _complex_reach(covariance, np.asarray(-2.0 / below**2))
-    above = np.where(np.abs(1.0 - r0) < 1e-9, 1e-9, 1.0 - r0)
-    dz = _complex_reach(covariance, np.asarray(2.0 / above**2))
     z = impedance_of_r0(r0)
+    dz = _complex_reach(covariance, np.asarray(2.0 / above**2))
     shown = 2.0 * np.maximum(dz.real, dz.imag) <= WIDEST_Z * np.abs(z)
     unknown = complex(np.nan, np.nan)
     return MaterialImpedance(
@@ -262,19 +262,109 @@ def _reach(covariance: FloatArray, by: FloatArray) -> FloatArray:
     return np.asarray(Z95 * np.sqrt(np.maximum(variance, 0.0)))
 
 
-def _normal_reach(covariance: FloatArray, r0: ComplexArray) -> tuple[FloatArray, FloatArray]:
-    """Return half the interval of ``1 - |R0|**2``, and how far its mean lies below the value.
-
-    With the second order, without which a wall that is matched, R0 = 0, would be known exactly: of
-    a normal R0 with mean r and covariance S the square has the variance
-    ``4 r S r + 2 trace(S S)`` and a mean that is larger by ``trace(S)``.
-    """
-    parts = np.stack([r0.real, r0.imag], axis=1)
-    first = np.einsum("fa,fab,fb->f", parts, covariance, parts)
-    second = np.einsum("fab,fba->f", covariance, covariance)
-    reach = Z95 * np.sqrt(np.maximum(4.0 * first + 2.0 * second, 0.0))
-    return np.asarray(reach), np.asarray(np.trace(covariance, axis1=1, axis2=2))
-
-
 def _clipped(r0: ComplexArray) -> ComplexArray:
     return np.asarray(np.clip(r0.real, -1.0, 1.0) + 1j * np.clip(r0.imag, -1.0, 1.0))
+
+
+def write_impedance(
+    out: Path, result: ImpedanceResult, inputs: Iterable[Path], *, overwrite: bool = False
+) -> None:
+    """Write result.json, impedance.csv and a picture into a folder, all of it or nothing."""
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        write_text_atomically(folder / "impedance.csv", csv_of(_records(result)))
+        write_json_atomically(folder / "result.json", _content(result, inputs))
+        write_bytes_atomically(folder / "impedance.png", png(_walls_figure(result)))
+
+
+def _content(result: ImpedanceResult, inputs: Iterable[Path]) -> dict[str, Any]:
+    """Return what result.json holds: lists as long as frequency_hz, null where Z is not shown."""
+    fitted = result.evaluations > 0
+    return {
+        "format": "roomfit-impedance",
+        "format_version": 1,
+        "frequency_hz": result.frequency_hz,
+        "tau_s": result.tau_s,
+        "materials": {
+            m.name: {
+                "frequency_hz": result.frequency_hz,
+                "model": m.kind,
+                **{name: numbers_or_null(values) for name, values in m.columns().items()},
+                "identified": [bool(b) for b in m.identified],
+            }
+            for m in result.materials
+        },
+        "nuisances": [
+            {k: v if isinstance(v, str) else float(v) for k, v in asdict(n).items()}
+            for n in result.nuisances
+        ],
+        "verdict": asdict(result.verdict),
+        "findings": [finding_content(f) for f in result.findings],
+        "pairs": [
+            {
+                "source": source,
+                "receiver": receiver,
+                "measured_real": result.measured[i].real,
+                "measured_imag": result.measured[i].imag,
+                "predicted_real": result.predicted[i].real if fitted else None,
+                "predicted_imag": result.predicted[i].imag if fitted else None,
+                "expected_rms": result.expected_rms[i],
+            }
+            for i, (source, receiver) in enumerate(result.pairs)
+        ],
+        "fit": {
+            "chi2": number_or_null(result.chi2),
+            "model_error": number_or_null(result.model_error),
+            "condition": number_or_null(result.condition),
+            "starts": result.n_starts,
+            "agreeing_starts": result.agreeing_starts,
+            "ending": result.ending,
+            "evaluations": result.evaluations,
+            "rounds": result.rounds,
+            "seconds": round(result.seconds, 3),
+            "seed": result.seed,
+        },
+        "provenance": provenance(inputs),
+    }
+
+
+def _records(result: ImpedanceResult) -> Table:
+    """Return the content of impedance.csv (format_version 1): one row a material and frequency."""
+    names = (*result.materials[0].columns(), "identified")
+    rows: list[Sequence[Value]] = []
+    for material in result.materials:
+        numbers = np.column_stack([result.frequency_hz, *material.columns().values()]).tolist()
+        flags = material.identified.tolist()
+        rows += [(material.name, *x, flag) for x, flag in zip(numbers, flags, strict=True)]
+    return Table("", ("material", Column("frequency_hz"), *names), rows, form=".6g")
+
+
+_PANELS = (
+    ("R0", (("r0_real", "real part"), ("r0_imag", "imaginary part"))),
+    (
+        "absorption coefficient",
+        (("absorption_normal", "normal incidence"), ("absorption_random", "random incidence")),
+    ),
+    ("impedance over that of air", (("z_real", "real part"), ("z_imag", "imaginary part"))),
+)
+
+
+def _walls_figure(result: ImpedanceResult) -> Figure:
+    """Return R0, absorption and, where narrow, impedance of every material, one row each."""
+    n, f = len(result.materials), result.frequency_hz
+    figure = new_figure(11.0, 2.6 * n + 0.6)
+    rows = figure.subplots(n, len(_PANELS), sharex=True, squeeze=False)
+    for row, material in zip(rows, result.materials, strict=True):
+        columns = material.columns()
+        for axes, (label, drawn) in zip(row, _PANELS, strict=True):
+            for (name, words), colour in zip(drawn, OKABE_ITO, strict=False):
+                value, low, high = (columns[name + end] for end in ("", "_lower95", "_upper95"))
+                axes.fill_between(f, low, high, color=colour, alpha=0.25, lw=0.0)
+                axes.plot(f, value, color=colour, lw=1.6, label=words)
+            axes.set_ylabel(label)
+            axes.grid(alpha=0.25)
+            axes.legend(frameon=False, fontsize=8)
+        row[0].set_title(f"{material.name} ({material.kind})", fontsize=10)
+    weaker = " (a weaker verdict)" if result.verdict.weaker else ""
+    figure.suptitle(f"{result.verdict.word}{weaker}; bands hold 95 %", fontsize=10)
+    figure.supxlabel("frequency (Hz)", fontsize=10)
+    return figure

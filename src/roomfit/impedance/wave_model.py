@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -16,7 +17,11 @@ from roomfit.base.air import pressure_decay_per_m, speed_of_sound_m_s
 from roomfit.base.arguments import check_known, check_range, read_only
 from roomfit.base.errors import InputError
 from roomfit.base.typing import ComplexArray, FloatArray, IntArray
-from roomfit.impedance.wave_kernels import pressure_gradients, pressures
+from roomfit.impedance.wave_kernels import (
+    plane_reflection,
+    pressure_gradients,
+    spherical_reflection,
+)
 from roomfit.room.mesh import area_vectors_m2, mean_free_path_m, volume_m3
 from roomfit.room.scene import Room, Scene, distances_m, triangle_material
 from roomfit.tracing.image_sources import (
@@ -33,8 +38,6 @@ from roomfit.tracing.paths import ImageSet, unfolded_normals
 MOST_REFLECTIONS = 1e9
 # Walls compared with beams, of all sources: some ten seconds.
 MOST_WORK = 3e7
-# Of a fixed point that each step brings at least four times as near.
-_STEPS = 6
 # In rooms of so few triangles the search is never what costs.
 _FEW_TRIANGLES = 60
 # No order of reflections can be reached within any length worth the name.
@@ -51,43 +54,35 @@ def check_cost(scene: Scene, n_frequencies: int, tau_s: float, lengths: float) -
 
     `lengths`: longest path in units of the speed of sound times `tau_s`.
     """
-    reflections = _reflections_to_weigh(scene, n_frequencies, lengths * tau_s)
-    if reflections > MOST_REFLECTIONS:
-        affordable_s = tau_s
-        for _ in range(_STEPS):
-            count = _reflections_to_weigh(scene, n_frequencies, lengths * affordable_s)
-            affordable_s *= (MOST_REFLECTIONS / count) ** 0.25
-        found = f"{reflections:.2g} reflections times frequencies"
-        raise _too_costly(tau_s, affordable_s, found, "fewer frequencies")
-    mesh = scene.room.mesh
-    if len(mesh.triangles) <= _FEW_TRIANGLES:
-        return
-    work = MOST_WORK / max(len(np.unique(scene.pairs[:, 0])), 1)
-    affordable_s = affordable_duration_s(scene, lengths * tau_s, work=work, images=1e6) / lengths
-    # what is asked for comes back as it is, up to rounding
-    if affordable_s < 0.999 * tau_s:
-        found = f"a room of {len(mesh.triangles)} triangles"
-        raise _too_costly(tau_s, affordable_s, found, "a room of fewer walls")
+    mesh, n_triangles = scene.room.mesh, len(scene.room.mesh.triangles)
 
+    def reflections(window_s: float) -> float:
+        length_m = lengths * window_s * speed_of_sound_m_s(scene.air)
+        # paths that long, and three quarters of it on average
+        hits = 1.0 + 0.75 * length_m / abs(mean_free_path_m(mesh))
+        images = expected_images(abs(volume_m3(mesh)), length_m)
+        return images * hits * len(scene.pairs) * n_frequencies
 
-def _reflections_to_weigh(scene: Scene, n_frequencies: int, longest_s: float) -> float:
-    """Return about how many reflections all pairs have up to a duration, times frequencies."""
-    mesh = scene.room.mesh
-    length_m = longest_s * speed_of_sound_m_s(scene.air)
-    images = expected_images(abs(volume_m3(mesh)), length_m)
-    # paths that long, and three quarters of it on average
-    hits = 1.0 + 0.75 * length_m / abs(mean_free_path_m(mesh))
-    return images * hits * len(scene.pairs) * n_frequencies
-
-
-def _too_costly(tau_s: float, affordable_s: float, found: str, else_try: str) -> InputError:
-    longest_ms = math.floor(affordable_s * 1e4) / 10.0
-    return InputError(
-        "the exponential window lets more reflections through than can be weighed in minutes",
-        found=f"tau = {1000.0 * tau_s:g} ms, {found}",
-        needed=f"tau of at most {longest_ms:g} ms here",
-        hint=f"choose a shorter window, or {else_try}",
-    )
+    affordable_s = tau_s
+    if reflections(tau_s) > MOST_REFLECTIONS:
+        for _ in range(6):  # each step brings the fixed point at least four times as near
+            affordable_s *= (MOST_REFLECTIONS / reflections(affordable_s)) ** 0.25
+        found = f"{reflections(tau_s):.2g} reflections times frequencies"
+        hint = "choose a shorter window, or fewer frequencies"
+    elif n_triangles > _FEW_TRIANGLES:
+        work = MOST_WORK / max(len(np.unique(scene.pairs[:, 0])), 1)
+        duration_s = affordable_duration_s(scene, lengths * tau_s, work=work, images=1e6)
+        # what is asked for comes back as it is, up to rounding
+        affordable_s = tau_s if duration_s >= 0.999 * lengths * tau_s else duration_s / lengths
+        found = f"a room of {n_triangles} triangles"
+        hint = "choose a shorter window, or a room of fewer walls"
+    if affordable_s < tau_s:
+        raise InputError(
+            "the exponential window lets more reflections through than can be weighed in minutes",
+            found=f"tau = {1000.0 * tau_s:g} ms, {found}",
+            needed=f"tau of at most {math.floor(affordable_s * 1e4) / 10.0:g} ms here",
+            hint=hint,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,10 +126,30 @@ def unfolded_paths(scene: Scene, longest_m: float) -> UnfoldedPaths:
             needed="two places",
             hint="correct one of the two positions",
         )
-    if scene.room.shoebox_m is None:
-        return _joined(_polyhedron_paths(scene, longest_m))
-    ends = [(scene.sources[s].position_m, scene.receivers[r].position_m) for s, r in scene.pairs]
-    return _joined([_box_paths(scene.room, *pair, longest_m) for pair in ends])
+    parts: list[UnfoldedPaths | None] = [None] * len(scene.pairs)
+    if scene.room.shoebox_m is not None:
+        for i, (s, r) in enumerate(scene.pairs):
+            ends = scene.sources[s].position_m, scene.receivers[r].position_m
+            parts[i] = _box_paths(scene.room, *ends, longest_m)
+    else:
+        reflectors, limits = reflectors_of(scene.room), limits_of(_ANY_ORDER, longest_m)
+        also = {"with_image_transforms": True, "with_triangles": True}
+        for source in np.unique(scene.pairs[:, 0]).tolist():  # once a source
+            found = images_of_source(scene, reflectors, limits, source, **also)
+            own = np.flatnonzero(scene.pairs[:, 0] == source)
+            for i, images in zip(own.tolist(), found, strict=True):
+                parts[i] = _paths_of_images(scene.room, images)
+    whole = [p for p in parts if p is not None]
+    bounces = np.concatenate([np.diff(p.bounce_first) for p in whole])
+    return UnfoldedPaths(
+        np.concatenate(([0], np.cumsum([len(p.vector_m) for p in whole]))),
+        np.concatenate([p.vector_m for p in whole]),
+        np.concatenate([p.image_transform for p in whole]),
+        np.concatenate(([0], np.cumsum(bounces))),
+        np.concatenate([p.material for p in whole]),
+        np.concatenate([p.normal for p in whole]),
+        np.concatenate([p.hits for p in whole]),
+    )
 
 
 def _box_paths(
@@ -160,26 +175,6 @@ def _box_paths(
     )
 
 
-def _polyhedron_paths(scene: Scene, longest_m: float) -> list[UnfoldedPaths]:
-    """Return the paths of every pair, searched for once a source."""
-    reflectors = reflectors_of(scene.room)
-    parts: dict[int, UnfoldedPaths] = {}
-    for s in np.unique(scene.pairs[:, 0]):
-        own = np.flatnonzero(scene.pairs[:, 0] == s)
-        found = images_of_source(
-            scene,
-            reflectors,
-            limits_of(_ANY_ORDER, longest_m),
-            int(s),
-            with_image_transforms=True,
-            with_triangles=True,
-        )
-        parts.update(
-            (int(i), _paths_of_images(scene.room, f)) for i, f in zip(own, found, strict=True)
-        )
-    return [parts[i] for i in range(len(scene.pairs))]
-
-
 def _paths_of_images(room: Room, images: ImageSet) -> UnfoldedPaths:
     first, triangle, transform = images.first_hit, images.triangle, images.image_transform
     if first is None or triangle is None or transform is None:
@@ -194,37 +189,6 @@ def _paths_of_images(room: Room, images: ImageSet) -> UnfoldedPaths:
         np.asarray(triangle_material(room)[triangle], dtype=np.int64),
         normals,
         np.ones(len(normals), dtype=np.int64),
-    )
-
-
-def _joined(parts: list[UnfoldedPaths]) -> UnfoldedPaths:
-    bounces = np.concatenate([np.diff(p.bounce_first) for p in parts])
-    return UnfoldedPaths(
-        np.concatenate(([0], np.cumsum([len(p.vector_m) for p in parts]))),
-        np.concatenate([p.vector_m for p in parts]),
-        np.concatenate([p.image_transform for p in parts]),
-        np.concatenate(([0], np.cumsum(bounces))),
-        np.concatenate([p.material for p in parts]),
-        np.concatenate([p.normal for p in parts]),
-        np.concatenate([p.hits for p in parts]),
-    )
-
-
-def _shortened(paths: UnfoldedPaths, longest_m: float) -> UnfoldedPaths:
-    """Return the paths up to a length."""
-    kept = np.linalg.norm(paths.vector_m, axis=1) <= longest_m
-    counts = np.diff(paths.bounce_first)
-    bounces = np.repeat(kept, counts)
-    per_pair = np.add.reduceat(np.append(kept, False).astype(np.int64), paths.pair_first[:-1])
-    per_pair = np.where(np.diff(paths.pair_first) > 0, per_pair, 0)
-    return UnfoldedPaths(
-        np.concatenate(([0], np.cumsum(per_pair))),
-        paths.vector_m[kept],
-        paths.image_transform[kept],
-        np.concatenate(([0], np.cumsum(counts[kept]))),
-        paths.material[bounces],
-        paths.normal[bounces],
-        paths.hits[bounces],
     )
 
 
@@ -251,9 +215,6 @@ class Nuisances:
         Prior standard deviation of the time of emission, 0 to 0.1 s; 0 takes it as exact.
     delay : {"source", "pair"}
         One time for each source, or one for each pair, as of files that were cut one by one.
-    least_position_sd_m : float
-        Coordinates that the scene specifies more exactly are given this standard deviation, 0 to
-        1 m.
 
     Raises
     ------
@@ -273,23 +234,17 @@ class Nuisances:
     gain: GainMode = "known"
     delay_sd_s: float = 0.0
     delay: DelayMode = "source"
-    least_position_sd_m: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, high in (
-            ("position_sd_m", 1.0),
-            ("speed_sd", 0.2),
-            ("delay_sd_s", 0.1),
-            ("least_position_sd_m", 1.0),
-        ):
+        for name, high in (("position_sd_m", 1.0), ("speed_sd", 0.2), ("delay_sd_s", 0.1)):
             check_range(name, getattr(self, name), 0.0, high)
         check_known("unknown kind of gain", self.gain, get_args(GainMode))
         check_known("unknown kind of delay", self.delay, get_args(DelayMode))
 
-
-def has_free_spectra(nuisances: Nuisances) -> bool:
-    """Whether each source has an unknown spectrum."""
-    return nuisances.gain in ("spectrum", "pair-spectrum")
+    @property
+    def free_spectra(self) -> bool:
+        """Whether each source has an unknown spectrum."""
+        return self.gain in ("spectrum", "pair-spectrum")
 
 
 class State(NamedTuple):
@@ -309,29 +264,20 @@ class WaveModel:
     tau_s: float  # of the exponential window
     speed_m_s: float  # as specified; the laws of materials keep to it
     air_per_m: FloatArray  # (n_frequencies,), decay of pressures in the air
-    whole: UnfoldedPaths  # all that the window lets through
-    short: UnfoldedPaths  # those that every step of a fit weighs
+    paths: UnfoldedPaths  # all that the window lets through
+    # (n_pairs,), behind the last of each pair's short paths, which every step of a fit weighs
+    short_last: IntArray
 
 
 def wave_model(scene: Scene, frequency_hz: FloatArray, tau_s: float) -> WaveModel:
     """Return the model of a scene behind an exponential window."""
     check_cost(scene, len(frequency_hz), tau_s, _WHOLE)
-    bare = model_without_paths(scene, frequency_hz, tau_s)
-    whole = unfolded_paths(scene, _WHOLE * bare.speed_m_s * tau_s)
-    return replace(bare, whole=whole, short=_shortened(whole, _SHORT * bare.speed_m_s * tau_s))
-
-
-def model_without_paths(scene: Scene, frequency_hz: FloatArray, tau_s: float) -> WaveModel:
-    """Return a model without paths: enough to ask whether the data can determine the unknowns."""
-    nothing = np.zeros(0, dtype=np.int64)
-    vectors = np.zeros((0, 3))
-    pairs = np.zeros(len(scene.pairs) + 1, dtype=np.int64)
-    paths = UnfoldedPaths(
-        pairs, vectors, np.zeros((0, 3, 3)), np.zeros(1, np.int64), nothing, vectors, nothing
-    )
-    f = np.asarray(frequency_hz, dtype=np.float64)
-    speed, air = speed_of_sound_m_s(scene.air), pressure_decay_per_m(scene.air, f)
-    return WaveModel(scene, f, float(tau_s), speed, air, paths, paths)
+    f, speed = np.asarray(frequency_hz, dtype=np.float64), speed_of_sound_m_s(scene.air)
+    paths = unfolded_paths(scene, _WHOLE * speed * tau_s)
+    far = np.linalg.norm(paths.vector_m, axis=1) > _SHORT * speed * tau_s
+    last = [a + int(np.searchsorted(far[a:b], True)) for a, b in pairwise(paths.pair_first)]
+    air = pressure_decay_per_m(scene.air, f)
+    return WaveModel(scene, f, float(tau_s), speed, air, paths, np.array(last, dtype=np.int64))
 
 
 def at_frequencies(model: WaveModel, chosen: IntArray) -> WaveModel:
@@ -355,46 +301,57 @@ def wavenumber_per_m(model: WaveModel, state: State) -> ComplexArray:
     )
 
 
-def moved_vectors_m(model: WaveModel, paths: UnfoldedPaths, state: State) -> FloatArray:
+def moved_vectors_m(model: WaveModel, state: State) -> FloatArray:
     """Return every path's vector with sources and receivers moved, (n_paths, 3)."""
+    paths = model.paths
     pair = np.repeat(np.arange(len(paths.pair_first) - 1), np.diff(paths.pair_first))
     source, receiver = model.scene.pairs[pair].T
     moved = np.einsum("pij,pj->pi", paths.image_transform, state.source_m[source])
     return np.asarray(paths.vector_m + state.receiver_m[receiver] - moved)
 
 
+# Of paths times frequencies that are weighed together: 16 MB.
+_TOGETHER = 1_000_000
+
+
 def predicted_pressure(
-    model: WaveModel, r0: ComplexArray, state: State, *, spherical: bool = True
+    model: WaveModel,
+    r0: ComplexArray,
+    state: State,
+    *,
+    spherical: bool = True,
+    short: bool = False,
 ) -> ComplexArray:
-    """Return the damped spectra of all pairs with all images, shape (n_pairs, n_frequencies).
+    """Return the damped spectra of all pairs, of all images or of the short paths alone.
 
-    Shapes: `r0` (n_materials, n_frequencies).
+    ``sum exp(-j k r) / (4 pi r) prod R``. Shapes: `r0` (n_materials, n_frequencies); the result
+    (n_pairs, n_frequencies).
     """
-    return _pressure(model, model.whole, r0, state, spherical=spherical)
-
-
-def frozen_correction(
-    model: WaveModel, r0: ComplexArray, state: State, *, spherical: bool = True
-) -> ComplexArray:
-    """Return all images with spherical waves minus the short paths with plane waves."""
-    whole = _pressure(model, model.whole, r0, state, spherical=spherical)
-    return np.asarray(whole - _pressure(model, model.short, r0, state, spherical=False))
-
-
-def _pressure(
-    model: WaveModel, paths: UnfoldedPaths, r0: ComplexArray, state: State, *, spherical: bool
-) -> ComplexArray:
-    return pressures(
-        paths.pair_first,
-        moved_vectors_m(model, paths, state),
-        paths.bounce_first,
-        paths.material,
-        paths.normal,
-        paths.hits,
-        wavenumber_per_m(model, state),
-        np.ascontiguousarray(r0, dtype=np.complex128),
-        spherical,
-    )
+    paths, k = model.paths, wavenumber_per_m(model, state)
+    vectors_m, counts = moved_vectors_m(model, state), np.diff(paths.bounce_first)
+    step = max(_TOGETHER // len(k), 1)
+    out = np.zeros((len(model.scene.pairs), len(k)), dtype=np.complex128)
+    lasts = model.short_last if short else paths.pair_first[1:]
+    for pair, (first, last) in enumerate(zip(paths.pair_first[:-1], lasts, strict=True)):
+        for begin in range(first, last, step):
+            own = slice(begin, min(begin + step, last))
+            length_m = np.linalg.norm(vectors_m[own], axis=1)[:, None]
+            value = np.exp(-1j * k * length_m) / (4.0 * np.pi * length_m)
+            for n in range(counts[own].max(initial=0)):
+                some = np.flatnonzero(counts[own] > n)
+                bounce, far = paths.bounce_first[own][some] + n, length_m[some]
+                cosine = np.sum(vectors_m[own][some] * paths.normal[bounce], axis=1)[:, None]
+                cosine = np.minimum(np.abs(cosine) / far, 1.0)
+                wall, times = r0[paths.material[bounce]], paths.hits[bounce]
+                if spherical:
+                    reflection = spherical_reflection(wall, cosine, k, far)
+                else:
+                    reflection = plane_reflection(wall, cosine)
+                for hit in range(times.max()):
+                    again = times > hit
+                    value[some[again]] *= reflection[again]
+            out[pair] += value.sum(axis=0)
+    return out
 
 
 class Gradients(NamedTuple):
@@ -407,15 +364,13 @@ class Gradients(NamedTuple):
     by_speed: ComplexArray  # (n_pairs, n_frequencies), by the relative change of the speed
 
 
-def gradients(
-    model: WaveModel, r0: ComplexArray, state: State, *, with_geometry: bool = True
-) -> Gradients:
-    """Return pressures with their exact derivatives; without geometry only those by R0."""
-    paths = model.short
-    k = wavenumber_per_m(model, state)
+def gradients(model: WaveModel, r0: ComplexArray, state: State) -> Gradients:
+    """Return pressures of short paths with their exact derivatives."""
+    paths, k = model.paths, wavenumber_per_m(model, state)
     p, by_r0, by_source, by_receiver, by_k = pressure_gradients(
         paths.pair_first,
-        moved_vectors_m(model, paths, state),
+        model.short_last,
+        moved_vectors_m(model, state),
         paths.image_transform,
         paths.bounce_first,
         paths.material,
@@ -423,7 +378,6 @@ def gradients(
         paths.hits,
         k,
         np.ascontiguousarray(r0, dtype=np.complex128),
-        with_geometry,
     )
     k_by_speed = -(k + 1j * model.air_per_m) / (1.0 + state.speed)
     return Gradients(p, by_r0, by_source, by_receiver, by_k * k_by_speed)

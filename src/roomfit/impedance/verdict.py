@@ -10,15 +10,17 @@ import numpy as np
 
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import ComplexArray, FloatArray
-from roomfit.impedance.data import Observed, level_at, model_error
-from roomfit.impedance.fit import (
-    ImpedanceFit,
-    Start,
-    agreeing,
-    reduced_chi2,
+from roomfit.impedance.data import Observed, level_at, model_error, smoothed
+from roomfit.impedance.fit import SAME_WITHIN, ImpedanceFit, Start, distance, reduced_chi2
+from roomfit.impedance.laws import Curve, Spline, as_spline
+from roomfit.impedance.problem import (
+    Problem,
+    data_rows,
+    factor_of,
+    layout_of,
+    source_spectra,
+    state_of,
 )
-from roomfit.impedance.laws import Spline, as_spline
-from roomfit.impedance.problem import Problem, data_rows, factor_of, source_spectra
 from roomfit.impedance.result import (
     Z95,
     Estimate,
@@ -27,7 +29,7 @@ from roomfit.impedance.result import (
     Verdict,
     material_impedance,
 )
-from roomfit.impedance.wave_model import gradients, has_free_spectra
+from roomfit.impedance.wave_model import Nuisances, predicted_pressure
 from roomfit.room.mesh import mean_free_path_m
 from roomfit.room.scene import Scene
 
@@ -55,53 +57,47 @@ _COMPLEX_MEDIAN, _REAL_MEDIAN = math.log(2.0), 0.4549364
 # Of the error that is allowed to the model: no noise is less.
 _FLOOR = 1e-3
 
-_DB = 20.0 / np.log(10.0)
 
-
-def data_findings(problem: Problem) -> tuple[Finding, ...]:
+def data_findings(
+    scene: Scene, observed: Observed, curves: tuple[Curve, ...], nuisances: Nuisances
+) -> tuple[Finding, ...]:
     """Return a serious finding where the data cannot determine the unknowns, whatever they say.
 
     Two numbers a pair and frequency (levels: one), less the gains that are unknown, must be at
     least the numbers of the walls; and frequency by frequency, where nothing couples them, one pair
-    more than materials [1]_: with as many there are other exact solutions.
-
-    References
-    ----------
-    .. [1] docs/impedance.md
+    more than materials: with as many there are other exact solutions, see docs/impedance.md.
     """
-    observed = problem.observed
     n_pairs, n_f = observed.pressure.shape
-    n_materials = len(problem.curves)
+    n_materials = len(curves)
     frequencies = "one frequency" if n_f == 1 else f"{n_f} frequencies"
     evidence = {"pairs": n_pairs, "frequencies": n_f}
+    needed = sum(len(as_spline(curve).start) for curve in curves)
+    data = (2 if observed.has_phase else 1) * n_pairs * n_f
+    if nuisances.free_spectra:
+        data -= 2 * len(np.unique(scene.pairs[:, 0])) * n_f
+    gain = layout_of(scene, curves, nuisances).gain
+    needed += gain.stop - gain.start
     if n_f < _COUPLED and not observed.has_phase:
         sentence = (
             f"Levels without phase at {frequencies} do not distinguish a wall from others that "
             "reflect as much with another phase. Give phases, or levels over a whole band."
         )
-        return (Finding(Code.TOO_FEW_DATA, About(), sentence, evidence),)
-    if n_f < _COUPLED and n_pairs < n_materials + 1:
+    elif n_f < _COUPLED and n_pairs < n_materials + 1:
         sentence = (
             f"{n_pairs} pair{'s' * (n_pairs != 1)} at {frequencies} cannot distinguish "
             f"{n_materials} materials: {n_materials + 1} pairs are needed, or "
             "frequencies that a smooth curve couples."
         )
-        return (
-            Finding(Code.TOO_FEW_DATA, About(), sentence, {**evidence, "materials": n_materials}),
+        evidence["materials"] = n_materials
+    elif data < needed:
+        sentence = (
+            f"{data} numbers were measured, besides what the gains take, and {needed} are unknown: "
+            "measure more pairs, or specify the gain."
         )
-    needed = sum(len(as_spline(curve).start) for curve in problem.curves)
-    data = (2 if observed.has_phase else 1) * n_pairs * n_f
-    if has_free_spectra(problem.nuisances):
-        data -= 2 * len(np.unique(problem.model.scene.pairs[:, 0])) * n_f
-    gain = problem.layout.gain
-    needed += gain.stop - gain.start
-    if data >= needed:
+        evidence = {"data": data, "unknowns": needed}
+    else:
         return ()
-    sentence = (
-        f"{data} numbers were measured, besides what the gains take, and {needed} are unknown: "
-        "measure more pairs, or specify the gain."
-    )
-    return (Finding(Code.TOO_FEW_DATA, About(), sentence, {"data": data, "unknowns": needed}),)
+    return (Finding(Code.TOO_FEW_DATA, About(), sentence, evidence),)
 
 
 def estimated_noise(fit: ImpedanceFit) -> FloatArray:
@@ -119,12 +115,12 @@ def estimated_noise(fit: ImpedanceFit) -> FloatArray:
     frequency_hz = problem.observed.frequency_hz
     apart = np.abs(np.log(frequency_hz[:, None] / frequency_hz))
     enough = np.sort(apart, axis=1)[:, min(math.ceil(_LEAST / n_pairs), n_f) - 1]
-    near = apart <= np.maximum(enough, _NEAR)[:, None]
+    reach = np.maximum(enough, _NEAR)[:, None]
     usual = _COMPLEX_MEDIAN if problem.observed.has_phase else _REAL_MEDIAN
-    middle = np.array([np.median(square[:, own]) for own in near]) / (usual * free)
-    smooth = (near @ middle) / near.sum(axis=1)
+    middle = np.array([np.median(square[:, own]) for own in apart <= reach]) / (usual * free)
     allowed = np.mean(problem.sd**2, axis=0)
-    noise = np.sqrt(np.maximum(smooth - 0.5 * allowed, _FLOOR * allowed))
+    smooth = smoothed(middle, frequency_hz, reach) - 0.5 * allowed
+    noise = np.sqrt(np.maximum(smooth, _FLOOR * allowed))
     return np.tile(noise, (n_pairs, 1))
 
 
@@ -150,9 +146,9 @@ def judged_result(
         chi2=reduced_chi2(fit),
         model_error=fit.model_error,
         condition=_wall_condition(fit),
-        agreeing_starts=agreeing(starts),
+        agreeing_starts=sum(distance(s.r0, starts[0].r0) <= SAME_WITHIN for s in starts),
         n_starts=len(starts),
-        pairs=_pair_names(problem.model.scene),
+        pairs=pair_names(problem.model.scene),
         measured=problem.observed.pressure,
         predicted=_predicted_pairs(fit),
         expected_rms=problem.sd,
@@ -164,10 +160,9 @@ def judged_result(
 
 
 def result_without_fit(
-    problem: Problem, findings: tuple[Finding, ...], seconds: float
+    scene: Scene, observed: Observed, sd: FloatArray, findings: tuple[Finding, ...], seconds: float
 ) -> ImpedanceResult:
     """Return the result where the data cannot determine the unknowns: nothing but that."""
-    observed = problem.observed
     n_f = len(observed.frequency_hz)
     nothing, unbounded = np.zeros(n_f, dtype=np.complex128), np.tile(1e6 * np.eye(2), (n_f, 1, 1))
     cause = "too few data"
@@ -175,20 +170,20 @@ def result_without_fit(
         frequency_hz=observed.frequency_hz,
         tau_s=observed.tau_s,
         materials=tuple(
-            material_impedance(name, "none", nothing, unbounded)
-            for name in problem.model.scene.room.materials
+            material_impedance(name, "none", nothing, unbounded) for name in scene.room.materials
         ),
-        verdict=Verdict("not identifiable", cause, f"Not identifiable: {cause}.", False),
+        verdict=Verdict("not identifiable", cause, f"Not identifiable: {cause}."),
         findings=findings,
-        pairs=_pair_names(problem.model.scene),
+        pairs=pair_names(scene),
         measured=observed.pressure,
         predicted=np.zeros_like(observed.pressure),
-        expected_rms=problem.sd,
+        expected_rms=sd,
         seconds=seconds,
     )
 
 
-def _pair_names(scene: Scene) -> tuple[tuple[str, str], ...]:
+def pair_names(scene: Scene) -> tuple[tuple[str, str], ...]:
+    """Return source and receiver of every pair."""
     return tuple((scene.sources[s].name, scene.receivers[r].name) for s, r in scene.pairs)
 
 
@@ -237,7 +232,7 @@ def _found_nuisances(fit: ImpedanceFit) -> tuple[Estimate, ...]:
         add("speed of sound", "m/s", layout.speed.start, nuisances.speed_sd * speed, speed)
     n_gains = (layout.gain.stop - layout.gain.start) // 2
     for n in range(n_gains):
-        add(f"gain {n + 1}", "dB", layout.gain.start + n, _DB)
+        add(f"gain {n + 1}", "dB", layout.gain.start + n, 20.0 / np.log(10.0))
         add(f"phase of gain {n + 1}", "rad", layout.gain.start + n_gains + n, 1.0)
     for n in range(layout.delay.stop - layout.delay.start):
         source, receiver = scene.pairs[np.flatnonzero(layout.delay_of_pair == n)[0]]
@@ -251,9 +246,10 @@ def _found_nuisances(fit: ImpedanceFit) -> tuple[Estimate, ...]:
 def _predicted_pairs(fit: ImpedanceFit) -> ComplexArray:
     """Return the predicted pressures with gains and delays, (n_pairs, n_frequencies)."""
     problem = fit.problem
-    short = gradients(problem.model, fit.r0, fit.state, with_geometry=False).pressure
+    state = state_of(problem, fit.x)
+    short = predicted_pressure(problem.model, fit.r0, state, spherical=False, short=True)
     predicted = factor_of(problem, fit.x) * (short + fit.correction)
-    if has_free_spectra(problem.nuisances):
+    if problem.nuisances.free_spectra:
         return np.asarray(predicted * source_spectra(problem, predicted))
     return np.asarray(predicted)
 
@@ -281,8 +277,7 @@ def _wall_condition(fit: ImpedanceFit) -> float:
     own, other = jacobian[:, :n], jacobian[:, n:]
     if other.shape[1]:
         weak: FloatArray = np.eye(other.shape[1])
-        explained = np.linalg.solve(other.T @ other + weak, other.T @ own)
-        own = own - other @ explained
+        own = own - other @ np.linalg.solve(other.T @ other + weak, other.T @ own)
     singular = np.linalg.svd(own, compute_uv=False)
     return float(singular[0] / max(singular[-1], 1e-300))
 
@@ -292,21 +287,18 @@ def _weaker_findings(problem: Problem, observed: Observed) -> list[Finding]:
     findings = []
     if observed.noise is None and problem.observed.noise is not None:
         share = _noise_over_level(problem.observed)
-        findings.append(
-            Finding(
-                Code.NOISE_ESTIMATED,
-                About(),
-                f"The noise was unspecified; what the fit leaves ({share:.1%} of the level) was "
-                "taken for it. A model that does not fit cannot be distinguished from noise then.",
-                {"noise_over_level": share},
-            )
+        sentence = (
+            f"The noise was unspecified; what the fit leaves ({share:.1%} of the level) was "
+            "taken for it. A model that does not fit cannot be distinguished from noise then."
         )
+        evidence = {"noise_over_level": share}
+        findings.append(Finding(Code.NOISE_ESTIMATED, About(), sentence, evidence))
     if not observed.has_phase:
         sentence = (
             "Only levels were given. Other walls than those found may explain them; phases would "
             "show which."
         )
-        findings.append(Finding(Code.LEVELS_ONLY, About(), sentence, {}))
+        findings.append(Finding(Code.LEVELS_ONLY, About(), sentence))
     return findings
 
 
@@ -321,14 +313,14 @@ def _verdict(
     observed: Observed,
     materials: tuple[MaterialImpedance, ...],
 ) -> tuple[Verdict, list[Finding]]:
-    chi2 = reduced_chi2(fit)
-    loud = (
-        observed.noise is None and _noise_over_level(fit.problem.observed) > LOUDEST_ESTIMATED_NOISE
-    )
-    if loud or not _fits(fit):
-        cause = (
-            "what the fit leaves is larger than any noise should be" if loud else _likely_cause(fit)
-        )
+    chi2, octaves = reduced_chi2(fit), _chi2_by_octave(fit)
+    noise_over_level = _noise_over_level(fit.problem.observed)
+    loud = observed.noise is None and noise_over_level > LOUDEST_ESTIMATED_NOISE
+    worst = max((c for _, c in octaves), default=0.0)
+    if loud or chi2 > CHI2_LIMIT or worst > OCTAVE_CHI2_LIMIT:
+        cause = _likely_cause(octaves)
+        if loud:
+            cause = "what the fit leaves is larger than any noise should be"
         sentence = (
             f"The model does not fit: it leaves {chi2:.1f} times the expected squares."
             f" Likely cause: {cause}."
@@ -339,14 +331,12 @@ def _verdict(
             sentence + " Do not use the walls found.",
             {"chi2": chi2, "cause": cause},
         )
-        return Verdict("does not fit", cause, sentence, False), [finding]
+        return Verdict("does not fit", cause, sentence), [finding]
     unsure = [m.name for m in materials if float(np.mean(m.identified)) < ENOUGH_FREQUENCIES]
     if rivals or unsure:
-        cause = (
-            "other walls explain the data as well"
-            if rivals
-            else f"the data hardly depend on {', '.join(unsure)}"
-        )
+        cause = f"the data hardly depend on {', '.join(unsure)}"
+        if rivals:
+            cause = "other walls explain the data as well"
         sentence = f"Not identifiable: {cause}."
         finding = Finding(
             Code.IMPEDANCE_NOT_IDENTIFIABLE,
@@ -354,9 +344,9 @@ def _verdict(
             sentence + " More pairs, or pairs nearer to the walls concerned, would help.",
             {"rivals": len(rivals), "materials": unsure},
         )
-        return Verdict("not identifiable", cause, sentence, False), [finding]
+        return Verdict("not identifiable", cause, sentence), [finding]
     sentence = f"Identified: the residual is {chi2:.2f} of what noise and model error allow."
-    return Verdict("identified", "", sentence, False), []
+    return Verdict("identified", "", sentence), []
 
 
 def _chi2_by_octave(fit: ImpedanceFit) -> list[tuple[float, float]]:
@@ -376,14 +366,7 @@ def _chi2_by_octave(fit: ImpedanceFit) -> list[tuple[float, float]]:
     return found
 
 
-def _fits(fit: ImpedanceFit) -> bool:
-    """Return whether a fit leaves no more than noise and the model's own error."""
-    worst = max((c for _, c in _chi2_by_octave(fit)), default=0.0)
-    return reduced_chi2(fit) <= CHI2_LIMIT and worst <= OCTAVE_CHI2_LIMIT
-
-
-def _likely_cause(fit: ImpedanceFit) -> str:
-    octaves = _chi2_by_octave(fit)
+def _likely_cause(octaves: list[tuple[float, float]]) -> str:
     rest = [c for _, c in octaves[1:]]
     if rest and octaves[0][1] > OCTAVE_CHI2_LIMIT and max(rest) <= CHI2_LIMIT:
         return (
