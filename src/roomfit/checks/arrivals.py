@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from roomfit.base.air import speed_of_sound_m_s
@@ -22,7 +21,6 @@ from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.checks.evidence import (
     UNDECIDED,
     ArrivalVerdict,
-    Law,
     Recorded,
     about_files,
     files_in_words,
@@ -41,40 +39,21 @@ _FACTORS = {
     1.0 / 0.3048: ("m", "metres are read as feet"),
 }
 _SAME_FACTOR = 0.03
-_MOST_EXCHANGED = 50
-_FEWEST = 3
+_MOST_EXCHANGED, _FEWEST = 50, 3
 # One campaign in a thousand whose positions are as specified is taken for one with a displaced
 # point; the standard deviation of an onset is a centimetre and a sample.
 _LEVEL = 1e-3
 _ONSET_SD_M, _ONSET_SD_SAMPLES = 0.01, 1.0
-_LEAST_SHIFT_M = 0.05
 # What a displacement, and a scale, may be before anything is measured; steps of Gauss-Newton.
-_MOST_SHIFT_M, _SCALES, _STEPS = 3.0, 0.5, 6
+_LEAST_SHIFT_M, _MOST_SHIFT_M, _SCALES, _STEPS = 0.05, 3.0, 0.5, 6
 # A delay is early or late, and as likely to be of tenths of milliseconds as of tenths of seconds.
 _LOG_DELAYS = float(np.log(1e4))
 _LEAD_S = 0.1  # no position is 34 m off: the recorder was started so long before the sound
 _TOLERANCE_SD = 3.0  # standard deviations of an onset in its tolerance
 _MORE_THAN_OTHERS = 10.0  # chi-square by which a displaced point explains more than any other
 
-LAWS = {
-    Code.RECORDINGS_LATE: Law(
-        "direct sounds arrive by the geometry, to the tolerance of one onset",
-        "evidence of a delay, common or of each source, against a scale and displaced receivers",
-    ),
-    Code.COORDINATES_SCALED: Law(
-        "direct sounds arrive by the geometry, to the tolerance of one onset",
-        "evidence of arrivals in proportion to the distance, against delays and a displacement",
-    ),
-    Code.EXCHANGED: Law(
-        "direct sounds arrive by the geometry",
-        "arrivals off by more than the tolerance of one onset that one exchange mends",
-    ),
-    Code.DISPLACEMENT_DETECTED: Law(
-        "all positions are as specified, within their standard deviations",
-        "chi-square of three coordinates of one point, times the number of points",
-        _LEVEL,
-    ),
-}
+
+_Verdicts = tuple[ArrivalVerdict, ...]
 
 
 def check(evidence: Recorded) -> Iterator[Finding]:
@@ -85,15 +64,15 @@ def check(evidence: Recorded) -> Iterator[Finding]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Arrivals:
-    """Onsets of recordings that are on the clock of emission, beside the geometry."""
+    """Onsets of recordings that are on the clock of emission, beside the geometry; (n,) each."""
 
     measurements: list[Measurement]
     source: list[Point]
     receiver: list[Point]
-    path_m: FloatArray  # (n,), of the direct sound by its onset
-    peak_m: FloatArray  # (n,), by the peak of a pulse as short as the sampling rate allows
-    distance_m: FloatArray  # (n,), by the geometry
-    tolerance_m: FloatArray  # (n,), of an onset that is as specified
+    path_m: FloatArray  # of the direct sound by its onset
+    peak_m: FloatArray  # by the peak of a pulse as short as the sampling rate allows
+    distance_m: FloatArray  # by the geometry
+    tolerance_m: FloatArray  # of an onset that is as specified
     speed_m_s: float
 
     @property
@@ -101,10 +80,16 @@ class _Arrivals:
         """By how much each comes late, (n,)."""
         return self.path_m - self.distance_m
 
+    @property
+    def ends_m(self) -> tuple[FloatArray, FloatArray]:
+        """Positions of source and receiver, (n, 3) each."""
+        source, receiver = (
+            np.array([p.position_m for p in points]) for points in (self.source, self.receiver)
+        )
+        return source, receiver
 
-def arrival_verdicts(
-    scene: Scene, measurements: Sequence[Measurement]
-) -> tuple[ArrivalVerdict, ...]:
+
+def arrival_verdicts(scene: Scene, measurements: Sequence[Measurement]) -> _Verdicts:
     """Return the one cause, if there is one, why direct sounds do not arrive when they should.
 
     Only recordings whose clock starts at emission are compared. Patterns are tried from the
@@ -117,77 +102,86 @@ def arrival_verdicts(
     found = _arrivals(scene, measurements)
     if found is None:
         return ()
-    off = np.abs(found.late_m) > found.tolerance_m
-    if off.any():
+    if np.any(np.abs(found.late_m) > found.tolerance_m):
         for cause in (_begin_at_direct, _likeliest, _other_unit, _begin_anywhere, _exchanged):
-            verdicts = cause(found)
-            if verdicts:
+            if verdicts := cause(found):
                 return verdicts
     verdicts = _displaced(found)
     if verdicts:
         displaced = verdicts[0].finding.about.files
         rest = _arrivals(scene, [m for m in found.measurements if m.where not in displaced])
-        if rest is not None:
-            delays = [e for e in (_one_delay(rest), _delays(rest)) if e is not None]
-            verdicts = (*(delays[0].verdicts if delays else ()), *verdicts)
+        late = rest and (_one_delay(rest) or _delays(rest))
+        verdicts = (*(late.verdicts if late else ()), *verdicts)
     return verdicts
 
 
 def _arrivals(scene: Scene, measurements: Sequence[Measurement]) -> _Arrivals | None:
-    sources = {p.name: p for p in scene.sources}
-    receivers = {p.name: p for p in scene.receivers}
     c = speed_of_sound_m_s(scene.air)
-    chosen, onset_s = [], []
+    onset_s = {}
     for m in measurements:
         try:
             onset = find_onset(m.response, m.where)
         except InputError:  # noise only, which is refused or reported elsewhere
             continue
         if m.time_zero == "emission":
-            chosen.append(m)
-            onset_s.append(onset)
-    if not chosen:
+            onset_s[m] = onset
+    if not onset_s:
         return None
-    source = [sources[m.source] for m in chosen]
-    receiver = [receivers[m.receiver] for m in chosen]
+    sources, receivers = ({p.name: p for p in ps} for ps in (scene.sources, scene.receivers))
+    source, receiver = (
+        [sources[m.source] for m in onset_s],
+        [receivers[m.receiver] for m in onset_s],
+    )
     return _Arrivals(
-        chosen,
+        list(onset_s),
         source,
         receiver,
-        c * np.array(onset_s),
-        c * np.array([find_peak(m.response, t) for m, t in zip(chosen, onset_s, strict=True)]),
+        c * np.array(list(onset_s.values())),
+        c * np.array([find_peak(m.response, t) for m, t in onset_s.items()]),
         _distances_m(source, receiver),
-        np.array([onset_tolerance_m(c, m.response.sampling_rate_hz) for m in chosen]),
+        np.array([onset_tolerance_m(c, m.response.sampling_rate_hz) for m in onset_s]),
         c,
     )
 
 
 def _distances_m(source: Sequence[Point], receiver: Sequence[Point]) -> FloatArray:
-    at = [[p.position_m for p in points] for points in (source, receiver)]
-    return np.asarray(np.linalg.norm(np.array(at[0]) - np.array(at[1]), axis=1))
+    away = [s.position_m - r.position_m for s, r in zip(source, receiver, strict=True)]
+    return np.asarray(np.linalg.norm(away, axis=1))
 
 
-def _begin_at_direct(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
+def _begin_at_direct(found: _Arrivals) -> _Verdicts:
     """Every file was cut at its direct sound: onsets are alike on the files' own clocks."""
     own_m = found.path_m + found.speed_m_s * np.array([m.latency_s for m in found.measurements])
-    spread, expected = np.ptp(own_m), np.ptp(found.distance_m)
-    tolerance_m = float(found.tolerance_m.max())
-    if len(own_m) < _FEWEST or spread > tolerance_m or expected < 3.0 * tolerance_m:
+    tolerance_m, distance_m = float(found.tolerance_m.max()), found.distance_m
+    if len(own_m) < _FEWEST or np.ptp(own_m) > tolerance_m or np.ptp(distance_m) < 3 * tolerance_m:
         return ()
-    own_ms = 1e3 * float(own_m.mean()) / found.speed_m_s
     text = (
-        f"All {len(own_m)} files begin at their direct sound, {own_ms:.2f} ms "
-        f"after the first sample, whatever the distance ({found.distance_m.min():.2f} to "
-        f'{found.distance_m.max():.2f} m): set time_zero = "direct".'
+        f"begin at their direct sound, {1e3 * float(own_m.mean()) / found.speed_m_s:.2f} ms "
+        f"after the first sample, whatever the distance ({distance_m.min():.2f} to "
+        f"{distance_m.max():.2f} m)"
     )
-    return (_begins_at_direct(found, text),)
+    return _clock_of_direct(found, text)
 
 
-def _begins_at_direct(found: _Arrivals, text: str) -> ArrivalVerdict:
-    """Return that the first sample of every file tells nothing of when the sound was emitted."""
-    about = about_files(*found.measurements)
-    finding = Finding(Code.RECORDINGS_LATE, about, text, {"time_zero": "direct"})
-    return ArrivalVerdict(finding, time_zero="direct")
+def _begin_anywhere(found: _Arrivals) -> _Verdicts:
+    """Every file begins long before the sound, each at another instant."""
+    late_s = found.late_m / found.speed_m_s
+    if len(late_s) < 2 or late_s.min() < _LEAD_S:
+        return ()
+    text = (
+        "begin before the sound is emitted, each at another instant, "
+        f"{late_s.min():.2f} to {late_s.max():.2f} s"
+    )
+    return _clock_of_direct(found, text)
+
+
+def _clock_of_direct(found: _Arrivals, text: str) -> _Verdicts:
+    """The first sample of a file tells nothing of when the sound was emitted."""
+    files = found.measurements
+    sentence = f'All {len(files)} files {text}: set time_zero = "direct".'
+    about, evidence = about_files(*files), {"time_zero": "direct"}
+    finding = Finding(Code.RECORDINGS_LATE, about, sentence, evidence)
+    return (ArrivalVerdict(finding, time_zero="direct"),)
 
 
 class _Explanation(NamedTuple):
@@ -195,30 +189,26 @@ class _Explanation(NamedTuple):
 
     evidence: float  # logarithm of the marginal likelihood
     words: str  # after "or"
-    verdicts: tuple[ArrivalVerdict, ...]
+    verdicts: _Verdicts
 
 
-def _likeliest(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
+def _likeliest(found: _Arrivals) -> _Verdicts:
     """Return the likeliest of delays, a scale and displaced receivers that mends all arrivals.
 
     It must be a thousand times as likely as arrivals by the geometry that err; others whose
     evidence is within 2 units are named beside it.
     """
-    makers = (_one_delay, _delays, _stretched, _receivers_displaced)
     none = np.zeros((len(found.late_m), 0))
     least = _evidence(found, found.late_m, none, none[0]) - np.log(_LEVEL)
-    made = (make(found) for make in makers)
-    explanations = [e for e in made if e is not None and e.evidence > least]
-    if not explanations:
+    made = [make(found) for make in (_one_delay, _delays, _stretched, _receivers_displaced)]
+    likely = [e for e in made if e is not None and e.evidence > least]
+    if not likely:
         return ()
-    best = max(explanations, key=lambda e: e.evidence)
-    others = [
-        e.words for e in explanations if e is not best and best.evidence - e.evidence < UNDECIDED
-    ]
-    if not others:
-        return best.verdicts
+    best = max(likely, key=lambda e: e.evidence)
+    others = [e.words for e in likely if e is not best and best.evidence - e.evidence < UNDECIDED]
+    more = f" Or {others[0]}." if others else ""
     return tuple(
-        replace(v, finding=replace(v.finding, sentence=f"{v.finding.sentence} Or {others[0]}."))
+        replace(v, finding=replace(v.finding, sentence=v.finding.sentence + more))
         for v in best.verdicts
     )
 
@@ -239,8 +229,7 @@ def _evidence(
     chi2, own = float(np.sum((white @ rest_m) ** 2)), white @ columns
     _, logdet = np.linalg.slogdet(own.T @ own)
     width = float(np.sum(np.log(ranges))) - 0.5 * len(ranges) * np.log(2.0 * np.pi)
-    n = len(rest_m)
-    return float(-0.5 * (4 + n) * np.log1p(chi2 / 4.0) - 0.5 * logdet - width)
+    return float(-0.5 * (4 + len(rest_m)) * np.log1p(chi2 / 4.0) - 0.5 * logdet - width)
 
 
 def _whitening(found: _Arrivals, robust_m: float = 0.0) -> FloatArray:
@@ -261,31 +250,30 @@ def _is_adequate(found: _Arrivals, rest_m: FloatArray, n_unknowns: int) -> bool:
 
 
 def _one_delay(found: _Arrivals) -> _Explanation | None:
-    """All recordings are late by one time."""
-    return _late_by(found, np.ones((len(found.late_m), 1)))
+    return _late_by(found, np.ones((1, len(found.late_m)), dtype=np.bool_))
 
 
 def _delays(found: _Arrivals) -> _Explanation | None:
     """All recordings of some sources are late by a time of each."""
     names = np.array([m.source for m in found.measurements])
     own = np.unique(names)
-    return None if len(own) < 2 else _late_by(found, names[:, None] == own)
+    return None if len(own) < 2 else _late_by(found, own[:, None] == names)
 
 
-def _late_by(found: _Arrivals, groups: NDArray[Any]) -> _Explanation | None:
+def _late_by(found: _Arrivals, groups: BoolArray) -> _Explanation | None:
+    """All recordings of each group, (n_groups, n), are late by one time, or by none."""
     verdicts, columns, ranges_m, rest_m = [], [], [], np.array(found.late_m)
-    for group in groups.T.astype(np.bool_):
+    for group in groups:
         late_m, tolerance_m = found.late_m[group], found.tolerance_m[group]
         middle_m = float(np.median(late_m))
-        if np.any(np.abs(late_m - middle_m) > tolerance_m):
+        is_late = abs(middle_m) > float(tolerance_m.max())
+        if np.any(np.abs(late_m - middle_m) > tolerance_m) or (is_late and len(late_m) < 2):
             return None
-        if abs(middle_m) > float(tolerance_m.max()):
-            if len(late_m) < 2:
-                return None
-            chosen = [m for m, own in zip(found.measurements, group, strict=True) if own]
+        if is_late:
+            chosen = [found.measurements[i] for i in np.flatnonzero(group)]
             # onsets decide, which a slow pulse leaves where they are; by how much, the peaks say
             own_m = float(np.median((found.peak_m - found.distance_m)[group]))
-            verdicts.append(_late(chosen, own_m / found.speed_m_s, len(groups)))
+            verdicts.append(_late(chosen, own_m / found.speed_m_s, groups.shape[1]))
             rest_m[group] -= float(np.mean(late_m))
             columns.append(group.astype(float))
             ranges_m.append(2.0 * _LOG_DELAYS * abs(middle_m))
@@ -300,14 +288,11 @@ def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> Arr
     # one that is not 0 may hold where a file says that it begins, beside what the campaign states
     is_unset = all(m.latency_s == 0.0 for m in measurements)
     latency_s = round(late_s, 5) if is_unset else None  # 3 mm
-    advice = (
-        f"add {late_s:.5f} to their latency_s"
-        if latency_s is None
-        else f"set latency_s = {latency_s:.7g}"
-    )
+    advice = f"add {late_s:.5f} to their latency_s"
+    if latency_s is not None:
+        advice = f"set latency_s = {latency_s:.7g}"
     who = files_in_words(measurements, n_all)
-    order = "late" if late_s > 0.0 else "early"
-    how = f"are {1e3 * abs(late_s):.2f} ms {order}"
+    how = f"are {1e3 * abs(late_s):.2f} ms {'late' if late_s > 0.0 else 'early'}"
     if late_s > _LEAD_S:
         how = f"begin {late_s:.2f} s before the sound is emitted"
     text = (
@@ -331,30 +316,46 @@ def _stretched(found: _Arrivals) -> _Explanation | None:
     if not (clear or _is_adequate(found, rest_m, 1)):
         return None
     evidence = _evidence(found, rest_m, distance_m[:, None], np.array([_SCALES]))
-    unit, what = "", "the scale of the drawing, the sampling rate, or the temperature is another"
-    for known, reading in _FACTORS.items():
-        if abs(factor / known - 1.0) < _SAME_FACTOR:
-            factor, (unit, what) = known, reading
-    words = f"all positions are {factor:.4g} times as far apart"
-    return _Explanation(evidence, words, (_scaled(factor, unit, what, found),))
+    known = next((f for f in _FACTORS if abs(factor / f - 1.0) < _SAME_FACTOR), factor)
+    words = f"all positions are {known:.4g} times as far apart"
+    return _Explanation(evidence, words, (_scaled(known, found),))
+
+
+def _scaled(factor: float, found: _Arrivals) -> ArrivalVerdict:
+    another = "the scale of the drawing, the sampling rate, or the temperature is another"
+    unit, what = _FACTORS.get(factor, ("", another))
+    text = (
+        f"The direct sounds of all {len(found.path_m)} files arrive as if all positions were "
+        f"{factor:.4g} times as far apart: {what}. Compare the positions, the unit of the room "
+        "and the files."
+    )
+    evidence = {"factor": factor, **({"unit": unit} if unit else {})}
+    about = about_files(*found.measurements)
+    return ArrivalVerdict(Finding(Code.COORDINATES_SCALED, about, text, evidence))
+
+
+def _other_unit(found: _Arrivals) -> _Verdicts:
+    """All distances are those of another unit, beside a common delay."""
+    if len(found.path_m) < _FEWEST or np.ptp(found.distance_m) < 3.0 * found.tolerance_m.max():
+        return ()
+    for factor in _FACTORS:
+        late_m = found.path_m - factor * found.distance_m
+        if np.all(np.abs(late_m - np.median(late_m)) <= found.tolerance_m):
+            return (_scaled(factor, found),)
+    return ()
 
 
 def _receivers_displaced(found: _Arrivals) -> _Explanation | None:
     """All receivers stand elsewhere by one vector, found by Gauss-Newton steps."""
-    names = {p.name for p in found.receiver}
-    n = len(found.late_m)
-    if len(names) < 2 or n <= 3:
+    at = {p.name: p.position_m for p in found.receiver}
+    if len(at) < 2 or len(found.late_m) <= 3:
         return None
-    from_m, to_m = (
-        np.array([p.position_m for p in ends]) for ends in (found.source, found.receiver)
-    )
-    shift_m = np.zeros(3)
+    (from_m, to_m), shift_m = found.ends_m, np.zeros(3)
     for _ in range(_STEPS):
         away = to_m + shift_m - from_m
         distance_m = np.linalg.norm(away, axis=1)
         columns = away / distance_m[:, None]
-        rest_m = found.path_m - distance_m
-        step_m, _, rank, _ = np.linalg.lstsq(columns, rest_m, rcond=1e-3)
+        step_m, _, rank, _ = np.linalg.lstsq(columns, found.path_m - distance_m, rcond=1e-3)
         if rank < 3:
             return None
         shift_m += step_m
@@ -366,51 +367,15 @@ def _receivers_displaced(found: _Arrivals) -> _Explanation | None:
         return None  # not all of them alike
     evidence = _evidence(found, rest_m, columns, np.full(3, 2.0 * _MOST_SHIFT_M))
     by = ", ".join(f"{x:+.2f}" for x in shift_m)
-    words = f"all {len(names)} receivers stand elsewhere than specified, by ({by}) m"
+    words = f"all {len(at)} receivers stand elsewhere than specified, by ({by}) m"
     text = (
         f"By the direct sounds {words} against the sources: these explain the arrivals better than "
         "a delay. Measure them again, or compare the origins of both lists."
     )
-    points = {p.name: p.position_m for p in found.receiver}.values()
-    points_m = [p.tolist() for p in points]
-    about = replace(about_files(*found.measurements), points_m=points_m)
-    numbers = {"receivers": sorted(names), "metres": size_m, "shift_m": shift_m.tolist()}
+    about = replace(about_files(*found.measurements), points_m=[p.tolist() for p in at.values()])
+    numbers = {"receivers": sorted(at), "metres": size_m, "shift_m": shift_m.tolist()}
     finding = Finding(Code.DISPLACEMENT_DETECTED, about, text, numbers)
     return _Explanation(evidence, words, (ArrivalVerdict(finding),))
-
-
-def _scaled(factor: float, unit: str, what: str, found: _Arrivals) -> ArrivalVerdict:
-    text = (
-        f"The direct sounds of all {len(found.path_m)} files arrive as if all positions were "
-        f"{factor:.4g} times as far apart: {what}. Compare the positions, the unit of the room "
-        "and the files."
-    )
-    about = about_files(*found.measurements)
-    evidence = {"factor": factor, **({"unit": unit} if unit else {})}
-    return ArrivalVerdict(Finding(Code.COORDINATES_SCALED, about, text, evidence))
-
-
-def _other_unit(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
-    """All distances are those of another unit, beside a common delay."""
-    if len(found.path_m) < _FEWEST or np.ptp(found.distance_m) < 3.0 * found.tolerance_m.max():
-        return ()
-    for factor, (unit, what) in _FACTORS.items():
-        late_m = found.path_m - factor * found.distance_m
-        if np.all(np.abs(late_m - np.median(late_m)) <= found.tolerance_m):
-            return (_scaled(factor, unit, what, found),)
-    return ()
-
-
-def _begin_anywhere(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
-    """Every file begins long before the sound, each at another instant."""
-    late_s = found.late_m / found.speed_m_s
-    if len(late_s) < 2 or late_s.min() < _LEAD_S:
-        return ()
-    text = (
-        f"All {len(late_s)} files begin before the sound is emitted, each at another instant, "
-        f'{late_s.min():.2f} to {late_s.max():.2f} s: set time_zero = "direct".'
-    )
-    return (_begins_at_direct(found, text),)
 
 
 def with_corrected_clocks(
@@ -428,7 +393,7 @@ def with_corrected_clocks(
     return corrected
 
 
-def _exchanged(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
+def _exchanged(found: _Arrivals) -> _Verdicts:
     """Two files, receivers or sources have each other's name; one exchange mends it all."""
     middle_m = float(np.median(found.late_m))
     common_m = middle_m if abs(middle_m) > float(found.tolerance_m.max()) else 0.0
@@ -471,31 +436,28 @@ def _two_exchanged(
 
     None of a kind of which so many are doubtful that it is something that all have in common.
     """
-    doubtful = {
+    ends = {"receivers": found.receiver, "sources": found.source}
+    few = {
         kind: list({points[i].name: points[i] for i in off}.values())
-        for kind, points in (("receivers", found.receiver), ("sources", found.source))
+        for kind, points in ends.items()
     }
-    few = {kind: p if len(p) <= _MOST_EXCHANGED else [] for kind, p in doubtful.items()}
+    few = {kind: points if len(points) <= _MOST_EXCHANGED else [] for kind, points in few.items()}
     for kind, points in few.items():
         for one, other in combinations(points, 2):
             to = {one.name: other, other.name: one}
-            moved = found.receiver if kind == "receivers" else found.source
-            moved = [to.get(p.name, p) for p in moved]
-            ends = (found.source, moved) if kind == "receivers" else (moved, found.receiver)
+            moved = ends | {kind: [to.get(p.name, p) for p in ends[kind]]}
             who = f"{kind} {one.name} and {other.name}"
-            yield who, {kind: [one.name, other.name]}, _distances_m(*ends)
+            names = {kind: [one.name, other.name]}
+            yield who, names, _distances_m(moved["sources"], moved["receivers"])
     for one, other in product(few["sources"], few["receivers"]):
         sources = [other if p.name == one.name else p for p in found.source]
         receivers = [one if p.name == other.name else p for p in found.receiver]
         who = f"source {one.name} and the receiver {other.name}"
-        yield (
-            who,
-            {"sources": [one.name], "receivers": [other.name]},
-            _distances_m(sources, receivers),
-        )
+        names = {"sources": [one.name], "receivers": [other.name]}
+        yield who, names, _distances_m(sources, receivers)
 
 
-def _displaced(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
+def _displaced(found: _Arrivals) -> _Verdicts:
     """One source or receiver stands elsewhere, the others as specified: chi-square decides.
 
     Each source may have a delay of its own. To the residuals of all arrivals the three coordinates
@@ -506,9 +468,7 @@ def _displaced(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
         return ()
     columns = _derivatives(found)
     names = np.array([m.source for m in found.measurements])
-    delays = np.stack([names == name for name in dict.fromkeys(names.tolist())], axis=1).astype(
-        float
-    )
+    delays = (names[:, None] == list(dict.fromkeys(names.tolist()))).astype(float)
     robust_m = 1.4826 * float(np.median(np.abs(found.late_m - np.median(found.late_m))))
     white = _whitening(found, robust_m)
     data, base = white @ found.late_m, white @ delays
@@ -541,9 +501,7 @@ def _displaced(found: _Arrivals) -> tuple[ArrivalVerdict, ...]:
 
 def _derivatives(found: _Arrivals) -> dict[Point, FloatArray]:
     """Return the derivatives of all paths by the coordinates of each point, (n, 3)."""
-    source, receiver = (
-        np.array([p.position_m for p in ends]) for ends in (found.source, found.receiver)
-    )
+    source, receiver = found.ends_m
     along = (receiver - source) / found.distance_m[:, None]
     columns: dict[Point, FloatArray] = {}
     for ends, sign in ((found.source, -1.0), (found.receiver, 1.0)):
@@ -560,14 +518,14 @@ def _left(columns: FloatArray, data: FloatArray) -> tuple[float, int]:
 
 def _displacement(
     found: _Arrivals, point: Point, others: BoolArray, delays: FloatArray
-) -> tuple[ArrivalVerdict, ...]:
+) -> _Verdicts:
     delay_m, *_ = np.linalg.lstsq(delays[others], found.late_m[others], rcond=None)
     rest_m = (found.late_m - delays @ delay_m)[~others]
     size_m = float(np.max(np.abs(rest_m)))  # no path changes by more than its end moves
     if size_m < _LEAST_SHIFT_M:
         return ()
     kind, name = "receiver" if point in found.receiver else "source", point.name
-    chosen = [m for m, other in zip(found.measurements, others.tolist(), strict=True) if not other]
+    chosen = [found.measurements[i] for i in np.flatnonzero(~others)]
     each = ", ".join(
         f"{100 * abs(late):.0f} cm {'farther from' if late > 0 else 'nearer to'} "
         f"{m.source if kind == 'receiver' else m.receiver}"

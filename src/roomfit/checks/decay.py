@@ -12,14 +12,13 @@ from roomfit.base.bands import Bands, bands_in_words
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.logit import expit, logit
 from roomfit.base.typing import FloatArray, IntArray
-from roomfit.checks.evidence import Evidence, Law
+from roomfit.checks.evidence import Evidence
 from roomfit.fit.compare import predicted_curve
 from roomfit.fit.measurements import Measurements
 from roomfit.fit.paths import TracedPaths
 from roomfit.fit.scattering import Retracer
-from roomfit.materials.priors import MaterialPrior, Scattering
+from roomfit.materials.priors import MaterialPrior, uniform_scattering
 from roomfit.model.binned import BinnedPaths
-from roomfit.model.weighing import EnergyRows
 from roomfit.result import ComparedPair
 from roomfit.room.scene import material_areas_m2, pair_names
 from roomfit.settings import Settings
@@ -38,15 +37,6 @@ DECAY_SCATTER = {
     "EDT_s": 1.97 * (1.0 + 2.8 / 10.0) ** 0.5,
 }
 
-LAWS = {
-    Code.DECAY_NOT_REPRODUCED: Law(
-        "the answer reproduces the mean decay of the fitted pairs",
-        "mean over pairs of predicted minus measured T20 or EDT: 2 JND and more, and 3 of its "
-        "standard deviations by interference, by the answer's uncertainty and by rays",
-        0.05,  # of six bands together
-    )
-}
-
 
 def check(evidence: Evidence) -> Iterator[Finding]:
     """Yield a finding where the decay that was fitted is not reproduced."""
@@ -55,15 +45,12 @@ def check(evidence: Evidence) -> Iterator[Finding]:
     by_pressures = [b.window_decays_s if b.model == "coherent" else {} for b in answers]
     fitted = [b.model != "prior" for b in answers]
     misses = decay_misses(measured.bands, evidence.pairs, fitted, by_pressures)
-    misses = certain_misses(
-        measured, traced, misses, absorption, evidence.logit_covariance, settings
-    )
+    covariance = evidence.logit_covariance
+    misses = certain_misses(measured, traced, misses, absorption, covariance, settings)
     if misses:
-        areas_m2 = material_areas_m2(measured.scene.room)
-        mean = areas_m2 @ absorption / areas_m2.sum()
         tried = () if settings.quick else misses
-        by_scattering = decays_by_scattering(measured, traced, absorption, settings, tried)
-        yield decay_finding(measured, evidence.priors, misses, mean, evidence.eyring, by_scattering)
+        by_scattering = _decays_by_scattering(measured, traced, absorption, settings, tried)
+        yield _finding(evidence, misses, by_scattering)
 
 
 class DecayMiss(NamedTuple):
@@ -111,29 +98,33 @@ def decay_misses(
     .. [1] ISO 3382-2:2008, annex A, equations A.1 and A.2 with n = 10. For EDT the factors are
            continued by their power of the range of levels.
     """
-    bandwidth_hz = bands.upper_hz - bands.lower_hz
-    found: dict[int, DecayMiss] = {}
-    for name, factor in DECAY_SCATTER.items():
-        for band in np.flatnonzero(fitted).tolist():
-            time_s, jnd = _of_fitted_pairs(pairs, name, band)
+    bandwidth_hz, found = bands.upper_hz - bands.lower_hz, []
+    for band in np.flatnonzero(fitted).tolist():
+        missed, number = {}, 0
+        windows = by_pressures[band] if by_pressures else {}
+        for name, factor in DECAY_SCATTER.items():
+            rows = [p.parameters[name] for p in pairs if p.use == "fit" and name in p.parameters]
+            both = np.array([(c.measured[band], c.jnd[band]) for c in rows]).reshape(-1, 2).T
+            times_s, jnd = both[:, np.isfinite(both).all(axis=0)]
             if name == "EDT_s" and jnd.size < _FEWEST_FOR_SCATTER:
                 continue
-            mean, sd = mean_miss(jnd, factor / np.sqrt(bandwidth_hz[band] * time_s))
-            if abs(mean) >= max(_LARGEST_MISS_JND, _MISS_SDS * sd):
-                before = found.get(band, DecayMiss(band, {}, 0))
-                found[band] = DecayMiss(
-                    band, {**before.jnd, name: (mean, float(sd))}, max(before.number, jnd.size)
-                )
-    for band, decays_s in enumerate(by_pressures):
-        for name in decays_s.keys() & found.get(band, DecayMiss(band, {}, 0)).jnd.keys():
-            times_s = decays_s[name]
-            measured_s, fitted_s = times_s[:, np.isfinite(times_s).all(axis=0)]
-            scatter = DECAY_SCATTER[name] / np.sqrt(bandwidth_hz[band] * measured_s)
-            mean, sd = mean_miss((fitted_s / measured_s - 1.0) / 0.05, scatter)
-            if abs(mean) < max(_LARGEST_MISS_JND, _MISS_SDS * sd):
-                rest = {n: v for n, v in found[band].jnd.items() if n != name}
-                found[band] = found[band]._replace(jnd=rest)
-    return tuple(found[band] for band in sorted(found) if not found[band].jnd.keys() <= {"T30_s"})
+            mean, sd = mean_miss(jnd, factor / np.sqrt(bandwidth_hz[band] * times_s))
+            if not _is_missed(mean, sd):
+                continue
+            number = max(number, jnd.size)
+            if name in windows:
+                both = windows[name][:, np.isfinite(windows[name]).all(axis=0)]
+                scatter = factor / np.sqrt(bandwidth_hz[band] * both[0])
+                if not _is_missed(*mean_miss((both[1] / both[0] - 1.0) / 0.05, scatter)):
+                    continue
+            missed[name] = mean, float(sd)
+        if not missed.keys() <= {"T30_s"}:
+            found.append(DecayMiss(band, missed, number))
+    return tuple(found)
+
+
+def _is_missed(mean: float, sd: float) -> bool:
+    return abs(mean) >= max(_LARGEST_MISS_JND, _MISS_SDS * sd)
 
 
 def mean_miss(jnd: FloatArray, scatter: FloatArray) -> tuple[float, float]:
@@ -153,72 +144,46 @@ def mean_miss(jnd: FloatArray, scatter: FloatArray) -> tuple[float, float]:
     return float(jnd.mean()), sd
 
 
-def _of_fitted_pairs(
-    pairs: Sequence[ComparedPair], name: str, band: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return what the fitted pairs measured, and predicted minus that in JND, where known."""
-    rows = [p.parameters[name] for p in pairs if p.use == "fit" and name in p.parameters]
-    both = np.array([(c.measured[band], c.jnd[band]) for c in rows]).reshape(-1, 2).T
-    known = np.isfinite(both).all(axis=0)
-    return both[0, known], both[1, known]
-
-
-def fitted_decay_times_s(
-    measurements: Measurements, binned: BinnedPaths, absorption: FloatArray, chosen: Sequence[int]
+def _mean_times_s(
+    measured: Measurements, binned: BinnedPaths, absorption: FloatArray, chosen: Sequence[int]
 ) -> dict[str, FloatArray]:
-    """Return T20, T30 and EDT that paths predict, in the mean over eight fitted pairs or all.
-
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials, n_bands)
-    chosen : sequence of int
-        The bands to predict.
-
-    Returns
-    -------
-    dict from parameter to float array, shape (len(chosen),)
-    """
-    scene, all_bands, own = measurements.scene, measurements.bands, list(chosen)
-    bands = Bands(all_bands.kind, all_bands.centres_hz[own])
+    """Return T20, T30 and EDT that paths predict in some bands, mean over eight fitted pairs."""
+    own = list(chosen)
+    bands = Bands(measured.bands.kind, measured.bands.centres_hz[own])
     found = [
-        room_parameters(predicted_curve(scene, bands, binned, i, absorption[:, own]))
-        for i in _drawn_pairs(measurements)
+        room_parameters(predicted_curve(measured.scene, bands, binned, i, absorption[:, own]))
+        for i in _drawn_pairs(measured)
     ]
     return {
         name: np.mean([f.of(name) for f in found], axis=0) for name in ("T20_s", "T30_s", "EDT_s")
     }
 
 
-def _drawn_pairs(measurements: Measurements) -> list[int]:
+def _drawn_pairs(measured: Measurements) -> list[int]:
     """Return the pairs whose decay times are averaged: eight of those fitted, or all of fewer."""
-    tabulated = {v.pair_name for v in measurements.values}
-    pairs = {m.pair for m in measurements.responses if m.measurement.use == "fit"} | {
-        i for i, name in enumerate(pair_names(measurements.scene)) if name in tabulated
-    }
+    tabulated = {v.pair_name for v in measured.values}
+    pairs = {m.pair for m in measured.responses if m.measurement.use == "fit"}
+    pairs |= {i for i, name in enumerate(pair_names(measured.scene)) if name in tabulated}
     return sorted(pairs)[:: -(-len(pairs) // _MOST_DRAWN_PAIRS)]
 
 
 def _resampled(
-    measurements: Measurements, binned: BinnedPaths, counts: IntArray, chosen: Sequence[int]
+    measured: Measurements, binned: BinnedPaths, counts: IntArray, chosen: Sequence[int]
 ) -> BinnedPaths:
     """Return bins with each batch of rays so many times, of the pairs and bands that are averaged.
 
     The others stay as they are: all together would be as large as the paths.
     """
-    pairs = _drawn_pairs(measurements)
-
-    def those(rows: tuple[EnergyRows, ...]) -> tuple[EnergyRows, ...]:
-        own = list(rows)
+    by_band, pairs = binned.by_band, _drawn_pairs(measured)
+    centres_hz = [float(measured.bands.centres_hz[band]) for band in chosen if by_band]
+    found = {f: list(by_band[f]) for f in centres_hz} if by_band else {0.0: list(binned.rows)}
+    for own in found.values():
         for i in pairs:
-            weight = rows[i].weight_per_m2 * counts[rows[i].batch]
-            own[i] = replace(rows[i], weight_per_m2=weight)
-        return tuple(own)
-
-    if not binned.by_band:
-        return BinnedPaths(binned.edges_s, those(binned.rows))
-    centres_hz = [float(measurements.bands.centres_hz[band]) for band in chosen]
-    by_band = {f: those(binned.by_band[f]) for f in centres_hz}
-    return BinnedPaths(binned.edges_s, binned.rows, by_band)
+            weight = own[i].weight_per_m2 * counts[own[i].batch]
+            own[i] = replace(own[i], weight_per_m2=weight)
+    if not by_band:
+        return BinnedPaths(binned.edges_s, tuple(found[0.0]))
+    return BinnedPaths(binned.edges_s, binned.rows, {f: tuple(x) for f, x in found.items()})
 
 
 def certain_misses(
@@ -236,16 +201,13 @@ def certain_misses(
     absorptions are drawn from its law and ray batches with replacement, and the spread of the mean
     decay time is added to the standard deviation of each miss.
 
-    Parameters
-    ----------
-    logit_covariance : float array, shape (n_bands, n_materials, n_materials)
-        Zeros where absorption is fixed.
+    `logit_covariance`, shape (n_bands, n_materials, n_materials), is 0 where absorption is fixed.
     """
     if not misses:
         return ()
     chosen, rng = [m.band for m in misses], np.random.default_rng(settings.seed)
-    free = logit(absorption, 1e-9)
-    drawn: dict[str, list[FloatArray]] = {name: [] for name in DECAY_SCATTER}
+    free, n = logit(absorption, 1e-9), max(traced.paths.n_batches, 1)
+    drawn = []
     for _ in range(_DECAY_DRAWS):
         trial = np.array(absorption)
         for band in chosen:
@@ -254,16 +216,14 @@ def certain_misses(
                 free[:, band], covariance, method="eigh", check_valid="ignore"
             )
             trial[:, band] = np.where(np.diag(covariance) > 0.0, expit(moved), trial[:, band])
-        n = max(traced.paths.n_batches, 1)
         counts = np.append(rng.multinomial(n, np.full(n, 1.0 / n)), 1)  # batch -1: images
         binned = _resampled(measurements, traced.binned, counts, chosen)
-        for name, times_s in fitted_decay_times_s(measurements, binned, trial, chosen).items():
-            drawn[name].append(times_s)
+        drawn.append(_mean_times_s(measurements, binned, trial, chosen))
     kept = []
     for i, miss in enumerate(misses):
         jnd = {}
         for name, (mean, sd) in miss.jnd.items():
-            times_s = np.array(drawn[name])[:, i]
+            times_s = np.array([one[name][i] for one in drawn])
             times_s = times_s[np.isfinite(times_s)]
             if times_s.size < _DECAY_DRAWS // 2:
                 continue
@@ -277,8 +237,8 @@ def certain_misses(
     return tuple(kept)
 
 
-def decays_by_scattering(
-    measurements: Measurements,
+def _decays_by_scattering(
+    measured: Measurements,
     traced: TracedPaths,
     absorption: FloatArray,
     settings: Settings,
@@ -286,80 +246,59 @@ def decays_by_scattering(
 ) -> dict[float, FloatArray]:
     """Return what the same absorption would miss with one scattering or another on all walls.
 
-    By few rays, of omnidirectional sources; empty where nothing is missed.
-
-    Returns
-    -------
-    dict from scattering coefficient to float array, shape (len(misses),)
-        Of the parameter that is missed most in each band, in just noticeable differences.
+    By few rays, of omnidirectional sources: of the parameter that is missed most in each band, in
+    just noticeable differences, (n_misses,); empty where nothing is missed.
     """
     if not misses:
         return {}
-    scene, bands, chosen = measurements.scene, measurements.bands, [m.band for m in misses]
+    scene, chosen = measured.scene, [m.band for m in misses]
     worst = [max(m.jnd, key=lambda name: abs(m.jnd[name][0])) for m in misses]
-    fitted = fitted_decay_times_s(measurements, traced.binned, absorption, chosen)
+    fitted = _mean_times_s(measured, traced.binned, absorption, chosen)
     shortened = TraceSettings(
         traced.settings.duration_s,
         n_rays=settings.n_scattering_rays,
         receiver_radius_m=traced.settings.receiver_radius_m,
         seed=settings.seed,
     )
-    retracer, found = Retracer(scene, bands, shortened), {}
+    retracer, found = Retracer(scene, measured.bands, shortened), {}
     for s in _TRIED_SCATTERING:
-        coefficients = np.full(len(scene.room.materials), s)
-        binned = retracer.at(Scattering(scene.room.materials, coefficients))
-        times_s = fitted_decay_times_s(measurements, binned, absorption, chosen)
-        found[s] = np.array(
-            [
-                (20.0 + m.jnd[n][0]) * times_s[n][i] / fitted[n][i] - 20.0
-                for i, (m, n) in enumerate(zip(misses, worst, strict=True))
-            ]
-        )
+        binned = retracer.at(uniform_scattering(scene.room.materials, s))
+        times_s = _mean_times_s(measured, binned, absorption, chosen)
+        each = enumerate(zip(misses, worst, strict=True))
+        ratios = [(20.0 + m.jnd[n][0]) * times_s[n][i] / fitted[n][i] for i, (m, n) in each]
+        found[s] = np.array(ratios) - 20.0
     return found
 
 
-def decay_finding(
-    measurements: Measurements,
-    priors: tuple[MaterialPrior, ...],
-    misses: Sequence[DecayMiss],
-    mean_absorption: FloatArray,
-    by_eyring: FloatArray,
-    by_scattering: dict[float, FloatArray],
+def _finding(
+    evidence: Evidence, misses: Sequence[DecayMiss], by_scattering: dict[float, FloatArray]
 ) -> Finding:
-    """Return that the decay that was fitted is not reproduced, and what explains it.
-
-    Parameters
-    ----------
-    mean_absorption : float array, shape (n_bands,)
-        Of the answer, over the area of the room.
-    by_eyring : float array, shape (n_bands,)
-        Mean absorption by Eyring's formula from the measured decay.
-    by_scattering : mapping from scattering coefficient to float array, shape (len(misses),)
-        As `decays_by_scattering` returns it.
-    """
-    bands = measurements.bands
-    worst = [max(m.jnd.values(), key=lambda v: abs(v[0]))[0] for m in misses]
+    """Return that the decay that was fitted is not reproduced, and what explains it."""
+    bands, areas_m2 = evidence.measured.bands, material_areas_m2(evidence.measured.scene.room)
+    means, by_eyring = areas_m2 @ evidence.absorption / areas_m2.sum(), evidence.eyring
     notes = []
     for miss in misses:
         each = (f"{n.split('_')[0]} {5.0 * v:+.0f} %" for n, (v, _) in miss.jnd.items())
         notes.append(
-            f"{', '.join(each)}; mean absorption {mean_absorption[miss.band]:.2f}, by Eyring from "
+            f"{', '.join(each)}; mean absorption {means[miss.band]:.2f}, by Eyring from "
             f"the measured decay {by_eyring[miss.band]:.2f}"
         )
     numbers = [m.band for m in misses]
-    causes = _causes(priors, worst, by_scattering)
+    bands_hz = bands.centres_hz[numbers].tolist()
+    worst = [max(m.jnd.values(), key=lambda v: abs(v[0]))[0] for m in misses]
+    causes = _causes(evidence.priors, worst, by_scattering)
     return Finding(
         Code.DECAY_NOT_REPRODUCED,
-        About(bands_hz=bands.centres_hz[numbers].tolist()),
+        About(bands_hz=bands_hz),
         "The decay of the fitted pairs is not reproduced (predicted against measured, mean "
         f"over pairs): {bands_in_words(bands, numbers, notes)}. {' '.join(causes)} No "
         "absorption is called identifiable there.",
         {
-            "bands_hz": bands.centres_hz[numbers].tolist(),
+            "bands_hz": bands_hz,
             "jnd": [{n: round(v, 2) for n, (v, _) in m.jnd.items()} for m in misses],
             "sd_jnd": [{n: round(sd, 2) for n, (_, sd) in m.jnd.items()} for m in misses],
             "pairs": [m.number for m in misses],
-            "mean_absorption": [round(float(mean_absorption[b]), 4) for b in numbers],
+            "mean_absorption": [round(float(means[b]), 4) for b in numbers],
             "mean_absorption_by_eyring": [round(float(by_eyring[b]), 4) for b in numbers],
             "jnd_by_scattering": {
                 f"{s:g}": np.round(jnd, 2).tolist() for s, jnd in by_scattering.items()
@@ -375,15 +314,13 @@ def _causes(
 ) -> list[str]:
     """Return sentences on what would make a decay that is missed by so many JND in each band."""
     specified = ", ".join(k.name for k in priors if k.known is not None or k.specified)
-    causes = []
+    of, causes = f"the absorption specified of {specified} is too", []
     if max(worst) > 0.0:
-        causes.append(
-            "Predicted too long: a material, furniture or an opening that absorbs is missing"
-            + (f", or the absorption specified of {specified} is too low." if specified else ".")
-        )
+        long = "Predicted too long: a material, furniture or an opening that absorbs is missing"
+        causes.append(f"{long}, or {of} low." if specified else f"{long}.")
     if min(worst) < 0.0:
         causes.append(
-            f"Predicted too short: the absorption specified of {specified} is too high."
+            f"Predicted too short: {of} high."
             if specified
             else "Predicted too short: early reflections ask for more absorption than the decay, "
             "as where a material is described in the wrong place, or a source is directional."

@@ -1,10 +1,10 @@
-"""What checks may look at, and what each states of itself: its null hypothesis and its level."""
+"""What checks may look at; what each tests, and at which level, stands in `laws.toml`."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from roomfit.base.findings import About, Finding
 from roomfit.base.typing import BoolArray, FloatArray
@@ -18,16 +18,6 @@ from roomfit.signals.measurement import Measurement
 
 # Of log-likelihood, unknowns counted: explanations that are no farther apart are both named.
 UNDECIDED = 2.0
-
-
-class Law(NamedTuple):
-    """The test behind a finding; how often it was wrong in right rooms: docs/findings.md."""
-
-    null: str  # what holds in a room of which it is not raised
-    statistic: str  # what is compared with what
-    # probability by theory that it is raised where the null hypothesis holds, once a campaign; None
-    # where the limit was chosen on rooms, or where nothing random is compared
-    level: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,14 +59,11 @@ class Evidence(Recorded):
         return self.measured.scene.room.materials
 
 
-def pair_of(m: Measurement) -> tuple[str, str]:
-    """Return the source and the receiver of a recording, as findings name them."""
-    return m.source, m.receiver
-
-
 def about_files(*measurements: Measurement) -> About:
     """Return what concerns recordings and their pairs."""
-    return About(files=[m.where for m in measurements], pairs=[pair_of(m) for m in measurements])
+    return About(
+        files=[m.where for m in measurements], pairs=[m.pair_name[:2] for m in measurements]
+    )
 
 
 def file_name(m: Measurement) -> str:

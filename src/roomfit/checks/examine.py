@@ -1,12 +1,14 @@
 """All checks, in the order in which their findings are reported, and what each may look at.
 
-A new check is a function of the evidence in the module of its idea, with its law, and a line here.
+A new check is a function of the evidence in the module of its idea, its law in `laws.toml`, and a
+line here.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import TypeAlias, TypeVar
+from dataclasses import fields
+from typing import TypeVar
 
 import numpy as np
 
@@ -50,23 +52,18 @@ from roomfit.signals.measurement import Measurement
 from roomfit.uncertainty.posterior import plain_logit_covariance
 
 Observed = TypeVar("Observed", Recorded, Evidence)
-RecordedCheck: TypeAlias = Callable[[Recorded], Iterable[Finding]]
-FittedCheck: TypeAlias = Callable[[Evidence], Iterable[Finding]]
 
-BEFORE_THE_FIT: tuple[RecordedCheck, ...] = (
+BEFORE_THE_FIT: tuple[Callable[[Recorded], Iterable[Finding]], ...] = (
     arrivals.check,
     levels.check_levels,
     levels.check_polarity,
-    recordings.check_tables,
     recordings.check_copies,
     recordings.check_single,
     recordings.check_repeats,
     walls.check,
 )
-
-AFTER_THE_FIT: tuple[FittedCheck, ...] = (
+AFTER_THE_FIT: tuple[Callable[[Evidence], Iterable[Finding]], ...] = (
     recordings.check_below_noise,
-    room.check_trace,
     room.check_reached,
     room.check_chosen_scattering,
     noise.check_window,
@@ -74,9 +71,7 @@ AFTER_THE_FIT: tuple[FittedCheck, ...] = (
     positions.check_specified,
     fit.check_data,
     recordings.check_outliers,
-    positions.check_inflated,
-    positions.check_delays,
-    positions.check_fixed,
+    positions.check_freed,
     room.check_sources,
     positions.check_shifts,
     positions.check_displacement,
@@ -85,8 +80,7 @@ AFTER_THE_FIT: tuple[FittedCheck, ...] = (
     fit.check_convergence,
     fit.check_misfit,
     fit.check_starts,
-    fit.check_prior,
-    fit.check_assumed,
+    fit.check_priors,
     room.check_schroeder,
     decay.check,
     reflections.check,
@@ -164,36 +158,27 @@ def fitted_evidence(
     coherent = np.array([b.model == "coherent" for b in answers], dtype=np.bool_)
     pairs, by_pressures = compare_all(measured, traced.binned, absorption, coherent)
     return Evidence(
-        measured,
-        recorded.arrivals,
-        settings,
-        priors,
-        traced,
-        fits,
-        pairs,
-        by_pressures,
-        absorption,
-        lower95,
-        upper95,
-        covariance,
-        eyring_start(measured),
+        **{f.name: getattr(recorded, f.name) for f in fields(recorded)},
+        settings=settings,
+        priors=priors,
+        traced=traced,
+        fits=fits,
+        pairs=pairs,
+        by_pressures=by_pressures,
+        absorption=absorption,
+        lower95=lower95,
+        upper95=upper95,
+        logit_covariance=covariance,
+        eyring=eyring_start(measured),
     )
 
 
 def eyring_start(measured: Measurements) -> FloatArray:
     """Return one absorption for all walls in every band, from the measured decays."""
     scene, bands = measured.scene, measured.bands
-    mesh = scene.room.mesh
-    attenuation = attenuation_per_m(scene.air, bands)
+    volume, area = volume_m3(scene.room.mesh), surface_area_m2(scene.room.mesh)
+    speed, attenuation = speed_of_sound_m_s(scene.air), attenuation_per_m(scene.air, bands)
     decay_s = median_decay_s(measured, bands.centres_hz)
-    starts = [
-        eyring_absorption(
-            6.0 * np.log(10.0) / t if np.isfinite(t) else 0.0,
-            volume_m3(mesh),
-            surface_area_m2(mesh),
-            speed_of_sound_m_s(scene.air),
-            float(m),
-        )
-        for t, m in zip(decay_s, attenuation, strict=True)
-    ]
-    return np.array(starts)
+    rates = np.where(np.isfinite(decay_s), 6.0 * np.log(10.0) / decay_s, 0.0)
+    each = zip(rates.tolist(), attenuation.tolist(), strict=True)
+    return np.array([eyring_absorption(rate, volume, area, speed, m) for rate, m in each])

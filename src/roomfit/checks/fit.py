@@ -9,7 +9,7 @@ import numpy as np
 from roomfit.base.bands import bands_in_words
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import BoolArray, FloatArray
-from roomfit.checks.evidence import UNDECIDED, Evidence, Law
+from roomfit.checks.evidence import UNDECIDED, Evidence
 from roomfit.fit.symmetry import deviation_m, fitted_scene, mirror_symmetries
 from roomfit.materials.catalogue import broad_prior_findings, product_findings
 from roomfit.materials.priors import are_specified, prior_logits
@@ -18,30 +18,6 @@ from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
 _FEWEST_BANDS, _LARGEST_MEDIAN_CHI2 = 2, 1.5
 # Of the prior's standard deviation: an answer that keeps more of it comes from the prior.
 _PRIOR_DOMINATED = 0.9
-
-_NULL = "residuals scatter as the noise model says"
-LAWS = {
-    Code.BAND_NOT_FITTED: Law(
-        "a decay rises above the noise", "windows above the noise against unknowns"
-    ),
-    Code.FIT_NOT_CONVERGED: Law("the fit converged", "rounds of updated weights"),
-    Code.MODEL_DOES_NOT_FIT: Law(_NULL, "reduced chi-square of a band, above 2"),
-    Code.MODEL_MISFIT_ALL_BANDS: Law(
-        _NULL, "median over bands of the reduced chi-square; of two bands the smaller, above 1.5"
-    ),
-    Code.MULTIPLE_MINIMA_MULTISTART: Law(
-        "all starts whose log-likelihood is within 2 end within the intervals",
-        "ends of fits from random starts",
-    ),
-    Code.PRIOR_DOMINATED: Law(
-        "the data determine a material better than its specified prior",
-        "standard deviation of logit absorption over that of its prior, above 0.9",
-    ),
-    Code.MIRROR_AMBIGUITY: Law(
-        "no symmetry of room and pairs exchanges walls of different absorption",
-        "whether the exchanged answer lies outside the 95 % interval, log-likelihood within 2",
-    ),
-}
 
 
 def check_data(evidence: Evidence) -> Iterator[Finding]:
@@ -64,14 +40,14 @@ def check_bands(evidence: Evidence) -> Iterator[Finding]:
     bad = [j for j, a in enumerate(answers) if a.chi2_reduced > LARGEST_CHI2_REDUCED]
     if bad:
         values = [f"{answers[j].chi2_reduced:.1f}" for j in bad]
-        about = About(bands_hz=bands.centres_hz[bad].tolist())
+        bands_hz = bands.centres_hz[bad].tolist()
         yield Finding(
             Code.MODEL_DOES_NOT_FIT,
-            about,
+            About(bands_hz=bands_hz),
             "The model does not explain the data within their noise; the reduced chi-square is "
             f"{bands_in_words(bands, bad, values)}. No material is called identifiable there, "
             "and intervals are widened by the misfit.",
-            {"bands_hz": list(about.bands_hz)},
+            {"bands_hz": bands_hz},
         )
 
 
@@ -82,14 +58,14 @@ def check_convergence(evidence: Evidence) -> Iterator[Finding]:
     if slow:
         # what the last round moved, in words
         moved = [", ".join(answers[j].moved) or answers[j].ending.value[0] for j in slow]
-        about = About(bands_hz=bands.centres_hz[slow].tolist())
+        bands_hz = bands.centres_hz[slow].tolist()
         yield Finding(
             Code.FIT_NOT_CONVERGED,
-            about,
+            About(bands_hz=bands_hz),
             "The fit did not converge within the rounds of updated weights that are allowed. "
             f"Last moved: {bands_in_words(bands, slow, moved)}. "
             "Allow more (max_rounds in [settings]), or fix what the data do not determine.",
-            {"bands_hz": list(about.bands_hz), "moved": [list(answers[j].moved) for j in slow]},
+            {"bands_hz": bands_hz, "moved": [list(answers[j].moved) for j in slow]},
         )
 
 
@@ -107,25 +83,20 @@ def check_misfit(evidence: Evidence) -> Iterator[Finding]:
     are left out.
     """
     chi2 = [a.chi2_reduced for a in evidence.fits.answers if a.model in ("coherent", "energy")]
-    n = len(chi2)
-    if n < _FEWEST_BANDS:
+    if len(chi2) < _FEWEST_BANDS:
         return
-    median = float(np.median(chi2) if n > 2 else min(chi2))
+    median = float(np.median(chi2) if len(chi2) > 2 else min(chi2))
     if not median > _LARGEST_MEDIAN_CHI2:
         return
-    most = (
-        f"In most bands the model does not explain the data within their noise (median of the "
-        f"reduced chi-square {median:.1f})"
-        if n > 2
-        else "In both bands the model does not explain the data within their noise (reduced "
-        f"chi-square {median:.1f} or more)"
-    )
+    where, value = "most bands", f"median of the reduced chi-square {median:.1f}"
+    if len(chi2) == 2:
+        where, value = "both bands", f"reduced chi-square {median:.1f} or more"
     yield Finding(
         Code.MODEL_MISFIT_ALL_BANDS,
         About(),
-        f"{most}: the description of the room is wrong in a "
-        "material, an opening, scattering, a source or a position. Intervals are too narrow, "
-        "and no material is called identifiable.",
+        f"In {where} the model does not explain the data within their noise ({value}): the "
+        "description of the room is wrong in a material, an opening, scattering, a source or a "
+        "position. Intervals are too narrow, and no material is called identifiable.",
         {"median_phi": median},
     )
 
@@ -149,50 +120,43 @@ def check_starts(evidence: Evidence) -> Iterator[Finding]:
         {
             "bands_hz": centres_hz,
             "other_answer": [
-                {n: round(float(a), 6) for n, a in zip(names, other, strict=True)}
-                for *_, other in minima
+                dict(zip(names, np.round(other, 6).tolist(), strict=True)) for *_, other in minima
             ],
             "log_likelihood_lower_by": [round(x, 3) for _, x, _ in minima],
         },
     )
 
 
-def check_prior(evidence: Evidence) -> Iterator[Finding]:
-    """Yield a finding for each material whose answer is nearly the prior that was specified.
+def check_priors(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding for each material whose answer is nearly its prior, and what was assumed.
 
     Under the default prior an answer that the data do not determine has a wide interval, which
-    needs no finding; a specified prior makes it narrow.
+    needs no finding; a specified prior makes it narrow. Assumed are the broad prior, and that
+    products are alike.
     """
     bands, priors, answers = evidence.measured.bands, evidence.priors, evidence.fits.answers
     specified, sds = are_specified(priors), prior_logits(priors)[1]
     fitted = np.array([a.model != "prior" for a in answers])
     for i, own in enumerate(priors):
-        if own.known is not None or own.tied_to is not None or not specified[i]:
-            continue
         left = np.array([np.sqrt(a.logit_covariance[i, i]) for a in answers]) / sds[i]
         bad = np.flatnonzero(fitted & (left > _PRIOR_DOMINATED))
-        if not bad.size:
-            continue
-        shares = [f"{100 * min(left[j], 1.0):.0f} %" for j in bad]
-        about = About(materials=[own.name], bands_hz=bands.centres_hz[bad].tolist())
-        yield Finding(
-            Code.PRIOR_DOMINATED,
-            about,
-            f"The absorption of {own.name} is nearly its prior, of whose standard deviation so "
-            f"much is left: {bands_in_words(bands, bad, shares)}. The data add next to "
-            "nothing; measure pairs whose sound strikes it more often.",
-            {
-                "material": own.name,
-                "bands_hz": list(about.bands_hz),
-                "spread_left": [round(float(left[j]), 3) for j in bad],
-            },
-        )
-
-
-def check_assumed(evidence: Evidence) -> Iterator[Finding]:
-    """Yield what was assumed of materials: the broad prior, and that products are alike."""
-    yield from broad_prior_findings(evidence.priors)
-    yield from product_findings(evidence.priors)
+        if own.known is None and own.tied_to is None and specified[i] and bad.size:
+            shares = [f"{100 * min(left[j], 1.0):.0f} %" for j in bad]
+            bands_hz = bands.centres_hz[bad].tolist()
+            yield Finding(
+                Code.PRIOR_DOMINATED,
+                About(materials=[own.name], bands_hz=bands_hz),
+                f"The absorption of {own.name} is nearly its prior, of whose standard deviation so "
+                f"much is left: {bands_in_words(bands, bad, shares)}. The data add next to "
+                "nothing; measure pairs whose sound strikes it more often.",
+                {
+                    "material": own.name,
+                    "bands_hz": bands_hz,
+                    "spread_left": [round(float(left[j]), 3) for j in bad],
+                },
+            )
+    yield from broad_prior_findings(priors)
+    yield from product_findings(priors)
 
 
 def check_mirrors(evidence: Evidence) -> Iterator[Finding]:
@@ -229,18 +193,14 @@ def _ambiguous(
     """
     names, absorption, bands = evidence.materials, evidence.absorption, evidence.measured.bands
     moved, columns = np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))
-    about = About(
-        materials=[names[i] for i in moved],
-        bands_hz=bands.centres_hz[columns].tolist(),
-        # one by one where that is not all
-        entries=()
-        if differs[np.ix_(moved, columns)].all()
-        else [(names[i], float(bands.centres_hz[j])) for i, j in np.argwhere(differs)],
-    )
-    listed = "; ".join(
-        f"{names[i]} {_row(other[i, columns])} instead of {_row(absorption[i, columns])}"
-        for i in moved
-    )
+    whole = differs[np.ix_(moved, columns)].all()  # else they are named one by one
+    entries = [(names[i], float(bands.centres_hz[j])) for i, j in np.argwhere(differs)]
+    concerned, bands_hz = [names[i] for i in moved], bands.centres_hz[columns].tolist()
+
+    def row(values: FloatArray) -> str:
+        return ", ".join(f"{v:.2f}" for v in values[columns])
+
+    listed = "; ".join(f"{names[i]} {row(other[i])} instead of {row(absorption[i])}" for i in moved)
     confirmed = ""
     if gains:
         least, most = min(gains), max(gains)
@@ -251,20 +211,16 @@ def _ambiguous(
         )
     return Finding(
         Code.MIRROR_AMBIGUITY,
-        about,
+        About(concerned, bands_hz, entries=() if whole else entries),
         f"The room is symmetric, and every fitted pair stands within {100 * apart_m:.0f} cm of "
         "that symmetry: a second answer explains the data as well. At "
         f"{bands_in_words(bands, columns)}: {listed}.{confirmed} Measure a pair off the symmetry, "
         "or specify a prior of one of these materials.",
         {
-            "materials": list(about.materials),
-            "bands_hz": list(about.bands_hz),
+            "materials": concerned,
+            "bands_hz": bands_hz,
             "other_answer": {n: x.round(6).tolist() for n, x in zip(names, other, strict=True)},
             "apart_m": apart_m,
             "log_likelihood_change": [round(g, 3) for g in gains],
         },
     )
-
-
-def _row(values: FloatArray) -> str:
-    return ", ".join(f"{v:.2f}" for v in values)

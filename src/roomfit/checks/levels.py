@@ -8,7 +8,7 @@ import numpy as np
 
 from roomfit.base.findings import Code, Finding
 from roomfit.base.typing import FloatArray
-from roomfit.checks.evidence import Law, Recorded, about_files, files_in_words
+from roomfit.checks.evidence import Recorded, about_files, files_in_words
 from roomfit.signals.measurement import MeasuredPair, Measurement
 from roomfit.signals.response import find_onset, times_s
 
@@ -19,18 +19,6 @@ _LATE_S = 0.05
 _FEWEST_SIGNS = 3
 _DIRECT_S, _BEFORE_S = 1.5e-3, 0.3e-3
 _LIKENESS = 0.6  # of two direct sounds, whose sign it decides
-
-LAWS = {
-    Code.LEVELS_APART: Law(
-        "recordings of one source and state share their gain",
-        "the largest step between reverberant levels, which direct sounds make as well; or peaks "
-        "that are equal to 16 bits",
-    ),
-    Code.POLARITY_DIFFERS: Law(
-        "recordings of one source have one polarity",
-        "the sign of the largest correlation of direct sounds, where that exceeds 0.6",
-    ),
-}
 
 
 def check_levels(evidence: Recorded) -> Iterator[Finding]:
@@ -55,8 +43,14 @@ def check_levels(evidence: Recorded) -> Iterator[Finding]:
 
 def _levelled(group: Sequence[MeasuredPair]) -> Finding | None:
     """Return that all have one peak, to 16 bits, although direct sounds travel 1 dB apart."""
-    peaks, direct_s = np.array([_peak(m) for m in group]), [m.direct_s for m in group]
-    alike = bool(np.ptp(peaks) <= 1e-4 * peaks.max())  # False with NaN
+    sizes, direct_s = (
+        [np.abs(m.measurement.response.pressure) for m in group],
+        [m.direct_s for m in group],
+    )
+    peaks = np.array([x.max() for x in sizes])
+    # several samples have it where peaks are cut off
+    single = all(np.count_nonzero(x > 0.9999 * x.max()) == 1 for x in sizes)
+    alike = single and bool(np.ptp(peaks) <= 1e-4 * peaks.max())
     if len(group) < 3 or not alike or max(direct_s) <= 1.12 * min(direct_s):
         return None
     files, peak = [m.measurement for m in group], float(peaks[0])
@@ -69,13 +63,6 @@ def _levelled(group: Sequence[MeasuredPair]) -> Finding | None:
     return Finding(Code.LEVELS_APART, about_files(*files), text, numbers)
 
 
-def _peak(m: MeasuredPair) -> float:
-    """Return the largest size of a sample; NaN where several have it, as where it is cut off."""
-    sizes = np.abs(m.measurement.response.pressure)
-    peak = float(sizes.max())
-    return peak if np.count_nonzero(sizes > 0.9999 * peak) == 1 else np.nan
-
-
 def _stepped(group: Sequence[MeasuredPair]) -> Finding | None:
     """Return that levels of direct sound and decay fall into two groups, by another gain."""
     late_db, direct_db = _late_levels_db(group), _direct_levels_db(group)
@@ -85,17 +72,18 @@ def _stepped(group: Sequence[MeasuredPair]) -> Finding | None:
     steps = np.diff(late_db[order])
     at = int(np.argmax(steps)) + 1
     low, high = order[:at], order[at:]
-    step_db = float(np.median(late_db[high]) - np.median(late_db[low]))
-    apart_db = float(np.median(direct_db[high]) - np.median(direct_db[low]))
+    step_db, apart_db = (
+        float(np.median(x[high]) - np.median(x[low])) for x in (late_db, direct_db)
+    )
     alike = max(np.std(late_db[low]), np.std(late_db[high])) <= _WITHIN_DB
     least_db = _LEAST_STEP_DB if len(group) > 2 else _LEAST_STEP_OF_TWO_DB
     if steps[at - 1] < least_db or not alike or abs(step_db - apart_db) > _DIRECT_WITHIN_DB:
         return None
-    odd, louder = (high, True) if len(high) <= len(low) else (low, False)
+    odd, way = (high, "louder") if len(high) <= len(low) else (low, "softer")
     files = [group[i].measurement for i in odd]
     text = (
         f"{', '.join(m.name for m in files[:4])}{' and more' if files[4:] else ''}: "
-        f"{step_db:.1f} dB {'louder' if louder else 'softer'} than the other "
+        f"{step_db:.1f} dB {way} than the other "
         f"{len(group) - len(files)} files of {files[0].source}, direct sound and decay alike, "
         'as by another gain: set level = "per-file", or correct the levels.'
     )
@@ -110,7 +98,7 @@ def _late_levels_db(group: Sequence[MeasuredPair]) -> FloatArray:
         at_s = m.curve.onset_s + _LATE_S
         left = np.array([np.interp(at_s, m.curve.time_s, row) for row in m.curve.energy_left])
         has_level = (left > 0.0) & (m.curve.usable_end_s > at_s)
-        rows.append(np.where(has_level, 10.0 * np.log10(np.where(has_level, left, 1.0)), np.nan))
+        rows.append(10.0 * np.log10(np.where(has_level, left, np.nan)))
     levels = np.array(rows)
     known = np.all(np.isfinite(levels), axis=0)
     if not known.any():
@@ -141,10 +129,9 @@ def check_polarity(evidence: Recorded) -> Iterator[Finding]:
         sounds = [_direct_sound(m) for m in group]
         strongest = int(np.argmax([float(np.max(np.abs(s), initial=0.0)) for s in sounds]))
         signs = np.array([_sign(s, sounds[strongest]) for s in sounds])
-        if np.count_nonzero(signs) >= _FEWEST_SIGNS:
-            odd = 1 if np.sum(signs) < 0 else -1
-            minority = [m.measurement for m, s in zip(group, signs, strict=True) if s == odd]
-            inverted += minority if 2 * len(minority) < np.count_nonzero(signs) else []
+        n, odd = np.count_nonzero(signs), 1 if np.sum(signs) < 0 else -1
+        minority = [group[i].measurement for i in np.flatnonzero(signs == odd)]
+        inverted += minority if n >= _FEWEST_SIGNS and 2 * len(minority) < n else []
     if inverted:
         who = files_in_words(inverted, len(measured))
         yield Finding(

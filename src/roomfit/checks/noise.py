@@ -6,22 +6,20 @@ It falls where a window was left in the files, and stops where it was gated.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import fft
 from scipy.special import chdtri, digamma, polygamma, stdtrit
 
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import FloatArray
-from roomfit.checks.evidence import Evidence, Law, about_files, file_name
+from roomfit.checks.evidence import Evidence, about_files, file_name
 from roomfit.signals.measurement import MeasuredPair
 
 _LEVEL = 1e-4  # of a campaign whose noise is stationary
 # Noise is sought above 500 Hz in so many blocks of a last part of the files, the first of three
 # whose levels lie on a line, and in blocks of 1 ms until 3 ms before the direct sound.
-_TAIL_SHARES, _TAIL_BLOCKS, _TAIL_HZ, _RINGING_S = (0.4, 0.25, 0.15), 8, 500.0, 0.05
+_TAIL_SHARES, _TAIL_BLOCKS, _TAIL_HZ = (0.4, 0.25, 0.15), 8, 500.0
 # A response that is limited to half of the sampling rate rings there before the direct sound; up to
 # a quarter of that rate noise is noise.
 _MOST_OF_RATE, _LEAST_RATE_HZ = 0.25, 4000.0
@@ -44,19 +42,6 @@ _LATE_RATES, _OVER_NOISE = np.linspace(0.4, 1.0, 7), np.geomspace(0.01, 100.0, 4
 # Runs of equal samples of a gate last so long at least; between them sound is louder than so
 # many of the smallest steps.
 _GAP_S, _GAP_STEPS, _FEWEST_GAPS = 2e-3, 8.0, 3
-
-LAWS = {
-    Code.NOISE_GATED: Law(
-        "noise never stops before the file ends",
-        "number of runs of equal samples after the peak that are followed by signal, from 3",
-    ),
-    Code.DECAY_BENT: Law(
-        "what precedes the direct sound and ends the files is noise, and stationary",
-        "common slope of the logarithms of block energies, whose scatter is that of noise, over "
-        "its standard deviation: Student's t, one-sided; none where they do not lie on a line",
-        _LEVEL,
-    ),
-}
 
 
 def check_gate(evidence: Evidence) -> Iterator[Finding]:
@@ -113,12 +98,16 @@ class _Line(NamedTuple):
 
     rate_per_s: float
     sd: float
-    dispersion: float  # about 1 for noise
+    chi2: float
     n_free: int
     excess: float  # logarithm, of early sound over the line
-    is_straight: bool
     # gain in log-likelihood over noise that is steady after the sound and has another level before
     over_steady: float
+
+    def is_straight(self, dispersion: float = 0.0) -> bool:
+        """Whether levels scatter as those of noise do, or by so many times as much at most."""
+        limit = max(float(chdtri(self.n_free, _STRAIGHT_CHANCE)), dispersion * self.n_free)
+        return self.chi2 <= limit
 
 
 def check_window(evidence: Evidence) -> Iterator[Finding]:
@@ -137,13 +126,13 @@ def check_window(evidence: Evidence) -> Iterator[Finding]:
         return
     ring_per_s = float(np.median(rings))
     line = _noise_line(measured, ring_per_s)
-    if line is None or not line.is_straight or line.excess < np.log(_LEAST_EXCESS):
+    if line is None or not line.is_straight(_LARGEST_DISPERSION):
         return
+    rate = line.rate_per_s
     least = max(float(stdtrit(line.n_free, 1.0 - _LEVEL)) * line.sd, _LEAST_RATE * ring_per_s)
-    if line.rate_per_s <= least or line.over_steady < _UNDECIDED:
+    if line.excess < np.log(_LEAST_EXCESS) or rate <= least or line.over_steady < _UNDECIDED:
         return
     files = [m for m in measured if _levels(m, _TAIL_SHARES[-1]) is not None]
-    rate = line.rate_per_s
     yield Finding(
         Code.DECAY_BENT,
         About(files=[m.measurement.where for m in files]),
@@ -155,7 +144,7 @@ def check_window(evidence: Evidence) -> Iterator[Finding]:
         {
             "rate_per_s": round(rate, 3),
             "rate_sd_per_s": round(line.sd, 3),
-            "dispersion": round(line.dispersion, 2),
+            "dispersion": round(line.chi2 / line.n_free, 2),
             "files": len(files),
         },
     )
@@ -167,20 +156,19 @@ def _noise_line(measured: Sequence[MeasuredPair], ring_per_s: float) -> _Line | 
     The least crooked where none is. None where too little comes before the direct sound, or files
     are too short. Energy as measured decays by `ring_per_s`, by the room and by the window.
     """
-    best = None
+    lines = []
     for share in _TAIL_SHARES:
         levels = [x for m in measured if (x := _levels(m, share)) is not None]
         if not levels:
             continue
-        line = _fitted(levels, ring_per_s, ring_per_s)
+        rate_per_s = _least_squares(levels, ring_per_s)[0]
         # over the line of the noise, reverberation falls by what it falls faster
-        slower_per_s = float(np.clip(line.rate_per_s, 0.0, _MOST_BY_WINDOW * ring_per_s))
+        slower_per_s = float(np.clip(rate_per_s, 0.0, _MOST_BY_WINDOW * ring_per_s))
         line = _fitted(levels, ring_per_s - slower_per_s, ring_per_s)
-        if best is None or line.dispersion < best.dispersion:
-            best = line
-        if line.dispersion * line.n_free <= float(chdtri(line.n_free, _STRAIGHT_CHANCE)):
+        if line.is_straight():
             return line
-    return best
+        lines.append(line)
+    return min(lines, key=lambda line: line.chi2 / line.n_free, default=None)
 
 
 def _fitted(files: Sequence[_Levels], ring_per_s: float, steady_per_s: float) -> _Line:
@@ -194,16 +182,9 @@ def _fitted(files: Sequence[_Levels], ring_per_s: float, steady_per_s: float) ->
         f.early - np.average(f.level + rate * (f.time_s - f.early_s), weights=1.0 / f.variance)
         for f in files
     ]
-    limit = max(float(chdtri(n_free, _STRAIGHT_CHANCE)), _LARGEST_DISPERSION * n_free)
-    return _Line(
-        rate,
-        sd * float(np.sqrt(dispersion)),
-        chi2 / n_free,
-        n_free,
-        float(np.median(excess)),
-        chi2 <= limit,
-        0.5 * (_steady_chi2(files, steady_per_s) - chi2) / dispersion,
-    )
+    over_steady = 0.5 * (_steady_chi2(files, steady_per_s) - chi2) / dispersion
+    sd *= float(np.sqrt(dispersion))
+    return _Line(rate, sd, chi2, n_free, float(np.median(excess)), over_steady)
 
 
 def _steady_chi2(files: Sequence[_Levels], ring_per_s: float) -> float:
@@ -212,16 +193,15 @@ def _steady_chi2(files: Sequence[_Levels], ring_per_s: float) -> float:
     Reverberation stands above the noise as much in all files, at the best of a grid, and falls as
     the room does or slower, as the last of a decay does.
     """
-    after = np.concatenate([f.time_s[-_TAIL_BLOCKS:] - f.time_s[-_TAIL_BLOCKS] for f in files])
-    level, variance = (
-        np.concatenate([getattr(f, name)[-_TAIL_BLOCKS:] for f in files])
-        for name in ("level", "variance")
+    time_s, level, variance = (
+        np.array([getattr(f, name)[-_TAIL_BLOCKS:] for f in files])
+        for name in ("time_s", "level", "variance")
     )
-    rate_per_s, over = (x.ravel() for x in np.meshgrid(ring_per_s * _LATE_RATES, _OVER_NOISE))
-    rest = level - np.log1p(over[:, None] * np.exp(-rate_per_s[:, None] * after))
-    rest, weight = rest.reshape(len(over), len(files), -1), 1.0 / variance.reshape(len(files), -1)
-    mean = np.sum(weight * rest, axis=2, keepdims=True) / weight.sum(axis=1)[:, None]
-    best = float(np.min(np.sum(weight * (rest - mean) ** 2, axis=(1, 2))))
+    rate_per_s, over = np.meshgrid(ring_per_s * _LATE_RATES, _OVER_NOISE)
+    fallen = np.exp(-rate_per_s[..., None, None] * (time_s - time_s[:, :1]))
+    rest, weight = level - np.log1p(over[..., None, None] * fallen), 1.0 / variance
+    mean = np.sum(weight * rest, axis=-1, keepdims=True) / weight.sum(axis=1)[:, None]
+    best = float(np.min(np.sum(weight * (rest - mean) ** 2, axis=(-2, -1))))
     for f in files:
         before, weights = f.level[:-_TAIL_BLOCKS], 1.0 / f.variance[:-_TAIL_BLOCKS]
         best += float(np.sum(weights * (before - np.average(before, weights=weights)) ** 2))
@@ -252,24 +232,6 @@ def _least_squares(files: Sequence[_Levels], ring_per_s: float) -> tuple[float, 
     return float(rate), float(np.sqrt(covariance[0, 0])), chi2, n_free
 
 
-def band_passed(x: FloatArray, from_hz: float, to_hz: float, rate_hz: float) -> FloatArray:
-    """Return a signal through causal digital Butterworth filters, which ring after it.
-
-    One of order 4 from one frequency on, and one of order 8 up to the other.
-    """
-    n = fft.next_fast_len(x.size + round(_RINGING_S * rate_hz), real=True)
-    s = 1j * np.tan(np.pi * fft.rfftfreq(n))
-    high, low = (s / np.tan(np.pi * hz / rate_hz) for hz in (from_hz, to_hz))
-    gain = high**4 / np.prod(1.0 - _poles(4) * high, axis=0) / np.prod(low - _poles(8), axis=0)
-    return np.asarray(fft.irfft(fft.rfft(x, n) * gain, n)[: x.size])
-
-
-def _poles(order: int) -> NDArray[Any]:
-    """Return the poles of Butterworth's low pass of an even order at 1 rad/s, (order, 1)."""
-    angle = 0.5 * np.pi * (np.arange(1, 2 * order, 2) / order + 1.0)
-    return np.asarray(np.exp(1j * angle))[:, None]
-
-
 def _levels(m: MeasuredPair, share: float) -> _Levels | None:
     """Return what noise may be in one file; None where there is too little of it.
 
@@ -277,6 +239,8 @@ def _levels(m: MeasuredPair, share: float) -> _Levels | None:
     The energy of Gaussian noise in a block is chi-square with twice as many degrees of freedom as
     the product of time and statistical bandwidth; the mean of its logarithm is taken off.
     """
+    from scipy.signal import butter, sosfilt  # half a second to load
+
     x, rate_hz = m.response.pressure, m.response.sampling_rate_hz
     sounding = np.flatnonzero(x)
     begin, end = int(sounding[0]) + round(_EDGE_S * rate_hz), int(sounding[-1]) + 1
@@ -286,7 +250,8 @@ def _levels(m: MeasuredPair, share: float) -> _Levels | None:
     size = int(share * (end - direct)) // _TAIL_BLOCKS
     if n_before < _FEWEST_BEFORE or size < _BLOCK_S * rate_hz or rate_hz < _LEAST_RATE_HZ:
         return None
-    pressure = band_passed(x, _TAIL_HZ, _MOST_OF_RATE * rate_hz, rate_hz)
+    pressure = sosfilt(butter(4, _TAIL_HZ, "high", fs=rate_hz, output="sos"), x)
+    pressure = sosfilt(butter(8, _MOST_OF_RATE * rate_hz, fs=rate_hz, output="sos"), pressure)
     before = np.linspace(begin, stop, n_before + 1).astype(np.int64)
     tail = np.arange(end - _TAIL_BLOCKS * size, end + 1, size)
     first, last = np.append(before[:-1], tail[:-1]), np.append(before[1:], tail[1:])
@@ -299,14 +264,13 @@ def _levels(m: MeasuredPair, share: float) -> _Levels | None:
         return None
     power = np.abs(np.fft.rfft(pressure[tail[0] :])) ** 2
     power = np.convolve(power, np.ones(_SMOOTHED_BINS) / _SMOOTHED_BINS, "same")
-    n_free = (last - first) * np.sum(power) ** 2 / (power.size * np.sum(power**2))
-    if np.min(n_free) < _FEWEST_FREE:
+    half_free = 0.5 * (last - first) * np.sum(power) ** 2 / (power.size * np.sum(power**2))
+    if 2.0 * np.min(half_free) < _FEWEST_FREE:
         return None
-    mean = digamma(0.5 * n_free) - np.log(0.5 * n_free)
     return _Levels(
-        np.asarray(0.5 * (first + last) / rate_hz, dtype=np.float64),
-        np.asarray(np.log(energy) - mean, dtype=np.float64),
-        np.asarray(polygamma(1, 0.5 * n_free)),
+        np.asarray(0.5 * (first + last) / rate_hz),
+        np.asarray(np.log(energy) - (digamma(half_free) - np.log(half_free))),
+        np.asarray(polygamma(1, half_free)),
         0.5 * sum(early) / rate_hz,
         float(np.log(loud)),
     )

@@ -11,7 +11,7 @@ from collections.abc import Collection, Iterator
 import numpy as np
 
 from roomfit.base.findings import About, Code, Finding
-from roomfit.checks.evidence import Evidence, Law
+from roomfit.checks.evidence import Evidence
 from roomfit.fit.displacement import AXES, WORTH_TELLING_M
 from roomfit.fit.fits import Displacement
 from roomfit.model.observation import DEFAULT_POSITION_SD_M
@@ -29,30 +29,6 @@ _POSITION_GAIN_PER_WINDOW = 0.1
 
 _KINDS = ("source", "receiver")
 
-LAWS = {
-    Code.POSITION_UNCERTAINTY_ASSUMED: Law("every position has a standard deviation", "none"),
-    Code.POSITION_UNCERTAINTY_INFLATED: Law(
-        "positions are off by their specified standard deviations",
-        "mean square of all coordinates' shifts in standard deviations, chi-square",
-        0.001,
-    ),
-    Code.REFLECTION_DELAY_DETECTED: Law(
-        "walls reflect without delay", "log-likelihood gained by a delay of each wall"
-    ),
-    Code.POSITION_INCONSISTENT: Law(
-        "positions are as specified", "log-likelihood gained by positions that move"
-    ),
-    Code.GEOMETRY_SHIFT_IMPLAUSIBLE: Law(
-        "shifts have their normal priors",
-        "the largest shift in prior standard deviations, above 3.5",
-        1.0 / 70.0,  # of some thirty unknowns
-    ),
-    Code.DISPLACEMENT_DETECTED: Law(
-        "groups of positions, and lengths, are within 3.5 standard deviations of the specified",
-        "log-likelihood of early windows gained by one displacement beyond these, above 10",
-    ),
-}
-
 
 def check_specified(evidence: Evidence) -> Iterator[Finding]:
     """Yield a finding that names the positions whose standard deviation was assumed."""
@@ -68,9 +44,14 @@ def check_specified(evidence: Evidence) -> Iterator[Finding]:
         )
 
 
-def check_inflated(evidence: Evidence) -> Iterator[Finding]:
-    """Yield a finding where the standard deviations of positions were inflated by a scale."""
-    scale = evidence.fits.tests.position_sd_scale
+def check_freed(evidence: Evidence) -> Iterator[Finding]:
+    """Yield a finding where data contradict the positions, or that what was fixed is as it is.
+
+    Where standard deviations of positions were inflated by a scale; where walls delay reflections
+    and the settings exclude it; where positions were fixed that arrival times contradict.
+    """
+    tests = evidence.fits.tests
+    scale, delays, positions = tests.position_sd_scale, tests.freed_delays, tests.freed_positions
     if scale > 1.0:
         yield Finding(
             Code.POSITION_UNCERTAINTY_INFLATED,
@@ -81,28 +62,18 @@ def check_inflated(evidence: Evidence) -> Iterator[Finding]:
             "dimensions may be wrong, too.",
             {"stretch": scale},
         )
-
-
-def check_delays(evidence: Evidence) -> Iterator[Finding]:
-    """Yield a finding where reflections are delayed by walls and the settings exclude it."""
-    freed = evidence.fits.tests.freed_delays
-    if freed is not None and freed.gain > _DELAY_GAIN:
+    if delays is not None and delays.gain > _DELAY_GAIN:
         yield Finding(
             Code.REFLECTION_DELAY_DETECTED,
             About(),
             "Delays of reflections, which were excluded (wall_delays = false), raise the "
-            f"log-likelihood by {freed.gain:.0f}: without them intervals are too narrow, and no "
+            f"log-likelihood by {delays.gain:.0f}: without them intervals are too narrow, and no "
             "material is called identifiable. Use wall_delays = true.",
-            {"log_likelihood_gain": freed.gain},
+            {"log_likelihood_gain": delays.gain},
         )
-
-
-def check_fixed(evidence: Evidence) -> Iterator[Finding]:
-    """Yield a finding where positions were fixed that arrival times contradict."""
-    freed = evidence.fits.tests.freed_positions
-    if freed is None:
+    if positions is None:
         return
-    gain, n_unknowns, n_windows = freed
+    gain, n_unknowns, n_windows = positions
     if gain > max(n_unknowns + _DELAY_GAIN, _POSITION_GAIN_PER_WINDOW * n_windows):
         yield Finding(
             Code.POSITION_INCONSISTENT,
@@ -125,30 +96,21 @@ def check_shifts(evidence: Evidence) -> Iterator[Finding]:
     far = np.flatnonzero(np.abs(geometry.change[:n]) / prior_sd > _LARGEST_SHIFT_SD)
     if far.size:
         names = [geometry.labels[i] for i in far]
+        change, told_sd = geometry.change[far].tolist(), geometry.prior_sd[far].tolist()
         yield Finding(
             Code.GEOMETRY_SHIFT_IMPLAUSIBLE,
             _about_points(evidence.measured.scene, {n.rpartition(" ")[0] for n in names}),
             f"To explain the arrival times, the fit moved {', '.join(names)} by more than "
             f"{_LARGEST_SHIFT_SD:g} prior standard deviations: it may be specified wrongly, or "
             "compensate for an error of the model. Check it.",
-            {
-                "labels": names,
-                "change": geometry.change[far].tolist(),
-                "told_sd": geometry.prior_sd[far].tolist(),
-            },
+            {"labels": names, "change": change, "told_sd": told_sd},
         )
 
 
 def _about_points(scene: Scene, labels: Collection[str]) -> About:
     """Return what concerns points that are named as "source LS1" or "receiver MP1"."""
-    return About(
-        points_m=[
-            p.position_m.tolist()
-            for kind, points in zip(_KINDS, (scene.sources, scene.receivers), strict=True)
-            for p in points
-            if f"{kind} {p.name}" in labels
-        ]
-    )
+    both = [("source", p) for p in scene.sources] + [("receiver", p) for p in scene.receivers]
+    return About(points_m=[p.position_m.tolist() for k, p in both if f"{k} {p.name}" in labels])
 
 
 def check_displacement(evidence: Evidence) -> Iterator[Finding]:
@@ -156,13 +118,7 @@ def check_displacement(evidence: Evidence) -> Iterator[Finding]:
     found = evidence.fits.displacement
     if found is None:
         return
-    gain, farther_m, ends = round(found.gain, 1), found.farther_m, ""
-    if farther_m:
-        ends = "; counted from all positions " + " and ".join(
-            f"{w} is {_metres(x, s, '+')} farther" for w, (x, s) in farther_m.items()
-        )
-    scene = evidence.measured.scene
-    points = [p for p in (*scene.sources, *scene.receivers) if p.name in found.points]
+    gain, ends, scene = round(found.gain, 1), "", evidence.measured.scene
     numbers = {
         "what": found.kind,
         "axis": AXES[found.axis],
@@ -171,8 +127,13 @@ def check_displacement(evidence: Evidence) -> Iterator[Finding]:
         "specified_sd_m": found.specified_sd_m,
         "log_likelihood_gain": gain,
     }
-    if farther_m is not None:
-        numbers["metres_farther"] = {w: list(pair) for w, pair in farther_m.items()}
+    if found.farther_m is not None:
+        numbers["metres_farther"] = {w: list(pair) for w, pair in found.farther_m.items()}
+    if found.farther_m:
+        ends = "; counted from all positions " + " and ".join(
+            f"{w} is {_metres(x, s, '+')} farther" for w, (x, s) in found.farther_m.items()
+        )
+    points = [p for p in (*scene.sources, *scene.receivers) if p.name in found.points]
     yield Finding(
         Code.DISPLACEMENT_DETECTED,
         About(points_m=[p.position_m.tolist() for p in points]),

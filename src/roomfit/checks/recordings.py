@@ -9,8 +9,7 @@ import numpy as np
 
 from roomfit.base.air import speed_of_sound_m_s
 from roomfit.base.findings import About, Code, Finding
-from roomfit.base.typing import FloatArray
-from roomfit.checks.evidence import Evidence, Law, Recorded, about_files, file_name, pair_of
+from roomfit.checks.evidence import Evidence, Recorded, about_files, file_name
 from roomfit.fit.measurements import recording_findings
 from roomfit.model.observation import has_data_in_band
 from roomfit.signals.decay import ParameterName, in_jnd
@@ -20,30 +19,28 @@ from roomfit.signals.measurement import MeasuredPair
 _LARGEST_JND, _LARGEST_LEVEL_DB = 2.0, 1.5
 _COMPARED: tuple[ParameterName, ...] = ("T20_s", "EDT_s", "C80_dB")
 
-_EQUAL = Law(
-    "no two recordings are equal, sample by sample",
-    "equality of samples, up to a factor and a delay",
-)
-LAWS = {
-    Code.RECORDING_COUNTED_ONCE: _EQUAL,
-    Code.RECORDING_OF_TWO_PAIRS: _EQUAL,
-    Code.REPEATED_RESPONSES_DIFFER: Law(
-        "two responses of one pair have the same decays and levels",
-        "difference of T20, EDT or C80 in just noticeable differences, of levels in dB",
-    ),
-    Code.RECORDING_BELOW_NOISE: Law(
-        "a decay rises above the noise", "the fitted model of decay and noise of a band"
-    ),
-    Code.MEASUREMENT_OUTLIER: Law(
-        "all recordings are explained alike",
-        "misfit of a recording over the median of all, in the median band, above 4",
-    ),
-}
 
-
-def check_tables(evidence: Recorded) -> Iterator[Finding]:
-    """Yield what reading and joining tables of room parameters raised."""
+def check_copies(evidence: Recorded) -> Iterator[Finding]:
+    """Yield what reading raised, and each copy: left out where it stands where the first does."""
     yield from evidence.measured.findings
+    for copy in evidence.measured.copies:
+        one, other = copy.one, copy.other
+        files = [one.where, other.where]
+        pairs = tuple(dict.fromkeys((one.pair_name[:2], other.pair_name[:2])))
+        text = f"{file_name(one)} and {file_name(other)} are one recording, sample by sample"
+        once = copy.is_left_out
+        text += (
+            ": it was counted once."
+            if once
+            else f", of places that are {copy.apart_m:.2f} m apart or of two states of the room: "
+            "one of them is wrong. No material is called identifiable."
+        )
+        yield Finding(
+            Code.RECORDING_COUNTED_ONCE if once else Code.RECORDING_OF_TWO_PAIRS,
+            About(files=files, pairs=pairs),
+            text,
+            {"files": files, "metres_apart": round(copy.apart_m, 4)},
+        )
 
 
 def check_single(evidence: Recorded) -> Iterator[Finding]:
@@ -57,25 +54,6 @@ def check_single(evidence: Recorded) -> Iterator[Finding]:
             yield finding
 
 
-def check_copies(evidence: Recorded) -> Iterator[Finding]:
-    """Yield a finding for each copy: left out where it stands where the first one does."""
-    for copy in evidence.measured.copies:
-        one, other = copy.one, copy.other
-        files = [one.where, other.where]
-        about = About(files=files, pairs=tuple(dict.fromkeys((pair_of(one), pair_of(other)))))
-        said = f"{file_name(one)} and {file_name(other)} are one recording, sample by sample"
-        numbers = {"files": files, "metres_apart": round(copy.apart_m, 4)}
-        if copy.is_left_out:
-            text = f"{said}: it was counted once."
-            yield Finding(Code.RECORDING_COUNTED_ONCE, about, text, numbers)
-        else:
-            text = (
-                f"{said}, of places that are {copy.apart_m:.2f} m apart or of two states of the "
-                "room: one of them is wrong. No material is called identifiable."
-            )
-            yield Finding(Code.RECORDING_OF_TWO_PAIRS, about, text, numbers)
-
-
 def check_repeats(evidence: Recorded) -> Iterator[Finding]:
     """Yield a finding for each pair that was measured twice with results that differ.
 
@@ -87,7 +65,7 @@ def check_repeats(evidence: Recorded) -> Iterator[Finding]:
         ways = _differing(one, other) if one.pair == other.pair else []
         if not ways:
             continue
-        own, pair = one.measurement, pair_of(one.measurement)
+        own, pair = one.measurement, one.measurement.pair_name[:2]
         files = [own.where, other.measurement.where]
         yield Finding(
             Code.REPEATED_RESPONSES_DIFFER,
@@ -111,18 +89,14 @@ def _differing(one: MeasuredPair, other: MeasuredPair) -> list[str]:
             symbol, unit = name.split("_")
             at = f"at {centres_hz[j]:g} Hz"
             parts.append(f"{symbol} {first[j]:.2f} and {second[j]:.2f} {unit} {at}")
-    level = one.measurement.level
-    if level == other.measurement.level and level != "per-file":
-        apart_db = np.abs(np.nan_to_num(_level_db(one) - _level_db(other), nan=0.0))
+    if one.measurement.level == other.measurement.level != "per-file":
+        total = np.array([m.curve.energy_left[:, 0] for m in (one, other)])
+        levels_db = 10.0 * np.log10(np.where(total > 0.0, total, np.nan))
+        apart_db = np.abs(np.nan_to_num(levels_db[0] - levels_db[1], nan=0.0))
         j = int(np.argmax(apart_db))
         if apart_db[j] > _LARGEST_LEVEL_DB:
             parts.append(f"levels that differ by {apart_db[j]:.1f} dB at {centres_hz[j]:g} Hz")
     return parts
-
-
-def _level_db(m: MeasuredPair) -> FloatArray:
-    total = m.curve.energy_left[:, 0]
-    return 10.0 * np.log10(np.where(total > 0.0, total, np.nan))
 
 
 def check_below_noise(evidence: Evidence) -> Iterator[Finding]:
@@ -134,7 +108,7 @@ def check_below_noise(evidence: Evidence) -> Iterator[Finding]:
         if own.use == "fit" and missing:
             yield Finding(
                 Code.RECORDING_BELOW_NOISE,
-                About(bands_hz=missing, files=[own.where], pairs=[pair_of(own)]),
+                About(bands_hz=missing, files=[own.where], pairs=[own.pair_name[:2]]),
                 f"{file_name(own)}: no decay rises above the noise at "
                 f"{', '.join(f'{f:g}' for f in missing)} Hz; it was not fitted there.",
                 {"bands_hz": missing},

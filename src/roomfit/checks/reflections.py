@@ -17,7 +17,7 @@ from roomfit.base.bands import Bands
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.logit import Z95
 from roomfit.base.typing import FloatArray, IntArray
-from roomfit.checks.evidence import Evidence, Law
+from roomfit.checks.evidence import Evidence
 from roomfit.fit.measurements import Measurements
 from roomfit.fit.paths import TracedPaths
 from roomfit.model.binned import rows_at
@@ -39,8 +39,7 @@ from roomfit.tracing.paths import Paths, paths_of_pairs
 
 # Of the energy of a window, as predicted for a wall that absorbs nothing: so that the absorption
 # that was fitted does not choose which reflections are looked at.
-LEAST_SHARE = 0.7
-_LEAST_DIRECT_SHARE = 0.8
+LEAST_SHARE, _LEAST_DIRECT_SHARE = 0.7, 0.8
 # A reflection without loss lies this far above the noise at least, as a factor.
 _CLEAR_OF_NOISE = 10.0
 # As for windows: `EnergyTerm.model_error`, and the share of the direct sound that rings for 2 ms.
@@ -53,15 +52,6 @@ _DIRECTIVITY_SD_DB = 1.0
 _ANGLE_SD = 0.1
 _FEWEST = 2
 _SHOEBOX = ("west", "east", "south", "north", "floor", "ceiling")
-
-
-LAWS = {
-    Code.REFLECTION_DISAGREES: Law(
-        "isolated first reflections return what the fitted absorption lets them",
-        "whether the 95 % intervals of absorption by reflections and by the fit lie apart",
-        0.05,  # of one wall and band; 1 in 180 where both intervals are as wide
-    )
-}
 
 
 def check(evidence: Evidence) -> Iterator[Finding]:
@@ -83,8 +73,7 @@ class IsolatedReflection(NamedTuple):
     band: int
     # share of the incident energy that comes back specularly, (1 - alpha) (1 - s): energy of the
     # window less all else that is expected in it, over that of the direct sound, spreading, air
-    # and directivity removed. Noise and interference may make it negative. Its level re direct
-    # with spreading removed is ten times its logarithm
+    # and directivity removed. Noise and interference may make it negative
     returned: float
     sd: float  # of `returned`: interference, noise, model, ringing; without directivity and angle
     predicted: float  # (1 - alpha) (1 - s) of the absorption that was fitted
@@ -122,25 +111,18 @@ def isolated_reflections(
     of_pair = paths_of_pairs(traced.paths)
     for m in measured.responses:
         first = _direct_and_first(traced.paths, of_pair[m.pair])
-        if first is None:
-            continue
-        for band in [b for b in range(len(measured.bands)) if has_data_in_band(m, b)]:
-            found += _isolated(measured, traced, m, absorption, band, kernel, first)
+        for band in range(len(measured.bands)) if len(first) else ():
+            if has_data_in_band(m, band):
+                found += _isolated(measured, traced, m, absorption, band, kernel, first)
     return tuple(found)
 
 
-def _direct_and_first(paths: Paths, own: IntArray) -> tuple[IntArray, IntArray] | None:
-    """Return the direct path of a pair's own and the first reflections, and what each struck.
-
-    Shapes (n,) and (n, n_materials); None without either.
-    """
+def _direct_and_first(paths: Paths, own: IntArray) -> IntArray:
+    """Return the direct path of a pair's own, and behind it the first reflections; or none."""
     own = own[paths.batch[own] < 0]
-    struck = paths.hits_specular[own] + paths.hits_diffuse[own]
-    direct, single = (np.flatnonzero(struck.sum(axis=1) == n) for n in (0, 1))
-    if direct.size != 1 or not single.size:
-        return None
-    few = np.concatenate((direct, single))
-    return own[few], struck[few]
+    struck = (paths.hits_specular[own] + paths.hits_diffuse[own]).sum(axis=1)
+    direct, single = own[struck == 0], own[struck == 1]
+    return np.append(direct, single) if direct.size == 1 and single.size else own[:0]
 
 
 def _isolated(
@@ -150,71 +132,66 @@ def _isolated(
     absorption: FloatArray,
     band: int,
     kernel: SpreadingKernel,
-    candidates: tuple[IntArray, IntArray],
+    own: IntArray,
 ) -> list[IsolatedReflection]:
-    own, struck = candidates
-    scene, paths = measured.scene, traced.paths
-    c = speed_of_sound_m_s(scene.air)
-    material = np.argmax(struck, axis=1)
+    """Return those of a response's paths that stand alone in a band, the direct sound with them."""
+    paths, room = traced.paths, measured.scene.room
     one = Bands(measured.bands.kind, measured.bands.centres_hz[band : band + 1])
     bandwidth_hz = float(statistical_bandwidth_hz(one)[0])
-    half_s = max(1e-3, 1.0 / bandwidth_hz) + 2.0 * timing_sd_s(scene, m)
-    arrival_s = paths.length_m[own] / c
-    windows = np.stack((arrival_s - half_s, arrival_s + half_s), axis=1)
-    inside = windows[:, 1] < min(traced.settings.duration_s, float(m.noise.usable_end_s[band]))
-    attenuation = float(attenuation_per_m(scene.air, measured.bands)[band])
-    # energies without absorption and scattering of the wall itself, (n,), and of all else
+    half_s = max(1e-3, 1.0 / bandwidth_hz) + 2.0 * timing_sd_s(measured.scene, m)
+    arrival_s = paths.length_m[own] / speed_of_sound_m_s(measured.scene.air)
+    windows = arrival_s[:, None] + np.array([-half_s, half_s])
+    # of each path the share that its wall returns, and the energy if it returned all
+    material = np.argmax(paths.hits_specular[own] + paths.hits_diffuse[own], axis=1)
+    kept = 1.0 - traced.scattering[material, band]
+    kept[0] = 1.0
+    back = kept * (1.0 - absorption[material, band])
+    back[0] = 1.0
+    attenuation = float(attenuation_per_m(measured.scene.air, measured.bands)[band])
     arriving = rows_at(traced.binned, float(measured.bands.centres_hz[band]))[m.pair]
-    weight = _weights(paths, own, arriving)
-    kept = np.where(struck.sum(axis=1) > 0, 1.0 - traced.scattering[material, band], 1.0)
-    share = np.array(
-        [energy_share(kernel, band, [t], w)[0, 0] for t, w in zip(arrival_s, windows, strict=True)]
-    )
-    hard = share * weight / np.maximum(kept, 1e-6) * np.exp(-attenuation * paths.length_m[own])
-    expected = np.where(struck.sum(axis=1) > 0, kept * (1.0 - absorption[material, band]), 1.0)
-    edges, first = np.unique(windows, return_inverse=True)
-    first = first.reshape(windows.shape)
+    weight = _weights(paths, own, arriving) / np.maximum(kept, 1e-6)
+    share = float(energy_share(kernel, band, [0.0], [-half_s, half_s])[0, 0])
+    hard = share * weight * np.exp(-attenuation * paths.length_m[own])
+
+    edges, at = np.unique(windows, return_inverse=True)
+    at = at.reshape(windows.shape)
 
     def summed(pieces: FloatArray) -> FloatArray:
         whole = np.concatenate(([0.0], np.cumsum(pieces)))
-        return np.asarray(whole[first[:, 1]] - whole[first[:, 0]])
+        return np.asarray(whole[at[:, 1]] - whole[at[:, 0]])
 
     bins_s = traced.binned.edges_s
     centres_s = 0.5 * (bins_s[1:] + bins_s[:-1])
     n = int(np.searchsorted(centres_s, edges[-1] + spreading_reach_s(kernel, band)))
-    rows = first_rows(arriving, n)
     alpha, air = absorption[:, band : band + 1], np.array([attenuation])
-    energy = weigh(rows, alpha, air, derivative=False).energy[0]
+    energy = weigh(first_rows(arriving, n), alpha, air, derivative=False).energy[0]
     spreading = spreading_matrix(kernel, band, centres_s[: energy.size], edges)
-    others = np.maximum(summed(spreading @ energy) - expected * hard, 0.0)
-    energy_measured = summed(window_energies(one, m.response, edges)[0])
+    others = np.maximum(summed(spreading @ energy) - back * hard, 0.0)
+    recorded = summed(window_energies(one, m.response, edges)[0])
     rate_hz = m.response.sampling_rate_hz
     per_second = m.noise.floor[band] * rate_hz**2 / (2.0 * float(energy_bandwidth_hz(one)[0]))
-    noise = np.full(own.size, per_second * 2.0 * half_s)
+    noise = per_second * 2.0 * half_s
 
-    gain = (energy_measured[0] - noise[0]) / (hard[0] + others[0])
+    gain = (recorded[0] - noise) / (hard[0] + others[0])
     if gain <= 0.0 or hard[0] < _LEAST_DIRECT_SHARE * (hard[0] + others[0]):
         return []
+    end_s = min(traced.settings.duration_s, float(m.noise.usable_end_s[band]))
     clear = (hard >= LEAST_SHARE * (hard + others)) & (gain * hard >= _CLEAR_OF_NOISE * noise)
-    clear &= inside & (kept > 0.0)
+    clear &= (windows[:, 1] < end_s) & (kept > 0.0)
     clear[0] = False
-    degrees = bandwidth_hz * 2.0 * half_s
+    returned = ((recorded - noise) / gain - others) / hard
+    degrees = 2.0 * half_s * bandwidth_hz
+    variance = _variance(back, others / hard, noise / (gain * hard), degrees)
     late_s = np.maximum(windows - arrival_s[0], 0.0)
-    rung = _RINGING * hard[0] * -np.diff(np.exp(-late_s / _RINGING_S), axis=1)[:, 0]
-    relative = others / hard
-    ratio, back = noise / (gain * hard), expected
-    variance = (2.0 * relative * back + relative**2) / degrees + (rung / hard) ** 2
-    variance += (ratio**2 + 2.0 * ratio * (back + relative)) / degrees
-    variance += back**2 * (_MODEL_ERROR**2 + 2.0 * others[0] / hard[0] / degrees)
-    returned = ((energy_measured - noise) / gain - others) / hard
-    source, receiver = (str(getattr(m.measurement, k)) for k in ("source", "receiver"))
+    variance += (_RINGING * hard[0] / hard * np.diff(np.exp(-late_s / _RINGING_S))[:, 0]) ** 2
     towards = (paths.departure[own] - paths.arrival[own]).astype(np.float64)
+    source, receiver = m.measurement.pair_name[:2]
     return [
         IsolatedReflection(
             source,
             receiver,
-            _wall(scene.room, towards[i], int(material[i])),
-            scene.room.materials[material[i]],
+            _wall(room, towards[i], int(material[i])),
+            room.materials[material[i]],
             band,
             float(returned[i]),
             float(np.sqrt(variance[i])),
@@ -222,6 +199,19 @@ def _isolated(
         )
         for i in np.flatnonzero(clear)
     ]
+
+
+def _variance(
+    back: FloatArray, others: FloatArray, noise: FloatArray, degrees: float
+) -> FloatArray:
+    """Return the variance of what is returned, by interference, noise and an error of the model.
+
+    What else arrives and noise are relative to the path without loss; the direct sound is first.
+    """
+    variance = (2.0 * others * back + others**2) / degrees
+    variance += (noise**2 + 2.0 * noise * (back + others)) / degrees
+    variance += back**2 * (_MODEL_ERROR**2 + 2.0 * others[0] / degrees)
+    return np.asarray(variance)
 
 
 def _weights(paths: Paths, own: IntArray, rows: EnergyRows) -> FloatArray:
@@ -251,20 +241,17 @@ def wall_returns(
     its standard deviation come 1 dB for the directivity, independent from source to source, and 0.1
     for the angles at which the wall is struck.
 
-    Parameters
-    ----------
-    scattering : float array, shape (n_materials, n_bands)
+    `scattering` has the shape (n_materials, n_bands).
     """
     known = {s for s, d in measured.directivities.items() if d is not None}
     groups: dict[tuple[str, str, int], list[IsolatedReflection]] = {}
     for r in reflections:
         groups.setdefault((r.wall, r.material, r.band), []).append(r)
     out = []
-    for (wall, material, band), own in groups.items():
+    for key, own in groups.items():
         if len(own) < _FEWEST:
             continue
-        values = np.array([r.returned for r in own])
-        weight = np.array([r.sd**-2.0 for r in own])
+        values, weight = np.array([r.returned for r in own]), np.array([r.sd**-2.0 for r in own])
         mean = float(values @ weight / weight.sum())
         excess = float(weight @ (values - mean) ** 2) / (len(own) - 1)
         variance = max(excess, 1.0) / float(weight.sum())
@@ -272,11 +259,9 @@ def wall_returns(
         # a factor: of the geometric mean of what is measured and predicted
         size = np.log(10.0) / 10.0 * _DIRECTIVITY_SD_DB
         variance += max(mean, 0.0) * own[0].predicted * size**2 / len(sources)
-        kept = 1.0 - float(scattering[measured.scene.room.materials.index(material), band])
+        kept = 1.0 - float(scattering[measured.scene.room.materials.index(key[1]), key[2]])
         sd = float(np.hypot(np.sqrt(variance) / kept, _ANGLE_SD))
-        out.append(
-            WallReflectance(wall, material, band, len(own), 1.0 - mean / kept, sd, sources <= known)
-        )
+        out.append(WallReflectance(*key, len(own), 1.0 - mean / kept, sd, sources <= known))
     return tuple(out)
 
 
@@ -296,60 +281,47 @@ def reflection_findings(
     Serious where the directivity of the sources is specified or fitted, else a warning; of a wall
     that has both kinds of bands each is a finding of its own.
 
-    Parameters
-    ----------
-    fitted : three float arrays, shape (n_materials, n_bands)
-        Absorption and its 95 % interval.
+    `fitted`: absorption and its 95 % interval, each of shape (n_materials, n_bands).
     """
-    by_wall: dict[tuple[str, str, bool], list[WallReflectance]] = {}
+    by_wall: dict[tuple[str, str, bool], list[tuple[WallReflectance, list[float]]]] = {}
     for r in returns:
-        _, lower, upper = (float(x[materials.index(r.material), r.band]) for x in fitted)
-        if r.absorption - Z95 * r.sd > upper or r.absorption + Z95 * r.sd < lower:
-            by_wall.setdefault((r.wall, r.material, r.has_directivity), []).append(r)
-    for own in by_wall.values():
-        yield _finding(own, bands, fitted, materials)
-
-
-def _finding(
-    own: Sequence[WallReflectance],
-    bands: Bands,
-    fitted: tuple[FloatArray, FloatArray, FloatArray],
-    names: Sequence[str],
-) -> Finding:
-    """Return the finding of one wall, over its bands."""
-    i, parts, values, off_db = names.index(own[0].material), [], [], []
-    for r in own:
-        low, high = (float(np.clip(r.absorption + z * r.sd, 0.0, 1.0)) for z in (-Z95, Z95))
-        early = float(np.clip(r.absorption, 0.0, 1.0))
-        answer = [float(x[i, r.band]) for x in fitted]
-        parts.append(
-            f"{bands.centres_hz[r.band]:g} Hz {early:.2f} ({low:.2f} to {high:.2f}, {r.number} of "
-            f"them) against {answer[0]:.2f} ({answer[1]:.2f} to {answer[2]:.2f})"
+        answer = [float(x[materials.index(r.material), r.band]) for x in fitted]
+        if r.absorption - Z95 * r.sd > answer[2] or r.absorption + Z95 * r.sd < answer[1]:
+            key = r.wall, r.material, r.has_directivity
+            by_wall.setdefault(key, []).append((r, answer))
+    for (wall, material, known), own in by_wall.items():
+        parts, values, off_db = [], [], []
+        bands_hz = [float(bands.centres_hz[r.band]) for r, _ in own]
+        for r, answer in own:
+            reach = r.absorption + r.sd * np.array([0.0, -Z95, Z95])
+            early, low, high = np.clip(reach, 0.0, 1.0).tolist()
+            parts.append(
+                f"{bands.centres_hz[r.band]:g} Hz {early:.2f} ({low:.2f} to {high:.2f}, {r.number} "
+                f"of them) against {answer[0]:.2f} ({answer[1]:.2f} to {answer[2]:.2f})"
+            )
+            kept = np.clip(1.0 - np.array([early, answer[0]]), 0.01, 1.0)
+            off_db.append(f"{10.0 * np.log10(kept[0] / kept[1]):+.1f}")
+            values.append([round(v, 4) for v in (early, low, high, *answer)])
+        advice = (
+            "Its absorption is not called identifiable there: the late decay may have outvoted the "
+            "reflections, by another scattering, or its absorption depends on the angle."
+            if known
+            else "No directivity is specified of some source: one that radiates "
+            f"{', '.join(off_db)} dB towards this wall, relative to the receivers, would do the "
+            "same. Specify it, or have it fitted, before you trust either."
         )
-        kept = np.clip(1.0 - np.array([early, answer[0]]), 0.01, 1.0)
-        off_db.append(f"{10.0 * np.log10(kept[0] / kept[1]):+.1f}")
-        values.append([round(v, 4) for v in (early, low, high, *answer)])
-    known = own[0].has_directivity
-    name = own[0].wall if own[0].wall == own[0].material else f"{own[0].wall} ({own[0].material})"
-    advice = (
-        "Its absorption is not called identifiable there: the late decay may have outvoted the "
-        "reflections, by another scattering, or its absorption depends on the angle."
-        if known
-        else "No directivity is specified of some source: one that radiates "
-        f"{', '.join(off_db)} dB towards this wall, relative to the receivers, would do the same. "
-        "Specify it, or have it fitted, before you trust either."
-    )
-    return Finding(
-        Code.REFLECTION_DISAGREES,
-        About(materials=[own[0].material], bands_hz=[float(bands.centres_hz[r.band]) for r in own]),
-        f"First reflections from {name} that stand alone contradict the fitted absorption: "
-        f"{'; '.join(parts)}. {advice}",
-        {
-            "wall": own[0].wall,
-            "material": own[0].material,
-            "bands_hz": [float(bands.centres_hz[r.band]) for r in own],
-            "reflections_lower_upper_fitted_lower_upper": values,
-            "number": [r.number for r in own],
-        },
-        graded="serious" if known else "warning",
-    )
+        name = wall if wall == material else f"{wall} ({material})"
+        yield Finding(
+            Code.REFLECTION_DISAGREES,
+            About(materials=[material], bands_hz=bands_hz),
+            f"First reflections from {name} that stand alone contradict the fitted absorption: "
+            f"{'; '.join(parts)}. {advice}",
+            {
+                "wall": wall,
+                "material": material,
+                "bands_hz": bands_hz,
+                "reflections_lower_upper_fitted_lower_upper": values,
+                "number": [r.number for r, _ in own],
+            },
+            graded="serious" if known else "warning",
+        )

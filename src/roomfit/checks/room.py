@@ -2,95 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
 from roomfit.base.bands import bands_in_words
 from roomfit.base.findings import About, Code, Finding
-from roomfit.checks.evidence import Evidence, Law, Recorded
+from roomfit.checks.evidence import Evidence, Recorded
 from roomfit.fit.measurements import median_decay_s
 from roomfit.fit.scattering import GRID
 from roomfit.model.eyring import schroeder_hz
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import pair_names
-from roomfit.tracing.paths import Paths
 
 # A coefficient must gain more than this in log-likelihood, and lose less in every band: of nine
 # boxes that scatter by .08 or .15 one lost 3.7 in a band; a smooth one lost 5, and gained 22.
 _LEAST_GAIN, _LARGEST_LOSS = 5.0, 4.0
 
-_GIVEN = Law("the scattering of every wall is specified", "none")
-_OMNIDIRECTIONAL = Law(
-    "a source radiates alike in all directions",
-    "log-likelihood gained by a first-order directivity, its prior counted, over all bands",
-)
-LAWS = {
-    Code.MATERIAL_NOT_REACHED: Law(
-        "every material is struck by a path between measured pairs", "number of such paths"
-    ),
-    Code.SCATTERING_ASSUMED: _GIVEN,
-    Code.SCATTERING_FITTED: _GIVEN,
-    Code.SCATTERING_UNDERESTIMATED: Law(
-        "walls that are specified as smooth are smooth, and sources radiate as specified",
-        "log-likelihood of a scattering of 0.15 over that of 0, by energies",
-        0.0067,  # e^-5
-    ),
-    Code.SOURCE_NOT_OMNIDIRECTIONAL: _OMNIDIRECTIONAL,
-    Code.SOURCE_PATTERN_FITTED: _OMNIDIRECTIONAL,
-    Code.BELOW_SCHROEDER_FREQUENCY: Law(
-        "modes overlap in the whole band", "lower edge of the band, below the Schroeder frequency"
-    ),
-}
-
-
-def check_trace(evidence: Evidence) -> Iterator[Finding]:
-    """Yield what planning and tracing raised of rays, images and weights, as it stands."""
-    yield from evidence.traced.findings
-
 
 def check_reached(evidence: Evidence) -> Iterator[Finding]:
-    """Yield a finding that names the materials to be fitted which no path strikes."""
-    priors = [k for k in evidence.priors if k.object_volume_m3 is None]
-    fitted = [k.name for k in priors if k.known is None]
-    names = unreached_materials(evidence.traced.paths, fitted)
+    """Yield what tracing raised, and the materials to be fitted which no path strikes."""
+    yield from evidence.traced.findings
+    paths = evidence.traced.paths
+    met = np.asarray(paths.hits_specular.any(axis=0) | paths.hits_diffuse.any(axis=0))
+    walls = [k.name for k in evidence.priors if k.object_volume_m3 is None and k.known is None]
+    names = [name for name in walls if not met[paths.materials.index(name)]]
     if names:
         yield Finding(
             Code.MATERIAL_NOT_REACHED,
             About(materials=names),
             f"No path between the measured pairs strikes {', '.join(names)}: its absorption "
             "cannot be determined, and its prior is all that is reported.",
-            {"materials": list(names)},
+            {"materials": names},
         )
-
-
-def unreached_materials(paths: Paths, materials: Sequence[str]) -> tuple[str, ...]:
-    """Return which of some materials no path of all fitted pairs strikes."""
-    met = np.asarray(paths.hits_specular.any(axis=0) | paths.hits_diffuse.any(axis=0))
-    return tuple(m for m in materials if not met[paths.materials.index(m)])
 
 
 def check_chosen_scattering(evidence: Evidence) -> Iterator[Finding]:
     """Yield which scattering was assumed, and which was fitted."""
     for chosen in evidence.traced.chosen_scattering:
         names = list(chosen.materials)
+        about = About(materials=names)
         if chosen.is_fitted:
             each = zip(*chosen[:4], strict=True)
             ranges = ", ".join(f"{n} {s:g} ({low:g} to {high:g})" for n, s, low, high in each)
             text = f"Most likely scattering coefficients, of {len(GRID)} values each: {ranges}."
-            about = About(materials=names)
             yield Finding(Code.SCATTERING_FITTED, about, text, {"materials": names})
             continue
         value, low, high, reason = chosen.value[0], chosen.lower[0], chosen.upper[0], ""
         if chosen.has_data:
             others = f"{low:g} to {high:g} do as well" if low < high else "others do worse"
             reason = f", which explains the responses well ({others})"
-        yield Finding(
-            Code.SCATTERING_ASSUMED,
-            About(materials=names),
-            f"The scattering of {', '.join(names)} is unspecified; {value:g} was assumed{reason}.",
-            {"materials": names, "scattering": value},
+        text = (
+            f"The scattering of {', '.join(names)} is unspecified; {value:g} was assumed{reason}."
         )
+        numbers = {"materials": names, "scattering": value}
+        yield Finding(Code.SCATTERING_ASSUMED, about, text, numbers)
 
 
 def check_scattering(evidence: Evidence) -> Iterator[Finding]:
@@ -134,28 +100,23 @@ def check_sources(evidence: Evidence) -> Iterator[Finding]:
         strongest = own.b[int(np.argmax(np.linalg.norm(own.b, axis=1)))]
         towards = ", ".join(f"{x:.1f}" for x in strongest / np.linalg.norm(strongest))
         pairs = [(p, r) for p, r, _ in pair_names(evidence.measured.scene) if p == own.source]
-        code, consequence = (
-            Code.SOURCE_NOT_OMNIDIRECTIONAL,
+        consequence = (
             "Absorption compensates for it, so that no material is called identifiable. "
-            'Specify the directivity, or have it fitted: directivity = "fit".',
+            'Specify the directivity, or have it fitted: directivity = "fit".'
         )
         if own.source in fitted:
-            code, consequence = (
-                Code.SOURCE_PATTERN_FITTED,
+            consequence = (
                 'It was fitted together with the absorption, as by directivity = "fit"; specify '
-                "it where it is known.",
+                "it where it is known."
             )
+        gain = own.log_likelihood_gain
         yield Finding(
-            code,
+            Code.SOURCE_PATTERN_FITTED if own.source in fitted else Code.SOURCE_NOT_OMNIDIRECTIONAL,
             About(pairs=tuple(dict.fromkeys(pairs))),
             f"{own.source} was taken for omnidirectional, which the data contradict: a "
             f"first-order directivity that radiates more towards ({towards}) raises the "
-            f"log-likelihood by {own.log_likelihood_gain:.0f}. {consequence}",
-            {
-                "source": own.source,
-                "log_likelihood_gain": own.log_likelihood_gain,
-                "b": own.b.tolist(),
-            },
+            f"log-likelihood by {gain:.0f}. {consequence}",
+            {"source": own.source, "log_likelihood_gain": gain, "b": own.b.tolist()},
         )
 
 
@@ -171,12 +132,12 @@ def check_schroeder(evidence: Recorded) -> Iterator[Finding]:
     low = np.flatnonzero(bands.lower_hz < limit_hz)
     if low.size:
         limits = [f"{limit_hz[j]:.0f} Hz" for j in low]
-        about = About(bands_hz=bands.centres_hz[low].tolist())
+        bands_hz = bands.centres_hz[low].tolist()
         yield Finding(
             Code.BELOW_SCHROEDER_FREQUENCY,
-            about,
+            About(bands_hz=bands_hz),
             "Part of the band lies below the Schroeder frequency at "
             f"{bands_in_words(bands, low, limits)}: single modes are resolved there, which the "
             "model does not contain. Trust these intervals less.",
-            {"bands_hz": list(about.bands_hz)},
+            {"bands_hz": bands_hz},
         )

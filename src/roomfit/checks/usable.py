@@ -17,7 +17,7 @@ from roomfit.checks import room
 from roomfit.checks.arrivals import arrival_verdicts, with_corrected_clocks
 from roomfit.checks.evidence import Recorded, about_files
 from roomfit.checks.examine import BEFORE_THE_FIT, examine, recorded
-from roomfit.fit.measurements import Measurements, measured_scene, median_decay_s
+from roomfit.fit.measurements import measured_scene, median_decay_s
 from roomfit.model.eyring import schroeder_hz
 from roomfit.model.patterns import Directivities
 from roomfit.room.mesh import volume_m3
@@ -25,7 +25,7 @@ from roomfit.room.scene import Scene
 from roomfit.settings import DECAY_RANGE_DB
 from roomfit.signals.decay import PARAMETER_NAMES
 from roomfit.signals.iso3382 import MeasuredValues
-from roomfit.signals.measurement import MeasuredPair, Measurement
+from roomfit.signals.measurement import Measurement
 from roomfit.signals.response import find_onset
 
 
@@ -54,10 +54,8 @@ class CheckedRecordings(Shown):
     @property
     def in_doubt(self) -> bool:
         """Whether nothing would be identifiable, or a recording or a whole band is of no use."""
-        lost = self.usable.size and not (
-            self.usable.any(axis=0).all() and self.usable.any(axis=1).all()
-        )
-        return bool(lost) or any(
+        used = [self.usable.any(axis=axis).all() for axis in (0, 1) if self.usable.size]
+        return not all(used) or any(
             f.code.voids_identifiability or f.code is Code.RECORDING_UNUSABLE for f in self.findings
         )
 
@@ -109,33 +107,29 @@ def check_recordings(
     verdicts = arrival_verdicts(own, given)
     causes = tuple(v.finding for v in verdicts)
     # what follows from a wrong clock is no second fault: a decay that seems cut short, or to drown
-    responses = with_corrected_clocks(given, verdicts)
-    values = (m for m in measurements if isinstance(m, MeasuredValues))
-    advised: list[Measurement | MeasuredValues] = [*responses, *values]
+    advised = with_corrected_clocks(given, verdicts)
+    values = [m for m in measurements if isinstance(m, MeasuredValues)]
     refused: dict[Measurement, InputError] = {}
     found: Recorded | None = None
     while found is None and len(refused) < len(measurements):
         kept = [m for m in advised if m not in refused]
         try:
-            found = recorded(scene, kept, bands, directivities or {}, decay_range_db)
+            found = recorded(scene, [*kept, *values], bands, directivities or {}, decay_range_db)
         except InputError as error:
-            faulty = next((m for m in responses if m.where == error.where and m in kept), None)
+            faulty = next((m for m in kept if m.where == error.where), None)
             if faulty is None:
                 raise
             refused[faulty] = error
-    known = {f.code for f in causes}
-    others = () if found is None else examine(BEFORE_THE_FIT, found)
-    findings = (
-        *causes,
-        *_unusable(refused, len(given), " ".join(f.sentence for f in causes)),
-        *(f for f in others if f.code not in known),
-        *(() if found is None else room.check_schroeder(found)),
-    )
-    measured = None if found is None else found.measured
-    return _table(own, dict(zip(given, responses, strict=True)), bands, measured, findings)
+    said = " ".join(f.sentence for f in causes)
+    findings = [*causes, *_unusable(refused, len(given), said)]
+    if found is not None:
+        known = {f.code for f in causes}
+        findings += [f for f in examine(BEFORE_THE_FIT, found) if f.code not in known]
+        findings += room.check_schroeder(found)
+    return _table(own, dict(zip(given, advised, strict=True)), bands, found, tuple(findings))
 
 
-def _unusable(refused: dict[Measurement, InputError], n_all: int, said: str) -> tuple[Finding, ...]:
+def _unusable(refused: dict[Measurement, InputError], n_all: int, said: str) -> list[Finding]:
     """Return a finding for each reason; `said` is the cause of all, which is not repeated."""
     by_reason: dict[str, list[Measurement]] = {}
     for m, error in refused.items():
@@ -147,42 +141,35 @@ def _unusable(refused: dict[Measurement, InputError], n_all: int, said: str) -> 
         who = f"all {n_all} files" if len(files) == n_all else f"{len(files)} of {n_all} files"
         hint = "" if error.hint == said else f" Try: {error.hint}."
         text = f"Of {who} ({names}): {what}: {error.found}.{hint}"
-        findings.append(
-            Finding(
-                Code.RECORDING_UNUSABLE,
-                about_files(*files),
-                text,
-                {"files": [m.where for m in files]},
-            )
-        )
-    return tuple(findings)
+        numbers = {"files": [m.where for m in files]}
+        findings.append(Finding(Code.RECORDING_UNUSABLE, about_files(*files), text, numbers))
+    return findings
 
 
 def _table(
     scene: Scene,
     responses: dict[Measurement, Measurement],
     bands: Bands,
-    found: Measurements | None,
+    found: Recorded | None,
     findings: tuple[Finding, ...],
 ) -> CheckedRecordings:
     """Return the table of recordings, those as given to those as advised."""
-    pairs = {} if found is None else {p.measurement: p for p in found.responses}
-    shape = len(responses), len(bands)
-    onset_s, travel_s = np.full(shape[0], np.nan), np.full(shape[0], np.nan)
-    noise_db, range_db = np.full(shape, np.nan), np.full(shape, np.nan)
-    usable, has_t20 = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
+    pairs = {} if found is None else {p.measurement: p for p in found.measured.responses}
+    n, shape = len(responses), (len(responses), len(bands))
+    onset_s, travel_s = np.full((2, n), np.nan)
+    noise_db, range_db = np.full((2, *shape), np.nan)
+    usable, has_t20 = np.zeros((2, *shape), dtype=np.bool_)
     for i, (m, advised) in enumerate(responses.items()):
-        pair: MeasuredPair | None = pairs.get(advised)
-        if pair is None:
-            continue
-        clock = m.response if m.time_zero == "emission" else pair.response
-        onset_s[i], travel_s[i] = find_onset(clock, m.where), pair.direct_s
-        noise_db[i], range_db[i] = pair.noise.peak_to_noise_db, pair.curve.usable_db
-        usable[i] = pair.noise.tail_time_constant_s > 0.0
-        has_t20[i] = pair.parameters.valid[PARAMETER_NAMES.index("T20_s")]
-    decay_s = (
-        np.full(len(bands), np.nan) if found is None else median_decay_s(found, bands.centres_hz)
-    )
+        pair = pairs.get(advised)
+        if pair is not None:
+            clock = m.response if m.time_zero == "emission" else pair.response
+            onset_s[i], travel_s[i] = find_onset(clock, m.where), pair.direct_s
+            noise_db[i], range_db[i] = pair.noise.peak_to_noise_db, pair.curve.usable_db
+            usable[i] = pair.noise.tail_time_constant_s > 0.0
+            has_t20[i] = pair.parameters.valid[PARAMETER_NAMES.index("T20_s")]
+    decay_s = np.full(len(bands), np.nan)
+    if found is not None:
+        decay_s = median_decay_s(found.measured, bands.centres_hz)
     return CheckedRecordings(
         tuple(responses),
         bands,

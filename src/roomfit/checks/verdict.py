@@ -38,11 +38,9 @@ def judge(
     Those that the rule calls so (`roomfit.uncertainty.intervals.identifiable_by_rule`) and that no
     finding voids. What the campaign fixes stays.
     """
-    identifiable = np.array(by_rule)
     fixed = np.array([[k.known is not None] for k in priors])
-    for finding in findings:
-        identifiable &= fixed | ~voided(finding, priors, bands)
-    return np.asarray(identifiable)
+    voids = [voided(finding, priors, bands) for finding in findings]
+    return np.asarray(by_rule & (fixed | ~np.any([np.zeros_like(by_rule), *voids], axis=0)))
 
 
 def voided(finding: Finding, priors: Sequence[MaterialPrior], bands: Bands) -> BoolArray:
@@ -50,11 +48,8 @@ def voided(finding: Finding, priors: Sequence[MaterialPrior], bands: Bands) -> B
 
     All of them where it doubts the description of the room, otherwise what it is about.
     """
-    code, shape = finding.code, (len(priors), len(bands))
-    if code.voids_identifiability:
-        return np.ones(shape, dtype=np.bool_)
-    if not voids_walls(finding):
-        return np.zeros(shape, dtype=np.bool_)
+    if finding.code.voids_identifiability or not voids_walls(finding):
+        return np.full((len(priors), len(bands)), finding.code.voids_identifiability)
     concerns = finding.about.concerns
     return np.array([[concerns(k.name, f) for f in bands.centres_hz.tolist()] for k in priors])
 
@@ -90,35 +85,20 @@ def what_remains(result: Result) -> Remaining:
     reduced chi-square is at most 2, and half the interval is at most a quarter of the value.
     Elsewhere it stands beside the mean that Eyring's formula gives of the measured decay.
     """
-    voids = void_findings(result)
+    findings, by_rule = result.findings, result.identifiable_by_rule
     fixed = result.lower95 == result.upper95
     name, error, reproduced = _decays(result)
     mean, lower, upper = result.mean_absorption
-    doubted = np.array([_doubted(result, f) for f in map(float, result.bands.centres_hz)])
+    doubts = [f for f in findings if f.code in VOID_ANY_MEAN or f.code is Code.DECAY_NOT_REPRODUCED]
+    centres_hz = result.bands.centres_hz.tolist()
+    doubted = np.array([any(f.about.in_band(hz) for f in doubts) for hz in centres_hz])
     narrow = upper - lower <= 2.0 * WIDEST_MEAN * mean
     usable = ~doubted & reproduced & narrow & (result.chi2_reduced <= LARGEST_CHI2_REDUCED)
-    by_rule = result.identifiable_by_rule
     taken = 0 if by_rule is None else int((by_rule & ~result.identifiable & ~fixed).sum())
-    codes = tuple(dict.fromkeys(f.code for f in result.findings if voids_walls(f)))
+    codes = tuple(dict.fromkeys(f.code for f in findings if voids_walls(f)))
+    first = {f.code: f for f in reversed(findings) if f.code.voids_identifiability}
+    voids = tuple(first[code] for code in codes if code in first)
     return Remaining(voids, codes, taken, int((~fixed).sum()), usable, error, name)
-
-
-def void_findings(result: Result) -> tuple[Finding, ...]:
-    """Return the first finding of each code that voids identifiability."""
-    first: dict[Code, Finding] = {}
-    for finding in result.findings:
-        if finding.code.voids_identifiability:
-            first.setdefault(finding.code, finding)
-    return tuple(first.values())
-
-
-def _doubted(result: Result, centre_hz: float) -> bool:
-    """Return whether a finding about this band doubts the mean: chain, size, or decay."""
-    return any(
-        (f.code in VOID_ANY_MEAN or f.code is Code.DECAY_NOT_REPRODUCED)
-        and f.about.in_band(centre_hz)
-        for f in result.findings
-    )
 
 
 def _decays(result: Result) -> tuple[str, FloatArray, BoolArray]:
@@ -137,12 +117,10 @@ def _decays(result: Result) -> tuple[str, FloatArray, BoolArray]:
     for band in range(n) if rows else ():
         both = np.array([(c.measured[band], c.predicted[band]) for c in rows])
         measured_s, predicted_s = both[np.isfinite(both).all(axis=1)].T
-        if not measured_s.size:
-            continue
-        relative = predicted_s / measured_s - 1.0
-        scatter = DECAY_SCATTER[name] / np.sqrt(width_hz[band] * measured_s)
-        miss, sd = mean_miss(relative / 0.05, scatter)
-        error[band] = np.median(relative)
-        tolerated = min(max(_LARGEST_MISS_JND, _MISS_SDS * sd), _MISS_AT_MOST_JND)
-        reproduced[band] = abs(miss) <= tolerated
+        if measured_s.size:
+            relative = predicted_s / measured_s - 1.0
+            scatter = DECAY_SCATTER[name] / np.sqrt(width_hz[band] * measured_s)
+            miss, sd = mean_miss(relative / 0.05, scatter)
+            tolerated = min(max(_LARGEST_MISS_JND, _MISS_SDS * sd), _MISS_AT_MOST_JND)
+            error[band], reproduced[band] = np.median(relative), abs(miss) <= tolerated
     return name, error, reproduced

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from roomfit.base.air import speed_of_sound_m_s
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import BoolArray, FloatArray
-from roomfit.checks.evidence import Law, Recorded
-from roomfit.materials.priors import Scattering
+from roomfit.checks.evidence import Recorded
+from roomfit.materials.priors import uniform_scattering
 from roomfit.room.mesh import area_vectors_m2, corners_m, is_double_sided
 from roomfit.room.scene import Room, Scene
 from roomfit.signals.response import ImpulseResponse, echo_prominence, times_s
@@ -27,6 +27,7 @@ _CLEAR_OF_DIRECT_S = 1e-3
 _MASK_S = 0.25e-3
 # Two computations of the same image's arrival differ by rounding alone.
 _SAME_S = 1e-8
+_FLAT_M = 1e-3
 # An echo elsewhere counts where it stands out of its surroundings by a factor of e**1.5, by a
 # factor of 2 in eight responses (more in fewer, as a mean's deviation, and beyond half the reach)
 # more than the echo of the specified position or any other, and in most responses.
@@ -36,14 +37,6 @@ _EXPLAINED_ORDER = 2
 # Hundreds of seats have echoes at every time, and to trace them takes minutes.
 _MAX_TRIANGLES = 2000
 _DISTANCES_M = np.arange(-_REACH_M, _REACH_M + 0.5 * _STEP_M, _STEP_M)
-
-
-LAWS = {
-    Code.WALL_POSITION_MISMATCH: Law(
-        "first echoes come from where the walls are specified",
-        "mean prominence of echoes over a wall's position, its lead over the specified one",
-    )
-}
 
 
 def check(evidence: Recorded) -> Iterator[Finding]:
@@ -57,16 +50,14 @@ def check(evidence: Recorded) -> Iterator[Finding]:
         yield from outline_findings(measured.scene, [(m.pair, m.response) for m in fitted])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Wall:
+class _Wall(NamedTuple):
     name: str  # of the surface
     centre_m: tuple[float, float, float]  # of its triangles, by area
     normal: FloatArray  # (3,), out of the room
     offset_m: float  # of its plane from the origin, along the normal
 
 
-@dataclass(slots=True, eq=False)
-class _Echoes:
+class _Echoes(NamedTuple):
     """One response: its ends, the arrivals by the specified outline, the prominence over time."""
 
     source_m: FloatArray  # (3,)
@@ -101,7 +92,7 @@ def outline_findings(
     c = speed_of_sound_m_s(scene.air)
     echoes = _all_echoes(scene, responses, c)
     walls = _large_walls(scene.room)
-    findings = []
+    findings: list[Finding] = []
     while walls:
         reached = [[e for e in echoes if _is_reached(wall, e, c)] for wall in walls]
         scans = [_scan(wall, of, c) for wall, of in zip(walls, reached, strict=True)]
@@ -122,17 +113,15 @@ def _all_echoes(
 ) -> list[_Echoes]:
     size_m = float(np.linalg.norm(np.ptp(scene.room.mesh.vertices_m, axis=0)))
     duration_s = 3.0 * (size_m + 2.0 * _REACH_M) / c
-    smooth = Scattering(scene.room.materials, np.zeros(len(scene.room.materials)))
+    smooth = uniform_scattering(scene.room.materials, 0.0)
     specified = trace_images(scene, _EXPLAINED_ORDER, duration_s, smooth)
     found = []
     for pair, response in responses:
         source, receiver = scene.pairs[pair]
-        time_s = times_s(response)
-        arrivals_s = specified.length_m[specified.pair == pair] / c
-        explained = np.zeros(time_s.size, dtype=np.bool_)
-        for arrival_s in arrivals_s:
-            explained |= np.abs(time_s - arrival_s) < _MASK_S
         ends = scene.sources[source].position_m, scene.receivers[receiver].position_m
+        time_s, arrivals_s = times_s(response), specified.length_m[specified.pair == pair] / c
+        near = [np.abs(time_s - arrival_s) < _MASK_S for arrival_s in arrivals_s]
+        explained = np.any([np.zeros(time_s.size, dtype=np.bool_), *near], axis=0)
         direct_s = float(np.linalg.norm(ends[0] - ends[1])) / c
         prominence = echo_prominence(response)
         found.append(_Echoes(*ends, direct_s, arrivals_s, time_s, prominence, explained))
@@ -141,26 +130,23 @@ def _all_echoes(
 
 def _large_walls(room: Room) -> list[_Wall]:
     """Return the planes of the outline with at least 3 % of its area, sheets left out."""
-    vectors = area_vectors_m2(room.mesh)
+    vectors, corners = area_vectors_m2(room.mesh), corners_m(room.mesh)
     areas = np.linalg.norm(vectors, axis=1)
     usable = (areas > 0.0) & ~is_double_sided(room.mesh)
-    corners = corners_m(room.mesh)
-    tolerance_m = 1e-3
     walls = []
     for seed in np.argsort(-areas, kind="stable"):
         if not usable[seed]:
             continue
         normal = vectors[seed] / areas[seed]
         offset_m = float(corners[seed].mean(axis=0) @ normal)
-        flat = np.abs(corners @ normal - offset_m).max(axis=1) < tolerance_m
+        flat = np.abs(corners @ normal - offset_m).max(axis=1) < _FLAT_M
         same = usable & flat & (vectors @ normal > 0.99 * areas)
         usable &= ~same
         usable[seed] = False
         if areas[same].sum() >= _LEAST_WALL_SHARE * areas.sum():
             name = room.mesh.surfaces[room.mesh.triangle_surface[seed]].name
             x, y, z = areas[same] @ corners[same].mean(axis=1) / areas[same].sum()
-            centre_m = float(x), float(y), float(z)
-            walls.append(_Wall(name, centre_m, normal, offset_m))
+            walls.append(_Wall(name, (float(x), float(y), float(z)), normal, offset_m))
     return walls
 
 
@@ -182,9 +168,11 @@ def _prominences(wall: _Wall, moved_m: FloatArray, echoes: list[_Echoes], c: flo
 
     NaN where a response cannot resolve it, and where a position would be too near to the wall.
     """
-    is_specified = np.abs(moved_m) <= _TOLERANCE_M
-    least_m = wall.offset_m + moved_m - _CLEAR_OF_POSITIONS_M
-    found = np.full((moved_m.size, len(echoes)), np.nan)
+    found, is_specified = (
+        np.full((moved_m.size, len(echoes)), np.nan),
+        np.abs(moved_m) <= _TOLERANCE_M,
+    )
+    nearest_m = -np.inf
     for echo, column in zip(echoes, found.T, strict=True):
         arrival_s = _arrivals_s(wall, moved_m, echo, c)
         at = np.searchsorted(echo.time_s, arrival_s)
@@ -192,11 +180,9 @@ def _prominences(wall: _Wall, moved_m: FloatArray, echoes: list[_Echoes], c: flo
         at = np.minimum(at, echo.time_s.size - 1)
         resolved &= is_specified | ~echo.explained[at]
         column[resolved] = echo.prominence[at[resolved]]
-    nearest_m = max(
-        (float(p @ wall.normal) for e in echoes for p in (e.source_m, e.receiver_m)),
-        default=-np.inf,
-    )
-    found[nearest_m > least_m] = np.nan
+        ends_m = (float(p @ wall.normal) for p in (echo.source_m, echo.receiver_m))
+        nearest_m = max(nearest_m, *ends_m)
+    found[nearest_m > wall.offset_m + moved_m - _CLEAR_OF_POSITIONS_M] = np.nan
     return found
 
 
@@ -211,30 +197,26 @@ def _scan(wall: _Wall, echoes: list[_Echoes], c: float) -> FloatArray:
 
 def _mismatch(
     wall: _Wall, moved_m: float, scores: FloatArray, echoes: list[_Echoes], c: float
-) -> list[Finding]:
-    if abs(moved_m) <= _TOLERANCE_M:
-        return []
-    best = float(np.nanmax(scores))
+) -> Iterator[Finding]:
+    """Yield that a wall stands elsewhere, if it does."""
     here = scores[(np.abs(_DISTANCES_M) <= _TOLERANCE_M) & np.isfinite(scores)]
     rest = scores[(np.abs(_DISTANCES_M - moved_m) > 0.15) & np.isfinite(scores)]
-    if here.size == 0 or rest.size < 20:
-        return []
+    if abs(moved_m) <= _TOLERANCE_M or here.size == 0 or rest.size < 20:
+        return
     peak = _prominences(wall, np.array([moved_m]), echoes, c)[0]
     peak = peak[np.isfinite(peak)]
-    share = float(np.mean(peak > 1.0))
+    best, share = float(np.nanmax(scores)), float(np.mean(peak > 1.0))
     lead = best - max(float(here.max()), float(rest.max()))
     least_lead = _LEAST_LEAD if abs(moved_m) <= 0.5 * _REACH_M else _LEAST_FAR_LEAD
     least_lead *= max(1.0, np.sqrt(_LEAD_RESPONSES / peak.size))
     if best < _LEAST_SCORE or lead < least_lead or share < _LEAST_SHARE:
-        return []
+        return
     way = "farther out than" if moved_m > 0.0 else "inside of where"
-    return [
-        Finding(
-            Code.WALL_POSITION_MISMATCH,
-            About(points_m=[wall.centre_m]),
-            f"The echoes of {wall.name} come from a wall {abs(moved_m):.2f} m {way} the specified "
-            f"outline has it, in {round(100 * share)} % of {peak.size} responses. Measure the room "
-            "again, or look for what hangs or stands in front of that wall.",
-            {"surface": wall.name, "metres_outward": round(moved_m, 2), "responses": peak.size},
-        )
-    ]
+    yield Finding(
+        Code.WALL_POSITION_MISMATCH,
+        About(points_m=[wall.centre_m]),
+        f"The echoes of {wall.name} come from a wall {abs(moved_m):.2f} m {way} the specified "
+        f"outline has it, in {round(100 * share)} % of {peak.size} responses. Measure the room "
+        "again, or look for what hangs or stands in front of that wall.",
+        {"surface": wall.name, "metres_outward": round(moved_m, 2), "responses": peak.size},
+    )

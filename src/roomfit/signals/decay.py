@@ -1,8 +1,7 @@
 """Backward-integrated decay curves and the room parameters of ISO 3382-1 that they give.
 
 Curves come from measured pressure or from predicted energies. Recordings that are no impulse
-responses or decay too little are refused, and just noticeable differences give the scale on which
-an error matters to a listener.
+responses or decay too little are refused.
 """
 
 from __future__ import annotations
@@ -19,17 +18,14 @@ from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.base.typing import ParameterName as ParameterName
-from roomfit.signals.filters import (
-    filter_pressure,
-    ringing_s,
-    statistical_bandwidth_hz,
-)
+from roomfit.signals.filters import filter_pressure, ringing_s, statistical_bandwidth_hz
 from roomfit.signals.noise import block_length_s, decay_line, estimate_noise
 from roomfit.signals.response import ImpulseResponse, check_travel, padded
 
 # Beyond this share of `ringing_s` (4 periods of an octave) lies less than 1e-4 of an impulse.
 _LEAD = 1.0 / 16.0
 _LOWEST_DB = -200.0
+_DB = 10.0 / np.log(10.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,43 +152,35 @@ def reduced_alike(predicted: DecayCurve, measured: DecayCurve) -> DecayCurve:
     measured : DecayCurve
         From `decay_curve`.
     """
-    left, constant_s = predicted.energy_left.copy(), predicted.tail_time_constant_s.copy()
-    ends_s, usable_db = predicted.usable_end_s.copy(), predicted.usable_db.copy()
-    bandwidths = statistical_bandwidth_hz(predicted.bands)
-    for band, (end_s, tau) in enumerate(
-        zip(measured.usable_end_s, measured.tail_time_constant_s, strict=True)
-    ):
-        own = predicted.energy_left[band]
-        length_s = float(predicted.time_s[-1]) - predicted.onset_s
-        if not (tau > 0.0 and predicted.onset_s < end_s < predicted.time_s[-1] and own[0] > 0.0):
+    found = {
+        name: getattr(predicted, name).copy()
+        for name in ("energy_left", "usable_end_s", "usable_db", "tail_time_constant_s")
+    }
+    time_s, onset_s, end_time_s = predicted.time_s, predicted.onset_s, float(predicted.time_s[-1])
+    for band, bandwidth_hz in enumerate(statistical_bandwidth_hz(predicted.bands).tolist()):
+        own, end_s = predicted.energy_left[band], float(measured.usable_end_s[band])
+        tau, usable_db = measured.tail_time_constant_s[band], measured.usable_db[band]
+        if not (tau > 0.0 and onset_s < end_s < end_time_s and own[0] > 0.0):
             continue
         reached = bool(measured.noise_reached[band])
-        step_s = block_length_s(float(bandwidths[band]), length_s)
-        until_s = length_s if reached else end_s - predicted.onset_s
-        edges = np.arange(0.0, until_s + 1e-9, step_s)
-        power = -np.diff(np.interp(predicted.onset_s + edges, predicted.time_s, own)) / step_s
+        step_s = block_length_s(bandwidth_hz, end_time_s - onset_s)
+        edges = np.arange(0.0, (end_time_s if reached else end_s) - onset_s + 1e-9, step_s)
+        power = -np.diff(np.interp(onset_s + edges, time_s, own)) / step_s
         # at its end the measured line is as high as the noise; beside a cut file there is none
-        at_end = own[0] * 10.0 ** (-0.1 * measured.usable_db[band]) / tau
-        floor = at_end if reached else 1e-12 * at_end
-        line = decay_line(
-            edges[:-1] + 0.5 * step_s, power + floor, floor, 25.0 if reached else np.inf
-        )
+        at_end = own[0] * 10.0 ** (-0.1 * usable_db) / tau
+        floor, span_db = (at_end, 25.0) if reached else (1e-12 * at_end, np.inf)
+        line = decay_line(edges[:-1] + 0.5 * step_s, power + floor, floor, span_db)
         if line is None:
             continue
-        height, constant_s[band] = line
-        tail = height * line[1] * np.exp(-(end_s - predicted.onset_s) / line[1])
-        beyond_s = np.maximum(predicted.time_s - end_s, 0.0)
-        until_end = own - np.interp(end_s, predicted.time_s, own)
+        height, constant_s = line
+        tail = height * constant_s * np.exp(-(end_s - onset_s) / constant_s)
+        beyond_s = np.maximum(time_s - end_s, 0.0)
+        until_end = np.maximum(own - np.interp(end_s, time_s, own), 0.0)
         # after its end the line itself, so that no level between two bins is without a number
-        left[band] = np.maximum(until_end, 0.0) + tail * np.exp(-beyond_s / line[1])
-        ends_s[band], usable_db[band] = end_s, measured.usable_db[band]
-    return replace(
-        predicted,
-        energy_left=left,
-        usable_end_s=ends_s,
-        usable_db=usable_db,
-        tail_time_constant_s=constant_s,
-    )
+        found["energy_left"][band] = until_end + tail * np.exp(-beyond_s / constant_s)
+        found["usable_end_s"][band], found["usable_db"][band] = end_s, usable_db
+        found["tail_time_constant_s"][band] = constant_s
+    return replace(predicted, **found)
 
 
 def decay_curve_db(curve: DecayCurve) -> FloatArray:
@@ -385,7 +373,8 @@ FIT_RANGES_DB: dict[str, tuple[float, float]] = {
     "T20_s": (5.0, 25.0),
     "T30_s": (5.0, 35.0),
 }
-POINTS_OF_A_FIT = 512
+# Points of the line through a range, and where the early part of each parameter ends.
+_POINTS, _EARLY_S = 512, {"C50_dB": 0.05, "C80_dB": 0.08, "D50_percent": 0.05}
 # Energy after the usable end is extrapolated; where it is a hundredth of all, an error of 20 % in
 # it moves D50, TS or C80 around 0 dB by no more than a tenth of a just noticeable difference.
 _ROOM_PARAMETERS_LEAST_RANGE_DB = 20.0
@@ -439,12 +428,21 @@ def room_parameters(curve: DecayCurve) -> RoomParameters:
     (array([1.]), array([3.05]))
     """
     levels_db = decay_curve_db(curve)
-    n_bands = len(curve.bands)
-    values = np.full((len(PARAMETER_NAMES), n_bands), np.nan)
-    for band in range(n_bands):
-        for row, fit_range_db in enumerate(FIT_RANGES_DB.values()):
-            values[row, band] = _decay_time_s(curve, levels_db[band], band, fit_range_db)
-        values[3:, band] = _early_to_late(curve, band)
+    values = np.full((len(PARAMETER_NAMES), len(curve.bands)), np.nan)
+    for band, level_db in enumerate(levels_db):
+        left, usable_db = curve.energy_left[band], curve.usable_db[band]
+        tail = float(left[0]) * 10.0 ** (-0.1 * usable_db)
+        for row, name in enumerate(PARAMETER_NAMES):
+            if name in FIT_RANGES_DB:
+                lowest = FIT_RANGES_DB[name][1]
+                if lowest <= usable_db and level_db.min() < -lowest:
+                    values[row, band] = decay_time(curve, level_db, FIT_RANGES_DB[name])[0]
+            elif usable_db >= _ROOM_PARAMETERS_LEAST_RANGE_DB and name in _EARLY_S:
+                value, late, _ = early_part(curve, band, name)
+                if name == "D50_percent" or tail < late < left[0]:
+                    values[row, band] = value
+            elif usable_db >= _ROOM_PARAMETERS_LEAST_RANGE_DB:
+                values[row, band] = centre_time_ms(curve, band, tail)[0]
     return RoomParameters(curve.bands, values, np.isfinite(values))
 
 
@@ -453,65 +451,111 @@ def range_findings(parameters: RoomParameters, where: str) -> tuple[Finding, ...
 
     `where`: names the response in the sentence.
     """
-    missing = parameters.bands.centres_hz[~parameters.valid[PARAMETER_NAMES.index("T20_s")]]
-    if not missing.size:
+    missing = parameters.bands.centres_hz[np.isnan(parameters.of("T20_s"))].tolist()
+    if not missing:
         return ()
-    names = ", ".join(f"{f:g}" for f in missing)
-    return (
-        Finding(
-            Code.DECAY_RANGE_TOO_SMALL,
-            About(bands_hz=missing.tolist()),
-            f"{where}: noise or the end of the file leaves less than 25 dB of decay at {names} Hz; "
-            "T20 is not evaluated there.",
-            {"bands_hz": missing.tolist()},
-        ),
+    sentence = (
+        f"{where}: noise or the end of the file leaves less than 25 dB of decay at "
+        f"{', '.join(f'{f:g}' for f in missing)} Hz; T20 is not evaluated there."
     )
+    about, evidence = About(bands_hz=missing), {"bands_hz": missing}
+    return (Finding(Code.DECAY_RANGE_TOO_SMALL, about, sentence, evidence),)
 
 
-def _decay_time_s(
-    curve: DecayCurve, level_db: FloatArray, band: int, fit_range_db: tuple[float, float]
-) -> float:
-    """Return the reverberation time over one range, nan beyond the usable."""
-    upper_db, lower_db = fit_range_db
-    if lower_db > curve.usable_db[band]:
-        return np.nan
-    start = int(np.searchsorted(curve.time_s, curve.onset_s))
-    begin_s = max(curve.onset_s, _first_below_s(curve.time_s, level_db, upper_db))
-    end_s = _first_below_s(curve.time_s, level_db, lower_db)
-    if not end_s > begin_s or start >= len(curve.time_s):
-        return np.nan
+def decay_time(
+    curve: DecayCurve,
+    level_db: FloatArray,
+    fit_range_db: tuple[float, float],
+    *,
+    derivative: bool = False,
+) -> tuple[float, FloatArray]:
+    """Return the reverberation time over a range of levels, and its derivative by the levels.
+
+    NaN where the curve does not fall after the onset; zeros where no derivative is wanted. The
+    range's end is that of the curve where it never falls so far. `level_db`: (n_times,).
+    """
+    time_s, level_db = curve.time_s, np.maximum(level_db, -300.0)
+    begin_s, by_begin = _crossing(time_s, level_db, fit_range_db[0], curve.onset_s)
+    end_s, by_end = _crossing(time_s, level_db, fit_range_db[1], curve.onset_s)
+    span_s, by_level = end_s - begin_s, np.zeros_like(level_db)
+    if not span_s > 0.0:
+        return np.nan, by_level
     # the curve is known at unequal times: the line is drawn through equally spaced ones
-    times = np.linspace(begin_s, end_s, POINTS_OF_A_FIT)
-    levels = np.interp(times, curve.time_s, level_db)
-    t, y = times - times.mean(), levels - levels.mean()
-    slope = float(t @ y / (t @ t))
-    return -60.0 / slope if slope < 0.0 else np.nan
+    u = np.linspace(0.0, 1.0, _POINTS)
+    times = begin_s + span_s * u
+    i = np.clip(np.searchsorted(time_s, times, side="right") - 1, 0, len(time_s) - 2)
+    step_s = time_s[i + 1] - time_s[i]
+    share = (times - time_s[i]) / step_s
+    weight = (u - 0.5) / (span_s * np.sum((u - 0.5) ** 2))
+    slope = float(weight @ ((1.0 - share) * level_db[i] + share * level_db[i + 1]))
+    if not slope < 0.0:
+        return np.nan, by_level
+    if derivative:
+        np.add.at(by_level, i, weight * (1.0 - share))
+        np.add.at(by_level, i + 1, weight * share)
+        # the range moves: its points climb along the curve, and its width divides the slope
+        along = weight * (level_db[i + 1] - level_db[i]) / step_s
+        by_level += float(along @ (1.0 - u) + slope / span_s) * by_begin
+        by_level += float(along @ u - slope / span_s) * by_end
+    return -60.0 / slope, 60.0 / slope**2 * by_level
 
 
-def _first_below_s(time_s: FloatArray, level_db: FloatArray, depth_db: float) -> float:
-    """Return when the curve first falls below a depth, between its points by a straight line."""
+def _crossing(
+    time_s: FloatArray, level_db: FloatArray, depth_db: float, onset_s: float
+) -> tuple[float, FloatArray]:
+    """Return when the curve falls below a depth, and the derivative by its levels.
+
+    Not before the onset, and at the last boundary where it never falls so far: there the
+    derivative is zero.
+    """
+    by_level = np.zeros_like(level_db)
     below = np.flatnonzero(level_db < -depth_db)
-    if not below.size or below[0] == 0:
-        return float(time_s[0])
+    if not below.size:
+        return float(time_s[-1]), by_level
     i = int(below[0])
-    high, low = level_db[i - 1], max(level_db[i], -300.0)
-    share = (high + depth_db) / (high - low)
-    return float(time_s[i - 1] + share * (time_s[i] - time_s[i - 1]))
+    if i == 0:
+        return onset_s, by_level
+    fall, step_s = level_db[i - 1] - level_db[i], time_s[i] - time_s[i - 1]
+    share = (level_db[i - 1] + depth_db) / fall
+    found_s = float(time_s[i - 1] + share * step_s)
+    if found_s <= onset_s:
+        return onset_s, by_level
+    by_level[i - 1 : i + 1] = (1.0 - share) * step_s / fall, share * step_s / fall
+    return found_s, by_level
 
 
-def _early_to_late(curve: DecayCurve, band: int) -> list[float]:
-    """Return C50 and C80 in dB, D50 in percent, TS in ms; nan beyond the usable range."""
-    left, usable_db = curve.energy_left[band], float(curve.usable_db[band])
-    values = [np.nan] * 4
-    if usable_db < _ROOM_PARAMETERS_LEAST_RANGE_DB:
-        return values
-    total, tail = float(left[0]), float(left[0]) * 10.0 ** (-0.1 * usable_db)
-    late = np.interp(curve.onset_s + np.array([0.05, 0.08]), curve.time_s, left, right=0.0)
-    for row in (0, 1):
-        if tail < late[row] < total:
-            values[row] = float(10.0 * np.log10(total / late[row] - 1.0))
-    values[2] = float(100.0 * (1.0 - late[0] / total))
-    # the first moment by parts: the integral of what is left, with the exponential tail's share
-    area = float(np.trapezoid(left, curve.time_s)) + tail * curve.tail_time_constant_s[band]
-    values[3] = float(1000.0 * (area / total - (curve.onset_s - curve.time_s[0])))
-    return values
+def early_part(curve: DecayCurve, band: int, name: str) -> tuple[float, float, FloatArray]:
+    """Return C50 or C80 in dB, or D50 in percent, late energy, and the derivative by what is left.
+
+    The derivative has the shape (n_times,).
+    """
+    left, time_s, end_s = curve.energy_left[band], curve.time_s, curve.onset_s + _EARLY_S[name]
+    # the boundary before the end of the early part, and the share of the bin up to that end
+    i = min(max(int(np.searchsorted(time_s, end_s, side="right")) - 1, 0), len(time_s) - 2)
+    share = min(max(float((end_s - time_s[i]) / (time_s[i + 1] - time_s[i])), 0.0), 1.0)
+    weights: FloatArray = np.zeros_like(left)
+    weights[i : i + 2] = 1.0 - share, share
+    total, late = float(left[0]), float((1.0 - share) * left[i] + share * left[i + 1])
+    if name == "D50_percent":
+        by_left = -100.0 / total * weights
+        by_left[0] += 100.0 * late / total**2
+        return 100.0 * (1.0 - late / total), late, by_left
+    # one part in 1e12 on either side keeps the logarithm where all is early, or all late
+    kept = min(max(late, 1e-12 * total), (1.0 - 1e-12) * total)
+    by_left = -_DB * total / (kept * (total - kept)) * weights
+    by_left[0] += _DB / (total - kept)
+    return float(_DB * np.log(total / kept - 1.0)), late, by_left
+
+
+def centre_time_ms(curve: DecayCurve, band: int, tail: float) -> tuple[float, FloatArray]:
+    """Return the centre time, with its derivative by the energy left (the tail's moment apart).
+
+    The integral of what is left, by parts, with the share of the exponential tail.
+    """
+    left, steps_s = curve.energy_left[band], np.diff(curve.time_s)
+    weights = 0.5 * (np.append(steps_s, 0.0) + np.insert(steps_s, 0, 0.0))
+    moment = float(weights @ left) + float(tail * curve.tail_time_constant_s[band])
+    total = float(left[0])
+    by_left = 1000.0 / total * weights
+    by_left[0] -= 1000.0 * moment / total**2
+    return 1000.0 * (moment / total - (curve.onset_s - float(curve.time_s[0]))), by_left

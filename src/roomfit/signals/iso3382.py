@@ -8,7 +8,7 @@ interference, or over the batches of a trace, the variance of the parameter.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Literal
@@ -22,12 +22,18 @@ from roomfit.base.kernels import kernel
 from roomfit.base.typing import VALUE_NAMES as VALUE_NAMES
 from roomfit.base.typing import FloatArray
 from roomfit.base.typing import ValueName as ValueName
-from roomfit.signals.decay import FIT_RANGES_DB, POINTS_OF_A_FIT, DecayCurve, jnd_of
+from roomfit.signals.decay import (
+    FIT_RANGES_DB,
+    DecayCurve,
+    centre_time_ms,
+    decay_time,
+    early_part,
+    jnd_of,
+)
 
 _DB = 10.0 / np.log(10.0)
 # The direct sound of a source of unit power at 10 m: the level to which G refers.
 _ENERGY_AT_10_M = 1.0 / (4.0 * np.pi * 100.0)
-_EARLY_S = {"C50_dB": 0.05, "C80_dB": 0.08, "D50_percent": 0.05}
 
 
 def value_gradients(
@@ -60,45 +66,75 @@ def value_gradients(
     InputError
         An echogram without energy.
     """
-    total = float(curve.energy_left[band, 0])
+    left = curve.energy_left[band]
+    total = float(left[0])
     if not total > 0.0:
         what = "an echogram without energy has no room parameters"
         hint = "leave the band out, or trace more rays"
         raise InputError(what, found=f"energy 0 in band {band}", needed="energy above 0", hint=hint)
-    values = np.empty(len(names))
-    by_left = np.zeros((len(names), len(curve.time_s)))
-    left = curve.energy_left[band]
-    level_db = np.maximum(_DB * np.log(np.maximum(left / left[0], 1e-30)), -300.0)
+    values, by_left = np.empty(len(names)), np.zeros((len(names), len(left)))
+    level_db = np.maximum(_DB * np.log(np.maximum(left / total, 1e-30)), -300.0)
     for row, name in enumerate(names):
         if name in FIT_RANGES_DB:
-            values[row], by_left[row] = _decay_time_s(
-                curve, band, FIT_RANGES_DB[name], level_db, derivative
+            values[row], by_level = decay_time(
+                curve, level_db, FIT_RANGES_DB[name], derivative=derivative
             )
-        elif name in _EARLY_S:
-            values[row], by_left[row] = _early(curve, band, name)
+            by_left[row] = _DB * by_level / np.maximum(left, 1e-30 * total)
+            by_left[row, 0] -= _DB * float(by_level.sum()) / total
         elif name == "G_dB":
-            values[row] = _DB * np.log(total / _ENERGY_AT_10_M)
-            by_left[row, 0] = _DB / total
+            values[row], by_left[row, 0] = _DB * np.log(total / _ENERGY_AT_10_M), _DB / total
+        elif name == "TS_ms":
+            values[row], by_left[row] = centre_time_ms(curve, band, float(left[-1]))
         else:
-            values[row], by_left[row] = _centre_time_ms(curve, band)
+            values[row], _, by_left[row] = early_part(curve, band, name)
+    # nothing falls after the onset: longer than the echogram, by any measure
+    values[np.isnan(values)] = 60.0 * float(curve.time_s[-1] - curve.time_s[0])
     if not derivative:
         return values, np.zeros((len(names), 0))
     tail, tail_moment_s = tail_gradients(curve, band)
     # a bin counts at every boundary before it, and a little in what comes after the echogram
-    gradients = np.cumsum(by_left, axis=1)[:, :-1]
-    gradients += by_left.sum(axis=1)[:, None] * tail
-    for row in (i for i, name in enumerate(names) if name == "TS_ms"):
-        gradients[row] += 1000.0 / total * tail_moment_s
+    gradients = np.cumsum(by_left, axis=1)[:, :-1] + by_left.sum(axis=1)[:, None] * tail
+    gradients[[name == "TS_ms" for name in names]] += 1000.0 / total * tail_moment_s
     return values, gradients
 
 
-# Of a decay range, at which `values_of_bins` puts its line through the levels.
-_POINTS_OF_A_LINE = 64
+_POINTS_OF_A_LINE = (
+    64  # of a decay range, at which `values_of_bins` puts its line through the levels
+)
 
 
 @kernel()
-def _level_db(left: float, total: float) -> float:
-    return 10.0 * math.log10(max(left / total, 1e-30))
+def _level_db(left: FloatArray, i: int) -> float:
+    return 10.0 * math.log10(max(left[i] / left[0], 1e-30))
+
+
+@kernel()
+def _decay_time_of_bins(
+    left: FloatArray, edges_s: FloatArray, onset_s: float, high: float, low: float
+) -> float:
+    """Return the decay time between two depths in dB; far too long where nothing falls."""
+    n_bins, step_s = len(edges_s) - 1, edges_s[1] - edges_s[0]
+    above, below = left[0] * 10.0 ** (-0.1 * high), left[0] * 10.0 ** (-0.1 * low)
+    begin, end = onset_s, edges_s[n_bins]
+    for i in range(1, n_bins + 1):
+        level = _level_db(left, i - 1)
+        fall = max(level - _level_db(left, i), 1e-12)
+        if left[i] < above and begin == onset_s:
+            begin = max(edges_s[i - 1] + (level + high) / fall * step_s, onset_s + 1e-9)
+        if left[i] < below:
+            end = edges_s[i - 1] + (level + low) / fall * step_s
+            break
+    slope, squares = 0.0, 0.0
+    for k in range(_POINTS_OF_A_LINE):
+        u = k / (_POINTS_OF_A_LINE - 1.0)
+        at = (begin + (end - begin) * u - edges_s[0]) / step_s
+        i = min(int(at), n_bins - 1)
+        level = _level_db(left, i)
+        level += (at - i) * (_level_db(left, i + 1) - level)
+        slope += (u - 0.5) * level
+        squares += (u - 0.5) ** 2
+    slope /= squares * max(end - begin, 1e-9)
+    return -60.0 / slope if slope < 0.0 else 60.0 * (edges_s[n_bins] - edges_s[0])
 
 
 @kernel()
@@ -137,39 +173,14 @@ def values_of_bins(
         last = left[n_bins - third] - left[n_bins]
         ratio = last / before if 1e-12 * left[0] < last < before else 0.0
         tail = last * ratio / (1.0 - ratio)
-        total = left[0] + tail
-        moment = 0.0
-        for i in range(n_bins + 1):
-            left[i] += tail
-            moment += left[i] * step_s * (0.5 if i in (0, n_bins) else 1.0)
+        left += tail
+        moment = step_s * (left.sum() - 0.5 * (left[0] + left[n_bins]))
         if ratio > 0.0:
             moment += tail * third * step_s / -math.log(ratio)
-        for row in range(3):
-            high = 0.0 if row == 0 else 5.0
-            low = (10.0, 25.0, 35.0)[row]
-            above, below = total * 10.0 ** (-0.1 * high), total * 10.0 ** (-0.1 * low)
-            begin, end = onset_s, edges_s[n_bins]
-            for i in range(1, n_bins + 1):
-                if left[i] < above and begin == onset_s:
-                    level = _level_db(left[i - 1], total)
-                    share = (level + high) / max(level - _level_db(left[i], total), 1e-12)
-                    begin = max(edges_s[i - 1] + share * step_s, onset_s + 1e-9)
-                if left[i] < below:
-                    level = _level_db(left[i - 1], total)
-                    share = (level + low) / max(level - _level_db(left[i], total), 1e-12)
-                    end = edges_s[i - 1] + share * step_s
-                    break
-            slope, squares = 0.0, 0.0
-            for k in range(_POINTS_OF_A_LINE):
-                u = k / (_POINTS_OF_A_LINE - 1.0)
-                at = (begin + (end - begin) * u - edges_s[0]) / step_s
-                i = min(int(at), n_bins - 1)
-                level = _level_db(left[i], total)
-                level += (at - i) * (_level_db(left[i + 1], total) - level)
-                slope += (u - 0.5) * level
-                squares += (u - 0.5) ** 2
-            slope /= squares * max(end - begin, 1e-9)
-            out[p, row] = -60.0 / slope if slope < 0.0 else 60.0 * (edges_s[n_bins] - edges_s[0])
+        total = left[0]
+        out[p, 0] = _decay_time_of_bins(left, edges_s, onset_s, 0.0, 10.0)
+        out[p, 1] = _decay_time_of_bins(left, edges_s, onset_s, 5.0, 25.0)
+        out[p, 2] = _decay_time_of_bins(left, edges_s, onset_s, 5.0, 35.0)
         for row in range(3, 6):
             at = (onset_s + (0.08 if row == 4 else 0.05) - edges_s[0]) / step_s
             i = min(int(at), n_bins - 1)
@@ -181,105 +192,6 @@ def values_of_bins(
         out[p, 6] = 1000.0 * (moment / total - (onset_s - edges_s[0]))
         out[p, 7] = 10.0 * math.log10(max(total, 1e-300) / _ENERGY_AT_10_M)
     return out
-
-
-def _decay_time_s(
-    curve: DecayCurve,
-    band: int,
-    fit_range_db: tuple[float, float],
-    level_db: FloatArray,
-    derivative: bool,
-) -> tuple[float, FloatArray]:
-    """Return a decay time and its derivative by the energy left, zeros where it is not wanted."""
-    time_s, left = curve.time_s, curve.energy_left[band]
-    begin_s, by_begin = _crossing(time_s, level_db, fit_range_db[0], curve.onset_s)
-    end_s, by_end = _crossing(time_s, level_db, fit_range_db[1], curve.onset_s)
-    span_s = end_s - begin_s
-    if not span_s > 0.0:
-        # nothing falls after the onset: longer than the echogram, by any measure
-        return 60.0 * float(time_s[-1] - time_s[0]), np.zeros_like(left)
-    u = np.linspace(0.0, 1.0, POINTS_OF_A_FIT)
-    times = begin_s + span_s * u
-    i = np.clip(np.searchsorted(time_s, times, side="right") - 1, 0, len(time_s) - 2)
-    step_s = time_s[i + 1] - time_s[i]
-    share = (times - time_s[i]) / step_s
-    levels = (1.0 - share) * level_db[i] + share * level_db[i + 1]
-    fall = (level_db[i + 1] - level_db[i]) / step_s
-    weight = (u - 0.5) / (span_s * np.sum((u - 0.5) ** 2))
-    slope = float(weight @ levels)
-    if not slope < 0.0:
-        return 60.0 * float(time_s[-1] - time_s[0]), np.zeros_like(left)
-    by_level: FloatArray = np.zeros_like(left)
-    if not derivative:
-        return -60.0 / slope, by_level
-    np.add.at(by_level, i, weight * (1.0 - share))
-    np.add.at(by_level, i + 1, weight * share)
-    # the range moves: its points climb along the curve, and its width divides the slope
-    along = weight * fall
-    by_level += float(along @ (1.0 - u) + slope / span_s) * by_begin
-    by_level += float(along @ u - slope / span_s) * by_end
-    by_left = _DB * by_level / np.maximum(left, 1e-30 * left[0])
-    by_left[0] -= _DB * float(by_level.sum()) / left[0]
-    return -60.0 / slope, 60.0 / slope**2 * by_left
-
-
-def _crossing(
-    time_s: FloatArray, level_db: FloatArray, depth_db: float, onset_s: float
-) -> tuple[float, FloatArray]:
-    """Return when the curve falls below a depth, and the derivative by its levels.
-
-    Not before the onset, and at the last boundary where it never falls so far: there the
-    derivative is zero.
-    """
-    by_level = np.zeros_like(level_db)
-    below = np.flatnonzero(level_db < -depth_db)
-    if not below.size:
-        return float(time_s[-1]), by_level
-    i = int(below[0])
-    if i == 0:
-        return onset_s, by_level
-    fall = level_db[i - 1] - level_db[i]
-    share = (level_db[i - 1] + depth_db) / fall
-    step_s = time_s[i] - time_s[i - 1]
-    found_s = float(time_s[i - 1] + share * step_s)
-    if found_s <= onset_s:
-        return onset_s, by_level
-    by_level[i - 1] = (1.0 - share) * step_s / fall
-    by_level[i] = share * step_s / fall
-    return found_s, by_level
-
-
-def _early(curve: DecayCurve, band: int, name: str) -> tuple[float, FloatArray]:
-    """Return C50 or C80 in dB, or D50 in percent, with its derivative by the energy left."""
-    left = curve.energy_left[band]
-    time_s, end_s = curve.time_s, curve.onset_s + _EARLY_S[name]
-    # the boundary before the end of the early part, and the share of the bin up to that end
-    i = min(max(int(np.searchsorted(time_s, end_s, side="right")) - 1, 0), len(time_s) - 2)
-    share = min(max(float((end_s - time_s[i]) / (time_s[i + 1] - time_s[i])), 0.0), 1.0)
-    weights: FloatArray = np.zeros_like(left)
-    weights[i : i + 2] = 1.0 - share, share
-    total, late = float(left[0]), float((1.0 - share) * left[i] + share * left[i + 1])
-    if name == "D50_percent":
-        by_left = -100.0 / total * weights
-        by_left[0] += 100.0 * late / total**2
-        return 100.0 * (1.0 - late / total), by_left
-    # one part in 1e12 on either side keeps the logarithm where all is early, or all late
-    late = min(max(late, 1e-12 * total), (1.0 - 1e-12) * total)
-    by_left = -_DB * total / (late * (total - late)) * weights
-    by_left[0] += _DB / (total - late)
-    return float(_DB * np.log(total / late - 1.0)), by_left
-
-
-def _centre_time_ms(curve: DecayCurve, band: int) -> tuple[float, FloatArray]:
-    """Return the centre time, with its derivative by the energy left (the tail's moment apart)."""
-    time_s, left = curve.time_s, curve.energy_left[band]
-    steps_s = np.diff(time_s)
-    weights = 0.5 * (np.append(steps_s, 0.0) + np.insert(steps_s, 0, 0.0))
-    moment = float(weights @ left) + float(left[-1] * curve.tail_time_constant_s[band])
-    total = float(left[0])
-    by_left = 1000.0 / total * weights
-    by_left[0] -= 1000.0 * moment / total**2
-    return 1000.0 * (moment / total - (curve.onset_s - float(time_s[0]))), by_left
 
 
 def tail_gradients(curve: DecayCurve, band: int) -> tuple[FloatArray, FloatArray]:
@@ -324,6 +236,7 @@ _USUAL_UNIT = {"s": "milliseconds", "ms": "seconds", "%": "a fraction of 1", "dB
 _DECAY_RATIOS: dict[ValueName, tuple[float, float]] = {"T30_s": (1.35, 2.5), "EDT_s": (2.0, 8.0)}
 # D50 follows from C50, but means over teams or directions are taken of each by itself.
 _DOUBT_PERCENT, _ERROR_PERCENT = 5.0, 20.0
+_REFERENCES: tuple[ValueName, ...] = ("T20_s", "T30_s")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -420,24 +333,51 @@ def contradiction_findings(measured: MeasuredValues, where: str) -> tuple[Findin
         They cannot be of one response: C80 below C50, D50 of another C50, or decay times that
         differ by a factor that no decay has.
     """
-    doubts: list[tuple[float, str]] = []
-    for band, centre_hz in enumerate(measured.centres_hz):
-        at = f"{where}, {measured.source} to {measured.receiver} at {centre_hz:g} Hz"
+    pair, doubts = f"{where}, {measured.source} to {measured.receiver}", []
+    for band, centre_hz in enumerate(measured.centres_hz.tolist()):
         known = {k: float(v[band]) for k, v in measured.values.items() if np.isfinite(v[band])}
-        for sentence in (*_energy_contradictions(known, at), *_decay_contradictions(known, at)):
-            doubts.append((float(centre_hz), sentence))
+        for is_error, found, needed in _contradictions(known):
+            if is_error:
+                raise InputError(
+                    "room parameters that contradict each other",
+                    where=f"{pair} at {centre_hz:g} Hz",
+                    found=found,
+                    needed=needed,
+                    hint="check units and rows; leave a cell empty where the value is not sure",
+                )
+            doubts.append((centre_hz, found))
     if not doubts:
         return ()
     bands = sorted({f for f, _ in doubts})
-    return (
-        Finding(
-            Code.ROOM_PARAMETERS_INCONSISTENT,
-            About(bands_hz=bands),
-            f"{where}, {measured.source} to {measured.receiver}: {len(doubts)} pairs of values do "
-            f"not go well together; the first: {doubts[0][1]} at {doubts[0][0]:g} Hz.",
-            {"bands_hz": bands, "doubts": [f"{f:g} Hz: {s}" for f, s in doubts]},
-        ),
+    sentence = (
+        f"{pair}: {len(doubts)} pairs of values do not go well together; the first: "
+        f"{doubts[0][1]} at {doubts[0][0]:g} Hz."
     )
+    evidence = {"bands_hz": bands, "doubts": [f"{f:g} Hz: {s}" for f, s in doubts]}
+    return (Finding(Code.ROOM_PARAMETERS_INCONSISTENT, About(bands_hz=bands), sentence, evidence),)
+
+
+def _contradictions(known: dict[ValueName, float]) -> Iterator[tuple[bool, str, str]]:
+    """Yield whether it is an error or a doubt, what values stand beside each other, and needed."""
+    c50, c80, d50 = (known.get(name, np.nan) for name in ("C50_dB", "C80_dB", "D50_percent"))
+    if c80 < c50:
+        found = f"C80 of {c80:g} dB and C50 of {c50:g} dB"
+        at_least = "C80 at least as large as C50: what is early within 50 ms is early within 80 ms"
+        yield True, found, at_least
+    expected = 100.0 / (1.0 + 10.0 ** (-0.1 * c50))
+    if abs(expected - d50) > _DOUBT_PERCENT:
+        found = f"D50 of {d50:g} % beside C50 of {c50:g} dB"
+        is_error = abs(expected - d50) > _ERROR_PERCENT
+        yield is_error, found, f"D50 near {expected:.0f} %, which is that C50"
+    reference = next((n for n in _REFERENCES if n in known), None)
+    for name, (doubt, error) in _DECAY_RATIOS.items():
+        if reference in (None, name) or name not in known:
+            continue
+        value, other = known[name], known[reference]
+        ratio = max(value / other, other / value)
+        if ratio > doubt:
+            found = f"{_short(name)} of {value:g} s beside {_short(reference)} of {other:g} s"
+            yield ratio > error, found, f"times that differ by less than {error:g} times"
 
 
 def joined_values(
@@ -453,24 +393,21 @@ def joined_values(
     first = repeated[0]
     if len(repeated) == 1:
         return first, ()
-    names = list(dict.fromkeys(name for m in repeated for name in m.values))
     values: dict[ValueName, FloatArray] = {}
     spread: dict[ValueName, FloatArray] = {}
-    worst: tuple[float, str, float] = (0.0, "", 0.0)
-    for name in names:
+    worst: tuple[float, ValueName, float] = (0.0, "T20_s", 0.0)
+    for name in dict.fromkeys(name for m in repeated for name in m.values):
         empty = np.full(first.centres_hz.size, np.nan)
-        rows = np.array([m.values.get(name, empty) for m in repeated])
-        stated = np.array([m.spread.get(name, empty) for m in repeated])
-        values[name], half = empty.copy(), empty.copy()
-        for band in np.flatnonzero(np.isfinite(rows).any(axis=0)):
-            observed = rows[np.isfinite(rows[:, band]), band]
-            values[name][band] = observed.mean()
-            half[band] = 0.5 * np.ptp(observed) if observed.size > 1 else np.nan
-            apart = float(np.ptp(observed) / jnd_of(name, np.abs(observed.mean())))
-            if apart > worst[0]:
-                worst = (apart, name, float(first.centres_hz[band]))
-        candidates = np.vstack((stated, half[None]))
-        spread[name] = np.fmax.reduce(candidates, axis=0)
+        rows = np.ma.masked_invalid([m.values.get(name, empty) for m in repeated])
+        stated = [m.spread.get(name, empty) for m in repeated]
+        mean, apart = rows.mean(axis=0), np.ma.ptp(rows, axis=0)
+        values[name] = mean.filled(np.nan)
+        half = np.where(rows.count(axis=0) > 1, 0.5 * apart.filled(np.nan), np.nan)
+        spread[name] = np.fmax.reduce([*stated, half], axis=0)
+        for band in np.flatnonzero(rows.count(axis=0)):
+            jnd = float(apart[band] / jnd_of(name, np.abs(mean[band])))
+            if jnd > worst[0]:
+                worst = (jnd, name, float(first.centres_hz[band]))
     joined = replace(first, values=values, spread=spread)
     apart, worst_name, centre_hz = worst
     if apart == 0.0:
@@ -484,50 +421,6 @@ def joined_values(
     evidence = {"parameter": worst_name, "band_hz": centre_hz, "jnd": apart}
     about = About(bands_hz=[centre_hz], pairs=[(first.source, first.receiver)])
     return joined, (Finding(Code.REPEATED_VALUES_DIFFER, about, sentence, evidence, graded=graded),)
-
-
-def _energy_contradictions(known: dict[ValueName, float], at: str) -> list[str]:
-    if "C80_dB" in known and "C50_dB" in known and known["C80_dB"] < known["C50_dB"]:
-        raise _contradiction(
-            at,
-            f"C80 of {known['C80_dB']:g} dB and C50 of {known['C50_dB']:g} dB",
-            "C80 at least as large as C50: what is early within 50 ms is early within 80 ms",
-        )
-    if "C50_dB" not in known or "D50_percent" not in known:
-        return []
-    expected = 100.0 / (1.0 + 10.0 ** (-0.1 * known["C50_dB"]))
-    comparison = f"D50 of {known['D50_percent']:g} % beside C50 of {known['C50_dB']:g} dB"
-    off = abs(expected - known["D50_percent"])
-    if off > _ERROR_PERCENT:
-        raise _contradiction(at, comparison, f"D50 near {expected:.0f} %, which is that C50")
-    return [comparison] if off > _DOUBT_PERCENT else []
-
-
-def _decay_contradictions(known: dict[ValueName, float], at: str) -> list[str]:
-    times: tuple[ValueName, ...] = ("T20_s", "T30_s")
-    reference = next((n for n in times if n in known), None)
-    doubts: list[str] = []
-    if reference is None:
-        return doubts
-    for name, (doubt, error) in _DECAY_RATIOS.items():
-        value = known.get(name)
-        if value is None or name == reference:
-            continue
-        comparison = (
-            f"{_short(name)} of {value:g} s beside {_short(reference)} of {known[reference]:g} s"
-        )
-        ratio = max(value / known[reference], known[reference] / value)
-        if ratio > error:
-            raise _contradiction(at, comparison, f"times that differ by less than {error:g} times")
-        if ratio > doubt:
-            doubts.append(comparison)
-    return doubts
-
-
-def _contradiction(at: str, found: str, needed: str) -> InputError:
-    what = "room parameters that contradict each other"
-    hint = "check units and rows; leave a cell empty where the value is not sure"
-    return InputError(what, where=at, found=found, needed=needed, hint=hint)
 
 
 def _short(name: str) -> str:

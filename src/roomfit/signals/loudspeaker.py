@@ -9,15 +9,13 @@ import numpy as np
 from scipy import fft
 
 from roomfit.base.errors import InputError
-from roomfit.base.typing import ComplexArray, FloatArray
+from roomfit.base.typing import FloatArray
 from roomfit.signals.response import ImpulseResponse
 
 # Levels are given every half octave, each over an octave that fades to either side: fine enough for
 # a slope within an octave band, too coarse for single modes of the room.
-_STEP_OCTAVES = 0.5
-_REACH_OCTAVES = 0.5
-_FADE_S = 0.01
-_FEWEST = 3
+_STEP_OCTAVES, _REACH_OCTAVES = 0.5, 0.5
+_FADE_S, _FEWEST = 0.01, 3
 _DOUBT = 2.0  # times the variance by chance is subtracted before a level counts
 _HIGHEST = 0.45  # of the sampling rate
 _MOST_DB = 30.0
@@ -82,9 +80,10 @@ def source_magnitude(
     if len(measured) < _FEWEST or measured[0].sampling_rate_hz < 2.0 * lowest_hz:
         return SourceMagnitude(nodes, np.zeros(nodes.size))
     observed, expected = (_powers(all_of, until_s, nodes) for all_of in (measured, reference))
-    level = _decibel(observed.sum(axis=0) / expected.sum(axis=0))
+    whole = observed.sum(axis=0) / expected.sum(axis=0)
+    level, each = (10.0 * np.log10(np.maximum(x, 1e-30)) for x in (whole, observed / expected))
     level = np.maximum(level, level.max() - _MOST_DB)
-    spread = np.var(_decibel(observed / expected), axis=0, ddof=1) / len(measured)
+    spread = np.var(each, axis=0, ddof=1) / len(measured)
     level -= np.average(level, weights=1.0 / np.maximum(spread, 1e-6))
     # the magnitude response is what exceeds chance: less of it where responses contradict
     colour = max(float(np.mean(level**2 - _DOUBT * spread)), 0.0)
@@ -112,10 +111,6 @@ def _powers(
     return np.asarray(np.maximum((power @ weight.T) / weight.sum(axis=1), 1e-300))
 
 
-def _decibel(ratio: FloatArray) -> FloatArray:
-    return np.asarray(10.0 * np.log10(np.maximum(ratio, 1e-30)))
-
-
 def equalise(response: ImpulseResponse, magnitude: SourceMagnitude) -> ImpulseResponse:
     """Return the response of a source of the same mean level with flat magnitude.
 
@@ -131,7 +126,10 @@ def equalise(response: ImpulseResponse, magnitude: SourceMagnitude) -> ImpulseRe
     n = fft.next_fast_len(_PADDING * response.pressure.size, real=True)
     n += n % 2
     f = fft.rfftfreq(n, 1.0 / response.sampling_rate_hz)
-    spectrum = fft.rfft(response.pressure, n) * _minimum_phase(-_level_at(magnitude, f))
+    cepstrum = fft.irfft(-_level_at(magnitude, f) * np.log(10.0) / 20.0)
+    cepstrum[1 : n // 2] *= 2.0
+    cepstrum[n // 2 + 1 :] = 0.0
+    spectrum = fft.rfft(response.pressure, n) * np.exp(fft.rfft(cepstrum))
     return replace(response, pressure=fft.irfft(spectrum, n)[: response.pressure.size])
 
 
@@ -143,12 +141,3 @@ def power_gain(colour: SourceMagnitude, frequency_hz: FloatArray) -> FloatArray:
 def _level_at(colour: SourceMagnitude, frequency_hz: FloatArray) -> FloatArray:
     octaves = np.log2(np.maximum(frequency_hz, 1.0))
     return np.interp(octaves, np.log2(colour.frequencies_hz), colour.level_db)
-
-
-def _minimum_phase(level_db: FloatArray) -> ComplexArray:
-    """Return the minimum-phase spectrum of a level over the frequencies of a real transform."""
-    cepstrum = fft.irfft(level_db * np.log(10.0) / 20.0)
-    n = cepstrum.size
-    cepstrum[1 : n // 2] *= 2.0
-    cepstrum[n // 2 + 1 :] = 0.0
-    return np.asarray(np.exp(fft.rfft(cepstrum)))

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from roomfit.base.bands import Bands
 from roomfit.base.typing import BoolArray, FloatArray
 from roomfit.signals.filters import statistical_bandwidth_hz
-from roomfit.signals.response import (
-    TAIL_SHARE,
-    ImpulseResponse,
-    before_rise,
-    evidence_of_noise,
-    level_before,
-)
+from roomfit.signals.response import ImpulseResponse
 
 _MOST_ROUNDS = 8
 # Log likelihood ratios that decide between noise and a decay: of all bands, and of one alone.
@@ -23,6 +18,12 @@ _CLEAR, _CLEAR_ALONE = 4.0, 2.0
 _FALLS = 4.0  # quarters of a file that differ so much are not the same noise
 _LOUD = 16.0  # 12 dB above the noise is a sound, however short
 _LEAST_ENERGY = 1e-300  # digital silence, so that it has a level
+_TAIL_SHARE = 0.1  # of the file, from its end: the least that noise is estimated from
+_RISE = 4.0  # an end that is 6 dB louder than the quietest tenth is no noise floor
+_FAIR_VALUES = 16.0
+# A zero-phase octave filter rings before a sound: so long, in units of 1 / B, until it is 60 dB
+# down, and so many independent values make a fair mean (1.5 dB).
+_RINGS, _FEW_VALUES = 4.0, 8.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,13 +77,8 @@ def estimate_noise(
     sounding = np.flatnonzero(response.pressure)  # a file padded with zeros ends before them
     end = int(sounding[-1]) + 1 if sounding.size else 0
     decays = [
-        _band_decay(
-            pressure[start:end] ** 2,
-            rate_hz,
-            bandwidth,
-            level_before(pressure[:start] ** 2, rate_hz, bandwidth),
-        )
-        for pressure, bandwidth in zip(filtered, statistical_bandwidth_hz(bands), strict=True)
+        _band_decay(pressure[:end] ** 2, start, rate_hz, bandwidth_hz)
+        for pressure, bandwidth_hz in zip(filtered, statistical_bandwidth_hz(bands), strict=True)
     ]
     # undecided bands follow the others: one file is cut in all of them, or in none
     evidence = sum(float(np.clip(h.evidence, -_CLEAR, _CLEAR)) for h in decays)
@@ -93,25 +89,25 @@ def estimate_noise(
     return NoiseEstimate(floor, reached > 0.0, start_s + length_s, tail, constant_s, peak_db)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _BandDecay:
+class _BandDecay(NamedTuple):
     """Noise and decay of one band before it is decided whether the file's end is noise."""
 
     floor: float
     before: float  # mean square before the sound
-    spreading_s: float = 0.0  # by which the filter spreads the end of the file
     length_s: float = 0.0
-    times: FloatArray = field(default_factory=lambda: np.zeros(0))
-    blocks: FloatArray = field(default_factory=lambda: np.zeros(0))
+    spreading_s: float = 0.0  # by which the filter spreads the end of the file
+    times: FloatArray = np.zeros(0)
+    blocks: FloatArray = np.zeros(0)
     line: tuple[float, float] | None = None  # height and time constant; None for no decay
     crossing_s: float = 0.0
     levels_out: bool = False
     evidence: float = 0.0
 
 
-def _band_decay(
-    energy: FloatArray, rate_hz: float, bandwidth_hz: float, before: float
-) -> _BandDecay:
+def _band_decay(energy: FloatArray, start: int, rate_hz: float, bandwidth_hz: float) -> _BandDecay:
+    """Return noise and decay of a filtered response squared, whose sound arrives at a sample."""
+    before = level_before(energy[:start], rate_hz, bandwidth_hz)
+    energy = energy[start:]
     energy = before_rise(energy, max(1.0, bandwidth_hz * len(energy) / rate_hz))
     length_s = len(energy) / rate_hz
     block_s = block_length_s(bandwidth_hz, length_s)
@@ -121,8 +117,7 @@ def _band_decay(
     size = max(1, round(block_s * rate_hz))
     n = len(energy) // size
     times = (np.arange(n, dtype=np.float64) + 0.5) * (size / rate_hz)
-    means = np.asarray(energy[: n * size].reshape(n, size).mean(axis=1), dtype=np.float64)
-    blocks = np.maximum(means, _LEAST_ENERGY)
+    blocks = np.maximum(energy[: n * size].reshape(n, size).mean(axis=1), _LEAST_ENERGY)
     floor, line = _floor_and_decay(energy, rate_hz, times, blocks)
     third, last = (part.mean() for part in np.array_split(energy, 4)[2:])
     # a last quarter 6 dB quieter than the third: no noise is reached there
@@ -131,23 +126,17 @@ def _band_decay(
     elif line is None:
         line = _short_decay(times, blocks, floor)
     if line is None:
-        return _BandDecay(floor, before, length_s=length_s)
+        return _BandDecay(floor, before, length_s)
     crossing_s = _crossing_s(*line, floor, length_s)
+    # a last quarter as loud as the third, where the line falls by half or more
     fall = np.exp(-0.25 * length_s / line[1])
+    levels_out = bool(fall < 0.5 and last > np.sqrt(fall) * third)
     # noise alone begins where the decay lies 10 dB below it
     behind = energy[round((crossing_s + np.log(10.0) * line[1]) * rate_hz) :]
+    evidence = evidence_of_noise(behind, rate_hz, bandwidth_hz, line[1])
+    spreading_s = 2.0 / bandwidth_hz
     return _BandDecay(
-        floor,
-        before,
-        2.0 / bandwidth_hz,
-        length_s,
-        times,
-        blocks,
-        line,
-        crossing_s,
-        # a last quarter as loud as the third, where the line falls by half or more
-        bool(fall < 0.5 and last > np.sqrt(fall) * third),
-        evidence_of_noise(behind, rate_hz, bandwidth_hz, line[1]),
+        floor, before, length_s, spreading_s, times, blocks, line, crossing_s, levels_out, evidence
     )
 
 
@@ -165,23 +154,21 @@ def _judged(decay: _BandDecay, evidence: float) -> tuple[float, bool, float, flo
 
     The usable length counts from the onset.
     """
-    line, floor, end_s = decay.line, decay.floor, decay.crossing_s
+    line, floor, end_s, times = decay.line, decay.floor, decay.crossing_s, decay.times
     if line is None:
         return floor, decay.length_s > 0.0, 0.0, 0.0, 0.0, 0.0
-    crosses = end_s < (1.0 - TAIL_SHARE) * decay.length_s
+    crosses = end_s < (1.0 - _TAIL_SHARE) * decay.length_s
     clear = abs(decay.evidence) > _CLEAR_ALONE
     reached = crosses and (decay.evidence > 0.0 if clear else evidence > _CLEAR)
     if not crosses and decay.levels_out:
         # a flutter that outlasts the diffuse decay bends the line: the noise itself is better
-        reached, end_s = True, _masked_from_s(decay.times, decay.blocks, floor)
+        reached, end_s = True, _masked_from_s(times, decay.blocks, floor)
     elif crosses and not reached:
         # the last part may be noise or still the decay: it ends where it is twice as high as what
         # may be noise, and nothing is subtracted
-        end_s = max(end_s - np.log(2.0) * line[1], float(decay.times[0]))
-        used = decay.times <= end_s
-        line = (
-            decay_line(decay.times[used], decay.blocks[used], _LEAST_ENERGY, span_db=np.inf) or line
-        )
+        end_s = max(end_s - np.log(2.0) * line[1], float(times[0]))
+        used = times <= end_s
+        line = decay_line(times[used], decay.blocks[used], _LEAST_ENERGY, span_db=np.inf) or line
     elif not crosses:
         end_s = decay.length_s - decay.spreading_s
     height, constant_s = line
@@ -207,10 +194,13 @@ def _short_decay(times: FloatArray, blocks: FloatArray, floor: float) -> tuple[f
     return float(blocks[peak] * np.exp(times[peak] / constant_s)), constant_s
 
 
+def _mean_of_rest(blocks: FloatArray) -> FloatArray:
+    return np.asarray(np.cumsum(blocks[::-1])[::-1] / np.arange(len(blocks), 0, -1))
+
+
 def _masked_from_s(times: FloatArray, blocks: FloatArray, floor: float) -> float:
     """Return when the mean of all later blocks has fallen to twice the noise."""
-    rest = np.cumsum(blocks[::-1])[::-1] / np.arange(len(blocks), 0, -1)
-    return float(times[np.argmax(rest < 2.0 * floor)])
+    return float(times[np.argmax(_mean_of_rest(blocks) < 2.0 * floor)])
 
 
 def _floor_and_decay(
@@ -221,16 +211,19 @@ def _floor_and_decay(
     Noise and line are estimated in turn, each from the other, until they converge.
     """
     length_s = len(energy) / rate_hz
-    latest_s = (1.0 - TAIL_SHARE) * length_s
-    floor = _mean_from(energy, latest_s * rate_hz)
+    latest_s = (1.0 - _TAIL_SHARE) * length_s
+
+    def mean_from(start_s: float) -> float:
+        return max(float(energy[int(start_s * rate_hz) :].mean()), _LEAST_ENERGY)
+
+    floor = mean_from(latest_s)
     line = decay_line(times, blocks, floor, span_db=np.inf)
     if line is None:
         return floor, None
     for _ in range(_MOST_ROUNDS):
         crossing_s = _crossing_s(*line, floor, length_s)
         # noise begins where the decay lies 10 dB below it
-        clear_s = crossing_s + np.log(10.0) * line[1]
-        floor = _mean_from(energy, min(clear_s, latest_s) * rate_hz)
+        floor = mean_from(min(crossing_s + np.log(10.0) * line[1], latest_s))
         following = decay_line(times, blocks, floor, span_db=25.0)
         if following is None:
             break
@@ -238,10 +231,6 @@ def _floor_and_decay(
         if abs(_crossing_s(*line, floor, length_s) - crossing_s) < times[1] - times[0]:
             break
     return floor, line
-
-
-def _mean_from(energy: FloatArray, start: float) -> float:
-    return max(float(energy[int(start) :].mean()), _LEAST_ENERGY)
 
 
 def decay_line(
@@ -258,15 +247,12 @@ def decay_line(
     if not len(blocks):
         return None
     peak = int(np.argmax(blocks))
-    rest = np.cumsum(blocks[::-1])[::-1] / np.arange(len(blocks), 0, -1)
-    below = np.flatnonzero(np.maximum(blocks, rest)[peak:] < 4.0 * floor)
+    below = np.flatnonzero(np.maximum(blocks, _mean_of_rest(blocks))[peak:] < 4.0 * floor)
     stop = peak + int(below[0]) if below.size else len(blocks)
     above = np.flatnonzero(blocks[:stop] > 4.0 * floor * 10.0 ** (0.1 * span_db))
     start = max(peak, int(above[-1])) if above.size else peak
     if stop - start < 4:
         start = max(peak, stop - 4)
-    if stop - start < 3:
-        return None
     loud = blocks[start:stop] > 2.0 * floor
     if np.count_nonzero(loud) < 3:
         return None
@@ -283,3 +269,51 @@ def decay_line(
 def _crossing_s(height: float, constant_s: float, floor: float, length_s: float) -> float:
     """Return when the exponential has fallen to the noise, within the file."""
     return float(np.clip(constant_s * np.log(height / floor), 0.0, length_s))
+
+
+def before_rise(energy: FloatArray, independent: float) -> FloatArray:
+    """Return the energy without a louder end, which circular deconvolution leaves there.
+
+    A tenth of the file is compared with another, or more where it would have fewer independent
+    values (bandwidth times duration, `independent` in the whole file) than the comparison needs.
+    """
+    size = int(len(energy) * max(_TAIL_SHARE, min(1.0, _FAIR_VALUES / independent)))
+    if size == 0:
+        return energy
+    cumulative = np.concatenate(([0.0], np.cumsum(energy)))
+    of_span = cumulative[size:] - cumulative[:-size]
+    quietest = int(np.argmin(of_span))
+    return energy[: quietest + size] if of_span[-1] > _RISE * of_span[quietest] else energy
+
+
+def level_before(energy: FloatArray, rate_hz: float, bandwidth_hz: float) -> float:
+    """Return the mean square of filtered pressure before a sound; 0 where that part is too short.
+
+    `energy`: pressure squared up to the arrival, by a filter of this statistical bandwidth.
+    """
+    edge = round(rate_hz / bandwidth_hz)
+    quiet = energy[edge : max(len(energy) - round(_RINGS * edge), 0)]
+    return float(quiet.mean()) if len(quiet) >= _FEW_VALUES * edge else 0.0
+
+
+def evidence_of_noise(
+    energy: FloatArray, rate_hz: float, bandwidth_hz: float, constant_s: float
+) -> float:
+    """Return how much likelier energy is noise than a decay, as a log likelihood ratio.
+
+    Its halves are compared: noise has equal ones; of a decay that continues, be it at half the
+    rate, the second is quieter. The logarithm of their ratio has the standard deviation
+    ``2 / sqrt(B T)``. Near 0 where they are too short to decide.
+
+    `constant_s`: in which the preceding decay fell to 1/e.
+    """
+    n = len(energy) // 2
+    independent = bandwidth_hz * 2 * n / rate_hz
+    if independent < 2.0:
+        return 0.0
+    fall = -0.5 * n / rate_hz / constant_s
+    early, late = float(energy[:n].mean()), float(energy[n : 2 * n].mean())
+    if not (early > 0.0 and late > 0.0):
+        return 0.0
+    ratio = float(np.log(late / early))
+    return ((ratio - fall) ** 2 - ratio**2) * independent / 8.0

@@ -1,8 +1,4 @@
-"""One impulse response as measured: its onset, its clock, its echoes and its noise.
-
-The onset is compared with the travel time of the geometry, single echoes are measured against their
-surroundings, and stretches of a filtered response that contain only noise are found.
-"""
+"""One impulse response as measured: its onset, its clock, its echoes, and whether it is clipped."""
 
 from __future__ import annotations
 
@@ -15,7 +11,7 @@ from scipy.ndimage import uniform_filter1d
 
 from roomfit.base.arguments import check_range, float_array
 from roomfit.base.errors import InputError
-from roomfit.base.findings import About, Code, Finding
+from roomfit.base.findings import About, Code, Finding, Severity
 from roomfit.base.typing import FloatArray
 
 # Equal samples in a row, and equal peaks, at which a response counts as cut off; the levels that
@@ -80,22 +76,19 @@ def same_recordings(signals: Sequence[FloatArray]) -> tuple[tuple[int, int], ...
         own = x[peak : peak + _SLICE]
         row[: own.size] = own / max(float(np.linalg.norm(own)), np.finfo(float).tiny)
     alike = np.abs(slices @ slices.T) > 1.0 - 1e-3
-    found: list[tuple[int, int]] = []
-    copies: set[int] = set()
+    found: dict[int, int] = {}  # the first, by the copy
     for i, j in np.argwhere(np.triu(alike, 1)).tolist():
-        if i in copies or j in copies:
+        if i in found or j in found:
             continue
         before = min(peaks[i], peaks[j])
         after = min(len(signals[i]) - peaks[i], len(signals[j]) - peaks[j])
         one, other = (signals[k][peaks[k] - before : peaks[k] + after] for k in (i, j))
-        scale = float(one @ other) / float(other @ other)
-        rest = (one - scale * other) ** 2
+        rest = (one - float(one @ other) / float(other @ other) * other) ** 2
         tail = slice(-(len(one) // 4) or None, None)
         quiet = float(np.sum(rest[tail])) <= _UNEQUAL_NOISE * float(np.sum(one[tail] ** 2))
         if quiet and float(np.sum(rest)) <= _UNEQUAL * float(one @ one):
-            found.append((i, j))
-            copies.add(j)
-    return tuple(found)
+            found[j] = i
+    return tuple((i, j) for j, i in found.items())
 
 
 # Above 800 Hz an echo is a millisecond long at most; above 8 kHz few loudspeakers radiate evenly.
@@ -107,10 +100,26 @@ _FLOOR = 1e-9
 
 
 def clipping_findings(pressure: FloatArray, name: str) -> tuple[Finding, ...]:
-    """Return a finding where the peaks of a response were cut off; none of silence."""
+    """Return a finding where the peaks of a response were cut off; none of silence.
+
+    Also where many separate peaks are equally high: short peaks that are cut off have no run of
+    equal samples; but no two reflections of a room are equal, let alone five, unless a converter
+    knows only a few levels.
+    """
     if not np.ptp(pressure) > 0.0:
         return ()
-    return clipping(pressure, name, _EARLY) or _equal_peaks(pressure, name)
+    found = clipping(pressure, name, _EARLY)
+    size, steps = np.abs(pressure), np.abs(np.diff(pressure))
+    largest = float(size.max())
+    if found or largest < _FEW_LEVELS * float(steps[steps > 0.0].min()):
+        return found
+    beside = np.minimum(np.append(0.0, size[:-1]), np.append(size[1:], 0.0))
+    is_peak = (size >= largest * (1.0 - 1e-6)) & (beside < 0.99 * largest)
+    n_peaks = int(np.count_nonzero(is_peak))
+    if n_peaks < _EQUAL_PEAKS:
+        return ()
+    evidence = {"equal_peaks": n_peaks, "largest": largest}
+    return (_clipped(name, f"{n_peaks} peaks have", _EARLY, evidence),)
 
 
 def clipping(pressure: FloatArray, name: str, harm: str) -> tuple[Finding, ...]:
@@ -120,15 +129,13 @@ def clipping(pressure: FloatArray, name: str, harm: str) -> tuple[Finding, ...]:
     takes for equal, but beside them it falls by a step or two of the converter only. `harm` says
     what it does to the result.
     """
-    size = np.abs(pressure)
+    size, steps = np.abs(pressure), np.abs(np.diff(pressure))
     # full scale downwards is one step farther than upwards
-    at_peak = size[1:] >= size.max() * (1.0 - 1e-4)
-    repeated = (np.diff(pressure) == 0.0) & at_peak
+    repeated = (steps == 0.0) & (size[1:] >= size.max() * (1.0 - 1e-4))
     edges = np.flatnonzero(np.diff(np.concatenate(([0], repeated.astype(np.int8), [0]))))
     first, last = edges[::2], edges[1::2]
-    steps = np.abs(np.diff(pressure))
-    crest = _CREST_STEPS * float(steps[steps > 0.0].min())
     beside = np.concatenate(([0.0], steps, [0.0]))
+    crest = _CREST_STEPS * float(steps[steps > 0.0].min())
     steep = np.maximum(beside[first], beside[last + 1]) > crest
     longest = int(np.max((last - first)[steep], initial=0)) + 1
     if longest < _CLIPPED_RUN:
@@ -139,32 +146,8 @@ def clipping(pressure: FloatArray, name: str, harm: str) -> tuple[Finding, ...]:
 
 def _clipped(name: str, many: str, harm: str, evidence: dict[str, float]) -> Finding:
     text = f"{name} looks clipped: {many} the largest value, {evidence['largest']:.4g}. {harm}; "
-    return Finding(
-        Code.RESPONSE_CLIPPED,
-        About(files=[name]),
-        text + "measure again at a lower level.",
-        evidence,
-    )
-
-
-def _equal_peaks(pressure: FloatArray, name: str) -> tuple[Finding, ...]:
-    """Return a finding where many separate peaks of a response are equally high.
-
-    Short peaks that are cut off have no run of equal samples; but no two reflections of a room are
-    equal, let alone five, unless a converter knows only a few levels.
-    """
-    size = np.abs(pressure)
-    steps = np.abs(np.diff(pressure))
-    if size.max() < _FEW_LEVELS * float(steps[steps > 0.0].min()):
-        return ()
-    high = size >= size.max() * (1.0 - 1e-6)
-    before, after = np.concatenate(([0.0], size[:-1])), np.concatenate((size[1:], [0.0]))
-    steep = np.minimum(before, after) < 0.99 * size.max()
-    n_peaks = int(np.count_nonzero(high & steep))
-    if n_peaks < _EQUAL_PEAKS:
-        return ()
-    evidence = {"equal_peaks": n_peaks, "largest": float(size.max())}
-    return (_clipped(name, f"{n_peaks} peaks have", _EARLY, evidence),)
+    text += "measure again at a lower level."
+    return Finding(Code.RESPONSE_CLIPPED, About(files=[name]), text, evidence)
 
 
 def echo_prominence(response: ImpulseResponse) -> FloatArray:
@@ -307,19 +290,17 @@ def compare_onset(
     apart_m = (onset_s - travel_s) * speed_of_sound_m_s
     if abs(apart_m) <= onset_tolerance_m(speed_of_sound_m_s, sampling_rate_hz):
         return ()
-    order = "later" if apart_m > 0.0 else "earlier"
-    return (
-        Finding(
-            Code.TIME_ZERO_MISMATCH,
-            About(files=[where]),
-            f"{where}: the direct sound arrives {1000.0 * abs(onset_s - travel_s):.2f} ms {order} "
-            f"than the geometry says, which is {abs(apart_m):.2f} m of path. Check the positions, "
-            "latency_s, time_zero and whether it is the file of this pair; sound that is blocked "
-            "or that a loudspeaker sends elsewhere arrives late, too.",
-            {"onset_s": onset_s, "travel_s": travel_s, "difference_m": apart_m},
-            graded="serious" if abs(apart_m) > _SERIOUS_M else "warning",
-        ),
+    sentence = (
+        f"{where}: the direct sound arrives {1000.0 * abs(onset_s - travel_s):.2f} ms "
+        f"{'later' if apart_m > 0.0 else 'earlier'} "
+        f"than the geometry says, which is {abs(apart_m):.2f} m of path. Check the positions, "
+        "latency_s, time_zero and whether it is the file of this pair; sound that is blocked "
+        "or that a loudspeaker sends elsewhere arrives late, too."
     )
+    evidence = {"onset_s": onset_s, "travel_s": travel_s, "difference_m": apart_m}
+    graded: Severity = "serious" if abs(apart_m) > _SERIOUS_M else "warning"
+    about = About(files=[where])
+    return (Finding(Code.TIME_ZERO_MISMATCH, about, sentence, evidence, graded=graded),)
 
 
 def time_zero_from_direct(
@@ -336,80 +317,3 @@ def time_zero_from_direct(
     """
     shift_s = find_onset(response, where) - travel_s
     return replace(response, time_zero_s=response.time_zero_s + shift_s)
-
-
-TAIL_SHARE = 0.1  # of the file, from its end: the least that noise is estimated from
-_RISE = 4.0  # an end that is 6 dB louder than the quietest tenth is no noise floor
-_FAIR_VALUES = 16.0
-# A zero-phase octave filter rings before a sound: so long, in units of 1 / B, until it is 60 dB
-# down, and so many independent values make a fair mean (1.5 dB).
-_RINGS = 4.0
-_FEW_VALUES = 8.0
-
-
-def before_rise(energy: FloatArray, independent: float) -> FloatArray:
-    """Return the energy without a louder end, which circular deconvolution leaves there.
-
-    A tenth of the file is compared with another, or more where it would have fewer independent
-    values than the comparison needs.
-
-    Parameters
-    ----------
-    energy : float array, shape (n_samples,)
-    independent : float
-        Number of independent values: bandwidth times duration.
-    """
-    n = len(energy)
-    size = int(n * max(TAIL_SHARE, min(1.0, _FAIR_VALUES / independent)))
-    if size == 0:
-        return energy
-    cumulative = np.concatenate(([0.0], np.cumsum(energy)))
-    energy_of_span = cumulative[size:] - cumulative[:-size]
-    quietest = int(np.argmin(energy_of_span))
-    return (
-        energy[: quietest + size]
-        if energy_of_span[-1] > _RISE * energy_of_span[quietest]
-        else energy
-    )
-
-
-def level_before(energy: FloatArray, rate_hz: float, bandwidth_hz: float) -> float:
-    """Return the mean square before a sound arrives; 0 where that part is too short.
-
-    Parameters
-    ----------
-    energy : float array, shape (n_samples,)
-        Filtered pressure squared, up to the arrival.
-    bandwidth_hz : float
-        Statistical bandwidth of the filter.
-    """
-    edge = round(rate_hz / bandwidth_hz)
-    quiet = energy[edge : max(len(energy) - round(_RINGS * edge), 0)]
-    return float(quiet.mean()) if len(quiet) >= _FEW_VALUES * edge else 0.0
-
-
-def evidence_of_noise(
-    energy: FloatArray, rate_hz: float, bandwidth_hz: float, constant_s: float
-) -> float:
-    """Return how much likelier energy is noise than a decay, as a log likelihood ratio.
-
-    Its halves are compared: noise has equal ones; of a decay that continues, be it at half the
-    rate, the second is quieter. The logarithm of their ratio has the standard deviation
-    ``2 / sqrt(B T)``. Near 0 where they are too short to decide.
-
-    Parameters
-    ----------
-    energy : float array, shape (n_samples,)
-    constant_s : float
-        Time in which the preceding decay fell to 1/e.
-    """
-    n = len(energy) // 2
-    independent = bandwidth_hz * 2 * n / rate_hz
-    if independent < 2.0:
-        return 0.0
-    fall = -0.5 * n / rate_hz / constant_s
-    early, late = float(energy[:n].mean()), float(energy[n : 2 * n].mean())
-    if not (early > 0.0 and late > 0.0):
-        return 0.0
-    ratio = float(np.log(late / early))
-    return ((ratio - fall) ** 2 - ratio**2) * independent / 8.0

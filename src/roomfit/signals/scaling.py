@@ -59,9 +59,13 @@ def scaled_response(
     array([2. , 1. , 0.5])
     """
     ratios = float_array("ratios", ratio, (len(bands), len(time_s)), low=0.0)
-    check_sampling_rate(bands, response.sampling_rate_hz)
-    t, n = times_s(response), len(response.pressure)
-    length, magnitudes = _magnitudes(bands, n, response.sampling_rate_hz)
+    rate_hz, t, n = response.sampling_rate_hz, times_s(response), len(response.pressure)
+    check_sampling_rate(bands, rate_hz)
+    length = fft.next_fast_len(n + int(np.ceil(ringing_s(bands).max() * rate_hz)), real=True)
+    frequencies = fft.rfftfreq(length, 1.0 / rate_hz)
+    magnitudes = frequency_response(bands, frequencies) ** 2
+    magnitudes[0, frequencies <= bands.exact_centres_hz[0]] = 1.0
+    magnitudes[-1, frequencies >= bands.exact_centres_hz[-1]] = 1.0
     spectrum = fft.rfft(response.pressure, length)
     made = response.pressure.copy()
     for band, magnitude in enumerate(magnitudes):
@@ -71,17 +75,6 @@ def scaled_response(
         if np.any(power != 1.0):
             made += (np.sqrt(power) - 1.0) * fft.irfft(spectrum * magnitude, length)[:n]
     return made
-
-
-def _magnitudes(bands: Bands, n_samples: int, rate_hz: float) -> tuple[int, FloatArray]:
-    """Return the length of a transform and the bands' magnitudes, (n_bands, n_frequencies)."""
-    wanted = n_samples + int(np.ceil(ringing_s(bands).max() * rate_hz))
-    length = fft.next_fast_len(wanted, real=True)
-    frequencies = fft.rfftfreq(length, 1.0 / rate_hz)
-    magnitudes = frequency_response(bands, frequencies) ** 2
-    magnitudes[0, frequencies <= bands.exact_centres_hz[0]] = 1.0
-    magnitudes[-1, frequencies >= bands.exact_centres_hz[-1]] = 1.0
-    return length, magnitudes
 
 
 def _decay_share(noise: NoiseEstimate, band: int, t: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from roomfit.base.arguments import float_array
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
-from roomfit.base.typing import FloatArray, IntArray
+from roomfit.base.typing import ComplexArray, FloatArray, IntArray
 from roomfit.signals.decay import DecayCurve, tail_of
 from roomfit.signals.iso3382 import tail_gradients
 
@@ -44,14 +44,13 @@ def sti_missing(bands: Bands) -> str:
     >>> sti_missing(Bands("octave", np.array([500.0, 1000.0])))
     'it needs the octave bands from 125 Hz to 8 kHz, and 125, 250, 2000, 4000, 8000 Hz are missing'
     """
-    needed = "it needs the octave bands from 125 Hz to 8 kHz, and "
+    missing = [f"{f:g}" for f in SPEECH_BANDS_HZ if f not in bands.centres_hz]
+    why = f"{', '.join(missing)} Hz {'is' if len(missing) == 1 else 'are'} missing"
     if bands.kind != "octave":
-        return f"{needed}the bands are third octaves"
-    missing = [f for f in SPEECH_BANDS_HZ if f not in bands.centres_hz]
-    if not missing:
+        why = "the bands are third octaves"
+    elif not missing:
         return ""
-    verb = "is" if len(missing) == 1 else "are"
-    return f"{needed}{', '.join(f'{f:g}' for f in missing)} Hz {verb} missing"
+    return f"it needs the octave bands from 125 Hz to 8 kHz, and {why}"
 
 
 def speech_bands(bands: Bands) -> IntArray:
@@ -111,9 +110,33 @@ def modulation_transfer(curve: DecayCurve, least_range_db: float = 20.0) -> Floa
     """
     found = np.full((len(curve.bands), len(MODULATIONS_HZ)), np.nan)
     for band in np.flatnonzero(curve.usable_db >= least_range_db):
-        z, total, *_ = _spectrum(curve, int(band))
-        found[band] = np.abs(z) / total
+        left = curve.energy_left[band]
+        if not left[0] > 0.0:
+            raise InputError(
+                "a response without energy has no modulation transfer",
+                found="energy 0",
+                needed="energy above 0",
+                hint="leave the response out",
+            )
+        # a response ends where nothing is left of it, an echogram with its last bin
+        n = int(np.flatnonzero(left)[-1]) + 1
+        z, *_ = _spectrum(curve.time_s[:n], left[:n], float(curve.tail_time_constant_s[band]))
+        found[band] = np.abs(z) / left[0]
     return found
+
+
+def _spectrum(
+    time_s: FloatArray, left: FloatArray, constant_s: float
+) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+    """Return the spectrum of the energy, (14,), and phases of the bins, (14, n_bins).
+
+    Of the tail, whose energy is the last that is left, follow its phase at the beginning and what
+    divides it, (14,) each.
+    """
+    omega = 2.0 * np.pi * MODULATIONS_HZ
+    phase = np.exp(-1j * omega[:, None] * 0.5 * (time_s[1:] + time_s[:-1]))
+    end, lag = np.exp(-1j * omega * time_s[-1]), 1.0 + 1j * omega * constant_s
+    return phase @ -np.diff(left) + left[-1] * end / lag, phase, end, lag
 
 
 def transfer_of_bins(energies: FloatArray, edges_s: FloatArray) -> FloatArray:
@@ -174,11 +197,7 @@ def sti_of_decay(bands: Bands, time_s: FloatArray, levels_db: FloatArray) -> flo
         times, left = time_s[: len(levels)], 10.0 ** (0.1 * levels)
         late = np.flatnonzero(levels <= levels[-1] * 2.0 / 3.0)
         slope = np.polyfit(times[late], levels[late], 1)[0] if len(late) > 1 else -np.inf
-        omega = 2.0 * np.pi * MODULATIONS_HZ[:, None]
-        lag = 1.0 + 1j * omega[:, 0] * (_DB / max(-slope, 1e-9))
-        phase = np.exp(-1j * omega * 0.5 * (times[1:] + times[:-1]))
-        z = phase @ -np.diff(left) + left[-1] * np.exp(-1j * omega[:, 0] * times[-1]) / lag
-        found.append(np.abs(z) / left[0])
+        found.append(np.abs(_spectrum(times, left, _DB / max(-slope, 1e-9))[0]) / left[0])
     return float(speech_transmission(np.array(found)))
 
 
@@ -196,40 +215,17 @@ def modulation_gradients(curve: DecayCurve, band: int) -> tuple[FloatArray, Floa
     gradients : float array, shape (14, n_bins)
         Exact, including the energy that is added for the time after the echogram.
     """
-    z, total, phase, end, lag = _spectrum(curve, band, is_echogram=True)
+    left, constant_s = curve.energy_left[band], float(curve.tail_time_constant_s[band])
+    z, phase, end, lag = _spectrum(curve.time_s, left, constant_s)
     by_tail, by_moment = tail_gradients(curve, band)
     # the moment of the tail is its energy times its time constant
-    by_constant = by_moment - curve.tail_time_constant_s[band] * by_tail
+    by_constant = by_moment - constant_s * by_tail
     omega = 2.0 * np.pi * MODULATIONS_HZ[:, None]
     by_energy = phase + (end / lag)[:, None] * by_tail
     by_energy -= 1j * omega * (end / lag**2)[:, None] * by_constant
-    m = np.abs(z) / total
+    m, total = np.abs(z) / left[0], float(left[0])
     turned = np.real(np.conj(z)[:, None] * by_energy) / np.maximum(np.abs(z), 1e-300)[:, None]
     return m, (turned - m[:, None] * (1.0 + by_tail)) / total
-
-
-def _spectrum(
-    curve: DecayCurve, band: int, *, is_echogram: bool = False
-) -> tuple[FloatArray, float, FloatArray, FloatArray, FloatArray]:
-    """Return the spectrum of the energy, the whole energy, and phases of the bins.
-
-    Of the tail follow its phase at the beginning, and what divides it. That of an echogram follows
-    its last bin, empty or not; that of a response where nothing is left of it.
-    """
-    left = curve.energy_left[band]
-    is_cut = not is_echogram and left[-1] == 0.0 and left.any()
-    last = int(np.flatnonzero(left)[-1]) if is_cut else len(left) - 1
-    time_s = curve.time_s[: last + 1]
-    if not left[0] > 0.0:
-        what = "a response without energy has no modulation transfer"
-        needed = "energy above 0"
-        raise InputError(what, found="energy 0", needed=needed, hint="leave the response out")
-    omega = 2.0 * np.pi * MODULATIONS_HZ[:, None]
-    phase = np.exp(-1j * omega * 0.5 * (time_s[1:] + time_s[:-1]))
-    end = np.exp(-1j * omega[:, 0] * time_s[-1])
-    lag = 1.0 + 1j * omega[:, 0] * curve.tail_time_constant_s[band]
-    z = phase @ -np.diff(left[: last + 1]) + left[last] * end / lag
-    return z, float(left[0]), phase, end, lag
 
 
 def speech_transmission(transfer: FloatArray, levels_db: FloatArray | None = None) -> FloatArray:
