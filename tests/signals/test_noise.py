@@ -8,16 +8,14 @@ import pytest
 from roomfit.base.bands import bands_between
 from roomfit.signals.filters import filter_pressure
 from roomfit.signals.noise import (
+    before_rise,
     block_length_s,
     decay_line,
     estimate_noise,
-)
-from roomfit.signals.response import (
-    ImpulseResponse,
-    before_rise,
     evidence_of_noise,
     level_before,
 )
+from roomfit.signals.response import ImpulseResponse
 
 BANDS = bands_between("octave", 500, 2000)
 RATE_HZ = 16000

@@ -105,7 +105,14 @@ _POINTS_OF_A_LINE = (
 
 @kernel()
 def _level_db(left: FloatArray, i: int) -> float:
-    return 10.0 * math.log10(max(left[i] / left[0], 1e-30))
+    return 10.0 * math.log10(max(float(left[i] / left[0]), 1e-30))
+
+
+@kernel()
+def _share_above(left: FloatArray, i: int, depth: float) -> float:
+    """Return the share of the bin before a boundary in which levels are above a depth."""
+    level = _level_db(left, i - 1)
+    return (level + depth) / max(level - _level_db(left, i), 1e-12)
 
 
 @kernel()
@@ -117,12 +124,10 @@ def _decay_time_of_bins(
     above, below = left[0] * 10.0 ** (-0.1 * high), left[0] * 10.0 ** (-0.1 * low)
     begin, end = onset_s, edges_s[n_bins]
     for i in range(1, n_bins + 1):
-        level = _level_db(left, i - 1)
-        fall = max(level - _level_db(left, i), 1e-12)
         if left[i] < above and begin == onset_s:
-            begin = max(edges_s[i - 1] + (level + high) / fall * step_s, onset_s + 1e-9)
+            begin = max(edges_s[i - 1] + _share_above(left, i, high) * step_s, onset_s + 1e-9)
         if left[i] < below:
-            end = edges_s[i - 1] + (level + low) / fall * step_s
+            end = edges_s[i - 1] + _share_above(left, i, low) * step_s
             break
     slope, squares = 0.0, 0.0
     for k in range(_POINTS_OF_A_LINE):
@@ -134,7 +139,7 @@ def _decay_time_of_bins(
         slope += (u - 0.5) * level
         squares += (u - 0.5) ** 2
     slope /= squares * max(end - begin, 1e-9)
-    return -60.0 / slope if slope < 0.0 else 60.0 * (edges_s[n_bins] - edges_s[0])
+    return -60.0 / slope if slope < 0.0 else 60.0 * float(edges_s[n_bins] - edges_s[0])
 
 
 @kernel()

@@ -6,13 +6,15 @@ response, the same function for measured and predicted energies.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from roomfit.base.arguments import float_array
 from roomfit.base.bands import Bands
 from roomfit.base.errors import InputError
-from roomfit.base.typing import ComplexArray, FloatArray, IntArray
+from roomfit.base.typing import FloatArray, IntArray
 from roomfit.signals.decay import DecayCurve, tail_of
 from roomfit.signals.iso3382 import tail_gradients
 
@@ -127,7 +129,7 @@ def modulation_transfer(curve: DecayCurve, least_range_db: float = 20.0) -> Floa
 
 def _spectrum(
     time_s: FloatArray, left: FloatArray, constant_s: float
-) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Return the spectrum of the energy, (14,), and phases of the bins, (14, n_bins).
 
     Of the tail, whose energy is the last that is left, follow its phase at the beginning and what
