@@ -49,31 +49,33 @@ _KINDS = {"wall": "walls", "door": "doors", "window": "windows", "opening": "ope
 _HINT = "close the room in a drawing program, and give it as OBJ or COLLADA"
 
 
-class Part(NamedTuple):
+class _Part(NamedTuple):
     """A wall of a scan, or what is in a wall: upright and flat."""
 
     name: str
     kind: str  # wall, door, window or opening
     corners_m: FloatArray  # (n_corners, 3), z up
-    own: str = ""  # identifier
-    parent: str = ""  # identifier of the wall it is in, "" where that is not said
+    parent: str = ""  # name of the wall it is in, "" where that is not said
     is_curved: bool = False  # its corners are the ends of its arc
 
 
-class _Edge(NamedTuple):
-    """A side of the floor, from its start with the room to the left, and the wall above it."""
+class _Side(NamedTuple):
+    """A side of the floor, with the room to the left of its way from start to end."""
 
-    start_m: FloatArray  # (2,)
-    end_m: FloatArray
-    wall: Part | None
-    tops_m: tuple[float, float] = (np.nan, np.nan)  # heights of the ceiling over both ends
+    ends_m: FloatArray  # (2, 3), with the heights of the ceiling
+    wall: _Part | None
+
+    @property
+    def length_m(self) -> float:
+        """Length on the floor."""
+        return _length(self.ends_m[:, :2])
 
 
 def read_roomplan(path: Path, space: str | None = None) -> RoomModel:
     """Read a ``CapturedRoom`` of RoomPlan as Swift's JSONEncoder writes it [1]_: m, z up.
 
     Surfaces are Wall0, Door0, Window0, Opening0, ..., Floor0 and Ceiling; their materials and
-    groups wall, door, window, opening, floor and ceiling. See `closed_room`.
+    groups wall, door, window, opening, floor and ceiling. See `_closed_room`.
 
     References
     ----------
@@ -82,28 +84,31 @@ def read_roomplan(path: Path, space: str | None = None) -> RoomModel:
     with located(str(path)):
         content = _chosen(json_content(read_text(path, "room file"), "room file"), space)
         if not isinstance(content, dict) or not isinstance(content.get("walls"), list):
-            raise InputError(
-                "this JSON file is no scan of a room",
-                found="no list of walls",
-                needed="a CapturedRoom of Apple's RoomPlan, encoded by JSONEncoder",
-                hint="export the scan anew; a drawing is given as OBJ, IFC or COLLADA",
-            )
+            what = "this JSON file is no scan of a room"
+            needed = "a CapturedRoom of Apple's RoomPlan, encoded by JSONEncoder"
+            hint = "export the scan anew; a drawing is given as OBJ, IFC or COLLADA"
+            raise _refused(what, "no list of walls", needed, hint)
         with complete("scan", "dimensions and transform of each surface, as RoomPlan has them"):
-            # before each is looked at, which takes long
-            n_parts = sum(len(content.get(key) or ()) for key in (*_KINDS.values(), "objects"))
-            check_limit("scan_parts", n_parts, "the scan")
-            parts = [
-                _part(kind, i, surface)
-                for kind, key in _KINDS.items()
-                for i, surface in enumerate(content.get(key) or ())
+            own = [
+                (k, i, x) for k, key in _KINDS.items() for i, x in enumerate(content.get(key) or ())
             ]
+            furniture = content.get("objects") or ()
+            # before each is looked at, which takes long
+            check_limit("scan_parts", len(own) + len(furniture), "the scan")
+            names = {x.get("identifier"): f"Wall{i}" for k, i, x in own if k == "wall"}
+            parts = []
+            for kind, i, x in own:
+                parent, is_curved = (
+                    names.get(x.get("parentIdentifier"), ""),
+                    x.get("curve") is not None,
+                )
+                name = f"{kind.capitalize()}{i}"
+                parts.append(_Part(name, kind, _corners(x), parent, is_curved))
             floors = [_corners(f) for f in content.get("floors") or () if f.get("polygonCorners")]
-            things = [_thing(thing) for thing in content.get("objects") or ()]
+            things = [_thing(thing) for thing in furniture]
         if len(floors) > 1:
-            raise InputError(
-                "the scan has several floors", found=f"{len(floors)}", needed="one", hint=_HINT
-            )
-        return closed_room(parts, floors[0] if floors else None, things)
+            raise _refused("the scan has several floors", f"{len(floors)}", "one")
+        return _closed_room(parts, floors[0] if floors else None, things)
 
 
 def _chosen(content: Any, space: str | None) -> Any:
@@ -124,13 +129,6 @@ def _chosen(content: Any, space: str | None) -> Any:
         hint = "names are the labels of RoomPlan, counted where rooms have the same"
         raise unknown_space("the scan", names, space, hint=hint)
     return known[space]
-
-
-def _part(kind: str, number: int, surface: Mapping[str, Any]) -> Part:
-    own, parent = (str(surface.get(k) or "") for k in ("identifier", "parentIdentifier"))
-    is_curved = surface.get("curve") is not None
-    name = f"{kind.capitalize()}{number}"
-    return Part(name, kind, _corners(surface), own, parent, is_curved)
 
 
 def _thing(thing: Mapping[str, Any]) -> Thing:
@@ -166,92 +164,59 @@ def _placed(outline: Sequence[Sequence[float]], transform: Any) -> FloatArray:
     return found
 
 
-def closed_room(
-    parts: Sequence[Part], floor_m: FloatArray | None, things: Sequence[Thing]
+def _closed_room(
+    parts: Sequence[_Part], floor_m: FloatArray | None, things: Sequence[Thing]
 ) -> RoomModel:
     """Return a closed room of what a scan has found: m, z up."""
     n_parts = len(parts) + (0 if floor_m is None else len(floor_m)) + len(things)
     check_limit("scan_parts", n_parts, "the scan")
     walls = [p for p in parts if p.kind == "wall" and _length(_foot(p)) > _DISTINCT_M]
     if len(walls) < 3:
-        what = "the scan encloses no room"
-        raise InputError(what, found=f"{len(walls)} walls", needed="three or more", hint=_HINT)
-    edges, moved_m = _edges_by_walls(walls) if floor_m is None else (_by_floor(floor_m, walls), 0.0)
-    if all(e.wall is None for e in edges):
-        raise InputError(
-            "no wall of the scan stands on the outline of its floor",
-            found=f"{len(walls)} walls elsewhere",
-            needed="a wall on one side or more",
-            hint=_HINT,
-        )
+        raise _refused("the scan encloses no room", f"{len(walls)} walls", "three or more")
+    plan, owners, moved_m = _by_walls(walls) if floor_m is None else _by_floor(floor_m, walls)
+    x, y, _ = plan.T
+    if x @ np.roll(y, -1) - y @ np.roll(x, -1) <= 0.0:  # the room is to the right
+        plan, owners = np.roll(plan[::-1], 1, axis=0), owners[::-1]
+    if not any(owners):
+        what = "no wall of the scan stands on the outline of its floor"
+        raise _refused(what, f"{len(walls)} walls elsewhere", "a wall on one side or more")
     ground_m = float(np.median([w.corners_m[:, 2].min() for w in walls]))
-    longest = max(edges, key=lambda e: _length(np.stack([e.start_m, e.end_m])))
-    edges, ceiling = _covered(edges, walls, ground_m)
-    polygons, used = _sides(edges, parts, ground_m)
-    around = np.array([e.start_m for e in edges])
-    floor = np.column_stack([around, np.full(len(around), ground_m)])
+    longest = max(_sides(plan, owners), key=lambda side: side.length_m)
+    corners, owners, ceiling = _covered(plan, owners, walls, ground_m)
+    sides = _sides(corners, owners)
+    polygons = _cut(sides, parts, ground_m)
+    # an opening may take a whole wall
+    used = {w.name for w in owners if w is not None} | {surface.name for _, surface in polygons}
+    floor = corners * [1.0, 1.0, 0.0] + [0.0, 0.0, ground_m]
     polygons.append((floor[::-1], Surface("Floor0", "floor", "floor")))
-    polygons += ceiling
-    idle = [p.name for p in parts if p.name not in used]
-    vertices, faces = joined(polygons)
-    run = np.array([[*longest.start_m, ground_m], [*longest.end_m, ground_m]])
+    vertices, faces = joined([*polygons, *ceiling])
+    run = longest.ends_m + np.array([0.0, 0.0, ground_m])
     bases = [t.outline_m * [1.0, 1.0, 0.0] + [0.0, 0.0, ground_m] for t in things]
-    room, (start, end), *stand = _at_home(longest, vertices, run, *bases)
+    # the longest side lies along x, and the lowest of all vertices at 0
+    c, s = (run[1] - run[0])[:2] / longest.length_m
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    origin = (vertices @ turn).min(axis=0)
+    # corners of a scan are known to centimetres
+    room, (start, end), *stand = (
+        np.asarray(np.round(x @ turn - origin, 6) + 0.0) for x in (vertices, run, *bases)
+    )
     lies = (
         f"x runs along {longest.wall.name if longest.wall else 'the longest side'}, from "
         f"{place(start)} to {place(end)}: give positions in these axes."
     )
-    heights_m = np.array([e.tops_m for e in edges]) - ground_m
-    n_planes = len({surface.name for _, surface in ceiling})
     findings = (
-        _completed(edges, moved_m, heights_m, n_planes, lies),
-        *_left_out(idle, Counter(t.kind for t in things)),
+        _completed(sides, moved_m, ground_m, len({surface.name for _, surface in ceiling}), lies),
+        *_left_out([p.name for p in parts if p.name not in used], Counter(t.kind for t in things)),
     )
     placed = tuple(t._replace(outline_m=at) for t, at in zip(things, stand, strict=True))
     return RoomModel(room, faces, findings, "m", "z", placed)
 
 
-def part_of(name: str, kind: str, points_m: FloatArray) -> Part:
-    """Return a part from the points of a slab that stands upright, shape (n_points, 3).
-
-    Its outline is the convex hull of the points, upright and in the middle of the slab.
-    """
-    from scipy.spatial import ConvexHull  # heavy, and JSON needs none
-
-    middle = 0.5 * (points_m.min(axis=0) + points_m.max(axis=0))[:2]
-    plan = points_m[:, :2] - middle
-    way, across = np.linalg.svd(plan, full_matrices=False)[2]
-    if np.ptp(plan @ across) > _DISTINCT_M:
-        # the thinnest way through a slab is square to one of the sides of its outline
-        ring = plan[ConvexHull(plan).vertices]
-        ways = np.roll(ring, -1, axis=0) - ring
-        ways /= np.linalg.norm(ways, axis=1)[:, None]
-        way = ways[np.argmin([np.ptp(ring @ np.array([-y, x])) for x, y in ways])]
-        across = np.array([-way[1], way[0]])
-    flat = np.column_stack([plan @ way, points_m[:, 2]])
-    low, high = flat.min(axis=0), flat.max(axis=0)
-    rim = np.array([low, [high[0], low[1]], high, [low[0], high[1]]])
-    if (high - low > _DISTINCT_M).all():
-        rim = flat[ConvexHull(flat).vertices]
-    aside = plan @ across
-    plan = middle + np.outer(rim[:, 0], way) + 0.5 * (aside.min() + aside.max()) * across
-    return Part(name, kind, np.column_stack([plan, rim[:, 1]]))
+def _refused(what: str, found: str, needed: str, hint: str = _HINT, where: str = "") -> InputError:
+    return InputError(what, where=where or None, found=found, needed=needed, hint=hint)
 
 
-def thing_of(name: str, points_m: FloatArray) -> Thing:
-    """Return a piece of furniture from the points of its shapes, shape (n_points, 3), by its name.
-
-    Its outline is their convex hull as seen from above.
-    """
-    from scipy.spatial import ConvexHull  # heavy, and JSON needs none
-
-    kind, base = name.rstrip("0123456789_").lower(), np.zeros((0, 3))
-    if (np.linalg.svd(points_m[:, :2] - points_m[:, :2].mean(axis=0))[1] > _DISTINCT_M).all():
-        base = points_m[ConvexHull(points_m[:, :2]).vertices]
-    return Thing(kind[:40], base, float(np.ptp(points_m[:, 2])))
-
-
-def _foot(part: Part) -> FloatArray:
+def _foot(part: _Part) -> FloatArray:
     """Return the two ends of what stands upright as seen from above, shape (2, 2)."""
     plan = part.corners_m[:, :2]
     a = plan[np.argmax(np.linalg.norm(plan - plan.mean(axis=0), axis=1))]
@@ -263,62 +228,53 @@ def _length(ends: FloatArray) -> float:
     return float(np.linalg.norm(ends[1] - ends[0]))
 
 
-def _edges_by_walls(walls: Sequence[Part]) -> tuple[list[_Edge], float]:
-    """Return the sides of a floor whose corners are those of walls, and the widest gap closed."""
+def _sides(corners_m: FloatArray, owners: Sequence[_Part | None]) -> list[_Side]:
+    """Return the sides from corner to corner, shape (n, 3), and whose wall is on each."""
+    ends = np.stack([corners_m, np.roll(corners_m, -1, axis=0)], axis=1)
+    return [_Side(*side) for side in zip(ends, owners, strict=True)]
+
+
+_Outline = tuple[
+    FloatArray, list["_Part | None"], float
+]  # (n, 3), z 0; walls; widest gap closed in m
+
+
+def _by_walls(walls: Sequence[_Part]) -> _Outline:
+    """Return a floor whose corners are those of walls, which follow each other around the room."""
     if bent := [w.name for w in walls if w.is_curved]:
-        raise InputError(
-            "a wall of the scan is curved, and nothing says along which line",
-            where=", ".join(bent),
-            found="no outline of the floor",
-            needed="an outline, whose corners follow the curve",
-            hint="scan with iOS 17 or later, which exports it, or " + _HINT,
-        )
+        what = "a wall of the scan is curved, and nothing says along which line"
+        needed = "an outline, whose corners follow the curve"
+        hint = f"scan with iOS 17 or later, which exports it, or {_HINT}"
+        raise _refused(what, "no outline of the floor", needed, hint, ", ".join(bent))
     feet = np.array([_foot(w) for w in walls])
-    order = _loop(walls, feet)
-    ends = [feet[i][::-1] if back else feet[i] for i, back in order]
-    starts: list[FloatArray] = []
-    owners: list[Part] = []
+    first = int(np.argmax(np.linalg.norm(feet[:, 1] - feet[:, 0], axis=1)))
+    order, ends = [first], [feet[first]]
+    while True:
+        gaps_m = np.linalg.norm(feet - ends[-1][1], axis=2)
+        home_m = gaps_m[first, 0] if len(order) > 2 else np.inf
+        gaps_m[order] = np.inf
+        near, back = divmod(int(np.argmin(gaps_m)), 2)
+        gap_m = min(home_m, gaps_m[near, back])
+        if gap_m > _MEETS_M:
+            what, where = "walls of the scan do not meet", f"the end of {walls[order[-1]].name}"
+            found = f"{gap_m:.2f} m to the nearest end of another"
+            hint = f"scan with iOS 17 or later, which exports the outline of the floor, or {_HINT}"
+            raise _refused(what, found, f"at most {_MEETS_M:g} m", hint, where)
+        if home_m == gap_m:
+            break
+        order.append(near)
+        ends.append(feet[near][::-1] if back else feet[near])
+    plan: list[FloatArray] = []
+    owners: list[_Part | None] = []
     moved_m = 0.0
-    for (i, _), one, two in zip(order, ends, ends[1:] + ends[:1], strict=True):
+    for i, one, two in zip(order, ends, [*ends[1:], ends[0]], strict=True):
         meeting = _meeting(one, two)
         moved_m = max(moved_m, float(np.linalg.norm(two[0] - one[1])))
-        starts += meeting
+        plan += meeting
         # of two corners the step between them belongs to the wall that ends there
         owners += [walls[i]] * len(meeting)
     # the first of these corners is where the first wall ends
-    last = [*starts[1:], starts[0]]
-    after = [*owners[1:], owners[0]]
-    return _turning_left(
-        [_Edge(a, b, w) for a, b, w in zip(starts, last, after, strict=True)]
-    ), moved_m
-
-
-def _loop(walls: Sequence[Part], feet: FloatArray) -> list[tuple[int, bool]]:
-    """Return walls one behind the other around the room, and which run from their second end."""
-    first = int(np.argmax(np.linalg.norm(feet[:, 1] - feet[:, 0], axis=1)))
-    order = [(first, False)]
-    left = set(range(len(walls))) - {first}
-    end = feet[first, 1]
-    while True:
-        home = float(np.linalg.norm(feet[first, 0] - end)) if len(order) > 2 else np.inf
-        ways = {(w, e): float(np.linalg.norm(feet[w, e] - end)) for w in left for e in (0, 1)}
-        near = min(ways, key=lambda way: ways[way], default=(first, 0))
-        gap = min(home, ways.get(near, np.inf))
-        if gap > _MEETS_M:
-            name = walls[order[-1][0]].name
-            raise InputError(
-                "walls of the scan do not meet",
-                where=f"the end of {name}",
-                found=f"{gap:.2f} m to the nearest end of another" if left else "no other wall",
-                needed=f"at most {_MEETS_M:g} m",
-                hint="scan with iOS 17 or later, which exports the outline of the floor, or "
-                + _HINT,
-            )
-        if home == gap:
-            return order
-        order.append((near[0], near[1] == 1))
-        left.remove(near[0])
-        end = feet[near[0], 1 - near[1]]
+    return np.pad(plan, ((0, 0), (0, 1))), [*owners[1:], owners[0]], moved_m
 
 
 def _meeting(one: FloatArray, two: FloatArray) -> list[FloatArray]:
@@ -336,143 +292,124 @@ def _meeting(one: FloatArray, two: FloatArray) -> list[FloatArray]:
     return [one[1], two[0]]
 
 
-def _by_floor(floor_m: FloatArray, walls: Sequence[Part]) -> list[_Edge]:
-    """Return the sides of an outlined floor, each with the wall that covers most of it."""
-    plan = floor_m[:, :2]
+def _by_floor(floor_m: FloatArray, walls: Sequence[_Part]) -> _Outline:
+    """Return an outlined floor, on each side the wall that covers most of it.
+
+    Where there is none, that may be a chord of a curved wall, in the circle over the wall's ends.
+    """
+    plan = floor_m * [1.0, 1.0, 0.0]
     plan = plan[np.linalg.norm(plan - np.roll(plan, 1, axis=0), axis=1) > _DISTINCT_M]
     if len(plan) < 3:
-        raise InputError(
-            "the floor of the scan has no area",
-            found=f"{len(plan)} corners that are apart",
-            needed="three corners or more",
-            hint=_HINT,
-        )
+        found = f"{len(plan)} corners that are apart"
+        raise _refused("the floor of the scan has no area", found, "three corners or more")
     flat, bent = [w for w in walls if not w.is_curved], [w for w in walls if w.is_curved]
-    return _turning_left(
-        [
-            _Edge(a, b, _over(a, b, flat) or _around(a, b, bent))
-            for a, b in zip(plan, np.roll(plan, -1, 0), strict=True)
-        ]
-    )
+
+    def owner(side: _Side) -> _Part | None:
+        covered = [_shared(side, w) for w in flat]
+        if max(covered, default=0.0) > 0.5 * side.length_m:
+            return flat[int(np.argmax(covered))]
+        middle = side.ends_m[:, :2].mean(axis=0)
+        feet = [_foot(w) for w in bent]
+        off_m = [np.linalg.norm(middle - f.mean(axis=0)) - 0.5 * _length(f) for f in feet]
+        return bent[int(np.argmin(off_m))] if min(off_m, default=np.inf) <= _MEETS_M else None
+
+    return plan, [owner(side) for side in _sides(plan, [None] * len(plan))], 0.0
 
 
-def _around(start: FloatArray, end: FloatArray, bent: Sequence[Part]) -> Part | None:
-    """Return the curved wall of whose arc an edge may be a chord: in the circle over its ends."""
-    middle = 0.5 * (start + end)
-
-    def off(part: Part) -> float:
-        foot = _foot(part)
-        return float(np.linalg.norm(middle - foot.mean(axis=0))) - 0.5 * _length(foot)
-
-    nearest = min(bent, key=off, default=None)
-    return nearest if nearest is not None and off(nearest) <= _MEETS_M else None
-
-
-def _over(start: FloatArray, end: FloatArray, parts: Sequence[Part]) -> Part | None:
-    """Return which of the parts stands along most of an edge, if one does along half of it."""
-    length = _length(np.stack([start, end]))
-    covered = {p.name: _shared(start, end, p) for p in parts}
-    best = max(parts, key=lambda p: covered[p.name], default=None)
-    return best if best is not None and covered[best.name] > 0.5 * length else None
-
-
-def _shared(start: FloatArray, end: FloatArray, part: Part) -> float:
-    """Return the length over which a part stands along an edge; 0 where it stands elsewhere."""
+def _shared(side: _Side, part: _Part) -> float:
+    """Return the length over which a part stands along a side; 0 where it stands elsewhere."""
     foot = _foot(part)
-    along, aside = _beside(start, end, foot)
+    along, aside = _beside(side, foot)
     if np.abs(aside).max() > _MEETS_M or abs(np.ptp(along)) < _PARALLEL * _length(foot):
         return 0.0
-    length = _length(np.stack([start, end]))
-    return float(max(min(along.max(), length) - max(along.min(), 0.0), 0.0))
+    return float(max(min(along.max(), side.length_m) - max(along.min(), 0.0), 0.0))
 
 
-def _beside(start: FloatArray, end: FloatArray, plan: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far points, shape (n, 2), lie along an edge and beside it, each (n,)."""
+def _beside(side: _Side, plan: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far points, shape (n, 2), lie along a side and beside it, each (n,)."""
+    start, end = side.ends_m[:, :2]
     way = (end - start) / np.linalg.norm(end - start)
     from_start = plan - start
     return from_start @ way, from_start @ np.array([-way[1], way[0]])
 
 
-def _turning_left(edges: list[_Edge]) -> list[_Edge]:
-    """Return the sides of a floor in the sense that has the room to the left."""
-    x, y = np.array([e.start_m for e in edges]).T
-    if x @ np.roll(y, -1) - y @ np.roll(x, -1) > 0.0:
-        return edges
-    return [_Edge(e.end_m, e.start_m, e.wall) for e in reversed(edges)]
+_Ceiling = tuple[FloatArray, list["_Part | None"], list[Polygon]]  # corners (n, 3); walls; planes
 
 
 def _covered(
-    edges: Sequence[_Edge], walls: Sequence[Part], ground_m: float
-) -> tuple[list[_Edge], list[Polygon]]:
-    """Return the sides of a floor with the heights over their ends, and what closes them above."""
-    try:
-        plane = _ceiling(walls, ground_m)
-    except InputError:
-        found = _gabled(edges, ground_m)
-        if found is None:
-            raise
-        return found
-    starts = np.array([e.start_m for e in edges])
-    corners = np.column_stack([starts, plane[0] + starts @ plane[1:]])
-    owners = [e.wall for e in edges]
-    return _crowned(corners, owners), [(corners, Surface("Ceiling", "ceiling", "ceiling"))]
+    plan: FloatArray, owners: list[_Part | None], walls: Sequence[_Part], ground_m: float
+) -> _Ceiling:
+    """Return the line on which a ceiling rests, whose wall is on each side, and the ceiling.
 
-
-def _crowned(corners_m: FloatArray, owners: Sequence[Part | None]) -> list[_Edge]:
-    """Return sides from the corners of the ceiling, shape (n, 3), and whose wall follows each."""
-    after = np.roll(corners_m, -1, axis=0)
-    return [
-        _Edge(a[:2], b[:2], wall, (float(a[2]), float(b[2])))
-        for a, b, wall in zip(corners_m, after, owners, strict=True)
-    ]
-
-
-def _gabled(edges: Sequence[_Edge], ground_m: float) -> tuple[list[_Edge], list[Polygon]] | None:
-    """Return sides cut at their gables and planes from gable to gable; None where none close it."""
-    corners, owners, gables = _profile(edges)
+    One plane, level where that will do; else planes that meet along lines from gable to gable.
+    """
+    tops = [w.corners_m[w.corners_m[:, 2] > w.corners_m[:, 2].min() + _LEVEL_M] for w in walls]
+    points = np.concatenate(tops)
+    if not len(points):
+        found = f"{len(walls)} walls lower than {_LEVEL_M:g} m"
+        raise _refused("the walls of the scan have no height", found, "tops above their feet")
+    level = np.array([np.median(points[:, 2]), 0.0, 0.0])
+    at = np.column_stack([np.ones(len(points)), points[:, :2]])
+    sloping = np.linalg.lstsq(at, points[:, 2], rcond=None)[0]
+    for plane in (level, sloping):
+        off_m = float(np.abs(at @ plane - points[:, 2]).max())
+        if off_m <= _LEVEL_M and (at @ plane - ground_m).min() > _LEVEL_M:
+            heights = plane[0] + plan[:, :2] @ plane[1:]
+            corners = np.column_stack([plan[:, :2], heights])
+            return corners, owners, [(corners, Surface("Ceiling", "ceiling", "ceiling"))]
+    corners, owners, gables = _profile(_sides(plan, owners))
     ways = _folded(corners, range(len(corners)), gables) if len(corners) else []
     if len(ways) != 1 or (corners[:, 2] - ground_m).min() <= _LEVEL_M:
-        return None
-    polygons: list[Polygon] = []
+        low, high = points[:, 2].min() - ground_m, points[:, 2].max() - ground_m
+        raise _refused(
+            "a scan has no ceiling, and the tops of its walls carry none",
+            f"tops {low:.2f} to {high:.2f} m above the floor, up to {off_m:.2f} m off a plane",
+            f"all within {_LEVEL_M:g} m of one plane, level or sloping, or of planes that meet "
+            "along lines between gables, of walls that end alike in the corners",
+        )
+    ceiling = []
     for i, ring in enumerate(sorted(ways[0])):
         own, surface = corners[list(ring)], Surface(f"Ceiling{i}", "ceiling", "ceiling")
         # corners of a scan are off their plane by centimetres, which triangles are not
-        polygons += [(own[three], surface) for three in triangulate(own).triangles]
-    return _crowned(corners, owners), polygons
+        ceiling += [(own[three], surface) for three in triangulate(own).triangles]
+    return corners, owners, ceiling
 
 
-def _profile(edges: Sequence[_Edge]) -> tuple[FloatArray, list[Part | None], frozenset[int]]:
-    """Return the line on which a ceiling rests: its corners, whose wall follows each, and gables.
+def _profile(
+    sides: Sequence[_Side],
+) -> tuple[FloatArray, list[_Part | None], frozenset[int]]:
+    """Return the line on which a folded ceiling rests: its corners, walls, and which are gables.
 
     Corners of the floor have the height at which the walls beside them end; gables are corners
-    within a wall, by their numbers. No corners where walls that meet end at two heights.
+    within a wall. No corners where walls that meet end at two heights.
     """
-    corners: list[FloatArray] = []
-    owners: list[Part | None] = []
-    gables: list[int] = []
-    starts: list[int] = []
-    ends: list[list[float]] = [[] for _ in edges]  # heights of walls at each corner of the floor
-    for k, edge in enumerate(edges):
-        starts.append(len(corners))
-        corners.append(np.array([*edge.start_m, np.nan]))
-        owners.append(edge.wall)
-        if edge.wall is None:
-            continue
-        along, _ = _beside(edge.start_m, edge.end_m, edge.wall.corners_m[:, :2])
-        z, length = edge.wall.corners_m[:, 2], _length(np.stack([edge.start_m, edge.end_m]))
+    tops: list[list[tuple[float, float]]] = []  # over each side: place along it and height
+    ends: list[list[float]] = []  # heights over the two ends of each side, none without a wall
+    for side in sides:
+        corners_m = np.zeros((0, 3)) if side.wall is None else side.wall.corners_m
+        along, _ = _beside(side, corners_m[:, :2])
+        z = corners_m[:, 2]
         top = [i for i in np.argsort(along) if z[i] > z.min() + _LEVEL_M]
-        for corner, at in ((k, 0.0), ((k + 1) % len(edges), length)) if top else ():
-            ends[corner].append(float(np.interp(at, along[top], z[top])))
-        for i in top:
-            if _MEETS_M < along[i] < length - _MEETS_M:
-                gables.append(len(corners))
-                plan = edge.start_m + along[i] / length * (edge.end_m - edge.start_m)
-                corners.append(np.array([*plan, z[i]]))
-                owners.append(edge.wall)
-    for number, heights in zip(starts, ends, strict=True):
+        tops.append(
+            [
+                (along[i] / side.length_m, z[i])
+                for i in top
+                if _MEETS_M < along[i] < side.length_m - _MEETS_M
+            ]
+        )
+        ends.append(list(np.interp([0.0, side.length_m], along[top], z[top])) if top else [])
+    corners: list[FloatArray] = []
+    owners: list[_Part | None] = []
+    gables: list[int] = []
+    for k, side in enumerate(sides):
+        heights = [*ends[k][:1], *ends[k - 1][1:]]
         if not heights or np.ptp(heights) > _LEVEL_M:
             return np.zeros((0, 3)), [], frozenset()
-        corners[number][2] = np.mean(heights)
+        start, end = side.ends_m
+        corners.append(np.array([*start[:2], np.mean(heights)]))
+        gables += range(len(corners), len(corners) + len(tops[k]))
+        corners += [np.array([*(start + share * (end - start))[:2], z]) for share, z in tops[k]]
+        owners += [side.wall] * (1 + len(tops[k]))
     return np.array(corners), owners, frozenset(gables)
 
 
@@ -503,129 +440,76 @@ def _folded(
     return [way for way in found if len(way) == fewest]
 
 
-def _ceiling(walls: Sequence[Part], ground_m: float) -> FloatArray:
-    """Return the plane z = c + p x + q y of the ceiling as (c, p, q): level where that will do."""
-    tops = []
-    for wall in walls:
-        z = wall.corners_m[:, 2]
-        tops.append(wall.corners_m[z > z.min() + _LEVEL_M])
-    points = np.concatenate(tops)
-    if not len(points):
-        raise InputError(
-            "the walls of the scan have no height",
-            found=f"{len(walls)} walls lower than {_LEVEL_M:g} m",
-            needed="tops above their feet",
-            hint=_HINT,
-        )
-    level = np.array([np.median(points[:, 2]), 0.0, 0.0])
-    at = np.column_stack([np.ones(len(points)), points[:, :2]])
-    sloping = np.linalg.lstsq(at, points[:, 2], rcond=None)[0]
-    for plane in (level, sloping):
-        off_m = float(np.abs(at @ plane - points[:, 2]).max())
-        if off_m <= _LEVEL_M and (at @ plane - ground_m).min() > _LEVEL_M:
-            return plane
-    low, high = points[:, 2].min() - ground_m, points[:, 2].max() - ground_m
-    raise InputError(
-        "a scan has no ceiling, and the tops of its walls carry none",
-        found=f"tops {low:.2f} to {high:.2f} m above the floor, up to {off_m:.2f} m off a plane",
-        needed=f"all within {_LEVEL_M:g} m of one plane, level or sloping, or of planes that meet "
-        "along lines between gables, of walls that end alike in the corners",
-        hint=_HINT,
-    )
-
-
-_Hole = tuple[Part, FloatArray]  # what is in a wall: from and to along it, from and to in height
-
-
-def _sides(
-    edges: Sequence[_Edge], parts: Sequence[Part], ground_m: float
-) -> tuple[list[Polygon], set[str]]:
-    """Return the polygons of all walls and of what is in them, and the names of those in use."""
-    holes: dict[int, list[_Hole]] = {i: [] for i in range(len(edges))}
-    for part in parts:
-        if part.kind == "wall":
-            continue
-        own = [_shared(e.start_m, e.end_m, part) for e in edges]
-        if part.parent in {e.wall.own for e in edges if e.wall is not None}:
-            kept = [e.wall is not None and e.wall.own == part.parent for e in edges]
-            own = [length if keep else 0.0 for length, keep in zip(own, kept, strict=True)]
-        best = int(np.argmax(own))
+def _cut(sides: Sequence[_Side], parts: Sequence[_Part], ground_m: float) -> list[Polygon]:
+    """Return the polygons of all walls and of what is in them."""
+    holes: list[list[_Hole]] = [[] for _ in sides]
+    for part in (part for part in parts if part.kind != "wall"):
+        shared = np.array([_shared(side, part) for side in sides])
+        is_own = [side.wall is not None and side.wall.name == part.parent for side in sides]
+        if any(is_own):
+            shared *= is_own
+        best = int(np.argmax(shared))
         # a wall with a gable has two sides, and a window may be in both
-        for i, edge in enumerate(edges):
-            is_there = i == best or (edge.wall is not None and edge.wall is edges[best].wall)
-            hole = _hole(edge, part, ground_m) if is_there and own[i] > 0.0 else None
+        for i, side in enumerate(sides):
+            is_there = i == best or (side.wall is not None and side.wall is sides[best].wall)
+            hole = _hole(side, part, ground_m) if is_there and shared[i] > 0.0 else None
             if hole is not None:
                 holes[i].append((part, hole))
-    polygons: list[Polygon] = []
-    for i, edge in enumerate(edges):
-        polygons += _pieces(edge, holes[i], f"Gap{i}", ground_m)
-    # an opening may take a whole wall
-    walls = {e.wall.name for e in edges if e.wall is not None}
-    return polygons, walls | {surface.name for _, surface in polygons}
+    pieces = (_pieces(s, holes[i], f"Gap{i}", ground_m) for i, s in enumerate(sides))
+    return [polygon for own in pieces for polygon in own]
 
 
-def _hole(edge: _Edge, part: Part, ground_m: float) -> FloatArray | None:
+_Hole = tuple[_Part, FloatArray]  # what is in a wall: from and to along it, from and to in height
+
+
+def _hole(side: _Side, part: _Part, ground_m: float) -> FloatArray | None:
     """Return where in a wall something is: from and to along it and in height, shape (4,)."""
-    along, _ = _beside(edge.start_m, edge.end_m, part.corners_m[:, :2])
-    length = _length(np.stack([edge.start_m, edge.end_m]))
-    z = part.corners_m[:, 2]
+    along, _ = _beside(side, part.corners_m[:, :2])
+    length, z = side.length_m, part.corners_m[:, 2]
     found = np.array([along.min(), along.max(), z.min(), z.max()])
-    top = float(np.interp(found[:2], [0.0, length], edge.tops_m).min())
+    top = float(np.interp(found[:2], [0.0, length], side.ends_m[:, 2]).min())
     for k, (low, high) in enumerate([(0.0, length)] * 2 + [(ground_m, top)] * 2):
         value = min(max(found[k], low), high)
         found[k] = low if value - low < _RIM_M else high if high - value < _RIM_M else value
     return found if min(found[1] - found[0], found[3] - found[2]) >= _RIM_M else None
 
 
-def _pieces(edge: _Edge, holes: Sequence[_Hole], unnamed: str, ground_m: float) -> list[Polygon]:
+def _pieces(side: _Side, holes: Sequence[_Hole], unnamed: str, ground_m: float) -> list[Polygon]:
     """Return a wall in columns, cut at the rims of what is in it; where two overlap, the first."""
-    wall = (
-        Surface(unnamed, "opening", "opening")
-        if edge.wall is None
-        else Surface(edge.wall.name, "wall", "wall")
-    )
-    length = _length(np.stack([edge.start_m, edge.end_m]))
-    way = (edge.end_m - edge.start_m) / length
+    kind = "opening" if side.wall is None else "wall"
+    wall = Surface(unnamed if side.wall is None else side.wall.name, kind, kind)
     found: list[Polygon] = []
+    length = side.length_m
+    (start, end), way_m = side.ends_m[:, :2], [0.0, length]
     cuts = np.unique([0.0, length, *(x for _, hole in holes for x in hole[:2])])
     for left, right in pairwise(cuts):
-        plan = edge.start_m + np.outer([left, right], way)
-        tops = np.interp([left, right], [0.0, length], edge.tops_m)
+        plan = start + np.outer([left, right], (end - start) / length)
+        tops = np.interp([left, right], way_m, side.ends_m[:, 2])
         here = [h for h in holes if h[1][0] <= left and right <= h[1][1]]
         # a sloping top is met by the last piece of a column alone
         rims = np.unique([ground_m, *(z for _, hole in here for z in hole[2:])])
-        rims = rims[rims < tops.min() - _DISTINCT_M]
-        below = [np.full(2, z) for z in rims]
+        below = [np.full(2, z) for z in rims[rims < tops.min() - _DISTINCT_M]]
         for low, high in zip(below, [*below[1:], tops], strict=True):
             middle = 0.5 * (low.mean() + min(high.mean(), high.min() + _RIM_M))
             part = next((p for p, hole in here if hole[2] <= middle <= hole[3]), None)
             surface = wall if part is None else Surface(part.name, part.kind, part.kind)
-            corners = [(*plan[0], low[0]), (*plan[1], low[1]), (*plan[1], high[1])]
-            corners.append((*plan[0], high[0]))
-            found.append((np.array(corners), surface))
+            heights = [low[0], low[1], high[1], high[0]]
+            found.append((np.column_stack([plan[[0, 1, 1, 0]], heights]), surface))
     return found
 
 
-def _at_home(longest: _Edge, vertices_m: FloatArray, *more_m: FloatArray) -> list[FloatArray]:
-    """Return points with the longest side of the floor along x, the lowest of all vertices at 0."""
-    c, s = (longest.end_m - longest.start_m) / _length(np.stack([longest.start_m, longest.end_m]))
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    origin = (vertices_m @ turn).min(axis=0)
-    # corners of a scan are known to centimetres
-    return [np.asarray(np.round(x @ turn - origin, 6) + 0.0) for x in (vertices_m, *more_m)]
-
-
 def _completed(
-    edges: Sequence[_Edge], moved_m: float, heights_m: FloatArray, n_planes: int, lies: str
+    sides: Sequence[_Side], moved_m: float, ground_m: float, n_planes: int, lies: str
 ) -> Finding:
     """Return what was put in, and how the axes lie."""
-    low, high = float(heights_m.min()), float(heights_m.max())
+    heights_m = [side.ends_m[:, 2] - ground_m for side in sides]
+    low, high = float(np.min(heights_m)), float(np.max(heights_m))
     tall = f"{low:.2f}" if high - low < _DISTINCT_M else f"{low:.2f} to {high:.2f}"
     flat = "A flat ceiling" if n_planes == 1 else f"A ceiling of {n_planes} planes between gables"
     text = f"{flat} was put {tall} m above the floor, on the walls' tops: a scan has none. "
     if moved_m > _DISTINCT_M:
         text += f"Ends of walls up to {moved_m:.2f} m apart were joined. "
-    gaps_m = [_length(np.stack([e.start_m, e.end_m])) for e in edges if e.wall is None]
+    gaps_m = [side.length_m for side in sides if side.wall is None]
     if gaps_m:
         text += (
             f"Sides of the floor without a wall, {sum(gaps_m):.2f} m in all, were closed by an "
@@ -658,7 +542,7 @@ def read_usdz(path: Path) -> RoomModel:
     """Read a scan by Apple's RoomPlan from its USDZ by usd-core: metres, z up.
 
     Walls, doors and windows are known by their names, each flat where the middle of its box is.
-    See `closed_room`.
+    See `_closed_room`.
     """
     _, shapes = isolated_polygons(
         path,
@@ -667,17 +551,22 @@ def read_usdz(path: Path) -> RoomModel:
         "USDZ",
         "roomfit[usd], or give the scan's JSON, which needs nothing and says more",
     )
-    parts = [part_of(s.name, s.group or "", points) for points, s in shapes if s.group != "thing"]
-    things = [thing_of(s.name, points) for points, s in shapes if s.group == "thing"]
+    parts = [_Part(s.name, s.group, own) for own, s in shapes if s.group and s.group != "thing"]
+    things = [
+        Thing(s.name.rstrip("0123456789_").lower()[:40], own[:-1], float(own[-1, 2]))
+        for own, s in shapes
+        if s.group == "thing"
+    ]
     with located(str(path)):
-        return closed_room(parts, None, things)
+        return _closed_room(parts, None, things)
 
 
 def read_scan(content: bytes, _: float, place: list[str]) -> tuple[dict[str, Any], list[Any]]:
-    """Return the points of each wall, door, window and opening of a scan by RoomPlan, m, z up.
+    """Return each wall, door, window and opening of a scan by RoomPlan, m, z up.
 
-    They are known by names, as Wall0 or Door_0; whatever else ends in a number is a thing, of the
-    group "thing".
+    They are known by names, as Wall0 or Door_0, and flattened by `_flat`; whatever else ends in a
+    number is a thing, of the group "thing": its outline as seen from above, and behind it a point
+    as high as it is tall.
     """
     os.environ["PXR_WORK_THREAD_LIMIT"] = "1"  # each thread takes addresses, which are limited
     from pxr import Tf, Usd, UsdGeom
@@ -710,8 +599,44 @@ def read_scan(content: bytes, _: float, place: list[str]) -> tuple[dict[str, Any
     polygons: Outlines = []
     for named, parts in found.items():
         x, y, z = metres * np.concatenate(parts).T
-        polygons.append((np.stack([x, -z, y] if up == "Y" else [x, y, z], axis=1), named))
+        points = np.stack([x, -z, y] if up == "Y" else [x, y, z], axis=1)
+        if named[1] == "thing":
+            own = np.pad(_rim(points[:, :2]), ((0, 1), (0, 1)))
+            own[-1, 2] = np.ptp(points[:, 2])
+        else:
+            own = _flat(points)
+        polygons.append((own, named))
     return outline(polygons)
+
+
+def _flat(points_m: FloatArray) -> FloatArray:
+    """Return the outline of a slab that stands upright, in the middle of it, shape (n, 3)."""
+    middle = 0.5 * (points_m.min(axis=0) + points_m.max(axis=0))[:2]
+    plan = points_m[:, :2] - middle
+    # the thinnest way through a slab is square to one of the sides of its outline
+    ring = _rim(plan)
+    ways = (
+        np.roll(ring, -1, axis=0) - ring
+        if len(ring)
+        else np.linalg.svd(plan, full_matrices=False)[2][:1]
+    )
+    ways = ways / np.linalg.norm(ways, axis=1)[:, None]
+    way = ways[np.argmin([np.ptp(plan @ np.array([-y, x])) for x, y in ways])]
+    across = np.array([-way[1], way[0]])
+    aside = plan @ across
+    rim = _rim(np.column_stack([plan @ way, points_m[:, 2]]))
+    plan = middle + np.outer(rim[:, 0], way) + 0.5 * (aside.min() + aside.max()) * across
+    return np.column_stack([plan, rim[:, 1]])
+
+
+def _rim(points: FloatArray) -> FloatArray:
+    """Return the corners of the convex hull of points in a plane, shape (n, 2); none of a line."""
+    from scipy.spatial import ConvexHull, QhullError  # heavy, and JSON needs none
+
+    try:
+        return np.asarray(points[ConvexHull(points).vertices])
+    except QhullError:
+        return points[:0]
 
 
 def _numbered(prim: Any) -> tuple[str, str]:
