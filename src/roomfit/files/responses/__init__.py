@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from roomfit.base.arguments import check_range
 from roomfit.base.door import read_bytes
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
@@ -67,14 +68,12 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
     path = Path(spec.path)
     kind = path.suffix.lower()
     if kind not in _READERS:
-        raise InputError(
-            "unknown kind of response file",
-            where=str(path),
-            found=f"ending {path.suffix!r}",
-            needed="a name that ends in .wav, .flac, .aiff, .w64, .mat, .ita, .npy, .sofa, or .txt "
-            "(REW)",
-            hint="export the response as WAV, 32-bit float",
+        what, hint = "unknown kind of response file", "export the response as WAV, 32-bit float"
+        needed = (
+            "a name that ends in .wav, .flac, .aiff, .w64, .mat, .ita, .npy, .sofa, or .txt (REW)"
         )
+        found = f"ending {path.suffix!r}"
+        raise InputError(what, where=str(path), found=found, needed=needed, hint=hint)
     with located(str(path)):
         _refuse_foreign_keys(spec, kind)
     content = read_bytes(path, "response file", most=_MOST.get(kind, "file_bytes"))
@@ -93,13 +92,11 @@ def _excitation(spec: ResponseSpec, kind: str) -> Recording:
     path = Path(spec.excitation or "")
     played = path.suffix.lower()
     if kind not in _RECORDED or played not in SOUND_SUFFIXES:
-        raise InputError(
-            "an excitation goes with a recording",
-            where=str(spec.path),
-            found=f"a {kind} file with the excitation {path.name}",
-            needed="a recording as sound file, MAT, ITA or NPY, and an excitation as sound file",
-            hint="leave excitation out where the file is a response already",
-        )
+        what, where = "an excitation goes with a recording", str(spec.path)
+        found = f"a {kind} file with the excitation {path.name}"
+        needed = "a recording as sound file, MAT, ITA or NPY, and an excitation as sound file"
+        hint = "leave excitation out where the file is a response already"
+        raise InputError(what, where=where, found=found, needed=needed, hint=hint)
     content = read_bytes(path, "response file")
     with located(str(path)):
         return _READERS[played](ResponseSpec(path, channel=spec.excitation_channel), content)
@@ -108,42 +105,26 @@ def _excitation(spec: ResponseSpec, kind: str) -> Recording:
 def _refuse_foreign_keys(spec: ResponseSpec, kind: str) -> None:
     """A key that this kind of file cannot obey would be silently lost."""
     if spec.excitation is None and spec.excitation_channel is not None:
-        raise InputError(
-            "a channel of an excitation without the excitation",
-            needed="excitation = a WAV file",
-            found="excitation_channel alone",
-            hint="name the sweep as it was played, or leave the channel out",
-        )
+        what = "a channel of an excitation without the excitation"
+        found, needed = "excitation_channel alone", "excitation = a WAV file"
+        hint = "name the sweep as it was played, or leave the channel out"
+        raise InputError(what, found=found, needed=needed, hint=hint)
     for key in _CHOICES:
         if getattr(spec, key) is not None and key not in _KEYS[kind]:
-            raise InputError(
-                "a key does not belong to this kind of file",
-                found=f"{key} for a {kind} file",
-                needed=f"only {', '.join(_KEYS[kind]) or 'the path'}",
-                hint="leave it out, or check the name of the file",
-            )
+            what, found = "a key does not belong to this kind of file", f"{key} for a {kind} file"
+            needed = f"only {', '.join(_KEYS[kind]) or 'the path'}"
+            hint = "leave it out, or check the name of the file"
+            raise InputError(what, found=found, needed=needed, hint=hint)
 
 
 def _check_clock(recording: Recording, spec: ResponseSpec) -> None:
     rate_hz = recording.sampling_rate_hz
-    if not 1000.0 <= rate_hz <= 1e6:
-        raise InputError(
-            "the sampling rate is out of range",
-            found=f"{rate_hz:g} Hz",
-            needed="1000 to 1000000 Hz",
-            hint="state it in Hz: 48000, not 48",
-        )
+    check_range("the sampling rate", rate_hz, 1000.0, 1e6, "Hz")
     if spec.sampling_rate_hz is not None and abs(spec.sampling_rate_hz / rate_hz - 1.0) > 1e-6:
-        raise InputError(
-            "two sampling rates for one file",
-            found=f"{rate_hz:g} Hz in the file, sampling_rate_hz = {spec.sampling_rate_hz:g}",
-            needed="the same, or no sampling_rate_hz",
-            hint="leave sampling_rate_hz out: it is for files that carry none",
-        )
+        found = f"{rate_hz:g} Hz in the file, sampling_rate_hz = {spec.sampling_rate_hz:g}"
+        what, needed = "two sampling rates for one file", "the same, or no sampling_rate_hz"
+        hint = "leave sampling_rate_hz out: it is for files that carry none"
+        raise InputError(what, found=found, needed=needed, hint=hint)
     if not np.isfinite(recording.delay_s):
-        raise InputError(
-            "the delay of the response is not a finite number",
-            found=f"{recording.delay_s:g} s",
-            needed="seconds",
-            hint="export the response again",
-        )
+        what, found = "the delay of the response is not finite", f"{recording.delay_s:g} s"
+        raise InputError(what, found=found, needed="seconds", hint="export the response again")

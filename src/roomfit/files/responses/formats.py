@@ -21,16 +21,64 @@ from roomfit.base.typing import FloatArray
 from roomfit.files.responses.recordings import Recording, ResponseSpec, pick
 from roomfit.formats.matlab import Variables, mat_variables
 
+_ITA = "ITA_TOOLBOX_AUDIO_OBJECT"
+_REW_TITLE = "impulse response data saved by rew"
+_REW_NEEDED = ("sample interval (seconds)", "response length", "start time (seconds)")
+_REW_NUMBERS = (*_REW_NEEDED, "peak value before normalisation", "peak index")
+_MOST_HEADER_LINES = 200
+_NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?|[-+]?(?i:nan|inf)")
+_SUBTYPES = ("PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE")
+# what the library notes where a file is shorter than its header says; it then reads what there is
+_SHORT = re.compile(r"^ *(data|SSND|riff|Riff size) *: (\d+) \(should be (\d+)\)", re.MULTILINE)
+_UNKNOWN_LENGTH = 0xFFFFFFFF
+
 
 def read_mat(spec: ResponseSpec, content: bytes) -> Recording:
     """Return the column of a variable of a MAT file that is asked for."""
     variables = _variables(content)
-    responses = _responses(variables, spec)
-    channel = pick("response", spec.channel, responses.shape[1], "channel")
-    return Recording(responses[:, channel].copy(), _sampling_rate_hz(variables, spec))
+    name, listed = spec.variable, _listed(variables)
+    if name is None:
+        hint = (
+            f"variable = {next(iter(variables))!r}" if variables else "save the responses into it"
+        )
+        what, needed = "which variable of the MAT file holds the responses?", "variable = a name"
+        raise InputError(what, found=listed, needed=needed, hint=hint)
+    if name not in variables:
+        what, needed = "the MAT file has no such variable", f"one of {listed}"
+        hint = did_you_mean(name, variables) or "write variable = as the file has it"
+        raise InputError(what, found=f"variable = {name!r}", needed=needed, hint=hint)
+    values = variables[name]
+    if isinstance(values, str) or values.ndim != 2 or values.size == 0:
+        is_nested = isinstance(values, str) and values in ("a structure", "a cell array")
+        what = "the variable of the MAT file holds no responses"
+        needed = "an array of real numbers, one response a column"
+        hint = "in MATLAB, save what lies in it as a variable of its own" if is_nested else ""
+        raise InputError(what, where=name, found=_kind(values), needed=needed, hint=hint)
+    with located(name):
+        columns = _columns(values)
+    channel = pick("response", spec.channel, columns.shape[1], "channel")
+    return Recording(columns[:, channel].copy(), _sampling_rate_hz(variables, spec))
 
 
-_ITA = "ITA_TOOLBOX_AUDIO_OBJECT"
+def _sampling_rate_hz(variables: Variables, spec: ResponseSpec) -> float:
+    name = spec.sampling_rate_variable
+    if name is None and spec.sampling_rate_hz is not None:
+        return spec.sampling_rate_hz
+    if name is None:
+        single = [n for n, v in variables.items() if not isinstance(v, str) and v.size == 1]
+        raise InputError(
+            "the sampling rate of the MAT file is missing",
+            found="neither of the two",
+            needed="sampling_rate_variable (a name) or sampling_rate_hz (a number)",
+            hint=f"single numbers in the file: {', '.join(single) or 'none'}",
+        )
+    values = variables.get(name)
+    if values is None or isinstance(values, str) or values.size != 1:
+        what, found = "the MAT file has no such sampling rate", f"sampling_rate_variable = {name!r}"
+        needed = f"one number; the file holds {_listed(variables)}"
+        hint = "give sampling_rate_hz instead, a number in Hz"
+        raise InputError(what, found=found, needed=needed, hint=hint)
+    return float(values.reshape(-1)[0])
 
 
 def read_ita(spec: ResponseSpec, content: bytes) -> Recording:
@@ -70,71 +118,14 @@ def _variables(content: bytes) -> Variables:
         raise InputError(what, found=str(error), needed=needed, hint=hint) from error
 
 
-def _responses(variables: Variables, spec: ResponseSpec) -> FloatArray:
-    """Return the named variable as columns of samples."""
-    if spec.variable is None:
-        raise InputError(
-            "which variable of the MAT file holds the responses?",
-            found=_listed(variables),
-            needed="variable = one of these names",
-            hint=f"variable = {next(iter(variables))!r}"
-            if variables
-            else "save the responses into it",
-        )
-    if spec.variable not in variables:
-        raise InputError(
-            "the MAT file has no such variable",
-            found=f"variable = {spec.variable!r}",
-            needed=f"one of {_listed(variables)}",
-            hint=did_you_mean(spec.variable, variables) or "write variable = as the file has it",
-        )
-    values = variables[spec.variable]
-    if isinstance(values, str) or values.ndim != 2 or values.size == 0:
-        nested = values in ("a structure", "a cell array") if isinstance(values, str) else False
-        what = "the variable of the MAT file holds no responses"
-        needed = "an array of real numbers, one response a column"
-        hint = "in MATLAB, save what lies in it as a variable of its own" if nested else None
-        raise InputError(what, where=spec.variable, found=_kind(values), needed=needed, hint=hint)
-    with located(spec.variable):
-        return _columns(values)
-
-
 def _columns(values: FloatArray) -> FloatArray:
     """Return responses as columns; a single one may stand in a row."""
-    if values.shape[0] == 1:
-        return np.ascontiguousarray(values.T)
-    if values.shape[1] > values.shape[0]:
-        raise InputError(
-            "the responses stand in rows",
-            found=f"{values.shape[0]} rows and {values.shape[1]} columns",
-            needed="one response a column",
-            hint="save the transposed array",
-        )
-    return values
-
-
-def _sampling_rate_hz(variables: Variables, spec: ResponseSpec) -> float:
-    if spec.sampling_rate_variable is None:
-        if spec.sampling_rate_hz is not None:
-            return spec.sampling_rate_hz
-        single = [name for name, v in variables.items() if not isinstance(v, str) and v.size == 1]
-        raise InputError(
-            "the sampling rate of the MAT file is missing",
-            found="neither of the two",
-            needed="sampling_rate_variable (a name) or sampling_rate_hz (a number)",
-            hint=f"single numbers in the file: {', '.join(single)}"
-            if single
-            else "sampling_rate_hz = 48000, say",
-        )
-    values = variables.get(spec.sampling_rate_variable)
-    if values is None or isinstance(values, str) or values.size != 1:
-        raise InputError(
-            "the MAT file has no such sampling rate",
-            found=f"sampling_rate_variable = {spec.sampling_rate_variable!r}",
-            needed=f"one number; the file holds {_listed(variables)}",
-            hint="give sampling_rate_hz instead, a number in Hz",
-        )
-    return float(values.reshape(-1)[0])
+    n_rows, n_columns = values.shape
+    if n_columns > n_rows > 1:
+        what, found = "the responses stand in rows", f"{n_rows} rows and {n_columns} columns"
+        hint = "save the transposed array"
+        raise InputError(what, found=found, needed="one response a column", hint=hint)
+    return np.ascontiguousarray(values.T) if n_rows == 1 else values
 
 
 def _listed(variables: Variables) -> str:
@@ -145,18 +136,6 @@ def _kind(values: FloatArray | str) -> str:
     return f"({values})" if isinstance(values, str) else str(values.shape)
 
 
-_TITLE = "impulse response data saved by rew"
-_REW_NUMBERS = {
-    "peak value before normalisation": "peak_value",
-    "peak index": "peak_index",
-    "response length": "length",
-    "sample interval (seconds)": "interval_s",
-    "start time (seconds)": "start_s",
-}
-_NEEDED = {"length": "Response length", "interval_s": "Sample interval", "start_s": "Start time"}
-_MOST_HEADER_LINES = 200
-
-
 def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
     """Return the impulse response of a text file that REW wrote (File, Export, Impulse Response).
 
@@ -165,22 +144,34 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
     reference; otherwise it lies at (or near) the peak, and `time_zero` must be "direct". A response
     that REW normalised is given its level back.
     """
-    if b"\0" in content:
-        raise _not_rew("a binary file")
     lines = decoded(content).split("\n")
-    numbers, notes, n_header = _header(lines)
+    numbers, notes, n_header = _rew_header(lines, b"\0" in content)
     if "ir is the min phase version" in notes:
-        raise InputError(
-            "a minimum-phase response has lost its arrival times",
-            found='"IR is the min phase version" in its header',
-            needed="the response as it was measured",
-            hint="export the response itself, not its minimum-phase version",
-        )
-    rate_hz = _rate_hz(numbers["interval_s"])
-    pressure = _samples(lines, n_header, numbers["length"])
-    name, start_s, findings = spec.path.name, numbers["start_s"], []
+        found = '"IR is the min phase version" in its header'
+        hint = "export the response itself, not its minimum-phase version"
+        what = "a minimum-phase response has lost its arrival times"
+        raise InputError(what, found=found, needed="the response as it was measured", hint=hint)
+    interval_s, length, start_s = (numbers[key] for key in _REW_NEEDED)
+    if not 1e-6 <= interval_s <= 1e-3:
+        what, found = "the sample interval of the REW file is out of range", f"{interval_s:g} s"
+        hint = "export the impulse response from REW again"
+        raise InputError(what, found=found, needed="0.000001 to 0.001 s", hint=hint)
+    whole = round(1.0 / interval_s)
+    rate_hz = float(whole) if abs(1.0 - whole * interval_s) < 1e-6 else 1.0 / interval_s
+    while len(lines) > n_header and not lines[-1].strip():
+        lines.pop()
+    try:
+        pressure = np.array([float(line) for line in lines[n_header:]])
+    except ValueError:
+        numbered = enumerate(lines[n_header:], n_header + 1)
+        pressure = np.array([_number(text, n) for n, text in numbered])
+    if len(pressure) != length:
+        what = f"the REW file is {'cut off' if len(pressure) < length else 'too long'}"
+        found, needed = f"{len(pressure)} samples", f"{length:g}, by its own header"
+        raise InputError(what, found=found, needed=needed, hint="export it again from REW")
+    name, findings = spec.path.name, list[Finding]()
     if "ir is normalised" in notes:
-        peak = abs(numbers.get("peak_value", 0.0))
+        peak = abs(numbers.get("peak value before normalisation", 0.0))
         largest = float(np.abs(pressure).max(initial=0.0))
         if peak > 0.0 and largest > 0.0:
             pressure = pressure * (peak / largest)
@@ -203,62 +194,47 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
             'time of emission; specify time_zero = "direct", or measure with a loopback as timing '
             "reference."
         )
-        findings.append(
-            Finding(Code.TIME_ZERO_AT_PEAK, About(files=[name]), text, {"peak_s": peak_s})
-        )
+        about, evidence = About(files=[name]), {"peak_s": peak_s}
+        findings.append(Finding(Code.TIME_ZERO_AT_PEAK, about, text, evidence))
     return Recording(pressure, rate_hz, start_s, tuple(findings))
 
 
-def _header(lines: list[str]) -> tuple[dict[str, float], str, int]:
-    """Return the numbers above the samples, other lines in lower case, and how many there are."""
-    first = next((line.strip() for line in lines if line.strip()), "")
-    if not first.lstrip("* ").lower().startswith(_TITLE):
-        raise _not_rew(repr(first[:60]))
+def _rew_header(lines: list[str], is_binary: bool) -> tuple[dict[str, float], str, int]:
+    """Return the numbers above the samples by label, other lines, and how many lines these are.
+
+    Labels and lines are in lower case. An older export does not announce its samples.
+    """
     numbers: dict[str, float] = {}
     notes: list[str] = []
-    n_lines = len(lines)
-    most_letters = limit("header_bytes")
-    for index, line in enumerate(lines[:_MOST_HEADER_LINES]):
-        text = line.strip()
+    first = next((line.strip() for line in lines if line.strip()), "")
+    found = "a binary file" if is_binary else repr(first[:60])
+    n_lines, most_letters = len(lines), limit("header_bytes")
+    is_rew = not is_binary and first.lstrip("* ").lower().startswith(_REW_TITLE)
+    for index, line in enumerate(lines[:_MOST_HEADER_LINES] if is_rew else ()):
+        text = line.strip().lstrip("* ").lower()
         most_letters -= len(line)
         if most_letters < 0:
-            raise _not_rew(f"a header of more than {limit('header_bytes'):g} letters")
-        if text.lstrip("* ").lower() == "data start":
-            n_lines = index + 1
+            is_rew, found = False, f"a header of more than {limit('header_bytes'):g} letters"
             break
-        if _is_number(text):  # an older export that does not announce its samples
-            n_lines = index
+        if text == "data start" or _NUMBER.fullmatch(line.strip()):
+            n_lines = index + (text == "data start")
             break
         value, mark, label = text.partition("//")
-        key = _REW_NUMBERS.get(label.strip().lower())
-        if mark and key:
-            numbers[key] = _number(value.lstrip("* "), index + 1)
+        if mark and label.strip() in _REW_NUMBERS:
+            numbers[label.strip()] = _number(value, index + 1)
         else:
-            notes.append(text.lstrip("* ").lower())
-    for key, label in _NEEDED.items():
-        if key not in numbers:
-            raise InputError(
-                "the header of the REW file is not complete",
-                found="a header without it",
-                needed=f'a line "... // {label}"',
-                hint="the file may be cut off: export it again from REW",
-            )
+            notes.append(text)
+    if not is_rew:
+        what = "this is not an impulse response that REW exported as text"
+        needed = 'a first line "* Impulse Response data saved by REW"'
+        hint = "in REW: File, Export, Export impulse response as text"
+        raise InputError(what, found=found, needed=needed, hint=hint)
+    for label in _REW_NEEDED:
+        if label not in numbers:
+            what, needed = "the header of the REW file is not complete", f'a line "... // {label}"'
+            hint = "the file may be cut off: export it again from REW"
+            raise InputError(what, found="a header without it", needed=needed, hint=hint)
     return numbers, "\n".join(notes), n_lines
-
-
-def _not_rew(found: str) -> InputError:
-    return InputError(
-        "this is not an impulse response that REW exported as text",
-        found=found,
-        needed='a first line "* Impulse Response data saved by REW"',
-        hint="in REW: File, Export, Export impulse response as text",
-    )
-
-
-def _is_number(text: str) -> bool:
-    return bool(
-        re.fullmatch(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?|[-+]?(?i:nan|inf)", text)
-    )
 
 
 def _number(text: str, line: int) -> float:
@@ -268,48 +244,11 @@ def _number(text: str, line: int) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(
-            "a number of the REW file is not one",
-            where=f"line {line}",
-            found=repr(text.strip()[:40]),
-            needed="a finite number",
-            hint="export the response again from REW, as text",
-        )
+        what, found = "a number of the REW file is not one", repr(text.strip()[:40])
+        hint = "export the response again from REW, as text"
+        where = f"line {line}"
+        raise InputError(what, where=where, found=found, needed="a finite number", hint=hint)
     return value
-
-
-def _rate_hz(interval_s: float) -> float:
-    if not 1e-6 <= interval_s <= 1e-3:
-        what = "the sample interval of the REW file is out of range"
-        hint = "export the impulse response from REW again"
-        raise InputError(what, found=f"{interval_s:g} s", needed="0.000001 to 0.001 s", hint=hint)
-    rate_hz = 1.0 / interval_s
-    whole = round(rate_hz)
-    return float(whole) if abs(rate_hz - whole) < 1e-6 * rate_hz else rate_hz
-
-
-def _samples(lines: list[str], n_header: int, needed: float) -> FloatArray:
-    lines = lines[n_header:]
-    while lines and not lines[-1].strip():
-        lines = lines[:-1]
-    try:
-        samples = np.array([float(line) for line in lines])
-    except ValueError:
-        samples = np.array([_number(line, n) for n, line in enumerate(lines, n_header + 1)])
-    if len(samples) != needed:
-        raise InputError(
-            "the REW file is cut off" if len(samples) < needed else "the REW file is too long",
-            found=f"{len(samples)} samples",
-            needed=f"{needed:g}, by its own header",
-            hint="export it again from REW",
-        )
-    return samples
-
-
-_SUBTYPES = ("PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE")
-# what the library notes where a file is shorter than its header says; it then reads what there is
-_SHORT = re.compile(r"^ *(data|SSND|riff|Riff size) *: (\d+) \(should be (\d+)\)", re.MULTILINE)
-_UNKNOWN_LENGTH = 0xFFFFFFFF
 
 
 def read_sound(spec: ResponseSpec, content: bytes) -> Recording:
@@ -321,38 +260,31 @@ def read_sound(spec: ResponseSpec, content: bytes) -> Recording:
     try:
         with quiet(), soundfile.SoundFile(io.BytesIO(content)) as file:
             if file.subtype not in _SUBTYPES:
-                raise InputError(
-                    "this encoding of a sound file is not read",
-                    found=file.subtype,
-                    needed="PCM of 16, 24 or 32 bits, or floating point",
-                    hint="export it as WAV with 24 bits",
-                )
+                what, hint = "this encoding of a sound file is not read", "export it as 24-bit WAV"
+                needed = "PCM of 16, 24 or 32 bits, or floating point"
+                raise InputError(what, found=file.subtype, needed=needed, hint=hint)
             for _, declared, available in _SHORT.findall(file.extra_info):
                 if int(declared) == _UNKNOWN_LENGTH:
                     findings = (_without_length(spec.path.name, int(available)),)
                 elif int(declared) > int(available):
-                    raise _cut_off(
-                        f"{available} bytes of samples", f"{declared} bytes, by its own header"
-                    )
+                    raise _cut_off(f"{available} bytes of samples", f"{declared} bytes")
             if 8 * file.frames * file.channels > unpacked_limit_bytes(len(content)):
                 raise ValueError("more numbers than are read from one file, or one of its size")
             channel = pick("channel", spec.channel, file.channels, "channel")
             samples = file.read(dtype="float64", always_2d=True)
             if len(samples) < file.frames:
-                raise _cut_off(f"{len(samples)} samples", f"{file.frames}, by its own header")
+                raise _cut_off(f"{len(samples)} samples", f"{file.frames}")
             return Recording(samples[:, channel].copy(), float(file.samplerate), 0.0, findings)
     except (soundfile.SoundFileError, RuntimeError, ValueError, OverflowError, MemoryError) as why:
         is_sound = content[:4] in (b"RIFF", b"RF64", b"fLaC", b"FORM", b"riff")
         start = f"a file of {len(content)} bytes that begins with {content[:12]!r}"
+        kind = "WAV" if spec.path.suffix.lower().startswith(".wav") else "FLAC, AIFF or Wave64"
         raise InputError(
-            f"this is not a {_FORMATS.get(spec.path.suffix.lower(), 'WAV')} file that can be read",
+            f"this is not a {kind} file that can be read",
             found=str(why) if is_sound else start,
             needed="PCM or floating-point samples under a header of that format",
             hint="export it again, under a name that ends as its format demands",
         ) from why
-
-
-_FORMATS = dict.fromkeys((".flac", ".aif", ".aiff", ".aifc", ".w64"), "FLAC, AIFF or Wave64")
 
 
 def _without_length(name: str, n_bytes: int) -> Finding:
@@ -360,25 +292,21 @@ def _without_length(name: str, n_bytes: int) -> Finding:
         f"{name} was written as a stream: its header does not contain its length, so a cut end "
         "would not be noticed. Everything up to the end of the file was read."
     )
-    return Finding(
-        Code.WAV_LENGTH_UNKNOWN, About(files=[name]), text, {"bytes_of_samples": n_bytes}
-    )
+    evidence = {"bytes_of_samples": n_bytes}
+    return Finding(Code.WAV_LENGTH_UNKNOWN, About(files=[name]), text, evidence)
 
 
 def _cut_off(found: str, needed: str) -> InputError:
-    what = "the sound file is cut off"
-    return InputError(what, found=found, needed=needed, hint="copy or export the file again")
+    what, hint = "the sound file is cut off", "copy or export the file again"
+    return InputError(what, found=found, needed=f"{needed}, by its own header", hint=hint)
 
 
 def read_npy(spec: ResponseSpec, content: bytes) -> Recording:
     """Return the response of an NPY file: one array of real numbers, one response a column."""
     if spec.sampling_rate_hz is None:
-        raise InputError(
-            "the sampling rate of the NPY file is missing",
-            found="no rate: an NPY file carries none",
-            needed="a number in Hz beside the file",
-            hint="add sampling_rate_hz = 48000, or what it was recorded at",
-        )
+        what, found = "the sampling rate of the NPY file is missing", "a file that carries none"
+        hint = "add sampling_rate_hz = 48000, or what it was recorded at"
+        raise InputError(what, found=found, needed="a number in Hz beside the file", hint=hint)
     try:
         values = np.atleast_1d(npy_array(io.BytesIO(content), len(content)))
         if values.dtype.kind not in "fiu" or values.ndim > 2 or not values.size:

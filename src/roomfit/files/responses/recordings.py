@@ -69,86 +69,63 @@ def pick(kind: str, index: int | None, count: int, key: str) -> int:
     if index is None and count == 1:
         return 0
     if index is None:
-        raise InputError(
-            f"the file holds several {kind}s and none was chosen",
-            found=f"{count} {kind}s, {numbers}",
-            needed=f"{key} = a number from {numbers}",
-            hint=f"what holds of all files stands once: {key} = 0 under [defaults]",
-        )
+        what = f"the file holds several {kind}s and none was chosen"
+        found = f"{count} {kind}s, {numbers}"
+        hint = f"what holds of all files stands once: {key} = 0 under [defaults]"
+        raise InputError(what, found=found, needed=f"{key} = a number from {numbers}", hint=hint)
     if not 0 <= index < count:
-        raise InputError(
-            f"the file has no such {kind}",
-            found=f"{key} = {index}",
-            needed=f"{key} = {numbers} ({kind}s are counted from 0)",
-            hint="look at the file in an editor of sound, and count from 0",
-        )
+        what, needed = f"the file has no such {kind}", f"{key} = {numbers} ({kind}s count from 0)"
+        hint = "look at the file in an editor of sound, and count from 0"
+        raise InputError(what, found=f"{key} = {index}", needed=needed, hint=hint)
     return index
 
 
 def checked(recording: Recording, name: str) -> tuple[FloatArray, tuple[Finding, ...]]:
-    """Return the pressure without a constant offset, and a finding for every doubt."""
+    """Return the pressure without a constant offset, and a finding for every doubt.
+
+    An offset is subtracted where the quiet end of the file is mostly offset. The mean of the whole
+    would be wrong: every response has some. What stays of an offset makes a step at both ends of
+    the file, which low bands take for sound.
+    """
     refuse_useless(recording)
     pressure = recording.pressure
-    offset, offset_findings = _offset(pressure, name)
-    clipped = clipping_findings(pressure, name)
-    return pressure - offset, (*recording.findings, *clipped, *offset_findings)
+    findings = (*recording.findings, *clipping_findings(pressure, name))
+    end = pressure[-max(1, len(pressure) // 4) :]
+    mean, peak = float(end.mean()), float(np.abs(pressure).max())
+    if abs(mean) <= _LEAST_OFFSET * peak or abs(mean) <= 2.0 * float(end.std()):
+        return pressure, findings
+    text = (
+        f"{name} has a constant offset of {mean:.3g} ({abs(mean) / peak:.2%} of its "
+        "peak); it was subtracted."
+    )
+    evidence = {"offset": mean, "relative_to_peak": mean / peak}
+    found = Finding(Code.DC_OFFSET, About(files=[name]), text, evidence)
+    return pressure - mean, (*findings, found)
 
 
 def refuse_useless(recording: Recording) -> None:
     """Refuse what cannot be sound: too short, not finite, too loud, or nothing but silence."""
     pressure = recording.pressure
     duration_s = len(pressure) / recording.sampling_rate_hz
-    if duration_s < _SHORTEST_S:
-        raise InputError(
-            "the response is too short",
-            found=f"{len(pressure)} samples, {1000.0 * duration_s:.3g} ms",
-            needed=f"at least {1000.0 * _SHORTEST_S:g} ms",
-            hint="copy or export the file again, whole",
-        )
     bad = np.flatnonzero(~np.isfinite(pressure))
-    if bad.size:
-        raise InputError(
-            "the response holds samples that are not finite numbers",
-            found=f"{bad.size} of {len(pressure)}, the first at sample {bad[0]}",
-            needed="finite pressures",
-            hint="look at how the file was made: a division by an empty spectrum leaves nan",
-        )
-    largest = float(np.abs(pressure).max())
-    if largest > _LOUDEST:
-        raise InputError(
-            "the response holds values that no pressure has",
-            found=f"{largest:.3g}",
-            needed=f"at most {_LOUDEST:g} in whatever unit",
-            hint="the file may be damaged, or of another number format than it says",
-        )
-    if np.ptp(pressure) <= _SOFTEST:
-        raise InputError(
-            "the response is silent",
-            found=f"{len(pressure)} samples, all of them {pressure[0] + 0.0:g}",
-            needed="a response, which rises and decays",
-            hint="another channel may hold the response",
-        )
-
-
-def _offset(pressure: FloatArray, name: str) -> tuple[float, tuple[Finding, ...]]:
-    """Return the offset to subtract: one where the quiet end of the file is mostly offset.
-
-    The mean of the whole would be wrong: every response has some. What stays of an offset makes a
-    step at both ends of the file, which low bands take for sound.
-    """
-    end = pressure[-max(1, len(pressure) // 4) :]
-    mean, peak = float(end.mean()), float(np.abs(pressure).max())
-    if abs(mean) <= _LEAST_OFFSET * peak or abs(mean) <= 2.0 * float(end.std()):
-        return 0.0, ()
-    return mean, (
-        Finding(
-            Code.DC_OFFSET,
-            About(files=[name]),
-            f"{name} has a constant offset of {mean:.3g} ({abs(mean) / peak:.2%} of its "
-            "peak); it was subtracted.",
-            {"offset": mean, "relative_to_peak": mean / peak},
-        ),
-    )
+    largest = float(np.abs(pressure).max(initial=0.0))
+    if duration_s < _SHORTEST_S:
+        what, found = "is too short", f"{len(pressure)} samples, {1000.0 * duration_s:.3g} ms"
+        needed, hint = f"at least {1000.0 * _SHORTEST_S:g} ms", "copy or export the file again"
+    elif bad.size:
+        what, needed = "holds samples that are not finite numbers", "finite pressures"
+        found = f"{bad.size} of {len(pressure)}, the first at sample {bad[0]}"
+        hint = "look at how the file was made: a division by an empty spectrum leaves nan"
+    elif largest > _LOUDEST:
+        what, found = "holds values that no pressure has", f"{largest:.3g}"
+        needed = f"at most {_LOUDEST:g} in whatever unit"
+        hint = "the file may be damaged, or of another number format than it says"
+    elif np.ptp(pressure) <= _SOFTEST:
+        what, found = "is silent", f"{len(pressure)} samples, all of them {pressure[0] + 0.0:g}"
+        needed, hint = "a response, which rises and decays", "another channel may hold it"
+    else:
+        return
+    raise InputError(f"the response {what}", found=found, needed=needed, hint=hint)
 
 
 # Below this share of the excitation's peak (-60 dB, above the noise of a loopback) it is silent.
@@ -197,7 +174,11 @@ def deconvolved(
     """
     rate_hz = recording.sampling_rate_hz
     with located(str(path)):
-        _check_rates(rate_hz, excitation.sampling_rate_hz, excitation_path)
+        if abs(excitation.sampling_rate_hz / rate_hz - 1.0) > 1e-6:
+            what = "recording and excitation have different sampling rates"
+            found = f"{rate_hz:g} Hz, and {excitation.sampling_rate_hz:g} Hz in {excitation_path}"
+            hint = "take the excitation as it was played, at the rate of the recording"
+            raise InputError(what, found=found, needed="one rate", hint=hint)
         refuse_useless(recording)
     with located(str(excitation_path)):
         refuse_useless(excitation)
@@ -208,7 +189,9 @@ def deconvolved(
         recording.pressure, excitation.pressure, rate_hz, (low_hz, high_hz)
     )
     n_lead = round(_LEAD_S * rate_hz)
-    pressure = _with_lead(response, n_lead, n_kept)
+    # the last samples of the circular response, before its first ones
+    fade = np.sin(0.5 * np.pi * (np.arange(n_lead) + 0.5) / n_lead) ** 2
+    pressure = np.concatenate([fade * response[len(response) - n_lead :], response[:n_kept]])
     text = (
         f"{path.name} was deconvolved with {excitation_path.name}, which has energy from "
         f"{low_hz:.3g} to {high_hz:.4g} Hz; {n_kept / rate_hz:.2f} s of response are left."
@@ -222,41 +205,20 @@ def deconvolved(
     return Recording(pressure, rate_hz, recording.delay_s - n_lead / rate_hz, findings)
 
 
-def _check_rates(rate_hz: float, played_hz: float, excitation_path: Path) -> None:
-    if abs(played_hz / rate_hz - 1.0) > 1e-6:
-        raise InputError(
-            "recording and excitation have different sampling rates",
-            found=f"{rate_hz:g} Hz, and {played_hz:g} Hz in {excitation_path}",
-            needed="one rate",
-            hint="take the excitation as it was played, at the rate of the recording",
-        )
-
-
-def _with_lead(response: FloatArray, n_lead: int, n_kept: int) -> FloatArray:
-    """Return the first samples of a circular response, behind its last ones, faded in."""
-    lead = response[len(response) - n_lead :]
-    fade = np.sin(0.5 * np.pi * (np.arange(n_lead) + 0.5) / n_lead) ** 2
-    return np.concatenate([fade * lead, response[:n_kept]])
-
-
 def _kept(recorded: FloatArray, played: FloatArray, rate_hz: float) -> int:
     """Return how many samples of the response contain all frequencies."""
     size = np.abs(played - np.median(played))
     sounding = int(np.flatnonzero(size > _SILENT * size.max())[-1]) + 1
     if len(recorded) + len(played) > _MOST_SAMPLES:
-        raise InputError(
-            "recording and excitation are too long together",
-            found=f"{len(recorded)} and {len(played)} samples",
-            needed=f"at most {_MOST_SAMPLES}",
-            hint="cut the recording behind the decay, or play a shorter sweep",
-        )
+        what = "recording and excitation are too long together"
+        found = f"{len(recorded)} and {len(played)} samples"
+        hint = "cut the recording behind the decay, or play a shorter sweep"
+        raise InputError(what, found=found, needed=f"at most {_MOST_SAMPLES}", hint=hint)
     if len(recorded) < sounding + _LEAST_DECAY_S * rate_hz:
-        raise InputError(
-            "the recording ends before the decay after the excitation",
-            found=f"{len(recorded) / rate_hz:.4g} s",
-            needed=f"the {sounding / rate_hz:.4g} s of the excitation, and the decay after it",
-            hint="record until the room is silent",
-        )
+        what = "the recording ends before the decay after the excitation"
+        needed = f"the {sounding / rate_hz:.4g} s of the excitation, and the decay after it"
+        found, hint = f"{len(recorded) / rate_hz:.4g} s", "record until the room is silent"
+        raise InputError(what, found=found, needed=needed, hint=hint)
     return len(recorded) - sounding
 
 
@@ -303,30 +265,20 @@ def regularised_quotient(
     n = next_fast_len(len(recorded) + len(played), real=True)
     played_spectrum = rfft(played, n)
     power = np.abs(played_spectrum) ** 2
-    regularisation = _regularisation(rfftfreq(n, 1.0 / rate_hz), rate_hz, band_hz)
-    inverse = np.conj(played_spectrum) / (power + power.max() * regularisation**2)
-    return np.asarray(irfft(rfft(recorded, n) * inverse, n), dtype=np.float64)
-
-
-def _regularisation(
-    frequency_hz: FloatArray, rate_hz: float, band_hz: tuple[float, float]
-) -> FloatArray:
-    """Return the regularisation of each line: next to none within the band, one outside it.
-
-    Both are cross-faded as the square of a cosine over half an octave outside the band. Above a
-    band that ends at half the sampling rate there is nothing to fade.
-    """
-    low, high = band_hz
+    frequency_hz, (low_hz, high_hz) = rfftfreq(n, 1.0 / rate_hz), band_hz
+    # cross-faded as the square of a cosine over half an octave outside the band
     inside = np.ones(len(frequency_hz))
-    start, end = (int(np.argmin(np.abs(frequency_hz - f))) for f in (low / np.sqrt(2.0), low))
+    start, end = (int(np.argmin(np.abs(frequency_hz - f))) for f in (low_hz / np.sqrt(2.0), low_hz))
     inside[:start] = 0.0
     inside[start:end] = _rise(end - start)
-    if high < 0.5 * rate_hz:
-        top_hz = min(high * np.sqrt(2.0), 0.5 * rate_hz)
-        start, end = (int(np.argmin(np.abs(frequency_hz - f))) for f in (high, top_hz))
+    if high_hz < 0.5 * rate_hz:
+        top_hz = min(high_hz * np.sqrt(2.0), 0.5 * rate_hz)
+        start, end = (int(np.argmin(np.abs(frequency_hz - f))) for f in (high_hz, top_hz))
         inside[start:end] *= _rise(end - start)[::-1]
         inside[end:] = 0.0
-    return np.asarray(_WITHIN * inside + (1.0 - inside))
+    regularisation = _WITHIN * inside + (1.0 - inside)
+    inverse = np.conj(played_spectrum) / (power + power.max() * regularisation**2)
+    return np.asarray(irfft(rfft(recorded, n) * inverse, n), dtype=np.float64)
 
 
 def _rise(n: int) -> FloatArray:
