@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
+import sys
+from typing import Any
 
+from roomfit.base.errors import InputError
 from roomfit.cli.terminal import say, warn
 
 _OWN = ("127.0.0.1", "localhost", "::1")
 
 
 def run(options: argparse.Namespace) -> None:
-    import asyncio
-
     if options.host not in _OWN:
         warn(
             f"warning: {options.host} can be reached from other machines. Whoever has the address "
@@ -23,10 +25,7 @@ def run(options: argparse.Namespace) -> None:
 
 async def _serve(options: argparse.Namespace) -> None:
     """Serve the project; what reads its files imports its libraries while the page does."""
-    import sys
-
     from roomfit.app.jobs import Bench
-    from roomfit.base.errors import InputError
 
     def tell(text: str) -> None:
         say(text)
@@ -35,21 +34,18 @@ async def _serve(options: argparse.Namespace) -> None:
     bench = Bench(options.folder.resolve())
     await bench.reader.started()
     try:
-        try:
-            from roomfit.app.server import serve
-        except ModuleNotFoundError as error:
-            raise InputError(
-                "the workbench needs packages that are not installed",
-                found=f"no module {error.name!r}",
-                needed="the extra app",
-                hint="pip install 'roomfit[app]'",
-            ) from error
-        await serve(
-            bench,
-            host=options.host,
-            port=options.port,
-            open_browser=not options.no_browser,
-            say=tell,
-        )
+        place = {"host": options.host, "port": options.port}
+        await _server()(bench, **place, open_browser=not options.no_browser, say=tell)
     finally:
         await bench.stop()
+
+
+def _server() -> Any:
+    """Return what serves; `InputError` without the packages of the extra ``app``."""
+    try:
+        from roomfit.app.server import serve
+    except ModuleNotFoundError as error:
+        what = "the workbench needs packages that are not installed"
+        found, hint = f"no module {error.name!r}", "pip install 'roomfit[app]'"
+        raise InputError(what, found=found, needed="the extra app", hint=hint) from error
+    return serve

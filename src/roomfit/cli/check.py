@@ -32,34 +32,39 @@ _EXAMINING = "examining recordings (longer the first time, which compiles)"
 
 def run(options: argparse.Namespace) -> None:
     """Carry out the command; leave with 2 where the room cannot be traced."""
-    room: Path = options.room
+    file: Path = options.room
     if options.remedy is not None or options.result is not None or options.undo:
         _remedy(options)
-        return
-    if room.suffix.lower() != ".toml" and not room.is_dir():
-        if options.out is not None or options.bands is not None:
-            raise InputError(
-                "a room by itself has no positions to draw, and no bands",
-                where=str(room),
-                found="--out" if options.out is not None else "--bands",
-                needed="a campaign.toml",
-                hint="roomfit init --room ROOM makes one; or leave the option out",
-            )
-        result = check_room(RoomSpec(file=room, unit=options.unit, up=options.up))
-        say(text(room_blocks(str(room), result)))
+    elif file.suffix.lower() != ".toml" and not file.is_dir():
+        what = "a room by itself has no positions to draw, and no bands"
+        hint = "roomfit init --room ROOM makes one"
+        _refuse(options, ("out", "bands"), what, "a campaign.toml", hint)
+        result = check_room(RoomSpec(file=file, unit=options.unit, up=options.up))
+        say(text(room_blocks(str(file), result)))
         sys.exit(0 if result.traceable else 2)
-    if options.unit is not None or options.up is not None:
-        raise InputError(
-            "a campaign itself specifies the unit and the axes of its room",
-            where=str(room),
-            found="--unit or --up",
-            needed="neither of them beside a campaign",
-            hint="write them under [room]",
-        )
-    campaign = read_campaign(room)
+    else:
+        what = "a campaign itself specifies the unit and the axes of its room"
+        needed = "neither of them beside a campaign"
+        _refuse(options, ("unit", "up"), what, needed, "write them under [room]")
+        _check(options, read_campaign(file))
+
+
+def _refuse(
+    options: argparse.Namespace, names: tuple[str, ...], what: str, needed: str, hint: str
+) -> None:
+    """Refuse options that have no meaning for this kind of file."""
+    for name in names:
+        if getattr(options, name) is not None:
+            where, found = str(options.room), f"--{name}"
+            hint = f"{hint}; or leave the option out"
+            raise InputError(what, where=where, found=found, needed=needed, hint=hint)
+
+
+def _check(options: argparse.Namespace, campaign: Campaign) -> None:
+    """Check the room of a campaign, then its recordings; leave with 1 where these are in doubt."""
     result = check_campaign(campaign)
     of_room = advice(result.findings, campaign)
-    say(text(room_blocks(str(room), result, of_room)))
+    say(text(room_blocks(str(options.room), result, of_room)))
     if not result.traceable:
         sys.exit(2)
     if campaign.spectra:
@@ -72,12 +77,12 @@ def run(options: argparse.Namespace) -> None:
     of_recordings = advice(checked.findings, campaign)
     say(f"\n{text(recordings_blocks(checked, of_recordings))}")
     if of_room or of_recordings:
-        say(how_to_write(room))
+        say(how_to_write(options.room))
     if options.out is not None:
         say(f"\nroom.svg is in {options.out}")
     if checked.in_doubt:
         sys.exit(_IN_DOUBT)
-    say(f"\nthen: roomfit identify {shlex.quote(str(room))} --out result")
+    say(f"\nthen: roomfit identify {shlex.quote(str(options.room))} --out result")
 
 
 def check_campaign_recordings(
@@ -92,13 +97,6 @@ def check_campaign_recordings(
 
     `out` is a folder for a picture of room and positions, `between_hz` are bands to examine in
     place of the campaign's.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read, or the room has faults.
-    StoreError
-        The disk refuses.
     """
     # all of roomfit: a room by itself does not wait for it
     from roomfit.checks.usable import check_recordings
@@ -110,13 +108,14 @@ def check_campaign_recordings(
     if out is not None:
         check_output_folder(out, overwrite=overwrite)
     own = identify_arguments(campaign, between_hz)
-    scene, measurements, bands = own["scene"], own["measurements"], own["bands"]
+    scene, measurements = own["scene"], own["measurements"]
     with located(str(campaign.path)):
         range_db = own["settings"].decay_range_db
-        checked = check_recordings(scene, measurements, bands, own["directivities"], range_db)
+        checked = check_recordings(
+            scene, measurements, own["bands"], own["directivities"], range_db
+        )
     fitted = {m.pair_name[:2] for m in measurements if m.use == "fit"}
     alike = plane_findings(named_pairs(scene, fitted))
-    checked = replace(checked, findings=(*checked.findings, *alike))
     if out is not None:
         from roomfit.report.figures import write_pictures
 
@@ -124,7 +123,7 @@ def check_campaign_recordings(
         picture = drawing("room", "The room", "", "room_figure.room_figure", of)
         with whole_output_folder(out, overwrite=overwrite) as folder:
             write_pictures(folder, Blocks("", (picture,), ()), png_too=png)
-    return checked
+    return replace(checked, findings=(*checked.findings, *alike))
 
 
 def how_to_write(campaign: Path, result: Path | None = None) -> str:
@@ -141,8 +140,8 @@ def _remedy(options: argparse.Namespace) -> None:
     """Write what findings advise into the campaign, or take that back."""
     from roomfit.files.results import read_result_content
 
-    file: Path = options.room
-    if options.undo and options.remedy is None and options.result is None:
+    file, result = options.room, options.result
+    if options.undo and options.remedy is None and result is None:
         edits.undo(file)
         say(f"{file} is as it was before the last remedy")
         return
@@ -154,9 +153,9 @@ def _remedy(options: argparse.Namespace) -> None:
             needed="--remedy CODE, with or without --result FOLDER; or --undo",
             hint="roomfit check CAMPAIGN shows the codes",
         )
-    campaign = read_campaign(file, to_fit=options.result is None)
-    if options.result is not None:
-        path = options.result / "result.json" if options.result.is_dir() else options.result
+    campaign = read_campaign(file, to_fit=result is None)
+    if result is not None:
+        path = result / "result.json" if result.is_dir() else result
         content, _ = read_result_content(path)
         findings = [finding_of(one, str(path)) for one in content["findings"]]
         found = advised(findings, campaign, changed=changed_since(content, file))

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.base.table import Cell, text_of
+from roomfit.base.table import Cell
 from roomfit.base.typing import FloatArray, Progress, part
 from roomfit.base.whole_files import sole_writer, whole_output_folder
 from roomfit.cli.identify import identify_to_folder
 from roomfit.cli.terminal import say
 from roomfit.demo.boxes import PLAN_BANDS, demo_plan, write_measured_box
-from roomfit.report.blocks import Blocks, drawing
+from roomfit.report.blocks import Blocks, Findings, Listed, drawing
 from roomfit.report.figures import write_pictures
 from roomfit.report.progress import shown_progress
-from roomfit.report.text import findings_text
+from roomfit.report.text import text
 from roomfit.report.wording import band_tables
 from roomfit.result import Result
 
@@ -28,12 +28,18 @@ def run(options: argparse.Namespace) -> None:
         answer, true_absorption = run_demo(
             out, options.seed, overwrite=options.overwrite, png=options.png, progress=progress
         )
+    say(text(_shown(answer, true_absorption)))
+    say(f"\nThe campaign is in {out / 'campaign'}, result and pictures in {out / 'result'}.")
+
+
+def _shown(answer: Result, true_absorption: FloatArray) -> Blocks:
+    """Return absorption beside the truth, and how well it was found."""
     covered = (answer.lower95 <= true_absorption) & (true_absorption <= answer.upper95)
-    rows = []
+    sure, rows = answer.identifiable, []
     for i, name in enumerate(answer.materials):
         cells = []
         for j in range(len(answer.bands)):
-            mark = ("" if covered[i, j] else "!") + ("" if answer.identifiable[i, j] else "?")
+            mark = ("" if covered[i, j] else "!") + ("" if sure[i, j] else "?")
             small = f"{answer.lower95[i, j]:.2f}-{answer.upper95[i, j]:.2f}{mark}"
             both = f"{true_absorption[i, j]:.2f} {answer.absorption[i, j]:.2f}"
             cells.append(Cell(both, (small,)))
@@ -42,20 +48,9 @@ def run(options: argparse.Namespace) -> None:
         "Absorption: true, found and its 95 % interval; ! = the true value lies outside, "
         "? = not identifiable"
     )
-    for table in band_tables(caption, "", answer.bands.centres_hz, rows):
-        say(text_of(table))
-    say(f"\n{_summary(answer, true_absorption)}")
-    if answer.findings:
-        say(f"\n{findings_text(answer.findings)}")
-    say(f"\nThe campaign is in {out / 'campaign'}, result and pictures in {out / 'result'}.")
-
-
-def _summary(answer: Result, true_absorption: FloatArray) -> str:
-    covered = (answer.lower95 <= true_absorption) & (true_absorption <= answer.upper95)
     error = np.abs(answer.absorption - true_absorption)
     uniform = np.abs(answer.mean_absorption[0] - true_absorption)
-    sure = answer.identifiable
-    lines = [
+    lines = (
         f"median error {np.median(error):.3f}, 90 % of errors below {np.quantile(error, 0.9):.3f}, "
         f"largest {error.max():.3f}",
         f"baseline, one absorption for all walls: median error {np.median(uniform):.3f}",
@@ -64,8 +59,9 @@ def _summary(answer: Result, true_absorption: FloatArray) -> str:
         f"called identifiable: {sure.sum()} of {sure.size}, of which {(sure & ~covered).sum()} "
         "outside their interval",
         f"{answer.seconds:.1f} s for the identification",
-    ]
-    return "\n".join(lines)
+    )
+    tables = band_tables(caption, "", answer.bands.centres_hz, rows)
+    return Blocks("Demo", (*tables, Listed(lines)), (Findings(answer.findings),))
 
 
 @sole_writer
@@ -93,8 +89,7 @@ def run_demo(
         rows = [plan.materials.index(name) for name in answer.materials]
         at = [int(np.argmin(np.abs(PLAN_BANDS.centres_hz - f))) for f in answer.bands.centres_hz]
         true_absorption: FloatArray = plan.absorption[np.ix_(rows, at)]
-        title = "Absorption that was found, and the true one"
-        of = answer, true_absorption
+        title, of = "Absorption that was found, and the true one", (answer, true_absorption)
         picture = drawing("absorption_and_truth", title, "", "absorption_figure", *of)
         write_pictures(folder / "result", Blocks("", (picture,), ()), png_too=png)
     return answer, true_absorption

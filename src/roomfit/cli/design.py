@@ -22,23 +22,25 @@ from roomfit.report.progress import shown_progress
 from roomfit.report.text import text
 
 
-@reading_noted()
 def run(options: argparse.Namespace) -> None:
-    sole_writer(_run)(options, options.out)
+    design_to_folder(options, options.out)
 
 
-def _run(options: argparse.Namespace, out: Path) -> None:
+@sole_writer
+@reading_noted()
+def design_to_folder(options: argparse.Namespace, out: Path) -> None:
+    """Choose where to measure; write design.json, .csv and pictures into a folder."""
+    check_output_folder(out, overwrite=options.overwrite)
+    campaign = read_campaign(options.campaign, to_fit=False)
+    found = options.result and read_result(result_file(options, options.result))
     wanted = {
         "n_candidates": options.candidates,
         "number": options.choose,
         "most_sources": options.sources,
         "criterion": options.criterion,
     }
-    check_output_folder(out, overwrite=options.overwrite)
-    campaign = read_campaign(options.campaign, to_fit=False)
-    found = options.result and read_result(result_file(options, options.result))
-    changed = {name: value for name, value in wanted.items() if value is not None}
-    arguments = design_arguments(campaign, found, changed)
+    given = {name: value for name, value in wanted.items() if value is not None}
+    arguments = design_arguments(campaign, found, given)
     with shown_progress("choosing where to measure") as progress:
         with located(str(options.campaign)):
             answer = design(**arguments, progress=part(progress, 0.0, 0.98))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 import textwrap
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from roomfit.base.door import read_bytes, read_text
 from roomfit.base.errors import InputError
@@ -39,8 +39,7 @@ def run(options: argparse.Namespace) -> None:
         say(textwrap.fill(text, 100, subsequent_indent=" " * 11, break_on_hyphens=False))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ExportedFiles:
+class ExportedFiles(NamedTuple):
     """Files that were written, and what their reader must know."""
 
     files: tuple[Path, ...]
@@ -98,39 +97,35 @@ def export_result(
     check_place(out, overwrite=overwrite)
     # as the programs write themselves: CATT-Acoustic, I-Simpa
     wanted = wanted.lower().replace("-", "").removesuffix("acoustic")
-    content, findings = _content(result_file, wanted, scattering)
-    write_bytes_atomically(out, content)
-    return ExportedFiles((out,), findings)
-
-
-def _content(
-    result_file: ResultFile | Result, wanted: str, scattering: float | None
-) -> tuple[bytes, tuple[Finding, ...]]:
+    findings: tuple[Finding, ...] = ()
     if wanted == "budget":
-        return csv_of(budget_records(uncertainty_budget(result_file))).encode(), ()
-    if isinstance(result_file, Result):
-        if wanted in ("excel", "pdf", "word"):
+        content = csv_of(budget_records(uncertainty_budget(result_file))).encode()
+    elif wanted in ("excel", "pdf", "word"):
+        if isinstance(result_file, Result):
             raise InputError(
                 "this format is made from the files of a result",
                 found=f"a result in memory, for {wanted!r}",
                 needed="result.json, and for PDF or Word report.html beside it",
                 hint="roomfit.write_result(folder, result, []) first",
             )
-        table = material_table_of(result_file)
-    elif wanted in ("pdf", "word"):
-        return _report(result_file, wanted)
+        content, findings = _of_files(result_file, wanted)
     else:
-        table, _ = read_materials(result_file)
-        if wanted == "excel":
-            return workbook_bytes(result_file), table.findings
-    usual = Settings().default_scattering if scattering is None else scattering
-    text, findings = export_materials(table, wanted, usual)
-    return text.encode(), (*findings, *table.findings)
+        if isinstance(result_file, Result):
+            table = material_table_of(result_file)
+        else:
+            table, _ = read_materials(result_file)
+        usual = Settings().default_scattering if scattering is None else scattering
+        text, findings = export_materials(table, wanted, usual)
+        content, findings = text.encode(), (*findings, *table.findings)
+    write_bytes_atomically(out, content)
+    return ExportedFiles((out,), findings)
 
 
-def _report(result_file: ResultFile, wanted: str) -> tuple[bytes, tuple[Finding, ...]]:
-    """Return the page that was written beside a result as PDF, or as a Word file."""
+def _of_files(result_file: ResultFile, wanted: str) -> tuple[bytes, tuple[Finding, ...]]:
+    """Return a workbook of a result, or the page that was written beside it as PDF or Word."""
     path = path_of(result_file)
+    if wanted == "excel":
+        return workbook_bytes(result_file), read_materials(result_file)[0].findings
     own = path.suffix.lower() in (".html", ".htm")
     page = read_text(path if own else path.with_name("report.html"), "report")
     if wanted == "pdf":

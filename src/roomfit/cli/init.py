@@ -7,7 +7,7 @@ import contextlib
 import shlex
 import sys
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,24 +31,18 @@ from roomfit.report.wording import count
 
 
 def run(options: argparse.Namespace) -> None:
-
     if options.room is not None and options.shoebox is not None:
         what = "two rooms for one campaign"
         hint = "leave --shoebox out where a file has the room"
         raise InputError(what, found="--room and --shoebox", needed="one of the two", hint=hint)
-    because = ""
-    unit: str | None = options.unit
+    unit, because = options.unit, ""
     if options.room is not None and unit is None and sys.stdin.isatty():
         unit, because = _asked(options.room, options.space)
-    room = None
-    if options.room is not None or options.shoebox is not None:
-        lengths = None if options.shoebox is None else tuple(options.shoebox)
-        room = RoomSpec(
-            file=options.room, shoebox=lengths, unit=unit, up=options.up, space=options.space
-        )
+    lengths = None if options.shoebox is None else tuple(options.shoebox)
+    room = RoomSpec(options.room, lengths, unit=unit, up=options.up, space=options.space)
     text = draft_to_folder(
         options.folder,
-        room,
+        room if options.room is not None or lengths is not None else None,
         options.recordings,
         options.positions,
         decay_times=options.decay_times,
@@ -61,24 +55,21 @@ def run(options: argparse.Namespace) -> None:
     found = [count(len(written[f"{k}s"]), k) for k in kinds if f"{k}s" in written]
     found += [written["recordings"]] if "recordings" in written else []
     say(f"{file}: {', '.join(found) or f'decay times of {options.decay_times}'}")
-    left = blanks(written)
-    if left:
+    if left := blanks(written):
         say("to be filled in: " + ", ".join(left))
-    for line in _hints(options, written):
+    for line in (*_left_out(options, written), *_missing(options)):
         say(line)
     verb = "check" if options.decay_times is None else "reverberation"
     say(f"then: roomfit {verb} {shlex.quote(str(file))}")
 
 
-def _hints(options: argparse.Namespace, written: dict[str, Any]) -> Iterator[str]:
-    """Say what was passed over, and which files may be what is missing."""
-
-    folder: Path = options.folder
+def _left_out(options: argparse.Namespace, written: dict[str, Any]) -> Iterator[str]:
+    """Say which recordings and positions were passed over."""
     if options.decay_times is None and options.recordings is None:
-        recordings = recordings_in(folder)
+        recordings = recordings_in(options.folder)
         used = {m["file"] for m in written["measurements"]}
         if not recordings:
-            yield f"no recordings lie in {folder}"
+            yield f"no recordings lie in {options.folder}"
         elif others := [name for name in recordings if name not in used]:
             yield f"left out, names that do not fit: {in_short(others)}"
     if options.positions is not None:
@@ -87,38 +78,41 @@ def _hints(options: argparse.Namespace, written: dict[str, Any]) -> Iterator[str
         if idle:
             yield f"positions that no recording names: {in_short(idle)}"
 
-    def beside(endings: tuple[str, ...], read: Callable[[Path], object]) -> list[Path]:
-        """Return the files in the folder that can be read as what they may be."""
-        found = []
-        for path in sorted(folder.iterdir()):
-            if path.suffix.lower() in endings and not path.name.startswith("."):
-                with contextlib.suppress(InputError):
-                    read(path)
-                    found.append(path)
-        return found
 
+def _missing(options: argparse.Namespace) -> Iterator[str]:
+    """Say with which files of the folder the campaign may be more complete."""
     lacking: dict[str, list[Path]] = {}
     if options.room is None and options.shoebox is None:
-        lacking["--room"] = beside(tuple(READERS), lambda path: READERS[path.suffix.lower()](path))
+        lacking["--room"] = _readable(options.folder, READERS)
     if options.positions is None and options.decay_times is None:
-        times = beside((".csv", ".xlsx"), read_decay_times)
-        points_of = [p for p in beside((".csv", ".xlsx"), read_positions) if p not in times]
-        lacking |= {"--positions": points_of, "--decay-times": [] if points_of else times}
+        times = _readable(options.folder, dict.fromkeys((".csv", ".xlsx"), read_decay_times))
+        points = _readable(options.folder, dict.fromkeys((".csv", ".xlsx"), read_positions))
+        points = [path for path in points if path not in times]
+        lacking |= {"--positions": points, "--decay-times": [] if points else times}
     words = [f"{k} {shlex.quote(str(v[0]))}" for k, v in lacking.items() if len(v) == 1]
     if words:
-        keys = ("room", "space", "shoebox", "recordings", "unit", "up")
-        given = {k: getattr(options, k) for k in keys}
-        parts = [str(folder)]
-        for key, value in given.items():
+        parts = [str(options.folder)]
+        for key in ("room", "space", "shoebox", "recordings", "unit", "up"):
+            value = getattr(options, key)
             if value is not None:
                 values = [f"{x:g}" for x in value] if key == "shoebox" else [str(value)]
                 parts += [f"--{key}", *values]
         yield f"perhaps: roomfit init {shlex.join(parts)} {' '.join(words)} --overwrite"
 
 
+def _readable(folder: Path, readers: Mapping[str, Callable[[Path], object]]) -> list[Path]:
+    """Return the files in the folder that can be read as what they may be."""
+    found = []
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in readers and not path.name.startswith("."):
+            with contextlib.suppress(InputError):
+                readers[path.suffix.lower()](path)
+                found.append(path)
+    return found
+
+
 def _asked(room: Path, space: str | None) -> tuple[str | None, str]:
     """Ask for the unit where it is in doubt."""
-
     units = likely_units(room, space)
     if len(units) < 2:
         return None, ""
@@ -140,18 +134,10 @@ def draft_to_folder(
 ) -> str:
     """Write a first campaign.toml into a folder, see `draft_campaign`, and return its text.
 
-    A folder for decay times alone is made if needed.
-
-    Raises
-    ------
-    InputError
-        There is no such folder of recordings, or a campaign already and `overwrite` is false; a
-        room or a table cannot be read; decay times stand beside positions or recordings, which they
-        replace; the unit is in doubt, or no recording has the shape of the template.
-    StoreError
-        The disk refuses.
+    A folder for decay times alone is made if needed. `InputError` where there is no folder of
+    recordings, or a campaign already and `overwrite` is false; a file cannot be read, the unit is
+    in doubt, or no recording has the shape of the template.
     """
-
     file = folder / "campaign.toml"
     if not folder.is_dir() and decay_times is None:
         raise InputError(
@@ -166,8 +152,8 @@ def draft_to_folder(
     if decay_times is not None:
         if recordings is not None or positions is not None:
             raise InputError(
-                "decay times without positions stand alone",
-                found="--decay-times beside --recordings or --positions",
+                "--decay-times cannot be combined with --recordings or --positions",
+                found="both",
                 needed="one or the other",
                 hint="tables of pairs whose positions are known: parameters in [[measurements]]",
             )

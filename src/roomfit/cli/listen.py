@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,17 +33,12 @@ from roomfit.signals.measurement import Measurement
 
 
 def run(options: argparse.Namespace) -> None:
+    files = options.campaign, result_file(options, options.absorption), options.out
+    changes = [read_change(text) for text in options.changes or []]
+    wanted = Wanted("campaign", options.state or "", doubted=options.doubted)
+    how = {"dry": options.dry, "overwrite": options.overwrite}
     with shown_progress("listening") as progress:
-        content = listen_to_folder(
-            options.campaign,
-            result_file(options, options.absorption),
-            options.out,
-            [read_change(text) for text in options.changes or []],
-            Wanted("campaign", options.state or "", doubted=options.doubted),
-            dry=options.dry,
-            overwrite=options.overwrite,
-            progress=progress,
-        )
+        content = listen_to_folder(*files, changes, wanted, progress=progress, **how)
     say(text(listen_blocks(content)))
     say(f"\nWAV files and listen.json are in {options.out}")
 
@@ -64,19 +59,9 @@ def listen_to_folder(
 
     Nothing is normalised. With `dry`, a recording of one channel, its convolutions stand beside
     them, all scaled by one factor so that the loudest has a peak of half. Returned is what
-    listen.json contains.
-
-    Raises
-    ------
-    InputError
-        See `roomfit.predict.listen.listen`; or the recording has another sampling rate.
-    InsufficientDataError
-        The result is seriously doubted in a band, which a sound cannot leave out, and this is not
-        wanted.
-    StoreError
-        The disk refuses.
+    listen.json contains. `InsufficientDataError` where the result is seriously doubted in a band,
+    which a sound cannot leave out, and this is not wanted.
     """
-
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
     found = read_result(absorption_file)
@@ -101,35 +86,27 @@ def listen_to_folder(
         sounds, content["dry_factor"] = with_dry_recording(sounds, recorded)
     with whole_output_folder(out, overwrite=overwrite) as folder:
         for i, (c, sound) in enumerate(zip(made, sounds, strict=True), start=1):
-            files = _write_sounds(folder, i, c.measurement, sound)
-            content["responses"][i - 1]["files"] = files
+            m = c.measurement
+            stem = f"{i:02d}_{in_file_name(m.source, m.receiver)}"
+            names = {kind: f"{stem}_{kind}.wav" for kind in sound}
+            rate_hz = round(m.response.sampling_rate_hz)
+            for kind, x in sound.items():
+                soundfile.write(folder / names[kind], x, rate_hz, subtype="FLOAT")
+            content["responses"][i - 1]["files"] = names
         write_json_atomically(folder / "listen.json", content)
     return content
 
 
-def _write_sounds(
-    folder: Path, number: int, measurement: Measurement, sounds: Mapping[str, FloatArray]
-) -> dict[str, str]:
-    """Write the sounds of a pair as WAV files; return their names by kind."""
-
-    stem = f"{number:02d}_{in_file_name(measurement.source, measurement.receiver)}"
-    names = {kind: f"{stem}_{kind}.wav" for kind in sounds}
-    rate_hz = round(measurement.response.sampling_rate_hz)
-    for kind, x in sounds.items():
-        soundfile.write(folder / names[kind], x, rate_hz, subtype="FLOAT")
-    return names
-
-
 def _dry_pressure(file: Path, measured: Sequence[Measurement]) -> FloatArray:
     """Return the samples of a dry recording, which has the sampling rate of the responses."""
-
     dry = read_response(ResponseSpec(file))[0]
-    if measured and dry.sampling_rate_hz != measured[0].response.sampling_rate_hz:
+    rates_hz = {m.response.sampling_rate_hz for m in measured[:1]}
+    if rates_hz and dry.sampling_rate_hz not in rates_hz:
         raise InputError(
             "the dry recording has another sampling rate than the responses",
             where=str(file),
             found=f"{dry.sampling_rate_hz:g} Hz",
-            needed=f"{measured[0].response.sampling_rate_hz:g} Hz",
+            needed=f"{rates_hz.pop():g} Hz",
             hint="resample the dry recording",
         )
     return dry.pressure

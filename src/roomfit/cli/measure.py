@@ -30,12 +30,9 @@ def run(options: argparse.Namespace) -> None:
         return
     folder, source, receiver = options.folder, options.source, options.receiver
     if folder is None or source is None or receiver is None:
-        raise InputError(
-            "a measurement needs a folder and two names",
-            found=shlex.join(sys.argv[1:]),
-            needed="roomfit measure FOLDER --source S1 --receiver R1",
-            hint="roomfit measure --help",
-        )
+        what, found = "a measurement needs a folder and two names", shlex.join(sys.argv[1:])
+        needed = "roomfit measure FOLDER --source S1 --receiver R1"
+        raise InputError(what, found=found, needed=needed, hint="roomfit measure --help")
     plan = SweepPlan(options.rate, options.seconds, options.silence, options.repetitions)
     card = SoundCard(sounddevice(), _device(options.device), _device(options.output))
     say(f"playing and recording for {plan.length_s:.0f} s: keep still")

@@ -27,7 +27,7 @@ from roomfit.predict.grid import grid_records
 from roomfit.predict.output import write_predicted
 from roomfit.predict.predict import predict
 from roomfit.predict.prediction import Predicted
-from roomfit.report.blocks import Blocks, Drawing
+from roomfit.report.blocks import Blocks
 from roomfit.report.html import page
 from roomfit.report.predicted import describe, grid_drawings, pair_drawings
 from roomfit.report.progress import shown_progress
@@ -36,17 +36,12 @@ from roomfit.report.text import text
 
 def run(options: argparse.Namespace) -> None:
     changes = [read_change(text) for text in options.changes or []]
+    found = options.absorption and result_file(options, options.absorption)
     wanted = Wanted(options.pairs, options.state or "", options.grid, options.doubted)
+    how = {"overwrite": options.overwrite, "png": options.png}
     with shown_progress("predicting") as progress:
         _, shown = predict_to_folder(
-            options.campaign,
-            options.absorption and result_file(options, options.absorption),
-            options.out,
-            changes,
-            wanted=wanted,
-            overwrite=options.overwrite,
-            png=options.png,
-            progress=progress,
+            options.campaign, found, options.out, changes, wanted=wanted, progress=progress, **how
         )
     say(text(shown))
     files = "predicted.json, predicted.csv, predicted.html" + ", grid.csv" * bool(options.grid)
@@ -71,38 +66,25 @@ def predict_to_folder(
     Pictures of the first 24 pairs; the files contain all. Of a grid maps in place of them, a
     picture a source, and grid.csv. Without an absorption, or without positions, the room is taken
     for a diffuse field: by its decay times, or by its priors where the campaign has none.
-
-    Raises
-    ------
-    InputError
-        The campaign, the room, the absorption or the output folder is invalid.
-    StoreError
-        The disk refuses.
     """
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
     found = None if absorption_file is None else read_result(absorption_file)
     question = question_of(campaign, found, changes, wanted)
-    is_grid = wanted is not None and wanted.grid_m is not None
     check_disk_room(out, len(question.scene.pairs) // 3)
     with located(str(campaign_file)):
         predicted = predict(question, progress=part(progress, 0.0, 0.95))
-    shown = describe(predicted)
-    drawings: list[Drawing] = []
-    if is_grid:
-        drawings += grid_drawings(predicted, question.scene)
-    else:
-        drawings += pair_drawings(predicted)
+    shown, drawings = describe(predicted), pair_drawings(predicted)
     with whole_output_folder(out, overwrite=overwrite) as folder:
         from roomfit.report.figures import write_pictures
 
         write_predicted(folder, predicted, files_read())
         write_text_atomically(folder / "predicted.html", page(shown))
-        if is_grid:
+        if wanted is not None and wanted.grid_m is not None:
+            drawings = grid_drawings(predicted, question.scene)
             records = grid_records(predicted, question.scene)
             write_text_atomically(folder / "grid.csv", csv_of(records))
-        beside = Blocks("", (*shown.drawings(), *drawings), ())
-        write_pictures(folder, beside, png_too=png)
+        write_pictures(folder, Blocks("", (*shown.drawings(), *drawings), ()), png_too=png)
     if progress is not None:
         progress(1.0)
     return predicted, shown

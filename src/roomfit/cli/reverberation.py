@@ -36,23 +36,17 @@ def reverberation_to_folder(
 ) -> DiffuseAbsorption:
     """Find mean absorption from decay times; write result.json, a table and a page into a folder.
 
-    Raises
-    ------
-    InputError
-        As of `diffuse_field` and `diffuse_absorption`; or the folder is not empty.
+    `InputError` as of `diffuse_field` and `diffuse_absorption`; or the folder is not empty.
     """
     if out is not None:
         check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
     field, _ = diffuse_field(campaign)
     if field.decay_s is None:
-        raise InputError(
-            "a campaign without decay times",
-            where=str(campaign_file),
-            found="no such table",
-            needed="a table [reverberation]",
-            hint="add it, or predict from a result: --absorption result.json",
-        )
+        what, where = "a campaign without decay times", str(campaign_file)
+        needed = "a table [reverberation]"
+        hint = "add it, or predict from a result: --absorption result.json"
+        raise InputError(what, where=where, found="no such table", needed=needed, hint=hint)
     found = diffuse_absorption(
         field.decay_s, field.bands, field.priors, field.areas_m2, field.volume_m3,
         speed_of_sound_m_s=field.speed_of_sound_m_s, attenuation_per_m=field.attenuation_per_m,

@@ -43,18 +43,12 @@ _LOG = logging.getLogger("roomfit")
 
 
 def run(options: argparse.Namespace) -> None:
+    found = options.absorption and result_file(options, options.absorption)
+    files = options.campaign, found, options.treatment, options.out
     wanted = Wanted(options.pairs, options.state or "", doubted=options.doubted)
+    how = {"overwrite": options.overwrite, "png": options.png}
     with shown_progress("choosing what to hang") as progress:
-        _, shown = treat_to_folder(
-            options.campaign,
-            options.absorption and result_file(options, options.absorption),
-            options.treatment,
-            options.out,
-            wanted=wanted,
-            overwrite=options.overwrite,
-            png=options.png,
-            progress=progress,
-        )
+        _, shown = treat_to_folder(*files, wanted=wanted, progress=progress, **how)
     say(text(shown))
     say(f"\ntreatment.html, .json, .csv and pictures are in {options.out}")
 
@@ -72,32 +66,23 @@ def treat_to_folder(
     png: bool = False,
     progress: Progress | None = None,
 ) -> tuple[Treatment, Blocks]:
-    """Choose what to hang where; write treatment.json, .csv, .html and pictures into a folder.
-
-    Raises
-    ------
-    InputError
-        The campaign, the room, the absorption, the treatment or the output folder is invalid.
-    StoreError
-        The disk refuses.
-    """
+    """Choose what to hang where; write treatment.json, .csv, .html and pictures into a folder."""
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False, decay_times=True)
     table = read_treatment(treatment_file)
     covered = [Change(name, "factor", (1.0,)) for name in table.surfaces]
     found = None if absorption_file is None else read_result(absorption_file)
     question = question_of(campaign, found, covered, wanted)
+    if question.field is not None and not campaign.has_room:
+        raise InputError(
+            "a treatment of a room without walls",
+            where=str(campaign_file),
+            found="volume and surface alone",
+            needed="a table [room], so that there are surfaces to hang something on",
+            hint="add [room] with shoebox or file",
+        )
     room: ChangingRoom | None = None
-    to_measure: tuple[str, ...] = ()
     if question.field is not None:
-        if not campaign.has_room:
-            raise InputError(
-                "a treatment of a room without walls",
-                where=str(campaign_file),
-                found="volume and surface alone",
-                needed="a table [room], so that there are surfaces to hang something on",
-                hint="add [room] with shoebox or file",
-            )
         with located(str(campaign_file)):
             room = prepare(question)
     known = question.known if room is None else room.absorption
@@ -107,6 +92,7 @@ def treat_to_folder(
             hardest = hardest_changes(asked, known.bands)
             room = prepare(question, hardest, progress=part(progress, 0.0, 0.8))
         answer = treat(room, **asked, progress=part(progress, 0.8, 0.9))
+    to_measure: tuple[str, ...] = ()
     if found is not None and question.field is None:
         to_measure = _what_to_measure(campaign, found, answer, part(progress, 0.9, 1.0))
     answer = replace(answer, findings=(*doubts, *answer.findings), to_measure=to_measure)
@@ -131,14 +117,12 @@ def _what_to_measure(
 
     By the experiment design after a fit; none where its rules leave no place for a receiver.
     """
-
     first = answer.arrangements[0]
-    names = answer.room.scene.room.materials
-    if first.is_sure or not first.decisive or first.decisive[0][0] not in names:
+    name = first.decisive[0][0] if first.decisive else ""
+    if first.is_sure or name not in answer.room.scene.room.materials:
         return ()
     try:
-        given = design_arguments(campaign, found, _TO_MEASURE)
-        plan = design(**given, progress=progress)
+        plan = design(**design_arguments(campaign, found, _TO_MEASURE), progress=progress)
     except InputError as error:
         _LOG.info("no measurement is proposed: %s", error.what)
         return ()
@@ -146,11 +130,11 @@ def _what_to_measure(
     for source, source_m, receiver, receiver_m in chosen_positions(plan):
         here, there = (", ".join(f"{x:.2f}" for x in at_m) for at_m in (source_m, receiver_m))
         lines.append(f"{source} at ({here}) m to {receiver} at ({there}) m")
-    index = plan.materials.index(first.decisive[0][0])
+    index = plan.materials.index(name)
     before, after = plan.widths[[0, -1], index].mean(axis=1)
     unit = " m2" * (index >= len(wall_materials(plan.scene.room)))
     lines.append(
-        f"with these the 95 % interval of the absorption of {first.decisive[0][0]}, {before:.2f}"
-        f"{unit} wide in the mean over the bands, is expected to be {after:.2f}{unit} wide"
+        f"with these the 95 % interval of the absorption of {name}, {before:.2f}{unit} wide in the "
+        f"mean over the bands, is expected to be {after:.2f}{unit} wide"
     )
     return tuple(lines)
