@@ -74,7 +74,7 @@ def test_the_first_error_arrives_as_it_would_in_sequence() -> None:
 
 def test_an_error_of_a_copy_says_where_it_was_raised() -> None:
     with pytest.raises(ZeroDivisionError) as error, beside(lambda: 1 // 0) as never:
-        never.result()
+        never()
     assert "in <lambda>" in error.value.__notes__[0]
 
     def only_in_a_copy(x: int) -> None:
@@ -97,7 +97,7 @@ def test_what_a_killed_copy_had_taken_is_done_again_with_a_warning(caplog) -> No
     with caplog.at_level(logging.WARNING, logger="roomfit"):
         assert in_forks(dies, range(5)) == [0, -1, -2, -3, -4]
         with beside(lambda: dies(3)) as one:
-            assert one.result() == -3
+            assert one() == -3
     assert [r.getMessage().count("ended from outside") for r in caplog.records] == [1, 1]
 
 
@@ -109,7 +109,7 @@ def test_evaluations_of_copies_are_counted() -> None:
     with counted_evaluations() as made:
         in_forks(count, range(6))
         with beside(lambda: count(100)) as last:
-            last.result()
+            last()
     assert made == [115]
 
 
@@ -133,15 +133,12 @@ def test_copies_report_no_progress_and_write_nothing(capfd) -> None:
 
 def test_a_block_that_is_left_ends_the_copy() -> None:
     began = time.perf_counter()
-    with pytest.raises(KeyError), beside(lambda: time.sleep(60.0)) as late:
-        assert not late.is_done()
+    with pytest.raises(KeyError), beside(lambda: time.sleep(60.0)):
         raise KeyError
     assert time.perf_counter() - began < 2.0
     with beside(lambda: 7) as soon:
-        while not soon.is_done():
-            assert time.perf_counter() - began < 60.0
         assert numba.get_num_threads() == 1  # the other is the copy's
-        assert soon.result() == 7 and soon.result() == 7
+        assert soon() == 7 and soon() == 7
 
 
 _WAITING = """

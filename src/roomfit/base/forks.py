@@ -24,8 +24,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
 from multiprocessing import parent_process
-from select import select
-from typing import Any, Generic, NoReturn, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import numba
 
@@ -84,32 +83,11 @@ def in_this_process(progress: Progress | None) -> Progress | None:
     return lambda fraction: report(fraction) if os.getpid() == here else None
 
 
-@contextmanager
-def beside(function: Callable[[], T]) -> Iterator[Beside[T]]:
-    """Let a function run beside the block; its result is waited for when it is asked for.
-
-    Where there is one process only, it runs when it is asked for. An error of it is raised there as
-    well. A copy that was ended from outside is replaced by this process. When the block is left,
-    nothing of the copy is left.
-    """
-    n = at_once()
-    running = Beside(function, fork=n > 1)
-    if n == 1:
-        yield running
-        return
-    numba.set_num_threads(n - 1)
-    try:
-        yield running
-    finally:
-        numba.set_num_threads(n)
-        running.end()
-
-
 def in_forks(function: Callable[[Item], T], items: Sequence[Item]) -> list[T]:
     """Return what a function makes of every item, in their order, some of them in copies.
 
     Whoever is free takes the next item, so the longest should come first. Of errors, that of the
-    first item is raised.
+    first item is raised. Nothing of the copies is left, however this ends.
 
     Parameters
     ----------
@@ -126,16 +104,20 @@ def in_forks(function: Callable[[Item], T], items: Sequence[Item]) -> list[T]:
     n = min(at_once(), len(items))
     if n < 2 or len(items) > _MOST_ITEMS:
         return [function(item) for item in items]
-    before = numba.get_num_threads()
+    before, home = numba.get_num_threads(), os.getpid()
+    # a pipe of the numbers of items, four bytes each: every reader takes the next one
+    numbers, sending = os.pipe()
+    os.write(sending, b"".join(i.to_bytes(4, "little") for i in range(len(items))))
+    os.close(sending)
+    share = partial(_share, function, items, numbers, home)
     with ExitStack() as stack:
         stack.callback(numba.set_num_threads, before)
+        stack.callback(os.close, numbers)
         numba.set_num_threads(n)  # of which each copy takes one
-        numbers = stack.enter_context(_numbers(len(items)))
-        share = partial(_share, function, items, numbers, os.getpid())
         others = [stack.enter_context(beside(share)) for _ in range(n - 1)]
         found = share()
         for other in others:
-            found |= other.result()
+            found |= other()
     for i in sorted(found):
         if (error := found[i][1]) is not None:
             raise error
@@ -143,14 +125,11 @@ def in_forks(function: Callable[[Item], T], items: Sequence[Item]) -> list[T]:
     return [found[i][0] if i in found else function(item) for i, item in enumerate(items)]
 
 
-_Outcome = tuple[Any, Exception | None]
-
-
 def _share(
     function: Callable[[Item], T], items: Sequence[Item], numbers: int, home: int
-) -> dict[int, _Outcome]:
+) -> dict[int, tuple[Any, Exception | None]]:
     """Return values, or errors, of the items that this process could take, by their number."""
-    found: dict[int, _Outcome] = {}
+    found: dict[int, tuple[Any, Exception | None]] = {}
     while token := os.read(numbers, 4):
         i = int.from_bytes(token, "little")
         try:
@@ -171,72 +150,61 @@ def _with_its_place(error: Exception) -> Exception:
 
 
 @contextmanager
-def _numbers(n: int) -> Iterator[int]:
-    """Give a pipe of the numbers 0 to n - 1, four bytes each; every reader takes the next one."""
-    receiving, sending = os.pipe()
-    os.write(sending, b"".join(i.to_bytes(4, "little") for i in range(n)))
-    os.close(sending)
-    try:
-        yield receiving
-    finally:
-        os.close(receiving)
+def beside(function: Callable[[], T]) -> Iterator[Callable[[], T]]:
+    """Let a function run beside the block; give a function that waits for its result.
 
-
-class Beside(Generic[T]):
-    """A function that runs in a copy of this process, or will run in this one."""
-
-    def __init__(self, function: Callable[[], T], *, fork: bool) -> None:
-        self.function, self.pid, self.found = function, 0, list[T]()
-        self.threads = numba.get_num_threads()
-        if not fork:
-            return
-        self.receiving, sending = os.pipe()
+    Where there is one process only, it runs when it is asked for. An error of it is raised there as
+    well. A copy that was ended from outside is replaced by this process. When the block is left,
+    nothing of the copy is left.
+    """
+    n, found = at_once(), list[T]()
+    pid, receiving, sending = 0, -1, -1
+    if n > 1:
+        numba.set_num_threads(n - 1)
+        receiving, sending = os.pipe()
         home = os.getpid()
         with interrupts_deferred(), warnings.catch_warnings():
             # threads of compiled kernels, which wait, and which no copy needs
             warnings.simplefilter("ignore", DeprecationWarning)
             with suppress(OSError):  # where no memory or no process is left, this one does it
-                self.pid = os.fork()
-                if self.pid == 0:
+                pid = os.fork()
+                if pid == 0:
                     _send(function, sending, home)
         os.close(sending)
 
-    def is_done(self) -> bool:
-        """Whether the result is there, or on its way."""
-        return bool(self.found) or (self.pid > 0 and bool(select([self.receiving], [], [], 0)[0]))
+    def result() -> T:
+        nonlocal pid
+        if not found and pid > 0:
+            with os.fdopen(os.dup(receiving), "rb") as pipe:
+                content = pipe.read()
+            _, status = os.waitpid(pid, 0)
+            pid = 0
+            numba.set_num_threads(n)  # the copy's core is free again
+            if status == 0:
+                made, value, error = pickle.loads(content)
+                count_evaluation(made)
+                if error is not None:
+                    raise error
+                found.append(value)
+            else:
+                _LOG.warning(
+                    "a process that fitted beside this one was ended from outside; "
+                    "its part is done again"
+                )
+        if not found:
+            found.append(function())
+        return found[0]
 
-    def result(self) -> T:
-        """Return what the function returns, or raise what it raises."""
-        if not self.found:
-            self.found.append(self._received() if self.pid else self.function())
-        return self.found[0]
-
-    def _received(self) -> T:
-        with os.fdopen(os.dup(self.receiving), "rb") as pipe:
-            content = pipe.read()
-        _, status = os.waitpid(self.pid, 0)
-        self.pid = -1
-        numba.set_num_threads(self.threads)  # the copy's core is free again
-        if status != 0:
-            _LOG.warning(
-                "a process that fitted beside this one was ended from outside; "
-                "its part is done again"
-            )
-            return self.function()
-        made, value, error = pickle.loads(content)
-        count_evaluation(made)
-        if error is not None:
-            raise error
-        found: T = value
-        return found
-
-    def end(self) -> None:
-        """End the copy if it still runs."""
-        if self.pid > 0:
-            with suppress(ProcessLookupError):
-                os.kill(self.pid, signal.SIGKILL)
-            os.waitpid(self.pid, 0)
-        os.close(self.receiving)
+    try:
+        yield result
+    finally:
+        if n > 1:
+            numba.set_num_threads(n)
+            if pid > 0:
+                with suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+                os.waitpid(pid, 0)
+            os.close(receiving)
 
 
 @contextmanager

@@ -27,92 +27,172 @@ import numpy as np
 
 from roomfit.base.errors import FolderInUseError, InputError, StoreError
 
-if sys.platform != "win32":
+if sys.platform == "win32":
+    import msvcrt
+else:
     import fcntl
 
 CONTENT_DIGEST = "content_sha256"
-# Of what the C library exchanges two names with: Linux and macOS.
-_AT_CWD, _RENAME_EXCHANGE, _RENAME_SWAP = -100, 2, 2
 # Within an output folder: the names of the result's own files.
 _LIST = ".roomfit-files"
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def check_output_folder(path: Path, *, overwrite: bool = False) -> None:
     """Refuse a folder that results cannot go into, before the work and without making it."""
     path = Path(path)
-    nearest = _nearest_folder(path)
-    try:
+    with _made(path):
+        nearest = nearest_existing(path)
         filled = path.is_dir() and any(path.iterdir())
-    except OSError as error:
-        raise _cannot_be_made(path, error) from error
+    if not nearest.is_dir():
+        what = (
+            "the output folder is a file" if nearest == path else "the output folder is in a file"
+        )
+        needed, hint = "a folder, or a name that is free", "choose another name"
+        found = f"{nearest} is a file"
+        raise InputError(what, where=str(path), found=found, needed=needed, hint=hint)
     if filled and not overwrite:
         what = "the output folder exists and is not empty"
         needed = "a new or an empty folder, so that no earlier result is lost"
         hint = "choose another folder, or add --overwrite"
         raise InputError(what, where=str(path), found="files in it", needed=needed, hint=hint)
     if not os.access(nearest, os.W_OK | os.X_OK):
-        raise StoreError(
+        what, found = (
             "the output folder cannot be written to",
-            where=str(path),
-            found=f"no permission to write in {nearest}",
-            hint="choose another folder",
+            f"no permission to write in {nearest}",
         )
+        raise StoreError(what, where=str(path), found=found, hint="choose another folder")
 
 
 def check_place(out: Path, *, overwrite: bool) -> None:
     """Refuse to write a file where something else is, or where one is and may not be replaced."""
+    hint = "choose another name, or add --overwrite"
     if out.exists() and not out.is_file():
-        inner = out.is_dir()
-        raise InputError(
-            "one file is written, and something else is in its place",
-            where=str(out),
-            found="a folder" if inner else "a device, a pipe or a socket, which would be replaced",
-            needed="a new name",
-            hint=f"write --out {out / 'materials.txt'}"
-            if inner and not out.suffix  # a folder was meant, not a name that a folder has
-            else "rename what is there, or choose another name",
-        )
-    if out.exists() and not overwrite:
-        raise InputError(
-            "the file to write exists",
-            where=str(out),
-            found="a file of this name",
-            needed="a new name, so that nothing is lost",
-            hint="choose another name, or add --overwrite",
-        )
-    if not out.parent.is_dir():
-        raise InputError(
-            "the folder of the file to write does not exist",
-            where=str(out.parent),
-            found="no such folder",
-            needed="a folder that is there",
-            hint="make it first, or name another one",
-        )
-
-
-def _nearest_folder(path: Path) -> Path:
-    try:
-        nearest = nearest_existing(path)
-    except OSError as error:
-        raise _cannot_be_made(path, error) from error
-    if not nearest.is_dir():
-        raise InputError(
-            "the output folder is a file" if nearest == path else "the output folder is in a file",
-            where=str(path),
-            found=f"{nearest} is a file",
-            needed="a folder, or a name that is free",
-            hint="choose another name",
-        )
-    return nearest
+        what, needed = "one file is written, and something else is in its place", "a new name"
+        found = "a folder" if out.is_dir() else "a device, a pipe or a socket"
+        # a folder was meant, not a name that a folder has
+        hint = "rename what is there, or choose another name"
+        if out.is_dir() and not out.suffix:
+            hint = f"write --out {out / 'materials.txt'}"
+    elif out.exists() and not overwrite:
+        what, needed = "the file to write exists", "a new name, so that nothing is lost"
+        found = "a file of this name"
+    elif not out.parent.is_dir():
+        what, needed = "the folder of the file to write does not exist", "a folder that is there"
+        found, hint, out = "no such folder", "make it first, or name another one", out.parent
+    else:
+        return
+    raise InputError(what, where=str(out), found=found, needed=needed, hint=hint)
 
 
 def make_folder(path: Path) -> None:
     """Make a folder where there is none; errors as of `check_output_folder`."""
-    _nearest_folder(path)
-    try:
+    check_output_folder(path, overwrite=True)
+    with _made(path):
         path.mkdir(parents=True, exist_ok=True)
+
+
+def nearest_existing(path: Path) -> Path:
+    """Return the path itself, or the nearest folder above it that exists."""
+    return next((p for p in (path, *path.absolute().parents) if p.exists()), Path.cwd())
+
+
+@contextmanager
+def _made(path: Path) -> Iterator[None]:
+    """Turn what the system says against a folder within the block into our error."""
+    try:
+        yield
     except OSError as error:
-        raise _cannot_be_made(path, error) from error
+        raise StoreError(
+            "the output folder cannot be made",
+            where=str(path),
+            found=error.strerror or str(error),
+            needed="a folder in which files may be written",
+            hint="choose another place, or change who may write there",
+        ) from error
+
+
+def sole_writer(command: Callable[P, T]) -> Callable[P, T]:
+    """Let a command run only while no other run writes into the folder that is its argument `out`.
+
+    `FolderInUseError` otherwise. What killed runs have left behind is removed, and what one has
+    moved away is put back.
+    """
+    wanted = signature(command)
+    place = "out" if "out" in wanted.parameters else "folder"
+
+    @wraps(command)
+    def alone(*args: P.args, **kwargs: P.kwargs) -> T:
+        path = Path(wanted.bind(*args, **kwargs).arguments[place]).resolve()
+        parent = nearest_existing(path.parent)
+        if not (parent.is_dir() and os.access(parent, os.W_OK | os.X_OK)):
+            return command(*args, **kwargs)  # which refuses
+        with locked(path):
+            for old in parent.glob(f".{escape(path.name)}.old-????????"):
+                if path.exists():
+                    shutil.rmtree(old, ignore_errors=True)
+                else:
+                    old.rename(path)
+            _remove_leftovers(parent, f".{path.name}.making-")
+            return command(*args, **kwargs)
+
+    return alone
+
+
+@contextmanager
+def locked(path: Path, wait_s: float = 1.0) -> Iterator[None]:
+    """Hold a file, or a folder that may still be to be made, by a lock in a hidden file beside it.
+
+    The system frees it when its process ends, however that comes about. `FolderInUseError` where
+    another run has held it all the time that this one waited.
+    """
+    mark = hashlib.sha256(os.fsencode(path)).hexdigest()[:16]
+    lock = nearest_existing(path.parent) / f".roomfit-{mark}.lock"
+    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
+    taken = None
+    while taken is None:
+        with _made(path):
+            descriptor = os.open(lock, flags, 0o666)
+            held = _try_lock(descriptor, wait_s)
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(descriptor), lock.stat()):
+                    taken = held
+        if taken is not True:
+            os.close(descriptor)  # another's, or its last owner has just removed it
+    if not taken:
+        what, found = "another run is writing to this place", f"a run that holds {lock.name}"
+        hint = "wait for it, end it, or choose another place"
+        raise FolderInUseError(what, where=str(path), found=found, needed="one run", hint=hint)
+    try:
+        yield
+    finally:
+        # removed while it is held: whoever waits with the old file open looks again, and what has
+        # its name after that may be the lock of another; Windows removes no open file
+        if sys.platform == "win32":
+            os.close(descriptor)
+        with suppress(OSError):
+            lock.unlink(missing_ok=True)
+        if sys.platform != "win32":
+            os.close(descriptor)
+
+
+def _try_lock(descriptor: int, wait_s: float = 0.0) -> bool:
+    """Return whether an open file, or on POSIX a folder, could be locked; True without locks."""
+    until_s = time.monotonic() + wait_s
+    while True:
+        try:
+            if sys.platform != "win32":
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            else:
+                msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+            return True
+        except OSError as error:
+            is_free = error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
+            if is_free or time.monotonic() >= until_s:
+                return is_free
+            time.sleep(0.002)  # copies of a killed run hold its locks until they have died
 
 
 @contextmanager
@@ -133,123 +213,23 @@ def whole_output_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path
     check_output_folder(path, overwrite=overwrite)
     path = Path(path).resolve()
     parent = nearest_existing(path.parent)
-    with _hidden_folder(parent, f".{path.name}.making-") as aside:
+    with _made(parent):
+        aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.making-", dir=parent))
+    # locked as long as this process lives, by which `_remove_leftovers` knows dead ones
+    descriptor = -1 if sys.platform == "win32" else os.open(aside, os.O_RDONLY)
+    try:
+        if descriptor >= 0:
+            _try_lock(descriptor)
         yield aside
         try:
             written = sorted(p.relative_to(aside).as_posix() for p in aside.rglob("*"))
             (aside / _LIST).write_text(json.dumps(written), encoding="utf-8")
             _put_in_place(aside, path)
         except OSError as error:
-            raise StoreError(
-                "the results cannot be put into the output folder",
-                where=str(path),
-                found=str(error),
-            ) from error
-
-
-P = ParamSpec("P")
-T = TypeVar("T")
-
-
-def sole_writer(command: Callable[P, T]) -> Callable[P, T]:
-    """Let a command run only while no other run writes into the folder that is its argument `out`.
-
-    `FolderInUseError` otherwise. What killed runs have left behind is removed.
-    """
-    wanted = signature(command)
-    place = "out" if "out" in wanted.parameters else "folder"
-
-    @wraps(command)
-    def alone(*args: P.args, **kwargs: P.kwargs) -> T:
-        path = Path(wanted.bind(*args, **kwargs).arguments[place]).resolve()
-        parent = nearest_existing(path.parent)
-        if not (parent.is_dir() and os.access(parent, os.W_OK | os.X_OK)):
-            return command(*args, **kwargs)  # which refuses
-        with locked(path):
-            _recover(path, parent)
-            return command(*args, **kwargs)
-
-    return alone
-
-
-@contextmanager
-def locked(path: Path, wait_s: float = 1.0) -> Iterator[None]:
-    """Hold a file, or a folder that may still be to be made, by a lock in a hidden file beside it.
-
-    The system frees it when its process ends, however that comes about. `FolderInUseError` where
-    another run has held it all the time that this one waited.
-    """
-    mark = hashlib.sha256(os.fsencode(path)).hexdigest()[:16]
-    lock = nearest_existing(path.parent) / f".roomfit-{mark}.lock"
-    try:
-        descriptor, taken = _opened(lock, wait_s)
-    except OSError as error:
-        raise _cannot_be_made(path, error) from error
-    if not taken:
-        os.close(descriptor)
-        what, found = "another run is writing to this place", f"a run that holds {lock.name}"
-        hint = "wait for it, end it, or choose another place"
-        raise FolderInUseError(what, where=str(path), found=found, needed="one run", hint=hint)
-    try:
-        yield
+            what = "the results cannot be put into the output folder"
+            raise StoreError(what, where=str(path), found=str(error)) from error
     finally:
-        # removed while it is held: whoever waits with the old file open looks again, and what has
-        # its name after that may be the lock of another; Windows removes no open file
-        if sys.platform == "win32":
-            os.close(descriptor)
-            _remove(lock)
-        else:
-            _remove(lock)
-            os.close(descriptor)
-
-
-def _opened(lock: Path, wait_s: float) -> tuple[int, bool]:
-    """Open a lock file and take it; return its descriptor, and whether it is taken."""
-    while True:
-        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
-        taken = _try_lock(descriptor, wait_s)
-        with suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(descriptor), lock.stat()):
-                return descriptor, taken
-        os.close(descriptor)  # its last owner has just removed it
-
-
-def _try_lock(descriptor: int, wait_s: float = 0.0) -> bool:
-    """Return whether an open file, or on POSIX a folder, could be locked; True without locks."""
-    until_s = time.monotonic() + wait_s
-    while True:
-        try:
-            if sys.platform != "win32":
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            else:
-                import msvcrt
-
-                msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-            return True
-        except OSError as error:
-            is_free = error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
-            if is_free or time.monotonic() >= until_s:
-                return is_free
-            time.sleep(0.002)  # copies of a killed run hold its locks until they have died
-
-
-@contextmanager
-def _hidden_folder(parent: Path, prefix: str) -> Iterator[Path]:
-    """Give a new folder, which is removed at the end if it is still there.
-
-    It is locked as long as this process lives, by which `_remove_leftovers` knows dead ones.
-    """
-    try:
-        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
-    except OSError as error:
-        raise _cannot_be_made(parent, error) from error
-    descriptor = -1 if sys.platform == "win32" else os.open(folder, os.O_RDONLY)
-    try:
-        if descriptor >= 0:
-            _try_lock(descriptor)
-        yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(aside, ignore_errors=True)
         if descriptor >= 0:
             os.close(descriptor)
 
@@ -265,16 +245,6 @@ def _remove_leftovers(parent: Path, prefix: str) -> None:
             os.close(descriptor)
 
 
-def _recover(path: Path, parent: Path) -> None:
-    """Put back what a killed run had moved away, and remove what it left."""
-    for old in parent.glob(f".{escape(path.name)}.old-????????"):
-        if path.exists():
-            shutil.rmtree(old, ignore_errors=True)
-        else:
-            old.rename(path)
-    _remove_leftovers(parent, f".{path.name}.making-")
-
-
 def _put_in_place(aside: Path, path: Path) -> None:
     """Give a folder its final name; where one of that name exists, the two change places."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -282,10 +252,20 @@ def _put_in_place(aside: Path, path: Path) -> None:
     if not path.exists():
         aside.rename(path)
         return
+    try:
+        earlier = set(json.loads((path / _LIST).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError, RecursionError):
+        earlier = set()  # of another version, or no result at all: nothing is removed
     if Path.cwd().is_relative_to(path) or path.is_mount():
-        _replace_one_by_one(aside, path)
+        written = {p.relative_to(aside) for p in aside.rglob("*") if p.is_file()}
+        for own in sorted(written):
+            (path / own).parent.mkdir(parents=True, exist_ok=True)
+            (aside / own).replace(path / own)
+        for stale in {Path(name) for name in earlier} - written:
+            if (path / stale).is_file():
+                (path / stale).unlink()
         return
-    _carry_over(path, aside)
+    _carry_over(path, aside, earlier | {_LIST})
     shutil.copymode(path, aside)
     if not _exchange(aside, path):
         old = Path(tempfile.mkdtemp(prefix=f".{path.name}.old-", dir=path.parent))
@@ -299,53 +279,28 @@ def _put_in_place(aside: Path, path: Path) -> None:
         old.rename(aside)  # which is removed
 
 
-def _earlier(path: Path) -> set[str]:
-    """Return the files and folders that an earlier result names as its own."""
-    try:
-        return set(json.loads((path / _LIST).read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError, RecursionError):
-        return set()  # of another version, or no result at all: nothing is removed
-
-
-def _foreign(path: Path, aside: Path) -> Iterator[Path]:
-    """Yield what of a folder neither an earlier result's list nor the new result names."""
-    earlier = _earlier(path) | {_LIST}
+def _carry_over(path: Path, aside: Path, earlier: set[str]) -> None:
+    """Enter into the new folder what is not the result's, as further names of the same files."""
     for here, folders, files in os.walk(path):
         for name in (*folders, *files):
-            own = Path(here, name).relative_to(path)
-            if own.as_posix() in earlier:
+            source = Path(here, name)
+            place = aside / source.relative_to(path)
+            if source.relative_to(path).as_posix() in earlier:
                 continue
-            if not (aside / own).exists():
-                yield own
-            elif name in folders and not (aside / own).is_dir():
-                raise FileExistsError(errno.EEXIST, "a folder is in the place of a file", str(own))
-
-
-def _carry_over(path: Path, aside: Path) -> None:
-    """Enter into the new folder what is not the result's, as further names of the same files."""
-    for own in _foreign(path, aside):
-        source, place = path / own, aside / own
-        place.parent.mkdir(parents=True, exist_ok=True)
-        if source.is_dir() and not source.is_symlink():
-            place.mkdir()
-            shutil.copystat(source, place)
-            continue
-        try:
-            os.link(source, place, follow_symlinks=False)
-        except (OSError, NotImplementedError):  # a disk without links
-            shutil.copy2(source, place, follow_symlinks=False)
-
-
-def _replace_one_by_one(aside: Path, path: Path) -> None:
-    """Move every file into a folder, and remove what only the earlier list names."""
-    written = {p.relative_to(aside) for p in aside.rglob("*") if p.is_file()}
-    names = {Path(name) for name in _earlier(path)} - written
-    stale = [p for p in path.rglob("*") if p.relative_to(path) in names and p.is_file()]
-    for own in sorted(written):
-        (path / own).parent.mkdir(parents=True, exist_ok=True)
-        (aside / own).replace(path / own)
-    for file in stale:
-        file.unlink()
+            if place.exists():
+                if name in folders and not place.is_dir():
+                    what = "a folder is in the place of a file"
+                    raise FileExistsError(errno.EEXIST, what, str(source))
+                continue
+            place.parent.mkdir(parents=True, exist_ok=True)
+            if source.is_dir() and not source.is_symlink():
+                place.mkdir()
+                shutil.copystat(source, place)
+                continue
+            try:
+                os.link(source, place, follow_symlinks=False)
+            except (OSError, NotImplementedError):  # a disk without links
+                shutil.copy2(source, place, follow_symlinks=False)
 
 
 def _exchange(one: Path, other: Path) -> bool:
@@ -354,8 +309,9 @@ def _exchange(one: Path, other: Path) -> bool:
     try:
         library = ctypes.CDLL(None, use_errno=True)
         if sys.platform == "darwin":
-            return bool(library.renamex_np(*names, _RENAME_SWAP) == 0)
-        return bool(library.renameat2(_AT_CWD, names[0], _AT_CWD, names[1], _RENAME_EXCHANGE) == 0)
+            return bool(library.renamex_np(*names, 2) == 0)  # RENAME_SWAP
+        # AT_FDCWD and RENAME_EXCHANGE
+        return bool(library.renameat2(-100, names[0], -100, names[1], 2) == 0)
     except (AttributeError, OSError, TypeError):
         return False
 
@@ -374,10 +330,17 @@ def write_bytes_atomically(path: Path, content: bytes) -> Path:
             _give_usual_permissions(aside, 0o666)
             aside.replace(path)
         finally:
-            _remove(aside)
+            aside.unlink(missing_ok=True)
     except OSError as error:
         raise StoreError("a file cannot be written", where=str(path), found=str(error)) from error
     return path
+
+
+def _give_usual_permissions(path: Path, most: int) -> None:
+    """Give the permissions of any new file; temporary ones are readable by their owner only."""
+    umask = os.umask(0)
+    os.umask(umask)
+    path.chmod(most & ~umask)
 
 
 def write_text_atomically(path: Path, text: str) -> Path:
@@ -407,30 +370,3 @@ def _listed(value: object) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} has no form in JSON")
-
-
-def nearest_existing(path: Path) -> Path:
-    """Return the path itself, or the nearest folder above it that exists."""
-    return next((p for p in (path, *path.absolute().parents) if p.exists()), Path.cwd())
-
-
-def _cannot_be_made(path: Path, error: OSError) -> StoreError:
-    return StoreError(
-        "the output folder cannot be made",
-        where=str(path),
-        found=error.strerror or str(error),
-        needed="a folder in which files may be written",
-        hint="choose another place, or change who may write there",
-    )
-
-
-def _give_usual_permissions(path: Path, most: int) -> None:
-    """Give the permissions of any new file; temporary ones are readable by their owner only."""
-    umask = os.umask(0)
-    os.umask(umask)
-    path.chmod(most & ~umask)
-
-
-def _remove(path: Path) -> None:
-    with suppress(OSError):  # on a disk that is read-only: it is not used in any case
-        path.unlink(missing_ok=True)

@@ -216,7 +216,7 @@ def forward_pass(
                     break
                 best = max(best, fit, key=lambda f: f.log_likelihood)
             if there:
-                evidence = evidences.result()[there.index(band)]
+                evidence = evidences()[there.index(band)]
                 best = compared_with_energies(band, best, evidence)
             fits.append(best)
             known = known if best.found is None else best.found
