@@ -14,8 +14,6 @@ from roomfit.fit.directivity import (
     band_information,
     cavity_priors,
     directivities_under_cavity_priors,
-    moved_start,
-    with_fitted_sources,
 )
 from roomfit.model.directivity import (
     BandDirectivities,
@@ -29,7 +27,6 @@ from roomfit.model.energy import EnergyTerm
 from roomfit.model.parameters import Parameters, position_of, start_vector
 from roomfit.model.patterns import (
     Pattern,
-    amplitude_and_slope,
     directivity_factors,
     pattern_basis,
 )
@@ -104,14 +101,6 @@ def test_the_whole_jacobian_is_that_of_finite_differences(
         )
 
 
-def test_the_case_has_pressures_of_both_signs() -> None:
-    """At |b| = 1.4 what is sent backwards is turned over; the sign is what the slopes rely on."""
-    case = directed_case(coherent=True)
-    amplitude, _ = amplitude_and_slope(2.0 * B, case.terms[0].windows.basis)
-    assert amplitude.min() < -0.1
-    assert amplitude.max() > 0.5
-
-
 @pytest.mark.parametrize("coherent", [False, True])
 @pytest.mark.parametrize("aim", [None, AIM])
 def test_known_b_is_the_problem_of_weights_that_have_it(
@@ -157,29 +146,6 @@ def test_paths_that_stay_are_weighed_as_the_source_sends() -> None:
     assert np.abs(found.fine_energy / omnidirectional.fine_energy - 1.0).max() > 0.1
 
 
-def test_an_unknown_source_elsewhere_changes_nothing() -> None:
-    """Observations of known sources keep their prediction and have no slope."""
-    case = directed_case(coherent=True)
-    (term,) = case.terms
-    elsewhere = replace(term.directivity, source=np.array([-1, -1]))
-    other = replace(case, terms=(replace(term, directivity=elsewhere),))
-    vector = at_b(case, B)
-    first = position_of(case.parameters, "directivity")
-    found = other.predict(vector)
-    np.testing.assert_array_equal(
-        found.expected, replace(case, terms=(term.windows,)).predict(vector).expected
-    )
-    np.testing.assert_array_equal(found.jacobian[:, first : first + 3], 0.0)
-
-
-def test_the_block_has_a_unit_normal_prior() -> None:
-    """Three entries a source, in the order x, y, z."""
-    block = directivity_block(unknown_source())
-    assert block.labels == ("directivity S x", "directivity S y", "directivity S z")
-    assert block.fitted.all()
-    np.testing.assert_array_equal(block.prior_sd, 1.0)
-
-
 def linear_band(rng: np.random.Generator, n: int, rank: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the likelihood of a linear band with unit noise, in so many directions of n."""
     matrix = rng.standard_normal((rank, n))
@@ -213,13 +179,6 @@ def test_a_cavity_prior_is_the_posterior_without_the_band_s_own_data(seed: int) 
         own = slice(n * band, n * (band + 1))
         np.testing.assert_allclose(mean, m[own], atol=1e-9)
         np.testing.assert_allclose(covariance, c[own, own], atol=1e-9)
-
-
-def test_bands_without_data_leave_the_prior() -> None:
-    """The prior comes back."""
-    for mean, covariance in cavity_priors([None, None], np.array([0.0, 1.0]), 0.8, 3):
-        np.testing.assert_allclose(mean, 0.0, atol=1e-12)
-        np.testing.assert_allclose(covariance, np.eye(3), atol=1e-12)
 
 
 def test_a_band_takes_over_what_the_other_says_of_b_as_far_as_octaves_are_correlated():
@@ -275,37 +234,3 @@ def test_a_band_s_information_is_marginal_over_its_other_unknowns() -> None:
     poor = band_information(replace(fit, chi2_reduced=4.0), 2)
     np.testing.assert_allclose(poor[0], alone / 4.0)
     np.testing.assert_allclose(poor[1], weighted_mean / 4.0)
-
-
-def test_a_start_keeps_its_b_under_another_prior() -> None:
-    """Free numbers change, b does not."""
-    old = unknown_source()
-    new = UnknownDirectivities(("S",), np.array([0.4, 0.1, 0.0]), 0.3 * np.eye(3))
-    fit = BandFit(
-        *(np.array([0.1, 0.2, 1.0, -0.5, 0.7]), 0.0, 1.0, np.eye(5), np.zeros(1), np.ones(1)),
-        *(np.zeros(1), 0.0, 1, Ending.CONVERGED),
-    )
-    moved = moved_start(fit, old, new)
-    np.testing.assert_array_equal(moved[:2], fit.vector[:2])
-    np.testing.assert_allclose(
-        new.mean + new.root @ moved[2:], old.mean + old.root @ fit.vector[2:]
-    )
-
-
-def test_sources_that_were_tested_join_those_whose_directivity_is_fitted():
-    """Numbers of the second follow those of the first; a scene's source is one of either."""
-    aim = np.array([0.0, 1.0, 0.0])
-    first = DirectivityParameters(
-        ("A",), np.array([0, -1, -1, -1]), np.full((1, 3), 0.1), np.array([0.5]), (aim, *3 * [None])
-    )
-    tested = DirectivityParameters(
-        ("B", "C"), np.array([-1, 0, -1, 1]), np.full((2, 3), 0.2), np.array([0.6, 0.7])
-    )
-    both = with_fitted_sources(first, tested)
-    assert both.sources == ("A", "B", "C") and both.aims is first.aims
-    assert both.of_source.tolist() == [0, 1, -1, 2]
-    assert both.mean.tolist() == [[0.1] * 3, [0.2] * 3, [0.2] * 3]
-    assert both.sd.tolist() == [0.5, 0.6, 0.7]
-    alone = with_fitted_sources(None, tested)
-    assert alone.of_source.tolist() == [-1, 0, -1, 1] and alone.aims == (None,) * 4
-    assert alone.sources == ("B", "C")

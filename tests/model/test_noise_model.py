@@ -13,28 +13,19 @@ from scipy.sparse import csr_array
 
 from coherent_cases import END_S, small_term
 from rays_reference import tracing_variance
-from roomfit.base.air import Air
 from roomfit.base.bands import Bands
 from roomfit.base.typing import FloatArray
-from roomfit.fit.measurements import collect_measurements
-from roomfit.materials.priors import uniform_scattering, unknown_material
-from roomfit.model.binned import bin_paths
 from roomfit.model.energy import (
     EnergyTerm,
     Observation,
-    first_windows,
     late_shares,
     model_variance,
     noise_and_model_variance,
     observation_variance,
-    squared_image_rows,
     weighed,
 )
-from roomfit.model.observation import energy_terms
 from roomfit.model.problem import total
 from roomfit.model.weighing import EnergyRows, weigh
-from roomfit.model.windows import squares_in_windows
-from roomfit.room.scene import Point, Scene, shoebox_room
 from roomfit.signals.filters import (
     frequency_response,
     spreading_kernel,
@@ -43,9 +34,7 @@ from roomfit.signals.filters import (
     statistical_bandwidth_hz,
     window_energies,
 )
-from roomfit.signals.measurement import Measurement
 from roomfit.signals.response import ImpulseResponse
-from roomfit.tracing.image_sources import trace_images
 
 BANK = Bands("octave", np.array([500.0]))
 BANDWIDTH_HZ = float(statistical_bandwidth_hz(BANK)[0])
@@ -182,17 +171,6 @@ def test_arrivals_of_random_phase_interfere_as_their_filtered_pulses_do():
     np.testing.assert_allclose(total(observation_variance(energies, 0, paths, 3.0)), 9.0 * one)
 
 
-def test_rows_of_squares_weigh_the_squares_of_single_paths():
-    """Written out path by path, walls that absorb and air included."""
-    energies, *_ = one_window_term()
-    a, m = np.array([0.1, 0.5, 0.3]), 0.02
-    rows = replace(energies.rows[0], length_m=np.linspace(1.0, 9.0, len(energies.rows[0])))
-    single = rows.weight_per_m2 * np.prod((1.0 - a) ** rows.hits, axis=1)
-    single = single * np.exp(-m * rows.length_m)
-    found = weigh(squared_image_rows(rows), a[:, None], np.array([m]), derivative=False).energy
-    assert found.sum() == pytest.approx(np.sum(single**2), rel=1e-9)
-
-
 def test_the_variance_by_rays_is_the_scatter_of_other_rays():
     """Sixteen batches drawn anew 400 times: window energies scatter as their batches say.
 
@@ -255,89 +233,3 @@ def test_an_arrival_near_an_edge_falls_on_either_side_of_it():
     drawn = 2.0 * spreading_matrix(kernel, 0, times, observed.edges_s).toarray()
     np.testing.assert_allclose(law[:2], drawn.var(axis=1)[:2], rtol=0.1)
     assert law[0] > 0.0
-
-
-def two_sources() -> tuple[Scene, dict[str, FloatArray]]:
-    """Return a box with two sources that one receiver hears, and made-up decays."""
-    room = shoebox_room((4.0, 3.1, 2.5), "walls")
-    scene = Scene(
-        room,
-        (Point("A", np.array([1.1, 0.9, 1.2]), 0.003), Point("B", np.array([3.2, 2.4, 0.9]))),
-        (Point("R", np.array([2.0, 1.7, 1.5]), 0.004),),
-        np.array([[0, 0], [1, 0]]),
-        Air(speed_of_sound_m_s=340.0, attenuation="none"),
-    )
-    rng = np.random.default_rng(5)
-    t = np.arange(4000) / 8000.0
-    return scene, {s: rng.standard_normal(4000) * np.exp(-t / 0.06) for s in "AB"}
-
-
-@pytest.mark.parametrize(
-    ("level", "labels", "gains"),
-    [
-        ("per-source", ("A", "B"), [0, 0, 1]),
-        ("per-file", ("A to R, 0", "A to R, 1", "B to R, 2"), [0, 1, 2]),
-        ("absolute", (), [-1, -1, -1]),
-    ],
-)
-def test_each_source_has_a_gain_of_its_own_and_shares_it_with_no_other(level, labels, gains):
-    """Two files of one source and one of another, four times as loud: so is its gain at the start.
-
-    With one gain for both, or with gains exchanged, walls would have to explain 12 dB.
-    """
-    scene, signals = two_sources()
-    bands = Bands("octave", np.array([1000.0]))
-    loud = {"A": 1.0, "B": 4.0}
-    # two recordings of one pair are never alike to the last bit
-    apart = 1e-2 * np.random.default_rng(6).standard_normal((3, 4000))
-    measured = collect_measurements(
-        scene,
-        [
-            Measurement(s, "R", loud[s] * signals[s] + noise, 8000.0, level=level, where=str(i))
-            for i, (s, noise) in enumerate(zip("AAB", apart, strict=True))
-        ],
-        bands,
-        {},
-    )
-    paths = trace_images(measured.scene, 12, 0.3, uniform_scattering(("walls",), 0.0))
-    binned = bin_paths(measured.scene, bands, paths, 0.3)
-    priors = (unknown_material("walls", 1),)
-    ((term, parameters),) = energy_terms(
-        measured.scene, bands, priors, measured.responses, binned, np.array([0.2])
-    )
-    gain = parameters.blocks[1]
-    assert gain.labels == labels
-    assert [o.gain for o in term.observations] == gains
-    if labels:
-        values = {"absorption": np.array([0.2]), "gain": gain.start}
-        # each source's gain alone explains the energy of its own files
-        expected, _, derivatives = term.predict(values)
-        ends = np.cumsum([o.energy.size for o in term.observations])[:-1]
-        found = [part.sum() for part in np.split(term.measured(), ends)]
-        predicted = [part.sum() for part in np.split(expected, ends)]
-        np.testing.assert_allclose(predicted, found, rtol=0.01)
-        for own, rows in zip(gains, np.split(derivatives["gain"], ends), strict=True):
-            assert rows[:, own].any()
-            assert not np.delete(rows, own, axis=1).any()
-
-
-def test_windows_count_as_dependent_as_boxes_of_known_absorption_showed():
-    """1.35 windows, of energies as of pressures (decisions 0022 and 0037)."""
-    term = small_term()
-    values = {"absorption": np.full(3, 0.2), "gain": np.ones(1)}
-    np.testing.assert_array_equal(term.energies.correlation_length(values), 1.35)
-    np.testing.assert_array_equal(term.correlation_length(values), 1.35)
-
-
-def test_squares_in_windows_need_no_array_of_squares() -> None:
-    """Against the squared sparse array; and first windows are those of the whole, uncopied."""
-    energies, *_ = one_window_term()
-    observed, row = energies.observations[0], np.random.default_rng(3).uniform(0.0, 1.0, 10_000)
-    for shares in (observed.spreading, observed.slopes, observed.fine_spreading):
-        own = row[: shares.shape[1]]
-        expected = shares.power(2) @ own
-        np.testing.assert_allclose(squares_in_windows(shares, own), expected, rtol=1e-12)
-    first = first_windows(observed, float(observed.edges_s[2]))
-    assert first.edges_s.size == 3
-    assert np.shares_memory(first.spreading.data, observed.spreading.data)
-    np.testing.assert_array_equal(first.spreading.toarray(), observed.spreading.toarray()[:2])

@@ -10,7 +10,6 @@ from roomfit.base.bands import bands_between
 from roomfit.fit.measurements import collect_measurements
 from roomfit.materials.priors import uniform_scattering, unknown_material
 from roomfit.model.binned import bin_paths
-from roomfit.model.energy import variance_of_batches
 from roomfit.model.observation import energy_terms
 from roomfit.model.windows import WINDOW_DECAYS, windows_decay_s
 from roomfit.room.scene import scene_of, shoebox_room
@@ -65,12 +64,3 @@ def test_a_decay_time_of_windows_is_that_of_a_line_and_none_where_nothing_falls(
     late[-1] = 1.0
     assert np.isnan(windows_decay_s(edges_s, late, "EDT_s"))
     assert np.isnan(windows_decay_s(edges_s, 0.0 * energy, "EDT_s"))
-
-
-def test_batches_of_rays_vary_by_n_over_n_less_one_of_their_squares_from_two_on():
-    """The variance of their sum, as of independent ones; of a single one nothing is known."""
-    batches = np.array([[1.0, 3.0, 8.0], [2.0, 2.0, 2.0]])
-    expected = 3.0 * np.var(batches, axis=1, ddof=1)
-    np.testing.assert_allclose(variance_of_batches(batches), expected)
-    np.testing.assert_allclose(variance_of_batches(batches[:, :2]), [4.0, 0.0])
-    np.testing.assert_array_equal(variance_of_batches(batches[:, :1]), [0.0, 0.0])

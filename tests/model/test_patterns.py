@@ -80,21 +80,6 @@ def paths() -> Paths:
     return trace(scene, settings, uniform_scattering(scene.room.materials, 0.2)).paths
 
 
-def test_only_the_paths_of_a_directional_source_change(paths):
-    """The direct sound changes by the factor towards the receiver."""
-    ratio = directivity_factors(paths, [None, aimed([-1.0, 0.0, 0.0], 0.7)], [0, 1], 0)
-    np.testing.assert_array_equal(ratio[paths.pair == 0], 1.0)
-    direct = np.flatnonzero((paths.pair == 1) & (paths.batch < 0) & (_hits(paths) == 0))
-    away = np.array([4.1, 2.9, 1.2]) - np.array([5.0, 1.0, 1.4])
-    away /= np.linalg.norm(away)
-    # directions are kept in single precision
-    assert ratio[direct[0]] == pytest.approx((1.0 - 0.7 * away[0]) ** 2 / (1 + 0.49 / 3), rel=1e-6)
-
-
-def _hits(paths: Paths) -> FloatArray:
-    return np.asarray((paths.hits_specular + paths.hits_diffuse).sum(axis=1))
-
-
 def cardioid(b: float, points: FloatArray) -> FloatArray:
     """Energy of a first-order source that faces x."""
     return np.asarray((1.0 + b * points[:, 0]) ** 2)
@@ -109,24 +94,6 @@ def test_a_measured_directivity_is_that_of_the_source_measured():
     np.testing.assert_allclose(measured_factor(measured, SPHERE, 0), expected, atol=0.023)
     np.testing.assert_allclose(measured_factor(measured, SPHERE, 1), 1.0, atol=1e-6)
     np.testing.assert_allclose(sphere_mean(measured.factor), 1.0, rtol=1e-12)
-
-
-def test_left_and_top_are_distinguished():
-    """A source that sends only to its left, and one only upwards, standing ordinarily."""
-    axes = loudspeaker_axes([0.0, 1.0, 0.0])
-    energy = np.stack([np.maximum(MANY[:, 1], 0.0), np.maximum(MANY[:, 2], 0.0)], axis=1)
-    measured = measured_directivity(MANY, energy, np.array([500.0, 1000.0]), axes)
-    # facing y with the top at z, the left is at -x
-    where = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
-    np.testing.assert_allclose(measured_factor(measured, where, 0), [4.0, 0, 0, 0], atol=0.15)
-    np.testing.assert_allclose(measured_factor(measured, where, 1), [0, 0, 4.0, 0], atol=0.15)
-
-
-def test_the_mean_over_the_sphere_is_that_of_the_integral():
-    """Cos squared has the mean 1/3; the trapezium on 2.5 degrees is right to 1e-3."""
-    polar = np.linspace(0.0, np.pi, 73)
-    table = np.repeat((np.cos(polar) ** 2)[None, :, None], 145, axis=2)
-    assert sphere_mean(table)[0] == pytest.approx(1.0 / 3.0, rel=1e-3)
 
 
 def sofa_file(folder: Path, kind: str, *, turned: bool = False) -> Path:
@@ -181,67 +148,6 @@ def test_a_sofa_file_of_impulse_responses_is_read(tmp_path):
     expected = first_order_factor(aimed([0.0, -1.0, 0.0], 0.6), SPHERE)
     for band in range(3):
         np.testing.assert_allclose(measured_factor(measured, SPHERE, band), expected, atol=0.023)
-
-
-def spherical_source(folder: Path, kind: str, units: str) -> Path:
-    """Write the source of `sofa_file` with its receivers in spherical coordinates."""
-    h5py = pytest.importorskip("h5py")
-    path = sofa_file(folder, "FreeFieldDirectivityTF")
-    x, y, z = MANY.T
-    angles = np.degrees([np.arctan2(y, x), np.arcsin(np.clip(z, -1.0, 1.0))])
-    with h5py.File(path, "a") as file:
-        receivers = file["ReceiverPosition"]
-        receivers[...] = np.stack([*angles, np.full(len(MANY), 1.4)], axis=1).reshape(
-            receivers.shape
-        )
-        receivers.attrs["Type"], receivers.attrs["Units"] = kind, np.bytes_(units)
-    return path
-
-
-def test_receivers_in_spherical_coordinates_stand_where_their_cartesian_ones_do(tmp_path):
-    path = spherical_source(tmp_path, "spherical", "degrees, degrees, meters")
-    spherical = read_directivity(path, OCTAVES)
-    cartesian = read_directivity(sofa_file(tmp_path, "FreeFieldDirectivityTF"), OCTAVES)
-    for band in range(3):
-        np.testing.assert_allclose(
-            measured_factor(spherical, SPHERE, band),
-            measured_factor(cartesian, SPHERE, band),
-            rtol=1e-9,
-        )
-
-
-@pytest.mark.parametrize(
-    ("kind", "units", "message"),
-    [
-        ("spherical", "radian, radian, metre", "other units"),
-        ("cartesian", "degree, degree, metre", "other units"),
-        ("spherical harmonics", "metre", "another type"),
-    ],
-)
-def test_coordinates_of_another_type_or_unit_are_refused(tmp_path, kind, units, message):
-    with pytest.raises(InputError, match=message):
-        read_directivity(spherical_source(tmp_path, kind, units), OCTAVES)
-
-
-def test_directivities_that_say_too_little_are_refused(tmp_path):
-    """Half a sphere, five directions, silence, and a loudspeaker whose top is its front."""
-    axes, centres = np.eye(3), np.array([500.0])
-    upper = MANY[MANY[:, 2] > 0.2]
-    with pytest.raises(InputError, match="hole"):
-        measured_directivity(upper, np.ones((len(upper), 1)), centres, axes)
-    with pytest.raises(InputError, match="too few directions"):
-        measured_directivity(MANY[:5], np.ones((5, 1)), centres, axes)
-    with pytest.raises(InputError, match="without energy"):
-        measured_directivity(MANY, np.zeros((len(MANY), 1)), centres, axes)
-    with pytest.raises(InputError, match="do not determine its orientation"):
-        loudspeaker_axes([0.0, 0.0, 2.0])
-    with pytest.raises(InputError, match="zero length"):
-        aimed([0.0, 0.0, 0.0], 1.0)
-    with pytest.raises(InputError, match="does not exist"):
-        read_directivity(tmp_path / "missing.sofa", OCTAVES)
-    (tmp_path / "text.sofa").write_text("no SOFA")
-    with pytest.raises(InputError, match="SOFA"):
-        read_directivity(tmp_path / "text.sofa", OCTAVES)
 
 
 def test_factors_of_several_sources_go_to_their_own_paths(paths):
@@ -302,24 +208,3 @@ def test_the_mean_over_the_sphere_is_one_and_linear_in_its_polar_angle_s_cosine(
         azimuth = np.array([1.0, 3.0, 8.0, 1.0])
         factor = np.stack([np.ones((n, 4)), cosine[:, None] + azimuth])
         np.testing.assert_allclose(sphere_mean(factor), [1.0, 4.0], atol=1e-12)
-
-
-def test_what_is_no_measured_directivity_is_refused_with_what_is_needed():
-    axes, energy = np.eye(3), np.ones((6, 1))
-    six = np.concatenate([axes, -axes])
-    found = measured_directivity(3.0 * six, energy, np.array([1e3]), axes)
-    assert found.factor.shape == (1, 73, 145)
-    np.testing.assert_allclose(found.factor, 1.0, rtol=1e-9)
-    for points, needed in ((six[:5], "6 or more"), (0.0 * six, "6 or more"),
-                           (np.abs(six) + 0.1, "all around")):  # fmt: skip
-        with pytest.raises(InputError, match=needed):
-            measured_directivity(points, energy[: len(points)], np.array([1e3]), axes)
-    with pytest.raises(InputError, match="energy above 0 in every band"):
-        measured_directivity(six, 0.0 * energy, np.array([1e3]), axes)
-    with pytest.raises(InputError, match="not perpendicular"):
-        MeasuredDirectivity(np.array([1e3]), np.ones((1, 2, 2)), axes[[0, 0, 1]])
-    for aim, up in (((0, 0, 2), (0, 0, 1)), ((0, 0, 0), (0, 0, 1)), ((1, 0, 1e-10), (1, 0, 0))):
-        with pytest.raises(InputError, match="not parallel"):
-            loudspeaker_axes(aim, up)
-    np.testing.assert_allclose(loudspeaker_axes((0, 2, 0), (0, 1, 5)),
-                               [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-15)  # fmt: skip

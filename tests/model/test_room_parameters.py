@@ -9,11 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from boxes_in_space import rotation
 from roomfit.base.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.base.bands import Bands, bands_between
 from roomfit.base.errors import InputError
-from roomfit.base.findings import Code
 from roomfit.base.logit import expit, logit
 from roomfit.demo.boxes import WALLS, SyntheticBox, pressure_response
 from roomfit.files.iso3382 import read_parameters
@@ -23,8 +21,7 @@ from roomfit.fit.bands import fitted_band
 from roomfit.fit.compare import compared_values
 from roomfit.materials.priors import Scattering, uniform_scattering, unknown_material
 from roomfit.model.binned import bin_paths
-from roomfit.model.parameters import Parameters, start_vector
-from roomfit.model.problem import Objective
+from roomfit.model.parameters import start_vector
 from roomfit.model.room_parameters import (
     ValuesTerm,
     approximated,
@@ -86,28 +83,6 @@ def test_derivatives_by_the_energies_are_those_of_finite_differences(seed):
 
     here, gradients = values(0.0)
     check_slopes(gradients @ direction, values(-1e-7)[0], here, values(1e-7)[0], 1e-7)
-
-
-def test_derivatives_count_what_comes_after_the_echogram():
-    """A decay of 2 s of which half a second is known: the rest follows from its last third.
-
-    By moving the last bins alone: all values that look at the whole energy move with the tail.
-    """
-    edges = 1e-3 * np.arange(0, 501)
-    energy = -np.diff(np.exp(-6.9 * edges))
-    late = np.where(np.arange(500) >= 400, energy, 0.0)
-
-    def values(step):
-        curve = echogram_decay_curve(ONE_BAND, (energy + step * late)[None], edges, 0.0)
-        return value_gradients(curve, 0, ("C80_dB", "D50_percent", "TS_ms", "G_dB"))
-
-    slope = (values(1e-4)[0] - values(-1e-4)[0]) / 2e-4
-    _, gradients = values(0.0)
-    np.testing.assert_allclose(gradients @ late, slope, rtol=1e-5)
-    # what those bins hold by themselves is little beside what they say of the tail
-    total = energy.sum() + np.exp(-6.9 * 0.5)
-    alone = 10.0 / np.log(10.0) * late.sum() / total
-    assert slope[3] > 1.5 * alone
 
 
 def check_slopes(claimed, before, here, after, step):
@@ -212,28 +187,6 @@ def exponential_values(names, spread: float = 0.0, jnd: float = 0.0) -> ValuesTe
         spread=np.full(len(names), spread),
     )  # fmt: skip
     return replace(problem, observations=(observed,), bandwidth_hz=1e12, model_error_jnd=jnd)
-
-
-def test_what_is_stated_and_what_the_model_errs_add_to_the_variance_of_values():
-    """Squares of the stated deviation; one error for all decay times and one for early to late.
-
-    0.3 of 5 % of a second, or of what was measured where that is longer; of 1 dB; of 5 %.
-    """
-    names = ("EDT_s", "T20_s", "C80_dB", "D50_percent", "G_dB")
-    (plain,) = value_covariances(exponential_values(names), START["absorption"])
-    (stated,) = value_covariances(exponential_values(names, spread=0.2), START["absorption"])
-    (unsure,) = value_covariances(exponential_values(names, jnd=0.3), START["absorption"])
-    np.testing.assert_allclose(stated - plain, 0.04 * np.eye(5), atol=1e-9)
-    sd = 0.3 * np.array([0.05, 0.05, 1.0, 5.0, 1.0])
-    alike = np.zeros((5, 5))
-    alike[:2, :2] = alike[2:4, 2:4] = alike[4, 4] = 1.0
-    np.testing.assert_allclose(unsure - plain, np.outer(sd, sd) * alike, rtol=1e-3, atol=1e-9)
-
-
-def test_values_that_say_the_same_count_once_together():
-    """Two decay times of one common error count as two of the same, a level beside them as one."""
-    found = exponential_values(("EDT_s", "T20_s", "G_dB"), jnd=0.3).correlation_length(START)
-    np.testing.assert_allclose(found, [2.0, 2.0, 1.0], atol=1e-3)
 
 
 def test_the_scatter_by_rays_is_that_of_other_rays():
@@ -355,53 +308,6 @@ def test_absorption_is_found_again_from_values_alone():
     assert compared[0]["C80_dB"].null == pytest.approx(others)
 
 
-def test_values_join_other_data_of_the_same_unknowns():
-    """Half of the pairs in one part and half in another make the problem of all."""
-    scene, bands, binned = small_room(np.array([1000.0]))
-    values = predicted_values(scene, bands, binned, np.full((3, 1), 0.3))
-    measured = measured_from(scene, bands, values, VALUE_NAMES)
-    priors = tuple(unknown_material(m, 1) for m in scene.room.materials)
-    (term,) = value_terms(scene, bands, measured, binned)
-    whole = without_responses((term,), priors, 0, np.full(1, 0.2))
-    assert whole is not None
-    halves = (measured[:2], measured[2:])
-    parts = tuple(value_terms(scene, bands, half, binned)[0] for half in halves)
-    joint = Objective(whole.parameters, parts)
-    vector = start_vector(whole.parameters)
-
-    np.testing.assert_array_equal(joint.measured(), whole.measured())
-    np.testing.assert_allclose(joint.variance(vector), whole.variance(vector))
-    np.testing.assert_allclose(joint.predict(vector).jacobian, whole.predict(vector).jacobian)
-
-
-def test_the_variance_after_a_prediction_is_that_by_itself():
-    scene, bands, binned = small_room(np.array([1000.0]))
-    values = predicted_values(scene, bands, binned, np.array([[0.2], [0.3], [0.4]]))
-    measured = measured_from(scene, bands, values, VALUE_NAMES)
-    (term,), (other,) = (value_terms(scene, bands, measured, binned) for _ in range(2))
-    assert term is not None
-    assert other is not None
-    here, there = ({"absorption": np.array(a)} for a in ([0.2, 0.3, 0.4], [0.3, 0.3, 0.4]))
-    alone = other.variance_parts(here)["values"]
-    term.predict(there)
-    np.testing.assert_array_equal(term.variance_parts(here)["values"], alone)
-    term.predict(here)
-    np.testing.assert_allclose(term.variance_parts(here)["values"], alone, rtol=1e-12)
-
-
-def test_the_likelihood_is_gaussian_with_its_constants():
-    """Against scipy's normal law."""
-    from scipy.stats import norm
-
-    term = exponential_problem(1.0, 1000.0)
-    problem = Objective(Parameters(()), (term,))
-    expected, variance = np.array([1.1, 0.9]), np.array([0.01, 0.04])
-    np.testing.assert_allclose(
-        problem.log_likelihood(expected, variance),
-        norm.logpdf([1.0, 1.0], expected, np.sqrt(variance)),
-    )
-
-
 def table(tmp_path, text: str, head: str = HEAD):
     path = tmp_path / "measured.csv"
     path.write_text(head + text)
@@ -451,55 +357,6 @@ def test_bad_tables_are_refused_with_the_place(tmp_path, text, words):
     """What, where, found, needed."""
     with pytest.raises(InputError, match=words):
         read_parameters(table(tmp_path, text))
-
-
-def test_other_heads_and_missing_pairs_are_refused(tmp_path):
-    """The first line, and a pair that the table does not have."""
-    with pytest.raises(InputError, match="begins otherwise"):
-        read_parameters(table(tmp_path, "A,1,T20,1,1\n", "a,b,c,125,250\n"))
-    with pytest.raises(InputError, match="must rise"):
-        read_parameters(table(tmp_path, "A,1,T20,1,1\n", "source,receiver,parameter,250,125\n"))
-    with pytest.raises(InputError, match="A to 1"):
-        read_parameters(table(tmp_path, "A,1,T20,1,1\n"), source="C")
-
-
-def test_a_pair_measured_twice_with_different_results_is_reported(tmp_path):
-    """The mean is used with half of the difference as its spread."""
-    path = table(tmp_path, "A,1,T20,1.0,1.0\nA,1,T20,1.2,1.0\n")
-    (joined,), (finding,) = read_parameters(path)
-
-    np.testing.assert_allclose(joined.values["T20_s"], [1.1, 1.0])
-    np.testing.assert_allclose(joined.spread["T20_s"], [0.1, 0.0], atol=1e-12)
-    assert finding.code == Code.REPEATED_VALUES_DIFFER
-    assert finding.severity == "warning"
-    # 0.2 s of 1.1 s in steps of 5 %
-    assert finding.evidence["jnd"] == pytest.approx(0.2 / 1.1 / 0.05)
-    _, nothing = read_parameters(table(tmp_path, "A,1,T20,1,1\nA,1,T20,1,1\n"))
-    assert not nothing
-
-
-def test_values_that_go_badly_together_raise_a_doubt(tmp_path):
-    """D50 ten points from what C50 says; not an error, since both may be means over teams."""
-    _, (finding,) = read_parameters(table(tmp_path, "A,1,C50,0,0\nA,1,D50,50,60\n"))
-    assert finding.code == Code.ROOM_PARAMETERS_INCONSISTENT
-    assert "250 Hz" in finding.sentence
-
-
-def test_pairs_the_scene_lacks_are_refused():
-    """Named, with those that it has."""
-    scene, bands, binned = small_room(np.array([1000.0]))
-    wrong = MeasuredValues("S", "R9", bands.centres_hz, {"T20_s": np.ones(1)}, {})
-    with pytest.raises(InputError, match=r"lacks(.|\n)*S to R9"):
-        value_terms(scene, bands, [wrong], binned)
-
-
-def test_a_band_without_values_has_no_problem():
-    """Other centres than those of the table: nothing to fit."""
-    scene, bands, binned = small_room(np.array([1000.0, 2000.0]))
-    values = MeasuredValues("S", "R1", np.array([2000.0]), {"T20_s": np.array([0.4])}, {})
-    problems = value_terms(scene, bands, [values], binned)
-    assert problems[0] is None
-    assert problems[1] is not None
 
 
 def test_values_at_many_absorptions_follow_those_that_are_exact():
@@ -556,28 +413,6 @@ def test_pressures_in_a_smooth_box_give_what_is_measured_there():
     by_energies, by_pressures = np.sqrt(np.mean(np.square(errors), axis=0))
     assert by_pressures < 0.25 * by_energies
     assert by_pressures < 0.05
-
-
-def test_in_a_box_that_stands_elsewhere_images_add_as_pressures_too():
-    """The same paths, of the same room turned and moved; not where its ceiling slopes."""
-    scene, bands, binned, truth = smooth_box()
-    turn, by_m = rotation(33.0), np.array([7.0, -3.0, 0.5])
-    mesh = scene.room.mesh
-    points = [
-        tuple(replace(p, position_m=turn @ p.position_m + by_m) for p in own)
-        for own in (scene.sources, scene.receivers)
-    ]
-    (term,) = box_terms(scene, bands, binned, truth)
-    slope = np.zeros_like(mesh.vertices_m)
-    slope[[5, 7], 2] = 0.1
-    for raised_m, kept in ((0.0, 1.0), (slope, 0.0)):
-        placed = replace(mesh, vertices_m=(mesh.vertices_m + raised_m) @ turn.T + by_m)
-        room = replace(scene.room, mesh=placed, shoebox_m=None)
-        moved = replace(scene, room=room, sources=points[0], receivers=points[1])
-        (other,) = box_terms(moved, bands, binned, truth)
-        for a, b in zip(term.rows, other.rows, strict=True):
-            assert a.length_m.max() > 50.0
-            np.testing.assert_array_equal(b.length_m, kept * a.length_m)
 
 
 def smooth_box():

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from rays_reference import with_scattering
-from roomfit.base.errors import InputError
 from roomfit.materials.priors import Scattering
 from roomfit.model.scattering import effective_sample_size, scattering_weights
-from roomfit.model.weighing import energy_rows, first_rows
+from roomfit.model.weighing import energy_rows
 from roomfit.tracing.paths import Paths
 
 
@@ -56,34 +53,12 @@ def test_every_path_of_the_pair_stands_in_the_window_of_its_time() -> None:
     assert rows.n_batches == 4
 
 
-def test_first_rows_are_those_of_shorter_windows() -> None:
-    """Leaving out the last windows equals never having asked for them."""
-    paths = random_paths(3)
-    edges = np.linspace(0.0, 0.15, 31)
-    whole, short = (energy_rows(paths, 2, edges[: n + 1], 340.0) for n in (30, 11))
-    cut = first_rows(whole, 11)
-    assert cut.path is not None and short.path is not None
-    np.testing.assert_array_equal(cut.offsets, short.offsets)
-    np.testing.assert_array_equal(cut.path, short.path)
-    np.testing.assert_array_equal(cut.hits, short.hits)
-    np.testing.assert_array_equal(cut.weight_per_m2, short.weight_per_m2)
-    assert len(first_rows(whole, 99)) == len(whole)
-
-
 def test_a_time_on_an_edge_belongs_to_the_later_window() -> None:
     """So that neighbouring windows never share a path."""
     paths = random_paths(2, n=1)
     paths = replace(paths, pair=np.zeros(1, dtype=np.int32), length_m=np.array([10.0]))
     rows = energy_rows(paths, 0, np.array([0.0, 0.1, 0.2]), 100.0)
     assert np.diff(rows.offsets).tolist() == [0, 1]
-
-
-def test_bad_windows_and_pairs_are_refused() -> None:
-    """Edges must rise; the pair must exist."""
-    with pytest.raises(InputError, match="edges must rise"):
-        energy_rows(random_paths(3), 0, np.array([0.0, 0.2, 0.1]), 340.0)
-    with pytest.raises(InputError, match="number of the pair"):
-        energy_rows(random_paths(3), 3, np.array([0.0, 0.1]), 340.0)
 
 
 def test_the_factor_is_the_ratio_of_the_probabilities() -> None:
@@ -98,39 +73,6 @@ def test_the_factor_is_the_ratio_of_the_probabilities() -> None:
             expected[i] *= (1.0 - s[m]) / (1.0 - s0[m])
     factor = scattering_weights(paths, Scattering(paths.materials, np.array(s)))
     np.testing.assert_allclose(factor, expected, rtol=1e-13)  # some 10 factors rounded once each
-
-
-def test_the_same_scattering_changes_nothing_even_at_0_and_1() -> None:
-    """Exactly 1, although 0 / 0 would stand there."""
-    paths = random_paths(5, sampling=(0.0, 1.0))
-    factor = scattering_weights(paths, Scattering(paths.materials, np.array([0.0, 1.0])))
-    np.testing.assert_array_equal(factor, 1.0)
-
-
-def test_weighing_to_no_scattering_keeps_the_specular_paths_only() -> None:
-    """s = 0 is legal: 0 ** 0 is 1."""
-    paths = random_paths(6)
-    factor = scattering_weights(paths, Scattering(paths.materials, np.zeros(2)))
-    specular = ~paths.hits_diffuse.any(axis=1)
-    assert np.all(factor[~specular] == 0.0)
-    assert np.all(factor[specular] > 0.0)
-
-
-def test_weights_anew_and_back_are_the_old_ones() -> None:
-    """Paths remember the coefficients that their weights belong to."""
-    paths = random_paths(7)
-    there = with_scattering(paths, Scattering(paths.materials, np.array([0.5, 0.5])))
-    back = with_scattering(there, Scattering(paths.materials, np.array([0.3, 0.6])))
-    np.testing.assert_allclose(back.weight_per_m2, paths.weight_per_m2, rtol=1e-13)
-
-
-def test_paths_drawn_without_scattering_cannot_be_given_some() -> None:
-    """The diffuse paths were never drawn."""
-    paths = random_paths(8, sampling=(0.0, 0.5))
-    with pytest.raises(InputError, match="cannot be changed after the trace"):
-        scattering_weights(paths, Scattering(paths.materials, np.array([0.1, 0.5])))
-    with pytest.raises(InputError, match="different materials"):
-        scattering_weights(paths, Scattering(("x", "y"), np.array([0.1, 0.5])))
 
 
 def test_the_mean_factor_of_drawn_hits_is_one() -> None:

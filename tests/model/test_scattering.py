@@ -13,15 +13,13 @@ from roomfit.base.errors import InputError
 from roomfit.base.typing import FloatArray
 from roomfit.materials.priors import Scattering, uniform_scattering
 from roomfit.model.scattering import (
-    LEAST_EFFECTIVE_FRACTION,
     effective_fractions,
-    effective_sample_fraction,
     effective_sample_size,
     rows_for_band,
     sampling_groups,
     scattering_weights,
 )
-from roomfit.model.weighing import EnergyRows, energy_rows, merge_equal_rows, regrouped_rows, weigh
+from roomfit.model.weighing import EnergyRows, energy_rows, regrouped_rows, weigh
 from roomfit.room.scene import scene_of as roomfit_scene_of
 from roomfit.room.scene import shoebox_room
 from roomfit.tracing.paths import Paths, TraceSettings, hits
@@ -81,41 +79,11 @@ def test_more_scattering_takes_from_the_images_what_it_gives_to_the_rays(paths):
         assert abs(slope[0, late].sum()) < 0.5 * energy[0, late].sum()
 
 
-def test_the_sample_share_falls_as_the_wanted_scattering_leaves_the_traced_one(paths):
-    """One where nothing changes, below the limit where the trace has to be made again."""
-    shares = [
-        rows_for_band(rows_of(paths), paths, of(paths, np.full(6, s)))[1]
-        for s in (0.3, 0.35, 0.5, 0.8)
-    ]
-    assert shares[0] == 1.0
-    assert np.all(np.diff(shares) <= 0.0)
-    assert shares[2] < shares[1]
-    assert shares[1] > 0.5
-    assert shares[-1] < LEAST_EFFECTIVE_FRACTION
-
-
-def test_the_sample_share_is_kishs_number_of_weights(paths):
-    """Half of the rays without weight: half of the sample."""
-    rows = rows_of(paths)[0]
-    even = np.where(rows.batch >= 0, 1.0, 5.0)
-    before = EnergyRows(*_columns(rows, even))
-    ray = np.cumsum(rows.batch >= 0)
-    after = EnergyRows(*_columns(rows, even * (ray % 2)))
-    assert effective_sample_fraction(before, after) == pytest.approx(0.5, abs=0.01)
-
-
 def _columns(rows: EnergyRows, weight: FloatArray) -> tuple[object, ...]:
     return (
         *(rows.materials, rows.n_windows, rows.offsets, weight),
         *(rows.hits, rows.length_m, rows.batch, rows.n_batches),
     )
-
-
-def test_merged_rows_are_refused(paths):
-    """They are no paths."""
-    merged = [merge_equal_rows(r) for r in rows_of(paths)]
-    with pytest.raises(InputError, match="no single paths"):
-        rows_for_band(merged, paths, of(paths, np.full(6, 0.2)))
 
 
 TWO = np.array([[0.0, 0.1, 0.2, 0.3, 0.6, 1.0], [0.5, 0.1, 0.6, 0.3, 0.2, 1.0]])
@@ -188,26 +156,6 @@ def test_groups_keep_a_fifth_of_the_rays_for_every_band():
         # the check draws other paths than the choice: 1000 of them err by a few per cent
         assert fractions.min() > 0.18 or (len(groups) == 6 and fractions.min() > 0.155)
     assert most > 2
-
-
-@pytest.mark.parametrize(("hits", "n_groups"), [(6.0, 1), (6.8, 2)])
-def test_bands_have_one_group_as_long_as_a_fifth_of_the_rays_counts(hits, n_groups):
-    """exp(-hits / 4) of them for a band whose paths scatter by 0.4 in place of 0.2."""
-    wanted, single = np.array([[0.1, 0.1, 0.4]]), np.array([0.2])
-    rng = np.random.default_rng(1)
-    own = effective_fractions(single[None], wanted, np.array([hits]), rng).min()
-    assert own == pytest.approx(np.exp(-0.25 * hits), rel=0.02)
-    assert len(sampling_groups(wanted, single, np.array([hits]), rng)) == n_groups
-
-
-def test_equal_bands_are_one_group_traced_as_before():
-    """Nothing to reweigh; and two bands that repeat one another need two groups at most."""
-    rng, hits = np.random.default_rng(1), np.array([300.0, 200.0])
-    same = np.tile([[0.3], [0.1]], 6)
-    np.testing.assert_array_equal(sampling_groups(same, same[:, 0], hits, rng), [[0.3, 0.1]])
-    two = np.array([[0.1, 0.1, 0.1, 0.7, 0.7], [0.2] * 5])
-    groups = sampling_groups(two, two.mean(axis=1), hits, rng)
-    np.testing.assert_array_equal(groups, [[0.1, 0.2], [0.7, 0.2]])
 
 
 def test_the_fraction_that_is_expected_is_that_of_a_trace():

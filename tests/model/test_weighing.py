@@ -9,22 +9,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from absorption_reference import surviving_energy
-from rays_reference import batch_energies, monte_carlo_sd
+from rays_reference import batch_energies
 from roomfit.base.errors import InputError
 from roomfit.base.typing import FloatArray
 from roomfit.model.energy import squared_image_rows
-from roomfit.model.patterns import (
-    RowPattern,
-    amplitude_and_slope,
-    directed_rows,
-    weigh_parts,
-)
+from roomfit.model.patterns import amplitude_and_slope
 from roomfit.model.weighing import (
-    ROWS_WORTH_THREADS,
     EnergyRows,
+    RowPattern,
+    directed_rows,
     merge_equal_rows,
-    rows_in_air,
     weigh,
+    weigh_parts,
     window_of_rows,
 )
 
@@ -115,47 +111,6 @@ def test_a_black_wall_has_the_slope_of_the_paths_that_touch_it_once() -> None:
     assert response.derivative[:, 0, 0].tolist() == [-2.0 * 0.5**2, -1.0]
 
 
-def test_two_black_walls_leave_no_nan() -> None:
-    """A path with one hit on each of two black walls has slope 0 by either."""
-    rows = EnergyRows(
-        ("a", "b"),
-        1,
-        np.array([0, 1]),
-        np.ones(1),
-        np.ones((1, 2), dtype=np.uint16),
-        np.zeros(1),
-        np.zeros(1, dtype=np.int32),
-        1,
-    )
-    response = weigh(rows, np.ones((2, 1)), np.zeros(1))
-    assert response.derivative is not None
-    assert response.energy.tolist() == [[0.0]]
-    assert response.derivative.ravel().tolist() == [0.0, 0.0]
-
-
-@given(SEED, st.integers(0, 2), COEFFICIENT, COEFFICIENT)
-def test_energy_falls_with_every_coefficient(seed: int, m: int, one: float, two: float) -> None:
-    """The certificate bounds energies over a box of coefficients by its two corners."""
-    rows = random_rows(seed)
-    a = table(seed, 3, 1)
-    low, high = _moved(a, m, min(one, two) - a[m, 0]), _moved(a, m, max(one, two) - a[m, 0])
-    more = weigh(rows, low, np.zeros(1), derivative=False).energy
-    less = weigh(rows, high, np.zeros(1), derivative=False).energy
-    assert np.all(less <= more * (1.0 + 1e-13))  # rounding as above
-
-
-def test_several_bands_in_one_pass_equal_band_by_band() -> None:
-    """Bit by bit: no band sees its neighbours."""
-    rows = random_rows(5, n_rows=30_000)
-    a, air = table(5, 3, 6), np.linspace(0.0, 0.02, 6)
-    together = weigh(rows, a, air)
-    for b in range(6):
-        alone = weigh(rows, a[:, b : b + 1], air[b : b + 1])
-        assert alone.derivative is not None and together.derivative is not None
-        np.testing.assert_array_equal(together.energy[b], alone.energy[0])
-        np.testing.assert_array_equal(together.derivative[:, b], alone.derivative[:, 0])
-
-
 def test_one_thread_and_two_give_the_same_bits() -> None:
     """And so does leaving the derivative out."""
     rows = random_rows(6, n_rows=150_000)
@@ -188,46 +143,6 @@ def test_air_takes_exp_of_minus_m_d() -> None:
     )
     energy = weigh(rows, np.zeros((1, 1)), np.array([0.1])).energy
     np.testing.assert_allclose(energy, np.exp(-1.0), rtol=1e-15)
-
-
-def test_air_put_into_the_weights_is_the_same_air() -> None:
-    """Weighed without attenuation, merged or not; and a second attenuation does nothing."""
-    rows = random_rows(12, mean_hits=0.7)
-    a = table(12, 3, 1)
-    still = rows_in_air(rows, 0.02)
-    expected = weigh(rows, a, np.array([0.02])).energy
-    # an exponential and a product more or less: rounding as above
-    np.testing.assert_allclose(weigh(still, a, np.zeros(1)).energy, expected, rtol=1e-13)
-    np.testing.assert_allclose(weigh(still, a, np.array([0.5])).energy, expected, rtol=1e-13)
-    merged = merge_equal_rows(still)
-    assert len(merged) < len(rows)
-    np.testing.assert_allclose(weigh(merged, a, np.zeros(1)).energy, expected, rtol=1e-12)
-    assert (still.n_batches, still.max_hits) == (rows.n_batches, rows.max_hits)
-
-
-def test_splitting_a_material_changes_no_energy() -> None:
-    """Two materials of equal absorption are one; their slopes add up to its slope."""
-    rows = random_rows(7, n_materials=2)
-    rng = np.random.default_rng(70)
-    part = rng.binomial(rows.hits[:, 1], 0.5).astype(np.uint16)
-    hits = np.column_stack([rows.hits[:, 0], part, rows.hits[:, 1] - part])
-    split = EnergyRows(
-        ("a", "b", "c"),
-        rows.n_windows,
-        rows.offsets,
-        rows.weight_per_m2,
-        hits,
-        rows.length_m,
-        rows.batch,
-        8,
-    )
-    whole = weigh(rows, np.array([[0.2], [0.6]]), np.zeros(1))
-    parts = weigh(split, np.array([[0.2], [0.6], [0.6]]), np.zeros(1))
-    assert whole.derivative is not None and parts.derivative is not None
-    np.testing.assert_allclose(parts.energy, whole.energy, rtol=1e-13)
-    np.testing.assert_allclose(
-        parts.derivative[1] + parts.derivative[2], whole.derivative[1], rtol=1e-13
-    )
 
 
 @given(SEED)
@@ -287,30 +202,6 @@ def test_batches_and_images_make_up_the_whole() -> None:
     np.testing.assert_allclose(total, weigh(rows, a, air).energy, rtol=1e-12)
 
 
-def test_the_standard_error_is_the_spread_of_repeated_sums() -> None:
-    """Of 400 independent sums of 16 batches: mean variance reported against the variance seen."""
-    rng = np.random.default_rng(10)
-    predicted, observed = [], []
-    for _ in range(400):
-        n = 320
-        rows = EnergyRows(
-            ("wall",),
-            1,
-            np.array([0, n]),
-            rng.exponential(1.0, n),
-            np.zeros((n, 1), dtype=np.uint16),
-            np.zeros(n),
-            np.repeat(np.arange(16), n // 16).astype(np.int32),
-            16,
-        )
-        predicted.append(monte_carlo_sd(rows, np.zeros((1, 1)), np.zeros(1))[0, 0] ** 2)
-        observed.append(weigh(rows, np.zeros((1, 1)), np.zeros(1)).energy[0, 0])
-    # a variance from 400 draws has a relative standard error of sqrt(2 / 399) = 0.07: four of
-    # them, false alarms once in 16,000 seeds
-    np.testing.assert_allclose(np.mean(predicted), np.var(observed, ddof=1), rtol=0.28)
-    np.testing.assert_allclose(np.mean(predicted), 320.0, rtol=0.1)
-
-
 def test_bad_coefficients_are_refused() -> None:
     """Out of range, not a number, or of the wrong shape."""
     rows = random_rows(11)
@@ -321,22 +212,6 @@ def test_bad_coefficients_are_refused() -> None:
         weigh(rows, np.zeros((2, 1)), np.zeros(1))
     with pytest.raises(InputError, match="air attenuation is out of range"):
         weigh(rows, np.zeros((3, 1)), np.array([-1.0]))
-
-
-def test_no_rows_give_no_energy() -> None:
-    """An empty pair is legal: nothing arrives."""
-    rows = EnergyRows(
-        ("wall",),
-        3,
-        np.zeros(4, dtype=np.int64),
-        np.zeros(0),
-        np.zeros((0, 1), dtype=np.uint16),
-        np.zeros(0),
-        np.zeros(0, dtype=np.int32),
-    )
-    response = weigh(rows, np.ones((1, 2)), np.zeros(2))
-    assert response.energy.tolist() == [[0.0] * 3] * 2
-    assert len(merge_equal_rows(rows)) == 0
 
 
 def _moved(a: FloatArray, m: int, step: float) -> FloatArray:
@@ -412,24 +287,6 @@ def test_slopes_of_a_directed_source_are_those_of_finite_differences(seed: int) 
         np.testing.assert_allclose(found[:, 1 + k], (more - less) / (2 * h), atol=1e-7 * largest)
 
 
-def test_a_directed_source_gives_the_same_bits_for_any_number_of_threads() -> None:
-    """Above the number of rows from which threads share the pieces."""
-    rows = random_rows(6, n_rows=ROWS_WORTH_THREADS + 10)
-    pattern, a = drawn_pattern(6, len(rows), single=True), table(6, 3, 1)[:, 0]
-    before = numba.get_num_threads()
-    results = []
-    try:
-        for n in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-            numba.set_num_threads(n)
-            results.append(weigh_directed(rows, pattern, a, 0.01))
-    finally:
-        numba.set_num_threads(before)
-    np.testing.assert_array_equal(*results)
-    largest = np.abs(results[0]).max()
-    expected = directed_in_steps(rows, pattern, a, 0.01)
-    np.testing.assert_allclose(results[0], expected, rtol=1e-10, atol=1e-12 * largest)
-
-
 @given(SEED, st.booleans(), st.booleans())
 def test_parts_of_the_variance_in_one_pass_equal_three(seed: int, single: bool, bare: bool) -> None:
     """Energies, squares of single images and batches, each by rows weighed for it alone."""
@@ -458,17 +315,3 @@ def test_parts_of_the_variance_in_one_pass_equal_three(seed: int, single: bool, 
     np.testing.assert_allclose(
         whole.columns[:, -6:-3].T, by_absorption[:, 0], rtol=near, atol=largest
     )
-
-
-def test_parts_of_the_variance_have_the_same_bits_for_any_number_of_threads() -> None:
-    """Above the number of rows from which threads share the pieces."""
-    rows = random_rows(7, n_rows=ROWS_WORTH_THREADS + 10)
-    before, results = numba.get_num_threads(), []
-    try:
-        for n in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
-            numba.set_num_threads(n)
-            results.append(weigh_parts(rows, None, np.array([0.1, 0.5, 0.3]), 0.01))
-    finally:
-        numba.set_num_threads(before)
-    for name in ("energy", "squares", "batches"):
-        np.testing.assert_array_equal(*(getattr(r, name) for r in results))

@@ -7,22 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from coherent_cases import objective_of, small_geometry, small_paths, small_term
+from coherent_cases import objective_of, small_geometry, small_term
 from roomfit.base.bands import Bands
 from roomfit.base.typing import FloatArray
 from roomfit.model.parameters import start_vector
 from roomfit.model.pulses import band_grid
 from roomfit.pressures.data_term import with_coherence
-from roomfit.pressures.geometry import times_of, whole_covariance
+from roomfit.pressures.geometry import whole_covariance
 from roomfit.pressures.response import (
     ImagePaths,
     Times,
     coherent_response,
-    image_paths,
-    images_of,
 )
 from roomfit.signals.filters import energy_bandwidth_hz, frequency_response
-from roomfit.tracing.paths import paths_of_pairs
 
 BANK = Bands("octave", np.array([500.0]))
 SPEED = 340.0
@@ -83,16 +80,6 @@ def test_a_windows_energy_is_the_integral_of_the_squared_pressure() -> None:
         expected = np.trapezoid(y[inside] ** 2, t[inside])
         # the edges cut grid samples of a quarter millisecond
         assert found[w] == pytest.approx(expected, rel=0.01)
-
-
-def test_energies_without_derivatives_are_the_same_and_pieces_add_up_to_windows() -> None:
-    """The spikes alone, cut finer: the same pressure squared, to the rounding of the transform."""
-    paths, a, grid = two_paths(), np.array([0.2, 0.4]), band_grid(BANK, 0.0, 0.1)
-    edges = (np.array([0.0, 0.012, 0.02]),)
-    pieces = (np.array([0.0, 0.007, 0.0115, 0.012, 0.0133, 0.02]),)
-    whole = coherent_response(paths, a, times(), grid, edges).energy
-    parts = coherent_response(paths, a, times(), grid, pieces, derivative=False).energy
-    np.testing.assert_allclose(np.add.reduceat(parts, [0, 3]), whole, rtol=1e-10)
 
 
 def test_every_column_of_the_jacobian_is_the_slope_of_the_prediction() -> None:
@@ -199,47 +186,6 @@ def test_gamma_of_a_path_is_the_squared_mean_of_its_phasor(observation: int) -> 
         assert found.coherence[path] == pytest.approx(expected, abs=0.01)
 
 
-def test_a_phase_that_reflections_add_at_random_takes_its_variance_a_hit() -> None:
-    """Beside what positions take: a factor exp(-sd^2) for every hit."""
-    plain = with_coherence(small_term(), 0.04 * whole_covariance(small_geometry())).images
-    turned = with_coherence(small_term(), 0.04 * whole_covariance(small_geometry()), 0.3).images
-    kept = turned.coherence > 0.0
-    factor = np.exp(-(0.3**2) * plain.hits.sum(axis=1)[plain.row])
-    np.testing.assert_allclose(turned.coherence[kept], (factor * plain.coherence)[kept], rtol=1e-9)
-    assert kept.sum() > 20
-
-
-def test_what_no_unknown_stands_for_still_takes_some_coherence() -> None:
-    """Nothing unknown: half a millimetre at both ends, and 1e-4 of the time."""
-    term = small_term(4000.0)
-    found = with_coherence(term, np.zeros((14, 14))).images
-    length = found.lengths_m()
-    variance = (2.0 * 0.5e-3**2 + (1e-4 * length) ** 2) / SPEED**2
-    kept = found.coherence > 0.0
-    expected = np.exp(-((2.0 * np.pi * term.energies.centre_hz) ** 2) * variance)
-    np.testing.assert_allclose(found.coherence[kept], expected[kept], rtol=1e-9)
-    assert kept.mean() > 0.9
-
-
-def test_shifts_are_counted_from_where_paths_were_traced() -> None:
-    """Speed, latency and delays are not: they are those of the free numbers themselves."""
-    geometry = small_geometry()
-    values = np.linspace(-1.0, 1.0, geometry.sd.size)
-    moved = times_of(replace(geometry, origin=values), values)
-    np.testing.assert_allclose(moved.shifts_m, 0.0, atol=1e-15)
-    plain = times_of(geometry, values)
-    np.testing.assert_allclose(plain.shifts_m[1], (geometry.sd * values)[[0, 1, 2, 6, 7, 8]])
-    assert plain.speed_m_s == pytest.approx(SPEED * np.exp(2e-3 * values[9]))
-    np.testing.assert_array_equal(moved.latency_s, plain.latency_s)
-    np.testing.assert_allclose(plain.delays_s, 2e-4 * values[11:])
-
-
-def test_what_is_unknown_by_a_wavelength_adds_no_coherence() -> None:
-    """With a metre of uncertainty only energies are left."""
-    problem = with_coherence(small_term(), 1e4 * np.eye(small_geometry().sd.size))
-    assert problem.coherent.weight.size == 0
-
-
 def many_paths(n_observations: int) -> tuple[ImagePaths, Times, tuple[FloatArray, ...]]:
     """Return images drawn at random, times of their own and windows for so many observations."""
     rng, n = np.random.default_rng(11), 40
@@ -263,48 +209,6 @@ def many_paths(n_observations: int) -> tuple[ImagePaths, Times, tuple[FloatArray
     return paths, moved, tuple(np.linspace(0.0, 0.07, 12) for _ in range(n_observations))
 
 
-def test_observations_in_blocks_are_what_they_are_one_by_one() -> None:
-    """Forty, of which a few are in memory at a time: the same energies and derivatives."""
-    paths, moved, edges = many_paths(40)
-    grid, a = replace(band_grid(BANK, 0.0, 0.1), real=np.float64), np.array([0.2, 0.4])
-    whole = coherent_response(paths, a, moved, grid, edges)
-    for o in (0, 15, 16, 39):
-        own = images_of(paths, np.array([o]), None)
-        assert own.hits is paths.hits
-        alone = replace(moved, shifts_m=moved.shifts_m[o : o + 1], latency_s=moved.latency_s[[o]])
-        one, rows = coherent_response(own, a, alone, grid, edges[:1]), slice(11 * o, 11 * o + 11)
-        for name in ("energy", "by_log_reflected", "by_times"):
-            found, expected = getattr(whole, name)[rows], getattr(one, name)
-            np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13 * expected.max())
-
-
-def test_the_images_of_one_pair_are_those_among_all_pairs() -> None:
-    """With a list of each pair's paths, and where it is searched for; longer ones are left out."""
-    _, paths = small_paths()
-    every = image_paths(paths, np.arange(2), 0.01, 15.0)
-    assert 0 < every.weight.size < len(paths)
-    assert every.lengths_m().max() <= 15.0 + 1e-9
-    for pair in range(2):
-        own = images_of(every, np.array([pair]), None)
-        for of_pair in (None, paths_of_pairs(paths)):
-            alone = image_paths(paths, np.array([pair]), 0.01, 15.0, of_pair)
-            np.testing.assert_array_equal(alone.weight, own.weight)
-            np.testing.assert_array_equal(alone.hits, own.hits[own.row])
-            np.testing.assert_array_equal(alone.path, every.path[own.row])  # type: ignore[index]
-
-
-def test_images_of_some_observations_have_the_weights_of_their_band() -> None:
-    """A factor of every path of the trace reaches the images that are this path."""
-    paths, *_ = many_paths(3)
-    place = np.random.default_rng(4).permutation(paths.weight.size)
-    paths, factors = replace(paths, path=place.astype(np.int32)), np.linspace(0.5, 2.0, place.size)
-    own = images_of(paths, np.array([0, 2]), factors)
-    kept = np.r_[0:40, 80:120]
-    assert own.offsets.tolist() == [0, 40, 80]
-    np.testing.assert_array_equal(own.row, kept)
-    np.testing.assert_array_equal(own.weight, (paths.weight * factors[place])[kept])
-
-
 def test_single_precision_is_finer_than_the_grid() -> None:
     """Energies and derivatives to 1e-6 of the largest; the grid is exact to 1e-5."""
     paths, moved, edges = many_paths(5)
@@ -317,13 +221,3 @@ def test_single_precision_is_finer_than_the_grid() -> None:
         found, expected = getattr(single, name), getattr(double, name)
         np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max(), rtol=0.0)
         assert np.any(found != expected)
-
-
-def test_where_no_arrival_time_is_known_a_grid_begins_with_windows_however_late_they_are():
-    """Positions off by metres in a high band, of a pair whose windows begin a second late."""
-    term = small_term(4000.0)
-    late = tuple(replace(o, edges_s=o.edges_s + 1.0) for o in term.early)
-    covariance = 1e4 * whole_covariance(small_geometry())
-    found = with_coherence(replace(term, early=late), covariance)
-    assert not np.any(found.images.coherence > 0.0)
-    assert found.grid.first_s > 1.0 - 0.1 and found.grid.n > 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,36 +20,6 @@ from roomfit.pressures.sequential import (
     log_evidence,
 )
 from roomfit.solver import score_band
-
-
-def largest_array(record: object) -> int:
-    """Return the number of entries of the largest array in a record and all that it holds."""
-    if isinstance(record, np.ndarray):
-        return record.size
-    parts: list[object] = []
-    if is_dataclass(record):
-        parts = [getattr(record, f.name) for f in fields(record)]
-    elif isinstance(record, dict):
-        parts = list(record.values())
-    elif isinstance(record, tuple | list):
-        parts = list(record)
-    return max((largest_array(p) for p in parts), default=0)
-
-
-@pytest.mark.parametrize("rounds", [1, 2])
-def test_a_fit_holds_no_paths_and_what_was_fitted_is_made_again_bit_by_bit(rounds):
-    """Passes over the bands hold up to three fits of each: their paths would fill the memory."""
-    term = small_term()
-    energies = objective_of(term.energies)
-    start = start_vector(energies.parameters)
-    band = CoherentBand(energies, score_band(energies, start, max_rounds=2), term)
-    whole = np.append(start, np.zeros(term.geometry.sd.size))
-    found = fit_in_rounds(band, whole, NOISES[2], None, rounds=rounds, max_rounds=2)
-    assert largest_array(band) >= term.images.weight.size > 4 * whole.size**2 > 0
-    assert largest_array(found) <= max(whole.size**2, term.measured().size)
-    again = found.objective(band)
-    np.testing.assert_array_equal(again.predict(found.fit.vector).expected, found.fit.expected)
-    np.testing.assert_array_equal(again.variance(found.fit.vector), found.fit.variance)
 
 
 class Straight(DataTerm):

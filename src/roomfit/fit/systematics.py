@@ -21,9 +21,8 @@ from roomfit.base.typing import FloatArray, IntArray
 from roomfit.materials.priors import MaterialPrior
 from roomfit.model.energy import EnergyTerm, parts_of
 from roomfit.model.parameters import Parameters, physical_values
-from roomfit.model.patterns import directed_rows
 from roomfit.model.problem import Objective, Prediction
-from roomfit.model.weighing import weigh
+from roomfit.model.weighing import directed_rows, weigh
 from roomfit.model.windows import in_windows
 from roomfit.solver import BandFit
 from roomfit.tracing.paths import Paths

@@ -18,8 +18,9 @@ from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.model.binned import BinnedPaths
 from roomfit.model.energy import PATTERN, EnergyTerm
 from roomfit.model.parameters import Block, Parameters
-from roomfit.model.patterns import Pattern, RowBasis, pattern_basis
+from roomfit.model.patterns import Pattern, pattern_basis
 from roomfit.model.problem import DataTerm, Objective, Rows, Values
+from roomfit.model.weighing import RowBasis
 from roomfit.room.scene import Scene
 from roomfit.signals.measurement import MeasuredPair
 from roomfit.tracing.paths import Paths

@@ -15,9 +15,17 @@ from roomfit.base.forks import count_evaluation
 from roomfit.base.kernels import each_in_threads
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
 from roomfit.model.parameters import start_vector
-from roomfit.model.patterns import EnergyParts, RowBasis, RowPattern, weigh_parts
 from roomfit.model.problem import DataTerm, Objective, Rows, Values
-from roomfit.model.weighing import ROWS_WORTH_THREADS, EnergyRows, rows_in_air, shared_zeros
+from roomfit.model.weighing import (
+    ROWS_WORTH_THREADS,
+    EnergyParts,
+    EnergyRows,
+    RowBasis,
+    RowPattern,
+    rows_in_air,
+    shared_zeros,
+    weigh_parts,
+)
 from roomfit.model.windows import (
     in_windows,
     squares_in_windows,

@@ -9,27 +9,17 @@ by b are exact for both.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeAlias
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from roomfit.base.arguments import float_array, read_only
 from roomfit.base.errors import InputError
-from roomfit.base.kernels import in_threads, kernel
-from roomfit.base.typing import FloatArray, IntArray
-from roomfit.model.weighing import (
-    NEARLY_BLACK,
-    PIECE,
-    ROWS_WORTH_THREADS,
-    EnergyRows,
-    power_table,
-    reflected_and_attenuation,
-    slope_at_black,
-)
+from roomfit.base.kernels import kernel
+from roomfit.base.typing import FloatArray
+from roomfit.model.weighing import RowPattern
 from roomfit.room.scene import Point
 from roomfit.tracing.paths import Paths
 
@@ -64,186 +54,6 @@ def fill_amplitudes(
         amplitude[i] = a
         for k in range(3):
             slope[i, k] = departure[i, k] / root - a * b[k] / (3.0 * norm)
-
-
-RowBasis: TypeAlias = NDArray[np.float32] | FloatArray
-"""`pattern_basis` of where paths leave their source, (n_paths, 3)."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RowPattern:
-    """A directivity of rows: vector b, and `pattern_basis` of where the path of each leaves."""
-
-    b: FloatArray  # (3,)
-    basis: RowBasis  # (n_rows, 3)
-
-    def factor(self) -> FloatArray:
-        """Return the factor on the energy of every row, shape (n_rows,)."""
-        return np.asarray((1.0 + self.basis @ self.b) ** 2 / (1.0 + self.b @ self.b / 3.0))
-
-
-class EnergyParts(NamedTuple):
-    """Energies of one band, and what their variance is made of, for a gain of 1."""
-
-    energy: FloatArray  # (n_windows,), of all rows
-    squares: FloatArray  # (n_windows,), sum of the squares of single image paths
-    batches: FloatArray  # (n_batches, n_windows), energy of the rays of each batch
-    # (n_windows, 2 + n_batches + n_materials + 3), all of these, then the derivative of the energy
-    # by absorption and by b of the source; without the latter where none was asked for
-    columns: FloatArray
-
-
-def weigh_parts(
-    rows: EnergyRows,
-    pattern: RowPattern | None,
-    coefficients: FloatArray,
-    attenuation_per_m: float,
-    *,
-    derivative: bool = False,
-) -> EnergyParts:
-    """Return energies of one band, squares of its image paths and its batches of rays in one pass.
-
-    Rows are ``weight a**2 exp(-m length) product of (1 - a)**hits`` with the amplitude a of each
-    direction. Rays have no squares: they sample very many weak reflections, whose squares vanish.
-    Same bits for any number of threads.
-
-    Shapes: `coefficients` (n_materials,).
-    """
-    reflected, attenuation = reflected_and_attenuation(
-        rows, coefficients[:, None], np.array([attenuation_per_m])
-    )
-    n_batches = max(rows.n_batches, rows.largest_batch + 1)
-    first = 2 + n_batches
-    out = np.zeros((rows.n_windows, first + (coefficients.size + 3 if derivative else 0)))
-    b, basis = np.zeros(3), np.zeros((0, 3))
-    if pattern is not None:
-        b, basis = np.array(pattern.b, dtype=np.float64), pattern.basis  # type: ignore[assignment]
-    in_threads(
-        _weigh_windows,
-        rows.n_windows,
-        rows.offsets,
-        (rows.weight_per_m2, rows.length_m, rows.hits, basis, rows.batch),
-        b,
-        reflected[0],
-        power_table(reflected, rows.max_hits)[0],
-        attenuation[0],
-        first,
-        out,
-        worth_it=len(rows) >= ROWS_WORTH_THREADS,
-    )
-    return EnergyParts(out[:, 0].copy(), out[:, 1].copy(), out[:, 2:first].T, out)
-
-
-DirectedRows: TypeAlias = tuple[
-    FloatArray, FloatArray, IntArray, NDArray[np.float32] | FloatArray, IntArray
-]
-"""Weight, length, hits, pattern basis and batch of every row."""
-
-
-@kernel()
-def _weigh_windows(
-    first: int,
-    last: int,
-    offsets: IntArray,
-    rows: DirectedRows,
-    b: FloatArray,
-    reflected: FloatArray,
-    powers: FloatArray,
-    attenuation: float,
-    slopes: int,
-    every: FloatArray,
-) -> None:
-    """Fill the sums of some windows: energy, squares of image paths, every batch, and derivatives.
-
-    The latter from column `slopes` on, by absorption and by b. Of at most `PIECE` rows at a time.
-
-    With q the pattern basis, N = 1 + b b / 3 and c = 1 + b q, the factor of a row is ``c**2 / N``
-    and its derivative by b ``2 c q / N - 2 c**2 b / (3 N**2)``.
-    """
-    weight, length, hits, basis, batch = rows
-    norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
-    n, sums, h3, h4, h5 = hits.shape[1], np.empty(every.shape[1]), 0, 0, 0
-    with_slopes = sums.size > slopes
-    for w in range(first, last):
-        for start in range(offsets[w], offsets[w + 1], PIECE):
-            stop = min(start + PIECE, offsets[w + 1])
-            sums[:] = 0.0
-            energy = squares = x = y = z = 0.0
-            # sums of the first materials stay in registers, which halves the time
-            by0 = by1 = by2 = by3 = by4 = by5 = 0.0
-            for r in range(start, stop):
-                h0 = h1 = h2 = hits[r, 0]
-                own = weight[r] * powers[0, h0]
-                if n > 1:
-                    h1 = hits[r, 1]
-                    own *= powers[1, h1]
-                if n > 2:
-                    h2 = hits[r, 2]
-                    own *= powers[2, h2]
-                if n > 3:
-                    h3 = hits[r, 3]
-                    own *= powers[3, h3]
-                if n > 4:
-                    h4 = hits[r, 4]
-                    own *= powers[4, h4]
-                if n > 5:
-                    h5 = hits[r, 5]
-                    own *= powers[5, h5]
-                for m in range(6, n):
-                    own *= powers[m, hits[r, m]]
-                if attenuation != 0.0:
-                    own *= math.exp(-attenuation * length[r])
-                if len(basis):
-                    c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-                    once = c * own / norm
-                    own = c * once
-                    x += once * basis[r, 0]
-                    y += once * basis[r, 1]
-                    z += once * basis[r, 2]
-                energy += own
-                if batch[r] < 0:
-                    squares += own * own
-                else:
-                    sums[2 + batch[r]] += own
-                by0 -= own * h0
-                by1 -= own * h1
-                by2 -= own * h2
-                by3 -= own * h3
-                by4 -= own * h4
-                by5 -= own * h5
-                if with_slopes:
-                    for m in range(6, n):
-                        sums[slopes + m] -= own * hits[r, m]
-            sums[0], sums[1] = energy, squares
-            if with_slopes:
-                first_six = (by0, by1, by2, by3, by4, by5)
-                for m in range(min(n, 6)):
-                    sums[slopes + m] = first_six[m]
-                if len(basis):
-                    turned = energy / (3.0 * norm)
-                    sums[slopes + n] = 2.0 * (x - turned * b[0])
-                    sums[slopes + n + 1] = 2.0 * (y - turned * b[1])
-                    sums[slopes + n + 2] = 2.0 * (z - turned * b[2])
-                for m in range(n):
-                    if reflected[m] >= NEARLY_BLACK:
-                        sums[slopes + m] /= reflected[m]
-                        continue
-                    sums[slopes + m] = 0.0
-                    for r in range(start, stop):
-                        own = weight[r]
-                        if len(basis):
-                            c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-                            own *= c * c / norm
-                        sums[slopes + m] -= slope_at_black(
-                            own, length[r], hits[r], powers, attenuation, m
-                        )
-            for k in range(sums.size):
-                every[w, k] += sums[k]
-
-
-def directed_rows(rows: EnergyRows, factor: FloatArray) -> EnergyRows:
-    """Return rows with every weight times a factor of its own, shape (n_rows,), of either sign."""
-    return replace(rows, weight_per_m2=rows.weight_per_m2 * factor)
 
 
 # A measured directivity is interpolated once to a grid of directions so fine, and then linearly.

@@ -20,7 +20,6 @@ from roomfit.materials.priors import MaterialPrior
 from roomfit.model.binned import BinnedPaths, regrouped, rows_at
 from roomfit.model.observation import absorption_block
 from roomfit.model.parameters import Parameters
-from roomfit.model.patterns import weigh_parts
 from roomfit.model.problem import DataTerm, Objective, Rows, Values
 from roomfit.model.pulses import energy_of_pulses, image_pulses
 from roomfit.model.weighing import (
@@ -28,6 +27,7 @@ from roomfit.model.weighing import (
     rows_in_air,
     thinned_rows,
     weigh,
+    weigh_parts,
     weigh_points,
     window_of_rows,
 )

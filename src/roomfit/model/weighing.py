@@ -1,8 +1,7 @@
 """The energy response: window energies by band of one pair, with their derivative by absorption.
 
 The paths of a pair become rows, sorted into time windows, which are weighed for each absorption.
-Rows are summed in pieces of fixed length, each by one thread in row order, and the pieces in order:
-same bits for any number of threads.
+Every window is summed by one thread in the order of its rows: same bits for any number of threads.
 """
 
 from __future__ import annotations
@@ -10,9 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
-from typing import Any, cast
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roomfit.base.arguments import check_range, check_shape, float_array, read_only
 from roomfit.base.errors import InputError
@@ -271,11 +271,13 @@ def thinned_rows(rows: EnergyRows, most: int) -> EnergyRows:
     return replace(rows, offsets=np.concatenate(([0], np.cumsum(counts))), **cast(Any, columns))
 
 
-PIECE = 8192
-# Rows of a block stay in the first-level cache while all bands pass over them.
-_BLOCK = 256
+# Of at most so many rows sums are added up at a time.
+_PIECE = 8192
 # Below it the derivative is taken from the power table: e h / x loses its digits near x = 0.
-NEARLY_BLACK = 1e-6
+_NEARLY_BLACK = 1e-6
+# Two milliseconds of work: threads wake in microseconds, but a busy machine keeps the last of them
+# waiting for milliseconds.
+ROWS_WORTH_THREADS = 200_000
 
 
 def power_table(reflected: FloatArray, max_hits: int) -> FloatArray:
@@ -283,38 +285,8 @@ def power_table(reflected: FloatArray, max_hits: int) -> FloatArray:
     return np.asarray(reflected[:, :, None] ** np.arange(max_hits + 1.0))
 
 
-@kernel()
-def pieces_of(offsets: IntArray) -> IntArray:
-    """Cut every window into pieces of at most `PIECE` rows: (window, first row, last + 1)."""
-    n = 0
-    for w in range(len(offsets) - 1):
-        n += -(-(offsets[w + 1] - offsets[w]) // PIECE)
-    pieces = np.empty((n, 3), dtype=np.int64)
-    i = 0
-    for w in range(len(offsets) - 1):
-        for start in range(offsets[w], offsets[w + 1], PIECE):
-            pieces[i, 0] = w
-            pieces[i, 1] = start
-            pieces[i, 2] = min(start + PIECE, offsets[w + 1])
-            i += 1
-    return pieces
-
-
 @kernel(allocates=False)
-def row_energy(
-    weight: float, length: float, row_hits: IntArray, powers: FloatArray, attenuation: float
-) -> float:
-    """Energy of one row under a table of powers, that of `power_table` for one band."""
-    energy = weight
-    if attenuation != 0.0:
-        energy *= math.exp(-attenuation * length)
-    for m in range(len(row_hits)):
-        energy *= powers[m, row_hits[m]]
-    return energy
-
-
-@kernel(allocates=False)
-def slope_at_black(
+def _slope_at_black(
     weight: float, length: float, row_hits: IntArray, powers: FloatArray, attenuation: float, m: int
 ) -> float:
     """Derivative of one row by x of material m from h x**(h - 1), right at x = 0 as well."""
@@ -328,73 +300,187 @@ def slope_at_black(
     return slope
 
 
-@kernel(allocates=False)
-def weigh_pieces(
+RowBasis: TypeAlias = NDArray[np.float32] | FloatArray
+"""`pattern_basis` of where paths leave their source, (n_paths, 3)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RowPattern:
+    """A directivity of rows: vector b, and `pattern_basis` of where the path of each leaves."""
+
+    b: FloatArray  # (3,)
+    basis: RowBasis  # (n_rows, 3)
+
+    def factor(self) -> FloatArray:
+        """Return the factor on the energy of every row, shape (n_rows,)."""
+        return np.asarray((1.0 + self.basis @ self.b) ** 2 / (1.0 + self.b @ self.b / 3.0))
+
+
+class EnergyParts(NamedTuple):
+    """Energies of one band, and what their variance is made of, for a gain of 1."""
+
+    energy: FloatArray  # (n_windows,), of all rows
+    squares: FloatArray  # (n_windows,), sum of the squares of single image paths
+    batches: FloatArray  # (n_batches, n_windows), energy of the rays of each batch
+    # (n_windows, 2 + n_batches + n_materials + 3), all of these, then the derivative of the energy
+    # by absorption and by b of the source; without the latter where none was asked for
+    columns: FloatArray
+
+
+def weigh_parts(
+    rows: EnergyRows,
+    pattern: RowPattern | None,
+    coefficients: FloatArray,
+    attenuation_per_m: float,
+    *,
+    derivative: bool = False,
+) -> EnergyParts:
+    """Return energies of one band, squares of its image paths and its batches of rays in one pass.
+
+    Rows are ``weight a**2 exp(-m length) product of (1 - a)**hits`` with the amplitude a of each
+    direction. Rays have no squares: they sample very many weak reflections, whose squares vanish.
+    Same bits for any number of threads.
+
+    Shapes: `coefficients` (n_materials,).
+    """
+    one = coefficients[:, None], np.array([attenuation_per_m])
+    reflected, attenuation = _reflected_and_attenuation(rows, *one)
+    return _parts(rows, pattern, reflected[0], float(attenuation[0]), derivative=derivative)
+
+
+def _parts(
+    rows: EnergyRows,
+    pattern: RowPattern | None,
+    reflected: FloatArray,
+    attenuation: float,
+    *,
+    derivative: bool,
+) -> EnergyParts:
+    first = 2 + max(rows.n_batches, rows.largest_batch + 1)
+    out = np.zeros((rows.n_windows, first + (reflected.size + 3 if derivative else 0)))
+    # in single precision, as most directions are: one compiled form for both
+    b, basis = np.zeros(3), cast(RowBasis, np.zeros((0, 3), np.float32))
+    if pattern is not None:
+        b, basis = np.array(pattern.b, dtype=np.float64), pattern.basis
+    in_threads(
+        _weigh_windows,
+        rows.n_windows,
+        rows.offsets,
+        (rows.weight_per_m2, rows.length_m, rows.hits, basis, rows.batch),
+        b,
+        reflected,
+        power_table(reflected[None], rows.max_hits)[0],
+        attenuation,
+        first,
+        out,
+        worth_it=len(rows) >= ROWS_WORTH_THREADS,
+    )
+    return EnergyParts(out[:, 0].copy(), out[:, 1].copy(), out[:, 2:first].T, out)
+
+
+@kernel()
+def _weigh_windows(
     first: int,
     last: int,
-    pieces: IntArray,
-    weight: FloatArray,
-    hits: IntArray,
-    length: FloatArray,
+    offsets: IntArray,
+    rows: tuple[Any, ...],
+    b: FloatArray,
     reflected: FloatArray,
     powers: FloatArray,
-    attenuation: FloatArray,
-    energies: FloatArray,
-    slopes: FloatArray,
+    attenuation: float,
+    slopes: int,
+    every: FloatArray,
 ) -> None:
-    """Add the rows of some pieces into energies (n_pieces, n_bands) and slopes by x; for threads.
+    """Fill the sums of some windows: energy, squares of image paths, every batch, and derivatives.
 
-    Slopes have the shape (n_pieces, n_bands, n_materials); without materials, shape
-    (n_pieces, n_bands, 0), they ask for energies alone.
+    The latter from column `slopes` on, by absorption and by b; `rows` are weight, length, hits,
+    pattern basis and batch of every row. With q the pattern basis, N = 1 + b b / 3 and c = 1 + b q,
+    the factor of a row is ``c**2 / N`` and its derivative by b ``2 c q / N - 2 c**2 b / (3 N**2)``.
     """
-    for p in range(first, last):
-        start, stop = pieces[p, 1], pieces[p, 2]
-        energy, slope = energies[p], slopes[p]
-        for low in range(start, stop, _BLOCK):
-            high = min(low + _BLOCK, stop)
-            for b in range(len(attenuation)):
-                total = 0.0
-                for r in range(low, high):
-                    e = row_energy(weight[r], length[r], hits[r], powers[b], attenuation[b])
-                    total += e
-                    for m in range(slope.shape[1]):
-                        slope[b, m] += e * hits[r, m]
-                energy[b] += total
-        for b in range(len(attenuation)):
-            for m in range(slope.shape[1]):
-                if reflected[b, m] >= NEARLY_BLACK:
-                    slope[b, m] /= reflected[b, m]
-                    continue
-                slope[b, m] = 0.0
-                for r in range(start, stop):
-                    slope[b, m] += slope_at_black(
-                        weight[r], length[r], hits[r], powers[b], attenuation[b], m
-                    )
+    weight, length, hits, basis, batch = rows
+    norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
+    n, sums, h3, h4, h5 = hits.shape[1], np.empty(every.shape[1]), 0, 0, 0
+    with_slopes = sums.size > slopes
+    for w in range(first, last):
+        for start in range(offsets[w], offsets[w + 1], _PIECE):
+            stop = min(start + _PIECE, offsets[w + 1])
+            sums[:] = 0.0
+            energy = squares = x = y = z = 0.0
+            # sums of the first materials stay in registers, which halves the time
+            by0 = by1 = by2 = by3 = by4 = by5 = 0.0
+            for r in range(start, stop):
+                h0 = h1 = h2 = hits[r, 0]
+                own = weight[r] * powers[0, h0]
+                if n > 1:
+                    h1 = hits[r, 1]
+                    own *= powers[1, h1]
+                if n > 2:
+                    h2 = hits[r, 2]
+                    own *= powers[2, h2]
+                if n > 3:
+                    h3 = hits[r, 3]
+                    own *= powers[3, h3]
+                if n > 4:
+                    h4 = hits[r, 4]
+                    own *= powers[4, h4]
+                if n > 5:
+                    h5 = hits[r, 5]
+                    own *= powers[5, h5]
+                for m in range(6, n):
+                    own *= powers[m, hits[r, m]]
+                if attenuation != 0.0:
+                    own *= math.exp(-attenuation * length[r])
+                if len(basis):
+                    c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
+                    once = c * own / norm
+                    own = c * once
+                    x += once * basis[r, 0]
+                    y += once * basis[r, 1]
+                    z += once * basis[r, 2]
+                energy += own
+                if batch[r] < 0:
+                    squares += own * own
+                else:
+                    sums[2 + batch[r]] += own
+                by0 -= own * h0
+                by1 -= own * h1
+                by2 -= own * h2
+                by3 -= own * h3
+                by4 -= own * h4
+                by5 -= own * h5
+                if with_slopes:
+                    for m in range(6, n):
+                        sums[slopes + m] -= own * hits[r, m]
+            sums[0], sums[1] = energy, squares
+            if with_slopes:
+                first_six = (by0, by1, by2, by3, by4, by5)
+                for m in range(min(n, 6)):
+                    sums[slopes + m] = first_six[m]
+                if len(basis):
+                    turned = energy / (3.0 * norm)
+                    sums[slopes + n] = 2.0 * (x - turned * b[0])
+                    sums[slopes + n + 1] = 2.0 * (y - turned * b[1])
+                    sums[slopes + n + 2] = 2.0 * (z - turned * b[2])
+                for m in range(n):
+                    if reflected[m] >= _NEARLY_BLACK:
+                        sums[slopes + m] /= reflected[m]
+                        continue
+                    sums[slopes + m] = 0.0
+                    for r in range(start, stop):
+                        own = weight[r]
+                        if len(basis):
+                            c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
+                            own *= c * c / norm
+                        sums[slopes + m] -= _slope_at_black(
+                            own, length[r], hits[r], powers, attenuation, m
+                        )
+            for k in range(sums.size):
+                every[w, k] += sums[k]
 
 
-@kernel(allocates=False)
-def sum_pieces(
-    pieces: IntArray,
-    energies: FloatArray,
-    slopes: FloatArray,
-    energy: FloatArray,
-    derivative: FloatArray,
-) -> None:
-    """Add pieces to energy (n_bands, n_windows) and derivative (n_materials, n_bands, n_windows).
-
-    The derivative is by absorption: x = 1 - a turns the sign.
-    """
-    for p in range(len(pieces)):
-        w = pieces[p, 0]
-        for b in range(energies.shape[1]):
-            energy[b, w] += energies[p, b]
-            for m in range(slopes.shape[2]):
-                derivative[m, b, w] -= slopes[p, b, m]
-
-
-# Two milliseconds of work: threads wake in microseconds, but a busy machine keeps the last of them
-# waiting for milliseconds.
-ROWS_WORTH_THREADS = 200_000
+def directed_rows(rows: EnergyRows, factor: FloatArray) -> EnergyRows:
+    """Return rows with every weight times a factor of its own, shape (n_rows,), of either sign."""
+    return replace(rows, weight_per_m2=rows.weight_per_m2 * factor)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -413,7 +499,7 @@ def weigh(
     *,
     derivative: bool = True,
 ) -> EnergyResponse:
-    """Return the window energies under an absorption: one pass over the rows for all bands.
+    """Return the window energies under an absorption: one pass over the rows a band.
 
     Smooth in every coefficient and falling in each. The derivative is exact, at a = 0 and a = 1
     too. Same bits for any number of threads.
@@ -456,30 +542,17 @@ def weigh(
     >>> response.energy, response.derivative
     (array([[1.125]]), array([[[-0.5]]]))
     """
-    reflected, attenuation = reflected_and_attenuation(rows, coefficients, attenuation_per_m)
-    n_bands, n_materials = reflected.shape
-    powers = power_table(reflected, rows.max_hits)
-    pieces = pieces_of(rows.offsets)
-    energies = np.zeros((len(pieces), n_bands))
-    slopes = np.zeros((len(pieces), n_bands, n_materials if derivative else 0))
-    in_threads(
-        weigh_pieces,
-        len(pieces),
-        pieces,
-        rows.weight_per_m2,
-        rows.hits,
-        rows.length_m,
-        reflected,
-        powers,
-        attenuation,
-        energies,
-        slopes,
-        worth_it=rows.weight_per_m2.size * n_bands >= ROWS_WORTH_THREADS,
-    )
-    energy = np.zeros((n_bands, rows.n_windows))
-    by_absorption = np.zeros((n_materials if derivative else 0, n_bands, rows.n_windows))
-    sum_pieces(pieces, energies, slopes, energy, by_absorption)
-    return EnergyResponse(energy, by_absorption if derivative else None)
+    reflected, attenuation = _reflected_and_attenuation(rows, coefficients, attenuation_per_m)
+    each = [
+        _parts(rows, None, x, m, derivative=derivative)
+        for x, m in zip(reflected, attenuation.tolist(), strict=True)
+    ]
+    energy = np.stack([parts.energy for parts in each])
+    if not derivative:
+        return EnergyResponse(energy, None)
+    n = len(rows.materials)
+    by_absorption = np.stack([parts.columns[:, -3 - n : -3].T for parts in each], axis=1)
+    return EnergyResponse(energy, by_absorption)
 
 
 @kernel()
@@ -516,7 +589,7 @@ def weigh_points(rows: EnergyRows, absorption: FloatArray) -> FloatArray:
     return np.ascontiguousarray(energy.T)
 
 
-def reflected_and_attenuation(
+def _reflected_and_attenuation(
     rows: EnergyRows, coefficients: FloatArray, attenuation_per_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return reflected energy (n_bands, n_materials) and attenuation, both ready for kernels."""

@@ -29,10 +29,9 @@ from roomfit.model.energy import (
     weighed,
 )
 from roomfit.model.parameters import GEOMETRY
-from roomfit.model.patterns import RowBasis
 from roomfit.model.problem import DataTerm, Rows, Values
 from roomfit.model.pulses import BandGrid, band_grid
-from roomfit.model.weighing import ROWS_WORTH_THREADS, first_rows, shared_zeros
+from roomfit.model.weighing import ROWS_WORTH_THREADS, RowBasis, first_rows, shared_zeros
 from roomfit.model.windows import in_windows, squares_in_windows, with_squares
 from roomfit.pressures.directed import (
     DirectedImages,

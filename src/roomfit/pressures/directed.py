@@ -14,8 +14,9 @@ from scipy import fft
 
 from roomfit.base.kernels import in_threads, kernel
 from roomfit.base.typing import FloatArray, IntArray
-from roomfit.model.patterns import RowBasis, amplitude_and_slope, pattern_basis
+from roomfit.model.patterns import amplitude_and_slope, pattern_basis
 from roomfit.model.pulses import TABLE_STEPS, TAPS, BandGrid
+from roomfit.model.weighing import RowBasis
 from roomfit.pressures.response import (
     ImagePaths,
     RealArray,
