@@ -51,7 +51,7 @@ def recording(place_m: tuple[float, ...], b: FloatArray) -> FloatArray:
 
 
 def identified(b: FloatArray, places: str, **more: object) -> roomfit.Result:
-    """Return what pressures say of the box in the octaves of 250 Hz to 1 kHz, walls without delay."""
+    """Return what pressures say of the box from 250 Hz to 1 kHz, walls without delay."""
     materials = dict.fromkeys(("west", "east", "south", "north"), "walls")
     materials |= {"floor": "carpet", "ceiling": "tiles"}
     room = roomfit.shoebox_room(tuple(SIZE_M.tolist()), materials)
