@@ -65,11 +65,9 @@ def limit(name: str) -> float:
     changed: dict[str, float] = {}
     for word in os.environ.get(_VARIABLE, "").replace(",", " ").split():
         key, _, value = word.partition("=")
-        try:
+        with contextlib.suppress(ValueError):
             changed[key] = float(value)
-        except ValueError:
-            changed[key] = math.nan
-        if key not in LIMITS or not changed[key] > 0.0:
+        if key not in LIMITS or not changed.get(key, math.nan) > 0.0:
             raise InputError(
                 "a limit of files is not understood",
                 where=f"the environment variable {_VARIABLE}",
@@ -84,13 +82,9 @@ def check_limit(name: str, found: float, where: str) -> None:
     """Refuse more of something than a file may hold."""
     most = limit(name)
     if not found <= most:
-        raise InputError(
-            "a file holds more than is read",
-            where=where,
-            found=f"{found:.10g} {LIMITS[name][1]}",
-            needed=f"at most {most:.10g}",
-            hint=f'if the file is meant: {_VARIABLE}="{name}=NUMBER"',
-        )
+        what, said = "a file holds more than is read", f"{found:.10g} {LIMITS[name][1]}"
+        hint = f'if the file is meant: {_VARIABLE}="{name}=NUMBER"'
+        raise InputError(what, where=where, found=said, needed=f"at most {most:.10g}", hint=hint)
 
 
 def unpacked_limit_bytes(packed_bytes: int) -> float:
@@ -105,45 +99,40 @@ def read_bytes(path: Path, what: str, *, most: str = "file_bytes") -> bytes:
     try:
         _check_regular(Path(path).stat().st_mode, what, place)
         # not to wait should a pipe have come into its place meanwhile
-        descriptor = os.open(
-            path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
-        )
-        with open(descriptor, "rb") as stream:  # noqa: PTH123 -- a descriptor has no path
+        flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        with open(os.open(path, flags), "rb") as stream:  # noqa: PTH123 -- no path
             status = os.fstat(stream.fileno())
             _check_regular(status.st_mode, what, place)
             check_limit(most, status.st_size, place)
             # files of /proc tell no size
             content = stream.read(int(limit(most)) + 1)
     except (FileNotFoundError, NotADirectoryError):
+        wrong, needed = f"the {what} does not exist", "a file that can be read"
+        hint = "check the path; in a campaign it is relative to the campaign file"
         raise InputError(
-            f"the {what} does not exist",
-            where=place,
-            hint="check the path; in a campaign it is relative to the campaign file",
-            found="no such file",
-            needed="a file that can be read",
+            wrong, where=place, found="no such file", needed=needed, hint=hint
         ) from None
     except ValueError as error:  # a NUL, or what the system cannot encode, in the name
-        raise InputError(
-            "this is not a name of a file",
-            where=repr(str(path)),
-            found=str(error),
-            needed="a path as the system writes it",
-            hint="type it anew, without signs that no keyboard has",
-        ) from error
+        wrong, needed = "this is not a name of a file", "a path as the system writes it"
+        hint, place = "type it anew, without signs that no keyboard has", repr(place)
+        found = str(error)
+        raise InputError(wrong, where=place, found=found, needed=needed, hint=hint) from error
     except OSError as error:
-        raise StoreError(
-            f"the {what} cannot be read", where=place, found=error.strerror or str(error)
-        ) from error
+        wrong, found = f"the {what} cannot be read", error.strerror or str(error)
+        raise StoreError(wrong, where=place, found=found) from error
     check_limit(most, len(content), place)
     if not content:
-        raise InputError(
-            f"the {what} is empty",
-            where=place,
-            found="0 bytes",
-            hint="copy or export it again",
-            needed="a file with its content",
-        )
-    _note(Path(path), content)
+        wrong, needed = f"the {what} is empty", "a file with its content"
+        hint = "copy or export it again"
+        raise InputError(wrong, where=place, found="0 bytes", needed=needed, hint=hint)
+    noted = _NOTED.get(None)
+    if noted is not None:
+        digest = hashlib.sha256(content).hexdigest()
+        if noted.setdefault(Path(path), digest) != digest:
+            wrong, found = "a file changed while it was in use", "another content than a moment ago"
+            needed = "the same content until the end of the command"
+            hint = "run the command again when nothing writes into it"
+            raise InputError(wrong, where=place, found=found, needed=needed, hint=hint)
     return content
 
 
@@ -163,21 +152,6 @@ def reading_noted() -> Iterator[None]:
         _NOTED.reset(before)
 
 
-def _note(path: Path, content: bytes) -> None:
-    noted = _NOTED.get(None)
-    if noted is None:
-        return
-    digest = hashlib.sha256(content).hexdigest()
-    if noted.setdefault(path, digest) != digest:
-        raise InputError(
-            "a file changed while it was in use",
-            where=str(path),
-            found="another content than a moment ago",
-            hint="run the command again when nothing writes into it",
-            needed="the same content until the end of the command",
-        )
-
-
 def files_read() -> dict[Path, str]:
     """Return the files read since `reading_noted` began, in order, and the SHA-256 of each."""
     return dict(_NOTED.get(None) or {})
@@ -189,9 +163,9 @@ def check_files(paths: Iterable[Path], where: str) -> None:
     for path in paths:
         try:
             status = path.stat()
-            kind = _kind(status.st_mode)
-            fault = f"is {kind}" if kind else "is empty" if not status.st_size else ""
-            fault = fault or ("is too large" if status.st_size > limit("file_bytes") else "")
+            fault = _kind(status.st_mode) or ("" if status.st_size else "empty")
+            fault = fault or ("too large" if status.st_size > limit("file_bytes") else "")
+            fault = f"is {fault}" if fault else ""
         except (FileNotFoundError, NotADirectoryError):
             fault = "does not exist"
         except (OSError, ValueError) as error:
@@ -200,13 +174,10 @@ def check_files(paths: Iterable[Path], where: str) -> None:
             faults.append(f"{path.name or path} {fault}")
     if len(faults) > 1:
         more = len(faults) - _MOST_NAMED
-        raise InputError(
-            f"{len(faults)} files that the campaign names cannot be read",
-            where=where,
-            found="; ".join(faults[:_MOST_NAMED]) + (f"; and {more} more" if more > 0 else ""),
-            needed="regular files",
-            hint="check the paths, which are relative to the campaign file",
-        )
+        what = f"{len(faults)} files that the campaign names cannot be read"
+        found = "; ".join(faults[:_MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
+        hint = "check the paths, which are relative to the campaign file"
+        raise InputError(what, where=where, found=found, needed="regular files", hint=hint)
 
 
 _MOST_NAMED = 20
@@ -228,33 +199,27 @@ def _check_regular(mode: int, what: str, where: str) -> None:
     found = _kind(mode)
     if found:
         meant = Path(where, "result.json" if what == "result" else "campaign.toml")
+        hint = f"give the file in it: {meant}" if meant.is_file() else "give the file itself"
+        needed = "a regular file, or a link to one"
         raise InputError(
-            f"the {what} cannot be read",
-            where=where,
-            found=found,
-            needed="a regular file, or a link to one",
-            hint=f"give the file in it: {meant}" if meant.is_file() else "give the file itself",
+            f"the {what} cannot be read", where=where, found=found, needed=needed, hint=hint
         )
 
 
 def _kind(mode: int) -> str:
     """Return what a file is that is not a regular one, "" for a regular one."""
-    kinds = ((stat.S_ISREG, ""), (stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"))
-    more = ((stat.S_ISSOCK, "a socket"),)
-    return next((name for test, name in (*kinds, *more) if test(mode)), "a device")
+    kinds = {stat.S_IFREG: "", stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe"}
+    return {**kinds, stat.S_IFSOCK: "a socket"}.get(stat.S_IFMT(mode), "a device")
 
 
 def read_text(path: Path, what: str, *, most: str = "text_bytes") -> str:
     """Return a text, UTF-8 (with a byte order mark or without) or else Latin-1."""
     content = read_bytes(path, what, most=most)
     if b"\0" in content:
-        raise InputError(
-            f"the {what} is not text",
-            where=str(path),
-            needed=f"a text file, as {Path(path).suffix or 'its name'} says",
-            hint="check that the file's name ends as its format demands",
-            found="bytes that are no letters",
-        )
+        needed = f"a text file, as {Path(path).suffix or 'its name'} says"
+        hint = "check that the file's name ends as its format demands"
+        wrong, found = f"the {what} is not text", "bytes that are no letters"
+        raise InputError(wrong, where=str(path), found=found, needed=needed, hint=hint)
     return decoded(content)
 
 
@@ -272,12 +237,9 @@ def json_content(text: str, what: str) -> Any:
     try:
         return json.loads(text.removeprefix("\ufeff"))
     except (ValueError, RecursionError) as error:
-        raise InputError(
-            f"the {what} is not JSON",
-            found=str(error)[:200],
-            needed="one JSON text, whole",
-            hint="check that it is the file that was meant; make or copy it again",
-        ) from error
+        wrong, needed = f"the {what} is not JSON", "one JSON text, whole"
+        hint = "check that it is the file that was meant; make or copy it again"
+        raise InputError(wrong, found=str(error)[:200], needed=needed, hint=hint) from error
 
 
 @contextlib.contextmanager
@@ -286,12 +248,9 @@ def complete(what: str, needed: str) -> Iterator[None]:
     try:
         yield
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        raise InputError(
-            f"the {what} is incomplete",
-            found=f"{type(error).__name__}: {error}"[:200],
-            needed=needed,
-            hint="copy it again, or have the program that wrote it write it anew",
-        ) from error
+        wrong, found = f"the {what} is incomplete", f"{type(error).__name__}: {error}"[:200]
+        hint = "copy it again, or have the program that wrote it write it anew"
+        raise InputError(wrong, found=found, needed=needed, hint=hint) from error
 
 
 def csv_rows(text: str, where: str, delimiter: str = ",") -> Iterator[tuple[int, list[str]]]:
@@ -301,13 +260,9 @@ def csv_rows(text: str, where: str, delimiter: str = ",") -> Iterator[tuple[int,
         for cells in reader:
             yield reader.line_num, cells
     except csv.Error as error:
-        raise InputError(
-            "the table cannot be read",
-            where=where,
-            found=str(error),
-            needed="cells of text without quotation marks left open",
-            hint="save the table again as text with commas or semicolons",
-        ) from error
+        needed = "cells of text without quotation marks left open"
+        wrong, hint = "the table cannot be read", "save it again as text with commas or semicolons"
+        raise InputError(wrong, where=where, found=str(error), needed=needed, hint=hint) from error
 
 
 def npz_arrays(content: bytes, where: str) -> dict[str, np.ndarray[Any, Any]]:
