@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.base.arguments import check_known, nearest
+from roomfit.base.arguments import check_known, did_you_mean
 from roomfit.base.door import check_limit
 from roomfit.base.errors import InputError, located
 from roomfit.base.findings import Finding
 from roomfit.base.polygon import WELD_TOLERANCE_M, area_vector_m2, triangulate
-from roomfit.base.typing import FloatArray, IntArray
+from roomfit.base.typing import FloatArray
 from roomfit.files.rooms.model import RoomSpec, in_metres
 from roomfit.files.rooms.tables import read_polygons
 from roomfit.formats.catt import read_catt
@@ -110,27 +110,21 @@ def shoebox_lengths_m(spec: RoomSpec) -> tuple[float, float, float] | None:
 
 def read_model(spec: RoomSpec) -> tuple[RoomModel, str]:
     """Return the polygons of a room file in its own unit and axes, and its name for messages."""
-    with located(hint="correct the file there, or export it again"):
-        return _model(spec)
-
-
-def _model(spec: RoomSpec) -> tuple[RoomModel, str]:
-    if spec.polygons is not None:
-        own = read_polygons(spec.polygons, spec.unit, spec.materials or ())
-        return own, str(spec.polygons.corners[0])
     path = Path(spec.file or "")
     suffix = path.suffix.lower()
-    if suffix not in READERS:
-        like = nearest(suffix, READERS)
-        what = "a room file of unknown format"
-        needed = f"one of {', '.join(READERS)}"
-        hint = f"did you mean {like}?" if like else "export the room as OBJ"
-        hint = _GONE.get(suffix, hint)
-        raise InputError(what, where=str(path), found=repr(path.suffix), needed=needed, hint=hint)
-    if spec.space is not None:
-        read = read_ifc if suffix == ".ifc" else read_roomplan
-        return read(path, spec.space), str(path)
-    return READERS[suffix](path), str(path)
+    with located(hint="correct the file there, or export it again"):
+        if spec.polygons is not None:
+            own = read_polygons(spec.polygons, spec.unit, spec.materials or ())
+            return own, str(spec.polygons.corners[0])
+        if suffix not in READERS:
+            hint = _GONE.get(suffix) or did_you_mean(suffix, READERS) or "export the room as OBJ"
+            what, needed = "a room file of unknown format", f"one of {', '.join(READERS)}"
+            found = repr(path.suffix)
+            raise InputError(what, where=str(path), found=found, needed=needed, hint=hint)
+        if spec.space is not None:
+            read = read_ifc if suffix == ".ifc" else read_roomplan
+            return read(path, spec.space), str(path)
+        return READERS[suffix](path), str(path)
 
 
 def _check_size(model: RoomModel, vertices_m: FloatArray, where: str) -> None:
@@ -151,16 +145,12 @@ def _check_size(model: RoomModel, vertices_m: FloatArray, where: str) -> None:
         check_limit("near_pairs", near, where)
     rings = [np.array(face.corners, dtype=np.int64) for face in model.faces]
     edges = np.concatenate([np.stack([r, np.roll(r, -1)], axis=1) for r in rings])
-    check_limit("open_edges", _n_open(vertices_m, edges), where)
-
-
-def _n_open(vertices_m: FloatArray, edges: IntArray) -> int:
-    """Return how many edges, shape (n, 2), have not exactly one other between the same points."""
-    known = edges[((edges >= 0) & (edges < len(vertices_m))).all(axis=1)]
+    edges = edges[((edges >= 0) & (edges < len(vertices_m))).all(axis=1)]
+    # open: not exactly one other between the same points
     _, point = np.unique(np.round(vertices_m / WELD_TOLERANCE_M), axis=0, return_inverse=True)
-    ends = np.sort(point.reshape(-1)[known], axis=1)
+    ends = np.sort(point.reshape(-1)[edges], axis=1)
     _, times = np.unique(ends, axis=0, return_counts=True)
-    return int(times[times != 2].sum())
+    check_limit("open_edges", int(times[times != 2].sum()), where)
 
 
 def _inner_sides(faces: Sequence[TwoSided], findings: tuple[Finding, ...]) -> RoomModel:

@@ -4,24 +4,27 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from roomfit.base.arguments import nearest
+from roomfit.base.arguments import did_you_mean
 from roomfit.base.door import csv_rows, read_text
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.base.polygon import Face, Surface, area_vector_m2
 from roomfit.files.rooms.model import PolygonSpec
-from roomfit.formats.model import METRES_PER_UNIT, RoomModel, finite
+from roomfit.formats.model import METRES_PER_UNIT, RoomModel, finite, malformed
 
 _NUMBER_WORDS = ("number", "no", "no.", "nr", "nr.", "plane no.", "plane no", "plane", "corner no.")
+_AREA_DISAGREES = 0.02
+_SHOWN = 5
+
+Corners = dict[str, tuple[float, float, float]]
 
 
-@dataclass(frozen=True, slots=True)
-class Plane:
+class Plane(NamedTuple):
     """One polygon of a plane table."""
 
     number: str  # as written, without a decimal part
@@ -33,45 +36,22 @@ class Plane:
     where: str  # file and line
 
 
-def read_corners(path: Path) -> dict[str, tuple[float, float, float]]:
+def read_corners(path: Path) -> Corners:
     """Return the corners of one table by their number, in the table's unit.
 
     The columns are found by the heading with the words number, x, y and z. Rows without a number
     are headings or notes and are ignored. Refused are a table without corners, a corner that
     stands twice, and coordinates that are none.
     """
-    corners: dict[str, tuple[float, float, float]] = {}
+    corners: Corners = {}
     for where, row, heading in _rows(path, ("x", "y", "z")):
-        number = _as_number(row[_number_column(heading)])
         cells = [row[heading.index(axis)] for axis in "xyz"]
-        if number is None:
-            if all(_is_finite(cell) for cell in cells):
-                raise InputError(
-                    "a corner without a number",
-                    where=where,
-                    found=", ".join(row)[:60],
-                    needed="a number of its own in the column of numbers",
-                    hint="number the rows, each once",
-                )
-            continue
-        if number in corners:
-            raise InputError(
-                "a corner is given twice in one table",
-                where=where,
-                found=number,
-                needed="each number once",
-                hint="number one of the two anew; a corner is replaced by a later table alone",
-            )
-        x, y, z = (finite(cell, where) for cell in cells)
-        corners[number] = (x, y, z)
+        number = _numbered(row, heading, where, corners, "corner", all(map(_is_finite, cells)))
+        if number is not None:
+            x, y, z = (finite(cell, where) for cell in cells)
+            corners[number] = (x, y, z)
     if not corners:
-        raise InputError(
-            "the table holds no corners",
-            where=str(path),
-            found="a heading alone",
-            needed="rows of number, x, y, z",
-            hint="export the sheet of corners, with its rows",
-        )
+        raise _without("corners", path, "rows of number, x, y, z")
     return corners
 
 
@@ -87,53 +67,49 @@ def read_planes(path: Path) -> dict[str, Plane]:
     """
     planes: dict[str, Plane] = {}
     for where, row, heading in _rows(path, ("corner",)):
-        number = _as_number(row[_number_column(heading)])
         corners = _corners_of(row, heading)
-        if number is None and len(corners) < 3:
-            continue
+        number = _numbered(row, heading, where, planes, "plane", len(corners) >= 3)
         if number is None:
-            raise InputError(
-                "a plane without a number",
-                where=where,
-                found=", ".join(row)[:60],
-                needed="a number of its own in the column of numbers",
-                hint="number the rows, each once",
-            )
-        if number in planes:
-            raise InputError(
-                "a plane is given twice in one table",
-                where=where,
-                found=number,
-                needed="each number once",
-                hint="number one of the two anew; a plane is replaced by a later table alone",
-            )
+            continue
         if len(corners) < 3:
-            raise InputError(
-                "a plane has fewer than three corners",
-                where=where,
-                found=f"plane {number} with {len(corners)}",
-                needed="at least three corner numbers without a gap between them",
-                hint="name its corners in their order, or leave the row out",
-            )
+            needed = "at least three corner numbers without a gap between them"
+            hint = "name its corners in their order, or leave the row out"
+            what, found = "a plane has fewer than three corners", f"plane {number}: {len(corners)}"
+            raise malformed(what, where, found, needed, hint)
+        sides = _cell(row, heading, ("sides",))
+        if sides is not None and _as_number(sides) not in ("1", "2"):
+            hint = "2 where sound strikes both, as of a screen"
+            raise malformed("a plane has one side or two", where, sides, "1 or 2", hint)
+        is_sheet = _as_number(sides or "") == "2" or any("double" in cell.lower() for cell in row)
         area = _cell(row, heading, ("area",))
-        planes[number] = Plane(
-            number,
-            corners,
-            _cell(row, heading, ("material",)),
-            _cell(row, heading, ("name", "description")),
-            _is_double_sided(row, heading, where),
-            float(area) if area and _is_finite(area) else None,
-            where,
-        )
+        material, name = (_cell(row, heading, w) for w in (("material",), ("name", "description")))
+        stated = float(area) if area and _is_finite(area) else None
+        planes[number] = Plane(number, corners, material, name, is_sheet, stated, where)
     if not planes:
-        raise InputError(
-            "the table holds no planes",
-            where=str(path),
-            found="a heading alone",
-            needed="rows of a number and three corners or more",
-            hint="export the sheet of planes, with its rows",
-        )
+        raise _without("planes", path, "rows of a number and three corners or more")
     return planes
+
+
+def _without(kind: str, path: Path, needed: str) -> InputError:
+    hint = f"export the sheet of {kind}, with its rows"
+    return malformed(f"the table holds no {kind}", str(path), "a heading alone", needed, hint)
+
+
+def _numbered(
+    row: list[str], heading: list[str], where: str, known: Collection[str], kind: str, is_one: bool
+) -> str | None:
+    """Return the number of a row; None where it has none and is no corner or plane either."""
+    number = _as_number(row[_number_column(heading)])
+    if number is None and is_one:
+        what, needed = f"a {kind} without a number", "a number of its own in the column of numbers"
+        hint = "number the rows, each once"
+        raise malformed(what, where, ", ".join(row)[:60], needed, hint)
+    if number in known:
+        hint = f"number one of the two anew; a {kind} is replaced by a later table alone"
+        raise malformed(
+            f"a {kind} is given twice in one table", where, str(number), "each number once", hint
+        )
+    return number
 
 
 def _rows(path: Path, needed: tuple[str, ...]) -> Iterator[tuple[str, list[str], list[str]]]:
@@ -150,13 +126,9 @@ def _rows(path: Path, needed: tuple[str, ...]) -> Iterator[tuple[str, list[str],
             padded = cells + [""] * (len(heading) - len(cells))
             yield f"{path}, line {number}", padded, heading
     if heading is None:
-        raise InputError(
-            "the table has no heading that names its columns",
-            where=str(path),
-            found="no such row",
-            needed=f"a row with the words number, {', '.join(needed)}",
-            hint="write these words above the columns",
-        )
+        what, hint = "the table has no heading that names its columns", "write them above"
+        wanted = f"a row with the words number, {', '.join(needed)}"
+        raise malformed(what, str(path), "no such row", wanted, hint)
 
 
 def _is_corner(word: str) -> bool:
@@ -182,19 +154,6 @@ def _corners_of(row: list[str], heading: list[str]) -> tuple[str, ...]:
     return tuple(corners)
 
 
-def _is_double_sided(row: list[str], heading: list[str], where: str) -> bool:
-    sides = _cell(row, heading, ("sides",))
-    if sides is not None and _as_number(sides) not in ("1", "2"):
-        raise InputError(
-            "a plane has one side or two",
-            where=where,
-            found=sides,
-            needed="1 or 2",
-            hint="2 where sound strikes both, as of a screen",
-        )
-    return _as_number(sides or "") == "2" or any("double" in cell.lower() for cell in row)
-
-
 def _cell(row: list[str], heading: list[str], starts: tuple[str, ...]) -> str | None:
     column = next((i for i, word in enumerate(heading) if word.startswith(starts)), None)
     return (row[column] or None) if column is not None else None
@@ -213,12 +172,6 @@ def _is_finite(cell: str) -> bool:
         return False
 
 
-_AREA_DISAGREES = 0.02
-_SHOWN = 5
-
-Corners = dict[str, tuple[float, float, float]]
-
-
 def read_polygons(
     tables: PolygonSpec, unit: str | None = None, renamed: Collection[str] = ()
 ) -> RoomModel:
@@ -227,22 +180,35 @@ def read_polygons(
     The name of a surface is its plane's number, its group the plane's description. No finding says
     of materials that are `renamed` that they are spelt alike.
     """
-    corners, moved = _merged_corners(tables.corners)
-    planes, replaced = _chosen_planes(tables)
+    corners, findings = _merged_corners(tables.corners)
+    planes = _chosen_planes(tables, findings)
     index = {number: i for i, number in enumerate(corners)}
     vertices = np.array(list(corners.values()))
-    faces = []
+    scale = METRES_PER_UNIT.get(unit or "m", 1.0)
+    faces: list[Face] = []
+    wrong: dict[str, tuple[float, float]] = {}
     for plane in planes.values():
+        if missing := [c for c in plane.corners if c not in index]:
+            what, needed = "a plane names a corner that does not exist", "one of the corner tables"
+            found = f"corner {missing[0]} in plane {plane.number}"
+            raise malformed(what, plane.where, found, needed, "add the corner table that holds it")
         sides = tables.sides.get(plane.number, 2 if plane.double_sided else 1)
         surface = Surface(plane.number, plane.description, plane.material, sides == 2)
-        faces.append(Face(_indices(plane, index), surface))
-    scale = METRES_PER_UNIT.get(unit or "m", 1.0)
-    areas = [
-        float(np.linalg.norm(area_vector_m2((vertices * scale)[list(face.corners)])))
-        for face in faces
-    ]
-    findings = (*moved, *replaced, *_area_findings(planes, areas), *_alike(planes, renamed))
-    return RoomModel(vertices, tuple(faces), findings, "m", "z")
+        faces.append(Face(tuple(index[c] for c in plane.corners), surface))
+        stated = plane.stated_area_m2
+        own_m = (vertices * scale)[list(faces[-1].corners)]
+        area = float(np.linalg.norm(area_vector_m2(own_m)))
+        # stated with two decimals
+        if stated is not None and abs(stated - area) > max(_AREA_DISAGREES * area, 0.02):
+            wrong[plane.number] = stated, area
+    if wrong:
+        each = [f"plane {n}: {said:g} m2 stated, {own:.2f} m2" for n, (said, own) in wrong.items()]
+        text = (
+            f"{len(wrong)} stated areas disagree with the corners, which are used: {_some(each)}."
+        )
+        findings.append(Finding(Code.STATED_AREA_MISMATCH, About(), text, {"planes": wrong}))
+    findings += _alike(planes, renamed)
+    return RoomModel(vertices, tuple(faces), tuple(findings), "m", "z")
 
 
 def _merged_corners(paths: tuple[Path, ...]) -> tuple[Corners, list[Finding]]:
@@ -262,78 +228,37 @@ def _merged_corners(paths: tuple[Path, ...]) -> tuple[Corners, list[Finding]]:
     return corners, [Finding(Code.CORNERS_DIFFER, About(), text, {"moved": moved})]
 
 
-def _chosen_planes(tables: PolygonSpec) -> tuple[dict[str, Plane], list[Finding]]:
+def _chosen_planes(tables: PolygonSpec, findings: list[Finding]) -> dict[str, Plane]:
+    """Return the planes of all tables, some dropped or replaced; what replaces which is found."""
     planes: dict[str, Plane] = {}
-    findings: list[Finding] = []
     for path in tables.planes:
-        found = read_planes(path)
-        twice = [number for number in found if number in planes]
+        own = read_planes(path)
+        twice = [number for number in own if number in planes]
         if twice:
             text = f"{len(twice)} planes of {path.name} replace earlier ones: {_some(twice)}."
             findings.append(Finding(Code.PLANES_REPLACED, About(), text, {"planes": twice}))
-        planes.update(found)
-    drop = [str(number) for number in tables.drop]
-    _check_known("drop", drop, planes)
-    _check_known("replace", tables.replace, planes)
-    _check_known("sides", tables.sides, planes)
-    for number in drop:
+        planes.update(own)
+    chosen: dict[str, Iterable[str]] = {"drop": [str(number) for number in tables.drop]}
+    for key, numbers in {**chosen, "replace": tables.replace, "sides": tables.sides}.items():
+        for number in numbers:
+            if number not in planes:
+                needed = "a number from the first column of the plane tables"
+                hint = did_you_mean(number, planes) or "write it as it is there"
+                where = f"polygons, {key}"
+                raise malformed("no plane has this number", where, number, needed, hint)
+    for number in (*chosen["drop"], *tables.replace):
         planes.pop(number, None)
-    for number, path in tables.replace.items():
-        planes.pop(number, None)
+    for path in tables.replace.values():
         for plane in read_planes(path).values():
             if plane.number in planes:
-                raise InputError(
-                    "a plane is there already",
-                    where=plane.where,
-                    found=f"plane {plane.number}",
-                    hint="number it differently, or drop the other one",
-                    needed="each plane once",
+                hint, found = (
+                    "number it differently, or drop the other one",
+                    f"plane {plane.number}",
                 )
+                what = "a plane is there already"
+                raise malformed(what, plane.where, found, "each plane once", hint)
             planes[plane.number] = plane
-    return planes, findings
-
-
-def _check_known(key: str, numbers: Iterable[str], planes: Mapping[str, Plane]) -> None:
-    for number in numbers:
-        if number not in planes:
-            like = nearest(number, planes)
-            raise InputError(
-                "no plane has this number",
-                where=f"polygons, {key}",
-                found=number,
-                needed="a number from the first column of the plane tables",
-                hint=f"did you mean {like}?" if like else None,
-            )
-
-
-def _indices(plane: Plane, index: Mapping[str, int]) -> tuple[int, ...]:
-    for corner in plane.corners:
-        if corner not in index:
-            raise InputError(
-                "a plane names a corner that does not exist",
-                where=plane.where,
-                found=f"corner {corner} in plane {plane.number}",
-                needed="a corner of the corner tables",
-                hint="add the corner table that holds it",
-            )
-    return tuple(index[corner] for corner in plane.corners)
-
-
-def _area_findings(planes: Mapping[str, Plane], areas: list[float]) -> list[Finding]:
-    """Compare with the stated areas, allowing for their two decimals."""
-    wrong = {
-        plane.number: (plane.stated_area_m2, area)
-        for plane, area in zip(planes.values(), areas, strict=True)
-        if plane.stated_area_m2 is not None
-        and abs(plane.stated_area_m2 - area) > max(_AREA_DISAGREES * area, 0.02)
-    }
-    if not wrong:
-        return []
-    listed = [
-        f"plane {n}: {stated:g} m2 stated, {area:.2f} m2" for n, (stated, area) in wrong.items()
-    ]
-    text = f"{len(wrong)} stated areas disagree with the corners, which are used: {_some(listed)}."
-    return [Finding(Code.STATED_AREA_MISMATCH, About(), text, {"planes": wrong})]
+    return planes
 
 
 def _alike(planes: Mapping[str, Plane], renamed: Collection[str]) -> list[Finding]:
