@@ -46,7 +46,12 @@ from roomfit.checks.reflections import (
 )
 from roomfit.fit.measurements import collect_measurements
 from roomfit.fit.paths import traced_paths
-from roomfit.materials.priors import MaterialPrior, complete_priors, unknown_material
+from roomfit.materials.priors import (
+    MaterialPrior,
+    complete_priors,
+    prior_logits,
+    unknown_material,
+)
 from roomfit.model.eyring import eyring_time_s
 from roomfit.model.patterns import UnknownDirectivity
 from roomfit.predict.changes import Change
@@ -227,9 +232,8 @@ def unchanged(first: Result, second: Result, walls: Sequence[str]) -> str:
         ]
         z.append((logits[0] - logits[1]) / np.hypot(*spreads))
         known = [
-            np.minimum((s / r.logit_prior[1, m, at]) ** 2, 1.0)
+            np.minimum((s / prior_logits(r.priors)[1, m, at]) ** 2, 1.0)
             for s, (r, m) in zip(spreads, own, strict=True)
-            if r.logit_prior is not None
         ]
         scatter = sum(s**2 * (1.0 - k) for s, k in zip(spreads, known, strict=True))
         shares.append(scatter / np.sum(np.square(spreads), axis=0))

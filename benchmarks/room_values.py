@@ -277,9 +277,9 @@ def print_combinations(case: Case, answers: tuple[BandEstimate, ...]) -> None:
         + " ".join(f"{a.chi2_reduced:.2f}" for a in answers)
     )
     names, priors = case.scene.room.materials, prior_logit_law(case.priors)
-    found, _, _ = determined(names, absorption, covariance, priors, areas, 1)
-    for centre_hz, combinations in zip(BANDS.centres_hz, found, strict=True):
-        for c in combinations:
+    found = determined(names, absorption, covariance, priors, areas, 1)
+    for centre_hz, own in zip(BANDS.centres_hz, found, strict=True):
+        for c in own.combinations:
             weights = " ".join(f"{w:.2f}" for w in c.weights)
             print(
                 f"{centre_hz:6g} Hz  {c.value:.4f} ({c.lower95:.4f} to {c.upper95:.4f}, "

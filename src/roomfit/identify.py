@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from roomfit.base.air import speed_of_sound_m_s
 from roomfit.base.bands import Bands, bands_between
 from roomfit.base.errors import InputError, InsufficientDataError
 from roomfit.base.findings import About, Code, Finding
@@ -40,12 +39,6 @@ from roomfit.fit.displacement import (
 )
 from roomfit.fit.fits import BandFits
 from roomfit.fit.measurements import Measurements
-from roomfit.fit.methods import (
-    interval_words,
-    method_chosen,
-    prior_intervals,
-    reasons,
-)
 from roomfit.fit.paths import TracedPaths, redirected, traced_paths, traced_with, trim_memory
 from roomfit.fit.solve import estimate_energies
 from roomfit.fit.symmetry import mirror_symmetries
@@ -54,17 +47,15 @@ from roomfit.materials.priors import (
     are_specified,
     complete_priors,
     object_volumes_m3,
-    plain_logit_law,
     prior_logit_law,
 )
 from roomfit.model.patterns import Directivities
-from roomfit.result import Result, with_objects_apart
+from roomfit.result import Result, object_areas, room_means
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import (
     Scene,
     check_groups,
     material_areas_m2,
-    plan_in_words,
     scene_of,
     shoebox_room,
     wall_materials,
@@ -72,14 +63,13 @@ from roomfit.room.scene import (
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.signals.measurement import Measurement
-from roomfit.uncertainty.combinations import Combination, determined, inseparable_findings
-from roomfit.uncertainty.gaussian import prior_absorptions
+from roomfit.uncertainty.combinations import Determined, determined, inseparable_findings
 from roomfit.uncertainty.intervals import (
     Refinement,
     identifiable_by_rule,
+    with_draws,
     with_errors_of_all_bands,
 )
-from roomfit.uncertainty.posterior import band_draws
 
 _LOG = logging.getLogger("roomfit")
 
@@ -294,114 +284,43 @@ def _first_answer(settings: Settings) -> tuple[Finding, ...]:
 
 def combine(evidence: Evidence, doubts: Sequence[Finding]) -> Result:
     """Return the result of all bands together."""
-    measured, priors, found = evidence.measured, evidence.priors, evidence.fits.answers
-    scene, bands, settings = measured.scene, measured.bands, evidence.settings
-    by_rule = identifiable_by_rule(found, priors)
-    identifiable = judge(by_rule, doubts, priors, bands)
-    combinations, sentences, shares = _determined(evidence, 0)
-    own = wall_materials(scene.room), bands.centres_hz, identifiable[: shares.shape[1]]
-    void = any(f.code.voids_identifiability for f in doubts)
-    inseparable = () if void else inseparable_findings(*own, combinations)
-    shared = any(k.product is not None or k.tied_to is not None for k in priors)
-    models, (mean, law) = tuple(b.model for b in found), plain_logit_law(priors)
-    whole = Result(
-        bands=bands,
-        materials=scene.room.materials,
-        areas_m2=material_areas_m2(scene.room),
-        absorption=evidence.absorption,
-        lower95=evidence.lower95,
-        upper95=evidence.upper95,
-        identifiable=identifiable,
-        mean_absorption=_room_means(combinations),
-        chi2_reduced=np.array([b.chi2_reduced for b in found]),
-        cost=float(sum(b.cost for b in found)),
-        evaluations=sum(b.evaluations for b in found),  # until all are counted
-        converged=np.array([b.converged for b in found]),
+    measured, priors, fits = evidence.measured, evidence.priors, evidence.fits
+    scene, settings, covariance = measured.scene, evidence.settings, evidence.logit_covariance
+    walls = wall_materials(scene.room)
+    n, specified, (mean, law) = len(walls), are_specified(priors), prior_logit_law(priors)
+
+    def of_groups(state: int) -> tuple[Determined, ...]:
+        """Return what the data determine of groups of walls in a state of the room."""
+        areas_m2, prior = material_areas_m2(scene.room, state)[:n], (mean[:n], law[:, :n, :n])
+        own = evidence.absorption[:n], covariance[:, :n, :n], prior, areas_m2
+        return determined(walls, *own, settings.seed, specified[:n])
+
+    by_rule = identifiable_by_rule(fits.answers, priors)
+    identifiable, groups = judge(by_rule, doubts, priors, measured.bands), of_groups(0)
+    if not any(f.code.voids_identifiability for f in doubts):
+        known = identifiable[:n], [d.combinations for d in groups]
+        doubts = (*doubts, *inseparable_findings(walls, measured.bands.centres_hz, *known))
+    states = enumerate(scene.room.states, start=1)
+    return Result(
+        scene=scene,
+        bands=measured.bands,
+        priors=priors,
+        estimates=with_draws(fits.answers, priors, covariance, settings.n_draws, settings.seed),
+        determined=groups,
+        identifiable=identifiable[:n],
+        identifiable_by_rule=by_rule[:n],
         pairs=evidence.pairs,
-        findings=(*doubts, *inseparable),
-        method=method_chosen(settings.method),
-        model=next((m for m in ("coherent", "energy", "values") if m in models), "prior"),
-        interval_kind=interval_words(found),
-        speed_of_sound_m_s=speed_of_sound_m_s(scene.air),
-        seed=settings.seed,
-        seconds=0.0,
-        logit_covariance=evidence.logit_covariance,
-        logit_prior=np.array([mean, np.sqrt(np.diagonal(law, axis1=1, axis2=2)).T]),
-        logit_prior_covariance=law if shared else None,
-        prior_specified=are_specified(priors),
-        draws=_draws(evidence),
-        combinations=combinations,
-        sentences=sentences,
-        shares=shares,
-        interval_kinds=tuple(b.kinds for b in found),
-        profiles=tuple(b.profiles for b in found),
-        prior=prior_intervals(priors),
-        reasons=reasons(settings.method, found),
-        plan=plan_in_words(scene),
-        models=models,
-        scattering=evidence.traced.scattering,
-        geometry=evidence.fits.geometry,
-        directivities=evidence.fits.directivities,
-        costs=tuple(b.costs for b in found),
-        mean_costs=tuple(b.mean_costs for b in found),
-        identifiable_by_rule=by_rule,
-        eyring_absorption=eyring_start(measured),
+        findings=tuple(doubts),
         settings=settings,
+        objects=object_areas(priors, fits.answers, identifiable),
+        by_pressures=evidence.by_pressures,
+        scattering=evidence.traced.scattering,
+        geometry=fits.geometry,
+        directivities=fits.directivities,
         trace=traced_with(evidence.traced),
-        state_means=_state_means(evidence),
+        state_means={state.name: room_means(of_groups(i)) for i, state in states},
+        eyring_absorption=eyring_start(measured),
     )
-    return with_objects_apart(replace(whole, by_pressures=evidence.by_pressures), priors)
-
-
-def _state_means(evidence: Evidence) -> dict[str, FloatArray]:
-    names = [state.name for state in evidence.measured.scene.room.states]
-    return {name: _room_means(_determined(evidence, 1 + i)[0]) for i, name in enumerate(names)}
-
-
-def _determined(
-    evidence: Evidence, state: int
-) -> tuple[tuple[tuple[Combination, ...], ...], tuple[str, ...], FloatArray]:
-    """Return what the data determine of groups of walls in a state of the room."""
-    room = evidence.measured.scene.room
-    n = len(wall_materials(room))
-    mean, law = prior_logit_law(evidence.priors)
-    return determined(
-        wall_materials(room),
-        evidence.absorption[:n],
-        evidence.logit_covariance[:, :n, :n],
-        (mean[:n], law[:, :n, :n]),
-        material_areas_m2(room, state)[:n],
-        evidence.settings.seed,
-        are_specified(evidence.priors)[:n],
-    )
-
-
-def _room_means(found: Sequence[Sequence[Combination]]) -> FloatArray:
-    """Return the mean over the whole room, the first combination of a band, with its bounds."""
-    return np.array([(c[0].value, c[0].lower95, c[0].upper95) for c in found]).T
-
-
-def _draws(evidence: Evidence) -> FloatArray | None:
-    """Return draws of absorption, shape (n_draws, n_materials, n_bands), bands independent.
-
-    None where no band was drawn from with the model itself: predictions draw from the covariance
-    then, as is done here for bands by responses beside others by room parameters alone.
-    """
-    found, priors, settings = evidence.fits.answers, evidence.priors, evidence.settings
-    absorption, covariance = evidence.absorption, evidence.logit_covariance
-    if all(answer.draws is None for answer in found):
-        return None
-    drawn, (mean, prior) = [], plain_logit_law(priors)
-    for band, answer in enumerate(found):
-        rng = np.random.default_rng((settings.seed, band))
-        own = answer.draws
-        if answer.model == "prior":
-            own = prior_absorptions(priors, band, settings.n_draws, rng)
-        if own is None:
-            law = absorption[:, band], covariance[band], mean[:, band], prior[band]
-            own = band_draws(*law, settings.n_draws, rng, specified=are_specified(priors))
-        drawn.append(rng.permutation(own))
-    return np.stack(drawn, axis=2)
 
 
 def _refinement(
@@ -409,7 +328,7 @@ def _refinement(
 ) -> Refinement:
     """Return what is done to every band after its fit; the paper's searches end where they end."""
     return Refinement(
-        not settings.quick and settings.method not in ("simplex", "annealing"),
+        not settings.quick and settings.method in LEAST_SQUARES_METHODS,
         settings.seed,
         tuple(s.exchange for s in mirror_symmetries(measured, priors)),
         settings.n_draws,

@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from roomfit.base.air import speed_of_sound_m_s
 from roomfit.base.bands import Bands
 from roomfit.base.findings import About, Code, Finding
+from roomfit.base.logit import Z95, expit
 from roomfit.base.shown import Shown
 from roomfit.base.typing import VALUE_NAMES, BoolArray, FloatArray
-from roomfit.materials.priors import MaterialPrior, object_area_m2, object_volumes_m3
+from roomfit.materials.priors import (
+    MaterialPrior,
+    are_specified,
+    object_area_m2,
+    object_volumes_m3,
+    plain_logit_law,
+    prior_logits,
+)
+from roomfit.room.scene import Scene, material_areas_m2, plan_in_words, wall_materials
 from roomfit.settings import Settings
-from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
+from roomfit.uncertainty.posterior import AbsorptionPosterior, plain_logit_covariance
 
 if TYPE_CHECKING:
     from roomfit.base.table import Table
@@ -22,7 +33,8 @@ if TYPE_CHECKING:
     # compiled, and nobody who reads a result waits for it
     from roomfit.fit.fits import FittedGeometry
     from roomfit.model.directivity import FittedDirectivity
-    from roomfit.uncertainty.combinations import Combination
+    from roomfit.uncertainty.combinations import Combination, Determined
+    from roomfit.uncertainty.gaussian import BandEstimate
     from roomfit.uncertainty.profile import Profile
 
 Use = Literal["fit", "validate"]
@@ -66,23 +78,57 @@ class ComparedPair:
     state: str = ""  # of the room; "": as it is described
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ObjectAreas:
+class ObjectAreas(NamedTuple):
     """What was found of the objects in a room: equivalent absorption areas in m2."""
 
-    names: tuple[str, ...]
+    volumes_m3: Mapping[str, float]  # of the room, by each object's name
     area_m2: FloatArray  # (n_objects, n_bands), and its 95 % interval
     lower95_m2: FloatArray
     upper95_m2: FloatArray
     # (n_objects, n_bands), whether the data halve the prior's standard deviation of its logarithm
     identifiable: BoolArray
-    # absorption of walls and objects with the covariance of both, as predictions take it
-    posterior: AbsorptionPosterior
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Those of the objects."""
+        return tuple(self.volumes_m3)
+
+
+def object_areas(
+    priors: Sequence[MaterialPrior], estimates: Sequence[BandEstimate], identifiable: BoolArray
+) -> ObjectAreas | None:
+    """Return what was found of the objects, which are the last materials; None without any."""
+    volumes = object_volumes_m3(priors)
+    if not volumes:
+        return None
+    n, volume_m3 = len(priors) - len(volumes), next(iter(volumes.values()))
+    value, lower, upper = (
+        object_area_m2(np.stack([getattr(b, name)[n:] for b in estimates], axis=1), volume_m3)
+        for name in ("absorption", "lower95", "upper95")
+    )
+    return ObjectAreas(volumes, value, lower, upper, identifiable[n:])
+
+
+class _OfBands:
+    """What every band's estimate has by this name, shape (n_bands,)."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def __get__(self, result: Result, _owner: type[Result]) -> NDArray[Any]:
+        return np.array([getattr(b, self.name) for b in result.estimates])
+
+
+class _OfWalls(_OfBands):
+    """What every band's estimate has of surfaces by this name, shape (n_materials, n_bands)."""
+
+    def __get__(self, result: Result, owner: type[Result]) -> FloatArray:
+        return super().__get__(result, owner).T[: len(result.materials)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Result(Shown):
-    """What an identification found.
+    """What an identification found: the estimate of every band, and what the bands share.
 
     Examples
     --------
@@ -90,71 +136,176 @@ class Result(Shown):
     """
 
     described_in: ClassVar[str] = "answer"
+    scene: Scene  # what was measured, as it was fitted
     bands: Bands
-    materials: tuple[str, ...]
-    areas_m2: FloatArray  # (n_materials,)
-    # energy absorption coefficient and its 95 % interval, 0 to 1 where undetermined; each of shape
-    # (n_materials, n_bands)
-    absorption: FloatArray
-    lower95: FloatArray
-    upper95: FloatArray
+    priors: tuple[MaterialPrior, ...]  # one a material of the room, those of objects last
+    estimates: tuple[BandEstimate, ...]  # one a band, of walls and objects
+    determined: tuple[Determined, ...]  # by band, what data determine of groups of walls
     identifiable: BoolArray  # (n_materials, n_bands)
-    # (3, n_bands), area-weighted mean absorption of the room, its lower and its upper 95 % bound
-    mean_absorption: FloatArray
-    chi2_reduced: FloatArray  # (n_bands,); above 2 the model does not fit
-    cost: float  # sum over bands of half the squared weighted residuals, priors included
-    evaluations: int  # of every fit, trial, profile and draw: how often data were predicted
-    converged: BoolArray  # (n_bands,)
+    identifiable_by_rule: BoolArray  # likewise, by the rule alone, before findings
     pairs: tuple[ComparedPair, ...]
     findings: tuple[Finding, ...]
-    method: str
-    model: str
-    interval_kind: str  # how the intervals were made, in words
-    speed_of_sound_m_s: float
-    seed: int
-    seconds: float
-    # (n_bands, n_materials, n_materials), covariance of logit absorption, misfit included; zeros
-    # for what is fixed. None where only the intervals are known
-    logit_covariance: FloatArray | None = None
-    logit_prior: FloatArray | None = None  # (2, n_materials, n_bands), prior mean and sd
-    # (n_bands, n_materials, n_materials), of the same prior; None: materials are independent
-    logit_prior_covariance: FloatArray | None = None
-    # by band, means over groups of materials that the data determine, the whole room first
-    combinations: tuple[tuple[Combination, ...], ...] = ()
-    models: tuple[str, ...] = ()  # by band, "energy", "coherent", "values", or "prior" alone
+    settings: Settings = field(default_factory=Settings)
+    evaluations: int = 0  # of every fit, trial, profile and draw: how often data were predicted
+    seconds: float = 0.0
+    objects: ObjectAreas | None = None  # of what stands in the room; None where nothing does
     # (n_bands,), where decays are predicted by pressures of image sources; None: nowhere
     by_pressures: BoolArray | None = None
-    scattering: FloatArray | None = None  # (n_materials, n_bands): specified, assumed or fitted
+    # (n_materials, n_bands), specified, assumed or fitted, that of objects last
+    scattering: FloatArray | None = None
     geometry: FittedGeometry | None = None  # None where arrival times were not fitted
     directivities: tuple[FittedDirectivity, ...] = ()  # of the sources for which it was fitted
-    sentences: tuple[str, ...] = ()  # by band, which groups of materials the data determine
-    # (3, n_materials, n_bands), share of each material in the room's absorption with its bounds
-    shares: FloatArray | None = None
-    # by band and material, "gaussian", "profile", "given", or "none" where undetermined
-    interval_kinds: tuple[tuple[str, ...], ...] = ()
-    profiles: tuple[tuple[Profile, ...], ...] = ()  # by band; `entry` counts materials
-    prior: FloatArray | None = None  # (3, n_materials, n_bands), prior median and 95 % bounds
-    reasons: tuple[str, ...] = ()  # what was chosen, and why
-    plan: tuple[str, ...] = ()  # where each source and receiver was taken to stand, in words
-    prior_specified: BoolArray | None = None  # (n_materials,); False: the broad default
-    # (n_draws, n_materials, n_bands), of the posterior, as predictions take them; None: not drawn
-    draws: FloatArray | None = None
-    settings: Settings = field(default_factory=Settings)
     # what the trace used: duration_s, n_rays (a source), receiver_radius_m, and scattering_groups
     # of bands; empty where unknown
     trace: Mapping[str, float] = field(default_factory=dict)
     # as `mean_absorption`, of each further state of the room by its name
     state_means: Mapping[str, FloatArray] = field(default_factory=dict)
-    # by band, (n_materials,), standard deviation of each logit absorption by which term of the
-    # uncertainty were left out, "" for none (`roomfit.uncertainty.gaussian.sd_without_term`)
-    costs: tuple[Mapping[str, FloatArray], ...] = ()
-    mean_costs: tuple[Mapping[str, float], ...] = ()  # likewise, of the mean, not in the logit
-    # (n_materials, n_bands), what is identifiable by the rule alone, before findings; None: unknown
-    identifiable_by_rule: BoolArray | None = None
     # (n_bands,), uniform absorption that Eyring's formula gives of the measured decay; NaN or None
     # where no decay was measured
     eyring_absorption: FloatArray | None = None
-    objects: ObjectAreas | None = None  # of what stands in the room; None where nothing does
+
+    # energy absorption coefficient and its 95 % interval, 0 to 1 where undetermined, each of shape
+    # (n_materials, n_bands)
+    absorption, lower95, upper95 = (_OfWalls(n) for n in ("absorption", "lower95", "upper95"))
+    # (n_bands,), above 2 the model does not fit; whether the fit met its test of convergence
+    chi2_reduced, converged = _OfBands("chi2_reduced"), _OfBands("converged")
+
+    @property
+    def materials(self) -> tuple[str, ...]:
+        """Those of surfaces; objects are in `objects`."""
+        return wall_materials(self.scene.room)
+
+    @property
+    def areas_m2(self) -> FloatArray:
+        """Area of each material, shape (n_materials,)."""
+        return material_areas_m2(self.scene.room)[: len(self.materials)]
+
+    @property
+    def mean_absorption(self) -> FloatArray:
+        """Area-weighted mean of the room with its 95 % interval, shape (3, n_bands)."""
+        return room_means(self.determined)
+
+    @property
+    def cost(self) -> float:
+        """Sum over bands of half the squared weighted residuals, priors included."""
+        return float(sum(b.cost for b in self.estimates))
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """By band, "energy", "coherent", "values", or "prior" alone."""
+        return tuple(b.model for b in self.estimates)
+
+    @property
+    def model(self) -> str:
+        """The first of "coherent", "energy", "values", "prior" that any band has."""
+        return next((m for m in ("coherent", "energy", "values") if m in self.models), "prior")
+
+    @property
+    def method(self) -> str:
+        """What was asked for, least squares for "auto"."""
+        method = self.settings.method
+        return "least-squares" if method == "auto" else method
+
+    @property
+    def interval_kinds(self) -> tuple[tuple[str, ...], ...]:
+        """By band and material, "gaussian", "profile", "given", or "none" where undetermined."""
+        return tuple(b.kinds[: len(self.materials)] for b in self.estimates)
+
+    @property
+    def interval_kind(self) -> str:
+        """How the intervals were made, in words."""
+        kinds = {kind for b in self.estimates for kind in b.kinds}
+        if "profile" not in kinds:
+            return "Gaussian, local"
+        return "profiles, else Gaussian" if "gaussian" in kinds else "profiles"
+
+    @property
+    def profiles(self) -> tuple[tuple[Profile, ...], ...]:
+        """By band, of some materials; `entry` counts them."""
+        n = len(self.materials)
+        return tuple(tuple(p for p in b.profiles if p.entry < n) for b in self.estimates)
+
+    @property
+    def seed(self) -> int:
+        """Of every random number."""
+        return self.settings.seed
+
+    @property
+    def speed_of_sound_m_s(self) -> float:
+        """In the air of the room."""
+        return speed_of_sound_m_s(self.scene.air)
+
+    @property
+    def plan(self) -> tuple[str, ...]:
+        """Where each source and receiver was taken to stand, in words."""
+        return plan_in_words(self.scene)
+
+    @property
+    def combinations(self) -> tuple[tuple[Combination, ...], ...]:
+        """By band, means of materials that the data determine, the whole room first."""
+        return tuple(d.combinations for d in self.determined)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """By band, which groups of materials the data determine."""
+        return tuple(d.sentence for d in self.determined)
+
+    @property
+    def shares(self) -> FloatArray:
+        """Share of each material in the room's absorption, shape (3, n_materials, n_bands)."""
+        return np.stack([d.shares for d in self.determined], axis=-1)
+
+    @property
+    def prior(self) -> FloatArray:
+        """Prior median and 95 % bounds, shape (3, n_materials, n_bands)."""
+        return prior_intervals(self.priors)[:, : len(self.materials)]
+
+    @property
+    def logit_covariance(self) -> FloatArray:
+        """Covariance of logit absorption, shape (n_bands, n_materials, n_materials).
+
+        Misfit included; zeros for what is fixed.
+        """
+        n = len(self.materials)
+        return logit_covariance(self.estimates, self.priors)[:, :n, :n]
+
+    @property
+    def costs(self) -> tuple[Mapping[str, FloatArray], ...]:
+        """By band, sd of each logit absorption by which term of the uncertainty were left out.
+
+        "" for none (`roomfit.uncertainty.gaussian.sd_without_term`).
+        """
+        n = len(self.materials)
+        return tuple({name: sd[:n] for name, sd in b.costs.items()} for b in self.estimates)
+
+    @property
+    def mean_costs(self) -> tuple[Mapping[str, float], ...]:
+        """As `costs`, of the mean absorption, not in the logit."""
+        return tuple(b.mean_costs for b in self.estimates)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """What was chosen, and why, in sentences."""
+        sentences, found = [], self.estimates
+        if self.settings.method == "auto":
+            sentences.append(
+                "Least squares from the absorption that the decays suggest: it has exact "
+                "derivatives, and the other searches compare the same squares."
+            )
+        if tried := [b.starts for b in found if b.starts is not None]:
+            sentences.append(
+                f"Energies were fitted from {tried[0].number} further random starts in each of "
+                f"{len(tried)} bands: {sum(s.agreeing for s in tried)} of "
+                f"{sum(s.number for s in tried)} ended within the intervals of the answer."
+            )
+        kinds = [kind for b in found for kind in b.kinds if kind != "given"]
+        if "profile" in kinds:
+            sentences.append(
+                f"Of {len(kinds)} intervals {sum(len(b.profiles) for b in found)} are so wide that "
+                f"a Gaussian may fail; {kinds.count('profile')} of them were skew and are those of "
+                "the profile likelihood."
+            )
+        return tuple(sentences)
 
     def __repr__(self) -> str:
         """Return at most ten lines: size, how much is identifiable, the mean of the room."""
@@ -193,28 +344,60 @@ class Result(Shown):
         ``absorption``, ``lower95``, ``upper95``, ``identifiable``, the ``interval`` (how it was
         made) and ``prior``, ``prior_lower95``, ``prior_upper95`` have the dimensions ``material``
         and ``band_hz``; ``area_m2`` has ``material``; ``mean_absorption`` with its bounds and
-        ``chi2_reduced`` have ``band_hz``. What the result does not know is left out.
+        ``chi2_reduced`` have ``band_hz``.
         """
         from roomfit.base.table import optional_package
 
         both, names = ("material", "band_hz"), ("absorption", "lower95", "upper95", "identifiable")
         own: dict[str, Any] = {name: (both, getattr(self, name)) for name in names}
-        if all(self.interval_kinds) and self.interval_kinds:
-            own["interval"] = both, np.array(self.interval_kinds).T
+        own["interval"] = both, np.array(self.interval_kinds).T
         for start, stack in (("prior", self.prior), ("mean_absorption", self.mean_absorption)):
-            for name, values in zip(
-                ("", "_lower95", "_upper95"), () if stack is None else stack, strict=False
-            ):
+            for name, values in zip(("", "_lower95", "_upper95"), stack, strict=True):
                 own[f"{start}{name}"] = both[-values.ndim :], values
+        own["area_m2"], own["chi2_reduced"] = (
+            ("material", self.areas_m2),
+            ("band_hz", self.chi2_reduced),
+        )
         return optional_package("xarray", "data sets", "to_xarray").Dataset(
-            own
-            | {
-                "area_m2": ("material", self.areas_m2),
-                "chi2_reduced": ("band_hz", self.chi2_reduced),
-            },
+            own,
             coords={"material": list(self.materials), "band_hz": self.bands.centres_hz},
             attrs={"intervals": self.interval_kind, "method": self.method, "model": self.model},
         )
+
+
+def room_means(determined: Iterable[Determined]) -> FloatArray:
+    """Return the mean over the whole room with its interval, shape (3, n_bands)."""
+    means = [d.combinations[0] for d in determined]
+    return np.array([(c.value, c.lower95, c.upper95) for c in means]).T
+
+
+def logit_covariance(
+    estimates: Sequence[BandEstimate], priors: tuple[MaterialPrior, ...]
+) -> FloatArray:
+    """Return the covariance of logit absorption, whatever the bounds of the fit.
+
+    Shape (n_bands, n_materials, n_materials).
+    """
+    names = [k.name for k in priors]
+    leaders = [priors[names.index(k.tied_to or k.name)] for k in priors]
+    return plain_logit_covariance(
+        np.stack([b.logit_covariance for b in estimates]),
+        np.stack([b.absorption for b in estimates], axis=1),
+        np.array([k.lower for k in leaders]),
+        np.array([k.upper for k in leaders]),
+    )
+
+
+def prior_intervals(priors: tuple[MaterialPrior, ...]) -> FloatArray:
+    """Return the prior of absorption as its median and 95 % interval, (3, n_materials, n_bands)."""
+    by_name = {k.name: k for k in priors}
+    rows = []
+    for prior, mean, sd in zip(priors, *prior_logits(priors), strict=True):
+        own = by_name[prior.tied_to or prior.name]
+        free = mean + np.outer((0.0, -Z95, Z95), sd)
+        share = own.lower + (own.upper - own.lower) * expit(free)
+        rows.append(share if own.known is None else np.tile(own.known, (3, 1)))
+    return np.stack(rows, axis=1)
 
 
 def absorption_records(
@@ -239,7 +422,7 @@ def absorption_records(
 def absorption_posterior(answer: Result) -> AbsorptionPosterior:
     """Return the absorption of an answer with its posterior, as predictions and designs take it.
 
-    Where the answer has no covariance, the intervals are taken as independent.
+    Objects are the last of its materials.
 
     Examples
     --------
@@ -253,78 +436,39 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
     >>> found.materials, found.logit_covariance.shape
     (('plaster',), (1, 1, 1))
     """
-    if answer.objects is not None:
-        return replace(answer.objects.posterior, result_findings=answer.findings)
-    covariance = answer.logit_covariance
-    if covariance is None:
-        covariance = covariance_from_intervals(answer.absorption, answer.lower95, answer.upper95)
-    mean, sd = (None, None) if answer.logit_prior is None else answer.logit_prior
+    estimates, priors = answer.estimates, answer.priors
+    value, lower, upper = (
+        np.stack([getattr(b, name) for b in estimates], axis=1)
+        for name in ("absorption", "lower95", "upper95")
+    )
+    mean, law = plain_logit_law(priors)
+    is_shared = any(k.product is not None or k.tied_to is not None for k in priors)
+    draws = [b.draws for b in estimates if b.draws is not None]
+    fitted = [p for p in answer.pairs if p.use == "fit"]
     return AbsorptionPosterior(
-        answer.materials,
+        answer.scene.room.materials,
         answer.bands,
-        answer.absorption,
-        answer.lower95,
-        answer.upper95,
-        covariance,
+        value,
+        lower,
+        upper,
+        logit_covariance(estimates, priors),
         prior_logit_mean=mean,
-        prior_logit_sd=sd,
-        prior_logit_covariance=answer.logit_prior_covariance,
+        prior_logit_sd=np.sqrt(np.diagonal(law, axis1=1, axis2=2)).T,
+        prior_logit_covariance=law if is_shared else None,
         scattering=answer.scattering,
         by_pressures=answer.by_pressures,
         directivities={n: p for d in answer.directivities for n, p in d.patterns().items()},
-        prior_specified=answer.prior_specified,
+        prior_specified=are_specified(priors),
         chi2_reduced=answer.chi2_reduced,
-        draws=answer.draws,
+        draws=np.stack(draws, axis=2) if draws else None,
         fitted_jnd=departures_jnd(
-            [{n: c.jnd for n, c in p.parameters.items()} for p in answer.pairs if p.use == "fit"],
-            answer.bands,
+            [{n: c.jnd for n, c in p.parameters.items()} for p in fitted], answer.bands
         ),
-        areas_m2=answer.areas_m2,
-        fitted_states=tuple(sorted({p.state for p in answer.pairs if p.use == "fit"})),
+        areas_m2=material_areas_m2(answer.scene.room),
+        fitted_states=tuple(sorted({p.state for p in fitted})),
         result_findings=answer.findings,
+        objects=object_volumes_m3(priors),
     )
-
-
-def with_objects_apart(whole: Result, priors: Sequence[MaterialPrior]) -> Result:
-    """Return a result whose materials are those of surfaces, objects with their areas in m2."""
-    volumes = object_volumes_m3(priors)
-    if not volumes:
-        return whole
-    n = len(priors) - len(volumes)
-    posterior = replace(absorption_posterior(whole), objects=volumes)
-    room_m3 = next(iter(volumes.values()))
-    area_m2, lower95_m2, upper95_m2 = (
-        object_area_m2(x[n:], room_m3) for x in (whole.absorption, whole.lower95, whole.upper95)
-    )
-    names = whole.materials
-    return replace(
-        whole,
-        **{f: _of_walls(getattr(whole, f), axes, n) for f, axes in _MATERIAL_AXES.items()},
-        profiles=tuple(tuple(p for p in b if p.entry < n) for b in whole.profiles),
-        costs=tuple({k: v[:n] for k, v in band.items()} for band in whole.costs),
-        interval_kinds=tuple(kinds[:n] for kinds in whole.interval_kinds),
-        objects=ObjectAreas(
-            names[n:], area_m2, lower95_m2, upper95_m2, whole.identifiable[n:], posterior
-        ),
-    )
-
-
-# Of the arrays of a result, along which axes they run over materials.
-_MATERIAL_AXES: Mapping[str, tuple[int, ...]] = {
-    **dict.fromkeys(("materials", "areas_m2", "absorption", "lower95", "upper95"), (0,)),
-    **dict.fromkeys(("identifiable", "identifiable_by_rule", "scattering"), (0,)),
-    **dict.fromkeys(("logit_covariance", "logit_prior_covariance"), (1, 2)),
-    **dict.fromkeys(("logit_prior", "prior", "draws"), (1,)),
-    "prior_specified": (0,),
-}
-
-
-def _of_walls(values: Any, axes: tuple[int, ...], n: int) -> Any:
-    """Return the first n entries along some axes of an array or tuple, None of None."""
-    if values is None or isinstance(values, tuple):
-        return values if values is None else values[:n]
-    at = tuple(slice(n) if axis in axes else slice(None) for axis in range(max(axes) + 1))
-    return values[at]
 
 
 def departures_jnd(tables: Sequence[Mapping[str, Any]], bands: Bands) -> FloatArray:
@@ -345,35 +489,30 @@ def result_doubts(
 
     First one sentence, where findings of the result void identifiability or its reduced chi-square
     is above 2 in one of these bands; then its findings that are serious or void identifiability,
-    without those that concern
-    other materials or bands alone, or stand among `others` already. `what` rests on the result: a
-    prediction, a design.
+    without those that concern other materials or bands alone, or stand among `others` already.
+    `what` rests on the result: a prediction, a design.
     """
-    known = {(f.code, f.about) for f in others}
+    from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
+
+    known, bands = {(f.code, f.about) for f in others}, absorption.bands
     serious = [
         f
         for f in absorption.result_findings
         if (f.severity == "serious" or f.code.voids_identifiability)
         and (not f.about.materials or set(f.about.materials) & set(absorption.materials))
-        and any(f.about.in_band(float(centre)) for centre in absorption.bands.centres_hz)
+        and any(f.about.in_band(float(centre)) for centre in bands.centres_hz)
     ]
-    from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
-
     voids = list(dict.fromkeys(f.code for f in serious if f.code.voids_identifiability))
-    chi2 = absorption.chi2_reduced
-    misfit = np.zeros(0) if chi2 is None else chi2[chi2 > LARGEST_CHI2_REDUCED]
+    chi2 = np.zeros(len(bands)) if absorption.chi2_reduced is None else absorption.chi2_reduced
+    misfit, at_hz = (x[chi2 > LARGEST_CHI2_REDUCED].tolist() for x in (chi2, bands.centres_hz))
     repeated = tuple(f for f in serious if (f.code, f.about) not in known)
-    if not voids and not misfit.size:
-        return repeated
     reasons = [f"no wall of it counts as identifiable ({', '.join(voids)})"] if voids else []
-    at_hz: list[float] = []
-    if chi2 is not None and misfit.size:
-        at_hz = absorption.bands.centres_hz[chi2 > LARGEST_CHI2_REDUCED].tolist()
-        reasons.append(
-            f"its reduced chi-square is up to {misfit.max():.1f} at "
-            f"{', '.join(f'{f:g}' for f in at_hz)} Hz"
-        )
+    if misfit:
+        where = ", ".join(f"{f:g}" for f in at_hz)
+        reasons.append(f"its reduced chi-square is up to {max(misfit):.1f} at {where} Hz")
+    if not reasons:
+        return repeated
     text = f"The {what} rests on a doubted result: {', and '.join(reasons)}."
     about = About(bands_hz=() if voids else at_hz)
-    evidence = {"codes": [c.value for c in voids], "chi2_reduced": np.round(misfit, 2).tolist()}
+    evidence = {"codes": [c.value for c in voids], "chi2_reduced": [round(x, 2) for x in misfit]}
     return (Finding(Code.RESULT_DOUBTED, about, text, evidence), *repeated)

@@ -25,7 +25,6 @@ from roomfit.files.budget import (
 from roomfit.files.results import result_content
 from roomfit.report.answer import report_html
 from roomfit.report.tables import condition_tables
-from roomfit.uncertainty.combinations import Combination
 
 TERMS = ("", "noise", "model", "air", "neighbours", "prior")
 SMALLER = np.array([1.0, 0.8, 0.5, 1.0, 0.7, np.inf])  # of the whole, by which term is left out
@@ -44,30 +43,26 @@ def answer():
     lower[1] = upper[1] = made.absorption[1]
     lower[2, 2], upper[2, 2] = 0.0, 1.0
     covariance = np.array([np.diag(1.21 * row**2) for row in whole])
-    mean, low, high = made.mean_absorption
-    weights = made.areas_m2 / made.areas_m2.sum()
+    mean, _, high = made.mean_absorption
     with np.errstate(invalid="ignore"):
-        costs = [
-            {
-                k: np.nan_to_num(f * row, nan=0.0, posinf=np.inf)
-                for k, f in zip(TERMS, SMALLER, strict=True)
-            }
-            for row in whole
-        ]
-    return scene, replace(
-        made,
-        lower95=lower,
-        upper95=upper,
-        logit_covariance=covariance,
-        costs=tuple(costs),
-        mean_costs=tuple(
-            {k: 0.8 * f * (h - x) / Z95 for k, f in zip(TERMS, SMALLER, strict=True)}
-            for h, x in zip(high, mean, strict=True)
-        ),
-        combinations=tuple(
-            (Combination(weights, *v, sd=0.1),) for v in zip(mean, low, high, strict=True)
-        ),
-    )
+        estimates = tuple(
+            replace(
+                b,
+                lower95=lower[:, j],
+                upper95=upper[:, j],
+                logit_covariance=covariance[j],
+                costs={
+                    k: np.nan_to_num(f * whole[j], nan=0.0, posinf=np.inf)
+                    for k, f in zip(TERMS, SMALLER, strict=True)
+                },
+                mean_costs={
+                    k: 0.8 * f * (high[j] - mean[j]) / Z95
+                    for k, f in zip(TERMS, SMALLER, strict=True)
+                },
+            )
+            for j, b in enumerate(made.estimates)
+        )
+    return scene, replace(made, estimates=estimates)
 
 
 def test_sources_and_the_remainder_make_the_combined_variance(answer):
@@ -137,6 +132,11 @@ def test_the_table_of_a_file_is_that_of_the_result_in_memory(answer, tmp_path):
     assert len(budget_records(uncertainty_budget(result)).rows) == len(rows)
 
 
+def without_costs(result):
+    none = tuple(replace(b, costs={}, mean_costs={}) for b in result.estimates)
+    return replace(result, estimates=none)
+
+
 def test_the_report_has_the_budget_and_the_conditions_of_the_measurement(answer):
     scene, result = answer
     page = read_page(report_html(result, scene, title="A room"))
@@ -150,7 +150,7 @@ def test_the_report_has_the_budget_and_the_conditions_of_the_measurement(answer)
         *("remainder", "combined standard uncertainty", "coverage factor"),
         *("expanded uncertainty", "without the prior"),
     ]
-    plain = replace(result, costs=(), mean_costs=())
+    plain = without_costs(result)
     assert not any("budget" in c for c in read_page(report_html(plain, scene, title="A")).tables)
 
 
@@ -174,7 +174,7 @@ def test_conditions_are_those_of_iso_3382_2_for_so_many_pairs(answer):
 def test_what_has_no_budget_says_why(answer, tmp_path):
     _, result = answer
     with pytest.raises(InputError, match="does not state what its uncertainty is made of"):
-        uncertainty_budget(replace(result, costs=(), mean_costs=()))
+        uncertainty_budget(without_costs(result))
     with pytest.raises(InputError, match="band of the budget was not fitted"):
         uncertainty_budget(result, [630.0])
     file = tmp_path / "result.json"

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from report_cases import answer_of, scene_of
+from report_cases import answer_of, scene_of, with_bands
 from roomfit.base.errors import InputError, RoomfitError
 from roomfit.base.findings import Code
 from roomfit.base.whole_files import content_digest, write_json_atomically
@@ -28,26 +28,16 @@ SEED, PLACES = 20_261, 500
 
 
 def answered():
-    answer = answer_of(scene_of())
-    return replace(answer, combinations=((),) * len(answer.bands))
+    return answer_of(scene_of())
 
 
 def written(folder):
     """Write an answer of three materials in six bands, with all that a posterior can hold."""
     answer = answered()
     m, n = len(answer.bands), len(answer.materials)
-    covariance = np.stack([0.04 * np.eye(n) + 0.01 for _ in range(m)])
     draws = np.random.default_rng(3).uniform(0.1, 0.9, (5, n, m))
-    prior = (np.full((n, m), -1.2), np.full((n, m), 0.7))
-    full = replace(
-        answer,
-        logit_covariance=covariance,
-        logit_prior=prior,
-        scattering=np.full((n, m), 0.1),
-        prior_specified=np.array([True, False, True]),
-        draws=draws,
-    )
-    write_result(folder, full, ())
+    full = with_bands(answer, draws=draws)
+    write_result(folder, replace(full, scattering=np.full((n, m), 0.1)), ())
     return folder / "result.json"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -14,11 +14,18 @@ import numpy as np
 from roomfit.base.air import Air
 from roomfit.base.bands import bands_between
 from roomfit.base.findings import About, Code, Finding
+from roomfit.base.logit import logit
 from roomfit.base.table import Table, written
+from roomfit.materials.priors import unknown_material
 from roomfit.result import Compared, ComparedPair, Decay, Result
 from roomfit.room.mesh import shoebox_mesh
 from roomfit.room.scene import Point, Room, Scene, material_areas_m2
+from roomfit.settings import Settings
 from roomfit.signals.decay import in_jnd
+from roomfit.solver import Ending
+from roomfit.uncertainty.combinations import Combination, Determined
+from roomfit.uncertainty.gaussian import BandEstimate
+from roomfit.uncertainty.posterior import covariance_from_intervals
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 VALUES = {
@@ -49,32 +56,52 @@ def answer_of(scene, *, kind="octave", low=125, high=4000, kept=(), findings=())
     width = rng.uniform(0.02, 0.3, (n, m))
     lower, upper = np.maximum(absorption - width, 0.0), np.minimum(absorption + width, 1.0)
     areas = material_areas_m2(scene.room)
+    covariance, chi2 = covariance_from_intervals(absorption, lower, upper), np.linspace(0.8, 2.6, m)
+    estimates = [
+        BandEstimate(
+            *(absorption[:, j], lower[:, j], upper[:, j], logit(absorption[:, j]), covariance[j]),
+            *(chi2[j], 12.5 / m, 20),
+            Ending.CONVERGED if j % 2 == 0 else Ending.OUT_OF_ROUNDS,
+            "energy",
+            kinds=("gaussian",) * n,
+        )
+        for j in range(m)
+    ]
     mean = areas @ absorption / areas.sum()
+    groups = [
+        Determined(
+            (Combination(areas / areas.sum(), x, 0.9 * x, 1.1 * x, 0.05 * x),),
+            "",
+            np.outer((1.0, 0.9, 1.1), areas * absorption[:, j] / (areas @ absorption[:, j])),
+        )
+        for j, x in enumerate(mean)
+    ]
     names = [(scene.sources[i].name, scene.receivers[j].name) for i, j in scene.pairs]
     return Result(
+        scene=scene,
         bands=bands,
-        materials=scene.room.materials,
-        areas_m2=areas,
-        absorption=absorption,
-        lower95=lower,
-        upper95=upper,
+        priors=tuple(unknown_material(name, m) for name in scene.room.materials),
+        estimates=tuple(estimates),
+        determined=tuple(groups),
         identifiable=upper - lower <= 0.2,
-        mean_absorption=np.array([mean, 0.9 * mean, 1.1 * mean]),
-        chi2_reduced=np.linspace(0.8, 2.6, m),
-        cost=12.5,
-        evaluations=120,
-        converged=np.arange(m) % 2 == 0,
+        identifiable_by_rule=upper - lower <= 0.2,
         pairs=tuple(
             pair_of(rng, *p, m, "validate" if k in kept else "fit") for k, p in enumerate(names)
         ),
         findings=tuple(findings),
-        method="least-squares",
-        model="energy",
-        interval_kind="Gaussian, local",
-        speed_of_sound_m_s=343.9,
-        seed=3,
+        settings=Settings(seed=3),
+        evaluations=120,
         seconds=4.2,
     )
+
+
+def with_bands(answer, **changes):
+    """Return an answer whose estimates have other values, (..., n_bands), by name."""
+    estimates = [
+        replace(b, **{name: values[..., j] for name, values in changes.items()})
+        for j, b in enumerate(answer.estimates)
+    ]
+    return replace(answer, estimates=tuple(estimates))
 
 
 def pair_of(rng, source, receiver, n_bands, use="fit"):

@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 
 import roomfit
-from report_cases import answer_of, drawing, finding, read_page, scene_of, texts_of
+from report_cases import (
+    answer_of,
+    drawing,
+    finding,
+    read_page,
+    scene_of,
+    texts_of,
+    with_bands,
+)
 from roomfit.base.errors import InputError
 from roomfit.base.findings import About, Code, Finding
 from roomfit.checks.decay import DECAY_SCATTER
@@ -55,7 +63,8 @@ def with_errors(answer, error, keys=("T20_s",), chi2=1.0, n_pairs=8):
             off = measured * (1.0 + np.broadcast_to(error, (n_pairs,))[i])
             found[key] = Compared(measured, off, 1.1 * measured, in_jnd(key, measured, off))
         pairs.append(replace(answer.pairs[0], parameters=found, receiver=f"R{i}"))
-    return replace(answer, pairs=tuple(pairs), chi2_reduced=np.full(len(answer.bands), chi2))
+    fits = with_bands(answer, chi2_reduced=np.full(len(answer.bands), chi2))
+    return replace(fits, pairs=tuple(pairs))
 
 
 def test_the_headline_and_the_figures_are_those_of_the_answer(answer):
@@ -85,7 +94,7 @@ def test_a_description_that_the_data_contradict_is_the_headline(answer):
     assert headline(nothing).startswith("The data do not determine")
     void = Finding(Code.MODEL_MISFIT_ALL_BANDS, About(), "Wrong.")
     assert "no absorption coefficient may be used" in headline(replace(nothing, findings=(void,)))
-    given = replace(answer, lower95=answer.absorption, upper95=answer.absorption)
+    given = with_bands(answer, lower95=answer.absorption, upper95=answer.absorption)
     assert headline(given) == "Every coefficient was given; nothing was fitted."
 
 
@@ -254,7 +263,7 @@ def test_a_decay_that_is_too_long_names_the_absorption_that_would_shorten_it(ans
 
 def test_a_band_of_pressures_whose_decay_no_check_contradicts_is_not_blamed(answer, scene):
     """Between smooth walls energies that add miss the decay at the right absorption."""
-    off = replace(with_errors(answer, 0.3), models=("coherent",) * 3 + ("energy",) * 3)
+    off = with_bands(with_errors(answer, 0.3), model=np.array(["coherent"] * 3 + ["energy"] * 3))
     rows = rows_of(disagreement_table(off, scene))
     assert ["pressures" in row[2] for row in rows] == [True, False, False, False]
     assert rows[0][0] == "T20, 125 Hz to 500 Hz"

@@ -26,6 +26,7 @@ from report_cases import (
     look_at,
     read_page,
     scene_of,
+    with_bands,
 )
 from roomfit.base.air import attenuation_per_m
 from roomfit.report import wording
@@ -366,20 +367,21 @@ def odd_cases():
 
     small, two = scene_of(("all",), receivers=("R",)), scene_of()
     no_pairs = dataclasses.replace(two, pairs=np.zeros((0, 2), dtype=int))
-    hole = answer_of(two)
-    gap = np.where(np.arange(6) == 1, np.nan, 1.0)
+    whole, gap = answer_of(two), np.where(np.arange(6) == 1, np.nan, 1.0)
+    names = ("absorption", "lower95", "upper95", "chi2_reduced")
+    hole = with_bands(whole, cost=gap, **{name: getattr(whole, name) * gap for name in names})
+    (mean,) = whole.combinations[1]
+    mean = dataclasses.replace(mean, value=np.nan, lower95=np.nan, upper95=np.nan)
+    first, missing, *rest = whole.determined
     hole = dataclasses.replace(
         hole,
-        absorption=hole.absorption * gap, lower95=hole.lower95 * gap, upper95=hole.upper95 * gap,
-        mean_absorption=hole.mean_absorption * gap, chi2_reduced=hole.chi2_reduced * gap,
-        cost=float("nan"),
+        determined=(first, missing._replace(combinations=(mean,)), *rest),
         identifiable=hole.identifiable & np.isfinite(gap),
-    )  # fmt: skip
-    held = answer_of(two)
+    )
     held = dataclasses.replace(
-        held, lower95=held.absorption, upper95=held.absorption,
+        with_bands(whole, lower95=whole.absorption, upper95=whole.absorption),
         identifiable=np.ones((3, 6), dtype=bool),
-    )  # fmt: skip
+    )
     return {
         "one band, one material, one pair": (answer_of(small, low=1000, high=1000), small),
         "no pairs": (answer_of(no_pairs), no_pairs),

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from roomfit.base.errors import InputError
 from roomfit.base.findings import Code
 from roomfit.uncertainty.combinations import (
     Combination,
@@ -250,26 +249,13 @@ def test_a_room_whose_mean_alone_is_known_is_reported_so():
     # a decay known within 1 %: its rate is the sum of -log(1 - a) by area
     slope = areas * a / (areas @ -np.log(1.0 - a))
     covariance = np.linalg.inv(np.outer(slope, slope) / 0.01**2 + np.eye(5) / PRIOR_SD**2)
-    found, _, _ = determined(names, a[:, None], covariance[None], prior, areas, 1)
+    known = determined(names, a[:, None], covariance[None], prior, areas, 1)
+    found = [band.combinations for band in known]
     reported = inseparable_findings(names, np.array([1000.0]), np.zeros((5, 1), dtype=bool), found)
 
     assert [f.code for f in reported] == [Code.MATERIALS_NOT_SEPARABLE]
     assert "1000 Hz" in reported[0].sentence
     assert not inseparable_findings(names, np.array([1000.0]), np.ones((5, 1), dtype=bool), found)
-
-
-def test_combinations_of_nothing_are_refused():
-    """A width of zero is reached by no group."""
-    with pytest.raises(InputError, match="above zero"):
-        find_combinations(
-            np.ones(2),
-            np.full(2, 0.3),
-            np.eye(2),
-            np.zeros(2),
-            np.eye(2),
-            np.random.default_rng(1),
-            within=0.0,
-        )
 
 
 def test_half_the_interval_over_the_value_is_its_relative_width():

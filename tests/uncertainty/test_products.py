@@ -13,7 +13,6 @@ from roomfit.base.bands import bands_between
 from roomfit.base.errors import InputError
 from roomfit.base.logit import expit, logit
 from roomfit.design.prior import information_from_priors
-from roomfit.fit.methods import prior_intervals
 from roomfit.materials.priors import (
     PRODUCT_SD,
     MaterialPrior,
@@ -23,6 +22,7 @@ from roomfit.materials.priors import (
 )
 from roomfit.model.observation import absorption_block
 from roomfit.model.parameters import Parameters, prior_residuals, start_vector
+from roomfit.result import prior_intervals
 from roomfit.solver import fit_band
 from roomfit.uncertainty.combinations import band_sentence, undetermined_groups
 from roomfit.uncertainty.gaussian import (

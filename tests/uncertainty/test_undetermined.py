@@ -17,6 +17,7 @@ from roomfit.report.tables import share_tables
 from roomfit.report.wording import DASH
 from roomfit.uncertainty.combinations import (
     Combination,
+    Determined,
     Difference,
     Undetermined,
     absorption_shares,
@@ -47,20 +48,19 @@ def floor_and_ceiling():
 def test_floor_and_ceiling_are_reported_together_and_their_difference_as_open():
     a, covariance, before = floor_and_ceiling()
     prior = np.full((3, 1), -1.7), before[None]
-    combinations, sentences, _ = determined(
-        NAMES, a[:, None], covariance[None], prior, np.array([20.0, 20.0, 60.0]), 1
-    )
+    areas_m2 = np.array([20.0, 20.0, 60.0])
+    (found,) = determined(NAMES, a[:, None], covariance[None], prior, areas_m2, 1)
 
-    assert sentences == (
-        "floor and ceiling together 0.110 +- 0.005; their difference is not in the data",
+    assert found.sentence == (
+        "floor and ceiling together 0.110 +- 0.005; their difference is not in the data"
     )
-    (difference,) = combinations[0][1].differences
+    (difference,) = found.combinations[1].differences
     assert difference.weights.tolist() == [-1.0, 1.0, 0.0]
     assert difference.value == pytest.approx(0.02)
     assert not difference.determined
     # a sum of 0.22 leaves room for a difference of 0.2 either way
     assert difference.upper95 - difference.lower95 > 0.2
-    assert combinations[0][0].differences == ()
+    assert found.combinations[0].differences == ()
 
 
 @settings(max_examples=60, deadline=None)
@@ -139,8 +139,8 @@ def test_held_and_tied_materials_open_nothing_by_themselves():
 
 def test_where_all_is_known_nothing_is_said():
     a, prior = np.full((3, 1), 0.3), (np.zeros((3, 1)), np.eye(3)[None])
-    _, sentences, _ = determined(NAMES, a, 1e-6 * np.eye(3)[None], prior, np.ones(3), 1)
-    assert sentences == ("",)
+    (found,) = determined(NAMES, a, 1e-6 * np.eye(3)[None], prior, np.ones(3), 1)
+    assert found.sentence == ""
 
 
 def test_shares_agree_with_the_tangent_where_errors_are_small():
@@ -183,8 +183,9 @@ def test_text_report_and_result_tell_shares_and_what_is_open():
         np.random.default_rng(1),
     )
     sentence = "floor and ceiling together 0.31 +- 0.02; their difference is not in the data"
-    shares = np.array([np.full((3, 2), x) for x in (0.3, 0.2, 0.4)])
-    answer = replace(answer, combinations=(group, group), sentences=("", sentence), shares=shares)
+    shares = np.array([np.full(3, x) for x in (0.3, 0.2, 0.4)])
+    known = Determined(group, "", shares), Determined(group, sentence, shares)
+    answer = replace(answer, determined=known)
 
     assert sentence.replace("+-", "±") in " ".join(str(answer).split())
     (table,) = share_tables(answer)

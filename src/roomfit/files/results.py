@@ -484,8 +484,7 @@ def result_content(
             "sd": geometry.sd,
             "told_sd": geometry.prior_sd,
         }
-    if answer.logit_covariance is not None:
-        content["posterior"] = posterior_content(absorption_posterior(answer))
+    content["posterior"] = posterior_content(absorption_posterior(answer))
     return _stated(content)
 
 
@@ -530,10 +529,9 @@ def _objects(answer: Result) -> dict[str, Any] | None:
     """Return the equivalent absorption area of each object in m2, with its interval."""
     if (found := answer.objects) is None:
         return None
-    volumes_m3 = found.posterior.objects
     rows = zip(
         found.names, found.area_m2, found.lower95_m2, found.upper95_m2, found.identifiable,
-        [round(volumes_m3[name], 4) for name in found.names], strict=True,
+        [round(v, 4) for v in found.volumes_m3.values()], strict=True,
     )  # fmt: skip
     keys = ("absorption_area_m2", "lower95_m2", "upper95_m2", "identifiable", "room_volume_m3")
     return {name: dict(zip(keys, values, strict=True)) for name, *values in rows}
@@ -546,13 +544,10 @@ def _material(answer: Result, i: int) -> dict[str, Any]:
     content["area_m2"] = round(float(answer.areas_m2[i]), 4)
     if answer.scattering is not None:
         content["scattering"] = answer.scattering[i]
-    if answer.shares is not None:
-        names = ("share", "share_lower95", "share_upper95")
-        content |= zip(names, answer.shares[:, i], strict=True)
-    if answer.prior is not None:
-        content["prior"] = dict(zip(interval, answer.prior[:, i], strict=True))
-    if answer.interval_kinds and all(answer.interval_kinds):
-        content["interval"] = [kinds[i] for kinds in answer.interval_kinds]
+    names = ("share", "share_lower95", "share_upper95")
+    content |= zip(names, answer.shares[:, i], strict=True)
+    content["prior"] = dict(zip(interval, answer.prior[:, i], strict=True))
+    content["interval"] = [kinds[i] for kinds in answer.interval_kinds]
     return content
 
 

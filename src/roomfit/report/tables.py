@@ -160,8 +160,6 @@ def _area_cell(value_m2: float, low_m2: float = np.nan, high_m2: float = np.nan)
 
 def share_tables(answer: Result) -> tuple[Table, ...]:
     """Return what share of the room's absorption each material contributes, with its interval."""
-    if answer.shares is None:
-        return ()
     rows = []
     for i, name in enumerate(answer.materials):
         texts = ([number(100.0 * x, 0) for x in column] for column in answer.shares[:, i].T)
@@ -172,8 +170,6 @@ def share_tables(answer: Result) -> tuple[Table, ...]:
 
 def prior_tables(answer: Result) -> tuple[Table, ...]:
     """Return the prior, in the order of `absorption_tables`."""
-    if answer.prior is None:
-        return ()
     fixed = fixed_coefficients(answer)
     rows = [
         (name, *coefficient_cells(answer.prior[:, i], fixed=fixed[i]))

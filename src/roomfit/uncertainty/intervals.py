@@ -9,7 +9,12 @@ import numpy as np
 
 from roomfit.base.logit import Z95, expit, logit
 from roomfit.base.typing import BoolArray, FloatArray, IntArray
-from roomfit.materials.priors import MaterialPrior, prior_logit_law
+from roomfit.materials.priors import (
+    MaterialPrior,
+    are_specified,
+    plain_logit_law,
+    prior_logit_law,
+)
 from roomfit.model.parameters import (
     absorption_of,
     leaders,
@@ -28,7 +33,9 @@ from roomfit.uncertainty.gaussian import (
     FittedBand,
     MirrorTrial,
     leaders_of,
+    prior_absorptions,
 )
+from roomfit.uncertainty.posterior import band_draws
 from roomfit.uncertainty.profile import may_be_bent, profile
 from roomfit.uncertainty.sampling import posterior_draws
 
@@ -245,4 +252,32 @@ def with_errors_of_all_bands(
             by_rate = np.outer(change, change)
             added = by_rate if added is None else by_rate + added
         found.append(own if added is None else widened(own, added))
+    return tuple(found)
+
+
+def with_draws(
+    answers: Sequence[BandEstimate],
+    priors: tuple[MaterialPrior, ...],
+    logit_covariance: FloatArray,
+    n_draws: int,
+    seed: int,
+) -> tuple[BandEstimate, ...]:
+    """Return estimates with draws of absorption in all bands, if any was drawn from its model.
+
+    Otherwise predictions draw from the covariance, as is done here for bands by responses beside
+    others by room parameters alone. Bands are independent.
+
+    Shapes: `logit_covariance` (n_bands, n_materials, n_materials).
+    """
+    if all(answer.draws is None for answer in answers):
+        return tuple(answers)
+    found, (mean, prior) = [], plain_logit_law(priors)
+    for band, answer in enumerate(answers):
+        rng, drawn = np.random.default_rng((seed, band)), answer.draws
+        if answer.model == "prior":
+            drawn = prior_absorptions(priors, band, n_draws, rng)
+        if drawn is None:
+            law = answer.absorption, logit_covariance[band], mean[:, band], prior[band]
+            drawn = band_draws(*law, n_draws, rng, specified=are_specified(priors))
+        found.append(replace(answer, draws=rng.permutation(drawn)))
     return tuple(found)
