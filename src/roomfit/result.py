@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from roomfit.model.directivity import FittedDirectivity
     from roomfit.uncertainty.combinations import Combination, Determined
     from roomfit.uncertainty.gaussian import BandEstimate
-    from roomfit.uncertainty.profile import Profile
 
 Use = Literal["fit", "validate"]
 
@@ -218,12 +217,6 @@ class Result(Shown):
         if "profile" not in kinds:
             return "Gaussian, local"
         return "profiles, else Gaussian" if "gaussian" in kinds else "profiles"
-
-    @property
-    def profiles(self) -> tuple[tuple[Profile, ...], ...]:
-        """By band, of some materials; `entry` counts them."""
-        n = len(self.materials)
-        return tuple(tuple(p for p in b.profiles if p.entry < n) for b in self.estimates)
 
     @property
     def seed(self) -> int:

@@ -94,15 +94,10 @@ def what_remains(result: Result) -> Remaining:
     doubted = np.array([any(f.about.in_band(hz) for f in doubts) for hz in centres_hz])
     narrow = upper - lower <= 2.0 * WIDEST_MEAN * mean
     usable = ~doubted & reproduced & narrow & (result.chi2_reduced <= LARGEST_CHI2_REDUCED)
-<<<<<<< HEAD
-    taken = 0 if by_rule is None else int((by_rule & ~result.identifiable & ~fixed).sum())
+    taken = int((by_rule & ~result.identifiable & ~fixed).sum())
     codes = tuple(dict.fromkeys(f.code for f in findings if voids_walls(f)))
     first = {f.code: f for f in reversed(findings) if f.code.voids_identifiability}
     voids = tuple(first[code] for code in codes if code in first)
-=======
-    taken = int((result.identifiable_by_rule & ~result.identifiable & ~fixed).sum())
-    codes = tuple(dict.fromkeys(f.code for f in result.findings if voids_walls(f)))
->>>>>>> 926f02ea (A result holds the estimates of its bands and what they share; its arrays stack them)
     return Remaining(voids, codes, taken, int((~fixed).sum()), usable, error, name)
 
 
