@@ -18,7 +18,6 @@ from roomfit.batch import rooms as batch
 from roomfit.batch.rooms import (
     campaign_paths,
     identify_rooms,
-    room_row,
     room_tasks,
     shard_of,
 )
@@ -114,18 +113,6 @@ def test_a_first_answer_is_never_taken_for_a_full_one(rooms: list[Path], tmp_pat
     assert len(list((out / "rooms").iterdir())) == 2
 
 
-@pytest.mark.parametrize("content", ["[]", "{", '{"status": "failed"}', "7"])
-def test_a_damaged_record_of_a_failure_is_a_row_that_says_so(
-    rooms: list[Path], tmp_path: Path, content: str
-) -> None:
-    out = tmp_path / "out"
-    task = room_tasks(rooms[:1])[0]
-    (out / "failures").mkdir(parents=True)
-    (out / "failures" / f"{task.address}.json").write_text(content)
-    row = room_row(out, task)
-    assert row.status == "failed" and "record of a failure" in row.message
-
-
 @pytest.mark.slow
 def test_shards_together_do_every_room_once(rooms: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
@@ -137,18 +124,6 @@ def test_shards_together_do_every_room_once(rooms: list[Path], tmp_path: Path) -
     for wrong in ((0, 3), (4, 3)):
         with pytest.raises(InputError, match="shard is out of range"):
             shard_of(tasks, wrong)
-
-
-def test_a_pattern_that_matches_nothing_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no campaign file is called so"):
-        campaign_paths([tmp_path / "*.toml"])
-
-
-def test_rooms_of_one_folder_are_called_by_their_files(tmp_path: Path) -> None:
-    first = write_room(tmp_path / "house")
-    second = first.with_name("renovated.toml")
-    second.write_text(ROOM)
-    assert [t.name for t in room_tasks([first, second])] == ["campaign", "renovated"]
 
 
 @pytest.mark.slow

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import ast
 import re
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
-
-import pytest
 
 import roomfit
 from roomfit.cli.arguments import command_parsers
@@ -67,26 +62,6 @@ def test_the_readme_lists_every_command():
     assert "pip install" in readme
     for name in command_parsers():
         assert f"`roomfit {name}" in readme, name
-
-
-@pytest.mark.parametrize("arguments", [(), ("install", "--all"), ("--help",)])
-def test_a_wrong_call_of_the_script_for_windows_says_what_there_is(arguments):
-    done = subprocess.run(
-        [sys.executable, str(ROOT / "run.py"), *arguments], capture_output=True, text=True
-    )
-    assert done.returncode == 2
-    assert all(f"python run.py {name}" in done.stderr for name in ("install", "demo", "test"))
-
-
-def test_both_scripts_check_the_same():
-    checks = [
-        node.value
-        for node in ast.walk(ast.parse(text("run.py")))
-        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "CHECKS"
-    ]
-    (calls,) = (ast.literal_eval(node) for node in checks)
-    for name, *options in calls:
-        assert " ".join([f'"$bin/{name}"', *options]) in text("scripts/test")
 
 
 def test_every_source_of_the_methods_page_stands_in_the_module_it_names():
