@@ -13,8 +13,8 @@ import pytest
 
 from roomfit.base.errors import InputError
 from roomfit.cli.export import export_result
+from roomfit.report.documents import report_pdf
 from roomfit.report.figures import svg
-from roomfit.report.pdf import report_pdf
 
 PAGE = """<!doctype html><title>Absorption: hall</title>
 <style>:root {{ --ink: #222 }} body {{ color: var(--ink) }}</style>

@@ -24,7 +24,7 @@ from small_campaign import write_campaign
 
 docx = pytest.importorskip("docx")
 pytestmark = pytest.mark.slow
-from roomfit.report.word import report_word  # noqa: E402
+from roomfit.report.documents import report_word  # noqa: E402
 
 
 @pytest.fixture(scope="module")

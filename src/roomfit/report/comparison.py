@@ -6,6 +6,7 @@ Before and after a renovation, two methods, or two measurements of one room.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -87,52 +88,40 @@ def compare_results(first: AbsorptionPosterior, second: AbsorptionPosterior) -> 
             needed="both in octaves, or both in third octaves",
             hint="identify one of the two again in the bands of the other",
         )
-    names = [name for name in first.materials if name in second.materials]
-    centres = np.intersect1d(first.bands.centres_hz, second.bands.centres_hz)
-    for what, common, own in (
-        ("material", names, (first.materials, second.materials)),
-        ("band", centres, tuple(_heads(x) for x in (first, second))),
+    common, missing = {}, []
+    for what, own, other in (
+        ("material", first.materials, second.materials),
+        ("band", *(tuple(hertz(float(f)) for f in x.bands.centres_hz) for x in (first, second))),
     ):
-        if not len(common):
+        common[what] = [name for name in own if name in other]
+        if not common[what]:
             raise InputError(
                 f"the two results have no {what} in common",
-                found=" and ".join(", ".join(x) for x in own),
+                found=f"{', '.join(own)} and {', '.join(other)}",
                 needed="the same names in both campaigns" if what == "material" else "one band",
                 hint="compare two results of one room, fitted in a common band",
             )
+        for which, here, there in (("first", own, other), ("second", other, own)):
+            if only := [name for name in here if name not in there]:
+                counted = what if len(only) == 1 else f"{what}s"
+                missing.append((which, f"has the {counted} {listing(only)}"))
+    names = common["material"]
+    centres = np.intersect1d(first.bands.centres_hz, second.bands.centres_hz)
     a, b = (_chosen(x, names, centres) for x in (first, second))
     difference, p_value, given = _differences(a, b)
-    verdicts = _verdicts(p_value, given)
-    return Comparison(
-        tuple(names), centres, a, b, difference, p_value, verdicts, _missing(first, second)
+    sentences = tuple(
+        f"Only the {which} result {has}." for which, has in sorted(missing, key=itemgetter(0))
     )
-
-
-def _heads(answer: AbsorptionPosterior) -> tuple[str, ...]:
-    return tuple(hertz(float(f)) for f in answer.bands.centres_hz)
+    verdicts = _verdicts(p_value, given)
+    return Comparison(tuple(names), centres, a, b, difference, p_value, verdicts, sentences)
 
 
 def _chosen(answer: AbsorptionPosterior, names: list[str], centres_hz: FloatArray) -> FloatArray:
     """Return coefficients and bounds of these materials and bands."""
-    rows = [answer.materials.index(name) for name in names]
-    columns = [int(np.flatnonzero(answer.bands.centres_hz == f)[0]) for f in centres_hz]
+    rows = np.array([answer.materials.index(name) for name in names])
+    columns = np.flatnonzero(np.isin(answer.bands.centres_hz, centres_hz))
     tables = (answer.absorption, answer.lower95, answer.upper95)
     return np.stack([table[np.ix_(rows, columns)] for table in tables])
-
-
-def _missing(first: AbsorptionPosterior, second: AbsorptionPosterior) -> tuple[str, ...]:
-    """Return sentences on what is in one of the two only."""
-    sentences = []
-    for here, there, which in ((first, second, "first"), (second, first, "second")):
-        for what, own, other in (
-            ("material", here.materials, there.materials),
-            ("band", _heads(here), _heads(there)),
-        ):
-            only = [name for name in own if name not in other]
-            if only:
-                counted = what if len(only) == 1 else f"{what}s"
-                sentences.append(f"Only the {which} result has the {counted} {listing(only)}.")
-    return tuple(sentences)
 
 
 def _differences(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
@@ -156,16 +145,10 @@ def _verdicts(p_value: FloatArray, given: BoolArray) -> tuple[tuple[Verdict, ...
     passed = p_value.ravel()[order] <= FALSE_ALARM_RATE / np.arange(n, 0, -1)
     sure = np.zeros(p_value.size, dtype=np.bool_)
     sure[order[: n if passed.all() else int(np.argmin(passed))]] = True
-
-    def verdict(i: int, j: int) -> Verdict:
-        if given[i, j]:
-            return "changed" if p_value[i, j] == 0.0 else "given"
-        return (
-            "changed" if sure[i * n_columns + j] else "perhaps" if p_value[i, j] <= 0.05 else "no"
-        )
-
-    n_rows, n_columns = p_value.shape
-    return tuple(tuple(verdict(i, j) for j in range(n_columns)) for i in range(n_rows))
+    words = np.where(sure, "changed", np.where(p_value.ravel() <= 0.05, "perhaps", "no"))
+    exact = np.where(p_value == 0.0, "changed", "given")
+    verdicts = np.where(given, exact, words.reshape(p_value.shape))
+    return tuple(tuple(row) for row in verdicts.tolist())
 
 
 def comparison_sentences(compared: Comparison) -> tuple[str, ...]:

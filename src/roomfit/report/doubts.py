@@ -1,4 +1,4 @@
-"""What still holds where findings void walls, and why predictions differ from measurements."""
+"""What still holds where findings void walls, and where predictions are off."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from roomfit.base.table import Cell, Table
 from roomfit.base.typing import FloatArray
 from roomfit.checks.decay import DECAY_SCATTER, mean_miss
 from roomfit.checks.verdict import VOID_ANY_MEAN, Remaining, what_remains
-from roomfit.report.tables import compared_pairs, parameter_keys
+from roomfit.report.tables import compared_pairs, known_or, parameter_keys
 from roomfit.report.wording import (
+    DASH,
     band_ranges,
     coefficient,
     count,
@@ -27,9 +28,8 @@ from roomfit.report.wording import (
 from roomfit.result import Result
 from roomfit.room.mesh import volume_m3
 from roomfit.room.scene import Scene
-from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
 
-# Why walls are void, or predictions off, as part of a sentence; of every code that voids walls.
+# Why walls are void, as part of a sentence; of every code that voids them.
 REASONS: Mapping[Code, str] = MappingProxyType(
     {
         Code.DECAY_BENT: "the files contain a bent decay",
@@ -50,9 +50,6 @@ REASONS: Mapping[Code, str] = MappingProxyType(
         Code.DECAY_NOT_REPRODUCED: "the fitted decay is not that of the measurement",
         Code.REFLECTION_DISAGREES: "single reflections contradict the absorption of their wall",
         Code.MIRROR_AMBIGUITY: "walls can be exchanged without changing any response",
-        Code.BELOW_SCHROEDER_FREQUENCY: "single modes are resolved, which the model does not "
-        "contain",
-        Code.DECAY_RANGE_TOO_SMALL: "noise leaves little of the decay",
     }
 )
 _AGREE = 0.15  # of two means, relatively: Eyring's formula is off by as much in boxes
@@ -141,137 +138,73 @@ def _what_is_left(result: Result, found: Remaining) -> Iterable[str]:
 # ---------------------------------------------------------------- where predictions are off
 
 _AUDIBLE_JND, _BEYOND_SDS = 1.0, 2.0
-_INTERFERENCE = (
-    "None: energies that add predict the mean over positions, and absorption is fitted to all "
-    "windows together."
-)
-_EARLY = "early reflections, directivity or scattering are not as the model has them"
-_PRESSURES = (
-    "the fit added pressures: between smooth, parallel walls these decay differently from energies"
-)
-_NOT_THE_WALLS = (
-    "None by itself: the fitted windows agree, and no check found their decay missed. Predicted "
-    "decay times of this room are off by as much."
-)
-_MISFIT = "Not to be used: intervals are widened by the misfit, nothing is identifiable."
-_UNEXPLAINED = (
-    "Little: the windows that were fitted agree within their errors; predictions of single "
-    "positions are as uncertain as this."
-)
 
 
 def disagreement_table(answer: Result, scene: Scene) -> Table | None:
-    """Return where a decay time or the clarity is off by more than a listener notices, and why.
+    """Return where a decay time or the clarity is off by more than a listener notices.
 
     A band is listed where the mean over pairs of predicted minus measured is more than one just
     noticeable difference and twice its own standard deviation (systematic), or where single pairs
-    are off by two in the root mean square (scatter). The first is read against what absorption
-    would remove it; of the second, ISO 3382-2 says how much interference makes by itself [1]_.
-    None where there is neither.
+    are off by two in the root mean square (scatter). Beside it stands the scatter of single
+    positions: of decay times what ISO 3382-2 expects of interference alone [1]_, of clarity that
+    of the measured positions about the mean of the others; and of a decay time which mean
+    absorption would remove a systematic difference. None where there is neither.
 
     References
     ----------
     .. [1] ISO 3382-2:2008, annex A; as in `roomfit.checks.decay.decay_misses`.
     """
-    pairs, centres = compared_pairs(answer), answer.bands.centres_hz
+    pairs, rows = compared_pairs(answer), []
     known = parameter_keys(pairs)
     early = next((key for key in ("C80_dB", "C50_dB", "D50_percent") if key in known), None)
-    alike: dict[tuple[str, str, str], list[tuple[int, str]]] = {}
     for key in filter(None, (decay_time_key(known), early)):
         compared = [pair.parameters[key] for pair in pairs if key in pair.parameters]
-        rows = np.array([(c.measured, c.jnd, c.null) for c in compared], dtype=np.float64)
-        for band in range(len(centres)):
-            off = rows[np.isfinite(rows[:, :2, band]).all(axis=1), :, band].T
-            if off.size and (said := _disagreement(answer, scene, key, band, off)) is not None:
-                size, why, meaning = said
-                alike.setdefault((key, why, meaning), []).append((band, size))
-    if not alike:
+        values = np.array([(c.measured, c.jnd, c.null) for c in compared], dtype=np.float64)
+        for band in range(len(answer.bands)):
+            off = values[np.isfinite(values[:, :2, band]).all(axis=1), :, band].T
+            if off.size and (row := _disagreement(answer, scene, key, band, off)) is not None:
+                rows.append(row)
+    if not rows:
         return None
-    rows_of = []
-    for (key, why, meaning), said_of in alike.items():
-        bands, sizes = zip(*said_of, strict=True)
-        where = band_ranges(centres, np.isin(np.arange(len(centres)), bands))
-        words = ("; ".join(sizes), why, meaning)
-        head = f"{parameter(key).symbol}, {where}"
-        rows_of.append((head, *(Cell(text, style="words") for text in words)))
-    columns = ("", "predicted minus measured", "why", "what it means for the absorption")
     which = count(len(pairs), "pair") + " not fitted" * (pairs[0].use == "validate")
+    columns = ("", "predicted minus measured", "scatter expected", "mean absorption without it")
     caption = f"Where model and measurement disagree audibly, {which}"
-    return Table(caption, columns, rows_of, kind="reasons")
+    return Table(caption, columns, rows)
 
 
 def _disagreement(
     answer: Result, scene: Scene, key: str, band: int, off: FloatArray
-) -> tuple[str, str, str] | None:
-    """Return how far off one parameter is in one band, why, and what follows; None: not far.
+) -> tuple[Cell, ...] | None:
+    """Return how far off one parameter is in one band, and what that means; None: not far.
 
     `off` has measured values, errors in JND and the baseline of all pairs, shape (3, n_pairs).
     """
     measured, jnd, baseline = off
-    is_decay = key in DECAY_SCATTER
-    unit, step = {"%": ("%", 5.0), "dB": ("dB", 1.0), "points": ("points", 5.0)}[
-        parameter(key).error_unit
-    ]
-    if is_decay:
+    unit = parameter(key).error_unit
+    step, decimals = {"%": (5.0, 0), "dB": (1.0, 1), "points": (5.0, 1)}[unit]
+    if key in DECAY_SCATTER:
         width_hz = float(answer.bands.upper_hz[band] - answer.bands.lower_hz[band])
         scatter = DECAY_SCATTER[key] / np.sqrt(width_hz * measured) / 0.05
     else:
         known = (measured - baseline)[np.isfinite(baseline)] / step
         scatter = np.full(measured.shape, np.sqrt(np.mean(known**2)) if known.size else np.nan)
     mean, sd = mean_miss(jnd, 0.05 * np.nan_to_num(scatter))
-    rms, expected = float(np.sqrt(np.mean(jnd**2))), float(np.sqrt(np.mean(scatter**2)))
-    systematic = abs(mean) > max(_AUDIBLE_JND, _BEYOND_SDS * sd)
-    if not systematic and rms <= 2.0 * _AUDIBLE_JND:
+    rms, expected = (float(np.sqrt(np.mean(x**2))) for x in (jnd, scatter))
+    if abs(mean) > max(_AUDIBLE_JND, _BEYOND_SDS * sd):
+        size, kind = number(mean * step, decimals, signed=True), "systematic"
+    elif rms > 2.0 * _AUDIBLE_JND:
+        size, kind = f"±{number(rms * step, decimals)}", "scatter"
+    else:
         return None
-    misfit = bool(answer.chi2_reduced[band] > LARGEST_CHI2_REDUCED)
-    trust = _MISFIT if misfit else _UNEXPLAINED
-    where, decimals = hertz(float(answer.bands.centres_hz[band])), 0 if unit == "%" else 1
-    if not systematic:
-        size = f"{where}: ±{number(rms * step, decimals)} {unit}"
-        if np.isfinite(expected) and rms <= 1.5 * expected:
-            size += f" (±{number(expected * step, decimals)} {unit} expected)"
-            by = "by interference as much as ISO 3382-2 expects"
-            if not is_decay:
-                by = "as much about the mean of the others"
-            return size, f"single positions scatter {by}", _INTERFERENCE
-        return size, _reasons(answer, band, "positions differ more than the model says"), trust
-    size = f"{where}: {number(mean * step, decimals, signed=True)} {unit}"
-    size += " on average" if jnd.size > 1 else ""
-    if not is_decay:
-        return size, _reasons(answer, band, _EARLY), trust
-    centre_hz = float(answer.bands.centres_hz[band])
-    missed = any(
-        f.code == Code.DECAY_NOT_REPRODUCED and f.about.in_band(centre_hz) for f in answer.findings
-    )
-    if answer.models[band : band + 1] == ("coherent",) and not misfit and not missed:
-        return size, _PRESSURES, _NOT_THE_WALLS
-    meaning = trust if misfit else _needed(answer, scene, band, 0.05 * mean)
-    return size, _reasons(answer, band, "no finding explains it"), meaning
+    needed = Cell(DASH, ("not its sign",), "missing")
+    if kind == "systematic" and key in DECAY_SCATTER:
+        needed = _needed(answer, scene, band, 0.05 * mean)
+    head = f"{parameter(key).symbol}, {hertz(float(answer.bands.centres_hz[band]))}"
+    beside = known_or(Cell(number(expected * step, decimals), (unit,)), "no others")
+    return Cell(head), Cell(f"{size} {unit}", (kind,)), beside, needed
 
 
-# Said of whole bands, in the order in which they explain most.
-_EXPLAINING = (
-    Code.DECAY_BENT,
-    Code.DISPLACEMENT_DETECTED,
-    Code.SOURCE_NOT_OMNIDIRECTIONAL,
-    Code.SCATTERING_UNDERESTIMATED,
-    Code.DECAY_NOT_REPRODUCED,
-    Code.BELOW_SCHROEDER_FREQUENCY,
-    Code.DECAY_RANGE_TOO_SMALL,
-)
-
-
-def _reasons(answer: Result, band: int, otherwise: str) -> str:
-    """Return what findings and the fit say of a band, most telling first."""
-    centre_hz = float(answer.bands.centres_hz[band])
-    said = {f.code for f in answer.findings if f.about.in_band(centre_hz)}
-    found = [REASONS[code] for code in _EXPLAINING if code in said]
-    if answer.chi2_reduced[band] > LARGEST_CHI2_REDUCED:
-        found.append(f"the model does not explain this band (φ above {LARGEST_CHI2_REDUCED:g})")
-    return listing(found[:2] or [otherwise])
-
-
-def _needed(answer: Result, scene: Scene, band: int, excess: float) -> str:
+def _needed(answer: Result, scene: Scene, band: int, excess: float) -> Cell:
     """Return which mean absorption would remove a decay that is too long by a share of itself.
 
     By Sabine's formula with air: the time is inversely proportional to ``alpha S + 4 m V``.
@@ -280,14 +213,8 @@ def _needed(answer: Result, scene: Scene, band: int, excess: float) -> str:
     air = 4.0 * float(attenuation_per_m(scene.air, answer.bands)[band])
     air *= volume_m3(scene.room.mesh) / float(np.sum(answer.areas_m2))
     needed = (value + air) * (1.0 + excess) - air
-    if not (np.isfinite(needed) and 0.0 <= needed <= 1.0):
-        return "No mean absorption between 0 and 1 would remove it: look at the description."
-    verdict = "inside the interval: the intervals hold."
-    if not lower <= needed <= upper:
-        verdict = "outside the interval: early and late sound ask for different absorption: do not "
-        verdict += "use it for decay times."
-    return (
-        f"At {hertz(float(answer.bands.centres_hz[band]))} a mean absorption of "
-        f"{coefficient(needed, 1.0)} instead of {coefficient(value, 1.0)} would remove it, "
-        f"{verdict}"
-    )
+    if not 0.0 <= needed <= 1.0:
+        return Cell(DASH, ("none between 0 and 1",), "missing")
+    within = "inside" if lower <= needed <= upper else "outside"
+    words = f"in place of {coefficient(value, 1.0)}", f"{within} its interval"
+    return Cell(coefficient(needed, 1.0), words, "" if within == "inside" else "worse")

@@ -138,15 +138,16 @@ def shown_progress(description: str) -> Iterator[Progress]:
     if not logger.isEnabledFor(logging.INFO):
         yield lambda _fraction: None
         return
-    notebook = _is_notebook()
+    # a cell of a notebook: an IPython that has a kernel, not one on a terminal
+    shell = sys.modules.get("IPython")
+    cell = shell.get_ipython() if shell is not None else None
+    notebook = getattr(cell, "kernel", None) is not None
     stages = _Stages(description, lines=not (notebook or sys.stderr.isatty()))
     ended, draw = threading.Event(), None
     if not stages.lines:
-        bar = _bar() if notebook else None
         # by a thread, so that the clock moves during a long step, too
-        draw = threading.Thread(
-            target=_drawn, args=(stages, bar, ended), name="progress", daemon=True
-        )
+        of = stages, _bar() if notebook else None, ended
+        draw = threading.Thread(target=_drawn, args=of, name="progress", daemon=True)
         draw.start()
     logger.addHandler(stages)
     try:
@@ -163,22 +164,18 @@ def _drawn(stages: _Stages, bar: Any, ended: threading.Event) -> None:
     while not ended.wait(_EVERY_S):
         if bar is not None:
             bar.value, bar.description = stages.share(), stages.text()
-            continue
-        width = _width()
-        sys.stderr.write(f"\r{stages.text()[:width]:<{width}}")
-        sys.stderr.flush()
+        else:
+            _redraw(stages.text())
     if bar is not None:
         bar.close()
-        return
-    sys.stderr.write(f"\r{'':{_width()}}\r")
+    else:
+        _redraw("")
+
+
+def _redraw(line: str) -> None:
+    width = _width()
+    sys.stderr.write(f"\r{line[:width]:<{width}}" + "\r" * (not line))
     sys.stderr.flush()
-
-
-def _is_notebook() -> bool:
-    """Whether cells run here: an IPython that has a kernel, not one on a terminal."""
-    shell = sys.modules.get("IPython")
-    own = shell.get_ipython() if shell is not None else None
-    return own is not None and getattr(own, "kernel", None) is not None
 
 
 def _bar() -> Any:

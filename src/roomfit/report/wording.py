@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,29 +30,7 @@ def material_colour(index: int) -> str:
     return "#" + "".join(f"{round(255.0 * part):02x}" for part in parts)
 
 
-@dataclass(frozen=True, slots=True)
-class Parameter:
-    """How a room-acoustic parameter is written."""
-
-    symbol: str
-    unit: str
-    decimals: int  # of a value in `unit`
-    error_unit: str  # "%" where errors are relative to the measured value
-    error_decimals: int
-
-
-PARAMETERS = {
-    "T20_s": Parameter("T20", "s", 2, "%", 1),
-    "T30_s": Parameter("T30", "s", 2, "%", 1),
-    "EDT_s": Parameter("EDT", "s", 2, "%", 1),
-    "C50_dB": Parameter("C50", "dB", 1, "dB", 2),
-    "C80_dB": Parameter("C80", "dB", 1, "dB", 2),
-    "D50_percent": Parameter("D50", "%", 0, "points", 1),
-    "TS_ms": Parameter("TS", "ms", 0, "ms", 1),
-    "G_dB": Parameter("G", "dB", 1, "dB", 2),
-}
-"""In the order in which tables show them; those of ISO 3382-1."""
-_DECAY_TIMES = ("T20_s", "T30_s", "EDT_s")
+# ---------------------------------------------------------------- numbers
 
 
 def number(value: float, decimals: int, *, signed: bool = False) -> str:
@@ -82,13 +60,7 @@ def area(value_m2: float) -> str:
 
 
 def hertz(frequency_hz: float) -> str:
-    """Return a frequency with its unit.
-
-    Examples
-    --------
-    >>> hertz(125.0), hertz(2000.0), hertz(31.5)
-    ('125 Hz', '2 kHz', '31.5 Hz')
-    """
+    """Return a frequency with its unit, as "125 Hz" or "2 kHz"."""
     if frequency_hz >= 1000.0:
         return f"{frequency_hz / 1000.0:g} kHz"
     return f"{frequency_hz:g} Hz"
@@ -99,46 +71,17 @@ def short_hertz(frequency_hz: float) -> str:
     return f"{frequency_hz / 1000:g}k" if frequency_hz >= 1000 else f"{frequency_hz:g}"
 
 
-def count(number_of: int, singular: str, plural: str | None = None) -> str:
-    """Return a number with its noun.
+# ---------------------------------------------------------------- names
 
-    Examples
-    --------
-    >>> count(1, "pair"), count(3, "pair"), count(0, "frequency", "frequencies")
-    ('1 pair', '3 pairs', '0 frequencies')
-    """
+
+def count(number_of: int, singular: str, plural: str | None = None) -> str:
+    """Return a number with its noun, as "1 pair" or "3 pairs"."""
     return f"{number_of} {singular if number_of == 1 else plural or singular + 's'}"
 
 
 def listing(words: Sequence[str]) -> str:
-    """Return words as a sentence lists them.
-
-    Examples
-    --------
-    >>> listing(["a", "b", "c"])
-    'a, b and c'
-    """
-    if len(words) < 2:
-        return "".join(words)
-    return f"{', '.join(words[:-1])} and {words[-1]}"
-
-
-def band_ranges(centres_hz: FloatArray, chosen: BoolArray) -> str:
-    """Return the chosen bands in words; neighbours are joined.
-
-    Examples
-    --------
-    >>> bands = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0])
-    >>> band_ranges(bands, np.array([True, False, True, True, True]))
-    '125 Hz and 500 Hz to 2 kHz'
-    """
-    runs = []
-    for wanted, members in groupby(range(len(centres_hz)), key=lambda j: bool(chosen[j])):
-        run = list(members)
-        if wanted:
-            ends = [hertz(float(centres_hz[j])) for j in (run[0], run[-1])]
-            runs.append(ends[0] if len(run) == 1 else " to ".join(ends))
-    return listing(runs)
+    """Return words as a sentence lists them: "a, b and c"."""
+    return " and ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
 
 
 def shortened(name: str, longest: int = 34) -> str:
@@ -152,6 +95,32 @@ def in_file_name(*names: str) -> str:
     return "_".join(plain)
 
 
+# ---------------------------------------------------------------- room parameters
+
+
+class Parameter(NamedTuple):
+    """How a room-acoustic parameter is written."""
+
+    symbol: str
+    unit: str
+    decimals: int  # of a value in `unit`
+    error_unit: str  # "%" where errors are relative to the measured value
+    error_decimals: int
+
+
+PARAMETERS = {
+    "T20_s": Parameter("T20", "s", 2, "%", 1),
+    "T30_s": Parameter("T30", "s", 2, "%", 1),
+    "EDT_s": Parameter("EDT", "s", 2, "%", 1),
+    "C50_dB": Parameter("C50", "dB", 1, "dB", 2),
+    "C80_dB": Parameter("C80", "dB", 1, "dB", 2),
+    "D50_percent": Parameter("D50", "%", 0, "points", 1),
+    "TS_ms": Parameter("TS", "ms", 0, "ms", 1),
+    "G_dB": Parameter("G", "dB", 1, "dB", 2),
+}
+"""In the order in which tables show them; those of ISO 3382-1."""
+
+
 def parameter(key: str) -> Parameter:
     """Return how a parameter is written; of an unknown one the key has symbol and unit."""
     symbol, _, unit = key.partition("_")
@@ -159,23 +128,16 @@ def parameter(key: str) -> Parameter:
 
 
 def decay_time_key(known: Iterable[str]) -> str | None:
-    """Return which of the known parameters represents the decay time; None where none does.
-
-    Examples
-    --------
-    >>> decay_time_key(["C80_dB", "EDT_s", "T30_s"])
-    'T30_s'
-    """
+    """Return which of the known parameters represents the decay time; None where none does."""
     found = set(known)
-    return next((key for key in _DECAY_TIMES if key in found), None)
+    return next((key for key in ("T20_s", "T30_s", "EDT_s") if key in found), None)
 
 
 # Of these the mean is the single number of a decay time (ISO 3382-1:2009, table A.1).
 MID_HZ = (500.0, 1000.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Series:
+class Series(NamedTuple):
     """One decay time in every band, all of shape (n_bands,), NaN where unknown."""
 
     label: str
@@ -220,20 +182,29 @@ def mid_words(centres_hz: FloatArray) -> str:
     return f"{centres_hz[int(np.argmin(np.abs(np.log(centres_hz / 700.0))))]:g} Hz"
 
 
-def with_interval(value: float, low: float, high: float, unit: str = " s") -> str:
+def with_interval(value: float, low: float, high: float) -> str:
     """Return a decay time with its interval, as in "0.50 s (0.41 to 0.58)"."""
     if not np.isfinite([low, high]).all():
-        return f"{number(value, 2)}{unit}"
-    return f"{number(value, 2)}{unit} ({number(low, 2)} to {number(high, 2)})"
+        return f"{number(value, 2)} s"
+    return f"{number(value, 2)} s ({number(low, 2)} to {number(high, 2)})"
+
+
+# ---------------------------------------------------------------- bands
+
+
+def band_ranges(centres_hz: FloatArray, chosen: BoolArray) -> str:
+    """Return the chosen bands in words; neighbours are joined: "125 Hz and 500 Hz to 2 kHz"."""
+    runs = []
+    for wanted, members in groupby(range(len(centres_hz)), key=lambda j: bool(chosen[j])):
+        run = list(members)
+        if wanted:
+            ends = dict.fromkeys(hertz(float(centres_hz[j])) for j in (run[0], run[-1]))
+            runs.append(" to ".join(ends))
+    return listing(runs)
 
 
 BANDS_AT_MOST = 8
 """Columns that fit on a sheet of A4; further bands go into a table below."""
-
-
-def band_heads(centres_hz: FloatArray) -> tuple[str, ...]:
-    """Return the heads of columns of bands."""
-    return tuple(hertz(float(f)) for f in centres_hz)
 
 
 def band_tables(
@@ -250,7 +221,7 @@ def band_tables(
     A row has a head, the cells of `before`, one a band, and those of `after`.
     """
     n, first = len(centres_hz), 1 + len(before)
-    heads = (corner, *before, *band_heads(centres_hz), *after)
+    heads = (corner, *before, *(hertz(float(f)) for f in centres_hz), *after)
     tables = []
     for block in np.array_split(np.arange(first, first + n), -(-n // BANDS_AT_MOST)):
         words = caption
