@@ -18,8 +18,7 @@ from roomfit.files.budget import budget_records, uncertainty_budget
 from roomfit.files.encoding import ResultFile, path_of
 from roomfit.files.exports import export_materials, workbook_bytes
 from roomfit.files.results import material_table_of, read_materials
-from roomfit.report.documents import report_pdf
-from roomfit.report.documents import report_word
+from roomfit.report.documents import report_pdf, report_word
 from roomfit.result import Result
 from roomfit.settings import Settings
 
