@@ -58,7 +58,16 @@ def audience_area_m2(
     """
     outlines = [_turning_left(o) for o in outlines_m]
     for outline in outlines:
-        _check_in_air(mesh, outline)
+        above = points_on(outline) + np.array([0.0, 0.0, EAR_M])
+        outside = above[~is_inside(mesh, above)]
+        if len(outside):
+            raise InputError(
+                "over a block of seats is no air",
+                found=f"{place(outside[0])} is not within the room",
+                needed=f"corners on the floor, and air {EAR_M:g} m above it",
+                hint="a block that is drawn as a solid absorbs by its faces: give their material "
+                "the absorption, and leave the outline out",
+            )
     walls_m = corners_m(mesh)
     own = float(sum(np.linalg.norm(area_vector_m2(o)) for o in outlines))
     strips = 0.0
@@ -86,43 +95,22 @@ def points_on(outline_m: FloatArray) -> FloatArray:
 def _turning_left(outline_m: FloatArray) -> FloatArray:
     cut = triangulate(outline_m)
     if not len(cut.triangles) or cut.crosses_itself:
-        raise InputError(
-            "the outline of a block is none",
-            found="no area" if not len(cut.triangles) else "an outline that crosses itself",
-            needed="corners x, y, z in m, in order around the block",
-            hint="list them as they are met on a walk around the seats",
-        )
+        found = "an outline that crosses itself" if len(cut.triangles) else "no area"
+        what, needed = "the outline of a block is none", "corners x, y, z in m, around the block"
+        hint = "list them as they are met on a walk around the seats"
+        raise InputError(what, found=found, needed=needed, hint=hint)
     # walls beside an edge are looked for on a level
     up = float(area_vector_m2(outline_m)[2])
     if abs(up) < 0.5 * cut.area_m2:
-        raise InputError(
-            "a block of seats stands upright",
-            found=f"{abs(up):.2f} m2 of {cut.area_m2:.2f} as seen from above",
-            needed="corners on the floor",
-            hint="z is the height of the floor at each corner",
-        )
-    plan = outline_m[:, :2] - np.roll(outline_m[:, :2], 1, axis=0)
-    if np.linalg.norm(plan, axis=1).min() < _STEP_M:
-        raise InputError(
-            "a corner of a block stands twice",
-            found=f"two corners {np.linalg.norm(plan, axis=1).min():g} m apart",
-            needed=f"{_STEP_M:g} m or more between them",
-            hint="the last corner is not the first again",
-        )
+        what, found = "a block of seats stands upright", f"{abs(up):.2f} m2 as seen from above"
+        needed, hint = "corners on the floor", "z is the height of the floor at each corner"
+        raise InputError(what, found=found, needed=needed, hint=hint)
+    sides_m = np.linalg.norm((outline_m - np.roll(outline_m, 1, axis=0))[:, :2], axis=1)
+    if sides_m.min() < _STEP_M:
+        what, needed = "a corner of a block stands twice", f"{_STEP_M:g} m or more between them"
+        found, hint = f"two, {sides_m.min():g} m apart", "the last corner is not the first again"
+        raise InputError(what, found=found, needed=needed, hint=hint)
     return outline_m if up > 0.0 else outline_m[::-1]
-
-
-def _check_in_air(mesh: Mesh, outline_m: FloatArray) -> None:
-    above = points_on(outline_m) + np.array([0.0, 0.0, EAR_M])
-    outside = above[~is_inside(mesh, above)]
-    if len(outside):
-        raise InputError(
-            "over a block of seats is no air",
-            found=f"{place(outside[0])} is not within the room",
-            needed=f"corners on the floor, and air {EAR_M:g} m above it",
-            hint="a block that is drawn as a solid absorbs by its faces: give their material the "
-            "absorption, and leave the outline out",
-        )
 
 
 def _widths_m(

@@ -66,7 +66,17 @@ def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tup
         coordinate is not finite.
     """
     vertices = float_array("vertices", vertices_m, (None, 3), low=-1e6, high=1e6, unit="m")
-    _check_faces(faces, len(vertices))
+    for number, face in enumerate(faces, start=1):
+        where = f"face {number}, surface {face.surface.name!r}"
+        if len(face.corners) < 3:
+            what, found = "a face has fewer than three corners", f"{len(face.corners)}"
+            hint = "the file may be damaged: export it again"
+            raise InputError(what, where=where, found=found, needed="three or more", hint=hint)
+        if bad := [c + 1 for c in face.corners if not 0 <= c < len(vertices)]:
+            what, needed = "a face names a corner that does not exist", f"1 to {len(vertices)}"
+            found = f"corner {bad[0]}"
+            hint = "export the room again: the list of corners is too short"
+            raise InputError(what, where=where, found=found, needed=needed, hint=hint)
     representative = weld(vertices) if len(vertices) else np.zeros(0, dtype=np.int64)
     spots: _Spots = defaultdict(list)
     most_warped_m = 0.0
@@ -99,35 +109,12 @@ def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tup
     findings = _findings(spots, most_warped_m)
     if not triangles:
         refuse(findings)
-        raise InputError(
-            "the room has no faces",
-            found=f"none with an area, of {len(faces)}",
-            needed="at least four faces with an area",
-            hint="export the room again, with its surfaces as polygons or triangles",
-        )
+        what, found = "the room has no faces", f"none with an area, of {len(faces)}"
+        hint = "export the room again, with its surfaces as polygons or triangles"
+        needed = "at least four faces with an area"
+        raise InputError(what, found=found, needed=needed, hint=hint)
     mesh = Mesh(vertices[used], renumbered.reshape(-1, 3), np.array(owner), tuple(surfaces))
     return mesh, findings
-
-
-def _check_faces(faces: Sequence[Face], n_vertices: int) -> None:
-    for number, face in enumerate(faces, start=1):
-        if len(face.corners) < 3:
-            raise InputError(
-                "a face has fewer than three corners",
-                where=f"face {number}, surface {face.surface.name!r}",
-                found=f"{len(face.corners)}",
-                needed="three or more",
-                hint="the file may be damaged: export it again",
-            )
-        for corner in face.corners:
-            if not 0 <= corner < n_vertices:
-                raise InputError(
-                    "a face names a corner that does not exist",
-                    where=f"face {number}, surface {face.surface.name!r}",
-                    found=f"corner {corner + 1}",
-                    needed=f"1 to {n_vertices}",
-                    hint="export the room again: the list of corners is too short",
-                )
 
 
 def _distinct(
@@ -171,65 +158,55 @@ def _spot(surface: Surface, corners_m: FloatArray) -> tuple[str, FloatArray]:
     return surface.name, corners_m.mean(axis=0)
 
 
-def _named_points(spots: Sequence[tuple[str, FloatArray]]) -> list[tuple[str, str]]:
-    return [(name, place(point_m)) for name, point_m in spots]
+_SENTENCES = {
+    Code.SEAM_FACES: "a seam without area, left out",
+    Code.REPEATED_FACE: "given twice and kept once",
+    Code.BACK_TO_BACK_FACES: "back to back with another face; which of the two materials sound "
+    "meets is open",
+    Code.SELF_INTERSECTING_POLYGON: "with an outline that crosses itself; a part may be "
+    "covered twice or not at all",
+}
 
 
 def _findings(spots: _Spots, most_warped_m: float) -> tuple[Finding, ...]:
-    sentences = {
-        Code.SEAM_FACES: "a seam without area, left out",
-        Code.REPEATED_FACE: "given twice and kept once",
-        Code.BACK_TO_BACK_FACES: "back to back with another face; which of the two materials sound "
-        "meets is open",
-        Code.SELF_INTERSECTING_POLYGON: "with an outline that crosses itself; a part may be "
-        "covered twice or not at all",
-    }
     found: list[Finding] = []
-    if no_area := spots.get(Code.ZERO_AREA_FACE):
-        found.append(
-            fault(
-                Code.ZERO_AREA_FACE,
-                "faces without area",
-                where=listed(_named_points(no_area)),
-                found=f"{len(no_area)}",
-                needed="at least three corners that do not stand on one line",
-                hint="delete these faces in the drawing program (in Blender: Degenerate Dissolve)",
-                points_m=[point for _, point in no_area],
+    for code in (Code.ZERO_AREA_FACE, *_SENTENCES, Code.WARPED_POLYGON):
+        points_m = [point_m for _, point_m in spots.get(code, ())]
+        named = [(name, place(point_m)) for name, point_m in spots.get(code, ())]
+        n, where, about = len(named), listed(named), about_points(points_m)
+        count = "1 face is" if n == 1 else f"{n} faces are"
+        if not n:
+            continue
+        if code is Code.ZERO_AREA_FACE:
+            needed = "at least three corners that do not stand on one line"
+            hint = "delete these faces in the drawing program (in Blender: Degenerate Dissolve)"
+            what, at = "faces without area", points_m
+            found.append(
+                fault(code, what, where=where, found=f"{n}", needed=needed, hint=hint, points_m=at)
             )
-        )
-    for code, sentence in sentences.items():
-        if own := spots.get(code):
-            named = _named_points(own)
-            text = f"{_count(own)} {sentence}: {listed(named)}."
-            about = about_points(point for _, point in own)
+        elif code in _SENTENCES:
+            text = f"{count} {_SENTENCES[code]}: {where}."
             found.append(Finding(code, about, text, {"places": named}))
-    if warped := spots.get(Code.WARPED_POLYGON):
-        found.append(_warped(warped, most_warped_m))
+        elif most_warped_m <= TOO_WARPED_FROM_M:
+            text = (
+                f"{count} not flat, by up to {1e3 * most_warped_m:.1f} mm: {where}. "
+                "They are cut into flat triangles."
+            )
+            found.append(Finding(code, about, text, {"off_plane_m": most_warped_m}))
+        else:
+            found.append(
+                fault(
+                    Code.POLYGON_NOT_PLANAR,
+                    "polygons that are not flat",
+                    where=where,
+                    found=f"corners up to {1e3 * most_warped_m:.0f} mm off their plane",
+                    needed=f"at most {1e3 * TOO_WARPED_FROM_M:.0f} mm",
+                    hint="look for a mistyped corner, or give the surface as triangles",
+                    points_m=points_m,
+                    off_plane_m=most_warped_m,
+                )
+            )
     return tuple(found)
-
-
-def _warped(spots: list[tuple[str, FloatArray]], off_plane_m: float) -> Finding:
-    named, points_m = _named_points(spots), [point for _, point in spots]
-    if off_plane_m > TOO_WARPED_FROM_M:
-        return fault(
-            Code.POLYGON_NOT_PLANAR,
-            "polygons that are not flat",
-            where=listed(named),
-            found=f"corners up to {1e3 * off_plane_m:.0f} mm off their plane",
-            needed=f"at most {1e3 * TOO_WARPED_FROM_M:.0f} mm",
-            hint="look for a mistyped corner, or give the surface as triangles",
-            points_m=points_m,
-            off_plane_m=off_plane_m,
-        )
-    text = (
-        f"{_count(spots)} not flat, by up to {1e3 * off_plane_m:.1f} mm: {listed(named)}. "
-        "They are cut into flat triangles."
-    )
-    return Finding(Code.WARPED_POLYGON, about_points(points_m), text, {"off_plane_m": off_plane_m})
-
-
-def _count(spots: Sequence[object]) -> str:
-    return "1 face is" if len(spots) == 1 else f"{len(spots)} faces are"
 
 
 def listed(spots: Sequence[tuple[str, str]]) -> str:

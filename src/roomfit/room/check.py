@@ -144,15 +144,10 @@ def examine(mesh: Mesh) -> tuple[bool, float | None, tuple[Finding, ...]]:
     if len(open_edges):
         findings.append(_not_closed(mesh, edges, open_edges, volume))
     if not volume > 0.0:
-        findings.append(
-            fault(
-                Code.NO_VOLUME,
-                "the room encloses no volume",
-                found=f"{volume:.3g} m3",
-                needed="more than 0 m3",
-                hint="draw floor, ceiling and all walls as faces that enclose the air",
-            )
-        )
+        what, needed = "the room encloses no volume", "more than 0 m3"
+        hint = "draw floor, ceiling and all walls as faces that enclose the air"
+        found = f"{volume:.3g} m3"
+        findings.append(fault(Code.NO_VOLUME, what, found=found, needed=needed, hint=hint))
     return not len(open_edges), leak, tuple(findings)
 
 
@@ -168,39 +163,33 @@ def _leak(mesh: Mesh) -> tuple[float | None, list[Finding]]:
     leak = find_leaks(mesh, points, n_rays, _SEED, _BOUNCES)
     if not leak.n_escapes:
         return 0.0, []
+    last_m = leak.last_m[:3]
+    _, triangle = nearest_triangles(mesh, last_m)
+    ways = []
+    for start, direction, t in zip(last_m, leak.directions, triangle, strict=False):
+        name = mesh.surfaces[mesh.triangle_surface[t]].name
+        x, y, z = np.round(direction, 2) + 0.0
+        ways.append(f"{name!r} {place(start)} towards ({x:.2f}, {y:.2f}, {z:.2f})")
+    out = "leaving from " + "; ".join(ways)
     counts = f"{leak.n_escapes} of {n_rays} rays lost in {leak.n_hits} hits"
     evidence = {"escapes": leak.n_escapes, "hits": leak.n_hits, "limit": LEAK_LIMIT}
     if leak.fraction <= LEAK_LIMIT:
         text = (
             f"The mesh leaks a little: {counts} ({1e2 * leak.fraction:.3g} %; "
-            f"up to {1e2 * LEAK_LIMIT:g} % is harmless), {_ways_out(mesh, leak)}."
+            f"up to {1e2 * LEAK_LIMIT:g} % is harmless), {out}."
         )
-        return leak.fraction, [
-            Finding(Code.SMALL_LEAK, about_points(leak.last_m[:3]), text, evidence)
-        ]
+        return leak.fraction, [Finding(Code.SMALL_LEAK, about_points(last_m), text, evidence)]
     serious = fault(
         Code.LEAK,
         "the mesh leaks",
-        where=_ways_out(mesh, leak),
+        where=out,
         found=f"{counts} ({1e2 * leak.fraction:.3g} %)",
         needed=f"at most {1e2 * LEAK_LIMIT:g} % of the hits",
         hint="close the gap in the drawing program, or add the missing surface",
-        points_m=leak.last_m[:3],
+        points_m=last_m,
         **evidence,
     )
     return leak.fraction, [serious]
-
-
-def _ways_out(mesh: Mesh, leak: Leak) -> str:
-    """Return in words from which walls the first lost rays started, and in which direction."""
-    last = leak.last_m[:3]
-    _, triangle = nearest_triangles(mesh, last)
-    texts = []
-    for start, direction, t in zip(last, leak.directions, triangle, strict=False):
-        name = mesh.surfaces[mesh.triangle_surface[t]].name
-        x, y, z = np.round(direction, 2) + 0.0
-        texts.append(f"{name!r} {place(start)} towards ({x:.2f}, {y:.2f}, {z:.2f})")
-    return "leaving from " + "; ".join(texts)
 
 
 def _not_closed(mesh: Mesh, edges: Edges, open_edges: IntArray, volume: float) -> Finding:

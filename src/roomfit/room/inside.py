@@ -19,8 +19,7 @@ from roomfit.room.mesh import Mesh, box_of, corners_m, is_double_sided
 Vector: TypeAlias = tuple[float, float, float]
 
 MISSED = -1.0
-# Points and triangles up to which kernels take longer to compile than numpy to run, often.
-_FEW = (2000, 24)
+_PAIRS_AT_ONCE = 100_000
 
 
 @kernel(allocates=False)
@@ -130,36 +129,6 @@ def flight_m(corners_m: FloatArray, i: int, start: Vector, direction: Vector) ->
     return dot(ac, k) / determinant
 
 
-@kernel(allocates=False)
-def square_distance_m2(corners_m: FloatArray, i: int, x: Vector) -> float:
-    """Return the squared distance from a point to triangle i.
-
-    The foot of the perpendicular lies within the triangle, or else a side is nearest.
-    """
-    a, b, c = triangle_at(corners_m, i)
-    n = cross(minus(b, a), minus(c, a))
-    square = dot(n, n)
-    if (
-        square > 0.0
-        and dot(cross(minus(b, a), minus(x, a)), n) >= 0.0
-        and dot(cross(minus(c, b), minus(x, b)), n) >= 0.0
-        and dot(cross(minus(a, c), minus(x, c)), n) >= 0.0
-    ):
-        return dot(minus(x, a), n) ** 2 / square
-    return min(_square_to_side(a, b, x), _square_to_side(b, c, x), _square_to_side(c, a, x))
-
-
-@kernel(allocates=False)
-def _square_to_side(a: Vector, b: Vector, x: Vector) -> float:
-    side = minus(b, a)
-    square = dot(side, side)
-    share = 0.0
-    if square > 0.0:
-        share = min(max(dot(minus(x, a), side) / square, 0.0), 1.0)
-    away = minus(x, along(a, side, share))
-    return dot(away, away)
-
-
 # In general position: no drawn wall is parallel to one of them, and an edge is met by at most a
 # few, which the others outvote.
 _N_DIRECTIONS = 15
@@ -215,16 +184,20 @@ def distance_to_walls_m(mesh: Mesh, points_m: FloatArray) -> FloatArray:
 def nearest_triangles(mesh: Mesh, points_m: FloatArray) -> tuple[FloatArray, IntArray]:
     """Return distance in m and index of the triangle nearest to each point, each (n_points,)."""
     corners, points = corners_m(mesh), _rows(points_m)
-    if len(points) > _FEW[0] or len(corners) > _FEW[1]:
-        squares, triangle = _nearest(corners, points)
-        return np.sqrt(squares), triangle
-    every = _squares_m2(corners, points)
-    triangle = np.argmin(every, axis=1)
-    return np.sqrt(every[np.arange(len(points)), triangle]), triangle
+    squares, triangle = np.zeros(len(points)), np.zeros(len(points), dtype=np.int64)
+    step = max(1, _PAIRS_AT_ONCE // len(corners))
+    for k in range(0, len(points), step):
+        every = _squares_m2(corners, points[k : k + step])
+        triangle[k : k + step] = np.argmin(every, axis=1)
+        squares[k : k + step] = every.min(axis=1)
+    return np.sqrt(squares), triangle
 
 
 def _squares_m2(corners_m: FloatArray, points_m: FloatArray) -> FloatArray:
-    """Return `square_distance_m2` of every point and triangle, (n_points, n_triangles)."""
+    """Return the squared distance of every point from every triangle, (n_points, n_triangles).
+
+    The foot of the perpendicular lies within the triangle, or else a side is nearest.
+    """
     sides = np.roll(corners_m, -1, axis=1) - corners_m
     normal = np.cross(sides[:, 0], sides[:, 1])
     to = points_m[:, None, None] - corners_m
@@ -310,15 +283,3 @@ def _odd_crossings(
                 crossings += 1
         odd[p] = crossings % 2
     return odd
-
-
-@kernel()
-def _nearest(corners_m: FloatArray, points_m: FloatArray) -> tuple[FloatArray, IntArray]:
-    squares = np.full(len(points_m), np.inf)
-    triangle = np.zeros(len(points_m), dtype=np.int64)
-    for p in range(len(points_m)):
-        for i in range(len(corners_m)):
-            square = square_distance_m2(corners_m, i, row(points_m, p))
-            if square < squares[p]:
-                squares[p], triangle[p] = square, i
-    return squares, triangle

@@ -37,16 +37,10 @@ def fault(
     `roomfit check` lists all faults of a room; everything else stops at the first, see `refuse`.
     """
     parts = {"where": where, "found": found, "needed": needed, "try": hint}
-    given_parts = {key: text for key, text in parts.items() if text}
-    place = f" at {where}" if where else ""
-    count = f": {found}" if found else ""
-    return Finding(
-        code,
-        about_points(points_m),
-        f"{what}{place}{count}.",
-        {"what": what, **given_parts, **evidence},
-        error=InputError(what, where=where, found=found, needed=needed, hint=hint),
-    )
+    stated = {"what": what, **{key: text for key, text in parts.items() if text}, **evidence}
+    text = what + (f" at {where}" if where else "") + (f": {found}" if found else "") + "."
+    error = InputError(what, where=where, found=found, needed=needed, hint=hint)
+    return Finding(code, about_points(points_m), text, stated, error=error)
 
 
 _MOST_POINTS = 100

@@ -10,6 +10,7 @@ import re
 from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -87,13 +88,10 @@ class Room:
     def __post_init__(self) -> None:
         if self.lengths_sd_m is not None:
             if self.shoebox_m is None:
-                raise InputError(
-                    "only a box has lengths whose standard deviation can be specified",
-                    where="[room] lengths_sd",
-                    found="another room than a box",
-                    needed="[room] shoebox",
-                    hint="leave it out; a wall that stands elsewhere is looked for all the same",
-                )
+                what = "only a box has lengths whose standard deviation can be specified"
+                hint = "leave it out; a wall that stands elsewhere is looked for all the same"
+                found, needed, where = "another room", "[room] shoebox", "[room] lengths_sd"
+                raise InputError(what, where=where, found=found, needed=needed, hint=hint)
             float_array("lengths_sd", self.lengths_sd_m, (3,), low=0.0, high=1.0, unit="m")
         object.__setattr__(self, "materials", unique_names("material", self.materials))
         if not self.materials:
@@ -204,15 +202,12 @@ def with_objects(room: Room, objects: Mapping[str, Sequence[str] | None]) -> Roo
     (('plaster', 'people'), [126.0, 0.0])
     """
     names = ["", *(s.name for s in room.states)]
+    what = "an object stands in a state that the room does not have"
+    needed = 'a table [[states]], or "" for the room as described'
     for name, states in objects.items():
         for state in states or ():
-            check_known(
-                "an object stands in a state that the room does not have",
-                state,
-                names,
-                where=f"objects.{name}.states",
-                else_needed='a table [[states]], or "" for the room as described',
-            )
+            where = f"objects.{name}.states"
+            check_known(what, state, names, where=where, else_needed=needed)
     found = [RoomObject(k, None if v is None else tuple(v)) for k, v in objects.items()]
     return replace(room, materials=(*room.materials, *objects), objects=(*room.objects, *found))
 
@@ -306,24 +301,23 @@ def material_findings(mesh: Mesh, materials: Mapping[str, str]) -> tuple[Finding
         A key matches no surface, group or material of the file; the names are listed.
     """
     _check_keys(mesh.surfaces, materials)
-    found = surface_materials(mesh.surfaces, materials)
-    bare = np.array([not name for name in found])[mesh.triangle_surface]
+    owners = [name or None for name in surface_materials(mesh.surfaces, materials)]
+    bare = np.array([name is None for name in owners])[mesh.triangle_surface]
     if not bare.any():
         return ()
     first = int(np.flatnonzero(bare)[0])
     name = mesh.surfaces[mesh.triangle_surface[first]].name
     area = float(triangle_areas_m2(mesh)[bare].sum())
-    return (
-        fault(
-            Code.NO_MATERIAL,
-            "surfaces without a material",
-            where=f"{name!r} near {place(corners_m(mesh)[first].mean(axis=0))}",
-            found=f"{sum(not n for n in found)} surfaces, {area:.2f} m2",
-            needed="a material for every face",
-            hint=f'name it in [room.materials], as in "{name}" = "plaster"',
-            points_m=corners_m(mesh)[bare].mean(axis=1),
-        ),
+    found = fault(
+        Code.NO_MATERIAL,
+        "surfaces without a material",
+        where=f"{name!r} near {place(corners_m(mesh)[first].mean(axis=0))}",
+        found=f"{owners.count(None)} surfaces, {area:.2f} m2",
+        needed="a material for every face",
+        hint=f'name it in [room.materials], as in "{name}" = "plaster"',
+        points_m=corners_m(mesh)[bare].mean(axis=1),
     )
+    return (found,)
 
 
 def material_areas(mesh: Mesh, materials: Mapping[str, str]) -> dict[str | None, float]:
@@ -435,15 +429,11 @@ def axis_findings(mesh: Mesh) -> tuple[Finding, ...]:
         return ()
     names = ", ".join(s.name for s, own in zip(mesh.surfaces, level, strict=True) if own)
     axis = "xy"[int(np.argmax(sums))]
-    return (
-        Finding(
-            Code.AXES_EXCHANGED,
-            About(),
-            f"{names} should be level and stand upright, across {axis}: another axis of the file "
-            'points up. Set up = "y" (or "z") under [room], or give positions in the same axes.',
-            {"surfaces": names, "axis": axis},
-        ),
+    text = (
+        f"{names} should be level and stand upright, across {axis}: another axis of the file "
+        'points up. Set up = "y" (or "z") under [room], or give positions in the same axes.'
     )
+    return (Finding(Code.AXES_EXCHANGED, About(), text, {"surfaces": names, "axis": axis}),)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -490,13 +480,11 @@ def check_groups(members: Mapping[str, Sequence[str]], names: Sequence[str]) -> 
     for group, patterns in members.items():
         for pattern in patterns:
             if not any(fnmatchcase(name, pattern) for name in names):
-                raise InputError(
-                    "a group names neither a source nor a receiver",
-                    where=f"groups.{group}.members",
-                    found=repr(pattern),
-                    needed=f"a name or pattern of {', '.join(names[:_SHOWN])}",
-                    hint=did_you_mean(pattern, names),
-                )
+                what = "a group names neither a source nor a receiver"
+                where, found = f"groups.{group}.members", repr(pattern)
+                needed = f"a name or pattern of {', '.join(names[:_SHOWN])}"
+                hint = did_you_mean(pattern, names)
+                raise InputError(what, where=where, found=found, needed=needed, hint=hint)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -659,12 +647,52 @@ def position_findings(
     low, high = room.mesh.vertices_m.min(axis=0), room.mesh.vertices_m.max(axis=0)
     found: list[Finding] = []
     for i, (kind, point) in enumerate(named):
+        who, at = f"{kind} {point.name!r}", point.position_m
         wall = room.mesh.surfaces[room.mesh.triangle_surface[triangle[i]]].name
         if distance[i] < NEAREST_WALL_M:
-            found.append(_in_wall(f"{kind} {point.name!r}", point, wall, float(distance[i])))
+            finding = fault(
+                Code.POSITION_IN_WALL,
+                f"{who} stands in a wall",
+                where=place(at),
+                found=f"{1e3 * distance[i]:.1f} mm from surface {wall!r}",
+                needed=f"at least {1e3 * NEAREST_WALL_M:.0f} mm",
+                hint="correct its position: it stood in front of the wall",
+                points_m=[at],
+            )
         elif not inside[i]:
-            found.append(_outside(f"{kind} {point.name!r}", point, wall, distance[i], low, high))
-    return (*_misread(room, points, inside), *found, *_coinciding(sources, receivers))
+            finding = fault(
+                Code.POSITION_OUTSIDE,
+                f"{who} stands outside the room",
+                where=place(at),
+                found=f"{distance[i]:.3g} m from the nearest surface, {wall!r}",
+                needed=f"a position within the walls; the room reaches from {place(low)} to "
+                f"{place(high)}",
+                hint="check unit, up axis and origin of the room file against the positions",
+                points_m=[at],
+            )
+        else:
+            continue
+        found.append(finding)
+    for source, receiver in product(sources, receivers):
+        at = source.position_m
+        apart_m = float(np.linalg.norm(at - receiver.position_m))
+        if apart_m < NEAREST_PAIR_M:
+            what = f"source {source.name!r} stands where receiver {receiver.name!r} is"
+            apart, needed = (
+                f"{1e3 * apart_m:.1f} mm apart",
+                f"at least {1e3 * NEAREST_PAIR_M:.0f} mm",
+            )
+            finding = fault(
+                Code.SOURCE_AT_RECEIVER,
+                what,
+                where=place(at),
+                found=apart,
+                needed=needed,
+                hint="check the two positions",
+                points_m=[at],
+            )
+            found.append(finding)
+    return (*_misread(room, points, inside), *found)
 
 
 def check_points(room: Room, sources: Sequence[Point], receivers: Sequence[Point]) -> None:
@@ -708,52 +736,6 @@ def _misread(room: Room, points: FloatArray, inside: BoolArray) -> list[Finding]
                 )
             ]
     return []
-
-
-def _in_wall(who: str, point: Point, wall: str, distance_m: float) -> Finding:
-    return fault(
-        Code.POSITION_IN_WALL,
-        f"{who} stands in a wall",
-        where=place(point.position_m),
-        found=f"{1e3 * distance_m:.1f} mm from surface {wall!r}",
-        needed=f"at least {1e3 * NEAREST_WALL_M:.0f} mm",
-        hint="correct its position: it stood in front of the wall",
-        points_m=[point.position_m],
-    )
-
-
-def _outside(
-    who: str, point: Point, wall: str, distance_m: float, low: FloatArray, high: FloatArray
-) -> Finding:
-    return fault(
-        Code.POSITION_OUTSIDE,
-        f"{who} stands outside the room",
-        where=place(point.position_m),
-        found=f"{distance_m:.3g} m from the nearest surface, {wall!r}",
-        needed=f"a position within the walls; the room reaches from {place(low)} to {place(high)}",
-        hint="check unit, up axis and origin of the room file against the positions",
-        points_m=[point.position_m],
-    )
-
-
-def _coinciding(sources: Sequence[Point], receivers: Sequence[Point]) -> list[Finding]:
-    found = []
-    for source in sources:
-        for receiver in receivers:
-            apart = float(np.linalg.norm(source.position_m - receiver.position_m))
-            if apart < NEAREST_PAIR_M:
-                found.append(
-                    fault(
-                        Code.SOURCE_AT_RECEIVER,
-                        f"source {source.name!r} stands where receiver {receiver.name!r} is",
-                        where=place(source.position_m),
-                        found=f"{1e3 * apart:.1f} mm apart",
-                        needed=f"at least {1e3 * NEAREST_PAIR_M:.0f} mm",
-                        hint="check the two positions",
-                        points_m=[source.position_m],
-                    )
-                )
-    return found
 
 
 def plan_in_words(scene: Scene) -> tuple[str, ...]:
